@@ -1,0 +1,252 @@
+"""The command line: arguments to calls, results to standard output. An error is one line on
+standard error and exit status 2; warnings go to standard error as well."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any, NoReturn, TextIO
+
+from facerender import __version__
+from facerender.context import BACKENDS, probe
+from facerender.errors import FacerenderError, FacerenderWarning, InputError
+from facerender.lobes import NAMES as LOBES
+from facerender.mesh import load_mesh
+from facerender.renderer import ONLY, Renderer, start_maps
+from facerender.scene import LIGHTS, Camera, Scene, load_scene, parse_light
+from facerender.shading import FRESNEL_TERMS, MODELS, Shading
+
+CAMERAS = {"front": 0.0, "three-quarter": 40.0, "profile": 90.0}
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message}; see {self.prog} --help")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit status: 0 done, 2 bad input or no OpenGL."""
+    caught: list[str] = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", FacerenderWarning)
+        warnings.showwarning = _warning_printer(caught)
+        try:
+            options = _parser().parse_args(arguments)
+            command: Callable[[argparse.Namespace, list[str]], int] = options.command
+            return command(options, caught)
+        except FacerenderError as error:
+            print(f"facerender: error: {error}", file=sys.stderr)
+            return 2
+        except KeyboardInterrupt:
+            return 130
+
+
+def _warning_printer(caught: list[str]) -> Callable[..., None]:
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        line_number: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if issubclass(category, FacerenderWarning):
+            caught.append(str(message))
+            print(f"facerender: warning: {message}", file=sys.stderr)
+
+    return show
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="facerender", description="Render face meshes with skin highlights.")
+    parser.add_argument("--version", action="version", version=f"facerender {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_render(commands.add_parser("render", help="render a mesh file, or the built-in head"))
+    doctor = commands.add_parser("doctor", help="what OpenGL is found here, what is missing")
+    doctor.add_argument("--json", action="store_true", help="print the findings as JSON")
+    doctor.set_defaults(command=_doctor)
+    return parser
+
+
+def _add_render(render: argparse.ArgumentParser) -> None:
+    render.set_defaults(command=_render)
+    render.add_argument(
+        "mesh", nargs="?", help=".glb .gltf .obj .ply .stl; without it the built-in head"
+    )
+    render.add_argument("-o", "--output", required=True, metavar="OUT", help=".png or .exr")
+
+    terms = render.add_argument_group("reflectance")
+    terms.add_argument("--model", choices=MODELS, default="cook-torrance")
+    terms.add_argument("--lobe", choices=LOBES, default="exact")
+    terms.add_argument("--fresnel", choices=FRESNEL_TERMS, default="schlick")
+    terms.add_argument("--m", type=float, help="rms slope of the microfacets (0.3)")
+    terms.add_argument("--f0", type=float, help="reflectance at normal incidence (0.028)")
+    terms.add_argument("--ks", type=float, help="specular weight (1)")
+    terms.add_argument("--kd", type=float, help="diffuse weight (1)")
+
+    maps = render.add_argument_group("maps, in place of those of the mesh file")
+    for name in ("albedo", "normal-map", "specular-map", "roughness-map"):
+        maps.add_argument(f"--{name}", metavar="FILE")
+    maps.add_argument("--flip-v", action="store_true", help="turn texture coordinates upside down")
+    maps.add_argument("--anisotropy", type=float, default=1.0, help="of texture filtering (1)")
+    maps.add_argument("--float-albedo", action="store_true", help="albedo as linear float16")
+
+    scene = render.add_argument_group("scene")
+    scene.add_argument("--scene", metavar="FILE.toml", help="camera, lights, material")
+    scene.add_argument(
+        "--camera",
+        metavar="WHERE",
+        help=f"{', '.join(CAMERAS)}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees",
+    )
+    scene.add_argument("--fov", type=float, help="vertical angle of view in degrees (25)")
+    scene.add_argument(
+        "--light",
+        action="append",
+        metavar="LIGHT",
+        help=f"{', '.join(LIGHTS)}, AZIMUTH,ELEVATION[,IRRADIANCE] or "
+        "point:X,Y,Z[,IRRADIANCE]; repeat for several (key, rim, fill)",
+    )
+    scene.add_argument("--ambient", metavar="E", help="irradiance from everywhere, E or R,G,B")
+    scene.add_argument("--background", metavar="RGB", help="linear R,G,B, or none: transparent")
+
+    image = render.add_argument_group("image")
+    image.add_argument("--size", default="1024", help="N or WxH in pixels (1024)")
+    image.add_argument("--samples", type=int, default=4, help="per pixel; 1 for none (4)")
+    image.add_argument("--exposure", type=float, default=0.0, help="of the PNG, in stops (0)")
+    image.add_argument("--only", choices=ONLY, help="one term in place of the whole image")
+    image.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
+    image.add_argument("--json", action="store_true", help="describe the image as JSON")
+
+
+def _render(options: argparse.Namespace, caught: list[str]) -> int:
+    size = _parse_size(options.size)
+    shading = Shading(options.model, options.lobe, options.fresnel)
+    settings = load_scene(options.scene) if options.scene else {}
+    material = settings.pop("material", {})
+    settings.update(_scene_settings(options, settings.get("camera", Camera())))
+    material.update(
+        (name, value)
+        for name in ("m", "f0", "ks", "kd")
+        if (value := getattr(options, name)) is not None
+    )
+    if "m" in material and options.roughness_map is None:
+        material["roughness_map"] = None
+    _import_trimesh()
+    mesh = load_mesh(
+        options.mesh,
+        albedo=options.albedo,
+        normal_map=options.normal_map,
+        specular_map=options.specular_map,
+        roughness_map=options.roughness_map,
+        flip_v=options.flip_v,
+    ).with_material(**material)
+    scene = Scene(mesh, **settings)
+    start_maps(mesh, "linear-color" if options.float_albedo else "color")
+    with Renderer(
+        size,
+        samples=options.samples,
+        backend=options.backend,
+        anisotropy=options.anisotropy,
+        float_albedo=options.float_albedo,
+    ) as renderer:
+        frame = renderer.render(scene, shading, options.only)
+        backend = renderer.context.backend
+    frame.save(options.output, options.exposure)
+    if options.json:
+        facts = {
+            "output": options.output,
+            "size": size,
+            "backend": backend,
+            "only": frame.only,
+            **dataclasses.asdict(shading),
+            **frame.metadata,
+            "warnings": caught,
+        }
+        print(json.dumps(facts, indent=2))
+    else:
+        print(options.output)
+    return 0
+
+
+def _import_trimesh() -> None:
+    """Import trimesh without scipy and networkx, which it imports where it finds them, for things
+    that reading a file does not need, and which take two thirds of a cold start. The process is
+    this command's own, so nobody else misses them in trimesh."""
+    absent = [name for name in ("scipy", "networkx") if name not in sys.modules]
+    sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]
+    try:
+        import trimesh  # noqa: F401
+    finally:
+        for name in absent:
+            del sys.modules[name]
+
+
+def _parse_size(text: str) -> tuple[int, int]:
+    try:
+        numbers = [int(word) for word in text.lower().split("x")]
+        width, height = numbers * 2 if len(numbers) == 1 else numbers
+    except ValueError:
+        raise InputError(f"size {text!r}: give N or WxH, such as 1024 or 640x480") from None
+    return width, height
+
+
+def _numbers(option: str, text: str, counts: Sequence[int]) -> list[float]:
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in counts:
+        wanted = " or ".join(map(str, counts))
+        raise InputError(f"--{option} {text!r}: give {wanted} numbers with commas between")
+    return numbers
+
+
+def _scene_settings(options: argparse.Namespace, camera: Camera) -> dict[str, Any]:
+    """The fields of Scene that options set, over those of the scene file."""
+    settings: dict[str, Any] = {}
+    orbit: dict[str, Any] = {}
+    if options.camera in CAMERAS:
+        orbit["azimuth"] = CAMERAS[options.camera]
+    elif options.camera is not None:
+        try:
+            numbers = _numbers("camera", options.camera, (1, 2, 3))
+        except InputError as error:
+            raise InputError(f"{error}, or {', '.join(CAMERAS)}") from None
+        orbit = dict(zip(("azimuth", "elevation", "zoom"), numbers, strict=False))
+    if orbit:
+        camera = dataclasses.replace(camera, position=None, **orbit)
+    if options.fov is not None:
+        camera = dataclasses.replace(camera, fov=options.fov)
+    settings["camera"] = camera
+    if options.light:
+        settings["lights"] = tuple(parse_light(text) for text in options.light)
+    if options.ambient is not None:
+        numbers = _numbers("ambient", options.ambient, (1, 3))
+        settings["ambient"] = tuple(numbers) if len(numbers) == 3 else numbers[0]
+    if options.background is not None:
+        transparent = options.background == "none"
+        settings["background"] = (
+            None if transparent else tuple(_numbers("background", options.background, (3,)))
+        )
+    return settings
+
+
+def _doctor(options: argparse.Namespace, caught: list[str]) -> int:
+    findings = probe()
+    if options.json:
+        print(json.dumps([dataclasses.asdict(finding) for finding in findings], indent=2))
+    else:
+        print(f"facerender {__version__}, Python {sys.version.split()[0]}")
+        for finding in findings:
+            if finding.error:
+                print(f"{finding.backend:7} {finding.error}")
+            else:
+                print(
+                    f"{finding.backend:7} {finding.renderer}, OpenGL {finding.version}, "
+                    f"up to {finding.samples} samples and {finding.size} pixels a side"
+                )
+    return 0 if any(not finding.error for finding in findings) else 2

@@ -1,0 +1,18 @@
+"""The exceptions that facerender raises for causes outside its own code; each message is one line
+that names the thing, the value and the remedy."""
+
+
+class FacerenderError(Exception):
+    """Base of all of them: what the command line reports as ``facerender: error: ...``."""
+
+
+class InputError(FacerenderError, ValueError):
+    """A file, a value or a combination of options that cannot be used."""
+
+
+class ContextError(FacerenderError, RuntimeError):
+    """No OpenGL context, or one that cannot do what was asked."""
+
+
+class FacerenderWarning(UserWarning):
+    """Something in the input was missing or mended, and the result can still be used."""

@@ -1,0 +1,113 @@
+"""Float64 shading of a G-buffer: the reference for whole images, and the views that are data. No
+OpenGL here."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender import brdf
+from facerender.scene import Scene
+from facerender.shading import Shading
+
+if TYPE_CHECKING:
+    from facerender.renderer import GBuffer
+
+Lighting = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float64]:
+    """Shade every covered pixel of a G-buffer as ``shaders/host/shade.frag`` does.
+
+    Returns
+    -------
+    (H, W, 3) float64: linear radiance, 0 where nothing is covered
+
+    Raises
+    ------
+    InputError : m lies outside the lobe's domain
+    """
+    radiance = np.zeros(gbuffer.position.shape)
+    for index, part in enumerate(scene.mesh.parts):
+        covered = gbuffer.part == index
+        if not covered.any():
+            continue
+        material = part.material
+        position = gbuffer.position[covered].astype(np.float64)
+        n = gbuffer.normal[covered].astype(np.float64)
+        m = gbuffer.m[covered].astype(np.float64)
+        albedo = gbuffer.albedo[covered].astype(np.float64)
+        weight = gbuffer.specular_weight[covered].astype(np.float64)
+        v = _unit(gbuffer.view.eye - position)
+
+        occlusion = gbuffer.occlusion[covered].astype(np.float64)
+        diffuse = occlusion[:, None] * np.asarray(scene.ambient)
+        specular = np.zeros_like(diffuse)
+        for l, irradiance in lighting(scene, position):
+            received = irradiance * np.maximum((n * l).sum(axis=-1), 0.0)[:, None]
+            diffuse += received
+            specular += received * _specular(shading, n, l, v, m, material.f0)[:, None]
+        radiance[covered] = material.kd / np.pi * albedo * diffuse + weight[:, None] * specular
+    return radiance
+
+
+def _specular(
+    shading: Shading,
+    n: NDArray[np.float64],
+    l: NDArray[np.float64],
+    v: NDArray[np.float64],
+    m: NDArray[np.float64],
+    f0: float,
+) -> NDArray[np.float64]:
+    if shading.model == "cook-torrance":
+        return brdf.cook_torrance(n, l, v, m, f0, lobe=shading.lobe, fresnel_term=shading.fresnel)
+    ward = brdf.ward if shading.model == "ward" else brdf.ward_printed
+    return f0 * ward(n, l, v, m, lobe=shading.lobe)
+
+
+def lighting(scene: Scene, position: NDArray[np.float64]) -> list[Lighting]:
+    """Direction to each light and its irradiance at positions (N, 3) of the renderer's space."""
+    result: list[Lighting] = []
+    for light in scene.lights:
+        irradiance = np.asarray(light.irradiance)
+        if light.position is None:
+            result.append((light.direction, irradiance))
+            continue
+        source = scene.mesh.normalised(light.position)
+        to_light = source - position
+        distance2 = (to_light**2).sum(axis=-1, keepdims=True)
+        result.append((to_light / np.sqrt(distance2), irradiance * (source @ source) / distance2))
+    return result
+
+
+def data_view(
+    gbuffer: GBuffer, scene: Scene, only: Literal["albedo", "normal", "depth", "cosines"]
+) -> NDArray[np.float32]:
+    """Return a view of the G-buffer, (H, W, 4) float32 with coverage; see ``Frame.linear``."""
+    covered = gbuffer.part >= 0
+    view = np.zeros((*covered.shape, 4), dtype=np.float32)
+    view[..., 3] = covered
+    position = gbuffer.position[covered].astype(np.float64)
+    normal = gbuffer.normal[covered].astype(np.float64)
+    to_eye = gbuffer.view.eye - position
+    if only == "albedo":
+        values = gbuffer.albedo[covered]
+    elif only == "normal":
+        values = gbuffer.normal[covered]
+    elif only == "depth":
+        depth = -(to_eye @ gbuffer.view.forward) * scene.mesh.radius
+        values = np.repeat(depth[:, None], 3, axis=1)
+    else:
+        v = _unit(to_eye)
+        l = lighting(scene, position)[0][0] if scene.lights else v
+        h = _unit(l + v)
+        values = np.stack([(normal * direction).sum(axis=-1) for direction in (l, v, h)], axis=-1)
+    view[covered, :3] = values
+    return view
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.maximum(length, 1e-300))

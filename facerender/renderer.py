@@ -1,0 +1,576 @@
+"""Scene and Shading to Frame: uploads a mesh once, compiles only what the scene needs, draws, and
+reads linear float32 back. The one module that calls OpenGL, apart from ``context``."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Literal
+from weakref import WeakKeyDictionary
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender import __version__
+from facerender.context import Backend, create_context
+from facerender.errors import ContextError, InputError
+from facerender.glsl import resolve_includes
+from facerender.image import encode_srgb8, save_exr, save_png
+from facerender.mesh import Mesh, Part, load_mesh
+from facerender.scene import Camera, Light, Material, Scene, View, view_of
+from facerender.shading import Shading
+from facerender.texture import Kind, Texture
+
+Only = Literal["specular", "diffuse", "albedo", "normal", "depth", "cosines"]
+
+ONLY: tuple[Only, ...] = ("specular", "diffuse", "albedo", "normal", "depth", "cosines")
+MAX_SIZE = 16384
+
+_TEXTURE_2D = 0x0DE1
+_UNPACK_ALIGNMENT = 0x0CF5
+_SRGB8_ALPHA8 = 0x8C43
+_RGB8 = 0x8051
+_RGBA16F = 0x881A
+_RGB, _RGBA = 0x1907, 0x1908
+_UNSIGNED_BYTE, _HALF_FLOAT = 0x1401, 0x140B
+# kind of mip chain: (internal format, components, format, type, moderngl's name of the type)
+_FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
+    "color": (_SRGB8_ALPHA8, 4, _RGBA, _UNSIGNED_BYTE, "f1"),
+    "linear-color": (_RGBA16F, 4, _RGBA, _HALF_FLOAT, "f2"),
+    "data": (_RGB8, 3, _RGB, _UNSIGNED_BYTE, "f1"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A rendered image.
+
+    Attributes
+    ----------
+    linear : (H, W, 4) float32, row 0 on top; linear RGB, unclamped, and coverage. Colour holds the
+        background where the scene has one, and is premultiplied by coverage otherwise. With
+        ``only``: normal (unit vectors), depth (along the viewing direction, in the mesh's units)
+        or cosines (N.L of the first light, N.V, N.H), 0 in the background.
+    only : which term this is, or None for the whole image
+    metadata : facerender's version, GL_RENDERER, GL_VERSION, samples, texture format
+    """
+
+    linear: NDArray[np.float32]
+    only: Only | None
+    metadata: Mapping[str, str]
+
+    def srgb8(self, exposure: float = 0.0) -> NDArray[np.uint8]:
+        """8-bit sRGB for looking at: (H, W, 3), or (H, W, 4) with straight alpha.
+
+        Normals are shown as 0.5 n + 0.5, cosines as they are, depth from near (white) to far;
+        exposure, in stops, applies to radiance alone.
+        """
+        color, coverage = self.linear[..., :3], self.linear[..., 3:]
+        if self.only == "normal":
+            return _bytes((color * 0.5 + 0.5) * coverage)
+        if self.only == "cosines":
+            return _bytes(color)
+        if self.only == "depth":
+            return _bytes(_depth_as_brightness(color, coverage))
+        if coverage.min() == 1.0:
+            return encode_srgb8(color, exposure)
+        straight = np.divide(color, np.maximum(coverage, 1e-6), dtype=np.float32)
+        return np.concatenate([encode_srgb8(straight, exposure), _bytes(coverage)], axis=-1)
+
+    def save(self, path: str | os.PathLike[str], exposure: float = 0.0) -> None:
+        """Write .png (8-bit sRGB) or .exr (linear float32), whole or not at all.
+
+        Raises
+        ------
+        InputError : another suffix, a place that cannot be written, EXR without its package
+        """
+        suffix = os.path.splitext(path)[1].lower()
+        if suffix == ".png":
+            save_png(path, self.srgb8(exposure), self.metadata)
+        elif suffix == ".exr":
+            save_exr(path, self.linear, self.metadata)
+        else:
+            raise InputError(f"{path}: unknown image format {suffix!r}; give .png or .exr")
+
+
+def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
+    return np.round(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def _depth_as_brightness(
+    depth: NDArray[np.float32], coverage: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    inside = depth[coverage[..., 0] > 0.0]
+    if not inside.size:
+        return depth
+    near, far = inside.min(), inside.max()
+    span = max(float(far - near), 1e-30)
+    return np.asarray((1.0 - 0.9 * (depth - near) / span) * coverage)
+
+
+@dataclass(frozen=True, eq=False)
+class GBuffer:
+    """What the fragment program shades, one sample at each pixel's centre, row 0 on top.
+
+    Attributes
+    ----------
+    part : (H, W) int, index into ``mesh.parts``, or -1 for the background
+    position : (H, W, 3) float32 in the renderer's space (see ``Mesh.normalised``)
+    normal : (H, W, 3) float32, the shading normal with the normal map applied
+    albedo : (H, W, 3) float32, linear
+    m, specular_weight, occlusion : (H, W) float32
+    uv : (H, W, 2) float32
+    view : the camera that saw it
+    """
+
+    part: NDArray[np.int64]
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    albedo: NDArray[np.float32]
+    m: NDArray[np.float32]
+    specular_weight: NDArray[np.float32]
+    occlusion: NDArray[np.float32]
+    uv: NDArray[np.float32]
+    view: View
+
+
+@dataclass(frozen=True, eq=False)
+class _GpuPart:
+    """A part on the GPU: the index buffer and the attributes it has, by name."""
+
+    attributes: tuple[tuple[moderngl.Buffer, str, str], ...]
+    indices: moderngl.Buffer
+    textures: Mapping[str, moderngl.Texture]
+    part: Part
+    arrays: dict[moderngl.Program, moderngl.VertexArray]
+
+
+class Renderer:
+    """Draws scenes. Meshes, programs and framebuffers are kept for the next frame.
+
+    Use it as a context manager, or call :meth:`release`.
+
+    Parameters
+    ----------
+    size : width and height in pixels, each in [1, 16384]
+    samples : per pixel; 1 for none, or what the driver offers (4 on Mesa's software driver)
+    backend : "auto", "egl", "osmesa", or "current" for the host's context
+    anisotropy : of texture filtering, 1 to 16; 8 nearly doubles a frame on a software driver
+    float_albedo : keep albedo maps as linear float16 in place of 8-bit sRGB, so that drivers agree
+        to the last digits
+
+    Raises
+    ------
+    InputError : a value outside its domain
+    ContextError : no OpenGL context, or one without the samples or the size asked for
+    """
+
+    def __init__(
+        self,
+        size: tuple[int, int] = (1024, 1024),
+        *,
+        samples: int = 4,
+        backend: Backend = "auto",
+        anisotropy: float = 1.0,
+        float_albedo: bool = False,
+    ) -> None:
+        width, height = size
+        if not (1 <= width <= MAX_SIZE and 1 <= height <= MAX_SIZE):
+            raise InputError(f"size {width} x {height}: give 1 to {MAX_SIZE} pixels a side")
+        if samples < 1:
+            raise InputError(f"samples = {samples}: give 1 or more")
+        if not 1.0 <= anisotropy <= 16.0:
+            raise InputError(f"anisotropy = {anisotropy:g} is outside [1, 16]")
+        self.size = (width, height)
+        self.samples = samples
+        self.anisotropy = anisotropy
+        self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
+        self.context = create_context(backend)
+        self._uploaded: WeakKeyDictionary[Mesh, list[_GpuPart]] = WeakKeyDictionary()
+        self._textures: WeakKeyDictionary[Texture, moderngl.Texture] = WeakKeyDictionary()
+        self._programs: dict[str, moderngl.Program] = {}
+        self._targets: dict[str, moderngl.Framebuffer] = {}
+        try:
+            self._check_limits()
+        except ContextError:
+            self.release()
+            raise
+
+    def __enter__(self) -> Renderer:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.release()
+
+    def release(self) -> None:
+        """Free everything on the GPU, and the context unless it is the host's."""
+        self._uploaded.clear()
+        self._textures.clear()
+        self._programs.clear()
+        self._targets.clear()
+        self.context.gl.gc()
+        self.context.release()
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """What a figure or a golden needs beside it."""
+        return {
+            "facerender": __version__,
+            "GL_RENDERER": self.context.renderer,
+            "GL_VERSION": self.context.version,
+            "samples": str(self.samples),
+            "albedo": "RGBA16F" if self.albedo_kind == "linear-color" else "SRGB8_ALPHA8",
+        }
+
+    def render(self, scene: Scene, shading: Shading = Shading(), only: Only | None = None) -> Frame:
+        """Draw a scene.
+
+        Parameters
+        ----------
+        only : one term in place of the whole image; normal, albedo, depth and cosines have one
+            sample a pixel
+
+        Raises
+        ------
+        InputError : a map is damaged, m lies outside the lobe's domain, an unknown term
+        """
+        if only in ("normal", "albedo", "depth", "cosines"):
+            from facerender.reference import data_view
+
+            linear = data_view(self.gbuffer(scene), scene, only)
+            return Frame(linear, only, {**self.metadata, "samples": "1"})
+        if only not in (None, "specular", "diffuse"):
+            raise InputError(f"unknown term {only!r}; known: {', '.join(ONLY)}")
+        parts = self._upload(scene.mesh)
+        if only != "diffuse":
+            for part in parts:
+                _check_slope(part.part.material, part.textures, shading)
+        view = view_of(scene, self.size[0] / self.size[1])
+        target = self._target("multisample" if self.samples > 1 else "single")
+        with self._drawing(target):
+            target.clear(*_clear_color(scene, only))
+            for part in parts:
+                defines = _shade_defines(part.part, scene, shading, only)
+                self._draw(part, self._program("shade", defines), view, scene)
+        if self.samples > 1:
+            single = self._target("single")
+            self.context.gl.copy_framebuffer(single, target)
+            target = single
+        linear = np.empty((self.size[1], self.size[0], 4), dtype=np.float32)
+        target.read_into(linear, components=4, dtype="f4")
+        return Frame(linear, only, self.metadata)
+
+    def gbuffer(self, scene: Scene) -> GBuffer:
+        """Draw what shading reads at each pixel's centre; errors as in :meth:`render`."""
+        parts = self._upload(scene.mesh)
+        view = view_of(scene, self.size[0] / self.size[1])
+        target = self._target("gbuffer")
+        with self._drawing(target):
+            target.clear()
+            for index, part in enumerate(parts, start=1):
+                program = self._program("gbuffer", _surface_defines(part.part))
+                _set(program, "part", float(index))
+                self._draw(part, program, view, scene)
+        layers = []
+        for attachment in range(4):
+            layer = np.empty((self.size[1], self.size[0], 4), dtype=np.float32)
+            target.read_into(layer, components=4, attachment=attachment, dtype="f4")
+            layers.append(layer)
+        position, normal, albedo, uv = layers
+        return GBuffer(
+            part=position[..., 3].astype(np.int64) - 1,
+            position=position[..., :3],
+            normal=normal[..., :3],
+            albedo=albedo[..., :3],
+            m=normal[..., 3],
+            specular_weight=albedo[..., 3],
+            occlusion=uv[..., 2],
+            uv=uv[..., :2],
+            view=view,
+        )
+
+    # --- OpenGL ----------------------------------------------------------------------------------
+
+    def _check_limits(self) -> None:
+        limits = self.context.gl.info
+        most = min(limits["GL_MAX_TEXTURE_SIZE"], *limits["GL_MAX_VIEWPORT_DIMS"])
+        if max(self.size) > most:
+            raise ContextError(
+                f"size {self.size[0]} x {self.size[1]}: {self.context.renderer} draws at most "
+                f"{most} pixels a side"
+            )
+        if self.samples > 1 and self.samples > self.context.gl.max_samples:
+            raise ContextError(
+                f"samples = {self.samples}: {self.context.renderer} offers at most "
+                f"{self.context.gl.max_samples}"
+            )
+
+    def _drawing(self, target: moderngl.Framebuffer) -> Any:
+        flags = moderngl.DEPTH_TEST
+        return self.context.gl.scope(target, enable_only=flags)
+
+    def _target(self, kind: str) -> moderngl.Framebuffer:
+        if kind not in self._targets:
+            gl = self.context.gl
+            samples = self.samples if kind == "multisample" else 0
+            colors = [
+                gl.renderbuffer(self.size, 4, samples=samples, dtype="f4")
+                for _ in range(4 if kind == "gbuffer" else 1)
+            ]
+            depth = gl.depth_renderbuffer(self.size, samples=samples)
+            self._targets[kind] = gl.framebuffer(colors, depth)
+        return self._targets[kind]
+
+    def _program(self, name: str, prelude: str) -> moderngl.Program:
+        """Compile vertex and fragment program with the prelude's defines, once for each prelude."""
+        key = name + prelude
+        if key not in self._programs:
+            head = "#version 330 core\n" + prelude
+            self._programs[key] = self.context.gl.program(
+                vertex_shader=resolve_includes(head + '#include "host/surface.vert"\n'),
+                fragment_shader=resolve_includes(head + f'#include "host/{name}.frag"\n'),
+            )
+        return self._programs[key]
+
+    def _upload(self, mesh: Mesh) -> list[_GpuPart]:
+        if mesh not in self._uploaded:
+            self.context.gl.gc()
+            start_maps(mesh, self.albedo_kind)
+            self._uploaded[mesh] = [self._upload_part(mesh, part) for part in mesh.parts]
+        return self._uploaded[mesh]
+
+    def _upload_part(self, mesh: Mesh, part: Part) -> _GpuPart:
+        gl = self.context.gl
+        columns = [
+            ("in_position", "3f", mesh.normalised(part.positions)),
+            ("in_normal", "3f", part.normals),
+        ]
+        if part.uv is not None:
+            columns.append(("in_uv", "2f", part.uv))
+        if part.colors is not None:
+            columns.append(("in_color", "3f", part.colors))
+        attributes = tuple(
+            (gl.buffer(np.ascontiguousarray(values, dtype=np.float32)), layout, name)
+            for name, layout, values in columns
+        )
+        textures = {
+            name: self._texture(texture, kind)
+            for name, texture, kind in _maps(part, self.albedo_kind)
+        }
+        return _GpuPart(attributes, gl.buffer(part.faces), textures, part, {})
+
+    def _texture(self, source: Texture, kind: Kind) -> moderngl.Texture:
+        """Upload a mip chain. moderngl uploads level 0; its build_mipmaps would take 65 ms for
+        2048 x 2048 texels on a software driver, the chain from texture.py is there already."""
+        if source in self._textures:
+            return self._textures[source]
+        levels = source.levels(kind).result()
+        gl = self.context.gl
+        internal, components, layout, data_type, dtype = _FORMATS[kind]
+        height, width = levels[0].shape[:2]
+        limit = gl.info["GL_MAX_TEXTURE_SIZE"]
+        if max(width, height) > limit:
+            raise InputError(f"{source.name} is {width} x {height} texels: at most {limit} here")
+        size = (width, height)
+        texture = gl.texture(size, components, levels[0], 0, 1, dtype, internal_format=internal)
+        bind = self.context.function("glBindTexture", ctypes.c_uint, ctypes.c_uint)
+        store = self.context.function("glPixelStorei", ctypes.c_uint, ctypes.c_int)
+        upload = self.context.function(
+            "glTexImage2D", *[ctypes.c_int] * 6, ctypes.c_uint, ctypes.c_uint, ctypes.c_void_p
+        )
+        texture.use(0)
+        bind(_TEXTURE_2D, texture.glo)
+        store(_UNPACK_ALIGNMENT, 1)
+        for number, level in enumerate(levels[1:], start=1):
+            texels = np.ascontiguousarray(level)
+            extent = level.shape[1], level.shape[0], 0
+            texel_format = layout, data_type
+            upload(_TEXTURE_2D, number, internal, *extent, *texel_format, texels.ctypes.data)
+        texture.filter = moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR
+        texture.anisotropy = self.anisotropy
+        self._textures[source] = texture
+        return texture
+
+    def _draw(self, part: _GpuPart, program: moderngl.Program, view: View, scene: Scene) -> None:
+        self.context.gl.front_face = "cw"  # the image is drawn upside down; see View.matrix
+        for name, value in _uniforms(part.part.material, view, scene).items():
+            _set(program, name, value)
+        for unit, (name, texture) in enumerate(part.textures.items()):
+            texture.use(unit)
+            _set(program, name, unit)
+        if program not in part.arrays:
+            used = [entry for entry in part.attributes if entry[2] in program]
+            part.arrays[program] = self.context.gl.vertex_array(program, used, part.indices)
+        part.arrays[program].render()
+
+
+def _set(program: moderngl.Program, name: str, value: Any) -> None:
+    """Set a uniform, unless the compiler found that it does not count."""
+    if name not in program:
+        return
+    if isinstance(value, np.ndarray):
+        program[name].write(value.astype(np.float32))  # type: ignore[union-attr]
+    else:
+        program[name].value = value  # type: ignore[union-attr]
+
+
+def start_maps(mesh: Mesh, albedo_kind: Kind = "color") -> None:
+    """Start decoding the maps of a mesh in threads, ahead of the renderer that waits for them."""
+    for part in mesh.parts:
+        for _, texture, kind in _maps(part, albedo_kind):
+            texture.levels(kind)
+
+
+def _maps(part: Part, albedo_kind: Kind) -> list[tuple[str, Texture, Kind]]:
+    """The maps that a part is drawn with: uniform, texture, kind of mip chain."""
+    if part.uv is None:
+        return []
+    material = part.material
+    candidates: list[tuple[str, Texture | None, Kind]] = [
+        ("albedo_map", material.albedo_map, albedo_kind),
+        ("normal_map", material.normal_map, "data"),
+        ("property_map", material.property_map, "data"),
+    ]
+    return [(name, texture, kind) for name, texture, kind in candidates if texture is not None]
+
+
+def _surface_defines(part: Part) -> str:
+    names = [name.upper() for name, _, _ in _maps(part, "color")]
+    if part.uv is not None:
+        names.append("UV")
+    if part.colors is not None:
+        names.append("VERTEX_COLORS")
+    return "".join(f"#define {name}\n" for name in names)
+
+
+def _shade_defines(part: Part, scene: Scene, shading: Shading, only: Only | None) -> str:
+    points = sum(light.position is not None for light in scene.lights)
+    lines = [
+        _surface_defines(part),
+        f"#define DIRECTIONAL_LIGHTS {len(scene.lights) - points}\n",
+        f"#define POINT_LIGHTS {points}\n",
+    ]
+    if any(scene.ambient):  # type: ignore[arg-type]
+        lines.append("#define AMBIENT\n")
+    if only != "specular" and part.material.kd > 0.0:
+        lines.append("#define DIFFUSE\n")
+    if only != "diffuse" and part.material.ks > 0.0:
+        lines.append(shading.glsl)
+    return "".join(lines)
+
+
+def _uniforms(material: Material, view: View, scene: Scene) -> dict[str, Any]:
+    mesh = scene.mesh
+    values: dict[str, Any] = {
+        "view_projection": view.matrix,
+        "eye": view.eye,
+        "albedo_factor": np.asarray(material.albedo),
+        "slope": material.m,
+        "specular_weight": material.ks,
+        "diffuse_weight": material.kd,
+        "f0": material.f0,
+        "ambient": np.asarray(scene.ambient),
+    }
+    distant = [light for light in scene.lights if light.position is None]
+    if distant:
+        values["light_direction"] = np.array([light.direction for light in distant])
+        values["light_irradiance"] = np.array([light.irradiance for light in distant])
+    points = point_lights(mesh, scene.lights)
+    if points:
+        values["light_position"] = np.array([position for position, _ in points])
+        values["light_intensity"] = np.array([intensity for _, intensity in points])
+    return values
+
+
+def point_lights(
+    mesh: Mesh, lights: tuple[Light, ...]
+) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Positions and intensities of the point lights in the renderer's space.
+
+    The intensity is the irradiance that the light gives at the mesh's centre, times the square of
+    its distance from there.
+
+    Raises
+    ------
+    InputError : a light stands at the centre itself
+    """
+    result = []
+    for light in lights:
+        if light.position is None:
+            continue
+        position = mesh.normalised(light.position)
+        distance2 = float(position @ position)
+        if distance2 < 1e-12:
+            raise InputError(
+                f"point light {light.position} is at the centre of {mesh.name}; move it"
+            )
+        result.append((position, np.asarray(light.irradiance) * distance2))
+    return result
+
+
+def _clear_color(scene: Scene, only: Only | None) -> tuple[float, float, float, float]:
+    if scene.background is None or only is not None:
+        return 0.0, 0.0, 0.0, 0.0
+    return (*scene.background, 1.0)
+
+
+def _check_slope(
+    material: Material, textures: Mapping[str, moderngl.Texture], shading: Shading
+) -> None:
+    """Raise InputError when the largest m of a part lies outside the lobe's domain."""
+    largest = material.m
+    if material.property_map is not None and "property_map" in textures:
+        roughness = material.property_map.levels("data").result()[0][..., 1]
+        largest *= (float(roughness.max()) / 255.0) ** 2
+    shading.check_slope(max(largest, 1e-4))
+
+
+def render(
+    mesh: Mesh | str | os.PathLike[str] | None = None,
+    *,
+    model: Any = "cook-torrance",
+    lobe: Any = "exact",
+    fresnel: Any = "schlick",
+    m: float | None = None,
+    size: tuple[int, int] = (1024, 1024),
+    samples: int = 4,
+    backend: Backend = "auto",
+    camera: Camera = Camera(),
+    lights: tuple[Light, ...] | None = None,
+    only: Only | None = None,
+) -> Frame:
+    """Render one image: a mesh file, a loaded mesh, or the built-in head.
+
+    For several images, or further settings, make a :class:`Renderer`, which keeps what it uploads.
+
+    Parameters
+    ----------
+    mesh : file, mesh, or None for the built-in head
+    model, lobe, fresnel : see :class:`Shading`
+    m : rms slope for the whole mesh, in place of its roughness map
+    size, samples, backend : see :class:`Renderer`
+    camera, lights : see :class:`Scene`
+    only : see :meth:`Renderer.render`
+
+    Raises
+    ------
+    InputError : a file or a value cannot be used
+    ContextError : no OpenGL context
+    """
+    shading = Shading(model, lobe, fresnel)
+    loaded = mesh if isinstance(mesh, Mesh) else load_mesh(mesh)
+    if m is not None:
+        loaded = loaded.with_material(m=m, roughness_map=None)
+    start_maps(loaded)
+    scene = Scene(loaded, camera) if lights is None else Scene(loaded, camera, lights)
+    with Renderer(size, samples=samples, backend=backend) as renderer:
+        return renderer.render(scene, shading, only)

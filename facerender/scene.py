@@ -1,0 +1,340 @@
+"""What is rendered: camera, lights, material, and the scene that joins them with a mesh; scenes
+from TOML files. Angles are in degrees here, lengths in the mesh's units. No OpenGL."""
+
+from __future__ import annotations
+
+import math
+import os
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError
+from facerender.lobes import MAX_SLOPE, MIN_SLOPE
+from facerender.texture import Texture, pack
+
+if TYPE_CHECKING:
+    from facerender.mesh import Mesh
+
+Vector = tuple[float, float, float]
+
+SKIN_ALBEDO: Vector = (0.48, 0.28, 0.21)  # linear; where a mesh brings no colour of its own
+
+
+def _vector(name: str, value: Any) -> Vector:
+    """Return three finite numbers; one number stands for three equal ones."""
+    try:
+        array = np.broadcast_to(np.asarray(value, dtype=np.float64), 3)
+    except (TypeError, ValueError):
+        array = np.array([math.nan])
+    if not np.isfinite(array).all():
+        raise InputError(f"{name} = {value!r}: give a finite number, or three")
+    x, y, z = (float(component) for component in array)
+    return x, y, z
+
+
+def _in_range(name: str, value: Any, low: float, high: float) -> None:
+    if not (isinstance(value, int | float) and low <= value <= high):
+        raise InputError(f"{name} = {value!r} is outside [{low:g}, {high:g}]")
+
+
+def _direction(azimuth: float, elevation: float) -> NDArray[np.float64]:
+    """Unit vector from the subject: azimuth 0 is +z (in front), 90 is +x; elevation 90 is +y."""
+    a, e = math.radians(azimuth), math.radians(elevation)
+    return np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A perspective camera, which orbits the mesh and frames it, or stands where it is told.
+
+    Parameters
+    ----------
+    azimuth, elevation : degrees; 0, 0 looks at the face, azimuth 90 sees the side at +x
+    fov : vertical angle of view, degrees in [1, 150]
+    zoom : magnification relative to the framing that holds the whole mesh at every azimuth
+    target : what the centre of the image shows; None for the centre of the mesh's bounds
+    position : the eye; None for the orbit
+    """
+
+    azimuth: float = 0.0
+    elevation: float = 0.0
+    fov: float = 25.0
+    zoom: float = 1.0
+    target: Vector | None = None
+    position: Vector | None = None
+
+    def __post_init__(self) -> None:
+        _in_range("camera azimuth", self.azimuth, -3600, 3600)
+        _in_range("camera elevation", self.elevation, -90, 90)
+        _in_range("camera fov", self.fov, 1, 150)
+        _in_range("camera zoom", self.zoom, 0.01, 1000)
+        for name in ("target", "position"):
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, _vector(f"camera {name}", value))
+
+
+@dataclass(frozen=True)
+class Light:
+    """A distant light, or a point light when it has a position.
+
+    Parameters
+    ----------
+    azimuth, elevation : degrees, the direction in which a distant light stands, as for the camera
+    irradiance : what a surface facing the light receives, one number or linear RGB; of a point
+        light: at the centre of the mesh. pi shows a white diffuse surface as 1.
+    position : of a point light, in the mesh's units; azimuth and elevation then do not count
+    """
+
+    azimuth: float = 0.0
+    elevation: float = 0.0
+    irradiance: float | Vector = math.pi
+    position: Vector | None = None
+
+    def __post_init__(self) -> None:
+        _in_range("light azimuth", self.azimuth, -3600, 3600)
+        _in_range("light elevation", self.elevation, -90, 90)
+        object.__setattr__(self, "irradiance", _vector("light irradiance", self.irradiance))
+        if min(self.irradiance) < 0.0:  # type: ignore[arg-type]
+            raise InputError(f"light irradiance = {self.irradiance} is negative")
+        if self.position is not None:
+            object.__setattr__(self, "position", _vector("light position", self.position))
+
+    @property
+    def direction(self) -> NDArray[np.float64]:
+        """Unit vector towards a distant light."""
+        return _direction(self.azimuth, self.elevation)
+
+
+# Key and rim are high and oblique, where the highlight of skin shows.
+LIGHTS: Mapping[str, Light] = {
+    "key": Light(azimuth=-48.0, elevation=38.0, irradiance=(3.0, 2.85, 2.65)),
+    "rim": Light(azimuth=128.0, elevation=24.0, irradiance=(3.0, 3.2, 3.5)),
+    "fill": Light(azimuth=50.0, elevation=5.0, irradiance=(0.35, 0.38, 0.42)),
+    "front": Light(azimuth=0.0, elevation=10.0, irradiance=2.5),
+    "top": Light(azimuth=0.0, elevation=75.0, irradiance=2.5),
+}
+
+
+def parse_light(text: str) -> Light:
+    """Read a light from ``NAME``, ``AZIMUTH,ELEVATION[,IRRADIANCE]`` or
+    ``point:X,Y,Z[,IRRADIANCE]``.
+
+    Raises
+    ------
+    InputError : neither a known name nor numbers of that form
+    """
+    if text in LIGHTS:
+        return LIGHTS[text]
+    point = text.startswith("point:")
+    try:
+        numbers = [float(word) for word in text.removeprefix("point:").split(",")]
+        required = 3 if point else 2
+        if len(numbers) not in (required, required + 1):
+            raise ValueError
+        irradiance = numbers[required] if len(numbers) > required else math.pi
+        if point:
+            x, y, z = numbers[:3]
+            light = Light(irradiance=irradiance, position=(x, y, z))
+        else:
+            light = Light(numbers[0], numbers[1], irradiance)
+    except InputError:
+        raise
+    except ValueError:
+        raise InputError(
+            f"unknown light {text!r}; give {', '.join(LIGHTS)}, or AZIMUTH,ELEVATION[,IRRADIANCE],"
+            " or point:X,Y,Z[,IRRADIANCE]"
+        ) from None
+    return light
+
+
+@dataclass(frozen=True)
+class Material:
+    """Reflectance of a part: factors, and the maps that they multiply.
+
+    Parameters
+    ----------
+    albedo : linear RGB
+    m : rms slope of the microfacets, in [1e-4, 2]; with a roughness map m times roughness^2
+    f0 : Fresnel reflectance at normal incidence, in [0, 1)
+    ks, kd : specular and diffuse weights, >= 0. 1 is a bare dielectric; 0.18, from GPU Gems 3
+        chapter 14, suits powdered skin
+    albedo_map, normal_map, roughness_map, specular_map, occlusion_map : textures or None; only the
+        albedo is sRGB-encoded; green of the normal map points up; occlusion dims ambient light
+    """
+
+    albedo: Vector = SKIN_ALBEDO
+    m: float = 0.3
+    f0: float = 0.028
+    ks: float = 1.0
+    kd: float = 1.0
+    albedo_map: Texture | None = None
+    normal_map: Texture | None = None
+    roughness_map: Texture | None = None
+    specular_map: Texture | None = None
+    occlusion_map: Texture | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "albedo", _vector("albedo", self.albedo))
+        _in_range("m", self.m, MIN_SLOPE, MAX_SLOPE)
+        _in_range("f0", self.f0, 0.0, 0.999)
+        _in_range("ks", self.ks, 0.0, 1e6)
+        _in_range("kd", self.kd, 0.0, 1e6)
+
+    @cached_property
+    def property_map(self) -> Texture | None:
+        """Occlusion, roughness and specular weight as one texture, so that one fetch serves."""
+        maps = (self.occlusion_map, self.roughness_map, self.specular_map)
+        return pack(*maps) if any(maps) else None
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A mesh under lights before a camera.
+
+    Parameters
+    ----------
+    mesh : from :func:`facerender.load_mesh`
+    camera, lights : see there
+    ambient : irradiance from everywhere, one number or linear RGB
+    background : linear RGB behind the mesh, or None for transparent
+    """
+
+    mesh: Mesh
+    camera: Camera = Camera()
+    lights: tuple[Light, ...] = (LIGHTS["key"], LIGHTS["rim"], LIGHTS["fill"])
+    ambient: float | Vector = (0.30, 0.32, 0.36)
+    background: Vector | None = (0.012, 0.013, 0.016)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "lights", tuple(self.lights))
+        object.__setattr__(self, "ambient", _vector("ambient", self.ambient))
+        if self.background is not None:
+            object.__setattr__(self, "background", _vector("background", self.background))
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera in the renderer's space, where the mesh's bounding sphere is the unit sphere.
+
+    Attributes
+    ----------
+    eye : (3,) float64
+    forward : (3,) float64, unit vector of the viewing direction
+    matrix : (4, 4) float64, view times projection for row vectors, as pyrr has it; image row 0 is
+        on top, that is at clip y = -1, so that a framebuffer is read in the order of image rows
+    """
+
+    eye: NDArray[np.float64]
+    forward: NDArray[np.float64]
+    matrix: NDArray[np.float64]
+
+
+def view_of(scene: Scene, aspect: float) -> View:
+    """Place the camera of a scene for images of the given aspect ratio, width over height.
+
+    Raises
+    ------
+    InputError : the eye stands at the target
+    """
+    from pyrr import matrix44
+
+    mesh, camera = scene.mesh, scene.camera
+    target = np.zeros(3)
+    if camera.target is not None:
+        target = mesh.normalised(camera.target)
+    if camera.position is None:
+        distance = _framing_distance(mesh, camera.elevation, camera.fov, aspect) / camera.zoom
+        eye = target + distance * _direction(camera.azimuth, camera.elevation)
+    else:
+        eye = mesh.normalised(camera.position)
+    gaze = target - eye
+    distance = float(np.linalg.norm(gaze))
+    if distance < 1e-6:
+        raise InputError(f"camera position {camera.position} is at its target; move one of them")
+    forward = gaze / distance
+    up = np.array([0.0, 1.0, 0.0])
+    if abs(forward[1]) > 0.9999:  # seen from above, the back of the head is on top
+        up = -_direction(camera.azimuth, 0.0) * np.sign(-forward[1])
+    depth = float(eye @ -forward)  # of the mesh's centre
+    far = max(depth + 1.0, 0.02)
+    near = max(depth - 1.0, far * 1e-3)
+    projection = matrix44.create_perspective_projection(camera.fov, aspect, near, far)
+    projection[:, 1] *= -1.0
+    return View(eye, forward, matrix44.create_look_at(eye, target, up) @ projection)
+
+
+@lru_cache(maxsize=64)
+def _framing_distance(mesh: Mesh, elevation: float, fov: float, aspect: float) -> float:
+    """Distance at which every vertex, turned to any azimuth, lies inside the view, with a margin.
+
+    A vertex at height y and distance r from the axis runs through a circle; each bound below is
+    the largest value on that circle of what must stay under the distance.
+    """
+    r, y = mesh.profile
+    sine, cosine = math.sin(math.radians(elevation)), math.cos(math.radians(elevation))
+    vertical = math.tan(math.radians(fov) / 2.0)
+    horizontal = vertical * aspect
+    top = y * (sine + cosine / vertical) + r * abs(cosine - sine / vertical)
+    bottom = y * (sine - cosine / vertical) + r * abs(cosine + sine / vertical)
+    side = y * sine + r * math.hypot(1.0 / horizontal, cosine)
+    return 1.04 * float(max(top.max(), bottom.max(), side.max()))
+
+
+def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read camera, lights, ambient, background and material from a TOML file.
+
+    Returns
+    -------
+    dict with any of: camera (Camera), lights (tuple of Light), ambient, background, material
+    (dict of the factors of :class:`Material`)
+
+    Raises
+    ------
+    InputError : the file cannot be read, or has an unknown key or a value outside its domain
+    """
+    name = Path(path).name
+    try:
+        tables = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {(error.strerror or str(error)).lower()}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{name} is not TOML: {error}") from None
+
+    scene: dict[str, Any] = {}
+    for key, value in tables.items():
+        try:
+            if key == "camera":
+                scene[key] = _from_table(Camera, key, value)
+            elif key == "lights":
+                scene[key] = tuple(
+                    parse_light(item) if isinstance(item, str) else _from_table(Light, key, item)
+                    for item in value
+                )
+            elif key == "material":
+                _from_table(Material, key, value)  # validates
+                scene[key] = value
+            elif key in ("ambient", "background"):
+                transparent = key == "background" and value == "none"
+                scene[key] = None if transparent else _vector(key, value)
+            else:
+                raise InputError(
+                    f"unknown key {key!r}; known: camera, lights, material, ambient, background"
+                )
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from None
+    return scene
+
+
+def _from_table(kind: type[Any], key: str, table: Any) -> Any:
+    known = [each.name for each in fields(kind) if not each.name.endswith("_map")]
+    if not isinstance(table, dict) or (unknown := set(table) - set(known)):
+        what = f"key {sorted(unknown)[0]!r}" if isinstance(table, dict) else f"value {table!r}"
+        raise InputError(f"unknown {what} in {key}; known: {', '.join(known)}")
+    return kind(**table)

@@ -1,0 +1,206 @@
+"""Maps as the GPU samples them: images decoded, converted and reduced to mip levels in the
+background. No OpenGL here."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError
+from facerender.image import linear_to_srgb, srgb_to_linear
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+Kind = Literal["color", "linear-color", "data"]
+Levels = list[NDArray[Any]]
+
+MAX_SIZE = 16384
+_STRIP = 32  # rows
+
+
+class Texture:
+    """An image that is decoded, once, when it is first needed.
+
+    Parameters
+    ----------
+    decode : returns the Pillow image, in any mode; runs in a thread
+    name : what messages call it: the file, or the map and the mesh file that holds it
+    """
+
+    def __init__(self, decode: Callable[[], Image], name: str) -> None:
+        self.name = name
+        self._decode = decode
+        self._lock = threading.Lock()
+        self._rgb: Image | None = None
+        self._levels: dict[Kind, Future[Levels]] = {}
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str]) -> Texture:
+        """Open an image file; only its header is read.
+
+        Raises
+        ------
+        InputError : the file is missing or not an image
+        """
+        from PIL import Image, UnidentifiedImageError
+
+        try:
+            image = Image.open(path)
+        except UnidentifiedImageError:
+            raise InputError(f"{path} is not an image; give a PNG, JPEG, TIFF or WebP") from None
+        except Image.DecompressionBombError as error:
+            raise InputError(f"{path} is too large an image: {error}") from None
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            raise InputError(f"cannot read {path}: {reason}") from None
+        return cls(lambda: image, Path(path).name)
+
+    def rgb(self) -> Image:
+        """The image in mode RGB, row 0 at the bottom as OpenGL has it; alpha is dropped.
+
+        Raises
+        ------
+        InputError : the image is damaged, or has a side over 16384 texels
+        """
+        with self._lock:
+            if self._rgb is None:
+                self._rgb = _upright_rgb(self._decode(), self.name)
+            return self._rgb
+
+    def channel(self, index: int, name: str) -> Texture:
+        """One channel of this texture as a grey texture of its own."""
+        return Texture(lambda: _flipped(self.rgb().getchannel(index)), name)
+
+    def levels(self, kind: Kind) -> Future[Levels]:
+        """Start computing the mip chain in a thread, once, and return its future.
+
+        "color" gives sRGB-encoded uint8 (H, W, 4), averaged in linear light; "linear-color" the
+        same decoded, in float16, for comparisons to the last digit; "data" uint8 (H, W, 3).
+        """
+        if kind not in self._levels:
+            self._levels[kind] = _executor().submit(lambda: _CHAINS[kind](self.rgb()))
+        return self._levels[kind]
+
+
+def pack(red: Texture | None, green: Texture | None, blue: Texture | None) -> Texture:
+    """Merge three grey textures into one, at the largest of their sizes; absent ones are white."""
+
+    def decode() -> Image:
+        from PIL import Image
+
+        bands = [texture and texture.rgb().getchannel(0) for texture in (red, green, blue)]
+        sizes = [band.size for band in bands if band]
+        size = max(width for width, _ in sizes), max(height for _, height in sizes)
+        filled = [band.resize(size) if band else Image.new("L", size, 255) for band in bands]
+        return _flipped(Image.merge("RGB", filled))
+
+    names = [texture.name for texture in (red, green, blue) if texture]
+    return Texture(decode, " + ".join(dict.fromkeys(names)))
+
+
+def _flipped(image: Image) -> Image:
+    from PIL.Image import Transpose
+
+    return image.transpose(Transpose.FLIP_TOP_BOTTOM)
+
+
+def _upright_rgb(image: Image, name: str) -> Image:
+    from PIL import Image as images
+
+    if max(image.size) > MAX_SIZE:
+        raise InputError(f"{name} is {image.width} x {image.height} texels: at most {MAX_SIZE}")
+    try:
+        image.load()
+    except (OSError, SyntaxError, ValueError) as error:
+        raise InputError(f"{name} is damaged ({error}); replace the file") from None
+    if image.mode.startswith("I"):  # 16-bit grey, which Pillow's convert would clip at 255
+        image = images.fromarray((np.asarray(image) // 257).astype(np.uint8))
+    return _flipped(image.convert("RGB"))
+
+
+@lru_cache(maxsize=1)
+def _executor() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max_workers=3, thread_name_prefix="facerender-textures")
+
+
+def _data_levels(image: Image) -> Levels:
+    from PIL.Image import Resampling
+
+    levels = [image]
+    while max(image.size) > 1:
+        half = max(image.width // 2, 1), max(image.height // 2, 1)
+        image = image.resize(half, Resampling.BOX)
+        levels.append(image)
+    return [np.asarray(level) for level in levels]
+
+
+def _even(texels: NDArray[Any]) -> NDArray[Any]:
+    """Make both sides even: a side of 1 is doubled, the last texel of another odd one dropped."""
+    for axis in (0, 1):
+        if texels.shape[axis] == 1:
+            texels = np.repeat(texels, 2, axis)
+    return texels[: texels.shape[0] // 2 * 2, : texels.shape[1] // 2 * 2]
+
+
+def _chain(texels: NDArray[Any], halve: Callable[[NDArray[Any]], NDArray[Any]]) -> Levels:
+    levels = [texels]
+    while max(texels.shape[:2]) > 1:
+        texels = halve(np.ascontiguousarray(_even(texels)))
+        levels.append(texels)
+    return levels
+
+
+@lru_cache(maxsize=1)
+def _light_tables() -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+    """sRGB byte to a quarter of linear light, and the sum of four quarters to sRGB byte."""
+    quarter = 16383
+    decode = np.round(srgb_to_linear(np.arange(256) / 255.0) * quarter).astype(np.uint16)
+    encode = np.round(linear_to_srgb(np.arange(65536) / (4 * quarter)) * 255.0).astype(np.uint8)
+    return decode, encode
+
+
+def _halve_srgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    decode, encode = _light_tables()
+    height, width, channels = texels.shape
+    halved = np.empty((height // 2, width // 2, channels), dtype=np.uint8)
+    for top in range(0, height, _STRIP):  # in strips that stay in the cache
+        # Four channels of 16 bits side by side are added as one number, without a carry.
+        light = decode[texels[top : top + _STRIP]].view(np.uint64)[..., 0]
+        rows = light[0::2] + light[1::2]
+        blocks = rows[:, 0::2] + rows[:, 1::2]
+        halved[top // 2 : top // 2 + len(blocks)] = encode[blocks.view(np.uint16)].reshape(
+            *blocks.shape, channels
+        )
+    return halved
+
+
+def _color_levels(image: Image) -> Levels:
+    return _chain(np.asarray(image.convert("RGBA")), _halve_srgb)
+
+
+def _halve_linear(texels: NDArray[np.float32]) -> NDArray[np.float32]:
+    height, width, channels = texels.shape
+    blocks = texels.reshape(height // 2, 2, width // 2, 2, channels)
+    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
+
+
+def _linear_color_levels(image: Image) -> Levels:
+    decoded = srgb_to_linear(np.arange(256) / 255.0).astype(np.float32)
+    chain = _chain(decoded[np.asarray(image.convert("RGBA"))], _halve_linear)
+    return [level.astype(np.float16) for level in chain]
+
+
+_CHAINS: dict[Kind, Callable[[Image], Levels]] = {
+    "color": _color_levels,
+    "linear-color": _linear_color_levels,
+    "data": _data_levels,
+}

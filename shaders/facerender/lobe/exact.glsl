@@ -1,0 +1,35 @@
+// Exact lobe E/c^k, E = exp(-tan^2(gamma)/m^2): Beckmann and Spizzichino (1963), as Cook and
+// Torrance (1982), eq. 14 (k = 4), and Ward (1992), eq. 5 (k = 0), use it.
+//
+//   tan2    squared tangent of the angle gamma between normal and half vector, >= 0; with
+//           h = L + V of any length it is (h.h)/(N.h)^2 - 1: no normalised half vector, no acos
+//   c       cosine of gamma, in [0, 1]
+//   m       rms slope of the microfacets, in [1e-4, 2]
+//   k       FR_K_COOK_TORRANCE or FR_K_WARD
+//   unit    none: peak 1 at gamma = 0; the caller multiplies by the model's scale
+//   error   of the formula: none; in float32 a relative error e of tan2 becomes e tan2/m^2
+#ifndef FR_LOBE_EXACT_GLSL
+#define FR_LOBE_EXACT_GLSL
+
+#include "facerender/constants.glsl"
+
+// exp(-1e6/m^2) is 0 in float32 for every m <= 2, so the limit changes no value;
+// without it (1 + tan2)^2 overflows and 0 times infinity is NaN.
+#define FR_MAX_TAN2 1e6
+
+float fr_lobe_exact_tan2(float tan2, float m, int k) {
+    float t = clamp(tan2, 0.0, FR_MAX_TAN2);
+    float e = exp(-t / (m * m));
+    if (k == FR_K_COOK_TORRANCE) {
+        float sec2 = 1.0 + t;
+        e *= sec2 * sec2;
+    }
+    return e;
+}
+
+float fr_lobe_exact(float c, float m, int k) {
+    float x = clamp(c, 1e-3, 1.0);  // 1e-3 is FR_MAX_TAN2
+    return fr_lobe_exact_tan2((1.0 - x) * (1.0 + x) / (x * x), m, k);
+}
+
+#endif

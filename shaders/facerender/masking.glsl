@@ -1,0 +1,15 @@
+// V-cavity masking and shadowing: Torrance and Sparrow (1967); Cook and Torrance (1982), eq. 15.
+//
+//   n_dot_h, v_dot_h   cosines with the half vector; only their ratio counts, so that h may have
+//                      any length; v_dot_h > 0
+//   n_dot_l, n_dot_v   cosines of light and eye, in (0, 1]
+//   unit               none, in [0, 1]
+//   error              none
+#ifndef FR_MASKING_GLSL
+#define FR_MASKING_GLSL
+
+float fr_masking_v_cavity(float n_dot_h, float v_dot_h, float n_dot_l, float n_dot_v) {
+    return min(1.0, 2.0 * n_dot_h * min(n_dot_l, n_dot_v) / v_dot_h);
+}
+
+#endif

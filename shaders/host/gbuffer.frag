@@ -1,0 +1,21 @@
+// Everything that shading reads at a fragment, for the float64 reference and the data views.
+#include "facerender/constants.glsl"
+#include "host/surface.glsl"
+
+uniform float part;  // index of the part, from 1; 0 is the background
+layout(location = 0) out vec4 position_part;
+layout(location = 1) out vec4 normal_slope;
+layout(location = 2) out vec4 albedo_weight;
+layout(location = 3) out vec4 uv_occlusion;
+
+void main() {
+    Surface s = surface();
+    position_part = vec4(s.position, part);
+    normal_slope = vec4(s.normal, s.m);
+    albedo_weight = vec4(s.albedo, s.specular_weight);
+#ifdef UV
+    uv_occlusion = vec4(uv, s.occlusion, 1.0);
+#else
+    uv_occlusion = vec4(0.0, 0.0, s.occlusion, 1.0);
+#endif
+}

@@ -1,0 +1,26 @@
+// The package's vertex program. Positions are centred and scaled by the mesh's bounding sphere.
+in vec3 in_position;
+in vec3 in_normal;
+uniform mat4 view_projection;
+out vec3 position;
+out vec3 vertex_normal;
+#ifdef UV
+in vec2 in_uv;
+out vec2 uv;
+#endif
+#ifdef VERTEX_COLORS
+in vec3 in_color;
+out vec3 vertex_color;
+#endif
+
+void main() {
+    position = in_position;
+    vertex_normal = in_normal;
+#ifdef UV
+    uv = in_uv;
+#endif
+#ifdef VERTEX_COLORS
+    vertex_color = in_color;
+#endif
+    gl_Position = view_projection * vec4(in_position, 1.0);
+}
