@@ -21,10 +21,9 @@ _GL_VERSION = 330
 
 
 class _Loader(Protocol):
-    """What moderngl asks of the object behind a context."""
+    """The object behind a moderngl context."""
 
     def load(self, name: str) -> int: ...
-    def release(self) -> None: ...
 
 
 class _ForeignContext:
@@ -74,18 +73,22 @@ class _OSMesaContext(_ForeignContext):
         if not self._context:
             raise ContextError("libOSMesa refused an OpenGL 3.3 core context")
         self._pixel = (ctypes.c_ubyte * 4)()
-        self._make_current()
+        self._make_current(self._context)
 
-    def _make_current(self) -> None:
+    def _make_current(self, context: int | None) -> None:
         make_current = self._library.OSMesaMakeCurrent
         make_current.argtypes = [ctypes.c_void_p, ctypes.c_void_p] + [ctypes.c_int] * 3
         unsigned_byte = 0x1401
-        if not make_current(self._context, self._pixel, unsigned_byte, 1, 1):
+        pixel = self._pixel if context else None
+        if not make_current(context, pixel, unsigned_byte, 1, 1):
             raise ContextError("libOSMesa could not make its context current")
 
     def __enter__(self) -> _OSMesaContext:
-        self._make_current()
+        self._make_current(self._context)
         return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._make_current(None)
 
     def release(self) -> None:
         if self._context:
@@ -132,7 +135,7 @@ def _current() -> _Loader:
 
 @dataclass(frozen=True)
 class Context:
-    """An OpenGL context that works, and what it is.
+    """An OpenGL context that works, and what it is; ``with context.gl:`` makes it current.
 
     Attributes
     ----------
@@ -154,7 +157,6 @@ class Context:
     def release(self) -> None:
         """Free the context, unless it is the host's."""
         self.gl.release()
-        self.loader.release()
 
 
 _OPENERS: dict[str, Callable[[], Any]] = {

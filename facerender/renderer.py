@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Literal
@@ -213,11 +214,10 @@ class Renderer:
 
     def release(self) -> None:
         """Free everything on the GPU, and the context unless it is the host's."""
-        self._uploaded.clear()
-        self._textures.clear()
-        self._programs.clear()
-        self._targets.clear()
-        self.context.gl.gc()
+        with self.context.gl:
+            for cache in (self._uploaded, self._textures, self._programs, self._targets):
+                cache.clear()
+            self.context.gl.gc()
         self.context.release()
 
     @property
@@ -250,42 +250,37 @@ class Renderer:
             return Frame(linear, only, {**self.metadata, "samples": "1"})
         if only not in (None, "specular", "diffuse"):
             raise InputError(f"unknown term {only!r}; known: {', '.join(ONLY)}")
-        parts = self._upload(scene.mesh)
-        if only != "diffuse":
-            for part in parts:
-                _check_slope(part.part.material, part.textures, shading)
-        view = view_of(scene, self.size[0] / self.size[1])
-        target = self._target("multisample" if self.samples > 1 else "single")
-        with self._drawing(target):
-            target.clear(*_clear_color(scene, only))
-            for part in parts:
-                defines = _shade_defines(part.part, scene, shading, only)
-                self._draw(part, self._program("shade", defines), view, scene)
-        if self.samples > 1:
-            single = self._target("single")
-            self.context.gl.copy_framebuffer(single, target)
-            target = single
-        linear = np.empty((self.size[1], self.size[0], 4), dtype=np.float32)
-        target.read_into(linear, components=4, dtype="f4")
-        return Frame(linear, only, self.metadata)
+        with self._current() as gl:
+            parts = self._upload(scene.mesh)
+            if only != "diffuse":
+                for part in parts:
+                    _check_slope(part.part.material, part.textures, shading)
+            view = view_of(scene, self.size[0] / self.size[1])
+            target = self._target("multisample" if self.samples > 1 else "single")
+            with gl.scope(target, enable_only=moderngl.DEPTH_TEST):
+                target.clear(*_clear_color(scene, only))
+                for part in parts:
+                    defines = _shade_defines(part.part, scene, shading, only)
+                    self._draw(part, self._program("shade", defines), view, scene)
+            if self.samples > 1:
+                single = self._target("single")
+                gl.copy_framebuffer(single, target)
+                target = single
+            return Frame(self._read(target), only, self.metadata)
 
     def gbuffer(self, scene: Scene) -> GBuffer:
         """Draw what shading reads at each pixel's centre; errors as in :meth:`render`."""
-        parts = self._upload(scene.mesh)
-        view = view_of(scene, self.size[0] / self.size[1])
-        target = self._target("gbuffer")
-        with self._drawing(target):
-            target.clear()
-            for index, part in enumerate(parts, start=1):
-                program = self._program("gbuffer", _surface_defines(part.part))
-                _set(program, "part", float(index))
-                self._draw(part, program, view, scene)
-        layers = []
-        for attachment in range(4):
-            layer = np.empty((self.size[1], self.size[0], 4), dtype=np.float32)
-            target.read_into(layer, components=4, attachment=attachment, dtype="f4")
-            layers.append(layer)
-        position, normal, albedo, uv = layers
+        with self._current() as gl:
+            parts = self._upload(scene.mesh)
+            view = view_of(scene, self.size[0] / self.size[1])
+            target = self._target("gbuffer")
+            with gl.scope(target, enable_only=moderngl.DEPTH_TEST):
+                target.clear()
+                for index, part in enumerate(parts, start=1):
+                    program = self._program("gbuffer", _surface_defines(part.part))
+                    _set(program, "part", float(index))
+                    self._draw(part, program, view, scene)
+            position, normal, albedo, uv = (self._read(target, index) for index in range(4))
         return GBuffer(
             part=position[..., 3].astype(np.int64) - 1,
             position=position[..., :3],
@@ -314,9 +309,19 @@ class Renderer:
                 f"{self.context.gl.max_samples}"
             )
 
-    def _drawing(self, target: moderngl.Framebuffer) -> Any:
-        flags = moderngl.DEPTH_TEST
-        return self.context.gl.scope(target, enable_only=flags)
+    @contextmanager
+    def _current(self) -> Iterator[moderngl.Context]:
+        """Make the context current, and leave a host's framebuffer bound as it was."""
+        with self.context.gl as gl:
+            bound = gl.detect_framebuffer() if self.context.backend == "current" else None
+            yield gl
+            if bound is not None:
+                bound.use()
+
+    def _read(self, target: moderngl.Framebuffer, attachment: int = 0) -> NDArray[np.float32]:
+        pixels = np.empty((self.size[1], self.size[0], 4), dtype=np.float32)
+        target.read_into(pixels, components=4, attachment=attachment, dtype="f4")
+        return pixels
 
     def _target(self, kind: str) -> moderngl.Framebuffer:
         if kind not in self._targets:

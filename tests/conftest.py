@@ -1,0 +1,84 @@
+"""Shared fixtures, and the rule for what is missing: skip with a reason on a developer's machine,
+fail where FACERENDER_REQUIRE_ALL is set, as in CI."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import facerender as fr
+from facerender.context import Backend, create_context
+
+TEST_DATA = Path(
+    os.environ.get("FACERENDER_TEST_DATA", Path(__file__).parents[2] / "shared" / "data")
+)
+
+
+def missing(what: str) -> None:
+    """Skip the test, or fail it where everything must be present."""
+    if os.environ.get("FACERENDER_REQUIRE_ALL"):
+        pytest.fail(f"{what}, and FACERENDER_REQUIRE_ALL is set")
+    pytest.skip(what)
+
+
+def require_backend(backend: Backend) -> Backend:
+    try:
+        create_context(backend).release()
+    except fr.ContextError as error:
+        missing(str(error))
+    return backend
+
+
+@pytest.fixture(scope="session")
+def scan() -> Path:
+    """Folder of the LeePerrySmith head scan (Lee Perry-Smith, triplegangers.com, CC BY 3.0)."""
+    folder = TEST_DATA / "faces" / "LeePerrySmith"
+    if not folder.is_dir():
+        missing(f"no LeePerrySmith scan in {TEST_DATA}: set FACERENDER_TEST_DATA")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def awkward() -> Path:
+    """Folder of difficult and broken mesh files."""
+    folder = TEST_DATA / "awkward"
+    if not folder.is_dir():
+        missing(f"no awkward files in {TEST_DATA}: set FACERENDER_TEST_DATA")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def scan_mesh(scan: Path) -> fr.Mesh:
+    return fr.load_mesh(
+        scan / "LeePerrySmith.glb",
+        albedo=scan / "Map-COL.jpg",
+        normal_map=scan / "Infinite-Level_02_Tangent_SmoothUV.jpg",
+        specular_map=scan / "Map-SPEC.jpg",
+        flip_v=True,
+    )
+
+
+@pytest.fixture(scope="session")
+def head() -> fr.Mesh:
+    """The built-in head."""
+    return fr.load_mesh()
+
+
+@pytest.fixture(scope="session", params=["egl", "osmesa"])
+def backend(request: pytest.FixtureRequest) -> Backend:
+    return require_backend(request.param)
+
+
+@pytest.fixture(scope="session")
+def egl() -> Backend:
+    return require_backend("egl")
+
+
+@pytest.fixture(scope="module")
+def renderer(egl: Backend) -> Iterator[fr.Renderer]:
+    """One sample, 256 x 256, on EGL."""
+    with fr.Renderer((256, 256), samples=1, backend=egl) as renderer:
+        yield renderer
