@@ -177,6 +177,8 @@ def _warn(message: str) -> None:
 def _read(path: Path, skip_images: bool) -> list[tuple[trimesh.Trimesh, NDArray[np.float64]]]:
     """Return every instance of a geometry with faces, and its transform."""
     suffix = path.suffix.lower()
+    if path.is_dir():
+        raise InputError(f"{path} is a directory; give a mesh file in it")
     if suffix not in SUFFIXES:
         raise InputError(f"{path}: unknown mesh format {suffix!r}; give {', '.join(SUFFIXES)}")
     try:

@@ -327,12 +327,16 @@ class Renderer:
         if kind not in self._targets:
             gl = self.context.gl
             samples = self.samples if kind == "multisample" else 0
-            colors = [
-                gl.renderbuffer(self.size, 4, samples=samples, dtype="f4")
-                for _ in range(4 if kind == "gbuffer" else 1)
-            ]
-            depth = gl.depth_renderbuffer(self.size, samples=samples)
-            self._targets[kind] = gl.framebuffer(colors, depth)
+            count = 4 if kind == "gbuffer" else 1
+            try:
+                colors = [gl.renderbuffer(self.size, 4, samples, dtype="f4") for _ in range(count)]
+                depth = gl.depth_renderbuffer(self.size, samples=samples)
+                self._targets[kind] = gl.framebuffer(colors, depth)
+            except moderngl.Error as error:
+                raise ContextError(
+                    f"{self.context.renderer} cannot draw {self.size[0]} x {self.size[1]} pixels "
+                    f"with {max(samples, 1)} samples ({error}); lower one of them"
+                ) from None
         return self._targets[kind]
 
     def _program(self, name: str, prelude: str) -> moderngl.Program:

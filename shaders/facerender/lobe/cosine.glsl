@@ -9,11 +9,10 @@
 #ifndef FR_LOBE_COSINE_GLSL
 #define FR_LOBE_COSINE_GLSL
 
-#include "facerender/constants.glsl"
-
 float fr_lobe_cosine(float c, float m, int k) {
     float n = 2.0 / (m * m) - float(k);
-    return exp2(n * log2(clamp(c, FR_MIN_COSINE, 1.0)));
+    float x = min(c, 1.0);
+    return x > 0.0 ? exp2(n * log2(x)) : 0.0;
 }
 
 #endif

@@ -16,7 +16,8 @@
 
 float fr_lobe_g_power(float c, float m, int k, int g) {
     float n = 2.0 / (m * m) - float(k);
-    float power = max(n / float(g) * (min(c, 1.0) - 1.0) + 1.0, 0.0);
+    // As 1 - a (1 - c): Mesa multiplies a (c - 1) + 1 out, and loses the digits of a small angle.
+    float power = max(1.0 - n / float(g) * (1.0 - min(c, 1.0)), 0.0);
     power *= power;
     power *= power;
     if (g >= 8) power *= power;

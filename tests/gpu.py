@@ -1,0 +1,67 @@
+"""Evaluates a GLSL expression on arrays, into an unclamped float target, where a NaN shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.context import Backend, create_context
+from facerender.glsl import resolve_includes
+
+_VERTEX = """#version 330 core
+in vec2 corner;
+void main() { gl_Position = vec4(corner, 0.0, 1.0); }
+"""
+
+
+class Evaluator:
+    """A context that stays open between evaluations."""
+
+    def __init__(self, backend: Backend = "auto") -> None:
+        self._context = create_context(backend)
+
+    def release(self) -> None:
+        self._context.release()
+
+    def __call__(
+        self, prelude: str, expression: str, inputs: Mapping[str, NDArray[np.float32]]
+    ) -> NDArray[np.float32]:
+        """Evaluate a float expression of the inputs, each (N,) or (N, 3), to (N,) float32."""
+        count = len(next(iter(inputs.values())))
+        width = 1024
+        height = -(-count // width)
+        fetches, samplers = [], []
+        for name, values in inputs.items():
+            kind, fields = ("vec3", "xyz") if values.ndim == 2 else ("float", "x")
+            samplers.append(f"uniform sampler2D {name}_texels;")
+            fetches.append(f"{kind} {name} = texelFetch({name}_texels, at, 0).{fields};")
+        fragment = "\n".join(
+            [
+                "#version 330 core",
+                prelude,
+                *samplers,
+                "out vec4 result;",
+                "void main() { ivec2 at = ivec2(gl_FragCoord.xy);",
+                *fetches,
+                f"result = vec4({expression}); }}",
+            ]
+        )
+        with self._context.gl as gl:
+            program = gl.program(_VERTEX, resolve_includes(fragment))
+            for unit, (name, values) in enumerate(inputs.items()):
+                texels = np.zeros((height * width, 4), dtype=np.float32)
+                texels[:count, : 1 if values.ndim == 1 else 3] = values.reshape(count, -1)
+                texture = gl.texture((width, height), 4, texels, dtype="f4")
+                texture.filter = moderngl.NEAREST, moderngl.NEAREST
+                texture.use(unit)
+                if f"{name}_texels" in program:
+                    program[f"{name}_texels"] = unit
+            corners = np.array([-1, -1, 3, -1, -1, 3], dtype=np.float32)
+            target = gl.framebuffer([gl.renderbuffer((width, height), 4, dtype="f4")])
+            target.use()
+            gl.vertex_array(program, [(gl.buffer(corners), "2f", "corner")]).render()
+            data = target.read(components=4, dtype="f4")
+        return np.frombuffer(data, np.float32).reshape(-1, 4)[:count, 0]

@@ -1,0 +1,99 @@
+"""The float64 lobes: against 50-digit arithmetic, the errors that their headers state, domains."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from facerender import InputError, lobes
+
+REFERENCE = np.genfromtxt(Path(__file__).parent / "data/beckmann_reference.csv", delimiter=",")
+C, M, D, W, LOG_D = REFERENCE.T
+
+
+@pytest.mark.parametrize(
+    ("k", "scale", "expected"),
+    [(4, np.pi * M**2, D), (0, 4.0 * np.pi * M**2, W)],
+    ids=["cook-torrance", "ward"],
+)
+def test_exact_agrees_with_50_digits(k, scale, expected):
+    normal = expected > 1e-300
+    assert normal.sum() > 100
+    result = np.array([lobes.exact(c, m, k) for c, m in zip(C, M, strict=True)]) / scale
+    np.testing.assert_allclose(result[normal], expected[normal], rtol=1e-13, atol=0)
+    assert (result[~normal] <= 1e-299).all()
+
+
+def test_exact_from_tangent_agrees_with_exact_from_cosine():
+    c = np.linspace(0.05, 1.0, 1001)
+    tan2 = (1.0 - c) * (1.0 + c) / c**2
+    for k in (0, 4):
+        np.testing.assert_allclose(
+            lobes.exact_tan2(tan2, 0.3, k), lobes.exact(c, 0.3, k), rtol=1e-12, atol=1e-300
+        )
+
+
+# In percent of the peak over 0 to 90 degrees, as the headers of the shader files state them.
+STATED_ERRORS = {
+    "cosine": {0.1: 0.28, 0.2: 1.26, 0.3: 3.42, 0.4: 8.0, 0.5: 17.8, 0.6: 39.7},
+    "d4": {0.1: 6.96, 0.2: 5.54, 0.3: 2.46, 0.4: 4.18, 0.5: 17.8, 0.6: 45.4},
+    "d8": {0.1: 3.11, 0.2: 1.68, 0.3: 1.43, 0.4: 7.79, 0.5: 20.9, 0.6: 46.9},
+    "d16": {0.1: 1.31, 0.2: 0.13, 0.3: 3.21, 0.4: 9.50, 0.5: 22.3, 0.6: 47.6},
+}
+
+
+@pytest.mark.parametrize("name", STATED_ERRORS)
+def test_stated_errors_of_the_approximations(name):
+    c = np.cos(np.linspace(0.0, np.pi / 2, 20001)).clip(0.0, 1.0)
+    for m, stated in STATED_ERRORS[name].items():
+        error = 100.0 * np.abs(lobes.lobe(name, c, m, 4) - lobes.exact(c, m, 4)).max()
+        assert error == pytest.approx(stated, rel=0.005, abs=0.005), m
+
+
+@given(
+    name=st.sampled_from(lobes.NAMES),
+    k=st.sampled_from([0, 4]),
+    m=st.floats(1e-4, 0.7),
+    c=st.lists(st.floats(0.0, 1.0), min_size=2, max_size=20),
+)
+def test_every_lobe_rises_with_the_cosine_from_zero_to_one(name, k, m, c):
+    values = lobes.lobe(name, np.sort([*c, 1.0]), m, k)
+    assert np.isfinite(values).all()
+    assert (values >= 0.0).all()
+    assert (np.diff(values) >= -1e-12).all()
+    assert values[-1] == 1.0
+
+
+def test_clamp_keeps_the_power_from_rising_again():
+    c = np.cos(np.radians([49.4, 60.0, 90.0])).clip(0.0)
+    assert (lobes.g_power(c, 0.2, 4, 16) == 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: lobes.exact(0.5, 0.0, 4), r"m = 0 is outside .* \[0.0001, 2\]"),
+        (lambda: lobes.exact(0.5, math.nan, 4), "m = nan"),
+        (lambda: lobes.exact(1.5, 0.3, 4), r"cosine 1.5 is outside \[0, 1\]"),
+        (lambda: lobes.exact(math.nan, 0.3, 4), "cosine nan"),
+        (lambda: lobes.exact_tan2(-1.0, 0.3, 4), "tan2 = -1"),
+        (lambda: lobes.exact(0.5, 0.3, 2), "k = 2 is neither 4"),
+        (lambda: lobes.cosine(0.5, 0.8, 4), r"m = 0.8 .* lobe cosine .* 0.7071\), or use the lobe"),
+        (lambda: lobes.g_power(0.5, [0.3, 0.75], 4, 16), "m = 0.75 .* lobe d16"),
+        (lambda: lobes.g_power(0.5, 0.3, 4, 5), "g = 5 is none of 4, 8, 16"),
+        (lambda: lobes.lobe("d32", 0.5, 0.3, 4), "unknown lobe 'd32'; known: exact, cosine"),
+    ],
+)
+def test_values_outside_the_domain_are_refused(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
+
+
+def test_ward_has_every_lobe_up_to_a_slope_of_two():
+    for name in lobes.NAMES:
+        assert lobes.lobe(name, 1.0, 2.0, 0) == 1.0
