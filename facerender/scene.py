@@ -313,6 +313,8 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
             if key == "camera":
                 scene[key] = _from_table(Camera, key, value)
             elif key == "lights":
+                if not isinstance(value, list):
+                    raise InputError(f"lights = {value!r}: give a list of names or tables")
                 scene[key] = tuple(
                     parse_light(item) if isinstance(item, str) else _from_table(Light, key, item)
                     for item in value

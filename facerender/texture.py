@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -45,7 +46,7 @@ class Texture:
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Texture:
-        """Open an image file; only its header is read.
+        """Read an image file; it is decoded later.
 
         Raises
         ------
@@ -54,7 +55,7 @@ class Texture:
         from PIL import Image, UnidentifiedImageError
 
         try:
-            image = Image.open(path)
+            image = Image.open(BytesIO(Path(path).read_bytes()))
         except UnidentifiedImageError:
             raise InputError(f"{path} is not an image; give a PNG, JPEG, TIFF or WebP") from None
         except Image.DecompressionBombError as error:

@@ -1,4 +1,4 @@
-"""The built-in head: what a loader and a shader may rely on, and that its generator still makes it."""
+"""The built-in head: what loaders and shaders rely on, and that its generator still makes it."""
 
 from __future__ import annotations
 

@@ -1,0 +1,97 @@
+"""sRGB, PNG, EXR, and files that are whole or not there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from facerender import InputError
+from facerender.image import encode_srgb8, linear_to_srgb, save_exr, save_png, srgb_to_linear
+from facerender.image import write_whole as write
+
+
+def test_srgb_and_back():
+    x = np.linspace(0.0, 1.0, 1001)
+    np.testing.assert_allclose(srgb_to_linear(linear_to_srgb(x)), x, atol=1e-7)
+    assert linear_to_srgb(np.array([0.0, 0.214041, 1.0])) == pytest.approx(
+        [0.0, 0.5, 1.0], abs=1e-5
+    )
+
+
+def test_table_encoding_stays_within_its_stated_error():
+    x = np.linspace(0.0, 1.2, 300_001, dtype=np.float32)
+    exact = 255.0 * linear_to_srgb(x.astype(np.float64))
+    assert np.abs(encode_srgb8(x) - exact).max() <= 0.6
+
+
+def test_encoding_of_every_byte_returns_it():
+    every = np.arange(256)
+    linear = srgb_to_linear(every / 255.0).astype(np.float32)
+    np.testing.assert_array_equal(encode_srgb8(linear), every)
+
+
+def test_encoding_of_extremes():
+    x = np.float32([-1.0, -0.0, 1e-30, 1e30, np.inf, np.nan])
+    np.testing.assert_array_equal(encode_srgb8(x), [0, 0, 0, 255, 255, 0])
+
+
+def test_exposure_is_in_stops():
+    x = np.float32([0.1, 0.4])
+    np.testing.assert_array_equal(encode_srgb8(x, 1.0), encode_srgb8(x * 2))
+
+
+def test_png(tmp_path):
+    pixels = np.random.default_rng(1).integers(0, 256, (5, 7, 4), dtype=np.uint8)
+    save_png(tmp_path / "a.png", pixels, {"GL_RENDERER": "llvmpipe"})
+    image = Image.open(tmp_path / "a.png")
+    np.testing.assert_array_equal(np.asarray(image), pixels)
+    assert image.info["GL_RENDERER"] == "llvmpipe"
+
+
+def test_exr(tmp_path):
+    import OpenEXR
+
+    linear = np.random.default_rng(1).normal(size=(5, 7, 4)).astype(np.float32) * 1e3
+    save_exr(tmp_path / "a.exr", linear, {"GL_RENDERER": "llvmpipe"})
+    file = OpenEXR.File(str(tmp_path / "a.exr"))
+    np.testing.assert_array_equal(file.channels()["RGBA"].pixels, linear)
+    assert file.header()["GL_RENDERER"] == "llvmpipe"
+
+
+def fail_half_way(name):
+    with open(name, "wb") as file:
+        file.write(b"half")
+    raise OSError(28, "No space left on device")
+
+
+def test_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
+    (tmp_path / "a.png").write_bytes(b"old")
+    with pytest.raises(InputError, match=r"cannot write .*a.png: No space left"):
+        write(tmp_path / "a.png", fail_half_way)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
+    assert (tmp_path / "a.png").read_bytes() == b"old"
+
+
+def test_interrupted_write_leaves_nothing(tmp_path):
+    def interrupted(name):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write(tmp_path / "a.png", interrupted)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_written_file_has_ordinary_permissions(tmp_path):
+    write(tmp_path / "a.txt", lambda name: open(name, "w").close())
+    (tmp_path / "b.txt").touch()
+    assert (tmp_path / "a.txt").stat().st_mode == (tmp_path / "b.txt").stat().st_mode
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("missing/a.png", "no such file or directory"), (".", "it is a directory; give a file name")],
+)
+def test_places_that_cannot_be_written(tmp_path, name, message):
+    with pytest.raises(InputError, match=message):
+        write(tmp_path / name, lambda name: None)

@@ -1,0 +1,135 @@
+"""Camera, lights, material and scene files."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import facerender as fr
+from facerender.scene import LIGHTS, load_scene, parse_light, view_of
+
+
+def project(scene: fr.Scene, point, aspect=1.0):
+    """Image coordinates in [-1, 1], x to the right and y upwards."""
+    view = view_of(scene, aspect)
+    clip = np.array([*scene.mesh.normalised(point), 1.0]) @ view.matrix
+    return np.array([clip[0], -clip[1]]) / clip[3]
+
+
+def test_camera_turns_as_documented(head):
+    center, offset = head.center, 0.05
+    right = center + [offset, 0, 0]  # the subject's left
+    nose = center + [0, 0, offset]
+    assert project(fr.Scene(head), right)[0] > 0.01
+    assert project(fr.Scene(head, fr.Camera(90.0)), nose)[0] < -0.01
+    assert project(fr.Scene(head, fr.Camera(elevation=60.0)), nose)[1] < -0.01
+    above = fr.Scene(head, fr.Camera(elevation=90.0))
+    assert project(above, nose)[1] < -0.01  # the face looks down the image
+    assert project(above, right)[0] > 0.01
+
+
+def test_zoom_and_target(head):
+    point = head.center + [0.02, 0.0, 0.0]
+    at_one = project(fr.Scene(head), point)[0]
+    assert project(fr.Scene(head, fr.Camera(zoom=2.0)), point)[0] > 1.9 * at_one
+    target = tuple(head.center + [0.0, 0.05, 0.0])
+    assert project(fr.Scene(head, fr.Camera(target=target)), target) == pytest.approx([0, 0])
+
+
+def test_explicit_eye_in_the_units_of_the_mesh(head):
+    eye = tuple(head.center + [0.0, 0.0, 1.0])
+    view = view_of(fr.Scene(head, fr.Camera(position=eye)), 1.0)
+    assert view.eye * head.radius == pytest.approx([0.0, 0.0, 1.0])
+    # a point 10 cm to the side at a distance of 1 m, seen through 25 degrees
+    side = project(fr.Scene(head, fr.Camera(position=eye)), head.center + [0.1, 0, 0])
+    assert side[0] == pytest.approx(0.1 / math.tan(math.radians(12.5)))
+
+
+def test_eye_at_its_target_is_refused(head):
+    scene = fr.Scene(head, fr.Camera(position=tuple(head.center)))
+    with pytest.raises(fr.InputError, match="is at its target"):
+        view_of(scene, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "light"),
+    [
+        ("key", LIGHTS["key"]),
+        ("30,45", fr.Light(30.0, 45.0)),
+        ("-30,45,2.5", fr.Light(-30.0, 45.0, 2.5)),
+        ("point:1,2,3,0.5", fr.Light(irradiance=0.5, position=(1.0, 2.0, 3.0))),
+    ],
+)
+def test_lights_from_text(text, light):
+    assert parse_light(text) == light
+
+
+@pytest.mark.parametrize("text", ["blue", "", "30", "1,2,3,4", "point:1,2", "1,two", "point:"])
+def test_unknown_lights_name_the_known_ones(text):
+    with pytest.raises(fr.InputError, match=r"unknown light .* key, rim, .* AZIMUTH,ELEVATION"):
+        parse_light(text)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: fr.Camera(elevation=91.0), "camera elevation = 91.0 is outside"),
+        (lambda: fr.Camera(fov=0.0), "camera fov"),
+        (lambda: fr.Camera(zoom=math.nan), "camera zoom = nan"),
+        (lambda: fr.Camera(position=(0.0, math.inf, 0.0)), "camera position"),
+        (lambda: fr.Light(irradiance=-1.0), "irradiance = .* is negative"),
+        (lambda: fr.Light(irradiance="bright"), "light irradiance = 'bright'"),
+        (lambda: fr.Light(elevation=100.0), "light elevation"),
+        (lambda: fr.Material(m=0.0), r"m = 0.0 is outside \[0.0001, 2\]"),
+        (lambda: fr.Material(f0=1.0), "f0 = 1.0"),
+        (lambda: fr.Material(ks=-0.1), "ks = -0.1"),
+        (lambda: fr.Material(albedo=(1.0, 2.0)), "albedo = "),
+    ],
+)
+def test_values_outside_their_domain(make, message):
+    with pytest.raises(fr.InputError, match=message):
+        make()
+
+
+def test_scene_file(tmp_path):
+    (tmp_path / "scene.toml").write_text(
+        'ambient = 0.2\nbackground = "none"\n'
+        'lights = ["key", {azimuth = 10, irradiance = [1, 2, 3]}]\n'
+        "[camera]\nazimuth = 40\nzoom = 1.5\n[material]\nm = 0.25\n"
+    )
+    assert load_scene(tmp_path / "scene.toml") == {
+        "ambient": (0.2, 0.2, 0.2),
+        "background": None,
+        "lights": (LIGHTS["key"], fr.Light(azimuth=10, irradiance=(1.0, 2.0, 3.0))),
+        "camera": fr.Camera(azimuth=40, zoom=1.5),
+        "material": {"m": 0.25},
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("camera = 3", "scene.toml: unknown value 3 in camera"),
+        ("[camera]\nroll = 3", "unknown key 'roll' in camera; known: azimuth, elevation"),
+        ("[camera]\nfov = 500", "camera fov = 500 is outside"),
+        ("[camera]\nfov = 'wide'", "camera fov = 'wide'"),
+        ("lights = 3", "lights = 3"),
+        ("lights = ['blue']", "unknown light 'blue'"),
+        ("[material]\nm = 9", "m = 9 is outside"),
+        ("[material]\nalbedo_map = 'a.png'", "unknown key 'albedo_map' in material"),
+        ("background = 'red'", "background = 'red'"),
+        ("colour = 1", "unknown key 'colour'; known: camera, lights"),
+        ("[camera", "scene.toml is not TOML"),
+    ],
+)
+def test_scene_files_with_mistakes(tmp_path, text, message):
+    (tmp_path / "scene.toml").write_text(text)
+    with pytest.raises(fr.InputError, match=message):
+        load_scene(tmp_path / "scene.toml")
+
+
+def test_scene_file_that_is_missing(tmp_path):
+    with pytest.raises(fr.InputError, match="cannot read .*scene.toml: no such file"):
+        load_scene(tmp_path / "scene.toml")

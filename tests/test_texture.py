@@ -1,0 +1,109 @@
+"""Mip chains: sizes, averages in linear light, packing, damaged images."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from facerender import InputError
+from facerender.image import srgb_to_linear
+from facerender.texture import Texture, pack
+
+
+def texture(pixels: np.ndarray, name: str = "map.png") -> Texture:
+    return Texture(lambda: Image.fromarray(pixels), name)
+
+
+@pytest.mark.parametrize("kind", ["color", "linear-color", "data"])
+@pytest.mark.parametrize("size", [(64, 64), (64, 16), (5, 7), (1, 9), (1, 1)])
+def test_chain_halves_down_to_one_texel(kind, size):
+    pixels = np.full((*size, 3), 200, np.uint8)
+    levels = texture(pixels).levels(kind).result()
+    height, width = size
+    for level in levels:
+        assert level.shape[:2] == (max(height, 1), max(width, 1))
+        height, width = height // 2, width // 2
+    assert levels[-1].shape[:2] == (1, 1)
+    channels = levels[0].astype(np.float64)[..., :3]
+    np.testing.assert_allclose(levels[-1][0, 0, :3], channels[0, 0], rtol=2e-3)
+
+
+def test_row_zero_is_at_the_bottom():
+    pixels = np.zeros((2, 2, 3), np.uint8)
+    pixels[0] = 255
+    for kind in ("color", "data"):
+        assert texture(pixels).levels(kind).result()[0][1, 0, 0] == 255
+
+
+def test_colour_is_averaged_in_linear_light():
+    checkers = (np.indices((64, 64)).sum(axis=0) % 2 * 255).astype(np.uint8)
+    pixels = np.repeat(checkers[..., None], 3, axis=-1)
+    color = texture(pixels).levels("color").result()
+    assert set(np.unique(color[1][..., :3])) == {188}  # 0.5 of linear light, not 128
+    linear = texture(pixels).levels("linear-color").result()
+    assert linear[-1][0, 0, 0] == 0.5
+    assert texture(pixels).levels("data").result()[1][0, 0, 0] in (127, 128)
+
+
+def test_bytes_and_floats_agree_on_a_random_image():
+    pixels = np.random.default_rng(2).integers(0, 256, (128, 128, 3), dtype=np.uint8)
+    color = texture(pixels).levels("color").result()
+    linear = texture(pixels).levels("linear-color").result()
+    for encoded, decoded in zip(color, linear, strict=True):
+        back = srgb_to_linear(encoded[..., :3] / 255.0)
+        assert np.abs(back - decoded[..., :3]).max() < 0.008  # about a step of 8 bits, and rounding
+
+
+def test_packing_fills_the_absent_and_takes_the_largest_size():
+    red = texture(np.full((4, 8, 3), 10, np.uint8), "red.png")
+    blue = texture(np.full((16, 2, 3), 30, np.uint8), "blue.png")
+    both = pack(red, None, blue)
+    level = both.levels("data").result()[0]
+    assert level.shape == (16, 8, 3)
+    assert level[0, 0].tolist() == [10, 255, 30]
+    assert both.name == "red.png + blue.png"
+
+
+def test_channel_keeps_its_rows():
+    pixels = np.zeros((2, 2, 3), np.uint8)
+    pixels[0, :, 1] = 200
+    level = pack(None, texture(pixels).channel(1, "roughness"), None).levels("data").result()[0]
+    assert level[:, 0, 1].tolist() == [0, 200]
+
+
+def test_16_bit_grey_is_scaled_and_not_clipped():
+    grey = np.array([[0, 25700], [51400, 65535]], dtype=np.uint16)
+    level = texture(grey).levels("data").result()[0]
+    assert level[..., 0].tolist() == [[200, 255], [0, 100]]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("page.jpg", b"<html></html>", "page.jpg is not an image; give a PNG"),
+        ("empty.png", b"", "empty.png is not an image"),
+        ("absent.png", None, "cannot read .*absent.png: no such file"),
+    ],
+)
+def test_files_that_are_no_images(tmp_path, name, content, message):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        Texture.open(tmp_path / name)
+
+
+def test_truncated_image_is_named_when_it_is_read(tmp_path):
+    pixels = np.random.default_rng(3).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "half.jpg")
+    content = (tmp_path / "half.jpg").read_bytes()
+    (tmp_path / "half.jpg").write_bytes(content[: len(content) // 2])
+    levels = Texture.open(tmp_path / "half.jpg").levels("color")
+    with pytest.raises(InputError, match="half.jpg is damaged"):
+        levels.result()
+
+
+def test_huge_image_is_refused_before_it_is_decoded():
+    huge = Texture(lambda: Image.new("L", (16385, 1)), "huge.png")
+    with pytest.raises(InputError, match="huge.png is 16385 x 1 texels: at most 16384"):
+        huge.levels("data").result()
