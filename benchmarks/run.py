@@ -1,0 +1,119 @@
+"""facerender beside the minimal script, and beside other renderers where they are installed.
+
+    python benchmarks/run.py [--repeats 11] [--frames 40] [--peers]
+
+Cold: file to PNG at 1024 x 1024 without multisampling, whole processes, taken in turns. Steady: one
+process, the camera moves, every frame is read back, the two take turns. Prints medians, the range,
+and the median of the ratios within a turn. Other work on the machine shows in the range.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+import facerender as fr
+from facerender.glsl import data_dir
+
+HERE = Path(__file__).parent
+HEAD = data_dir("assets") / "head.glb"
+
+
+def report(title: str, unit: str, times: dict[str, list[float]]) -> None:
+    base = next(iter(times))
+    print(f"\n{title}")
+    for name, values in times.items():
+        ratio = statistics.median(a / b for a, b in zip(values, times[base], strict=True))
+        print(
+            f"  {name:22} {statistics.median(values):7.3f} {unit}"
+            f"  ({min(values):.3f} to {max(values):.3f})   {ratio:.2f} of {base}"
+        )
+
+
+def in_turns(repeats: int, actions: dict[str, Callable[[int], object]]) -> dict[str, list[float]]:
+    times: dict[str, list[float]] = {name: [] for name in actions}
+    for action in actions.values():
+        action(0)  # fills the caches of disk and driver
+    for turn in range(repeats):
+        for name, action in actions.items():
+            start = time.perf_counter()
+            action(turn)
+            times[name].append(time.perf_counter() - start)
+    return times
+
+
+def process(*arguments: str) -> Callable[[int], object]:
+    command = [sys.executable, *arguments]
+    return lambda turn: subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+
+
+def cold(repeats: int, peers: Sequence[str]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        actions = {
+            "minimal script": process(
+                str(HERE / "minimal_moderngl.py"), str(HEAD), f"{folder}/script.png"
+            ),
+            "facerender render": process(
+                "-m",
+                "facerender",
+                "render",
+                str(HEAD),
+                "-o",
+                f"{folder}/head.png",
+                "--samples",
+                "1",
+            ),
+        }
+        for peer in peers:
+            script = str(HERE / "peers" / f"{peer}_head.py")
+            actions[peer] = process(script, str(HEAD), f"{folder}/{peer}.png")
+        report("Cold start, file to PNG, whole process", "s", in_turns(repeats, actions))
+
+
+def steady(frames: int, samples: int) -> None:
+    from minimal_moderngl import Script
+
+    script = Script(str(HEAD), samples=samples if samples > 1 else 0)
+    mesh = fr.load_mesh(HEAD)
+    with fr.Renderer(samples=samples) as renderer:
+        scenes = [fr.Scene(mesh, fr.Camera(azimuth=2.0 * turn)) for turn in range(frames)]
+
+        def by_script(turn: int) -> np.ndarray:
+            with script.ctx:
+                return script.frame(2.0 * turn)
+
+        def by_facerender(turn: int) -> np.ndarray:
+            return renderer.render(scenes[turn]).linear
+
+        difference = np.abs(by_script(frames // 2) - by_facerender(frames // 2))[..., :3].mean()
+        times = in_turns(frames, {"minimal script": by_script, "facerender": by_facerender})
+        scaled = {name: [1e3 * value for value in values] for name, values in times.items()}
+        report(f"Steady state, {samples} sample(s), moving camera, readback", "ms", scaled)
+        print(f"  the two images differ by {difference:.1e} on average")
+        print(f"  {renderer.metadata['GL_RENDERER']}, {renderer.metadata['GL_VERSION']}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=11)
+    parser.add_argument("--frames", type=int, default=40)
+    parser.add_argument("--peers", action="store_true", help="other renderers that are installed")
+    options = parser.parse_args()
+    available = sorted(path.stem.removesuffix("_head") for path in (HERE / "peers").glob("*.py"))
+    peers = [name for name in available if options.peers and importlib.util.find_spec(name)]
+    cold(options.repeats, peers)
+    for samples in (1, 4):
+        steady(options.frames, samples)
+
+
+if __name__ == "__main__":
+    main()
