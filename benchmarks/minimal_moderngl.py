@@ -95,10 +95,10 @@ class Script:
             texture.build_mipmaps()
             texture.use(unit)
             program[name] = unit
-        lights = ((-48, 38, 3.0, 2.85, 2.65), (128, 24, 3.0, 3.2, 3.5), (50, 5, 0.35, 0.38, 0.42))
+        lights = ((-50, 42, 3.4, 3.2, 2.95), (125, 32, 3.2, 3.4, 3.7), (50, 5, 0.34, 0.36, 0.4))
         program["to_light"].write(np.array([direction(*each[:2]) for each in lights], "f4"))
         program["irradiance"].write(np.array([each[2:] for each in lights], "f4"))
-        program["ambient"] = (0.30, 0.32, 0.36)
+        program["ambient"] = (0.26, 0.28, 0.31)
         r, y = np.hypot(positions[:, 0], positions[:, 2]), positions[:, 1]
         self.tangent = tangent = math.tan(math.radians(12.5))
         side, top = r * math.hypot(1 / tangent, 1), abs(y) / tangent + r

@@ -114,9 +114,9 @@ class Light:
 
 # Key and rim are high and oblique, where the highlight of skin shows.
 LIGHTS: Mapping[str, Light] = {
-    "key": Light(azimuth=-48.0, elevation=38.0, irradiance=(3.0, 2.85, 2.65)),
-    "rim": Light(azimuth=128.0, elevation=24.0, irradiance=(3.0, 3.2, 3.5)),
-    "fill": Light(azimuth=50.0, elevation=5.0, irradiance=(0.35, 0.38, 0.42)),
+    "key": Light(azimuth=-50.0, elevation=42.0, irradiance=(3.4, 3.2, 2.95)),
+    "rim": Light(azimuth=125.0, elevation=32.0, irradiance=(3.2, 3.4, 3.7)),
+    "fill": Light(azimuth=50.0, elevation=5.0, irradiance=(0.34, 0.36, 0.4)),
     "front": Light(azimuth=0.0, elevation=10.0, irradiance=2.5),
     "top": Light(azimuth=0.0, elevation=75.0, irradiance=2.5),
 }
@@ -209,7 +209,7 @@ class Scene:
     mesh: Mesh
     camera: Camera = Camera()
     lights: tuple[Light, ...] = (LIGHTS["key"], LIGHTS["rim"], LIGHTS["fill"])
-    ambient: float | Vector = (0.30, 0.32, 0.36)
+    ambient: float | Vector = (0.26, 0.28, 0.31)
     background: Vector | None = (0.012, 0.013, 0.016)
 
     def __post_init__(self) -> None:
