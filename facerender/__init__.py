@@ -14,11 +14,12 @@ from facerender.errors import ContextError as ContextError
 from facerender.errors import FacerenderError as FacerenderError
 from facerender.errors import FacerenderWarning as FacerenderWarning
 from facerender.errors import InputError as InputError
+from facerender.frame import Frame as Frame
+from facerender.frame import GBuffer as GBuffer
 from facerender.glsl import shader_dir as shader_dir
 from facerender.glsl import shader_source as shader_source
 from facerender.mesh import Mesh as Mesh
 from facerender.mesh import load_mesh as load_mesh
-from facerender.renderer import Frame as Frame
 from facerender.renderer import Renderer as Renderer
 from facerender.renderer import render as render
 from facerender.scene import Camera as Camera

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import re
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -14,16 +15,22 @@ from typing import Any, NoReturn, TextIO
 from facerender import __version__
 from facerender.context import BACKENDS, probe
 from facerender.errors import FacerenderError, FacerenderWarning, InputError
+from facerender.frame import ONLY
 from facerender.lobes import NAMES as LOBES
 from facerender.mesh import load_mesh
-from facerender.renderer import ONLY, Renderer, start_maps
+from facerender.renderer import Renderer, start_maps
 from facerender.scene import LIGHTS, Camera, Scene, load_scene, parse_light
 from facerender.shading import FRESNEL_TERMS, MODELS, Shading
 
-CAMERAS = {"front": 0.0, "three-quarter": 40.0, "profile": 90.0}
+CAMERAS = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
 
 
 class _Parser(argparse.ArgumentParser):
+    def __init__(self, *arguments: Any, **keywords: Any) -> None:
+        super().__init__(*arguments, **keywords)
+        # Values such as -35,10 are no options either.
+        self._negative_number_matcher = re.compile(r"-[\d.]")
+
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message}; see {self.prog} --help")
 

@@ -3,17 +3,15 @@ OpenGL here."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender import brdf
+from facerender.frame import GBuffer
 from facerender.scene import Scene
 from facerender.shading import Shading
-
-if TYPE_CHECKING:
-    from facerender.renderer import GBuffer
 
 Lighting = tuple[NDArray[np.float64], NDArray[np.float64]]
 

@@ -14,7 +14,10 @@ from tests.conftest import require_backend
 ROOT = Path(__file__).parents[1]
 
 # What may be imported without OpenGL; see the arrows in the README.
-WITHOUT_GL = ["errors", "lobes", "brdf", "shading", "glsl", "texture", "scene", "mesh", "image"]
+WITHOUT_GL = [
+    *("errors", "lobes", "brdf", "shading", "glsl", "texture", "scene", "mesh", "image"),
+    *("frame", "reference"),
+]
 
 
 @pytest.mark.parametrize("module", WITHOUT_GL)

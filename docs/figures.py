@@ -1,0 +1,36 @@
+"""Renders the pictures of the README: ``python docs/figures.py``."""
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+import facerender as fr
+from facerender.image import encode_srgb8
+
+HERE = Path(__file__).parent
+
+
+def save(name: str, images: list[np.ndarray]) -> None:
+    halves = [np.asarray(Image.fromarray(image).reduce(2)) for image in images]
+    Image.fromarray(np.hstack(halves)).save(HERE / name, quality=90)
+
+
+def main() -> None:
+    head = fr.load_mesh()
+    oblique = fr.Camera(-35.0, 4.0)
+    with fr.Renderer((960, 960)) as renderer:
+        front, side = (renderer.render(fr.Scene(head, c)) for c in (fr.Camera(), oblique))
+        specular = renderer.render(fr.Scene(head, oblique), only="specular")
+        save("head.jpg", [front.srgb8(), side.srgb8(), encode_srgb8(specular.linear[..., :3], 1.0)])
+
+        # One m for the whole face, so that the caption can name it.
+        scene = fr.Scene(head.with_material(m=0.4, roughness_map=None), oblique)
+        exact, d16 = (renderer.render(scene, fr.Shading(lobe=lobe)) for lobe in ("exact", "d16"))
+        difference = np.abs(d16.linear[..., :3] - exact.linear[..., :3])
+        save("exact-d16.jpg", [exact.srgb8(), d16.srgb8(), encode_srgb8(8.0 * difference)])
+        print(f"D16 at m = 0.4 is off by up to {difference.max():.2f} in linear radiance")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""What a renderer returns: the frame, which can be shown and saved, and the G-buffer. No OpenGL."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError
+from facerender.image import encode_srgb8, save_exr, save_png
+from facerender.scene import View
+
+Only = Literal["specular", "diffuse", "albedo", "normal", "depth", "cosines"]
+
+ONLY: tuple[Only, ...] = ("specular", "diffuse", "albedo", "normal", "depth", "cosines")
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A rendered image.
+
+    Attributes
+    ----------
+    linear : (H, W, 4) float32, row 0 on top; linear RGB, unclamped, and coverage. Colour holds the
+        background where the scene has one, and is premultiplied by coverage otherwise. With
+        ``only``: normal (unit vectors), depth (along the viewing direction, in the mesh's units)
+        or cosines (N.L of the first light, N.V, N.H), 0 in the background.
+    only : which term this is, or None for the whole image
+    metadata : facerender's version, GL_RENDERER, GL_VERSION, samples, texture format
+    """
+
+    linear: NDArray[np.float32]
+    only: Only | None
+    metadata: Mapping[str, str]
+
+    def srgb8(self, exposure: float = 0.0) -> NDArray[np.uint8]:
+        """8-bit sRGB for looking at: (H, W, 3), or (H, W, 4) with straight alpha.
+
+        Normals are shown as 0.5 n + 0.5, cosines as they are, depth from near (white) to far;
+        exposure, in stops, applies to radiance alone.
+        """
+        color, coverage = self.linear[..., :3], self.linear[..., 3:]
+        if self.only == "normal":
+            return _bytes((color * 0.5 + 0.5) * coverage)
+        if self.only == "cosines":
+            return _bytes(color)
+        if self.only == "depth":
+            return _bytes(_depth_as_brightness(color, coverage))
+        if coverage.min() == 1.0:
+            return encode_srgb8(color, exposure)
+        straight = np.divide(color, np.maximum(coverage, 1e-6), dtype=np.float32)
+        return np.concatenate([encode_srgb8(straight, exposure), _bytes(coverage)], axis=-1)
+
+    def save(self, path: str | os.PathLike[str], exposure: float = 0.0) -> None:
+        """Write .png (8-bit sRGB) or .exr (linear float32), whole or not at all.
+
+        Raises
+        ------
+        InputError : another suffix, a place that cannot be written, EXR without its package
+        """
+        suffix = os.path.splitext(path)[1].lower()
+        if suffix == ".png":
+            save_png(path, self.srgb8(exposure), self.metadata)
+        elif suffix == ".exr":
+            save_exr(path, self.linear, self.metadata)
+        else:
+            raise InputError(f"{path}: unknown image format {suffix!r}; give .png or .exr")
+
+
+def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
+    return np.round(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def _depth_as_brightness(
+    depth: NDArray[np.float32], coverage: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    inside = depth[coverage[..., 0] > 0.0]
+    if not inside.size:
+        return depth
+    near, far = inside.min(), inside.max()
+    span = max(float(far - near), 1e-30)
+    return np.asarray((1.0 - 0.9 * (depth - near) / span) * coverage)
+
+
+@dataclass(frozen=True, eq=False)
+class GBuffer:
+    """What the fragment program shades, one sample at each pixel's centre, row 0 on top.
+
+    Attributes
+    ----------
+    part : (H, W) int, index into ``mesh.parts``, or -1 for the background
+    position : (H, W, 3) float32 in the renderer's space (see ``Mesh.normalised``)
+    normal : (H, W, 3) float32, the shading normal with the normal map applied
+    albedo : (H, W, 3) float32, linear
+    m, specular_weight, occlusion : (H, W) float32
+    uv : (H, W, 2) float32
+    view : the camera that saw it
+    """
+
+    part: NDArray[np.int64]
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    albedo: NDArray[np.float32]
+    m: NDArray[np.float32]
+    specular_weight: NDArray[np.float32]
+    occlusion: NDArray[np.float32]
+    uv: NDArray[np.float32]
+    view: View
