@@ -114,8 +114,8 @@ class Light:
 
 # Key and rim are high and oblique, where the highlight of skin shows.
 LIGHTS: Mapping[str, Light] = {
-    "key": Light(azimuth=-50.0, elevation=42.0, irradiance=(3.4, 3.2, 2.95)),
-    "rim": Light(azimuth=125.0, elevation=32.0, irradiance=(3.2, 3.4, 3.7)),
+    "key": Light(azimuth=-50.0, elevation=42.0, irradiance=(3.6, 3.4, 3.1)),
+    "rim": Light(azimuth=100.0, elevation=33.0, irradiance=(2.4, 2.5, 2.7)),
     "fill": Light(azimuth=50.0, elevation=5.0, irradiance=(0.34, 0.36, 0.4)),
     "front": Light(azimuth=0.0, elevation=10.0, irradiance=2.5),
     "top": Light(azimuth=0.0, elevation=75.0, irradiance=2.5),

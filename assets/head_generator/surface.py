@@ -1,0 +1,158 @@
+"""The implicit head as a triangle mesh with normals.  Texture coordinates are made elsewhere."""
+
+# mypy: disable-error-code="no-untyped-call"
+# (scikit-image comes without types.)
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+from skimage.measure import marching_cubes
+
+from .fields import Floats
+from .shape import gradient, head_distance, in_blocks, unit
+
+Faces = NDArray[np.int32]
+
+NECK_CUT = -16.4  # height at which the neck ends, cm
+
+# Spacing of the grid, (place, cells of this size there) along each axis, all in cm: fine where the
+# face has features, coarse on the back of the head.  The side axis is mirrored.
+SIDE_SPACING = (
+    (0, 0.20),
+    (2, 0.21),
+    (3, 0.23),
+    (5, 0.32),
+    (6.3, 0.165),
+    (9, 0.165),
+    (12, 1.0),
+    (17, 1.3),
+)
+HEIGHT_SPACING = (
+    (NECK_CUT, 0.80),
+    (-13, 0.65),
+    (-11.5, 0.33),
+    (-8.5, 0.22),
+    (-6.6, 0.20),
+    (-4.8, 0.17),
+    (-3.5, 0.20),
+    (-2, 0.22),
+    (0.9, 0.20),
+    (3, 0.41),
+    (7, 0.66),
+    (12.6, 0.82),
+)
+DEPTH_SPACING = (
+    (-11.5, 0.82),
+    (-5, 0.65),
+    (-3.4, 0.175),
+    (0.8, 0.18),
+    (5, 0.33),
+    (7.5, 0.22),
+    (9, 0.19),
+    (12.2, 0.21),
+)
+COARSE_STRIDE = 4  # every how many grid points the distance is evaluated first
+NEAR_SURFACE = 1.3  # coarse distance below which it is evaluated at every grid point, cm
+RELAXING_STEPS = 12
+GRADIENT_STEP = 0.05  # cm; about a quarter of a cell, so that edges of the ear get one normal
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles with outward normals, in cm; faces are wound counter-clockwise outward."""
+
+    positions: Floats
+    normals: Floats
+    faces: Faces
+
+
+def _grid_axis(spacing: tuple[tuple[float, float], ...]) -> Floats:
+    places, steps = np.transpose(spacing)
+    axis = [places[0]]
+    while axis[-1] < places[-1]:
+        axis.append(axis[-1] + np.interp(axis[-1], places, steps))
+    return np.array(axis, np.float32)
+
+
+def _grid_points(axes: list[Floats]) -> Floats:
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+
+
+def _extract() -> tuple[Floats, Faces]:
+    """Marching cubes on the uneven grid; only its largest connected piece is kept."""
+    half = _grid_axis(SIDE_SPACING)
+    axes = [
+        np.concatenate([-half[:0:-1], half]),
+        _grid_axis(HEIGHT_SPACING),
+        _grid_axis(DEPTH_SPACING),
+    ]
+    picked = [np.unique(np.r_[0 : len(axis) : COARSE_STRIDE, len(axis) - 1]) for axis in axes]
+    coarse_axes = [axis[rows] for axis, rows in zip(axes, picked, strict=True)]
+    coarse = in_blocks(head_distance, _grid_points(coarse_axes))
+    coarse = coarse.reshape([len(axis) for axis in coarse_axes])
+    points = _grid_points(axes)
+    values = RegularGridInterpolator(coarse_axes, coarse)(points).astype(np.float32)
+    near = np.abs(values) < NEAR_SURFACE
+    values[near] = in_blocks(head_distance, points[near])
+    volume = values.reshape([len(axis) for axis in axes])
+
+    found, faces, _, _ = marching_cubes(volume, 0.0, allow_degenerate=False)
+    positions = np.stack(
+        [np.interp(found[:, i], np.arange(len(axes[i])), axes[i]) for i in range(3)], 1
+    )
+    _, piece = connected_components(_adjacency(faces, len(positions)), directed=False)
+    largest = np.bincount(piece).argmax()
+    kept = piece == largest
+    renumbered = np.cumsum(kept) - 1
+    return positions[kept].astype(np.float32), renumbered[faces[kept[faces[:, 0]]]].astype(np.int32)
+
+
+def _adjacency(faces: Faces, count: int) -> csr_matrix:
+    """Symmetric matrix with a 1 for every edge between two vertices."""
+    edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    both_ways = np.vstack([edges, edges[:, ::-1]])
+    matrix = csr_matrix((np.ones(len(both_ways)), both_ways.T), shape=(count, count))
+    matrix.data[:] = 1  # an edge of two faces was added twice
+    return matrix
+
+
+def _relax(positions: Floats, faces: Faces) -> Floats:
+    """Slide vertices along the surface to even out triangles, then put them back onto it."""
+    neighbours = _adjacency(faces, len(positions))
+    counts = np.asarray(neighbours.sum(1)).reshape(-1, 1)
+    on_cut = positions[:, 1] < NECK_CUT + 1e-3
+    for _ in range(RELAXING_STEPS):
+        shift = (neighbours @ positions) / counts - positions
+        normals = unit(gradient(head_distance, positions, GRADIENT_STEP))
+        shift -= (shift * normals).sum(1, keepdims=True) * normals
+        shift[on_cut] = 0
+        positions = (positions + 0.5 * shift).astype(np.float32)
+    for _ in range(3):
+        distance = in_blocks(head_distance, positions)
+        slope = gradient(head_distance, positions, GRADIENT_STEP)
+        step = distance / np.maximum((slope * slope).sum(1), 0.05)
+        positions = positions - np.clip(step, -0.15, 0.15)[:, None] * slope
+    positions[on_cut, 1] = NECK_CUT
+    return np.asarray(positions, np.float32)
+
+
+def face_normals(positions: Floats, faces: Faces) -> Floats:
+    """Normals of the faces, as long as twice their areas."""
+    corners = positions[faces]
+    return np.asarray(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), np.float32
+    )
+
+
+def build_mesh() -> Mesh:
+    """The head as a mesh, open at the cut of the neck."""
+    positions, faces = _extract()
+    positions = _relax(positions, faces)
+    normals = unit(gradient(head_distance, positions, GRADIENT_STEP))
+    if (face_normals(positions, faces) * normals[faces[:, 0]]).sum() < 0:
+        faces = faces[:, ::-1]
+    return Mesh(positions, normals, np.ascontiguousarray(faces))

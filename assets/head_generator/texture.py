@@ -1,0 +1,375 @@
+"""Paints the maps of the skin from 3D positions.  Regions and single hairs are found elsewhere.
+
+Colour is linear until it is written; heights and distances are cm.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image
+
+from .fields import Floats, bell, ramp
+from .hairs import brow_cover, lash_cover
+from .landmarks import hairline
+from .noise import Noise, nearest, scatter
+from .regions import Regions, find_regions
+from .shape import fine_head_distance, gradient, head_distance, in_blocks, unit
+from .surface import Mesh
+from .unwrap import Texels, Unwrapped, find_texels
+
+Colour = tuple[float, float, float]
+
+# Colours as 8-bit sRGB.
+SKIN: Colour = (224, 180, 156)
+LIPS: Colour = (182, 108, 100)
+STUBBLE: Colour = (92, 84, 84)
+SCALP_HAIR: Colour = (62, 51, 45)
+BROW: Colour = (58, 44, 36)
+LASHES: Colour = (46, 34, 30)
+
+# What one unit of a pigment takes from red, green, blue: the exponent of its transmission.
+BLOOD: Colour = (0.03, 0.26, 0.24)
+MELANIN: Colour = (0.26, 0.46, 0.71)
+CAROTENE: Colour = (0.00, 0.02, 0.14)
+VEIN: Colour = (0.11, 0.05, -0.016)
+
+# How many there are on the whole head, and how wide each is (standard deviation, cm).
+PORES, PORE_SIZE = 110_000, 0.022
+NOSE_PORES, NOSE_PORE_SIZE = 30_000, 0.030
+FOLLICLES, FOLLICLE_SIZE = 150_000, 0.020
+STUBBLES, STUBBLE_SIZE = 30_000, 0.017
+FRECKLES, FRECKLE_SIZE = 900, 0.018
+MOLES, MOLE_SIZE = 9, 0.045
+REACH = 0.15  # beyond this distance none of them shows
+
+# Heights of the fine relief in the normal map.
+PORE_DEPTH = 0.0075
+NOSE_PORE_DEPTH = 0.0085
+LUMP_HEIGHT = 0.0030
+SKIN_LINE_HEIGHT = 0.0020
+LIP_FURROW_HEIGHT = 0.009
+LID_LINE_HEIGHT = 0.004
+FOREHEAD_LINE_DEPTH = 0.005
+UNDER_EYE_LINE_DEPTH = 0.003
+CROWS_FOOT_DEPTH = 0.006
+CROWS_FOOT_HEIGHT = -0.1  # of the corner of the eye from which the lines radiate
+SCALP_HAIR_HEIGHT = 0.005
+BROW_HEIGHT = 0.010
+LASH_HEIGHT = 0.006
+STEEPEST = 0.6  # slope at which fine relief is cut off
+SHALLOWEST = 0.50  # least part of a mapped normal along that of the mesh, before it is made unit
+NOSTRIL_OPENING = (0.0, -0.95, 0.31)  # direction from which light enters the nostrils
+
+OCCLUSION_REACH = (0.12, 0.3, 0.6, 1.1, 1.8)  # distances at which the open space is measured, cm
+OCCLUSION_STRENGTH = 0.62
+
+# Beckmann rms slope of the skin: its base, and what each region adds.
+SLOPE_BASE = 0.33
+SLOPE_ADDED = {
+    "nose": -0.07,
+    "forehead": -0.05,
+    "nose_bridge": -0.04,
+    "cheek": 0.03,
+    "beard": 0.06,
+    "lips": -0.08,
+    "eyelid": -0.02,
+    "scalp": 0.10,
+    "nostril": 0.15,
+}
+SLOPE_RANGE = (0.19, 0.54)  # a little inside 0.18 to 0.55, which JPEG may blur
+
+
+@dataclass(frozen=True)
+class Maps:
+    """The textures of the head as images, row 0 on top."""
+
+    albedo: Image.Image
+    normal: Image.Image
+    occlusion_roughness: Image.Image  # red: occlusion, green: square root of the rms slope
+
+
+@dataclass(frozen=True)
+class Scattered:
+    """Which of many marks on the skin is nearest to each texel."""
+
+    distance: Floats  # to it, cm; infinite beyond REACH
+    rank: Floats  # a random number from 0 to 1 that belongs to it
+
+
+@dataclass(frozen=True)
+class Marks:
+    """What is scattered on the skin, and how much each texel is covered by brows and lashes."""
+
+    pores: Scattered
+    nose_pores: Scattered
+    follicles: Scattered
+    stubbles: Scattered
+    freckles: Scattered
+    moles: Scattered
+    brow: Floats
+    brow_shade: Floats
+    lash: Floats
+
+
+def _linear(colour: Colour) -> Floats:
+    """8-bit sRGB to linear."""
+    value = np.array(colour, np.float32) / 255
+    return np.where(value < 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def _encoded(linear: Floats) -> Floats:
+    """Linear to sRGB, from 0 to 1."""
+    value = np.clip(linear, 0, 1)
+    return np.where(value < 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+
+
+def _absorb(colour: Floats, amount: Floats, pigment: Colour) -> Floats:
+    return np.asarray(colour * np.exp(-amount[:, None] * np.array(pigment, np.float32)), np.float32)
+
+
+def _cover(colour: Floats, amount: Floats, over: Colour) -> Floats:
+    share = amount[:, None]
+    return np.asarray(colour * (1 - share) + _linear(over) * share, np.float32)
+
+
+# How dense marks are at some points (N, 3), in relative numbers.
+
+
+def _pore_density(points: Floats) -> Floats:
+    return np.asarray(0.25 + ramp(0, 5, points[:, 2]), np.float32)
+
+
+def _nose_pore_density(points: Floats) -> Floats:
+    near_nose = bell(points[:, 0] / 2.2, (points[:, 1] + 3) / 2.2)
+    return 0.05 + near_nose * (points[:, 2] > 6)
+
+
+def _follicle_density(points: Floats) -> Floats:
+    return np.asarray(hairline(points) > -1.6, np.float32)
+
+
+def _stubble_density(points: Floats) -> Floats:
+    _, y, z = points.T
+    return np.asarray((y < -4) & (y > -13) & (z > -1), np.float32)
+
+
+def _freckle_density(points: Floats) -> Floats:
+    x, y, _ = points.T
+    on_cheeks = bell(np.asarray((np.abs(x) - 2.2) / 2.2, np.float32), (y + 2.4) / 1.6)
+    return 0.03 + on_cheeks * (points[:, 2] > 5)
+
+
+def _mole_density(points: Floats) -> Floats:
+    beside_middle = (points[:, 2] > 1) & (np.abs(points[:, 0]) > 2.5)
+    return np.asarray(0.1 + beside_middle, np.float32)
+
+
+def _scatter_marks(mesh: Mesh, points: Floats, random: np.random.Generator) -> Marks:
+    def scattered(count: int, density: Callable[[Floats], Floats]) -> Scattered:
+        seeds = scatter(mesh, count, random, density)
+        rank = random.random(count).astype(np.float32)
+        distance, index = nearest(points, seeds, REACH)
+        return Scattered(distance, rank[index])
+
+    brow, brow_shade = brow_cover(points, random)
+    lash = lash_cover(points, random)
+    in_front = ramp(2, 5, points[:, 2])
+    return Marks(
+        pores=scattered(PORES, _pore_density),
+        nose_pores=scattered(NOSE_PORES, _nose_pore_density),
+        follicles=scattered(FOLLICLES, _follicle_density),
+        stubbles=scattered(STUBBLES, _stubble_density),
+        freckles=scattered(FRECKLES, _freckle_density),
+        moles=scattered(MOLES, _mole_density),
+        brow=brow * in_front,
+        brow_shade=brow_shade * in_front,
+        lash=lash * in_front,
+    )
+
+
+def _fine_height(points: Floats, regions: Regions, marks: Marks, noise: Noise) -> Floats:
+    """Relief too fine for the mesh: pores, lines, hairs."""
+    x, y, _ = points.T
+    side = np.abs(x)
+    skin = regions.plain_skin
+    pore_depth = 0.45 + 0.9 * regions.nose + 0.5 * regions.cheek
+    pore_depth += 0.35 * regions.forehead + 0.4 * regions.chin
+    height = -PORE_DEPTH * pore_depth * skin * bell(marks.pores.distance / PORE_SIZE)
+    nose_pores = regions.nose + 0.45 * regions.nose_bridge + 0.5 * regions.cheek
+    height -= NOSE_PORE_DEPTH * nose_pores * skin * bell(marks.nose_pores.distance / NOSE_PORE_SIZE)
+    height += LUMP_HEIGHT * skin * noise(points, 2.6, 21, layers=3)
+    height += SKIN_LINE_HEIGHT * skin * noise(points, 9, 27, layers=2)
+    furrows = noise(points, 6.5, 31, layers=3, stretch=(1, 0.16, 0.35))
+    lid_lines = noise(points, 6, 29, layers=2, stretch=(0.25, 1, 0.25))
+    height += LID_LINE_HEIGHT * regions.eyelid * lid_lines
+    height += LIP_FURROW_HEIGHT * regions.lips * furrows
+
+    wave = np.sin(2.2 * (y + 0.0072 * x * x + 0.15 * noise(points, 0.5, 41)))
+    across_forehead = regions.forehead * ramp(6.2, 5, y) * ramp(4.6, 3, side)
+    height -= FOREHEAD_LINE_DEPTH * across_forehead * bell((wave - 1) / 0.12)
+    wave = np.sin(16 * (y + 0.22 * (side - 2.9)) + 1.5 * noise(points, 1.2, 43))
+    height -= UNDER_EYE_LINE_DEPTH * regions.under_eye * wave
+    # Crow's feet: rays from the outer corner of the eye.
+    out, up = side - 4.55, y - CROWS_FOOT_HEIGHT
+    ray = np.arctan2(up, out) + 0.12 * noise(points, 1.1, 45)
+    beside_eye = ramp(0.25, 0.7, out) * ramp(2.0, 1.1, out) * bell(up / 0.6) * (points[:, 2] > 3)
+    height -= CROWS_FOOT_DEPTH * beside_eye * bell((np.cos(9 * ray) - 1) / 0.25)
+
+    height += SCALP_HAIR_HEIGHT * regions.scalp * noise(points, 9, 51, layers=2)
+    height += BROW_HEIGHT * marks.brow + LASH_HEIGHT * marks.lash
+    return np.asarray(height, np.float32)
+
+
+def _tangent_normals(texels: Texels, height: Floats, nostril: Floats) -> Floats:
+    """Normals in the texture's own frame: x along u, z out of the mesh.
+
+    They replace the mesh's smooth normals by those of the surface with its fine folds, tilted by
+    the slope of ``height``.  Inside the nostrils they are bent to where light comes in, so that
+    walls which face the light behind the skin stay dark without shadows.
+    """
+    normals = texels.normals
+    along_u, along_v = texels.differences(texels.positions)
+    height_u, height_v = texels.differences(height)
+    # Slope of the height in space, from its changes along two directions that need not be square.
+    uu, vv = (along_u * along_u).sum(1), (along_v * along_v).sum(1)
+    uv = (along_u * along_v).sum(1)
+    area = uu * vv - uv * uv
+    # Texels on the border of a chart, whose neighbours lie elsewhere on the head, stay smooth.
+    whole = (uu < 0.04) & (vv < 0.04) & (area > 0.01 * uu * vv)
+    area = np.where(whole, area, np.inf)
+    slope = ((vv * height_u - uv * height_v) / area)[:, None] * along_u
+    slope += ((uu * height_v - uv * height_u) / area)[:, None] * along_v
+    steepness = np.linalg.norm(slope, axis=1, keepdims=True)
+    slope *= np.minimum(1, STEEPEST / np.maximum(steepness, 1e-6))
+
+    folded = unit(gradient(fine_head_distance, texels.positions, 0.018))
+    trusted = ramp(0.35, 0.8, (folded * normals).sum(1)) * whole
+    wanted = normals + (folded - normals) * trusted[:, None] - slope
+    wanted += (np.array(NOSTRIL_OPENING, np.float32) - wanted) * nostril[:, None]
+
+    tangent = unit(along_u - (along_u * normals).sum(1, keepdims=True) * normals)
+    bitangent = np.cross(normals, tangent)
+    depth = np.maximum((wanted * normals).sum(1), SHALLOWEST)
+    in_frame = np.stack([(wanted * tangent).sum(1), (wanted * bitangent).sum(1), depth], 1)
+    return unit(np.asarray(in_frame, np.float32))
+
+
+def _occlusion(texels: Texels, regions: Regions) -> Floats:
+    """Share of open space around each point, from 1 in the open to 0 in a pit."""
+    blocked = np.zeros(len(texels.positions), np.float32)
+    for step, reach in enumerate(OCCLUSION_REACH):
+        outside = texels.positions + texels.normals * np.float32(reach)
+        missing = np.clip(reach - in_blocks(head_distance, outside), 0, None)
+        blocked += missing / reach * 0.5**step
+    open_share = np.clip(1 - OCCLUSION_STRENGTH * blocked, 0, 1)
+    return np.asarray(open_share * (1 - 0.4 * regions.nostril), np.float32)
+
+
+def _skin_colour(points: Floats, regions: Regions, marks: Marks, noise: Noise) -> Floats:
+    """Skin without hair: pigments over an even base."""
+    blood = 0.16 * noise(points, 0.35, 71, layers=3) + 0.15 * noise(points, 1.8, 73, layers=3)
+    blood += 0.13 * noise(points, 8, 75, layers=2)
+    blood += 0.85 * regions.cheek + 0.80 * regions.nose + 0.35 * regions.nose_wings
+    blood += 0.25 * regions.nose_bridge + 0.30 * regions.chin + 0.75 * regions.ear
+    blood += 0.75 * regions.eyelid + 0.35 * regions.under_eye - 0.15 * regions.forehead
+    melanin = 0.06 * noise(points, 0.22, 61, layers=3) + 0.07 * noise(points, 1.4, 63, layers=4)
+    melanin += 0.05 * noise(points, 9, 65, layers=2)
+    melanin += 0.34 * regions.eyelid + 0.22 * regions.under_eye
+    melanin += 0.10 * bell((points[:, 1] + 12.5) / 1.5)
+    carotene = 0.12 * regions.forehead + 0.08 * regions.neck
+    vein = np.clip(1 - 9 * np.abs(noise(points, 0.75, 81, layers=3)), 0, 1)
+
+    colour = np.tile(_linear(SKIN), (len(points), 1)).astype(np.float32)
+    colour = _absorb(colour, np.clip(blood, -1, 3), BLOOD)
+    colour = _absorb(colour, melanin, MELANIN)
+    colour = _absorb(colour, carotene, CAROTENE)
+    colour = _absorb(colour, vein * (0.35 * regions.under_eye + 0.25 * regions.temple), VEIN)
+    pore = 0.10 * bell(marks.pores.distance / PORE_SIZE) * regions.plain_skin
+    pore *= 0.4 + 0.6 * np.clip(regions.nose + regions.cheek, 0, 1)
+    colour = _absorb(colour, pore, (0.6, 1.0, 1.0))
+    strength = marks.freckles.rank**2
+    freckle = bell(marks.freckles.distance / (FRECKLE_SIZE + 0.035 * strength))
+    colour = _absorb(colour, freckle * (0.10 + 0.22 * strength), (0.5, 0.9, 1.2))
+    strength = marks.moles.rank
+    mole = ramp(1.25, 0.75, marks.moles.distance / (MOLE_SIZE + 0.05 * strength))
+    return _absorb(colour, mole * (0.35 + 0.6 * strength), (0.8, 1.15, 1.3))
+
+
+def _add_lips(colour: Floats, points: Floats, regions: Regions, noise: Noise) -> Floats:
+    furrow = 1 + 0.07 * noise(points, 5, 91, layers=3, stretch=(1, 0.2, 0.4))
+    lighter_below = 1 + 0.12 * (regions.lower_lip - regions.upper_lip)
+    lips = _linear(LIPS) * (furrow * lighter_below)[:, None]
+    opacity = np.clip(0.72 + 0.07 * noise(points, 4, 95, layers=2), 0.55, 0.85)
+    share = (regions.lips * opacity)[:, None]
+    return np.asarray(colour * (1 - share) + lips * share, np.float32)
+
+
+def _add_hair(
+    colour: Floats, points: Floats, regions: Regions, marks: Marks, noise: Noise
+) -> Floats:
+    # Hairs thin out towards the edge of scalp and beard: each appears where there is enough of it.
+    shadow = 0.16 * (1 + 0.4 * noise(points, 2, 97, layers=2))
+    single = (
+        0.55 * bell(marks.stubbles.distance / STUBBLE_SIZE) * (marks.stubbles.rank < regions.beard)
+    )
+    stubble = regions.beard * shadow + single * np.sqrt(regions.beard)
+    colour = _cover(colour, stubble, STUBBLE)
+    shadow = 0.66 * regions.scalp**1.5 * (1 + 0.03 * noise(points, 3, 99, layers=2))
+    single = (
+        0.40
+        * bell(marks.follicles.distance / FOLLICLE_SIZE)
+        * (marks.follicles.rank < regions.scalp)
+    )
+    scalp = shadow + single
+    colour = _cover(colour, np.clip(scalp, 0, 0.93), SCALP_HAIR)
+    colour = _cover(colour, np.clip(marks.brow + 0.28 * marks.brow_shade, 0, 0.93), BROW)
+    return _cover(colour, np.clip(marks.lash, 0, 0.88), LASHES)
+
+
+def _albedo(
+    points: Floats, regions: Regions, marks: Marks, noise: Noise, occlusion: Floats
+) -> Floats:
+    colour = _skin_colour(points, regions, marks, noise)
+    colour = _add_lips(colour, points, regions, noise)
+    colour = _add_hair(colour, points, regions, marks, noise)
+    # Little light leaves a pit, and what leaves is redder.
+    open_share = 0.60 + 0.40 * occlusion
+    open_share = open_share * (1 - 0.45 * regions.nostril) * (1 - 0.42 * regions.mouth_seam)
+    return np.asarray(colour * np.stack([open_share**0.75, open_share, open_share], 1))
+
+
+def _rms_slope(points: Floats, regions: Regions, noise: Noise) -> Floats:
+    slope = SLOPE_BASE + 0.02 * noise(points, 1.5, 101, layers=3)
+    for region, added in SLOPE_ADDED.items():
+        slope = slope + added * getattr(regions, region)
+    return np.asarray(np.clip(slope, *SLOPE_RANGE), np.float32)
+
+
+def _picture(texels: Texels, values: Floats) -> Image.Image:
+    """Values from 0 to 1 at the covered texels as an 8-bit image, row 0 on top."""
+    image = np.clip(255 * texels.image(values) + 0.5, 0, 255).astype(np.uint8)
+    return Image.fromarray(image[::-1])
+
+
+def paint(unwrapped: Unwrapped, size: int, seed: int) -> Maps:
+    """Paint the maps; ``size`` is in texels, that of occlusion and roughness is half of it."""
+    random = np.random.default_rng(seed)
+    noise = Noise(seed)
+    texels = find_texels(unwrapped, size)
+    points = texels.positions
+    regions = find_regions(points, noise)
+    marks = _scatter_marks(unwrapped.mesh, points, random)
+    occlusion = _occlusion(texels, regions)
+
+    height = _fine_height(points, regions, marks, noise)
+    normals = _tangent_normals(texels, height, regions.nostril)
+    albedo = _albedo(points, regions, marks, noise, occlusion)
+    roughness = np.sqrt(_rms_slope(points, regions, noise))
+    combined = np.stack([occlusion, roughness, np.zeros_like(occlusion)], 1)
+    half = (size // 2, size // 2)
+    return Maps(
+        albedo=_picture(texels, _encoded(albedo)),
+        normal=_picture(texels, normals * 0.5 + 0.5),
+        occlusion_roughness=_picture(texels, combined).resize(half, Image.Resampling.BOX),
+    )
