@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             command: Callable[[argparse.Namespace, list[str]], int] = options.command
             return command(options, caught)
         except FacerenderError as error:
-            print(f"facerender: error: {error}", file=sys.stderr)
+            print(f"facerender: error: {' '.join(str(error).split())}", file=sys.stderr)
             return 2
         except KeyboardInterrupt:
             return 130
@@ -90,7 +90,9 @@ def _add_render(render: argparse.ArgumentParser) -> None:
     terms.add_argument("--model", choices=MODELS, default="cook-torrance")
     terms.add_argument("--lobe", choices=LOBES, default="exact")
     terms.add_argument("--fresnel", choices=FRESNEL_TERMS, default="schlick")
-    terms.add_argument("--m", type=float, help="rms slope of the microfacets (0.3)")
+    terms.add_argument(
+        "--m", type=float, help="rms slope of the microfacets, in place of the file's map (0.3)"
+    )
     terms.add_argument("--f0", type=float, help="reflectance at normal incidence (0.028)")
     terms.add_argument("--ks", type=float, help="specular weight (1)")
     terms.add_argument("--kd", type=float, help="diffuse weight (1)")

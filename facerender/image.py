@@ -42,8 +42,14 @@ def encode_srgb8(linear: NDArray[np.float32], exposure: float = 0.0) -> NDArray[
     Parameters
     ----------
     linear : any shape
-    exposure : in stops; the radiance is multiplied by 2**exposure
+    exposure : in stops, in [-100, 100]; the radiance is multiplied by 2**exposure
+
+    Raises
+    ------
+    InputError : exposure outside its domain
     """
+    if not -100.0 <= exposure <= 100.0:
+        raise InputError(f"exposure = {exposure:g} is outside [-100, 100]")
     scaled = linear if exposure == 0.0 else linear * np.float32(2.0**exposure)
     with np.errstate(over="ignore"):  # beyond 65504 is infinite, and white
         halves = scaled.astype(np.float16)
@@ -111,4 +117,11 @@ def save_exr(
     channels = {"RGBA"[: linear.shape[-1]]: np.ascontiguousarray(linear)}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     file = OpenEXR.File({**header, **metadata}, channels)
-    write_whole(path, file.write)
+
+    def write(name: str) -> None:
+        try:
+            file.write(name)
+        except RuntimeError as error:  # whatever the cause is
+            raise OSError(str(error)) from None
+
+    write_whole(path, write)

@@ -37,6 +37,8 @@ _GLTF_EXTENSIONS = {
     "KHR_materials_unlit",
 }
 
+_HUGE = 1e100  # coordinates beyond it overflow when they are squared
+
 Path_ = str | os.PathLike[str]
 
 
@@ -188,7 +190,7 @@ def _read(path: Path, skip_images: bool) -> list[tuple[trimesh.Trimesh, NDArray[
     if not data:
         raise InputError(f"{path.name} is an empty file: there is no geometry in it")
     if suffix in (".glb", ".gltf"):
-        _check_gltf(data, path.name)
+        _check_gltf(data, path.name, skip_images)
 
     import trimesh
     from trimesh.resolvers import FilePathResolver
@@ -203,7 +205,7 @@ def _read(path: Path, skip_images: bool) -> list[tuple[trimesh.Trimesh, NDArray[
 
         def get(self, name: str) -> bytes:
             try:
-                content: bytes = super().get(name)
+                content: bytes = super().get(name.replace("\\", "/"))
             except OSError:
                 self.missing.append(name)
                 raise
@@ -220,6 +222,10 @@ def _read(path: Path, skip_images: bool) -> list[tuple[trimesh.Trimesh, NDArray[
             process=False,
         )
     except Exception as error:  # each reader of trimesh fails in its own way on a damaged file
+        if resolver.missing:
+            raise InputError(
+                f"{resolver.missing[0]} (named by {path.name}) not found in {path.parent}"
+            ) from None
         raise InputError(f"{path.name} is damaged ({error}); export it again") from None
     instances = [
         (geometry, np.asarray(transform))
@@ -228,8 +234,8 @@ def _read(path: Path, skip_images: bool) -> list[tuple[trimesh.Trimesh, NDArray[
     ]
     if not instances:
         points = any(len(getattr(g, "vertices", ())) for g in scene.geometry.values())
-        what = "only points and no faces" if points else "no geometry"
-        raise InputError(f"there is {what} in {path.name}; give a triangle mesh")
+        what = "are only points and no faces" if points else "is no geometry"
+        raise InputError(f"there {what} in {path.name}; give a triangle mesh")
     if not skip_images:
         if resolver.broken:
             raise InputError(
@@ -253,20 +259,19 @@ def _is_image(content: bytes) -> bool:
 
 
 def _warn_missing(missing: Sequence[str], path: Path) -> None:
+    beside = [each.name for each in path.parent.iterdir() if each.suffix in _IMAGE_SUFFIXES]
     for name in dict.fromkeys(missing):
-        beside = sorted(
-            each.name for each in path.parent.iterdir() if each.suffix.lower() in _IMAGE_SUFFIXES
-        )
-        hint = f"pass --albedo {beside[0] if beside else 'FILE'}"
+        hint = f"pass --albedo {beside[0] if len(beside) == 1 else 'FILE'}"
         _warn(
             f"{name} (named by {path.name}) not found in {path.parent}: "
             f"rendering without it; {hint}"
         )
 
 
-def _check_gltf(data: bytes, name: str) -> None:
-    """Find what trimesh would pass over: truncation, no mesh, extensions without a decoder."""
-    text = data
+def _check_gltf(data: bytes, name: str, skip_images: bool) -> None:
+    """Find what trimesh would pass over: truncation, no mesh, extensions without a decoder, and
+    textures in a GLB that are no images."""
+    text, binary = data, len(data)
     if data[:4] == b"glTF":
         if len(data) < 20 or (declared := struct.unpack_from("<I", data, 8)[0]) > len(data):
             said = declared if len(data) >= 20 else "at least 20"
@@ -274,14 +279,23 @@ def _check_gltf(data: bytes, name: str) -> None:
                 f"{name} is truncated: its header says {said} bytes, the file has {len(data)}"
             )
         text = data[20 : 20 + struct.unpack_from("<I", data, 12)[0]]
+        binary = 20 + len(text) + 8
     try:
         document = json.loads(text)
         primitives = [p for mesh in document.get("meshes", ()) for p in mesh["primitives"]]
+        embedded = [image for image in document.get("images", ()) if "bufferView" in image]
+        views = [document["bufferViews"][image["bufferView"]] for image in embedded]
         required = set(document.get("extensionsRequired", ()))
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"{name} is not glTF: its JSON cannot be read") from None
     if not primitives:
         raise InputError(f"there is no mesh in {name}; give a file with a triangle mesh")
+    for view in [] if skip_images or text is data else views:
+        start = binary + view.get("byteOffset", 0)
+        if not _is_image(data[start : start + view.get("byteLength", 0)]):
+            raise InputError(
+                f"a texture in {name} is not an image; export it, or pass --albedo FILE"
+            )
     if unknown := sorted(required - _GLTF_EXTENSIONS):
         raise InputError(f"{name} requires the extension {unknown[0]}; export it without")
     if any("KHR_draco_mesh_compression" in p.get("extensions", ()) for p in primitives):
@@ -308,12 +322,16 @@ class _Piece:
 
 def _piece(geometry: trimesh.Trimesh, transform: NDArray[np.float64], source: Path) -> _Piece:
     linear = transform[:3, :3]
+    vertices = np.asarray(geometry.vertices, dtype=np.float64)
+    if vertices.shape[1:] != (3,):
+        raise InputError(f"{source.name} is damaged (vertices without three coordinates)")
     faces = np.asarray(geometry.faces, dtype=np.int64)
-    if np.linalg.det(linear) < 0.0:
+    determinant = float(np.linalg.det(linear)) if np.isfinite(transform).all() else 0.0
+    if determinant < 0.0:
         faces = faces[:, ::-1]
     normals = None
     # vertex_normals computes them when there are none; only the cache tells the file's own.
-    if "vertex_normals" in geometry._cache.cache:
+    if "vertex_normals" in geometry._cache.cache and determinant != 0.0:
         normals = np.asarray(geometry.vertex_normals, dtype=np.float64) @ np.linalg.inv(linear)
     visual = geometry.visual
     uv = getattr(visual, "uv", None)
@@ -328,8 +346,10 @@ def _piece(geometry: trimesh.Trimesh, transform: NDArray[np.float64], source: Pa
     material = _material(getattr(visual, "material", None), colors is not None, source.name)
     if uv is None and material.albedo_map is not None:
         _warn(f"{source.name} has no texture coordinates: its texture is ignored")
+    with np.errstate(invalid="ignore"):  # such vertices are dropped later
+        positions = vertices @ linear.T + transform[:3, 3]
     return _Piece(
-        positions=np.asarray(geometry.vertices, dtype=np.float64) @ linear.T + transform[:3, 3],
+        positions=positions,
         faces=faces,
         normals=normals,
         uv=uv,
@@ -449,7 +469,7 @@ def _outwardness(corners: NDArray[np.float64]) -> float:
 def _drop_bad_faces(pieces: Sequence[_Piece], name: str) -> None:
     bad_vertices = bad_faces = flat_faces = 0
     for piece in pieces:
-        finite = np.asarray(np.isfinite(piece.positions).all(axis=1))
+        finite = np.asarray((np.abs(piece.positions) < _HUGE).all(axis=1))
         if not finite.all():
             keep = finite[piece.faces].all(axis=1)
             bad_vertices += int((~finite).sum())
@@ -493,7 +513,7 @@ def _compute_normals(pieces: Sequence[_Piece], name: str) -> None:
     """Smooth normals over vertices welded by position, across seams and materials.
 
     Face normals are weighted by the angle at the vertex (Thuermer and Wuethrich, 1998), so that
-    the result does not depend on the triangulation.
+    the result does not depend on how flat polygons are cut into triangles.
     """
     starts = np.cumsum([0] + [len(piece.positions) for piece in pieces])
     positions = np.concatenate([piece.positions for piece in pieces])
@@ -533,7 +553,8 @@ def _weld(positions: NDArray[np.float64]) -> NDArray[np.int64]:
     """Number the positions so that equal ones, to 2^-21 of the extent, share a number."""
     low = positions.min(axis=0)
     extent = float((positions.max(axis=0) - low).max()) or 1.0
-    cells = np.round((positions - low) * ((2**21 - 1) / extent)).astype(np.int64)
+    # An even number of cells: the plane of symmetry lies inside one, not between two.
+    cells = np.round((positions - low) * ((2**21 - 2) / extent)).astype(np.int64)
     keys = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
     return np.unique(keys, return_inverse=True)[1].reshape(-1)
 

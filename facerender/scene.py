@@ -215,8 +215,12 @@ class Scene:
     def __post_init__(self) -> None:
         object.__setattr__(self, "lights", tuple(self.lights))
         object.__setattr__(self, "ambient", _vector("ambient", self.ambient))
+        if min(self.ambient) < 0.0:  # type: ignore[arg-type]
+            raise InputError(f"ambient = {self.ambient} is negative")
         if self.background is not None:
             object.__setattr__(self, "background", _vector("background", self.background))
+            if min(self.background) < 0.0:
+                raise InputError(f"background = {self.background} is negative")
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,5 @@
-"""The head with Mitsuba 3 (scalar, direct light, Beckmann plastic, 1 sample): the geometry and albedo of
-the GLB, which Mitsuba does not read, come through trimesh. ``mitsuba_head.py MESH.glb OUT.png``"""
+"""The head with Mitsuba 3 (scalar, direct light, Beckmann plastic, 1 sample); Mitsuba does not read
+GLB, so geometry and albedo come through trimesh. ``mitsuba_head.py MESH.glb OUT.png``"""
 
 import sys
 

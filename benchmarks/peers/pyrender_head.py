@@ -1,4 +1,4 @@
-"""The head with pyrender (metallic-roughness, 4 samples fixed): ``pyrender_head.py MESH.glb OUT.png``."""
+"""The head with pyrender (metallic-roughness, 4 samples): ``pyrender_head.py MESH.glb OUT.png``."""
 
 import os
 import sys
@@ -10,7 +10,7 @@ import pyrender
 import trimesh
 from PIL import Image
 
-np.infty = np.inf  # pyrender 0.1.45 is older than NumPy 2
+np.infty = np.inf  # noqa: NPY201 - pyrender 0.1.45 is older than NumPy 2
 mesh = trimesh.load_scene(sys.argv[1], process=False).to_geometry()
 scene = pyrender.Scene(ambient_light=(0.1, 0.1, 0.1))
 scene.add(pyrender.Mesh.from_trimesh(mesh))

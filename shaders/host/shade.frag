@@ -3,7 +3,6 @@
 #include "facerender/constants.glsl"
 #include "host/surface.glsl"
 
-uniform vec3 eye;
 uniform float diffuse_weight;  // kd
 uniform float f0;
 #ifdef AMBIENT

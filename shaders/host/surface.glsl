@@ -2,6 +2,7 @@
 // gbuffer.frag, so that the NumPy reference reads exactly what is shaded.
 in vec3 position;
 in vec3 vertex_normal;
+uniform vec3 eye;
 uniform vec3 albedo_factor;
 uniform float slope;            // m; the factor on roughness^2 where there is a map
 uniform float specular_weight;  // ks; the factor where there is a map
@@ -51,7 +52,9 @@ vec3 mapped_normal(vec3 n) {
 
 Surface surface() {
     vec3 n = normalize(vertex_normal);
-    if (!gl_FrontFacing) n = -n;
+    // The inside of an open mesh shows its back. A triangle that is only just turned away, whose
+    // normal still lies near the silhouette's, peeks out by rounding of depth, and is no inside.
+    if (!gl_FrontFacing && dot(n, normalize(eye - position)) < -0.25) n = -n;
 #ifdef NORMAL_MAP
     n = mapped_normal(n);
 #endif

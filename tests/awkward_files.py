@@ -1,0 +1,324 @@
+"""Mesh files good and bad, written from the small head in data/mini_head.glb without trimesh, so
+that what is read was not written by the same code."""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+MINI_HEAD = Path(__file__).parent / "data" / "mini_head.glb"
+SKIN_MTL = "newmtl skin\nKd 1 1 1\nmap_Kd {texture}\n"
+Z_UP = (-(0.5**0.5), 0.0, 0.0, 0.5**0.5)  # quaternion x, y, z, w of -90 degrees around x
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Head:
+    """Vertices with normals and texture coordinates, split at the texture's seam, and faces."""
+
+    positions: Floats
+    normals: Floats
+    uv: Floats  # v upwards
+    faces: Ints
+    skin: bytes  # JPEG
+
+    @property
+    def image(self) -> Image.Image:
+        return Image.open(BytesIO(self.skin)).convert("RGB")
+
+    @property
+    def upper(self) -> NDArray[np.bool_]:
+        """Whether a face lies in the upper half."""
+        heights = self.positions[self.faces].mean(axis=1)[:, 1]
+        return heights > np.median(heights)
+
+    def flat(self) -> Head:
+        """The head with three vertices and one normal for every face."""
+        corners = self.positions[self.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        return Head(
+            positions=corners.reshape(-1, 3),
+            normals=np.repeat(normals, 3, axis=0),
+            uv=self.uv[self.faces].reshape(-1, 2),
+            faces=np.arange(self.faces.size).reshape(-1, 3),
+            skin=self.skin,
+        )
+
+    def z_up(self) -> Head:
+        """The head as it lies in a file whose node turns it by Z_UP."""
+        return replace(
+            self,
+            positions=self.positions[:, [0, 2, 1]] * (1, -1, 1),
+            normals=self.normals[:, [0, 2, 1]] * (1, -1, 1),
+        )
+
+    def with_faces(self, faces: Ints) -> Head:
+        return replace(self, faces=faces)
+
+    def with_positions(self, positions: Floats) -> Head:
+        return replace(self, positions=positions)
+
+
+@lru_cache(maxsize=1)
+def mini_head() -> Head:
+    document, binary = split_glb(MINI_HEAD.read_bytes())
+
+    def view(index: int) -> bytes:
+        entry = document["bufferViews"][index]
+        return binary[entry["byteOffset"] :][: entry["byteLength"]]
+
+    uv = np.frombuffer(view(1), np.float32).reshape(-1, 2).astype(np.float64)
+    return Head(
+        positions=np.frombuffer(view(0), np.float32).reshape(-1, 3).astype(np.float64),
+        normals=np.frombuffer(view(2), np.float32).reshape(-1, 3).astype(np.float64),
+        uv=uv * (1.0, -1.0) + (0.0, 1.0),
+        faces=np.frombuffer(view(3), np.uint16).reshape(-1, 3).astype(np.int64),
+        skin=view(4),
+    )
+
+
+# --- OBJ -----------------------------------------------------------------------------------------
+
+
+def write_obj(
+    path: Path,
+    head: Head,
+    *,
+    mtl: str | None = None,
+    uv: bool = True,
+    normals: Floats | None = None,
+    colors: Floats | None = None,
+    groups: Mapping[str, NDArray[np.bool_]] | None = None,
+) -> Path:
+    """Write an OBJ file.
+
+    Parameters
+    ----------
+    mtl : name of the MTL file to point at
+    colors : (N, 3) in [0, 1], behind the coordinates
+    groups : faces of each material; without, all have the material skin
+    """
+    columns = head.positions if colors is None else np.hstack([head.positions, colors])
+    lines = [f"mtllib {mtl}"] if mtl else []
+    lines += _records("v", columns)
+    lines += _records("vt", head.uv) if uv else []
+    lines += _records("vn", normals) if normals is not None else []
+    corner = {
+        (False, False): "{0}",
+        (True, False): "{0}/{0}",
+        (False, True): "{0}//{0}",
+        (True, True): "{0}/{0}/{0}",
+    }[uv, normals is not None]
+    for name, chosen in (groups or {"skin": np.ones(len(head.faces), bool)}).items():
+        lines += [f"usemtl {name}"] if mtl else []
+        for face in (head.faces[chosen] + 1).tolist():
+            lines.append("f " + " ".join(corner.format(index) for index in face))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def _records(keyword: str, values: Floats) -> list[str]:
+    return [f"{keyword} " + " ".join(map(repr, row)) for row in values.tolist()]
+
+
+def write_textured_obj(path: Path, head: Head, **options: Any) -> Path:
+    """Write an OBJ file with its MTL, of the same name, and skin.jpg."""
+    path.with_name("skin.jpg").write_bytes(head.skin)
+    path.with_suffix(".mtl").write_text(SKIN_MTL.format(texture="skin.jpg"))
+    return write_obj(path, head, mtl=path.with_suffix(".mtl").name, **options)
+
+
+# --- PLY, STL ------------------------------------------------------------------------------------
+
+
+def write_ply(path: Path, head: Head, colors: NDArray[np.uint8] | None = None) -> Path:
+    """Write a binary PLY file, with (N, 4) RGBA if given."""
+    fields: list[tuple[str, str] | tuple[str, str, int]] = [("position", "<f4", 3)]
+    properties = [f"property float {axis}" for axis in "xyz"]
+    if colors is not None:
+        fields.append(("color", "u1", 4))
+        properties += [f"property uchar {name}" for name in ("red", "green", "blue", "alpha")]
+    vertices = np.zeros(len(head.positions), dtype=fields)
+    vertices["position"] = head.positions
+    if colors is not None:
+        vertices["color"] = colors
+    faces = np.zeros(len(head.faces), dtype=[("count", "u1"), ("indices", "<i4", 3)])
+    faces["count"], faces["indices"] = 3, head.faces
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {len(vertices)}",
+        *properties,
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    ]
+    text = "\n".join(header) + "\n"
+    path.write_bytes(text.encode() + vertices.tobytes() + faces.tobytes())
+    return path
+
+
+def write_stl(path: Path, head: Head) -> Path:
+    """Write a binary STL file: triangles that share nothing."""
+    layout = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
+    triangles = np.zeros(len(head.faces), dtype=layout)
+    triangles["corners"] = head.positions[head.faces]
+    path.write_bytes(b"\0" * 80 + struct.pack("<I", len(triangles)) + triangles.tobytes())
+    return path
+
+
+# --- glTF ----------------------------------------------------------------------------------------
+
+
+def gltf(
+    head: Head,
+    nodes: Sequence[Mapping[str, Any]] = ({},),
+    *,
+    normals: bool = True,
+    image: Mapping[str, Any] | None = None,
+    material: Mapping[str, Any] | None = None,
+) -> tuple[dict[str, Any], bytes]:
+    """Return a glTF document and its buffer.
+
+    Parameters
+    ----------
+    nodes : one instance of the head for each, with the transform given
+    image : the image object, in place of the head's skin in the buffer
+    material : the material object, in place of the skin as base colour
+    """
+    uv = head.uv * (1.0, -1.0) + (0.0, 1.0)
+    arrays: dict[str, NDArray[Any]] = {"POSITION": head.positions.astype("<f4")}
+    if normals:
+        arrays["NORMAL"] = head.normals.astype("<f4")
+    arrays["TEXCOORD_0"] = uv.astype("<f4")
+    accessors = [
+        {
+            "bufferView": index,
+            "componentType": 5126,
+            "count": len(values),
+            "type": f"VEC{values.shape[1]}",
+            "min": values.min(axis=0).tolist(),
+            "max": values.max(axis=0).tolist(),
+        }
+        for index, values in enumerate(arrays.values())
+    ]
+    attributes = {name: index for index, name in enumerate(arrays)}
+    accessors.append(
+        {
+            "bufferView": len(arrays),
+            "componentType": 5125,
+            "count": head.faces.size,
+            "type": "SCALAR",
+        }
+    )
+    blocks = [values.tobytes() for values in (*arrays.values(), head.faces.astype("<u4"))]
+    if image is None:
+        image = {"bufferView": len(blocks), "mimeType": "image/jpeg"}
+        blocks.append(head.skin)
+    views, binary = [], b""
+    for block in blocks:
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(block)})
+        binary += block + b"\0" * (-len(block) % 4)
+    primitive = {"attributes": attributes, "indices": len(arrays), "material": 0}
+    skin = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    document = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": list(range(len(nodes)))}],
+        "nodes": [{"mesh": 0, **node} for node in nodes],
+        "meshes": [{"primitives": [primitive]}],
+        "materials": [material or skin],
+        "textures": [{"source": 0}],
+        "images": [image],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(binary)}],
+    }
+    return document, binary
+
+
+def join_glb(document: Mapping[str, Any], binary: bytes) -> bytes:
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text
+    chunks += struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def split_glb(data: bytes) -> tuple[dict[str, Any], bytes]:
+    (length,) = struct.unpack_from("<I", data, 12)
+    return json.loads(data[20 : 20 + length]), data[28 + length :]
+
+
+def write_glb(path: Path, head: Head, *args: Any, **options: Any) -> Path:
+    """Write a GLB file; parameters as for gltf."""
+    path.write_bytes(join_glb(*gltf(head, *args, **options)))
+    return path
+
+
+def write_gltf(path: Path, head: Head) -> Path:
+    """Write a glTF file with its buffer and its image beside it."""
+    document, binary = gltf(head, image={"uri": "skin.jpg"})
+    document["buffers"][0]["uri"] = path.with_suffix(".bin").name
+    path.with_suffix(".bin").write_bytes(binary)
+    path.with_name("skin.jpg").write_bytes(head.skin)
+    path.write_text(json.dumps(document))
+    return path
+
+
+def write_draco(path: Path, head: Head) -> Path:
+    """Write a GLB file compressed with Draco, positions to 14 bits; needs DracoPy."""
+    import DracoPy
+
+    packed = DracoPy.encode(head.positions.astype(np.float32), head.faces, quantization_bits=14)
+    document, _ = gltf(head, normals=False, image={"uri": "skin.jpg"})
+    extension = {"bufferView": 0, "attributes": {"POSITION": 0}}
+    primitive = {"attributes": {"POSITION": 0}, "indices": 1}
+    primitive["extensions"] = {"KHR_draco_mesh_compression": extension}
+    accessors = [document["accessors"][0], document["accessors"][-1]]
+    for accessor in accessors:
+        del accessor["bufferView"]
+    for unused in ("materials", "textures", "images"):
+        del document[unused]
+    document |= {
+        "extensionsUsed": ["KHR_draco_mesh_compression"],
+        "extensionsRequired": ["KHR_draco_mesh_compression"],
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": accessors,
+        "bufferViews": [{"buffer": 0, "byteOffset": 0, "byteLength": len(packed)}],
+        "buffers": [{"byteLength": len(packed)}],
+    }
+    path.write_bytes(join_glb(document, packed + b"\0" * (-len(packed) % 4)))
+    return path
+
+
+# --- images --------------------------------------------------------------------------------------
+
+
+def write_png16(path: Path, texels: NDArray[np.uint16]) -> Path:
+    """Write a 16-bit RGB PNG file, which Pillow cannot."""
+    height, width, _ = texels.shape
+    rows = texels.astype(">u2").reshape(height, -1).view(np.uint8)
+    filtered = np.hstack([np.zeros((height, 1), np.uint8), rows])
+    header = struct.pack(">IIBBBBB", width, height, 16, 2, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(filtered.tobytes(), 1)), (b"IEND", b""))
+    data = b"\x89PNG\r\n\x1a\n"
+    for kind, content in chunks:
+        checksum = zlib.crc32(kind + content)
+        data += struct.pack(">I", len(content)) + kind + content + struct.pack(">I", checksum)
+    path.write_bytes(data)
+    return path

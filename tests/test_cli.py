@@ -1,0 +1,643 @@
+"""The command line as a user meets it: what it prints, what it writes, and that an error is one
+line on standard error, exit status 2, and nothing written."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+import facerender as fr
+from facerender import context
+from facerender.cli import CAMERAS, main
+from facerender.frame import ONLY
+from facerender.scene import LIGHTS
+from tests import awkward_files as files
+from tests.awkward_files import MINI_HEAD, mini_head
+
+Capture = pytest.CaptureFixture[str]
+
+
+@dataclass(frozen=True)
+class Cli:
+    """Runs the command in this process; images go to an empty folder of their own."""
+
+    folder: Path
+    capture: Capture
+
+    @property
+    def png(self) -> Path:
+        return self.folder / "head.png"
+
+    @property
+    def written(self) -> list[str]:
+        return sorted(path.name for path in self.folder.iterdir())
+
+    def run(self, *arguments: str | Path) -> tuple[int, str, str]:
+        """Exit status, standard output, standard error."""
+        status = main([str(argument) for argument in arguments])
+        printed = self.capture.readouterr()
+        return status, printed.out, printed.err
+
+    def render(self, *options: str | Path, mesh: str | Path = MINI_HEAD) -> NDArray[np.uint8]:
+        """Render without a complaint, and return the image."""
+        status, out, err = self.run("render", mesh, "-o", self.png, "--size", "48", *options)
+        assert (status, err) == (0, "")
+        assert out == f"{self.png}\n"
+        return np.asarray(Image.open(self.png))
+
+    def describe(self, *options: str | Path, mesh: str | Path = MINI_HEAD) -> dict[str, Any]:
+        """Render with --json, and return what it says."""
+        status, out, _ = self.run(
+            "render", mesh, "-o", self.png, "--size", "48", "--json", *options
+        )
+        assert status == 0
+        return dict(json.loads(out))
+
+    def fail(self, message: str, *arguments: str | Path) -> None:
+        """Run, and see one line that matches on standard error, and no file more than before."""
+        before = self.written
+        status, out, err = self.run(*arguments)
+        assert_error(status, out, err, message)
+        assert self.written == before
+
+    def fail_to_render(
+        self, message: str, *options: str | Path, mesh: str | Path = MINI_HEAD
+    ) -> None:
+        size = () if "--size" in options else ("--size", "48")
+        output = () if "-o" in options else ("-o", self.png)
+        self.fail(message, "render", mesh, *output, *size, *options)
+
+
+def assert_error(status: int, out: str, err: str, message: str) -> None:
+    assert status == 2, err
+    assert out == ""
+    assert "Traceback" not in err
+    *warnings, error = err.splitlines()
+    assert all(line.startswith("facerender: warning: ") for line in warnings)
+    assert error.startswith("facerender: error: ")
+    assert err.endswith("\n")
+    assert re.search(message, error), error
+
+
+@pytest.fixture
+def cli(tmp_path: Path, capsys: Capture, egl: str) -> Cli:
+    folder = tmp_path / "out"
+    folder.mkdir()
+    return Cli(folder, capsys)
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[[str, str | bytes], Path]:
+    """Write an input file."""
+
+    def write(name: str, content: str | bytes) -> Path:
+        path = tmp_path / name
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return path
+
+    return write
+
+
+def process(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "facerender", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+# --- as a process --------------------------------------------------------------------------------
+
+
+def test_process_renders_the_built_in_head(tmp_path: Path, egl: str) -> None:
+    done = process("render", "-o", tmp_path / "head.png", "--size", "64x48")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == f"{tmp_path / 'head.png'}\n"
+    with Image.open(tmp_path / "head.png") as image:
+        assert image.size == (64, 48)
+    assert os.listdir(tmp_path) == ["head.png"]
+
+
+def test_process_fails_in_one_line(tmp_path: Path) -> None:
+    done = process("render", tmp_path / "gone.obj", "-o", tmp_path / "head.png")
+    assert_error(done.returncode, done.stdout, done.stderr, r"cannot read .*gone\.obj: no such")
+    assert len(done.stderr.splitlines()) == 1
+    assert not os.listdir(tmp_path)
+
+
+def test_process_version() -> None:
+    done = process("--version")
+    assert (done.returncode, done.stdout) == (0, f"facerender {fr.__version__}\n")
+
+
+# --- images --------------------------------------------------------------------------------------
+
+
+def test_png(cli: Cli) -> None:
+    image = cli.render()
+    assert image.shape == (48, 48, 3)
+    assert image[:, :, 0].max() > 100
+    assert cli.written == ["head.png"]
+    with Image.open(cli.png) as file:
+        text = file.info
+    assert text["facerender"] == fr.__version__
+    assert text["GL_RENDERER"]
+    assert text["GL_VERSION"]
+    assert text["samples"] == "4"
+
+
+def test_image_is_readable_like_any_new_file(cli: Cli, write: Callable[..., Path]) -> None:
+    cli.render()
+    assert cli.png.stat().st_mode == write("other", b"").stat().st_mode
+
+
+def test_json(cli: Cli) -> None:
+    facts = cli.describe("--model", "ward", "--lobe", "d8", "--only", "specular", "--samples", "1")
+    assert facts.pop("GL_RENDERER")
+    assert facts.pop("GL_VERSION")
+    assert facts == {
+        "output": str(cli.png),
+        "size": [48, 48],
+        "backend": "egl",
+        "only": "specular",
+        "model": "ward",
+        "lobe": "d8",
+        "fresnel": "schlick",
+        "facerender": fr.__version__,
+        "samples": "1",
+        "albedo": "SRGB8_ALPHA8",
+        "warnings": [],
+    }
+
+
+def test_exr_is_the_linear_frame(cli: Cli) -> None:
+    path = cli.folder / "head.exr"
+    options = ("--size", "48x32", "--samples", "1", "--background", "none", "--backend", "egl")
+    status, out, err = cli.run("render", MINI_HEAD, "-o", path, *options)
+    assert (status, out, err) == (0, f"{path}\n", "")
+    with fr.Renderer((48, 32), samples=1, backend="egl") as renderer:
+        frame = renderer.render(fr.Scene(fr.load_mesh(MINI_HEAD), background=None))
+    with OpenEXR.File(str(path)) as file:
+        np.testing.assert_array_equal(file.channels()["RGBA"].pixels, frame.linear)
+        assert file.header()["GL_RENDERER"] == frame.metadata["GL_RENDERER"]
+    assert cli.written == ["head.exr"]
+
+
+def test_existing_image_is_replaced(cli: Cli) -> None:
+    cli.png.write_bytes(b"old")
+    assert cli.render().shape == (48, 48, 3)
+
+
+@pytest.mark.parametrize("only", ONLY)
+def test_only(only: str, cli: Cli) -> None:
+    image = cli.render("--only", only)
+    whole = cli.render("--background", "0,0,0")
+    rgb = image[..., :3].astype(int)
+    assert rgb[20:28, 20:28].max() > 0
+    assert not rgb[0].any()
+    assert np.abs(rgb - whole).mean() > 1.0
+
+
+def test_specular_and_diffuse_add_up_to_the_whole(cli: Cli) -> None:
+
+    def linear(*options: str) -> NDArray[np.float32]:
+        path = cli.folder / "part.exr"
+        size = ("--size", "48", "--background", "none")
+        assert cli.run("render", MINI_HEAD, "-o", path, *size, *options)[0] == 0
+        with OpenEXR.File(str(path)) as file:
+            return np.array(file.channels()["RGBA"].pixels[..., :3])
+
+    both = linear("--only", "specular") + linear("--only", "diffuse")
+    np.testing.assert_allclose(both, linear(), atol=1e-5)
+
+
+def test_background_none_is_transparent(cli: Cli) -> None:
+    image = cli.render("--background", "none")
+    assert image.shape == (48, 48, 4)
+    assert image[0, 0, 3] == 0
+    assert image[24, 24, 3] == 255
+
+
+def test_background_is_linear(cli: Cli) -> None:
+    np.testing.assert_array_equal(cli.render("--background", "0.5,0,1")[0, 0], [188, 0, 255])
+
+
+def test_exposure_in_stops(cli: Cli) -> None:
+    once = cli.render("--background", "0.25,0.25,0.25")
+    twice = cli.render("--background", "0.25,0.25,0.25", "--exposure", "1")
+    assert (once[0, 0, 0], twice[0, 0, 0]) == (137, 188)  # sRGB of 0.25 and of 0.5
+    assert (twice >= once).all()
+
+
+# --- camera, lights, material --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "azimuth"), CAMERAS.items())
+def test_camera_names(name: str, azimuth: float, cli: Cli) -> None:
+    np.testing.assert_array_equal(
+        cli.render("--camera", name), cli.render("--camera", f"{azimuth:g}")
+    )
+
+
+@pytest.mark.parametrize(
+    ("where", "camera"),
+    [
+        ("30", fr.Camera(30.0)),
+        ("30,20", fr.Camera(30.0, 20.0)),
+        ("-30,-20,1.5", fr.Camera(-30.0, -20.0, zoom=1.5)),
+    ],
+)
+def test_camera_numbers(where: str, camera: fr.Camera, cli: Cli) -> None:
+    image = cli.render("--camera", where)
+    frame = fr.render(MINI_HEAD, size=(48, 48), camera=camera)
+    np.testing.assert_array_equal(image, frame.srgb8())
+
+
+def test_fov(cli: Cli) -> None:
+    frame = fr.render(MINI_HEAD, size=(48, 48), camera=fr.Camera(fov=60.0))
+    np.testing.assert_array_equal(cli.render("--fov", "60"), frame.srgb8())
+
+
+@pytest.mark.parametrize(
+    ("options", "lights"),
+    [
+        (("key",), (LIGHTS["key"],)),
+        (("key", "rim", "fill"), (LIGHTS["key"], LIGHTS["rim"], LIGHTS["fill"])),
+        (("40,20",), (fr.Light(40.0, 20.0),)),
+        (("-40,20,2",), (fr.Light(-40.0, 20.0, 2.0),)),
+        (("point:0.1,0.2,0.9",), (fr.Light(position=(0.1, 0.2, 0.9)),)),
+        (("point:-1,0,1,5",), (fr.Light(irradiance=5.0, position=(-1.0, 0.0, 1.0)),)),
+    ],
+)
+def test_lights(options: tuple[str, ...], lights: tuple[fr.Light, ...], cli: Cli) -> None:
+    image = cli.render(*(word for text in options for word in ("--light", text)))
+    frame = fr.render(MINI_HEAD, size=(48, 48), lights=lights)
+    np.testing.assert_array_equal(image, frame.srgb8())
+
+
+def test_material_and_shading(cli: Cli) -> None:
+    options = ("--m", "0.2", "--f0", "0.05", "--ks", "0.5", "--kd", "0.8")
+    image = cli.render(*options, "--lobe", "cosine", "--fresnel", "dielectric")
+    mesh = fr.load_mesh(MINI_HEAD).with_material(m=0.2, f0=0.05, ks=0.5, kd=0.8)
+    frame = fr.render(mesh, lobe="cosine", fresnel="dielectric", size=(48, 48))
+    np.testing.assert_array_equal(image, frame.srgb8())
+
+
+def test_maps(cli: Cli, tmp_path: Path) -> None:
+    Image.new("RGB", (4, 4), (0, 255, 0)).save(tmp_path / "green.png")
+    Image.new("L", (4, 4), 0).save(tmp_path / "black.png")
+    image = cli.render(
+        *("--albedo", tmp_path / "green.png", "--specular-map", tmp_path / "black.png"),
+        *("--background", "0,0,0"),
+    )
+    assert image[..., 1].max() > 100
+    assert not image[..., [0, 2]].any()
+
+
+SCENE = """
+ambient = 0.1
+background = "none"
+lights = ["key", { azimuth = 30, elevation = 10, irradiance = [1, 2, 3] }]
+
+[camera]
+azimuth = 25
+zoom = 1.2
+
+[material]
+m = 0.2
+ks = 0.5
+"""
+
+
+def test_scene_file(cli: Cli, write: Callable[..., Path]) -> None:
+    scene = fr.Scene(
+        fr.load_mesh(MINI_HEAD).with_material(m=0.2, ks=0.5),
+        fr.Camera(25.0, zoom=1.2),
+        (LIGHTS["key"], fr.Light(30.0, 10.0, (1.0, 2.0, 3.0))),
+        ambient=0.1,
+        background=None,
+    )
+    with fr.Renderer((48, 48)) as renderer:
+        expected = renderer.render(scene).srgb8()
+    np.testing.assert_array_equal(cli.render("--scene", write("scene.toml", SCENE)), expected)
+
+
+def test_options_count_before_the_scene_file(cli: Cli, write: Callable[..., Path]) -> None:
+    path = write("scene.toml", SCENE)
+    options = ("--camera", "40", "--light", "front", "--m", "0.4", "--background", "0,0,0")
+    overridden = cli.render("--scene", path, *options)
+    rest = write("rest.toml", "ambient = 0.1\n[camera]\nzoom = 1.2\n[material]\nks = 0.5\n")
+    np.testing.assert_array_equal(overridden, cli.render("--scene", rest, *options))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("colour = 1", r"scene\.toml: unknown key 'colour'; known: camera, lights"),
+        ("camera = { zom = 1 }", r"scene\.toml: unknown key 'zom' in camera; known: azimuth"),
+        ("[[lights]]\nwatt = 3", r"scene\.toml: unknown key 'watt' in lights"),
+        ("[material]\nalbedo_map = 'a.png'", r"scene\.toml: unknown key 'albedo_map' in material"),
+        ("material = { m = 3.0 }", r"scene\.toml: m = 3\.0 is outside \[0\.0001, 2\]"),
+        ("material = { m = 'rough' }", r"scene\.toml: m = 'rough' is outside"),
+        ("material = { albedo = 'red' }", r"scene\.toml: albedo = 'red': give a finite number"),
+        ("camera = { fov = 500 }", r"scene\.toml: camera fov = 500 is outside \[1, 150\]"),
+        ("camera = 5", r"scene\.toml: unknown value 5 in camera"),
+        ("camera = { position = [0, 0] }", r"scene\.toml: camera position = \[0, 0\]"),
+        ("lights = ['sun']", r"scene\.toml: unknown light 'sun'"),
+        ("lights = 5", r"scene\.toml: .*lights"),
+        ("lights = 'key'", r"scene\.toml: .*lights"),
+        ("ambient = nan", r"scene\.toml: ambient = nan: give a finite number"),
+        ("background = 'blue'", r"scene\.toml: background = 'blue'"),
+        ("<html>", r"scene\.toml is not TOML"),
+        (b"\xff\xfe\x00", r"scene\.toml is not TOML"),
+    ],
+)
+def test_bad_scene_file(
+    text: str | bytes, message: str, cli: Cli, write: Callable[..., Path]
+) -> None:
+    cli.fail_to_render(message, "--scene", write("scene.toml", text))
+
+
+def test_missing_scene_file(cli: Cli, tmp_path: Path) -> None:
+    cli.fail_to_render(r"cannot read .*gone\.toml: no such", "--scene", tmp_path / "gone.toml")
+
+
+# --- errors --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--size", "0", r"size 0 x 0: give 1 to \d+ pixels"),
+        ("--size", "100000", r"size 100000 x 100000: give 1 to \d+ pixels"),
+        ("--size", "10x-5", r"size 10 x -5: give 1 to"),
+        ("--size", "axb", r"size 'axb': give N or WxH"),
+        ("--size", "1x2x3", r"size '1x2x3': give N or WxH"),
+        ("--samples", "0", r"samples = 0: give 1 or more"),
+        ("--samples", "4096", r"samples = 4096: .* at most \d+"),
+        ("--m", "0", r"m = 0\.0 is outside \[0\.0001, 2\]"),
+        ("--m", "-1", r"m = -1\.0 is outside"),
+        ("--m", "nan", r"m = nan is outside"),
+        ("--m", "3", r"m = 3\.0 is outside"),
+        ("--m", "rough", r"argument --m: invalid float value: 'rough'"),
+        ("--f0", "1", r"f0 = 1\.0 is outside"),
+        ("--ks", "-1", r"ks = -1\.0 is outside"),
+        ("--kd", "inf", r"kd = inf is outside"),
+        ("--anisotropy", "0", r"anisotropy = 0 is outside \[1, 16\]"),
+        ("--exposure", "nan", r"exposure"),
+        ("--exposure", "1e9", r"exposure"),
+        ("--light", "sun", r"unknown light 'sun'; give key, rim"),
+        ("--light", "1", r"unknown light '1'; give key"),
+        ("--light", "0,100", r"light elevation = 100\.0 is outside"),
+        ("--light", "0,0,-1", r"light irradiance = .* is negative"),
+        ("--light", "0,0,nan", r"light irradiance = nan"),
+        ("--light", "point:0,0", r"unknown light 'point:0,0'.*point:X,Y,Z"),
+        ("--camera", "top", r"--camera 'top': give .* numbers .*, or front, three-quarter"),
+        ("--camera", "1,2,3,4", r"--camera '1,2,3,4': give"),
+        ("--camera", "0,0,0", r"camera zoom = 0\.0 is outside"),
+        ("--camera", "nan", r"camera azimuth = nan is outside"),
+        ("--fov", "180", r"camera fov = 180\.0 is outside"),
+        ("--ambient", "1,2", r"--ambient '1,2': give 1 or 3 numbers"),
+        ("--ambient", "-1", r"ambient"),
+        ("--background", "blue", r"--background 'blue': give 3 numbers"),
+        ("--background", "nan,0,0", r"background = \(nan, 0\.0, 0\.0\): give a finite number"),
+        ("--model", "phong", r"argument --model: invalid choice: 'phong'"),
+        ("--lobe", "d5", r"argument --lobe: invalid choice: 'd5'"),
+        ("--only", "shadow", r"argument --only: invalid choice: 'shadow'"),
+        ("--backend", "vulkan", r"argument --backend: invalid choice: 'vulkan'"),
+        ("--backend", "current", r"no EGL, GLX or OSMesa context is current"),
+        ("--colour", "red", r"unrecognized arguments: --colour red; see facerender --help"),
+    ],
+)
+def test_bad_option(option: str, value: str, message: str, cli: Cli) -> None:
+    cli.fail_to_render(message, option, value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), r"arguments are required: COMMAND; see facerender --help"),
+        (("paint",), r"invalid choice: 'paint'"),
+        (("render",), r"arguments are required: -o/--output"),
+        (("render", "a.obj", "b.obj", "-o", "c.png"), r"unrecognized arguments: b\.obj"),
+    ],
+)
+def test_bad_command(arguments: tuple[str, ...], message: str, cli: Cli) -> None:
+    cli.fail(message, *arguments)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("head.obj", b"", r"head\.obj is an empty file"),
+        ("head.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", r"no faces in head\.obj"),
+        ("head.obj", b"v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", r"head\.obj is damaged"),
+        ("head.glb", b"<html></html>", r"head\.glb is not glTF"),
+        ("head.glb", MINI_HEAD.read_bytes()[:9000], r"head\.glb is truncated"),
+        ("head.ply", b"ply\n", r"head\.ply is damaged"),
+        ("head.fbx", b"x", r"unknown mesh format '\.fbx'"),
+        ("head", b"x", r"unknown mesh format ''"),
+    ],
+)
+def test_bad_mesh(
+    name: str, content: bytes, message: str, cli: Cli, write: Callable[..., Path]
+) -> None:
+    cli.fail_to_render(message, mesh=write(name, content))
+
+
+def test_missing_mesh(cli: Cli, tmp_path: Path) -> None:
+    cli.fail_to_render(r"cannot read .*gone\.glb: no such file", mesh=tmp_path / "gone.glb")
+
+
+def test_mesh_that_is_a_folder(cli: Cli, tmp_path: Path) -> None:
+    cli.fail_to_render(r" is a directory; give a mesh file in it", mesh=tmp_path)
+
+
+def test_name_with_a_line_break(cli: Cli, tmp_path: Path) -> None:
+    cli.fail_to_render(r"gone", mesh=tmp_path / "a\ngone.glb")
+
+
+@pytest.mark.parametrize("option", ["--albedo", "--normal-map", "--specular-map"])
+def test_map_that_is_no_image(option: str, cli: Cli, write: Callable[..., Path]) -> None:
+    page = write("page.png", "<html></html>")
+    cli.fail_to_render(r"page\.png is not an image; give a PNG", option, page)
+
+
+def test_missing_map(cli: Cli, tmp_path: Path) -> None:
+    cli.fail_to_render(r"cannot read .*gone\.png: no such", "--albedo", tmp_path / "gone.png")
+
+
+def test_truncated_map(cli: Cli, write: Callable[..., Path]) -> None:
+    half = write("half.jpg", mini_head().skin[:6000])
+    cli.fail_to_render(r"half\.jpg is damaged", "--albedo", half)
+
+
+def test_map_without_texture_coordinates(cli: Cli, tmp_path: Path) -> None:
+    mesh = files.write_stl(tmp_path / "head.stl", mini_head())
+    mini_head().image.save(tmp_path / "skin.png")
+    cli.fail_to_render(
+        r"head\.stl has no texture coordinates", "--albedo", tmp_path / "skin.png", mesh=mesh
+    )
+
+
+def test_roughness_map_outside_the_domain_of_the_lobe(cli: Cli, tmp_path: Path) -> None:
+    Image.new("L", (4, 4), 230).save(tmp_path / "rough.png")
+    options = ("--roughness-map", tmp_path / "rough.png")
+    cli.render(*options)
+    cli.render(*options, "--lobe", "d16", "--model", "ward")
+    cli.render(*options, "--lobe", "d16", "--m", "0.5")
+    message = r"m = 0\.813\d* is outside the domain of lobe d16 .*0\.7071\), or use the lobe exact"
+    cli.fail_to_render(message, *options, "--lobe", "d16")
+
+
+def test_vertices_that_are_no_numbers(cli: Cli, tmp_path: Path) -> None:
+    positions = mini_head().positions.copy()
+    positions[10] = np.nan
+    mesh = files.write_glb(tmp_path / "head.glb", mini_head().with_positions(positions))
+    status, out, err = cli.run("render", mesh, "-o", cli.png, "--size", "48")
+    assert (status, out) == (0, f"{cli.png}\n")
+    assert re.fullmatch(
+        r"facerender: warning: head\.glb has 1 non-finite vertices: \d+ faces dropped\n", err
+    )
+    assert np.asarray(Image.open(cli.png))[24, 24].max() > 50
+    (warning,) = cli.describe(mesh=mesh)["warnings"]
+    assert warning in err
+
+
+# --- where the image goes ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("missing/head.png", r"cannot write .*head\.png: no such file or directory"),
+        ("head.bmp", r"head\.bmp: unknown image format '\.bmp'; give \.png or \.exr"),
+        ("head", r"head: unknown image format ''"),
+    ],
+)
+def test_bad_output(name: str, message: str, cli: Cli) -> None:
+    cli.fail_to_render(message, "-o", cli.folder / name)
+
+
+@pytest.mark.parametrize("name", ["folder.png", "folder.exr"])
+def test_output_that_is_a_folder(name: str, cli: Cli) -> None:
+    (cli.folder / name).mkdir()
+    cli.fail_to_render(
+        r"cannot write .*: it is a directory; give a file name", "-o", cli.folder / name
+    )
+    assert not list((cli.folder / name).iterdir())
+
+
+def test_folder_that_must_not_be_written(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(**_: Any) -> None:  # root may write everywhere
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(tempfile, "mkstemp", refuse)
+    cli.fail_to_render(r"cannot write .*: permission denied; give a writable place")
+
+
+def test_bad_input_leaves_the_existing_image(cli: Cli) -> None:
+    cli.png.write_bytes(b"precious")
+    cli.fail_to_render(r"cannot read", mesh=cli.folder / "gone.obj")
+    cli.fail_to_render(r"m = 3", "--m", "3")
+    assert cli.png.read_bytes() == b"precious"
+
+
+def half_way(path: Any, error: Exception) -> None:
+    Path(path).write_bytes(b"half an image")
+    raise error
+
+
+def test_full_disk_leaves_the_existing_png(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    full = OSError(28, "No space left on device")
+    cli.png.write_bytes(b"precious")
+    monkeypatch.setattr(Image.Image, "save", lambda _, path, *args, **more: half_way(path, full))
+    cli.fail_to_render(r"cannot write .*head\.png: No space left on device")
+    assert cli.png.read_bytes() == b"precious"
+
+
+def test_full_disk_leaves_the_existing_exr(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+
+    class File:
+        def __init__(self, *arguments: Any) -> None:
+            pass
+
+        def write(self, path: str) -> None:
+            half_way(path, RuntimeError("Cannot write image file"))  # as OpenEXR reports any cause
+
+    path = cli.folder / "head.exr"
+    path.write_bytes(b"precious")
+    monkeypatch.setattr(OpenEXR, "File", File)
+    cli.fail_to_render(r"cannot write .*head\.exr: Cannot write image file", "-o", path)
+    assert path.read_bytes() == b"precious"
+
+
+def test_exr_without_its_package(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "OpenEXR", None)
+    cli.fail_to_render(r"pip install 'facerender\[exr\]'", "-o", cli.folder / "head.exr")
+
+
+# --- OpenGL --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def no_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(name: str) -> Callable[[], Any]:
+        def opener() -> Any:
+            raise Exception(f"lib{name} is not there")
+
+        return opener
+
+    monkeypatch.setattr(context, "_OPENERS", {name: refuse(name) for name in ("egl", "osmesa")})
+
+
+@pytest.mark.usefixtures("no_opengl")
+def test_no_opengl(cli: Cli) -> None:
+    cli.fail_to_render(
+        r"no OpenGL context \(egl: libegl is not there; osmesa: libosmesa is not there\); "
+        r".*apt-get install .*libegl1 .*libosmesa6"
+    )
+
+
+@pytest.mark.usefixtures("no_opengl")
+def test_no_opengl_of_the_backend_asked_for(cli: Cli) -> None:
+    cli.fail_to_render(
+        r"no OpenGL context \(osmesa: libosmesa is not there\); .*apt-get install libosmesa6$",
+        "--backend",
+        "osmesa",
+    )
+
+
+def test_doctor(cli: Cli) -> None:
+    status, out, err = cli.run("doctor", "--json")
+    assert (status, err) == (0, "")
+    findings = {finding["backend"]: finding for finding in json.loads(out)}
+    assert set(findings) == {"egl", "osmesa"}
+    assert set(findings["egl"]) == {"backend", "renderer", "version", "samples", "size", "error"}
+    status, out, err = cli.run("doctor")
+    assert (status, err) == (0, "")
+    assert findings["egl"]["renderer"] in out
+
+
+@pytest.mark.usefixtures("no_opengl")
+def test_doctor_without_opengl(cli: Cli) -> None:
+    status, out, err = cli.run("doctor")
+    assert (status, err) == (2, "")
+    assert re.search(r"egl .*apt-get install", out)
+    assert re.search(r"osmesa .*apt-get install libosmesa6", out)
