@@ -21,6 +21,7 @@ from facerender.context import Backend, create_context
 from facerender.errors import ContextError, InputError
 from facerender.frame import ONLY, Frame, GBuffer, Only
 from facerender.glsl import resolve_includes
+from facerender.lobes import MIN_SLOPE
 from facerender.mesh import Mesh, Part, load_mesh
 from facerender.reference import data_view
 from facerender.scene import Camera, Light, Material, Scene, View, view_of
@@ -52,6 +53,7 @@ class _GpuPart:
     indices: moderngl.Buffer
     textures: Mapping[str, moderngl.Texture]
     part: Part
+    largest_slope: float
     arrays: dict[moderngl.Program, moderngl.VertexArray]
 
 
@@ -157,7 +159,7 @@ class Renderer:
             parts = self._upload(scene.mesh)
             if only != "diffuse":
                 for part in parts:
-                    _check_slope(part.part.material, part.textures, shading)
+                    shading.check_slope(part.largest_slope)
             view = view_of(scene, self.size[0] / self.size[1])
             target = self._target("multisample" if self.samples > 1 else "single")
             with gl.scope(target, enable_only=moderngl.DEPTH_TEST):
@@ -278,7 +280,8 @@ class Renderer:
             name: self._texture(texture, kind)
             for name, texture, kind in _maps(part, self.albedo_kind)
         }
-        return _GpuPart(attributes, gl.buffer(part.faces), textures, part, {})
+        indices = gl.buffer(part.faces)
+        return _GpuPart(attributes, indices, textures, part, _largest_slope(part), {})
 
     def _texture(self, source: Texture, kind: Kind) -> moderngl.Texture:
         """Upload a mip chain. moderngl uploads level 0; its build_mipmaps would take 65 ms for
@@ -435,15 +438,13 @@ def _clear_color(scene: Scene, only: Only | None) -> tuple[float, float, float, 
     return (*scene.background, 1.0)
 
 
-def _check_slope(
-    material: Material, textures: Mapping[str, moderngl.Texture], shading: Shading
-) -> None:
-    """Raise InputError when the largest m of a part lies outside the lobe's domain."""
-    largest = material.m
-    if material.property_map is not None and "property_map" in textures:
-        roughness = material.property_map.levels("data").result()[0][..., 1]
-        largest *= (float(roughness.max()) / 255.0) ** 2
-    shading.check_slope(max(largest, 1e-4))
+def _largest_slope(part: Part) -> float:
+    """The largest m on a part, for the domain of the lobe; the shader keeps it above 1e-4."""
+    material = part.material
+    if part.uv is None or material.property_map is None:
+        return material.m
+    roughness = material.property_map.levels("data").result()[0][..., 1]
+    return max(material.m * (float(roughness.max()) / 255.0) ** 2, MIN_SLOPE)
 
 
 def render(
