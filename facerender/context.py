@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
@@ -150,13 +151,104 @@ class Context:
     renderer: str
     version: str
 
-    def function(self, name: str, *argument_types: type) -> Any:
-        """Return an OpenGL function that moderngl does not wrap; it returns nothing."""
-        return ctypes.CFUNCTYPE(None, *argument_types)(self.loader.load(name))
+    def function(self, name: str, *argument_types: type, result: type | None = None) -> Any:
+        """Return an OpenGL function that moderngl does not wrap."""
+        return ctypes.CFUNCTYPE(result, *argument_types)(self.loader.load(name))
+
+    @contextmanager
+    def drawing(self) -> Iterator[moderngl.Context]:
+        """Make the context current; a host's finds its state as it was afterwards."""
+        with self.gl as gl:
+            if self.backend != "current":
+                yield gl
+                return
+            restore = _put_aside_state(self)
+            try:
+                yield gl
+            finally:
+                restore()
 
     def release(self) -> None:
         """Free the context, unless it is the host's."""
         self.gl.release()
+
+
+# What drawing needs to be off, but a host may have enabled.
+_CAPABILITIES = {
+    "BLEND": 0x0BE2,
+    "CULL_FACE": 0x0B44,
+    "DEPTH_TEST": 0x0B71,
+    "SCISSOR_TEST": 0x0C11,
+    "STENCIL_TEST": 0x0B90,
+    "POLYGON_OFFSET_FILL": 0x8037,
+    "FRAMEBUFFER_SRGB": 0x8DB9,
+    "RASTERIZER_DISCARD": 0x8C89,
+    "PRIMITIVE_RESTART": 0x8F9D,
+    "SAMPLE_ALPHA_TO_COVERAGE": 0x809E,
+    "SAMPLE_COVERAGE": 0x80A0,
+}
+_TEXTURE_0, _TEXTURE_2D, _TEXTURE_BINDING_2D, _ACTIVE_TEXTURE = 0x84C0, 0x0DE1, 0x8069, 0x84E0
+_FILL, _FRONT_AND_BACK, _LESS, _COUNTER_CLOCKWISE = 0x1B02, 0x0408, 0x0201, 0x0901
+
+
+def _put_aside_state(context: Context) -> Callable[[], None]:
+    """Bring a host's state to what drawing needs, and return the way back."""
+    integer, pointer = ctypes.c_int, ctypes.c_void_p
+    get_integers = context.function("glGetIntegerv", integer, pointer)
+    is_enabled = context.function("glIsEnabled", integer, result=ctypes.c_ubyte)
+    switch = (
+        context.function("glDisable", integer),
+        context.function("glEnable", integer),
+    )
+
+    def saved(name: int, count: int = 1) -> tuple[int, ...]:
+        values = (integer * count)()
+        get_integers(name, values)
+        return tuple(values)
+
+    def call(name: str, *values: int) -> Callable[[], None]:
+        function = context.function(name, *[integer] * len(values))
+        return lambda: function(*values)
+
+    enabled = {each: bool(is_enabled(each)) for each in _CAPABILITIES.values()}
+    units = [*range(4), context.gl.max_texture_units - 1]  # moderngl uploads through the last
+    active = saved(_ACTIVE_TEXTURE)
+    back = [
+        call("glBindFramebuffer", 0x8CA9, *saved(0x8CA6)),  # draw
+        call("glBindFramebuffer", 0x8CA8, *saved(0x8CAA)),  # read
+        call("glViewport", *saved(0x0BA2, 4)),
+        call("glScissor", *saved(0x0C10, 4)),
+        call("glUseProgram", *saved(0x8B8D)),
+        call("glBindVertexArray", *saved(0x85B5)),
+        call("glBindBuffer", 0x8892, *saved(0x8894)),  # array buffer
+        call("glBindRenderbuffer", 0x8D41, *saved(0x8CA7)),
+        call("glPixelStorei", 0x0CF5, *saved(0x0CF5)),  # unpack alignment
+        call("glPixelStorei", 0x0D05, *saved(0x0D05)),  # pack alignment
+        call("glFrontFace", *saved(0x0B46)),
+        call("glDepthFunc", *saved(0x0B74)),
+        call("glDepthMask", *saved(0x0B72)),
+        call("glColorMask", *saved(0x0C23, 4)),
+        call("glPolygonMode", _FRONT_AND_BACK, *saved(0x0B40)),
+    ]
+    for unit in units:
+        call("glActiveTexture", _TEXTURE_0 + unit)()
+        back.append(call("glActiveTexture", _TEXTURE_0 + unit))
+        back.append(call("glBindTexture", _TEXTURE_2D, *saved(_TEXTURE_BINDING_2D)))
+    back.append(call("glActiveTexture", *active))
+
+    for each in enabled:
+        switch[False](each)
+    call("glFrontFace", _COUNTER_CLOCKWISE)()
+    call("glDepthFunc", _LESS)()
+    call("glPolygonMode", _FRONT_AND_BACK, _FILL)()
+
+    def restore() -> None:
+        for action in back:
+            action()
+        for each, was_enabled in enabled.items():
+            switch[was_enabled](each)
+
+    return restore
 
 
 _OPENERS: dict[str, Callable[[], Any]] = {

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
@@ -121,10 +120,10 @@ class Renderer:
 
     def release(self) -> None:
         """Free everything on the GPU, and the context unless it is the host's."""
-        with self.context.gl:
+        with self.context.drawing() as gl:
             for cache in (self._uploaded, self._textures, self._programs, self._targets):
                 cache.clear()
-            self.context.gl.gc()
+            gl.gc()
         self.context.release()
 
     @property
@@ -155,7 +154,7 @@ class Renderer:
             return Frame(linear, only, {**self.metadata, "samples": "1"})
         if only not in (None, "specular", "diffuse"):
             raise InputError(f"unknown term {only!r}; known: {', '.join(ONLY)}")
-        with self._current() as gl:
+        with self.context.drawing() as gl:
             parts = self._upload(scene.mesh)
             if only != "diffuse":
                 for part in parts:
@@ -175,7 +174,7 @@ class Renderer:
 
     def gbuffer(self, scene: Scene) -> GBuffer:
         """Draw what shading reads at each pixel's centre; errors as in :meth:`render`."""
-        with self._current() as gl:
+        with self.context.drawing() as gl:
             parts = self._upload(scene.mesh)
             view = view_of(scene, self.size[0] / self.size[1])
             target = self._target("gbuffer")
@@ -213,15 +212,6 @@ class Renderer:
                 f"samples = {self.samples}: {self.context.renderer} offers at most "
                 f"{self.context.gl.max_samples}"
             )
-
-    @contextmanager
-    def _current(self) -> Iterator[moderngl.Context]:
-        """Make the context current, and leave a host's framebuffer bound as it was."""
-        with self.context.gl as gl:
-            bound = gl.detect_framebuffer() if self.context.backend == "current" else None
-            yield gl
-            if bound is not None:
-                bound.use()
 
     def _read(self, target: moderngl.Framebuffer, attachment: int = 0) -> NDArray[np.float32]:
         pixels = np.empty((self.size[1], self.size[0], 4), dtype=np.float32)
@@ -316,7 +306,6 @@ class Renderer:
         return texture
 
     def _draw(self, part: _GpuPart, program: moderngl.Program, view: View, scene: Scene) -> None:
-        self.context.gl.front_face = "cw"  # the image is drawn upside down; see View.matrix
         for name, value in _uniforms(part.part.material, view, scene).items():
             _set(program, name, value)
         for unit, (name, texture) in enumerate(part.textures.items()):

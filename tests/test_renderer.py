@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import resource
 from collections.abc import Iterator
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender import reference
+from facerender import context, reference
 from facerender.context import Backend, create_context
 from tests import gates
 from tests.conftest import require_backend
@@ -261,18 +262,52 @@ def test_renderers_leave_nothing_behind(backend, head):
     assert use(15) - warm < 30_000
 
 
+def host_state(host) -> dict[str, object]:
+    """What a host may have set: capabilities, bindings, masks, viewport."""
+    names = {
+        "viewport": (0x0BA2, 4), "scissor": (0x0C10, 4), "framebuffer": (0x8CA6, 1),
+        "program": (0x8B8D, 1), "vertex array": (0x85B5, 1), "active texture": (0x84E0, 1),
+        "texture": (0x8069, 1), "depth function": (0x0B74, 1), "depth mask": (0x0B72, 1),
+        "color mask": (0x0C23, 4), "polygon mode": (0x0B40, 1), "front face": (0x0B46, 1),
+        "unpack alignment": (0x0CF5, 1), "pack alignment": (0x0D05, 1),
+    }  # fmt: skip
+    get = host.function("glGetIntegerv", ctypes.c_int, ctypes.c_void_p)
+    enabled = host.function("glIsEnabled", ctypes.c_int, result=ctypes.c_ubyte)
+    state: dict[str, object] = {}
+    for name, (number, count) in names.items():
+        values = (ctypes.c_int * count)()
+        get(number, values)
+        state[name] = tuple(values)
+    for name, number in context._CAPABILITIES.items():
+        state[name] = enabled(number)
+    return state
+
+
 def test_host_context_is_used_and_left_as_it_was(backend, head):
+    """A host with everything set that could spoil the image gets the same image, and all back."""
     host = create_context(backend)
     try:
         mine = host.gl.framebuffer([host.gl.renderbuffer((64, 64), 4)])
         mine.use()
         mine.clear(0.25, 0.5, 0.75, 1.0)
+        host.gl.texture((1, 1), 4, bytes(4)).use(1)
+        call = {
+            "glEnable": [(number,) for number in context._CAPABILITIES.values()],
+            "glScissor": [(1, 2, 3, 4)], "glViewport": [(5, 6, 7, 8)], "glDepthFunc": [(0x0204,)],
+            "glDepthMask": [(0,)], "glColorMask": [(0, 1, 0, 1)], "glFrontFace": [(0x0900,)],
+            "glPolygonMode": [(0x0408, 0x1B01)], "glPixelStorei": [(0x0CF5, 8), (0x0D05, 2)],
+            "glActiveTexture": [(0x84C1,)],
+        }  # fmt: skip
+        for name, calls in call.items():
+            for arguments in calls:
+                host.function(name, *[ctypes.c_int] * len(arguments))(*arguments)
+        before = host_state(host)
         with fr.Renderer((96, 96), backend="current") as guest:
             assert guest.context.backend == "current"
             inside = guest.render(fr.Scene(head)).linear
-        assert host.gl.detect_framebuffer().glo == mine.glo
+            assert host_state(host) == before
+        assert host_state(host) == before
         assert mine.read(components=4)[:4] == bytes([64, 128, 191, 255])
-        host.gl.buffer(b"still works")
     finally:
         host.release()
     with fr.Renderer((96, 96), backend=backend) as own:

@@ -52,9 +52,10 @@ vec3 mapped_normal(vec3 n) {
 
 Surface surface() {
     vec3 n = normalize(vertex_normal);
-    // The inside of an open mesh shows its back. A triangle that is only just turned away, whose
-    // normal still lies near the silhouette's, peeks out by rounding of depth, and is no inside.
-    if (!gl_FrontFacing && dot(n, normalize(eye - position)) < -0.25) n = -n;
+    // The inside of an open mesh shows its back; as the image is drawn upside down, that is what
+    // OpenGL calls the front. A triangle that is only just turned away, whose normal still lies near
+    // the silhouette's, peeks out by rounding of depth, and is no inside.
+    if (gl_FrontFacing && dot(n, normalize(eye - position)) < -0.25) n = -n;
 #ifdef NORMAL_MAP
     n = mapped_normal(n);
 #endif
