@@ -11,6 +11,7 @@ from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,8 +93,17 @@ class Texture:
         return self._levels[kind]
 
 
+_packed: WeakValueDictionary[tuple[Texture | None, ...], Texture] = WeakValueDictionary()
+
+
 def pack(red: Texture | None, green: Texture | None, blue: Texture | None) -> Texture:
-    """Merge three grey textures into one, at the largest of their sizes; absent ones are white."""
+    """Merge three grey textures into one, at the largest of their sizes; absent ones are white.
+
+    The same three give the same texture while somebody holds it, so that materials which differ in
+    a factor alone share one.
+    """
+    if (found := _packed.get((red, green, blue))) is not None:
+        return found
 
     def decode() -> Image:
         from PIL import Image
@@ -105,7 +115,8 @@ def pack(red: Texture | None, green: Texture | None, blue: Texture | None) -> Te
         return _flipped(Image.merge("RGB", filled))
 
     names = [texture.name for texture in (red, green, blue) if texture]
-    return Texture(decode, " + ".join(dict.fromkeys(names)))
+    packed = _packed[red, green, blue] = Texture(decode, " + ".join(dict.fromkeys(names)))
+    return packed
 
 
 def _flipped(image: Image) -> Image:

@@ -65,6 +65,13 @@ def test_packing_fills_the_absent_and_takes_the_largest_size():
     assert both.name == "red.png + blue.png"
 
 
+def test_packing_the_same_again_gives_the_same_texture():
+    red = texture(np.full((4, 4, 3), 10, np.uint8))
+    first = pack(red, None, None)
+    assert pack(red, None, None) is first
+    assert pack(None, red, None) is not first
+
+
 def test_channel_keeps_its_rows():
     pixels = np.zeros((2, 2, 3), np.uint8)
     pixels[0, :, 1] = 200
