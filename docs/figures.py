@@ -25,7 +25,7 @@ def main() -> None:
         save("head.jpg", [front.srgb8(), side.srgb8(), encode_srgb8(specular.linear[..., :3], 1.0)])
 
         # One m for the whole face, so that the caption can name it.
-        scene = fr.Scene(head.with_material(m=0.4, roughness_map=None), oblique)
+        scene = fr.Scene(head.with_material(m=0.4), oblique)
         exact, d16 = (renderer.render(scene, fr.Shading(lobe=lobe)) for lobe in ("exact", "d16"))
         difference = np.abs(d16.linear[..., :3] - exact.linear[..., :3])
         save("exact-d16.jpg", [exact.srgb8(), d16.srgb8(), encode_srgb8(8.0 * difference)])

@@ -3,27 +3,51 @@
 >>> import facerender as fr
 >>> frame = fr.render("head.glb", model="cook-torrance", lobe="exact", m=0.3)
 >>> frame.save("head.png")
+
+render          one image in one call; Renderer keeps what it uploads, for several
+load_mesh       a mesh file with its materials; Mesh.with_material changes them
+Scene           mesh, Camera, Light, ambient, background
+Shading         model, lobe, Fresnel term
+Frame, GBuffer  what a renderer returns
+brdf, lobes     the same functions in float64
+shader_source   one file of the GLSL library, flat; shader_dir: the include path
 """
 
-from facerender import brdf as brdf
-from facerender import lobes as lobes
+from facerender import brdf, lobes
 
 __version__ = "0.1.0"
 
-from facerender.errors import ContextError as ContextError
-from facerender.errors import FacerenderError as FacerenderError
-from facerender.errors import FacerenderWarning as FacerenderWarning
-from facerender.errors import InputError as InputError
-from facerender.frame import Frame as Frame
-from facerender.frame import GBuffer as GBuffer
-from facerender.glsl import shader_dir as shader_dir
-from facerender.glsl import shader_source as shader_source
-from facerender.mesh import Mesh as Mesh
-from facerender.mesh import load_mesh as load_mesh
-from facerender.renderer import Renderer as Renderer
-from facerender.renderer import render as render
-from facerender.scene import Camera as Camera
-from facerender.scene import Light as Light
-from facerender.scene import Material as Material
-from facerender.scene import Scene as Scene
-from facerender.shading import Shading as Shading
+from facerender.errors import ContextError, FacerenderError, FacerenderWarning, InputError
+from facerender.frame import Frame, GBuffer
+from facerender.glsl import shader_dir, shader_source
+from facerender.mesh import Mesh, load_mesh
+from facerender.renderer import Renderer, render
+from facerender.scene import Camera, Light, Material, Scene, View, load_scene, view_of
+from facerender.shading import Shading
+from facerender.texture import Texture
+
+__all__ = [
+    "Camera",
+    "ContextError",
+    "FacerenderError",
+    "FacerenderWarning",
+    "Frame",
+    "GBuffer",
+    "InputError",
+    "Light",
+    "Material",
+    "Mesh",
+    "Renderer",
+    "Scene",
+    "Shading",
+    "Texture",
+    "View",
+    "brdf",
+    "load_mesh",
+    "load_scene",
+    "lobes",
+    "render",
+    "shader_dir",
+    "shader_source",
+    "view_of",
+]

@@ -133,17 +133,19 @@ def _add_render(render: argparse.ArgumentParser) -> None:
 
 def _render(options: argparse.Namespace, caught: list[str]) -> int:
     size = _parse_size(options.size)
+    if options.m is not None and options.roughness_map is not None:
+        raise InputError("--m and --roughness-map exclude each other: leave one of them out")
     shading = Shading(options.model, options.lobe, options.fresnel)
     settings = load_scene(options.scene) if options.scene else {}
     material = settings.pop("material", {})
+    if options.roughness_map is not None:
+        material.pop("m", None)
     settings.update(_scene_settings(options, settings.get("camera", Camera())))
     material.update(
         (name, value)
         for name in ("m", "f0", "ks", "kd")
         if (value := getattr(options, name)) is not None
     )
-    if "m" in material and options.roughness_map is None:
-        material["roughness_map"] = None
     _import_trimesh()
     mesh = load_mesh(
         options.mesh,
@@ -171,7 +173,6 @@ def _render(options: argparse.Namespace, caught: list[str]) -> int:
             "size": size,
             "backend": backend,
             "only": frame.only,
-            **dataclasses.asdict(shading),
             **frame.metadata,
             "warnings": caught,
         }

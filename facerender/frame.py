@@ -25,35 +25,40 @@ class Frame:
 
     Attributes
     ----------
-    linear : (H, W, 4) float32, row 0 on top; linear RGB, unclamped, and coverage. Colour holds the
-        background where the scene has one, and is premultiplied by coverage otherwise. With
-        ``only``: normal (unit vectors), depth (along the viewing direction, in the mesh's units)
-        or cosines (N.L of the first light, N.V, N.H), 0 in the background.
+    linear : (H, W, 4) float32, row 0 on top; linear RGB, unclamped, and the mesh's coverage. Colour
+        holds the background where the scene has one, and is premultiplied by coverage otherwise.
+        With ``only`` the background is 0, and colour is the specular or diffuse radiance, the
+        albedo, the normal (unit vector in the mesh's space), the depth along the viewing direction
+        in the mesh's units (three times), or the cosines N.L of the first light, N.V and N.H.
     only : which term this is, or None for the whole image
+    transparent : whether a PNG gets an alpha channel; the scene has no background
     metadata : facerender's version, GL_RENDERER, GL_VERSION, samples, texture format
     """
 
     linear: NDArray[np.float32]
     only: Only | None
+    transparent: bool
     metadata: Mapping[str, str]
 
     def srgb8(self, exposure: float = 0.0) -> NDArray[np.uint8]:
-        """8-bit sRGB for looking at: (H, W, 3), or (H, W, 4) with straight alpha.
+        """8-bit image for looking at: (H, W, 3), or (H, W, 4) with straight alpha if transparent.
 
-        Normals are shown as 0.5 n + 0.5, cosines as they are, depth from near (white) to far;
-        exposure, in stops, applies to radiance alone.
+        Radiance and albedo are sRGB, normals 0.5 n + 0.5, cosines as they are, depth from the
+        nearest (white) to the farthest; exposure, in stops, applies to radiance.
         """
         color, coverage = self.linear[..., :3], self.linear[..., 3:]
         if self.only == "normal":
-            return _bytes((color * 0.5 + 0.5) * coverage)
-        if self.only == "cosines":
-            return _bytes(color)
-        if self.only == "depth":
-            return _bytes(_depth_as_brightness(color, coverage))
-        if coverage.min() == 1.0:
-            return encode_srgb8(color, exposure)
-        straight = np.divide(color, np.maximum(coverage, 1e-6), dtype=np.float32)
-        return np.concatenate([encode_srgb8(straight, exposure), _bytes(coverage)], axis=-1)
+            pixels = _bytes((color * 0.5 + 0.5) * coverage)
+        elif self.only == "cosines":
+            pixels = _bytes(color)
+        elif self.only == "depth":
+            pixels = _bytes(_depth_as_brightness(color, coverage))
+        elif self.transparent:
+            straight = np.divide(color, np.maximum(coverage, 1e-6), dtype=np.float32)
+            pixels = encode_srgb8(straight, exposure)
+        else:
+            pixels = encode_srgb8(color, exposure)
+        return np.concatenate([pixels, _bytes(coverage)], axis=-1) if self.transparent else pixels
 
     def save(self, path: str | os.PathLike[str], exposure: float = 0.0) -> None:
         """Write .png (8-bit sRGB) or .exr (linear float32), whole or not at all.

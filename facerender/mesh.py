@@ -9,7 +9,6 @@ import struct
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,7 +50,6 @@ class Part:
     positions : (N, 3) float64
     normals : (N, 3) float64, unit vectors
     faces : (F, 3) uint32, counter-clockwise seen from outside
-    material : reflectance and maps
     uv : (N, 2) float64 with v upwards, or None
     colors : (N, 3) linear RGB, or None
     """
@@ -59,50 +57,36 @@ class Part:
     positions: NDArray[np.float64]
     normals: NDArray[np.float64]
     faces: NDArray[np.uint32]
-    material: Material
     uv: NDArray[np.float64] | None = None
     colors: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """The parts of a mesh file.
+    """What a mesh file holds.
 
     Attributes
     ----------
     name : the file's name, for messages
     parts : at least one
+    materials : one for each part
+    bounds : (2, 3) float64, the lowest and the highest corner of what the faces use
+    radius : the largest distance of a vertex from the centre of the bounds
+    profile : (K, 2) float64, the outline that the mesh has when it turns about the vertical axis
+        through its centre: distance from the axis and height, in the renderer's space
     """
 
     name: str
     parts: tuple[Part, ...]
+    materials: tuple[Material, ...]
+    bounds: NDArray[np.float64]
+    radius: float
+    profile: NDArray[np.float64]
 
-    @cached_property
-    def _used_positions(self) -> NDArray[np.float64]:
-        return np.concatenate([part.positions[np.unique(part.faces)] for part in self.parts])
-
-    @cached_property
-    def bounds(self) -> NDArray[np.float64]:
-        """(2, 3) float64: the lowest and the highest corner of what the faces use."""
-        used = self._used_positions
-        return np.array([used.min(axis=0), used.max(axis=0)])
-
-    @cached_property
+    @property
     def center(self) -> NDArray[np.float64]:
         """(3,) float64: the middle of the bounds."""
         return np.asarray(self.bounds.mean(axis=0))
-
-    @cached_property
-    def radius(self) -> float:
-        """The largest distance of a used vertex from the centre; 1 in the renderer's space."""
-        return float(np.linalg.norm(self._used_positions - self.center, axis=1).max())
-
-    @cached_property
-    def profile(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Distance from the vertical axis and height of the used vertices, in the renderer's
-        space: (N,) each."""
-        x, y, z = self.normalised(self._used_positions).T
-        return np.hypot(x, z), y
 
     def normalised(self, points: ArrayLike) -> NDArray[np.float64]:
         """Map points, (..., 3), to the renderer's space: centre at the origin, radius 1.
@@ -111,17 +95,22 @@ class Mesh:
         """
         return np.asarray((np.asarray(points, dtype=np.float64) - self.center) / self.radius)
 
+    def denormalised(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Map points, (..., 3), of the renderer's space back to the mesh's."""
+        return np.asarray(np.asarray(points, dtype=np.float64) * self.radius + self.center)
+
     def with_material(self, **changes: Any) -> Mesh:
-        """Return the mesh with fields of every part's material replaced.
+        """Return the mesh with fields of every material replaced; geometry and maps are shared.
+
+        A new ``m`` takes the place of a roughness map.
 
         Raises
         ------
         InputError : a value outside its domain
         """
-        parts = tuple(
-            replace(part, material=replace(part.material, **changes)) for part in self.parts
-        )
-        return Mesh(self.name, parts)
+        if "m" in changes:
+            changes = {"roughness_map": None, **changes}
+        return replace(self, materials=tuple(replace(each, **changes) for each in self.materials))
 
 
 def load_mesh(
@@ -166,7 +155,7 @@ def load_mesh(
                 piece.uv[:, 1] = 1.0 - piece.uv[:, 1]
     if overrides:
         _override(pieces, overrides, source)
-    return Mesh(source.name, tuple(_clean(pieces, source.name)))
+    return _assemble(_clean(pieces, source.name), source.name)
 
 
 # --- reading -------------------------------------------------------------------------------------
@@ -380,8 +369,8 @@ def _material(source: Any, has_colors: bool, file: str) -> Material:
             occlusion = properties
         return Material(
             albedo=tuple(albedo),
-            # Exporters write a factor of 1 or 0.5 by default: only a map tells the slope of skin.
-            m=max((1.0 if roughness is None else roughness) ** 2, 1e-4) if properties else 0.3,
+            # Without a map it does not count: exporters write 1 or 0.5 by default.
+            roughness_factor=1.0 if roughness is None else roughness,
             albedo_map=texture(source.baseColorTexture, "albedo"),
             normal_map=texture(source.normalTexture, "normal"),
             roughness_map=properties and properties.channel(1, properties.name),
@@ -411,15 +400,15 @@ def _override(pieces: Sequence[_Piece], maps: dict[str, Texture], source: Path) 
         if "albedo_map" in maps:
             changes["albedo"] = (1.0, 1.0, 1.0)
             piece.colors = None
-        if "roughness_map" in maps and piece.material.roughness_map is None:
-            changes["m"] = 1.0
+        if "roughness_map" in maps:
+            changes["roughness_factor"] = 1.0
         piece.material = replace(piece.material, **changes)
 
 
 # --- all geometries together ---------------------------------------------------------------------
 
 
-def _clean(pieces: Sequence[_Piece], name: str) -> list[Part]:
+def _clean(pieces: Sequence[_Piece], name: str) -> Sequence[_Piece]:
     """Drop what cannot be drawn, complete the normals, and turn the faces outwards."""
     _drop_bad_faces(pieces, name)
     pieces = [piece for piece in pieces if len(piece.faces)]
@@ -427,23 +416,46 @@ def _clean(pieces: Sequence[_Piece], name: str) -> list[Part]:
         raise InputError(f"no face of {name} has a finite, non-zero area; export the mesh again")
     _complete_normals(pieces, name)
 
-    positions = np.concatenate([piece.positions[piece.faces] for piece in pieces])
-    if _outwardness(positions) < -0.5:
+    corners = np.concatenate([piece.positions[piece.faces] for piece in pieces])
+    if _outwardness(corners) < -0.5:
         _warn(f"the faces of {name} are inside out: turned")
         for piece in pieces:
             piece.faces = piece.faces[:, ::-1]
             piece.normals = -_present(piece.normals)
-    return [
-        Part(
-            piece.positions,
-            _present(piece.normals),
-            np.ascontiguousarray(piece.faces, dtype=np.uint32),
-            piece.material,
-            piece.uv,
-            piece.colors,
-        )
-        for piece in pieces
-    ]
+    return pieces
+
+
+def _assemble(pieces: Sequence[_Piece], name: str) -> Mesh:
+    used = np.concatenate([piece.positions[np.unique(piece.faces)] for piece in pieces])
+    bounds = np.array([used.min(axis=0), used.max(axis=0)])
+    offsets = used - bounds.mean(axis=0)
+    radius = float(np.linalg.norm(offsets, axis=1).max())
+    return Mesh(
+        name,
+        tuple(
+            Part(
+                piece.positions,
+                _present(piece.normals),
+                np.ascontiguousarray(piece.faces, dtype=np.uint32),
+                piece.uv,
+                piece.colors,
+            )
+            for piece in pieces
+        ),
+        tuple(piece.material for piece in pieces),
+        bounds,
+        radius,
+        _profile(offsets / radius),
+    )
+
+
+def _profile(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The widest vertex in each of 512 slices of the height."""
+    widths, heights = np.hypot(positions[:, 0], positions[:, 2]), positions[:, 1]
+    slices = np.round(heights * 255.0).astype(np.int64)
+    order = np.lexsort((widths, slices))
+    widest = order[np.diff(slices[order], append=slices.max() + 1) > 0]
+    return np.stack([widths[widest], heights[widest]], axis=1)
 
 
 def _present(normals: NDArray[np.float64] | None) -> NDArray[np.float64]:

@@ -28,11 +28,10 @@ def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float6
     InputError : m lies outside the lobe's domain
     """
     radiance = np.zeros(gbuffer.position.shape)
-    for index, part in enumerate(scene.mesh.parts):
+    for index, material in enumerate(scene.mesh.materials):
         covered = gbuffer.part == index
         if not covered.any():
             continue
-        material = part.material
         position = gbuffer.position[covered].astype(np.float64)
         n = gbuffer.normal[covered].astype(np.float64)
         m = gbuffer.m[covered].astype(np.float64)

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from types import TracebackType
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -20,7 +19,6 @@ from facerender.context import Backend, create_context
 from facerender.errors import ContextError, InputError
 from facerender.frame import ONLY, Frame, GBuffer, Only
 from facerender.glsl import resolve_includes
-from facerender.lobes import MIN_SLOPE
 from facerender.mesh import Mesh, Part, load_mesh
 from facerender.reference import data_view
 from facerender.scene import Camera, Light, Material, Scene, View, view_of
@@ -46,20 +44,17 @@ _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
 
 @dataclass(frozen=True, eq=False)
 class _GpuPart:
-    """A part on the GPU: the index buffer and the attributes it has, by name."""
+    """A part's geometry on the GPU: its attributes by name, and the indices."""
 
     attributes: tuple[tuple[moderngl.Buffer, str, str], ...]
     indices: moderngl.Buffer
-    textures: Mapping[str, moderngl.Texture]
-    part: Part
-    largest_slope: float
     arrays: dict[moderngl.Program, moderngl.VertexArray]
 
 
 class Renderer:
     """Draws scenes. Meshes, programs and framebuffers are kept for the next frame.
 
-    Use it as a context manager, or call :meth:`release`.
+    Use it as a context manager, or call :meth:`release`. One renderer serves one thread at a time.
 
     Parameters
     ----------
@@ -97,7 +92,7 @@ class Renderer:
         self.anisotropy = anisotropy
         self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
         self.context = create_context(backend)
-        self._uploaded: WeakKeyDictionary[Mesh, list[_GpuPart]] = WeakKeyDictionary()
+        self._parts: WeakKeyDictionary[Part, _GpuPart] = WeakKeyDictionary()
         self._textures: WeakKeyDictionary[Texture, moderngl.Texture] = WeakKeyDictionary()
         self._programs: dict[str, moderngl.Program] = {}
         self._targets: dict[str, moderngl.Framebuffer] = {}
@@ -121,14 +116,14 @@ class Renderer:
     def release(self) -> None:
         """Free everything on the GPU, and the context unless it is the host's."""
         with self.context.drawing() as gl:
-            for cache in (self._uploaded, self._textures, self._programs, self._targets):
+            for cache in (self._parts, self._textures, self._programs, self._targets):
                 cache.clear()
             gl.gc()
         self.context.release()
 
     @property
     def metadata(self) -> dict[str, str]:
-        """What a figure or a golden needs beside it."""
+        """Where images come from; a frame adds what it was shaded with."""
         return {
             "facerender": __version__,
             "GL_RENDERER": self.context.renderer,
@@ -151,39 +146,44 @@ class Renderer:
         """
         if only in ("normal", "albedo", "depth", "cosines"):
             linear = data_view(self.gbuffer(scene), scene, only)
-            return Frame(linear, only, {**self.metadata, "samples": "1"})
+            metadata = {**self.metadata, "samples": "1"}
+            return Frame(linear, only, scene.background is None, metadata)
         if only not in (None, "specular", "diffuse"):
             raise InputError(f"unknown term {only!r}; known: {', '.join(ONLY)}")
+        mesh = scene.mesh
+        start_maps(mesh, self.albedo_kind)
+        if only != "diffuse":
+            for part, material in zip(mesh.parts, mesh.materials, strict=True):
+                shading.check_slope(material.m if part.uv is None else material.largest_m)
+        view = view_of(scene, self.size[0] / self.size[1])
         with self.context.drawing() as gl:
-            parts = self._upload(scene.mesh)
-            if only != "diffuse":
-                for part in parts:
-                    shading.check_slope(part.largest_slope)
-            view = view_of(scene, self.size[0] / self.size[1])
             target = self._target("multisample" if self.samples > 1 else "single")
             with gl.scope(target, enable_only=moderngl.DEPTH_TEST):
                 target.clear(*_clear_color(scene, only))
-                for part in parts:
-                    defines = _shade_defines(part.part, scene, shading, only)
-                    self._draw(part, self._program("shade", defines), view, scene)
+                for part, material in zip(mesh.parts, mesh.materials, strict=True):
+                    defines = _shade_defines(part, material, scene, shading, only)
+                    self._draw(part, material, self._program("shade", defines), view, scene)
             if self.samples > 1:
                 single = self._target("single")
                 gl.copy_framebuffer(single, target)
                 target = single
-            return Frame(self._read(target), only, self.metadata)
+            metadata = {**self.metadata, **asdict(shading)}
+            return Frame(self._read(target), only, scene.background is None, metadata)
 
     def gbuffer(self, scene: Scene) -> GBuffer:
         """Draw what shading reads at each pixel's centre; errors as in :meth:`render`."""
+        mesh = scene.mesh
+        start_maps(mesh, self.albedo_kind)
+        view = view_of(scene, self.size[0] / self.size[1])
         with self.context.drawing() as gl:
-            parts = self._upload(scene.mesh)
-            view = view_of(scene, self.size[0] / self.size[1])
             target = self._target("gbuffer")
             with gl.scope(target, enable_only=moderngl.DEPTH_TEST):
                 target.clear()
-                for index, part in enumerate(parts, start=1):
-                    program = self._program("gbuffer", _surface_defines(part.part))
-                    _set(program, "part", float(index))
-                    self._draw(part, program, view, scene)
+                for number, part in enumerate(mesh.parts):
+                    material = mesh.materials[number]
+                    program = self._program("gbuffer", _surface_defines(part, material))
+                    _set(program, "part", number + 1.0)
+                    self._draw(part, material, program, view, scene)
             position, normal, albedo, uv = (self._read(target, index) for index in range(4))
         return GBuffer(
             part=position[..., 3].astype(np.int64) - 1,
@@ -245,33 +245,24 @@ class Renderer:
             )
         return self._programs[key]
 
-    def _upload(self, mesh: Mesh) -> list[_GpuPart]:
-        if mesh not in self._uploaded:
-            self.context.gl.gc()
-            start_maps(mesh, self.albedo_kind)
-            self._uploaded[mesh] = [self._upload_part(mesh, part) for part in mesh.parts]
-        return self._uploaded[mesh]
-
-    def _upload_part(self, mesh: Mesh, part: Part) -> _GpuPart:
-        gl = self.context.gl
-        columns = [
-            ("in_position", "3f", mesh.normalised(part.positions)),
-            ("in_normal", "3f", part.normals),
-        ]
-        if part.uv is not None:
-            columns.append(("in_uv", "2f", part.uv))
-        if part.colors is not None:
-            columns.append(("in_color", "3f", part.colors))
-        attributes = tuple(
-            (gl.buffer(np.ascontiguousarray(values, dtype=np.float32)), layout, name)
-            for name, layout, values in columns
-        )
-        textures = {
-            name: self._texture(texture, kind)
-            for name, texture, kind in _maps(part, self.albedo_kind)
-        }
-        indices = gl.buffer(part.faces)
-        return _GpuPart(attributes, indices, textures, part, _largest_slope(part), {})
+    def _upload(self, part: Part, mesh: Mesh) -> _GpuPart:
+        if part not in self._parts:
+            gl = self.context.gl
+            gl.gc()
+            columns = [
+                ("in_position", "3f", mesh.normalised(part.positions)),
+                ("in_normal", "3f", part.normals),
+            ]
+            if part.uv is not None:
+                columns.append(("in_uv", "2f", part.uv))
+            if part.colors is not None:
+                columns.append(("in_color", "3f", part.colors))
+            attributes = tuple(
+                (gl.buffer(np.ascontiguousarray(values, dtype=np.float32)), layout, name)
+                for name, layout, values in columns
+            )
+            self._parts[part] = _GpuPart(attributes, gl.buffer(part.faces), {})
+        return self._parts[part]
 
     def _texture(self, source: Texture, kind: Kind) -> moderngl.Texture:
         """Upload a mip chain. moderngl uploads level 0; its build_mipmaps would take 65 ms for
@@ -305,16 +296,22 @@ class Renderer:
         self._textures[source] = texture
         return texture
 
-    def _draw(self, part: _GpuPart, program: moderngl.Program, view: View, scene: Scene) -> None:
-        for name, value in _uniforms(part.part.material, view, scene).items():
+    def _draw(
+        self, part: Part, material: Material, program: moderngl.Program, view: View, scene: Scene
+    ) -> None:
+        for name, value in _uniforms(part, material, view, scene).items():
             _set(program, name, value)
-        for unit, (name, texture) in enumerate(part.textures.items()):
+        maps = _maps(part, material, self.albedo_kind)
+        textures = [self._texture(source, kind) for _, source, kind in maps]  # uses unit 0
+        for unit, (texture, (name, _, _)) in enumerate(zip(textures, maps, strict=True)):
             texture.use(unit)
             _set(program, name, unit)
-        if program not in part.arrays:
-            used = [entry for entry in part.attributes if entry[2] in program]
-            part.arrays[program] = self.context.gl.vertex_array(program, used, part.indices)
-        part.arrays[program].render()
+        uploaded = self._upload(part, scene.mesh)
+        if program not in uploaded.arrays:
+            used = [entry for entry in uploaded.attributes if entry[2] in program]
+            array = self.context.gl.vertex_array(program, used, uploaded.indices)
+            uploaded.arrays[program] = array
+        uploaded.arrays[program].render()
 
 
 def _set(program: moderngl.Program, name: str, value: Any) -> None:
@@ -329,16 +326,15 @@ def _set(program: moderngl.Program, name: str, value: Any) -> None:
 
 def start_maps(mesh: Mesh, albedo_kind: Kind = "color") -> None:
     """Start decoding the maps of a mesh in threads, ahead of the renderer that waits for them."""
-    for part in mesh.parts:
-        for _, texture, kind in _maps(part, albedo_kind):
+    for part, material in zip(mesh.parts, mesh.materials, strict=True):
+        for _, texture, kind in _maps(part, material, albedo_kind):
             texture.levels(kind)
 
 
-def _maps(part: Part, albedo_kind: Kind) -> list[tuple[str, Texture, Kind]]:
+def _maps(part: Part, material: Material, albedo_kind: Kind) -> list[tuple[str, Texture, Kind]]:
     """The maps that a part is drawn with: uniform, texture, kind of mip chain."""
     if part.uv is None:
         return []
-    material = part.material
     candidates: list[tuple[str, Texture | None, Kind]] = [
         ("albedo_map", material.albedo_map, albedo_kind),
         ("normal_map", material.normal_map, "data"),
@@ -347,8 +343,8 @@ def _maps(part: Part, albedo_kind: Kind) -> list[tuple[str, Texture, Kind]]:
     return [(name, texture, kind) for name, texture, kind in candidates if texture is not None]
 
 
-def _surface_defines(part: Part) -> str:
-    names = [name.upper() for name, _, _ in _maps(part, "color")]
+def _surface_defines(part: Part, material: Material) -> str:
+    names = [name.upper() for name, _, _ in _maps(part, material, "color")]
     if part.uv is not None:
         names.append("UV")
     if part.colors is not None:
@@ -356,29 +352,31 @@ def _surface_defines(part: Part) -> str:
     return "".join(f"#define {name}\n" for name in names)
 
 
-def _shade_defines(part: Part, scene: Scene, shading: Shading, only: Only | None) -> str:
+def _shade_defines(
+    part: Part, material: Material, scene: Scene, shading: Shading, only: Only | None
+) -> str:
     points = sum(light.position is not None for light in scene.lights)
     lines = [
-        _surface_defines(part),
+        _surface_defines(part, material),
         f"#define DIRECTIONAL_LIGHTS {len(scene.lights) - points}\n",
         f"#define POINT_LIGHTS {points}\n",
     ]
     if any(scene.ambient):  # type: ignore[arg-type]
         lines.append("#define AMBIENT\n")
-    if only != "specular" and part.material.kd > 0.0:
+    if only != "specular" and material.kd > 0.0:
         lines.append("#define DIFFUSE\n")
-    if only != "diffuse" and part.material.ks > 0.0:
+    if only != "diffuse" and material.ks > 0.0:
         lines.append(shading.glsl)
     return "".join(lines)
 
 
-def _uniforms(material: Material, view: View, scene: Scene) -> dict[str, Any]:
-    mesh = scene.mesh
+def _uniforms(part: Part, material: Material, view: View, scene: Scene) -> dict[str, Any]:
+    mapped = part.uv is not None and material.roughness_map is not None
     values: dict[str, Any] = {
         "view_projection": view.matrix,
         "eye": view.eye,
         "albedo_factor": np.asarray(material.albedo),
-        "slope": material.m,
+        "slope": material.roughness_factor**2 if mapped else material.m,
         "specular_weight": material.ks,
         "diffuse_weight": material.kd,
         "f0": material.f0,
@@ -388,7 +386,7 @@ def _uniforms(material: Material, view: View, scene: Scene) -> dict[str, Any]:
     if distant:
         values["light_direction"] = np.array([light.direction for light in distant])
         values["light_irradiance"] = np.array([light.irradiance for light in distant])
-    points = point_lights(mesh, scene.lights)
+    points = point_lights(scene.mesh, scene.lights)
     if points:
         values["light_position"] = np.array([position for position, _ in points])
         values["light_intensity"] = np.array([intensity for _, intensity in points])
@@ -422,18 +420,9 @@ def point_lights(
 
 
 def _clear_color(scene: Scene, only: Only | None) -> tuple[float, float, float, float]:
-    if scene.background is None or only is not None:
-        return 0.0, 0.0, 0.0, 0.0
-    return (*scene.background, 1.0)
-
-
-def _largest_slope(part: Part) -> float:
-    """The largest m on a part, for the domain of the lobe; the shader keeps it above 1e-4."""
-    material = part.material
-    if part.uv is None or material.property_map is None:
-        return material.m
-    roughness = material.property_map.levels("data").result()[0][..., 1]
-    return max(material.m * (float(roughness.max()) / 255.0) ** 2, MIN_SLOPE)
+    """The background, with coverage 0."""
+    red, green, blue = scene.background if scene.background and only is None else (0.0, 0.0, 0.0)
+    return red, green, blue, 0.0
 
 
 def render(
@@ -471,7 +460,7 @@ def render(
     shading = Shading(model, lobe, fresnel)
     loaded = mesh if isinstance(mesh, Mesh) else load_mesh(mesh)
     if m is not None:
-        loaded = loaded.with_material(m=m, roughness_map=None)
+        loaded = loaded.with_material(m=m)
     start_maps(loaded)
     scene = Scene(loaded, camera) if lights is None else Scene(loaded, camera, lights)
     with Renderer(size, samples=samples, backend=backend) as renderer:

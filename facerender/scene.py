@@ -8,7 +8,7 @@ import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +40,8 @@ def _vector(name: str, value: Any) -> Vector:
 
 
 def _in_range(name: str, value: Any, low: float, high: float) -> None:
-    if not (isinstance(value, int | float) and low <= value <= high):
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (number and low <= value <= high):
         raise InputError(f"{name} = {value!r} is outside [{low:g}, {high:g}]")
 
 
@@ -124,7 +125,7 @@ LIGHTS: Mapping[str, Light] = {
 
 def parse_light(text: str) -> Light:
     """Read a light from ``NAME``, ``AZIMUTH,ELEVATION[,IRRADIANCE]`` or
-    ``point:X,Y,Z[,IRRADIANCE]``.
+    ``point:X,Y,Z[,IRRADIANCE]``, the irradiance being E or R,G,B.
 
     Raises
     ------
@@ -132,26 +133,22 @@ def parse_light(text: str) -> Light:
     """
     if text in LIGHTS:
         return LIGHTS[text]
-    point = text.startswith("point:")
+    kind, _, rest = text.rpartition(":")
     try:
-        numbers = [float(word) for word in text.removeprefix("point:").split(",")]
-        required = 3 if point else 2
-        if len(numbers) not in (required, required + 1):
+        numbers = [float(word) for word in rest.split(",")]
+        count = {"": 2, "point": 3}[kind]
+        where, irradiance = numbers[:count], numbers[count:] or [math.pi]
+        if len(where) != count or len(irradiance) not in (1, 3):
             raise ValueError
-        irradiance = numbers[required] if len(numbers) > required else math.pi
-        if point:
-            x, y, z = numbers[:3]
-            light = Light(irradiance=irradiance, position=(x, y, z))
-        else:
-            light = Light(numbers[0], numbers[1], irradiance)
-    except InputError:
-        raise
-    except ValueError:
+    except (KeyError, ValueError):
         raise InputError(
             f"unknown light {text!r}; give {', '.join(LIGHTS)}, or AZIMUTH,ELEVATION[,IRRADIANCE],"
             " or point:X,Y,Z[,IRRADIANCE]"
         ) from None
-    return light
+    received = _vector("light irradiance", irradiance if irradiance[1:] else irradiance[0])
+    if kind == "point":
+        return Light(irradiance=received, position=_vector("light position", where))
+    return Light(where[0], where[1], received)
 
 
 @dataclass(frozen=True)
@@ -161,7 +158,8 @@ class Material:
     Parameters
     ----------
     albedo : linear RGB
-    m : rms slope of the microfacets, in [1e-4, 2]; with a roughness map m times roughness^2
+    m : rms slope of the microfacets, in [1e-4, 2], where there is no roughness map
+    roughness_factor : in [0, 1], of the roughness map: m is (factor times texel)^2, as in glTF
     f0 : Fresnel reflectance at normal incidence, in [0, 1)
     ks, kd : specular and diffuse weights, >= 0. 1 is a bare dielectric; 0.18, from GPU Gems 3
         chapter 14, suits powdered skin
@@ -171,6 +169,7 @@ class Material:
 
     albedo: Vector = SKIN_ALBEDO
     m: float = 0.3
+    roughness_factor: float = 1.0
     f0: float = 0.028
     ks: float = 1.0
     kd: float = 1.0
@@ -183,9 +182,22 @@ class Material:
     def __post_init__(self) -> None:
         object.__setattr__(self, "albedo", _vector("albedo", self.albedo))
         _in_range("m", self.m, MIN_SLOPE, MAX_SLOPE)
+        _in_range("roughness_factor", self.roughness_factor, 0.0, 1.0)
         _in_range("f0", self.f0, 0.0, 0.999)
         _in_range("ks", self.ks, 0.0, 1e6)
         _in_range("kd", self.kd, 0.0, 1e6)
+        for name in ("albedo_map", "normal_map", "roughness_map", "specular_map", "occlusion_map"):
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, Texture):
+                raise InputError(f"{name} = {value!r}: give facerender.Texture.open(FILE) or None")
+
+    @cached_property
+    def largest_m(self) -> float:
+        """The largest rms slope, of the roughness map if there is one, which is then decoded."""
+        if self.roughness_map is None or self.property_map is None:
+            return self.m
+        roughness = self.property_map.levels("data").result()[0][..., 1]
+        return max((self.roughness_factor * float(roughness.max()) / 255.0) ** 2, MIN_SLOPE)
 
     @cached_property
     def property_map(self) -> Texture | None:
@@ -274,14 +286,13 @@ def view_of(scene: Scene, aspect: float) -> View:
     return View(eye, forward, matrix44.create_look_at(eye, target, up) @ projection)
 
 
-@lru_cache(maxsize=64)
 def _framing_distance(mesh: Mesh, elevation: float, fov: float, aspect: float) -> float:
     """Distance at which every vertex, turned to any azimuth, lies inside the view, with a margin.
 
     A vertex at height y and distance r from the axis runs through a circle; each bound below is
     the largest value on that circle of what must stay under the distance.
     """
-    r, y = mesh.profile
+    r, y = mesh.profile.T
     sine, cosine = math.sin(math.radians(elevation)), math.cos(math.radians(elevation))
     vertical = math.tan(math.radians(fov) / 2.0)
     horizontal = vertical * aspect

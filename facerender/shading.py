@@ -46,6 +46,8 @@ class Shading:
         ):
             if value not in known:
                 raise InputError(f"unknown {kind} {value!r}; known: {', '.join(known)}")
+        if self.model != "cook-torrance" and self.fresnel != "schlick":
+            raise InputError(f"{self.model} has no Fresnel term: leave {self.fresnel!r} out")
 
     @property
     def k(self) -> int:

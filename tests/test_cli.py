@@ -501,7 +501,7 @@ def test_roughness_map_outside_the_domain_of_the_lobe(cli: Cli, tmp_path: Path) 
     options = ("--roughness-map", tmp_path / "rough.png")
     cli.render(*options)
     cli.render(*options, "--lobe", "d16", "--model", "ward")
-    cli.render(*options, "--lobe", "d16", "--m", "0.5")
+    cli.fail_to_render(r"--m and --roughness-map exclude each other", *options, "--m", "0.5")
     message = r"m = 0\.813\d* is outside the domain of lobe d16 .*0\.7071\), or use the lobe exact"
     cli.fail_to_render(message, *options, "--lobe", "d16")
 

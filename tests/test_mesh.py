@@ -155,7 +155,7 @@ def test_missing_texture_of_a_glb(tmp_path: Path, draw: Draw) -> None:
     path = files.write_glb(tmp_path / "mini.glb", mini_head(), image={"uri": "missing.png"})
     with pytest.warns(fr.FacerenderWarning, match=r"missing\.png \(named by mini\.glb\) not found"):
         mesh = fr.load_mesh(path)
-    assert mesh.parts[0].material.albedo_map is None
+    assert mesh.materials[0].albedo_map is None
     assert np.isfinite(draw(mesh)).all()
 
 
@@ -169,7 +169,7 @@ def test_missing_mtl_names_the_image_beside_it_and_takes_it(
     ):
         mesh = fr.load_mesh(path)
     # trimesh puts a grey image of 2 x 2 texels here.
-    assert mesh.parts[0].material.albedo_map is None
+    assert mesh.materials[0].albedo_map is None
     np.testing.assert_allclose(mean_albedo(draw(mesh, "albedo")), SKIN_ALBEDO, rtol=1e-5)
 
     remedied = fr.load_mesh(path, albedo=tmp_path / "skin.jpg")  # without a warning
