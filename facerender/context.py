@@ -13,6 +13,7 @@ import glcontext
 import moderngl
 
 from facerender.errors import ContextError, InputError
+from facerender.host import HostContext, current_context, put_aside_state
 
 Backend = Literal["auto", "egl", "osmesa", "current"]
 
@@ -118,36 +119,28 @@ def _egl() -> _Loader:
 
 
 def _current() -> _Loader:
-    for names, current, get_proc_address in (
-        (("libEGL.so.1",), "eglGetCurrentContext", "eglGetProcAddress"),
-        (("libGL.so.1", "libGLX.so.0"), "glXGetCurrentContext", "glXGetProcAddressARB"),
-        (("libOSMesa.so.8",), "OSMesaGetCurrentContext", "OSMesaGetProcAddress"),
-    ):
-        try:
-            library = _open_library(*names)
-        except ContextError:
-            continue
-        get_current = getattr(library, current)
-        get_current.restype = ctypes.c_void_p
-        if get_current():
-            return _ForeignContext(getattr(library, get_proc_address))
-    raise ContextError("no EGL, GLX or OSMesa context is current in this thread")
+    host = current_context()
+    if host is None:
+        raise ContextError("no EGL, GLX or OSMesa context is current in this thread")
+    return _ForeignContext(host.get_proc_address)
 
 
 @dataclass(frozen=True)
 class Context:
-    """An OpenGL context that works, and what it is; ``with context.gl:`` makes it current.
+    """An OpenGL context that works, and what it is.
 
     Attributes
     ----------
     backend : "egl", "osmesa" or "current"
-    gl : the moderngl context
+    gl : the moderngl context; current within :meth:`drawing` alone
+    handle : of a host's context
     renderer, version : GL_RENDERER and GL_VERSION, to be recorded with every figure and golden
     """
 
     backend: str
     gl: moderngl.Context
     loader: _Loader
+    handle: int
     renderer: str
     version: str
 
@@ -157,98 +150,38 @@ class Context:
 
     @contextmanager
     def drawing(self) -> Iterator[moderngl.Context]:
-        """Make the context current; a host's finds its state as it was afterwards."""
-        with self.gl as gl:
-            if self.backend != "current":
-                yield gl
-                return
-            restore = _put_aside_state(self)
+        """Make the context current, and afterwards what was current before; a host's own context
+        finds its state as it was.
+
+        Raises
+        ------
+        ContextError : the context was released, or the host's is not current in this thread
+        """
+        if isinstance(self.gl.mglo, moderngl.InvalidObject):
+            raise ContextError("this renderer was released: make a new one")
+        host = current_context()
+        if self.backend == "current":
+            if host is None or host.handle != self.handle:
+                raise ContextError(
+                    "the context in which this renderer was made is not current in this thread: "
+                    "make it current first"
+                )
+            restore = put_aside_state(self.loader.load)
             try:
-                yield gl
+                yield self.gl
             finally:
                 restore()
+            return
+        try:
+            with self.gl:
+                yield self.gl
+        finally:
+            if host is not None:
+                host.rebind()
 
     def release(self) -> None:
-        """Free the context, unless it is the host's."""
+        """Free the context, unless it is the host's; a second time does nothing."""
         self.gl.release()
-
-
-# What drawing needs to be off, but a host may have enabled.
-_CAPABILITIES = {
-    "BLEND": 0x0BE2,
-    "CULL_FACE": 0x0B44,
-    "DEPTH_TEST": 0x0B71,
-    "SCISSOR_TEST": 0x0C11,
-    "STENCIL_TEST": 0x0B90,
-    "POLYGON_OFFSET_FILL": 0x8037,
-    "FRAMEBUFFER_SRGB": 0x8DB9,
-    "RASTERIZER_DISCARD": 0x8C89,
-    "PRIMITIVE_RESTART": 0x8F9D,
-    "SAMPLE_ALPHA_TO_COVERAGE": 0x809E,
-    "SAMPLE_COVERAGE": 0x80A0,
-}
-_TEXTURE_0, _TEXTURE_2D, _TEXTURE_BINDING_2D, _ACTIVE_TEXTURE = 0x84C0, 0x0DE1, 0x8069, 0x84E0
-_FILL, _FRONT_AND_BACK, _LESS, _COUNTER_CLOCKWISE = 0x1B02, 0x0408, 0x0201, 0x0901
-
-
-def _put_aside_state(context: Context) -> Callable[[], None]:
-    """Bring a host's state to what drawing needs, and return the way back."""
-    integer, pointer = ctypes.c_int, ctypes.c_void_p
-    get_integers = context.function("glGetIntegerv", integer, pointer)
-    is_enabled = context.function("glIsEnabled", integer, result=ctypes.c_ubyte)
-    switch = (
-        context.function("glDisable", integer),
-        context.function("glEnable", integer),
-    )
-
-    def saved(name: int, count: int = 1) -> tuple[int, ...]:
-        values = (integer * count)()
-        get_integers(name, values)
-        return tuple(values)
-
-    def call(name: str, *values: int) -> Callable[[], None]:
-        function = context.function(name, *[integer] * len(values))
-        return lambda: function(*values)
-
-    enabled = {each: bool(is_enabled(each)) for each in _CAPABILITIES.values()}
-    units = [*range(4), context.gl.max_texture_units - 1]  # moderngl uploads through the last
-    active = saved(_ACTIVE_TEXTURE)
-    back = [
-        call("glBindFramebuffer", 0x8CA9, *saved(0x8CA6)),  # draw
-        call("glBindFramebuffer", 0x8CA8, *saved(0x8CAA)),  # read
-        call("glViewport", *saved(0x0BA2, 4)),
-        call("glScissor", *saved(0x0C10, 4)),
-        call("glUseProgram", *saved(0x8B8D)),
-        call("glBindVertexArray", *saved(0x85B5)),
-        call("glBindBuffer", 0x8892, *saved(0x8894)),  # array buffer
-        call("glBindRenderbuffer", 0x8D41, *saved(0x8CA7)),
-        call("glPixelStorei", 0x0CF5, *saved(0x0CF5)),  # unpack alignment
-        call("glPixelStorei", 0x0D05, *saved(0x0D05)),  # pack alignment
-        call("glFrontFace", *saved(0x0B46)),
-        call("glDepthFunc", *saved(0x0B74)),
-        call("glDepthMask", *saved(0x0B72)),
-        call("glColorMask", *saved(0x0C23, 4)),
-        call("glPolygonMode", _FRONT_AND_BACK, *saved(0x0B40)),
-    ]
-    for unit in units:
-        call("glActiveTexture", _TEXTURE_0 + unit)()
-        back.append(call("glActiveTexture", _TEXTURE_0 + unit))
-        back.append(call("glBindTexture", _TEXTURE_2D, *saved(_TEXTURE_BINDING_2D)))
-    back.append(call("glActiveTexture", *active))
-
-    for each in enabled:
-        switch[False](each)
-    call("glFrontFace", _COUNTER_CLOCKWISE)()
-    call("glDepthFunc", _LESS)()
-    call("glPolygonMode", _FRONT_AND_BACK, _FILL)()
-
-    def restore() -> None:
-        for action in back:
-            action()
-        for each, was_enabled in enabled.items():
-            switch[was_enabled](each)
-
-    return restore
 
 
 _OPENERS: dict[str, Callable[[], Any]] = {
@@ -273,21 +206,35 @@ def create_context(backend: Backend = "auto") -> Context:
     if backend not in BACKENDS:
         raise InputError(f"unknown backend {backend!r}; known: {', '.join(BACKENDS)}")
     tried = ("egl", "osmesa") if backend == "auto" else (backend,)
+    host = current_context()
     said = []
     for name in tried:
         try:
-            loader = _OPENERS[name]()
-            gl = moderngl.create_context(
-                require=_GL_VERSION, standalone=name != "current", context=loader
-            )
+            return _open(name, host)
         except Exception as error:  # glcontext raises bare Exception
             said.append(f"{name}: {error}")
-            continue
-        # An OpenGL object that Python drops in another context would free a stranger there.
-        gl.gc_mode = "context_gc"
-        info = gl.info
-        return Context(name, gl, loader, info["GL_RENDERER"], info["GL_VERSION"])
+        finally:
+            if host is not None and name != "current":
+                host.rebind()
     raise ContextError(f"no OpenGL context ({'; '.join(said)}); {_remedy(tried)}")
+
+
+def _open(name: str, host: HostContext | None) -> Context:
+    loader = _OPENERS[name]()
+    guest = name == "current" and host is not None
+    restore = put_aside_state(loader.load) if guest else None
+    gl = moderngl.create_context(require=_GL_VERSION, standalone=not guest, context=loader)
+    # An OpenGL object that Python drops in another context would free a stranger there.
+    gl.gc_mode = "context_gc"
+    info = gl.info
+    handle = host.handle if guest and host else 0
+    context = Context(name, gl, loader, handle, info["GL_RENDERER"], info["GL_VERSION"])
+    if restore is not None:
+        restore()
+    else:
+        with gl:
+            pass  # on the way out no context of ours stays current
+    return context
 
 
 def _remedy(tried: tuple[str, ...]) -> str:
@@ -320,15 +267,9 @@ def probe() -> list[Finding]:
         except ContextError as error:
             findings.append(Finding(name, error=str(error)))
             continue
-        limits = context.gl.info
-        findings.append(
-            Finding(
-                name,
-                context.renderer,
-                context.version,
-                context.gl.max_samples,
-                min(limits["GL_MAX_TEXTURE_SIZE"], *limits["GL_MAX_VIEWPORT_DIMS"]),
-            )
-        )
+        with context.drawing() as gl:
+            size = min(gl.info["GL_MAX_TEXTURE_SIZE"], *gl.info["GL_MAX_VIEWPORT_DIMS"])
+            samples = gl.max_samples
+        findings.append(Finding(name, context.renderer, context.version, samples, size))
         context.release()
     return findings

@@ -28,7 +28,6 @@ from facerender.texture import Kind, Texture
 MAX_SIZE = 16384
 
 _TEXTURE_2D = 0x0DE1
-_UNPACK_ALIGNMENT = 0x0CF5
 _SRGB8_ALPHA8 = 0x8C43
 _RGB8 = 0x8051
 _RGBA16F = 0x881A
@@ -92,12 +91,14 @@ class Renderer:
         self.anisotropy = anisotropy
         self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
         self.context = create_context(backend)
+        self._released = False
         self._parts: WeakKeyDictionary[Part, _GpuPart] = WeakKeyDictionary()
         self._textures: WeakKeyDictionary[Texture, moderngl.Texture] = WeakKeyDictionary()
         self._programs: dict[str, moderngl.Program] = {}
         self._targets: dict[str, moderngl.Framebuffer] = {}
         try:
-            self._check_limits()
+            with self.context.drawing():
+                self._check_limits()
         except ContextError:
             self.release()
             raise
@@ -114,7 +115,11 @@ class Renderer:
         self.release()
 
     def release(self) -> None:
-        """Free everything on the GPU, and the context unless it is the host's."""
+        """Free everything on the GPU, and the context unless it is the host's; a second time does
+        nothing."""
+        if self._released:
+            return
+        self._released = True
         with self.context.drawing() as gl:
             for cache in (self._parts, self._textures, self._programs, self._targets):
                 cache.clear()
@@ -278,14 +283,10 @@ class Renderer:
             raise InputError(f"{source.name} is {width} x {height} texels: at most {limit} here")
         size = (width, height)
         texture = gl.texture(size, components, levels[0], 0, 1, dtype, internal_format=internal)
-        bind = self.context.function("glBindTexture", ctypes.c_uint, ctypes.c_uint)
-        store = self.context.function("glPixelStorei", ctypes.c_uint, ctypes.c_int)
         upload = self.context.function(
             "glTexImage2D", *[ctypes.c_int] * 6, ctypes.c_uint, ctypes.c_uint, ctypes.c_void_p
         )
-        texture.use(0)
-        bind(_TEXTURE_2D, texture.glo)
-        store(_UNPACK_ALIGNMENT, 1)
+        texture.use(0)  # level 0 went up with an alignment of 1, which stays
         for number, level in enumerate(levels[1:], start=1):
             texels = np.ascontiguousarray(level)
             extent = level.shape[1], level.shape[0], 0

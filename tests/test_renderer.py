@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender import context, reference
+from facerender import reference
 from facerender.context import Backend, create_context
+from facerender.host import CAPABILITIES, STATE
 from tests import gates
 from tests.conftest import require_backend
 
@@ -266,56 +267,124 @@ def test_renderers_leave_nothing_behind(backend, head):
     assert use(15) - warm < 30_000
 
 
-def host_state(host) -> dict[str, object]:
-    """What a host may have set: capabilities, bindings, masks, viewport."""
-    names = {
-        "viewport": (0x0BA2, 4), "scissor": (0x0C10, 4), "framebuffer": (0x8CA6, 1),
-        "program": (0x8B8D, 1), "vertex array": (0x85B5, 1), "active texture": (0x84E0, 1),
-        "texture": (0x8069, 1), "depth function": (0x0B74, 1), "depth mask": (0x0B72, 1),
-        "color mask": (0x0C23, 4), "polygon mode": (0x0B40, 1), "front face": (0x0B46, 1),
-        "unpack alignment": (0x0CF5, 1), "pack alignment": (0x0D05, 1),
-    }  # fmt: skip
-    get = host.function("glGetIntegerv", ctypes.c_int, ctypes.c_void_p)
-    enabled = host.function("glIsEnabled", ctypes.c_int, result=ctypes.c_ubyte)
-    state: dict[str, object] = {}
-    for name, (number, count) in names.items():
-        values = (ctypes.c_int * count)()
-        get(number, values)
-        state[name] = tuple(values)
-    for name, number in context._CAPABILITIES.items():
-        state[name] = enabled(number)
-    return state
+class Host:
+    """A program with a context of its own, in which everything is set that could spoil an image."""
+
+    SETTINGS = (
+        *(("glEnable", number) for number, needed in CAPABILITIES.values() if not needed),
+        ("glDisable", CAPABILITIES["MULTISAMPLE"][0]),
+        ("glScissor", 1, 2, 3, 4),
+        ("glViewport", 5, 6, 7, 8),
+        ("glDepthFunc", 0x0204),  # greater
+        ("glDepthMask", 0),
+        ("glColorMask", 0, 1, 0, 1),
+        ("glFrontFace", 0x0900),  # clockwise
+        ("glPolygonMode", 0x0408, 0x1B01),  # lines
+        ("glClipControl", 0x8CA2, 0x935F),  # upper left, 0 to 1
+        ("glBlendFuncSeparate", 1, 0, 0, 1),
+        *(("glPixelStorei", name, 200) for name in (0x0D02, 0x0CF2)),  # row lengths
+        ("glPixelStorei", 0x0CF5, 8),
+        ("glActiveTexture", 0x84C1),
+    )
+
+    def __init__(self, backend: Backend) -> None:
+        self.context = create_context(backend)
+        self.gl = self.context.gl
+        self.gl.__enter__()
+        self.target = self.gl.framebuffer([self.gl.renderbuffer((64, 64), 4)])
+        self.target.clear(0.25, 0.5, 0.75, 1.0)
+
+    def set_everything(self) -> None:
+        self.target.use()
+        for unit in range(4):
+            self.gl.texture((1, 1), 4, bytes(4)).use(unit)
+            self.gl.sampler(filter=(moderngl.NEAREST, moderngl.NEAREST)).use(unit)
+        for name, *values in self.SETTINGS:
+            self.context.function(name, *[ctypes.c_int] * len(values))(*values)
+        self.context.function("glDepthRange", *[ctypes.c_double] * 2)(1.0, 0.0)
+
+    def state(self) -> dict[tuple[str, int, int], tuple[float, ...]]:
+        get = self.context.function("glGetDoublev", ctypes.c_int, ctypes.c_void_p)
+        activate = self.context.function("glActiveTexture", ctypes.c_int)
+        queries = [query for _, _, several, _ in STATE for query in several]
+        queries += [(number, 1) for number, _ in CAPABILITIES.values()]
+        queries += [(0x84E0, 1), (0x0C22, 4), (0x0B70, 2)]  # active texture, clear color, depth
+        state = {}
+        for name, count in queries:
+            values = (ctypes.c_double * count)()
+            get(name, values)
+            state["", 0, name] = tuple(values)
+        for unit in range(4):
+            activate(0x84C0 + unit)
+            for name in (0x8069, 0x8919):  # texture, sampler
+                values = (ctypes.c_double * 1)()
+                get(name, values)
+                state["unit", unit, name] = tuple(values)
+        activate(int(state["", 0, 0x84E0][0]))
+        return state
+
+    def release(self) -> None:
+        self.gl.__exit__(None, None, None)
+        self.context.release()
 
 
-def test_host_context_is_used_and_left_as_it_was(backend, head):
-    """A host with everything set that could spoil the image gets the same image, and all back."""
-    host = create_context(backend)
-    try:
-        mine = host.gl.framebuffer([host.gl.renderbuffer((64, 64), 4)])
-        mine.use()
-        mine.clear(0.25, 0.5, 0.75, 1.0)
-        host.gl.texture((1, 1), 4, bytes(4)).use(1)
-        call = {
-            "glEnable": [(number,) for number in context._CAPABILITIES.values()],
-            "glScissor": [(1, 2, 3, 4)], "glViewport": [(5, 6, 7, 8)], "glDepthFunc": [(0x0204,)],
-            "glDepthMask": [(0,)], "glColorMask": [(0, 1, 0, 1)], "glFrontFace": [(0x0900,)],
-            "glPolygonMode": [(0x0408, 0x1B01)], "glPixelStorei": [(0x0CF5, 8), (0x0D05, 2)],
-            "glActiveTexture": [(0x84C1,)],
-        }  # fmt: skip
-        for name, calls in call.items():
-            for arguments in calls:
-                host.function(name, *[ctypes.c_int] * len(arguments))(*arguments)
-        before = host_state(host)
-        with fr.Renderer((96, 96), backend="current") as guest:
-            assert guest.context.backend == "current"
-            inside = guest.render(fr.Scene(head)).linear
-            assert host_state(host) == before
-        assert host_state(host) == before
-        assert mine.read(components=4)[:4] == bytes([64, 128, 191, 255])
-    finally:
-        host.release()
-    with fr.Renderer((96, 96), backend=backend) as own:
-        np.testing.assert_array_equal(own.render(fr.Scene(head)).linear, inside)
+@pytest.fixture
+def host(backend: Backend) -> Iterator[Host]:
+    host = Host(backend)
+    yield host
+    host.release()
+
+
+def test_guest_draws_the_same_and_leaves_the_host_as_it_was(host, head):
+    with fr.Renderer((96, 96), samples=4, backend=host.context.backend) as own:
+        expected = own.render(fr.Scene(head)).linear
+    host.set_everything()
+    before = host.state()
+    with fr.Renderer((96, 96), samples=4, backend="current") as guest:
+        assert host.state() == before
+        for _ in range(2):
+            np.testing.assert_array_equal(guest.render(fr.Scene(head)).linear, expected)
+            assert host.state() == before
+        guest.gbuffer(fr.Scene(head))
+        assert host.state() == before
+        at_center = fr.Light(position=tuple(head.center))
+        with pytest.raises(fr.InputError, match="is at the centre of"):
+            guest.render(fr.Scene(head, lights=(at_center,)))
+        assert host.state() == before
+    assert host.state() == before
+    host.context.function("glPixelStorei", ctypes.c_int, ctypes.c_int)(0x0D02, 0)
+    assert host.target.read(components=4)[:4] == bytes([64, 128, 191, 255])
+
+
+@pytest.mark.parametrize("guest", ["egl", "osmesa"])
+def test_own_context_does_not_take_the_hosts_away(host, head, guest):
+    before = host.state()
+    fr.render(head, size=(32, 32), samples=1, backend=require_backend(guest))
+    assert host.state() == before
+    host.target.clear(0.5, 0.5, 0.5, 0.5)
+    assert host.target.read(components=4)[:4] == bytes([128] * 4)
+
+
+def test_guest_refuses_another_context(backend, head):
+    first, second = create_context(backend), create_context(backend)
+    with first.gl:
+        guest = fr.Renderer((32, 32), backend="current")
+    for use in (guest.render, guest.gbuffer):
+        with second.gl, pytest.raises(fr.ContextError, match="is not current in this thread"):
+            use(fr.Scene(head))
+        with pytest.raises(fr.ContextError, match="is not current in this thread"):
+            use(fr.Scene(head))
+    with first.gl:
+        guest.release()
+    first.release()
+    second.release()
+
+
+def test_released_renderer(egl, head):
+    with fr.Renderer((32, 32), backend=egl) as renderer:
+        renderer.release()
+    with pytest.raises(fr.ContextError, match="was released: make a new one"):
+        renderer.render(fr.Scene(head))
 
 
 def test_no_context_is_current():
