@@ -1,7 +1,5 @@
 """``python -m facerender`` is the command ``facerender``."""
 
-import sys
+from facerender.cli import console
 
-from facerender.cli import main
-
-sys.exit(main())
+console()

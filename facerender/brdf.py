@@ -3,7 +3,8 @@
 
 Directions are arrays of shape (..., 3) that broadcast against one another: ``n`` the normal, ``l``
 towards the light, ``v`` towards the eye, unit vectors. BRDFs are in 1/sr, without N.L, for a
-specular weight of 1, and exactly 0 for a light or an eye below the surface.
+specular weight of 1, and exactly 0 for a light or an eye below the surface; above it, N.L and N.V
+below 1e-6 count as 1e-6, as in the shaders.
 """
 
 from __future__ import annotations
@@ -72,17 +73,18 @@ def fresnel_dielectric(f0: ArrayLike, v_dot_h: ArrayLike) -> NDArray[np.float64]
     Parameters and errors as in :func:`fresnel_schlick`; the index of refraction is
     (1 + sqrt(f0)) / (1 - sqrt(f0)).
 
-    References: Cook and Torrance (1982), eq. 16.
+    References: Cook and Torrance (1982).
     """
     root = np.sqrt(_check_f0(f0))
-    eta = (1.0 + root) / (1.0 - root)
+    q = 4.0 * root / (1.0 - root) ** 2  # eta^2 - 1
     c = np.clip(np.asarray(v_dot_h, dtype=np.float64), 0.0, 1.0)
-    transmitted = np.sqrt(1.0 - (1.0 - c**2) / eta**2)  # Snell: cosine of the refracted ray
-    # At c = 0 and f0 = 0 both ratios are 0/0; the limit from c > 0 is no reflection.
-    with np.errstate(invalid="ignore"):
-        s = (c - eta * transmitted) / (c + eta * transmitted)
-        p = (eta * c - transmitted) / (eta * c + transmitted)
-    return np.asarray(np.where(c + eta * transmitted > 0.0, 0.5 * (s**2 + p**2), 0.0))
+    g = np.sqrt(q + c**2)  # eta times the cosine of the refracted ray
+    # (c - g)/(c + g) and (eta^2 c - g)/(eta^2 c + g), with c - g = -q/(c + g): nothing cancels. At
+    # c = 0 and f0 = 0 both are 0/0; the limit from c > 0 is no reflection.
+    total = np.maximum(c + g, 1e-300)
+    s = q / total / total
+    p = q * (c - 1.0 / total) / np.maximum((1.0 + q) * c + g, 1e-300)
+    return np.asarray(np.where(c + g > 0.0, 0.5 * (s**2 + p**2), 0.0))
 
 
 def fresnel(f0: ArrayLike, v_dot_h: ArrayLike, kind: Fresnel = "schlick") -> NDArray[np.float64]:
@@ -104,7 +106,7 @@ def masking_v_cavity(
     n_dot_h, v_dot_h : cosines with the half vector (of any length), v_dot_h > 0
     n_dot_l, n_dot_v : cosines of light and eye, in (0, 1]
 
-    References: Torrance and Sparrow (1967); Cook and Torrance (1982), eq. 15.
+    References: Torrance and Sparrow (1967); Cook and Torrance (1982).
     """
     ratio = 2.0 * np.asarray(n_dot_h, dtype=np.float64) / np.asarray(v_dot_h, dtype=np.float64)
     return np.asarray(np.minimum(1.0, ratio * np.minimum(n_dot_l, n_dot_v)))
@@ -178,7 +180,7 @@ def ward(
 
     Parameters and errors as in :func:`cook_torrance`; m is Ward's alpha.
 
-    References: Ward (1992), eq. 5.
+    References: Ward (1992), eq. 4.
     """
     at = _Geometry(n, l, v)
     scale = 4.0 * np.pi * np.asarray(m, dtype=np.float64) ** 2

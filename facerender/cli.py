@@ -7,6 +7,7 @@ import argparse
 import dataclasses
 import json
 import re
+import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -17,8 +18,8 @@ from facerender.context import BACKENDS, probe
 from facerender.errors import FacerenderError, FacerenderWarning, InputError
 from facerender.frame import ONLY
 from facerender.lobes import NAMES as LOBES
-from facerender.mesh import load_mesh
-from facerender.renderer import Renderer, start_maps
+from facerender.mesh import load_mesh, start_maps
+from facerender.renderer import Renderer
 from facerender.scene import LIGHTS, Camera, Scene, load_scene, parse_light
 from facerender.shading import FRESNEL_TERMS, MODELS, Shading
 
@@ -33,6 +34,13 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message}; see {self.prog} --help")
+
+
+def console() -> NoReturn:
+    """Entry point of the command. Ctrl-C ends the process at once, since trimesh catches and forgets
+    a KeyboardInterrupt; only while a file is written it must be cleaned up after."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    sys.exit(main())
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -166,6 +174,8 @@ def _render(options: argparse.Namespace, caught: list[str]) -> int:
     ) as renderer:
         frame = renderer.render(scene, shading, options.only)
         backend = renderer.context.backend
+    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     frame.save(options.output, options.exposure)
     if options.json:
         facts = {
@@ -220,7 +230,7 @@ def _scene_settings(options: argparse.Namespace, camera: Camera) -> dict[str, An
     settings: dict[str, Any] = {}
     orbit: dict[str, Any] = {}
     if options.camera in CAMERAS:
-        orbit["azimuth"] = CAMERAS[options.camera]
+        orbit = {"azimuth": CAMERAS[options.camera], "elevation": 0.0}
     elif options.camera is not None:
         try:
             numbers = _numbers("camera", options.camera, (1, 2, 3))

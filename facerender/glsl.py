@@ -24,7 +24,7 @@ def shader_dir() -> Path:
 
 
 def shader_source(name: str) -> str:
-    """Return one file of the shader library with its includes resolved, each once.
+    """Return one file of the shader library with its includes resolved.
 
     Parameters
     ----------
@@ -40,17 +40,9 @@ def shader_source(name: str) -> str:
 
 
 def resolve_includes(text: str) -> str:
-    """Replace every ``#include`` in text by the file's content, or by nothing the second time."""
-    seen: set[str] = set()
-
-    def replace(match: re.Match[str]) -> str:
-        path = match[1]
-        if path in seen:
-            return ""
-        seen.add(path)
-        return _INCLUDE.sub(replace, _read(path)).rstrip("\n")
-
-    return _INCLUDE.sub(replace, text)
+    """Replace every ``#include`` in text by the file's content, as often as it stands there: the
+    files' own guards keep the compiler from reading one twice, also within ``#if``."""
+    return _INCLUDE.sub(lambda match: resolve_includes(_read(match[1])).rstrip("\n"), text)
 
 
 @cache

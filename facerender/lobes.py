@@ -22,9 +22,10 @@ NAMES: tuple[Lobe, ...] = ("exact", "cosine", "d4", "d8", "d16")
 MIN_SLOPE = 1e-4
 MAX_SLOPE = 2.0
 _POWERS = {"d4": 4, "d8": 8, "d16": 16}
+_MODELS = {4: "Cook-Torrance", 0: "Ward"}
 
 
-def max_slope(name: Lobe, k: int) -> float:
+def max_slope(name: str, k: int) -> float:
     """Return the upper end of a lobe's domain of m.
 
     It is excluded for the approximations: their exponent n = 2/m² - k must be positive.
@@ -34,11 +35,9 @@ def max_slope(name: Lobe, k: int) -> float:
     return math.sqrt(2.0 / k)
 
 
-def check_slope(m: ArrayLike, name: Lobe, k: int) -> NDArray[np.float64]:
+def check_slope(m: ArrayLike, name: str, k: int) -> NDArray[np.float64]:
     """Return m as float64, or raise InputError when a value lies outside the lobe's domain."""
-    if name not in NAMES:
-        raise InputError(f"unknown lobe {name!r}; known: {', '.join(NAMES)}")
-    if k not in (0, 4):
+    if k not in _MODELS:
         raise InputError(f"k = {k} is neither 4 (Cook-Torrance) nor 0 (Ward)")
     slope = np.asarray(m, dtype=np.float64)
     end = max_slope(name, k)
@@ -48,7 +47,7 @@ def check_slope(m: ArrayLike, name: Lobe, k: int) -> NDArray[np.float64]:
         bracket = "]" if end == MAX_SLOPE else ")"
         remedy = "" if end == MAX_SLOPE else ", or use the lobe exact"
         raise InputError(
-            f"m = {value:g} is outside the domain of lobe {name} with k = {k}: "
+            f"m = {value:g} is outside the domain of lobe {name} for {_MODELS[k]}: "
             f"give m in [{MIN_SLOPE:g}, {end:.4g}{bracket}{remedy}"
         )
     return slope
@@ -87,8 +86,7 @@ def exact_tan2(tan2: ArrayLike, m: ArrayLike, k: int) -> NDArray[np.float64]:
     ------
     InputError : tan2 or m outside its domain
 
-    References: Beckmann and Spizzichino (1963); Cook and Torrance (1982), eq. 14; Ward (1992),
-    eq. 5.
+    References: Beckmann and Spizzichino (1963); Cook and Torrance (1982); Ward (1992), eq. 4.
     """
     slope = check_slope(m, "exact", k)
     t = np.asarray(tan2, dtype=np.float64)
@@ -155,19 +153,18 @@ def g_power(c: ArrayLike, m: ArrayLike, k: int, g: int) -> NDArray[np.float64]:
 
     References: Romanyuk et al. (2020), D4, D8, D16; Lyon (1993) for the clamp.
     """
-    name = next((name for name, power in _POWERS.items() if power == g), None)
-    if name is None:
+    if g not in _POWERS.values():
         raise InputError(f"g = {g} is none of {', '.join(map(str, _POWERS.values()))}")
-    slope = check_slope(m, name, k)  # type: ignore[arg-type]
-    n = 2.0 / slope**2 - k
+    n = 2.0 / check_slope(m, f"d{g}", k) ** 2 - k
     return np.asarray(np.maximum(n / g * (_check_cosine(c) - 1.0) + 1.0, 0.0) ** g)
 
 
 def lobe(name: Lobe, c: ArrayLike, m: ArrayLike, k: int) -> NDArray[np.float64]:
     """Evaluate the named lobe; parameters as in :func:`exact` and the function of that name."""
-    check_slope(m, name, k)
     if name == "exact":
         return exact(c, m, k)
     if name == "cosine":
         return cosine(c, m, k)
+    if name not in _POWERS:
+        raise InputError(f"unknown lobe {name!r}; known: {', '.join(NAMES)}")
     return g_power(c, m, k, _POWERS[name])

@@ -19,7 +19,7 @@ from facerender.errors import FacerenderWarning, InputError
 from facerender.glsl import data_dir
 from facerender.image import srgb_to_linear
 from facerender.scene import SKIN_ALBEDO, Material
-from facerender.texture import Texture
+from facerender.texture import Kind, Texture
 
 if TYPE_CHECKING:
     import trimesh
@@ -113,6 +113,28 @@ class Mesh:
         return replace(self, materials=tuple(replace(each, **changes) for each in self.materials))
 
 
+def part_maps(part: Part, material: Material, albedo: Kind) -> list[tuple[str, Texture, Kind]]:
+    """Return the maps that a part is drawn with: name, texture, kind of mip chain.
+
+    albedo is the kind for the albedo map: "color" or "linear-color".
+    """
+    if part.uv is None:
+        return []
+    candidates: list[tuple[str, Texture | None, Kind]] = [
+        ("albedo_map", material.albedo_map, albedo),
+        ("normal_map", material.normal_map, "data"),
+        ("property_map", material.property_map, "data"),
+    ]
+    return [(name, texture, kind) for name, texture, kind in candidates if texture is not None]
+
+
+def start_maps(mesh: Mesh, albedo: Kind = "color") -> None:
+    """Start decoding the maps of a mesh in threads, ahead of the renderer that waits for them."""
+    for part, material in zip(mesh.parts, mesh.materials, strict=True):
+        for _, texture, kind in part_maps(part, material, albedo):
+            texture.levels(kind)
+
+
 def load_mesh(
     path: Path_ | None = None,
     *,
@@ -147,8 +169,12 @@ def load_mesh(
         )
         if file is not None
     }
-    geometries = _read(source, skip_images="albedo_map" in overrides)
-    pieces = [_piece(geometry, transform, source) for geometry, transform in geometries]
+    geometries, lost_images = _read(source, skip_images="albedo_map" in overrides)
+    textures: dict[int, Texture] = {}  # by image: Pillow decodes an image in one thread only
+    pieces = [
+        _piece(geometry, transform, source, textures, lost_images)
+        for geometry, transform in geometries
+    ]
     if flip_v:
         for piece in pieces:
             if piece.uv is not None:
@@ -165,8 +191,11 @@ def _warn(message: str) -> None:
     warnings.warn(message, FacerenderWarning, stacklevel=2)
 
 
-def _read(path: Path, skip_images: bool) -> list[tuple[trimesh.Trimesh, NDArray[np.float64]]]:
-    """Return every instance of a geometry with faces, and its transform."""
+def _read(
+    path: Path, skip_images: bool
+) -> tuple[list[tuple[trimesh.Trimesh, NDArray[np.float64]]], bool]:
+    """Return every instance of a geometry with faces and its transform, and whether files that it
+    names were not found."""
     suffix = path.suffix.lower()
     if path.is_dir():
         raise InputError(f"{path} is a directory; give a mesh file in it")
@@ -232,7 +261,7 @@ def _read(path: Path, skip_images: bool) -> list[tuple[trimesh.Trimesh, NDArray[
                 "replace it, or pass --albedo FILE"
             )
         _warn_missing(resolver.missing, path)
-    return instances
+    return instances, bool(resolver.missing)
 
 
 def _is_image(content: bytes) -> bool:
@@ -242,6 +271,8 @@ def _is_image(content: bytes) -> bool:
 
     try:
         Image.open(BytesIO(content))
+    except Image.DecompressionBombError as error:
+        raise InputError(f"a texture is too large: {error}") from None
     except OSError:
         return False
     return True
@@ -309,7 +340,13 @@ class _Piece:
     material: Material
 
 
-def _piece(geometry: trimesh.Trimesh, transform: NDArray[np.float64], source: Path) -> _Piece:
+def _piece(
+    geometry: trimesh.Trimesh,
+    transform: NDArray[np.float64],
+    source: Path,
+    textures: dict[int, Texture],
+    lost_images: bool,
+) -> _Piece:
     linear = transform[:3, :3]
     vertices = np.asarray(geometry.vertices, dtype=np.float64)
     if vertices.shape[1:] != (3,):
@@ -331,8 +368,13 @@ def _piece(geometry: trimesh.Trimesh, transform: NDArray[np.float64], source: Pa
         uv = None
     colors = None
     if visual.kind in ("vertex", "face"):
-        colors = srgb_to_linear(np.asarray(visual.vertex_colors)[:, :3] / 255.0)
-    material = _material(getattr(visual, "material", None), colors is not None, source.name)
+        colors = np.asarray(visual.vertex_colors)[:, :3] / 255.0
+        if source.suffix.lower() not in (".glb", ".gltf"):  # there they are linear
+            colors = srgb_to_linear(colors)
+    own = getattr(visual, "material", None)
+    material = _material(own, colors is not None, source.name, textures)
+    if lost_images and material.albedo_map is None and min(material.albedo) > 0.99:
+        material = replace(material, albedo=SKIN_ALBEDO)  # white was meant to multiply the image
     if uv is None and material.albedo_map is not None:
         _warn(f"{source.name} has no texture coordinates: its texture is ignored")
     with np.errstate(invalid="ignore"):  # such vertices are dropped later
@@ -347,7 +389,7 @@ def _piece(geometry: trimesh.Trimesh, transform: NDArray[np.float64], source: Pa
     )
 
 
-def _material(source: Any, has_colors: bool, file: str) -> Material:
+def _material(source: Any, has_colors: bool, file: str, textures: dict[int, Texture]) -> Material:
     """Translate a trimesh material: PBR from glTF, simple from MTL, None where there is none."""
     if source is None:
         return Material(albedo=(1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO)
@@ -355,7 +397,8 @@ def _material(source: Any, has_colors: bool, file: str) -> Material:
     def texture(image: Any, kind: str) -> Texture | None:
         if image is None:
             return None
-        return Texture(lambda: image, image.info.get("file_path", f"the {kind} map of {file}"))
+        name = image.info.get("file_path", f"the {kind} map of {file}")
+        return textures.setdefault(id(image), Texture(lambda: image, name))
 
     if type(source).__name__ == "PBRMaterial":
         factor = source.baseColorFactor

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from facerender import brdf
 from facerender.frame import GBuffer
-from facerender.scene import Scene
+from facerender.scene import Scene, point_lights
 from facerender.shading import Shading
 
 Lighting = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -67,15 +67,15 @@ def _specular(
 def lighting(scene: Scene, position: NDArray[np.float64]) -> list[Lighting]:
     """Direction to each light and its irradiance at positions (N, 3) of the renderer's space."""
     result: list[Lighting] = []
+    points = iter(point_lights(scene))
     for light in scene.lights:
-        irradiance = np.asarray(light.irradiance)
         if light.position is None:
-            result.append((light.direction, irradiance))
+            result.append((light.direction, np.asarray(light.irradiance)))
             continue
-        source = scene.mesh.normalised(light.position)
+        source, intensity = next(points)
         to_light = source - position
         distance2 = (to_light**2).sum(axis=-1, keepdims=True)
-        result.append((to_light / np.sqrt(distance2), irradiance * (source @ source) / distance2))
+        result.append((to_light / np.sqrt(distance2), intensity / distance2))
     return result
 
 

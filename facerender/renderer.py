@@ -15,14 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender import __version__
+from facerender.brdf import Fresnel
 from facerender.context import Backend, create_context
 from facerender.errors import ContextError, InputError
 from facerender.frame import ONLY, Frame, GBuffer, Only
 from facerender.glsl import resolve_includes
-from facerender.mesh import Mesh, Part, load_mesh
+from facerender.lobes import Lobe
+from facerender.mesh import Mesh, Part, load_mesh, part_maps, start_maps
 from facerender.reference import data_view
-from facerender.scene import Camera, Light, Material, Scene, View, view_of
-from facerender.shading import Shading
+from facerender.scene import Camera, Light, Material, Scene, View, point_lights, view_of
+from facerender.shading import Model, Shading
 from facerender.texture import Kind, Texture
 
 MAX_SIZE = 16384
@@ -244,10 +246,13 @@ class Renderer:
         key = name + prelude
         if key not in self._programs:
             head = "#version 330 core\n" + prelude
-            self._programs[key] = self.context.gl.program(
-                vertex_shader=resolve_includes(head + '#include "host/surface.vert"\n'),
-                fragment_shader=resolve_includes(head + f'#include "host/{name}.frag"\n'),
-            )
+            try:
+                self._programs[key] = self.context.gl.program(
+                    vertex_shader=resolve_includes(head + '#include "host/surface.vert"\n'),
+                    fragment_shader=resolve_includes(head + f'#include "host/{name}.frag"\n'),
+                )
+            except moderngl.Error as error:
+                raise ContextError(f"{self.context.renderer} refused a program: {error}") from None
         return self._programs[key]
 
     def _upload(self, part: Part, mesh: Mesh) -> _GpuPart:
@@ -302,7 +307,7 @@ class Renderer:
     ) -> None:
         for name, value in _uniforms(part, material, view, scene).items():
             _set(program, name, value)
-        maps = _maps(part, material, self.albedo_kind)
+        maps = part_maps(part, material, self.albedo_kind)
         textures = [self._texture(source, kind) for _, source, kind in maps]  # uses unit 0
         for unit, (texture, (name, _, _)) in enumerate(zip(textures, maps, strict=True)):
             texture.use(unit)
@@ -325,27 +330,8 @@ def _set(program: moderngl.Program, name: str, value: Any) -> None:
         program[name].value = value  # type: ignore[union-attr]
 
 
-def start_maps(mesh: Mesh, albedo_kind: Kind = "color") -> None:
-    """Start decoding the maps of a mesh in threads, ahead of the renderer that waits for them."""
-    for part, material in zip(mesh.parts, mesh.materials, strict=True):
-        for _, texture, kind in _maps(part, material, albedo_kind):
-            texture.levels(kind)
-
-
-def _maps(part: Part, material: Material, albedo_kind: Kind) -> list[tuple[str, Texture, Kind]]:
-    """The maps that a part is drawn with: uniform, texture, kind of mip chain."""
-    if part.uv is None:
-        return []
-    candidates: list[tuple[str, Texture | None, Kind]] = [
-        ("albedo_map", material.albedo_map, albedo_kind),
-        ("normal_map", material.normal_map, "data"),
-        ("property_map", material.property_map, "data"),
-    ]
-    return [(name, texture, kind) for name, texture, kind in candidates if texture is not None]
-
-
 def _surface_defines(part: Part, material: Material) -> str:
-    names = [name.upper() for name, _, _ in _maps(part, material, "color")]
+    names = [name.upper() for name, _, _ in part_maps(part, material, "color")]
     if part.uv is not None:
         names.append("UV")
     if part.colors is not None:
@@ -387,37 +373,11 @@ def _uniforms(part: Part, material: Material, view: View, scene: Scene) -> dict[
     if distant:
         values["light_direction"] = np.array([light.direction for light in distant])
         values["light_irradiance"] = np.array([light.irradiance for light in distant])
-    points = point_lights(scene.mesh, scene.lights)
+    points = point_lights(scene)
     if points:
         values["light_position"] = np.array([position for position, _ in points])
         values["light_intensity"] = np.array([intensity for _, intensity in points])
     return values
-
-
-def point_lights(
-    mesh: Mesh, lights: tuple[Light, ...]
-) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Positions and intensities of the point lights in the renderer's space.
-
-    The intensity is the irradiance that the light gives at the mesh's centre, times the square of
-    its distance from there.
-
-    Raises
-    ------
-    InputError : a light stands at the centre itself
-    """
-    result = []
-    for light in lights:
-        if light.position is None:
-            continue
-        position = mesh.normalised(light.position)
-        distance2 = float(position @ position)
-        if distance2 < 1e-12:
-            raise InputError(
-                f"point light {light.position} is at the centre of {mesh.name}; move it"
-            )
-        result.append((position, np.asarray(light.irradiance) * distance2))
-    return result
 
 
 def _clear_color(scene: Scene, only: Only | None) -> tuple[float, float, float, float]:
@@ -429,9 +389,9 @@ def _clear_color(scene: Scene, only: Only | None) -> tuple[float, float, float, 
 def render(
     mesh: Mesh | str | os.PathLike[str] | None = None,
     *,
-    model: Any = "cook-torrance",
-    lobe: Any = "exact",
-    fresnel: Any = "schlick",
+    model: Model = "cook-torrance",
+    lobe: Lobe = "exact",
+    fresnel: Fresnel = "schlick",
     m: float | None = None,
     size: tuple[int, int] = (1024, 1024),
     samples: int = 4,

@@ -4,6 +4,7 @@ from TOML files. Angles are in degrees here, lengths in the mesh's units. No Ope
 from __future__ import annotations
 
 import math
+import numbers
 import os
 import tomllib
 from collections.abc import Mapping
@@ -40,7 +41,7 @@ def _vector(name: str, value: Any) -> Vector:
 
 
 def _in_range(name: str, value: Any, low: float, high: float) -> None:
-    number = isinstance(value, int | float) and not isinstance(value, bool)
+    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
     if not (number and low <= value <= high):
         raise InputError(f"{name} = {value!r} is outside [{low:g}, {high:g}]")
 
@@ -135,9 +136,9 @@ def parse_light(text: str) -> Light:
         return LIGHTS[text]
     kind, _, rest = text.rpartition(":")
     try:
-        numbers = [float(word) for word in rest.split(",")]
+        values = [float(word) for word in rest.split(",")]
         count = {"": 2, "point": 3}[kind]
-        where, irradiance = numbers[:count], numbers[count:] or [math.pi]
+        where, irradiance = values[:count], values[count:] or [math.pi]
         if len(where) != count or len(irradiance) not in (1, 3):
             raise ValueError
     except (KeyError, ValueError):
@@ -181,6 +182,8 @@ class Material:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "albedo", _vector("albedo", self.albedo))
+        if min(self.albedo) < 0.0:
+            raise InputError(f"albedo = {self.albedo} is negative")
         _in_range("m", self.m, MIN_SLOPE, MAX_SLOPE)
         _in_range("roughness_factor", self.roughness_factor, 0.0, 1.0)
         _in_range("f0", self.f0, 0.0, 0.999)
@@ -233,6 +236,28 @@ class Scene:
             object.__setattr__(self, "background", _vector("background", self.background))
             if min(self.background) < 0.0:
                 raise InputError(f"background = {self.background} is negative")
+
+
+def point_lights(scene: Scene) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Return positions and intensities of the point lights in the renderer's space, (3,) each.
+
+    The intensity is the irradiance that the light gives at the mesh's centre, times the square of
+    its distance from there.
+
+    Raises
+    ------
+    InputError : a light stands at the centre itself
+    """
+    result = []
+    for light in scene.lights:
+        if light.position is None:
+            continue
+        position = scene.mesh.normalised(light.position)
+        distance2 = float(position @ position)
+        if distance2 < 1e-12:
+            raise InputError(f"point light {light.position} is at the mesh's centre; move it")
+        result.append((position, np.asarray(light.irradiance) * distance2))
+    return result
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,7 @@ class Texture:
         self.name = name
         self._decode = decode
         self._lock = threading.Lock()
+        self._levels_lock = threading.Lock()
         self._rgb: Image | None = None
         self._levels: dict[Kind, Future[Levels]] = {}
 
@@ -88,9 +89,10 @@ class Texture:
         "color" gives sRGB-encoded uint8 (H, W, 4), averaged in linear light; "linear-color" the
         same decoded, in float16, for comparisons to the last digit; "data" uint8 (H, W, 3).
         """
-        if kind not in self._levels:
-            self._levels[kind] = _executor().submit(lambda: _CHAINS[kind](self.rgb()))
-        return self._levels[kind]
+        with self._levels_lock:
+            if kind not in self._levels:
+                self._levels[kind] = _executor().submit(lambda: _CHAINS[kind](self.rgb()))
+            return self._levels[kind]
 
 
 _packed: WeakValueDictionary[tuple[Texture | None, ...], Texture] = WeakValueDictionary()

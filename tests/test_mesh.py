@@ -14,11 +14,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial import cKDTree
 
 import facerender as fr
+from facerender.mesh import start_maps
 from facerender.scene import SKIN_ALBEDO
 from tests import awkward_files as files
 from tests.awkward_files import Head, mini_head
@@ -148,7 +150,7 @@ def test_missing_texture(tmp_path: Path, draw: Draw) -> None:
         match=r"not_here\.jpg \(named by mini\.obj\) not found in .*--albedo FILE",
     ):
         mesh = fr.load_mesh(path)
-    np.testing.assert_allclose(mean_albedo(draw(mesh, "albedo")), WHITE)  # its Kd
+    np.testing.assert_allclose(mean_albedo(draw(mesh, "albedo")), SKIN_ALBEDO, rtol=1e-5)
 
 
 def test_missing_texture_of_a_glb(tmp_path: Path, draw: Draw) -> None:
@@ -761,6 +763,45 @@ def test_broken_file(case: str, tmp_path: Path) -> None:
     with pytest.raises(fr.InputError, match=message) as caught:
         fr.load_mesh(path)
     assert "\n" not in str(caught.value)
+
+
+# --- several parts, vertex colours of glTF -----
+
+
+def boxes(**visual: Any) -> Any:
+    """Four boxes side by side, as GLB bytes."""
+    scene = trimesh.Scene()
+    for number in range(4):
+        box = trimesh.creation.box()
+        if "texture" in visual:
+            material = trimesh.visual.material.PBRMaterial(baseColorTexture=visual["texture"])
+            uv = box.vertices[:, :2] + 0.5
+            box.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+        else:
+            box.visual.vertex_colors = visual["color"]
+        box.apply_translation([2.0 * number, 0, 0])
+        scene.add_geometry(box)
+    return scene.export(file_type="glb")
+
+
+def test_parts_that_share_an_image(tmp_path: Path) -> None:
+    pixels = np.random.default_rng(5).integers(0, 256, (512, 512, 3), dtype=np.uint8)
+    (tmp_path / "boxes.glb").write_bytes(boxes(texture=Image.fromarray(pixels)))
+    for _ in range(5):
+        mesh = fr.load_mesh(tmp_path / "boxes.glb")
+        start_maps(mesh)
+        for material in mesh.materials:
+            assert material.albedo_map is not None
+            texels = material.albedo_map.levels("color").result()[0]
+            np.testing.assert_array_equal(texels[::-1, :, :3], pixels)
+        assert len({id(material.albedo_map) for material in mesh.materials}) == 1
+
+
+def test_vertex_colors_of_gltf_are_linear(tmp_path: Path) -> None:
+    (tmp_path / "boxes.glb").write_bytes(boxes(color=[128, 64, 32, 255]))
+    mesh = fr.load_mesh(tmp_path / "boxes.glb")
+    assert mesh.parts[0].colors is not None
+    np.testing.assert_allclose(mesh.parts[0].colors[0], np.array([128, 64, 32]) / 255.0)
 
 
 # --- Draco ---------------------------------------------------------------------------------------

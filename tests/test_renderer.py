@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import resource
+import weakref
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -17,6 +18,7 @@ from facerender import reference
 from facerender.context import Backend, create_context
 from facerender.host import CAPABILITIES, STATE
 from tests import gates
+from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_backend
 
 SIDE = fr.Camera(azimuth=35.0, elevation=8.0)
@@ -42,7 +44,7 @@ def worst_error(renderer: fr.Renderer, scene: fr.Scene, shading: fr.Shading) -> 
     frame = renderer.render(scene, shading)
     covered = gbuffer.part >= 0
     np.testing.assert_array_equal(covered, frame.linear[..., 3] > 0)
-    assert covered.mean() > 0.15
+    assert covered.mean() > 0.12
     expected = reference.shade(gbuffer, scene, shading)[covered]
     difference = np.abs(frame.linear[covered][:, :3] - expected)
     assert np.isfinite(frame.linear).all()
@@ -51,7 +53,7 @@ def worst_error(renderer: fr.Renderer, scene: fr.Scene, shading: fr.Shading) -> 
 
 @pytest.fixture(scope="module")
 def transparent(backend: Backend) -> Iterator[fr.Renderer]:
-    with fr.Renderer((512, 512), samples=1, backend=backend) as renderer:
+    with fr.Renderer((512, 384), samples=1, backend=backend) as renderer:
         yield renderer
 
 
@@ -87,6 +89,7 @@ def test_egl_and_osmesa_draw_the_same_image(egl, scan_mesh, samples):
         with fr.Renderer((1024, 1024), samples=samples, backend=name) as renderer:
             frames.append(renderer.render(scene).linear)
     a, b = frames
+    np.testing.assert_array_equal(a, b)  # one driver; the gates are what others must keep
     assert gates.point(a[..., :3], b[..., :3]) <= 0.05
     assert gates.block(a[..., :3], b[..., :3], b[..., 3]) <= 1e-3
 
@@ -197,6 +200,46 @@ def test_normal_map_tilts_towards_its_green_and_red(renderer, tmp_path):
             normal = gbuffer.normal[gbuffer.part >= 0].mean(axis=0)
             expected = np.array([0.5 if name == "plain" else -0.5, 0.5, 0.7 * facing])
             np.testing.assert_allclose(normal, expected, atol=0.03)
+
+
+def test_normal_map_on_a_stretched_chart(renderer, tmp_path):
+    """The tilt does not depend on how many texels a metre has along u and v, up to one scale."""
+    from PIL import Image
+
+    Image.new("RGB", (4, 4), (191, 128, 238)).save(tmp_path / "tilted.png")
+    tilts = []
+    for stretch in (1, 4):
+        corners = f"v -1 -{stretch} 0\nv 1 -{stretch} 0\nv 1 {stretch} 0\nv -1 {stretch} 0\n"
+        uv = "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+        path = tmp_path / f"square{stretch}.obj"
+        path.write_text(corners + uv + "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n")
+        mesh = fr.load_mesh(path, normal_map=tmp_path / "tilted.png")
+        gbuffer = renderer.gbuffer(fr.Scene(mesh))
+        tilts.append(gbuffer.normal[gbuffer.part >= 0].mean(axis=0))
+    np.testing.assert_allclose(tilts[0], [0.5, 0.0, 0.866], atol=0.01)
+    np.testing.assert_allclose(tilts[1], tilts[0], atol=0.01)
+
+
+def test_black_texels_of_a_roughness_map_stay_in_the_domain(renderer, tmp_path):
+    from PIL import Image
+
+    Image.new("L", (4, 4), 0).save(tmp_path / "smooth.png")
+    mesh = fr.load_mesh(roughness_map=tmp_path / "smooth.png")
+    gbuffer = renderer.gbuffer(fr.Scene(mesh))
+    assert (gbuffer.m[gbuffer.part >= 0] == np.float32(1e-4)).all()
+    assert np.isfinite(renderer.render(fr.Scene(mesh)).linear).all()
+
+
+def test_pictures_of_a_frame():
+    linear = np.zeros((1, 3, 4), np.float32)
+    linear[0, :2] = [[0.107, 0.107, 0.107, 0.5], [0.214, 0.214, 0.214, 1.0]]
+    clear = fr.Frame(linear, None, True, {}).srgb8()
+    assert clear[0].tolist() == [[127, 127, 127, 128], [127, 127, 127, 255], [0, 0, 0, 0]]
+    assert fr.Frame(linear, None, False, {}).srgb8()[0, 1].tolist() == [127, 127, 127]
+    depth = fr.Frame(linear, "depth", False, {}).srgb8()[0, :, 0]
+    assert depth.tolist() == [128, 26, 0]  # the nearer is brighter; half of it is covered
+    normal = fr.Frame(linear * 0 + [[[0, 0, 1, 1]]], "normal", False, {}).srgb8()
+    assert normal[0, 0].tolist() == [128, 128, 255]
 
 
 def test_point_light_gives_its_irradiance_at_the_centre(renderer, tmp_path):
@@ -348,7 +391,7 @@ def test_guest_draws_the_same_and_leaves_the_host_as_it_was(host, head):
         guest.gbuffer(fr.Scene(head))
         assert host.state() == before
         at_center = fr.Light(position=tuple(head.center))
-        with pytest.raises(fr.InputError, match="is at the centre of"):
+        with pytest.raises(fr.InputError, match="is at the mesh's centre"):
             guest.render(fr.Scene(head, lights=(at_center,)))
         assert host.state() == before
     assert host.state() == before
@@ -390,6 +433,19 @@ def test_released_renderer(egl, head):
 def test_no_context_is_current():
     with pytest.raises(fr.ContextError, match="current: no EGL, GLX or OSMesa context is current"):
         create_context("current")
+
+
+def test_a_renderer_does_not_keep_a_mesh_alive(renderer):
+    others = len(renderer._parts)
+    mesh = fr.load_mesh(MINI_HEAD)
+    renderer.render(fr.Scene(mesh))
+    changed = mesh.with_material(m=0.2)
+    renderer.render(fr.Scene(changed))
+    assert len(renderer._parts) == others + 1, "variants share their geometry"
+    dead = weakref.ref(mesh), weakref.ref(changed), weakref.ref(mesh.parts[0])
+    del mesh, changed
+    gc.collect()
+    assert [reference() for reference in dead] == [None] * 3
 
 
 def test_float_albedo_is_close_to_the_bytes(egl, head):

@@ -47,6 +47,12 @@ def test_explicit_eye_in_the_units_of_the_mesh(head):
     assert side[0] == pytest.approx(0.1 / math.tan(math.radians(12.5)))
 
 
+def test_numbers_of_numpy_are_numbers():
+    assert fr.Camera(azimuth=np.arange(0, 90, 30)[1], zoom=np.float32(2.0)).zoom == 2.0
+    with pytest.raises(fr.InputError, match="camera azimuth = True"):
+        fr.Camera(azimuth=True)
+
+
 def test_eye_at_its_target_is_refused(head):
     scene = fr.Scene(head, fr.Camera(position=tuple(head.center)))
     with pytest.raises(fr.InputError, match="is at its target"):
@@ -60,6 +66,7 @@ def test_eye_at_its_target_is_refused(head):
         ("30,45", fr.Light(30.0, 45.0)),
         ("-30,45,2.5", fr.Light(-30.0, 45.0, 2.5)),
         ("point:1,2,3,0.5", fr.Light(irradiance=0.5, position=(1.0, 2.0, 3.0))),
+        ("30,45,3,2,1", fr.Light(30.0, 45.0, (3.0, 2.0, 1.0))),
     ],
 )
 def test_lights_from_text(text, light):
@@ -85,6 +92,9 @@ def test_unknown_lights_name_the_known_ones(text):
         (lambda: fr.Material(m=0.0), r"m = 0.0 is outside \[0.0001, 2\]"),
         (lambda: fr.Material(f0=1.0), "f0 = 1.0"),
         (lambda: fr.Material(ks=-0.1), "ks = -0.1"),
+        (lambda: fr.Material(albedo=(0.1, -0.1, 0.1)), "albedo = .* is negative"),
+        (lambda: fr.Material(albedo_map="skin.png"), "albedo_map = 'skin.png': give"),
+        (lambda: fr.Shading("ward", fresnel="dielectric"), "ward has no Fresnel term"),
         (lambda: fr.Material(albedo=(1.0, 2.0)), "albedo = "),
     ],
 )

@@ -17,7 +17,7 @@
 #define FR_MIN_COSINE 1e-6
 #endif
 
-// Slopes below this are raised to it: 1/m^2 = 1e8, and the peak 1/(4 m^2) stays exact in float32.
+// Slopes below this are raised to it: the peak 1/(4 m^2) is 2.5e7.
 #ifndef FR_MIN_SLOPE
 #define FR_MIN_SLOPE 1e-4
 #endif

@@ -5,8 +5,10 @@
 //   m         rms slope, in the domain of the chosen lobe (FR_LOBE), at least 1e-4
 //   f0        Fresnel reflectance at normal incidence, in [0, 1)
 //   unit      1/sr, for a specular weight ks = 1; N.L is not included, 1/pi is
-//   result    finite and >= 0; exactly 0 for a light or an eye below the surface
-//   error     that of the lobe; float32 adds about 5e-7/m^2 of the peak (dot products of l + v)
+//   result    finite and >= 0; exactly 0 for a light or an eye below the surface; above it, N.L
+//             and N.V below FR_MIN_COSINE count as that
+//   error     that of the lobe; float32 adds up to 5e-7/m^2 + 1e-5 of what the lobe's peak gives
+//             in the same directions (dot products of l + v)
 #ifndef FR_COOK_TORRANCE_GLSL
 #define FR_COOK_TORRANCE_GLSL
 

@@ -5,7 +5,7 @@
 //   v_dot_h   cosine between the eye (or the light) and the unit half vector, in [0, 1]
 //   unit      none, in [0, 1]
 //   error     fr_fresnel_schlick: at most 0.046 absolute at f0 = 0.028 (at 84 degrees);
-//             fr_fresnel_dielectric: none
+//             fr_fresnel_dielectric: of the formula none
 #ifndef FR_FRESNEL_GLSL
 #define FR_FRESNEL_GLSL
 
@@ -23,14 +23,17 @@ float fr_fresnel_schlick(float f0, float v_dot_h) {
     return f0 + (1.0 - f0) * (u2 * u2 * u);
 }
 
-// Cook and Torrance (1982), eq. 16, with the index of refraction from f0 as they give it.
+// Cook and Torrance (1982), with the index of refraction eta from f0 as they give it; written with
+// q = eta^2 - 1 and g - c = q/(g + c), so that nothing cancels where eta is near 1. At q = c = 0
+// the floor 1e-20 (whose square float32 still holds) makes 0/0 a 0, the limit for c > 0.
 float fr_fresnel_dielectric(float f0, float v_dot_h) {
     float root = sqrt(f0);
-    float eta = (1.0 + root) / (1.0 - root);
+    float q = 4.0 * root / ((1.0 - root) * (1.0 - root));
     float c = clamp(v_dot_h, 0.0, 1.0);
-    float g = sqrt(eta * eta - 1.0 + c * c);
-    float a = (g - c) / (g + c);
-    float b = (c * (g + c) - 1.0) / (c * (g - c) + 1.0);
+    float sum = max(sqrt(q + c * c) + c, 1e-20);
+    float difference = q / sum;
+    float a = difference / sum;
+    float b = (c * sum - 1.0) / (c * difference + 1.0);
     return 0.5 * a * a * (1.0 + b * b);
 }
 

@@ -11,8 +11,8 @@
 
 #include "facerender/constants.glsl"
 
-#define FR_LOBE_EXACT 0
-#define FR_LOBE_COSINE 1
+#define FR_LOBE_EXACT 1
+#define FR_LOBE_COSINE 2
 #define FR_LOBE_D4 4
 #define FR_LOBE_D8 8
 #define FR_LOBE_D16 16
@@ -25,8 +25,10 @@
 #include "facerender/lobe/exact.glsl"
 #elif FR_LOBE == FR_LOBE_COSINE
 #include "facerender/lobe/cosine.glsl"
-#else
+#elif FR_LOBE == FR_LOBE_D4 || FR_LOBE == FR_LOBE_D8 || FR_LOBE == FR_LOBE_D16
 #include "facerender/lobe/g_power.glsl"
+#else
+#error "FR_LOBE is none of FR_LOBE_EXACT, FR_LOBE_COSINE, FR_LOBE_D4, FR_LOBE_D8, FR_LOBE_D16"
 #endif
 
 float fr_lobe(float n_dot_h, float h_dot_h, float m, int k) {

@@ -1,4 +1,4 @@
-// V-cavity masking and shadowing: Torrance and Sparrow (1967); Cook and Torrance (1982), eq. 15.
+// V-cavity masking and shadowing: Torrance and Sparrow (1967); Cook and Torrance (1982).
 //
 //   n_dot_h, v_dot_h   cosines with the half vector; only their ratio counts, so that h may have
 //                      any length; v_dot_h > 0

@@ -1,10 +1,12 @@
-// Ward's isotropic specular BRDF: E/(4 pi m^2 sqrt((N.L)(N.V))); Ward (1992), eq. 5.
+// Ward's isotropic specular BRDF: E/(4 pi m^2 sqrt((N.L)(N.V))); Ward (1992), eq. 4.
 //
 //   n, l, v   unit vectors: normal, towards the light, towards the eye
 //   m         rms slope (Ward's alpha), in the domain of the chosen lobe (FR_LOBE), at least 1e-4
 //   unit      1/sr, for a specular reflectance of 1; N.L is not included, 1/pi is
-//   result    finite and >= 0; exactly 0 for a light or an eye below the surface
-//   error     that of the lobe; float32 adds about 5e-7/m^2 of the peak (dot products of l + v)
+//   result    finite and >= 0; exactly 0 for a light or an eye below the surface; above it, N.L
+//             and N.V below FR_MIN_COSINE count as that
+//   error     that of the lobe; float32 adds up to 5e-7/m^2 + 1e-5 of what the lobe's peak gives
+//             in the same directions (dot products of l + v)
 #ifndef FR_WARD_GLSL
 #define FR_WARD_GLSL
 

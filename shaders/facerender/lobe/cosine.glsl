@@ -1,11 +1,12 @@
 // Cosine-power lobe c^n with n = 2/m^2 - k: the first step of Romanyuk et al. (2020), section 3.
 //
 //   c       cosine of the angle between normal and half vector, in [0, 1]
-//   m       rms slope, in [1e-4, sqrt(2/k)): n > 0, so m < 0.707 for Cook-Torrance
+//   m       rms slope, from 1e-4 to below 0.707 for Cook-Torrance (n > 0), to 2 for Ward
 //   k       FR_K_COOK_TORRANCE or FR_K_WARD
 //   unit    none: peak 1 at c = 1; the caller multiplies by the model's scale
-//   error   in % of the peak, Cook-Torrance: 0.28 at m = 0.1, 1.26 at 0.2, 3.42 at 0.3, 8.0 at
-//           0.4, 17.8 at 0.5, 39.7 at 0.6 (tests/test_lobes.py)
+//   error   in % of the peak (tests/test_lobes.py), for m = 0.1, 0.2, 0.3, 0.4, 0.5, 0.6:
+//           Cook-Torrance  0.28  1.26  3.42  8.00  17.8  39.7
+//           Ward           0.27  1.07  2.37  4.11  6.25  8.70
 #ifndef FR_LOBE_COSINE_GLSL
 #define FR_LOBE_COSINE_GLSL
 

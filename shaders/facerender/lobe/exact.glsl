@@ -1,5 +1,5 @@
 // Exact lobe E/c^k, E = exp(-tan^2(gamma)/m^2): Beckmann and Spizzichino (1963), as Cook and
-// Torrance (1982), eq. 14 (k = 4), and Ward (1992), eq. 5 (k = 0), use it.
+// Torrance (1982, k = 4) and Ward (1992, eq. 4, k = 0) use it.
 //
 //   tan2    squared tangent of the angle gamma between normal and half vector, >= 0; with
 //           h = L + V of any length it is (h.h)/(N.h)^2 - 1: no normalised half vector, no acos

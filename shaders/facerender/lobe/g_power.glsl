@@ -3,14 +3,17 @@
 // at m = 0.2 the printed D16 reaches 2.3e4 times its peak at 90 degrees.
 //
 //   c       cosine of the angle between normal and half vector, in [0, 1]
-//   m       rms slope, in [1e-4, sqrt(2/k)): n > 0, so m < 0.707 for Cook-Torrance
+//   m       rms slope, from 1e-4 to below 0.707 for Cook-Torrance (n > 0), to 2 for Ward
 //   k       FR_K_COOK_TORRANCE or FR_K_WARD
 //   g       4, 8 or 16
 //   unit    none: peak 1 at c = 1; the caller multiplies by the model's scale
-//   error   in % of the peak, Cook-Torrance, g = 4, 8, 16 (tests/test_lobes.py):
-//           m = 0.1  6.96  3.11  1.31     m = 0.4   4.18   7.79   9.50
-//           m = 0.2  5.54  1.68  0.13     m = 0.5  17.8   20.9   22.3
-//           m = 0.3  2.46  1.43  3.21     m = 0.6  45.4   46.9   47.6
+//   error   in % of the peak (tests/test_lobes.py), for m = 0.1, 0.2, 0.3, 0.4, 0.5, 0.6:
+//           Cook-Torrance  g = 4   6.96  5.54  2.46  4.18  17.8  45.4
+//                          g = 8   3.11  1.68  1.43  7.79  20.9  46.9
+//                          g = 16  1.31  0.13  3.21  9.50  22.3  47.6
+//           Ward           g = 4   6.98  5.78  3.79  1.12  2.55  6.64
+//                          g = 8   3.13  1.92  0.12  2.83  6.25  10.25
+//                          g = 16  1.32  0.12  1.88  4.60  7.99  11.9
 #ifndef FR_LOBE_G_POWER_GLSL
 #define FR_LOBE_G_POWER_GLSL
 
