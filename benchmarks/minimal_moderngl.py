@@ -29,7 +29,8 @@ uniform vec3 eye, to_light[3], irradiance[3], ambient;
 out vec4 color;
 const float PI = 3.14159265, F0 = 0.028;
 void main() {
-    vec3 n = normalize(gl_FrontFacing ? normal : -normal);
+    vec3 v = normalize(eye - position), n = normalize(normal);
+    if (gl_FrontFacing && dot(n, v) < -0.25) n = -n;  // the image is drawn upside down
     vec3 px = dFdx(position), ay = cross(dFdy(position), n), ax = cross(n, px);
     vec2 ux = dFdx(uv), uy = dFdy(uv);
     vec3 t = ay * ux.x + ax * uy.x, b = ay * ux.y + ax * uy.y;
@@ -39,7 +40,6 @@ void main() {
     vec3 albedo = texture(albedo_map, uv).rgb;
     vec3 orm = texture(orm_map, uv).rgb;
     float m = max(orm.g * orm.g, 1e-4);
-    vec3 v = normalize(eye - position);
     vec3 diffuse = ambient * orm.r, specular = vec3(0.0);
     for (int i = 0; i < 3; ++i) {
         vec3 l = to_light[i];
@@ -113,7 +113,6 @@ class Script:
                 ctx.depth_renderbuffer((size, size), samples=samples),
             )
         ctx.enable(moderngl.DEPTH_TEST)
-        ctx.front_face = "cw"
 
     def frame(self, azimuth):
         z = direction(azimuth, 0)

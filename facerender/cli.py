@@ -37,8 +37,8 @@ class _Parser(argparse.ArgumentParser):
 
 
 def console() -> NoReturn:
-    """Entry point of the command. Ctrl-C ends the process at once, since trimesh catches and forgets
-    a KeyboardInterrupt; only while a file is written it must be cleaned up after."""
+    """Entry point of the command. Ctrl-C ends the process at once, since trimesh would catch and
+    forget a KeyboardInterrupt; while a file is written, it is cleaned up first."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     sys.exit(main())
 

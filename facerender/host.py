@@ -34,13 +34,18 @@ def current_context() -> HostContext | None:
     return None
 
 
+_libraries: dict[str, ctypes.CDLL] = {}
+
+
 def _loaded(*names: str) -> ctypes.CDLL | None:
     """A library that the process has loaded; what is not loaded has no current context."""
     for name in names:
-        try:
-            return ctypes.CDLL(name, mode=os.RTLD_NOLOAD | os.RTLD_NOW)
-        except OSError:
-            continue
+        if name not in _libraries:
+            try:
+                _libraries[name] = ctypes.CDLL(name, mode=os.RTLD_NOLOAD | os.RTLD_NOW)
+            except OSError:
+                continue
+        return _libraries[name]
     return None
 
 

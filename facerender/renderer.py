@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from types import TracebackType
 from typing import Any
@@ -45,9 +46,10 @@ _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
 
 @dataclass(frozen=True, eq=False)
 class _GpuPart:
-    """A part's geometry on the GPU: its attributes by name, and the indices."""
+    """A part's geometry on the GPU: attributes, interleaved, the width of each, and indices."""
 
-    attributes: tuple[tuple[moderngl.Buffer, str, str], ...]
+    vertices: moderngl.Buffer
+    attributes: Mapping[str, int]
     indices: moderngl.Buffer
     arrays: dict[moderngl.Program, moderngl.VertexArray]
 
@@ -259,22 +261,17 @@ class Renderer:
         if part not in self._parts:
             gl = self.context.gl
             gl.gc()
-            columns = [
-                ("in_position", "3f", mesh.normalised(part.positions)),
-                ("in_normal", "3f", part.normals),
-            ]
+            columns = {"in_position": mesh.normalised(part.positions), "in_normal": part.normals}
             if part.uv is not None:
-                columns.append(("in_uv", "2f", part.uv))
+                columns["in_uv"] = part.uv
             if part.colors is not None:
-                columns.append(("in_color", "3f", part.colors))
-            attributes = tuple(
-                (gl.buffer(np.ascontiguousarray(values, dtype=np.float32)), layout, name)
-                for name, layout, values in columns
-            )
-            self._parts[part] = _GpuPart(attributes, gl.buffer(part.faces), {})
+                columns["in_color"] = part.colors
+            vertices = np.hstack(list(columns.values()), dtype=np.float32, casting="same_kind")
+            attributes = {name: values.shape[1] for name, values in columns.items()}
+            self._parts[part] = _GpuPart(gl.buffer(vertices), attributes, gl.buffer(part.faces), {})
         return self._parts[part]
 
-    def _texture(self, source: Texture, kind: Kind) -> moderngl.Texture:
+    def _texture(self, name: str, source: Texture, kind: Kind) -> moderngl.Texture:
         """Upload a mip chain. moderngl uploads level 0; its build_mipmaps would take 65 ms for
         2048 x 2048 texels on a software driver, the chain from texture.py is there already."""
         if source in self._textures:
@@ -297,7 +294,11 @@ class Renderer:
             extent = level.shape[1], level.shape[0], 0
             texel_format = layout, data_type
             upload(_TEXTURE_2D, number, internal, *extent, *texel_format, texels.ctypes.data)
-        texture.filter = moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR
+        # Properties vary slowly: between two levels nothing is seen of a step, and the second
+        # level would take 5 % of a frame on a software driver.
+        step = name == "property_map"
+        smaller = moderngl.LINEAR_MIPMAP_NEAREST if step else moderngl.LINEAR_MIPMAP_LINEAR
+        texture.filter = smaller, moderngl.LINEAR
         texture.anisotropy = self.anisotropy
         self._textures[source] = texture
         return texture
@@ -308,14 +309,20 @@ class Renderer:
         for name, value in _uniforms(part, material, view, scene).items():
             _set(program, name, value)
         maps = part_maps(part, material, self.albedo_kind)
-        textures = [self._texture(source, kind) for _, source, kind in maps]  # uses unit 0
+        textures = [self._texture(*each) for each in maps]  # before binding: it uses unit 0
         for unit, (texture, (name, _, _)) in enumerate(zip(textures, maps, strict=True)):
             texture.use(unit)
             _set(program, name, unit)
         uploaded = self._upload(part, scene.mesh)
         if program not in uploaded.arrays:
-            used = [entry for entry in uploaded.attributes if entry[2] in program]
-            array = self.context.gl.vertex_array(program, used, uploaded.indices)
+            widths = uploaded.attributes
+            layout = " ".join(
+                f"{width}f" if name in program else f"{width}x4" for name, width in widths.items()
+            )
+            used = [name for name in widths if name in program]
+            array = self.context.gl.vertex_array(
+                program, [(uploaded.vertices, layout, *used)], uploaded.indices
+            )
             uploaded.arrays[program] = array
         uploaded.arrays[program].render()
 
@@ -334,8 +341,13 @@ def _surface_defines(part: Part, material: Material) -> str:
     names = [name.upper() for name, _, _ in part_maps(part, material, "color")]
     if part.uv is not None:
         names.append("UV")
+        for name in ("occlusion_map", "roughness_map", "specular_map"):
+            if getattr(material, name) is not None:
+                names.append(name.upper())
     if part.colors is not None:
         names.append("VERTEX_COLORS")
+    if material.albedo != (1.0, 1.0, 1.0):
+        names.append("ALBEDO_FACTOR")
     return "".join(f"#define {name}\n" for name in names)
 
 

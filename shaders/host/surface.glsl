@@ -3,7 +3,9 @@
 in vec3 position;
 in vec3 vertex_normal;
 uniform vec3 eye;
+#ifdef ALBEDO_FACTOR
 uniform vec3 albedo_factor;
+#endif
 uniform float slope;            // m; the factor on roughness^2 where there is a map
 uniform float specular_weight;  // ks; the factor where there is a map
 #ifdef UV
@@ -59,7 +61,12 @@ Surface surface() {
 #ifdef NORMAL_MAP
     n = mapped_normal(n);
 #endif
-    Surface s = Surface(position, n, albedo_factor, slope, specular_weight, 1.0);
+#ifdef ALBEDO_FACTOR
+    vec3 albedo = albedo_factor;
+#else
+    vec3 albedo = vec3(1.0);
+#endif
+    Surface s = Surface(position, n, albedo, slope, specular_weight, 1.0);
 #ifdef VERTEX_COLORS
     s.albedo *= vertex_color;
 #endif
@@ -68,9 +75,15 @@ Surface surface() {
 #endif
 #ifdef PROPERTY_MAP
     vec3 properties = texture(property_map, uv).rgb;
+#ifdef OCCLUSION_MAP
     s.occlusion = properties.r;
+#endif
+#ifdef ROUGHNESS_MAP
     s.m *= properties.g * properties.g;
+#endif
+#ifdef SPECULAR_MAP
     s.specular_weight *= properties.b;
+#endif
 #endif
     s.m = max(s.m, FR_MIN_SLOPE);
     return s;
