@@ -257,8 +257,8 @@ def _read(
     if not skip_images:
         if resolver.broken:
             raise InputError(
-                f"{resolver.broken[0]} (named by {path.name}) is not an image; "
-                "replace it, or pass --albedo FILE"
+                f"{resolver.broken[0]} (named by {path.name}) is not an image that can "
+                "be read; replace it, or pass --albedo FILE"
             )
         _warn_missing(resolver.missing, path)
     return instances, bool(resolver.missing)
@@ -271,9 +271,7 @@ def _is_image(content: bytes) -> bool:
 
     try:
         Image.open(BytesIO(content))
-    except Image.DecompressionBombError as error:
-        raise InputError(f"a texture is too large: {error}") from None
-    except OSError:
+    except (OSError, Image.DecompressionBombError):
         return False
     return True
 
@@ -314,7 +312,7 @@ def _check_gltf(data: bytes, name: str, skip_images: bool) -> None:
         start = binary + view.get("byteOffset", 0)
         if not _is_image(data[start : start + view.get("byteLength", 0)]):
             raise InputError(
-                f"a texture in {name} is not an image; export it, or pass --albedo FILE"
+                f"a texture in {name} is not an image that can be read; pass --albedo FILE"
             )
     if unknown := sorted(required - _GLTF_EXTENSIONS):
         raise InputError(f"{name} requires the extension {unknown[0]}; export it without")

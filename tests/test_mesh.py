@@ -583,7 +583,8 @@ def test_truncated_image(tmp_path: Path, draw: Draw) -> None:
 def test_texture_that_is_no_image(tmp_path: Path) -> None:
     (tmp_path / "page.jpg").write_text("<html>404 not found</html>")
     with pytest.raises(
-        fr.InputError, match=r"page\.jpg \(named by mini\.obj\) is not an image; .*--albedo FILE"
+        fr.InputError,
+        match=r"page\.jpg \(named by mini\.obj\) is not an image that can be read; .*--albedo FILE",
     ):
         textured(tmp_path, "page.jpg")
 
@@ -795,6 +796,19 @@ def test_parts_that_share_an_image(tmp_path: Path) -> None:
             texels = material.albedo_map.levels("color").result()[0]
             np.testing.assert_array_equal(texels[::-1, :, :3], pixels)
         assert len({id(material.albedo_map) for material in mesh.materials}) == 1
+
+
+@pytest.mark.parametrize("name", ["mini.glb", "mini.obj"])
+def test_image_too_large_for_pillow(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if name.endswith("obj"):
+        files.write_textured_obj(tmp_path / name, mini_head())
+    else:
+        (tmp_path / name).write_bytes(boxes(texture=Image.new("RGB", (64, 64))))
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
+    with pytest.raises(fr.InputError, match="is not an image that can be read"):
+        fr.load_mesh(tmp_path / name)
 
 
 def test_vertex_colors_of_gltf_are_linear(tmp_path: Path) -> None:
