@@ -13,7 +13,7 @@ import glcontext
 import moderngl
 
 from facerender.errors import ContextError, InputError
-from facerender.host import HostContext, current_context, put_aside_state
+from facerender.host import HostContext, bind_osmesa, current_context, put_aside_state
 
 Backend = Literal["auto", "egl", "osmesa", "current"]
 
@@ -78,11 +78,7 @@ class _OSMesaContext(_ForeignContext):
         self._make_current(self._context)
 
     def _make_current(self, context: int | None) -> None:
-        make_current = self._library.OSMesaMakeCurrent
-        make_current.argtypes = [ctypes.c_void_p, ctypes.c_void_p] + [ctypes.c_int] * 3
-        unsigned_byte = 0x1401
-        pixel = self._pixel if context else None
-        if not make_current(context, pixel, unsigned_byte, 1, 1):
+        if not bind_osmesa(self._library, context, self._pixel if context else None, 1, 1):
             raise ContextError("libOSMesa could not make its context current")
 
     def __enter__(self) -> _OSMesaContext:
@@ -157,7 +153,7 @@ class Context:
         ------
         ContextError : the context was released, or the host's is not current in this thread
         """
-        if isinstance(self.gl.mglo, moderngl.InvalidObject):
+        if self.released:
             raise ContextError("this renderer was released: make a new one")
         host = current_context()
         if self.backend == "current":
@@ -178,6 +174,11 @@ class Context:
         finally:
             if host is not None:
                 host.rebind()
+
+    @property
+    def released(self) -> bool:
+        """Whether :meth:`release` was called."""
+        return isinstance(self.gl.mglo, moderngl.InvalidObject)
 
     def release(self) -> None:
         """Free the context, unless it is the host's; a second time does nothing."""
@@ -221,20 +222,21 @@ def create_context(backend: Backend = "auto") -> Context:
 
 def _open(name: str, host: HostContext | None) -> Context:
     loader = _OPENERS[name]()
-    guest = name == "current" and host is not None
+    guest = host if name == "current" else None
     restore = put_aside_state(loader.load) if guest else None
-    gl = moderngl.create_context(require=_GL_VERSION, standalone=not guest, context=loader)
-    # An OpenGL object that Python drops in another context would free a stranger there.
-    gl.gc_mode = "context_gc"
-    info = gl.info
-    handle = host.handle if guest and host else 0
-    context = Context(name, gl, loader, handle, info["GL_RENDERER"], info["GL_VERSION"])
-    if restore is not None:
-        restore()
-    else:
+    try:
+        gl = moderngl.create_context(require=_GL_VERSION, standalone=not guest, context=loader)
+        # An OpenGL object that Python drops in another context would free a stranger there.
+        gl.gc_mode = "context_gc"
+        info = gl.info
+    finally:
+        if restore:
+            restore()
+    if not guest:
         with gl:
             pass  # on the way out no context of ours stays current
-    return context
+    handle = guest.handle if guest else 0
+    return Context(name, gl, loader, handle, info["GL_RENDERER"], info["GL_VERSION"])
 
 
 def _remedy(tried: tuple[str, ...]) -> str:

@@ -16,3 +16,8 @@ class ContextError(FacerenderError, RuntimeError):
 
 class FacerenderWarning(UserWarning):
     """Something in the input was missing or mended, and the result can still be used."""
+
+
+def reason(error: OSError) -> str:
+    """Return what an operating system's error says, for the middle of a sentence."""
+    return (error.strerror or str(error)).lower()

@@ -32,7 +32,8 @@ class Frame:
         in the mesh's units (three times), or the cosines N.L of the first light, N.V and N.H.
     only : which term this is, or None for the whole image
     transparent : whether a PNG gets an alpha channel; the scene has no background
-    metadata : facerender's version, GL_RENDERER, GL_VERSION, samples, texture format
+    metadata : facerender's version, GL_RENDERER, GL_VERSION, samples, texture format; of shaded
+        images also model, lobe and Fresnel term
     """
 
     linear: NDArray[np.float32]

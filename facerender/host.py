@@ -88,6 +88,16 @@ def _glx() -> HostContext | None:
     return HostContext(context, library.glXGetProcAddressARB, rebind)
 
 
+def bind_osmesa(
+    library: ctypes.CDLL, context: int | None, buffer: Any, width: int, height: int
+) -> bool:
+    """Make an OSMesa context current on a buffer of RGBA bytes, or none; return whether it is."""
+    make_current = library.OSMesaMakeCurrent
+    make_current.argtypes = [ctypes.c_void_p, ctypes.c_void_p] + [ctypes.c_int] * 3
+    unsigned_byte = 0x1401
+    return bool(make_current(context, buffer, unsigned_byte, width, height))
+
+
 def _osmesa() -> HostContext | None:
     library = _loaded("libOSMesa.so.8", "libOSMesa.so.6")
     if library is None or not (context := _pointer(library.OSMesaGetCurrentContext)):
@@ -96,12 +106,9 @@ def _osmesa() -> HostContext | None:
     buffer = ctypes.c_void_p()
     outputs = [ctypes.byref(each) for each in (width, height, layout, buffer)]
     library.OSMesaGetColorBuffer(ctypes.c_void_p(context), *outputs)
-    make_current = library.OSMesaMakeCurrent
-    make_current.argtypes = [ctypes.c_void_p, ctypes.c_void_p] + [ctypes.c_int] * 3
-    unsigned_byte = 0x1401
 
     def rebind() -> None:
-        make_current(context, buffer, unsigned_byte, width.value, height.value)
+        bind_osmesa(library, context, buffer, width.value, height.value)
 
     return HostContext(context, library.OSMesaGetProcAddress, rebind)
 
@@ -152,7 +159,12 @@ STATE = (
     ("glPixelStorei", (0x0D05,), ((0x0D05, 1),), None),  # pack alignment
     ("glPixelStorei", (0x0CF5,), ((0x0CF5, 1),), None),  # unpack alignment
 )
-_FLOATS = (("glClearColor", 0x0C22, 4, None), ("glDepthRange", 0x0B70, 2, (0.0, 1.0)))
+# The same for numbers that are not whole: setter, its type, query, how many, what drawing needs.
+_FLOATS: tuple[tuple[str, Any, int, int, tuple[float, ...] | None], ...] = (
+    ("glClearColor", ctypes.c_float, 0x0C22, 4, None),
+    ("glDepthRange", ctypes.c_double, 0x0B70, 2, (0.0, 1.0)),
+)
+_SWITCH = ("glDisable", "glEnable")
 _TEXTURE_0, _ACTIVE_TEXTURE, _MOST_UNITS = 0x84C0, 0x84E0, 0x8B4D
 _TEXTURE_2D, _TEXTURE_BINDING, _SAMPLER_BINDING = 0x0DE1, 0x8069, 0x8919
 
@@ -182,36 +194,35 @@ def put_aside_state(load: Callable[[str], int]) -> Callable[[], None]:
         function(name, *[kind] * len(values))(*values)
 
     is_enabled = function("glIsEnabled", ctypes.c_int, result=ctypes.c_ubyte)
-    switch = {state: ("glDisable", "glEnable")[state] for state in (False, True)}
-    kinds = {"glClearColor": ctypes.c_float, "glDepthRange": ctypes.c_double}
-    back: list[tuple[Any, ...]] = []
+    back: list[tuple[Any, str, tuple[float, ...]]] = []
 
-    for capability, needed in CAPABILITIES.values():
-        if load("glMinSampleShading") or capability != CAPABILITIES["SAMPLE_SHADING"][0]:
-            back.append((switch[bool(is_enabled(capability))], capability))
-            call(switch[needed], capability)
+    def change(
+        name: str, old: tuple[float, ...], new: tuple[float, ...] | None, kind: Any = ctypes.c_int
+    ) -> None:
+        back.append((kind, name, old))
+        if new is not None:
+            call(name, *new, kind=kind)
+
+    for name, (capability, needed) in CAPABILITIES.items():
+        if name == "SAMPLE_SHADING" and not load("glMinSampleShading"):
+            continue
+        back.append((ctypes.c_int, _SWITCH[bool(is_enabled(capability))], (capability,)))
+        call(_SWITCH[needed], capability)
     for name, leading, queries, wanted in STATE:
         if load(name):
-            back.append((name, *leading, *(v for query in queries for v in integers(*query))))
-            if wanted is not None:
-                call(name, *leading, *wanted)
-    restored_floats = [(name, floats(query, count)) for name, query, count, _ in _FLOATS]
-    for name, _, _, wanted_floats in _FLOATS:
-        if wanted_floats is not None:
-            call(name, *wanted_floats, kind=kinds[name])
+            old = tuple(value for query in queries for value in integers(*query))
+            change(name, leading + old, None if wanted is None else leading + wanted)
+    for name, kind, query, count, needed_floats in _FLOATS:
+        change(name, floats(query, count), needed_floats, kind)
     active = integers(_ACTIVE_TEXTURE)
     for unit in (*range(4), integers(_MOST_UNITS)[0] - 1):  # moderngl uploads through the last
-        call("glActiveTexture", _TEXTURE_0 + unit)
-        back.append(("glActiveTexture", _TEXTURE_0 + unit))
-        back.append(("glBindTexture", _TEXTURE_2D, *integers(_TEXTURE_BINDING)))
-        back.append(("glBindSampler", unit, *integers(_SAMPLER_BINDING)))
-        call("glBindSampler", unit, 0)
-    back.append(("glActiveTexture", *active))
+        change("glActiveTexture", (_TEXTURE_0 + unit,), (_TEXTURE_0 + unit,))
+        change("glBindTexture", (_TEXTURE_2D, *integers(_TEXTURE_BINDING)), None)
+        change("glBindSampler", (unit, *integers(_SAMPLER_BINDING)), (unit, 0))
+    change("glActiveTexture", active, None)
 
     def restore() -> None:
-        for name, *values in back:
-            call(name, *values)
-        for name, numbers in restored_floats:
-            call(name, *numbers, kind=kinds[name])
+        for kind, name, values in back:
+            call(name, *values, kind=kind)
 
     return restore

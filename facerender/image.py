@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError
+from facerender.errors import InputError, reason
 
 
 def srgb_to_linear(encoded: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -71,8 +71,8 @@ def write_whole(path: str | os.PathLike[str], write: Callable[[str], None]) -> N
             prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent
         )
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"cannot write {target}: {reason}; give a writable place") from None
+        why = reason(error)
+        raise InputError(f"cannot write {target}: {why}; give a writable place") from None
     os.close(handle)
     try:
         write(temporary)

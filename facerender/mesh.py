@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import FacerenderWarning, InputError
+from facerender.errors import FacerenderWarning, InputError, reason
 from facerender.glsl import data_dir
 from facerender.image import srgb_to_linear
 from facerender.scene import SKIN_ALBEDO, Material
@@ -204,7 +204,7 @@ def _read(
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(f"cannot read {path}: {(error.strerror or str(error)).lower()}") from None
+        raise InputError(f"cannot read {path}: {reason(error)}") from None
     if not data:
         raise InputError(f"{path.name} is an empty file: there is no geometry in it")
     if suffix in (".glb", ".gltf"):

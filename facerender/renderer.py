@@ -95,7 +95,6 @@ class Renderer:
         self.anisotropy = anisotropy
         self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
         self.context = create_context(backend)
-        self._released = False
         self._parts: WeakKeyDictionary[Part, _GpuPart] = WeakKeyDictionary()
         self._textures: WeakKeyDictionary[Texture, moderngl.Texture] = WeakKeyDictionary()
         self._programs: dict[str, moderngl.Program] = {}
@@ -121,9 +120,8 @@ class Renderer:
     def release(self) -> None:
         """Free everything on the GPU, and the context unless it is the host's; a second time does
         nothing."""
-        if self._released:
+        if self.context.released:
             return
-        self._released = True
         with self.context.drawing() as gl:
             for cache in (self._parts, self._textures, self._programs, self._targets):
                 cache.clear()

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError
+from facerender.errors import InputError, reason
 from facerender.lobes import MAX_SLOPE, MIN_SLOPE
 from facerender.texture import Texture, pack
 
@@ -38,6 +38,14 @@ def _vector(name: str, value: Any) -> Vector:
         raise InputError(f"{name} = {value!r}: give a finite number, or three")
     x, y, z = (float(component) for component in array)
     return x, y, z
+
+
+def _non_negative(name: str, value: Any) -> Vector:
+    """Return three finite numbers, none below 0, such as a colour or an irradiance."""
+    vector = _vector(name, value)
+    if min(vector) < 0.0:
+        raise InputError(f"{name} = {vector} is negative")
+    return vector
 
 
 def _in_range(name: str, value: Any, low: float, high: float) -> None:
@@ -102,9 +110,8 @@ class Light:
     def __post_init__(self) -> None:
         _in_range("light azimuth", self.azimuth, -3600, 3600)
         _in_range("light elevation", self.elevation, -90, 90)
-        object.__setattr__(self, "irradiance", _vector("light irradiance", self.irradiance))
-        if min(self.irradiance) < 0.0:  # type: ignore[arg-type]
-            raise InputError(f"light irradiance = {self.irradiance} is negative")
+        irradiance = _non_negative("light irradiance", self.irradiance)
+        object.__setattr__(self, "irradiance", irradiance)
         if self.position is not None:
             object.__setattr__(self, "position", _vector("light position", self.position))
 
@@ -181,9 +188,7 @@ class Material:
     occlusion_map: Texture | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "albedo", _vector("albedo", self.albedo))
-        if min(self.albedo) < 0.0:
-            raise InputError(f"albedo = {self.albedo} is negative")
+        object.__setattr__(self, "albedo", _non_negative("albedo", self.albedo))
         _in_range("m", self.m, MIN_SLOPE, MAX_SLOPE)
         _in_range("roughness_factor", self.roughness_factor, 0.0, 1.0)
         _in_range("f0", self.f0, 0.0, 0.999)
@@ -229,13 +234,10 @@ class Scene:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lights", tuple(self.lights))
-        object.__setattr__(self, "ambient", _vector("ambient", self.ambient))
-        if min(self.ambient) < 0.0:  # type: ignore[arg-type]
-            raise InputError(f"ambient = {self.ambient} is negative")
+        object.__setattr__(self, "ambient", _non_negative("ambient", self.ambient))
         if self.background is not None:
-            object.__setattr__(self, "background", _vector("background", self.background))
-            if min(self.background) < 0.0:
-                raise InputError(f"background = {self.background} is negative")
+            background = _non_negative("background", self.background)
+            object.__setattr__(self, "background", background)
 
 
 def point_lights(scene: Scene) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
@@ -343,7 +345,7 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
     try:
         tables = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
-        raise InputError(f"cannot read {path}: {(error.strerror or str(error)).lower()}") from None
+        raise InputError(f"cannot read {path}: {reason(error)}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{name} is not TOML: {error}") from None
 

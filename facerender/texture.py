@@ -16,7 +16,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError
+from facerender.errors import InputError, reason
 from facerender.image import linear_to_srgb, srgb_to_linear
 
 if TYPE_CHECKING:
@@ -63,8 +63,7 @@ class Texture:
         except Image.DecompressionBombError as error:
             raise InputError(f"{path} is too large an image: {error}") from None
         except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise InputError(f"cannot read {path}: {reason}") from None
+            raise InputError(f"cannot read {path}: {reason(error)}") from None
         return cls(lambda: image, Path(path).name)
 
     def rgb(self) -> Image:
