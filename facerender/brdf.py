@@ -3,8 +3,7 @@
 
 Directions are arrays of shape (..., 3) that broadcast against one another: ``n`` the normal, ``l``
 towards the light, ``v`` towards the eye, unit vectors. BRDFs are in 1/sr, without N.L, for a
-specular weight of 1, and exactly 0 for a light or an eye below the surface; above it, N.L and N.V
-below 1e-6 count as 1e-6, as in the shaders.
+specular weight of 1, and exactly 0 where N.L or N.V is not above 1e-6, as in the shaders.
 """
 
 from __future__ import annotations
@@ -113,16 +112,16 @@ def masking_v_cavity(
 
 
 class _Geometry:
-    """The cosines that the BRDFs share; placeholders of 1 where a side is below the surface."""
+    """The cosines that the BRDFs share; placeholders of 1 where the result is 0."""
 
     def __init__(self, n: ArrayLike, l: ArrayLike, v: ArrayLike) -> None:
         normal, light, eye = _unit("n", n), _unit("l", l), _unit("v", v)
         half = light + eye
         n_dot_l, n_dot_v, n_dot_h = _dot(normal, light), _dot(normal, eye), _dot(normal, half)
-        self.above = (n_dot_l > 0.0) & (n_dot_v > 0.0) & (n_dot_h > 0.0)
+        self.above = (n_dot_l > MIN_COSINE) & (n_dot_v > MIN_COSINE)
         length = np.where(self.above, np.sqrt(_dot(half, half)), 1.0)
-        self.n_dot_l = np.maximum(np.where(self.above, n_dot_l, 1.0), MIN_COSINE)
-        self.n_dot_v = np.maximum(np.where(self.above, n_dot_v, 1.0), MIN_COSINE)
+        self.n_dot_l = np.where(self.above, n_dot_l, 1.0)
+        self.n_dot_v = np.where(self.above, n_dot_v, 1.0)
         self.n_dot_h = np.minimum(np.where(self.above, n_dot_h / length, 1.0), 1.0)
         self.v_dot_h = np.where(self.above, 0.5 * length, 1.0)  # |l + v| = 2 V.H
         # From the cross product: 1 - c^2 would lose the digits of a small angle.

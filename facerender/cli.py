@@ -21,7 +21,7 @@ from facerender.lobes import NAMES as LOBES
 from facerender.mesh import load_mesh, start_maps
 from facerender.renderer import Renderer
 from facerender.scene import LIGHTS, Camera, Scene, load_scene, parse_light
-from facerender.shading import FRESNEL_TERMS, MODELS, Shading
+from facerender.shading import FRESNEL_TERMS, MODELS, OUTSIDE, Shading
 
 CAMERAS = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
 
@@ -99,6 +99,12 @@ def _add_render(render: argparse.ArgumentParser) -> None:
     terms.add_argument("--lobe", choices=LOBES, default="exact")
     terms.add_argument("--fresnel", choices=FRESNEL_TERMS, default="schlick")
     terms.add_argument(
+        "--outside",
+        choices=OUTSIDE,
+        default="error",
+        help="what a material gets whose m leaves the domain of the lobe (error)",
+    )
+    terms.add_argument(
         "--m", type=float, help="rms slope of the microfacets, in place of the file's map (0.3)"
     )
     terms.add_argument("--f0", type=float, help="reflectance at normal incidence (0.028)")
@@ -143,7 +149,7 @@ def _render(options: argparse.Namespace, caught: list[str]) -> int:
     size = _parse_size(options.size)
     if options.m is not None and options.roughness_map is not None:
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
-    shading = Shading(options.model, options.lobe, options.fresnel)
+    shading = Shading(options.model, options.lobe, options.fresnel, options.outside)
     settings = load_scene(options.scene) if options.scene else {}
     material = settings.pop("material", {})
     if options.roughness_map is not None:

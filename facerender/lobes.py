@@ -9,6 +9,7 @@ the model multiplies by its scale. ``lobes.f`` is ``fr_lobe_f`` in GLSL.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -16,23 +17,110 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError
 
-Lobe = Literal["exact", "cosine", "d4", "d8", "d16"]
+Lobe = Literal["exact", "cosine", "d4", "d8", "d16", "fitted", "fitted-fine"]
 
-NAMES: tuple[Lobe, ...] = ("exact", "cosine", "d4", "d8", "d16")
+NAMES: tuple[Lobe, ...] = ("exact", "cosine", "d4", "d8", "d16", "fitted", "fitted-fine")
 MIN_SLOPE = 1e-4
 MAX_SLOPE = 2.0
 _POWERS = {"d4": 4, "d8": 8, "d16": 16}
 _MODELS = {4: "Cook-Torrance", 0: "Ward"}
 
 
+@dataclass(frozen=True)
+class PowerPolynomial:
+    """The lobe max(P(u), 0)^power with P = 1 + a₁ u + a₂ u² + ..., u = 1 - cos γ.
+
+    Attributes
+    ----------
+    power : of the clamped polynomial
+    max_slope : upper end of the domain of m
+    table : row j holds the factors of m^(2j) in a₁ m², a₂ m⁴, a₃ m⁶, ...
+    """
+
+    power: int
+    max_slope: float
+    table: tuple[tuple[float, ...], ...]
+
+    def coefficients(self, m: ArrayLike) -> NDArray[np.float64]:
+        """Return a₁, a₂, ... at slopes m of shape (...), as (..., degree)."""
+        w = np.asarray(m, dtype=np.float64)[..., None] ** 2
+        table = np.array(self.table)
+        scaled = sum(row * w**j for j, row in enumerate(table))
+        return np.asarray(scaled / w ** np.arange(1, table.shape[1] + 1))
+
+    def __call__(self, u: ArrayLike, m: ArrayLike) -> NDArray[np.float64]:
+        """Evaluate at u and m, which broadcast; no check of their domains."""
+        x = np.asarray(u, dtype=np.float64)
+        p = np.zeros(np.broadcast(x, m).shape)
+        for a in np.moveaxis(self.coefficients(m), -1, 0)[::-1]:
+            p = (p + a) * x
+        return np.maximum(1.0 + p, 0.0) ** self.power
+
+
+# The same constants stand in shaders/facerender/lobe/fitted.glsl.
+FITTED: dict[tuple[str, int], PowerPolynomial] = {
+    ("fitted", 4): PowerPolynomial(
+        5,
+        0.7,
+        (
+            (-0.39700398, 0.07498738, -0.0060935954),
+            (0.6738297, -0.58629695, 0.0026217349),
+            (0.71936623, -1.6754473, 1.1615276),
+            (-1.0351326, 4.1195317, -5.0082767),
+        ),
+    ),
+    ("fitted", 0): PowerPolynomial(
+        5,
+        1.0,
+        (
+            (-0.40198098, 0.083526049, -0.010091574),
+            (-0.020725706, -0.49894731, 0.08771378),
+            (0.077372606, -0.42975123, 0.18764888),
+            (-0.067503089, 0.51304211, -1.5410764),
+        ),
+    ),
+    ("fitted-fine", 4): PowerPolynomial(
+        8,
+        0.7,
+        (
+            (-0.24963107, 0.030319915, -0.0020734921, 0.0),
+            (0.50360702, -0.52566283, 0.15216287, -0.017956779),
+            (-0.013824908, 0.50565452, -0.92452698, 0.030042244),
+            (-0.081719136, 0.47515006, -1.4199605, 1.6944034),
+            (0.19363848, -1.434821, 4.5145226, -5.6548034),
+        ),
+    ),
+    ("fitted-fine", 0): PowerPolynomial(
+        8,
+        1.0,
+        (
+            (-0.24950537, 0.029811221, -0.0017648837, 0.0),
+            (0.0018034024, -0.38853178, 0.14142554, -0.024093986),
+            (-0.0076809275, 0.078399249, -0.74785186, 0.058197197),
+            (-0.0071770924, 0.063575568, -0.40797551, 1.0990611),
+            (0.015975844, -0.20239128, 1.087785, -2.6305629),
+        ),
+    ),
+}
+
+
 def max_slope(name: str, k: int) -> float:
     """Return the upper end of a lobe's domain of m.
 
-    It is excluded for the approximations: their exponent n = 2/m² - k must be positive.
+    It belongs to the domain but for the cosine power and the g-powers in Cook-Torrance, whose
+    exponent n = 2/m² - k must be positive.
     """
-    if name == "exact" or k == 0:
-        return MAX_SLOPE
-    return math.sqrt(2.0 / k)
+    if (name, k) in FITTED:
+        return FITTED[name, k].max_slope
+    return MAX_SLOPE if name == "exact" or k == 0 else math.sqrt(2.0 / k)
+
+
+def in_domain(m: ArrayLike, name: str, k: int) -> NDArray[np.bool_]:
+    """Tell which slopes lie in the lobe's domain."""
+    slope = np.asarray(m, dtype=np.float64)
+    end = max_slope(name, k)
+    below_end = slope <= end if _end_belongs(name, k) else slope < end
+    return np.asarray((slope >= MIN_SLOPE) & below_end)
 
 
 def check_slope(m: ArrayLike, name: str, k: int) -> NDArray[np.float64]:
@@ -40,17 +128,19 @@ def check_slope(m: ArrayLike, name: str, k: int) -> NDArray[np.float64]:
     if k not in _MODELS:
         raise InputError(f"k = {k} is neither 4 (Cook-Torrance) nor 0 (Ward)")
     slope = np.asarray(m, dtype=np.float64)
-    end = max_slope(name, k)
-    inside = (slope >= MIN_SLOPE) & ((slope <= end) if end == MAX_SLOPE else (slope < end))
+    inside = in_domain(slope, name, k)
     if not inside.all():
-        value = slope[~inside].flat[0]
-        bracket = "]" if end == MAX_SLOPE else ")"
-        remedy = "" if end == MAX_SLOPE else ", or use the lobe exact"
+        bracket = "]" if _end_belongs(name, k) else ")"
+        remedy = "" if max_slope(name, k) == MAX_SLOPE else ", or use the lobe exact"
         raise InputError(
-            f"m = {value:g} is outside the domain of lobe {name} for {_MODELS[k]}: "
-            f"give m in [{MIN_SLOPE:g}, {end:.4g}{bracket}{remedy}"
+            f"m = {slope[~inside].flat[0]:g} is outside the domain of lobe {name} for "
+            f"{_MODELS[k]}: give m in [{MIN_SLOPE:g}, {max_slope(name, k):.4g}{bracket}{remedy}"
         )
     return slope
+
+
+def _end_belongs(name: str, k: int) -> bool:
+    return name == "exact" or k == 0 or (name, k) in FITTED
 
 
 def _check_cosine(c: ArrayLike) -> NDArray[np.float64]:
@@ -159,12 +249,67 @@ def g_power(c: ArrayLike, m: ArrayLike, k: int, g: int) -> NDArray[np.float64]:
     return np.asarray(np.maximum(n / g * (_check_cosine(c) - 1.0) + 1.0, 0.0) ** g)
 
 
+def fitted(c: ArrayLike, m: ArrayLike, k: int) -> NDArray[np.float64]:
+    """Approximate E/c^k by a cubic to the power 5: at most 0.19 % of the peak off for
+    Cook-Torrance, 0.13 % for Ward, at every angle and slope.
+
+    Parameters
+    ----------
+    c : cosine of the angle between normal and half vector, in [0, 1]; any shape
+    m : rms slope, in [1e-4, 0.7] for Cook-Torrance, to 1 for Ward; broadcasts with c
+    k : 4 for Cook-Torrance, 0 for Ward
+
+    Raises
+    ------
+    InputError : c or m outside its domain
+
+    References: Lyon (1993) for the clamped power; the constants are ``fitting.py``'s.
+    """
+    return _power_polynomial("fitted", c, m, k)
+
+
+def fitted_fine(c: ArrayLike, m: ArrayLike, k: int) -> NDArray[np.float64]:
+    """Approximate E/c^k by a quartic to the power 8: at most 0.04 % of the peak off.
+
+    Parameters, errors and references as in :func:`fitted`.
+    """
+    return _power_polynomial("fitted-fine", c, m, k)
+
+
+def fitted_coefficients(m: ArrayLike, k: int) -> NDArray[np.float64]:
+    """Return the factors (..., 3) of u, u², u³, with u = 1 - c, in the cubic of :func:`fitted`.
+
+    Raises
+    ------
+    InputError : m outside the domain of :func:`fitted`
+    """
+    return FITTED["fitted", k].coefficients(check_slope(m, "fitted", k))
+
+
+def fitted_fine_coefficients(m: ArrayLike, k: int) -> NDArray[np.float64]:
+    """Return the factors (..., 4) of u to u⁴ in the quartic of :func:`fitted_fine`.
+
+    Raises
+    ------
+    InputError : m outside the domain of :func:`fitted_fine`
+    """
+    return FITTED["fitted-fine", k].coefficients(check_slope(m, "fitted-fine", k))
+
+
+def _power_polynomial(
+    name: Literal["fitted", "fitted-fine"], c: ArrayLike, m: ArrayLike, k: int
+) -> NDArray[np.float64]:
+    return FITTED[name, k](1.0 - _check_cosine(c), check_slope(m, name, k))
+
+
 def lobe(name: Lobe, c: ArrayLike, m: ArrayLike, k: int) -> NDArray[np.float64]:
     """Evaluate the named lobe; parameters as in :func:`exact` and the function of that name."""
     if name == "exact":
         return exact(c, m, k)
     if name == "cosine":
         return cosine(c, m, k)
+    if name == "fitted" or name == "fitted-fine":
+        return _power_polynomial(name, c, m, k)
     if name not in _POWERS:
         raise InputError(f"unknown lobe {name!r}; known: {', '.join(NAMES)}")
     return g_power(c, m, k, _POWERS[name])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from facerender import brdf
 from facerender.frame import GBuffer
-from facerender.scene import Scene, point_lights
+from facerender.scene import Scene, point_lights, slope_ranges
 from facerender.shading import Shading
 
 Lighting = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -25,10 +25,13 @@ def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float6
 
     Raises
     ------
-    InputError : m lies outside the lobe's domain
+    InputError : m lies outside the lobe's domain, and the shading asks for an error then
     """
     radiance = np.zeros(gbuffer.position.shape)
-    for index, material in enumerate(scene.mesh.materials):
+    for index, (material, slopes) in enumerate(
+        zip(scene.mesh.materials, slope_ranges(scene), strict=True)
+    ):
+        chosen = shading.for_slopes(*slopes)
         covered = gbuffer.part == index
         if not covered.any():
             continue
@@ -45,7 +48,7 @@ def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float6
         for l, irradiance in lighting(scene, position):
             received = irradiance * np.maximum((n * l).sum(axis=-1), 0.0)[:, None]
             diffuse += received
-            specular += received * _specular(shading, n, l, v, m, material.f0)[:, None]
+            specular += received * _specular(chosen, n, l, v, m, material.f0)[:, None]
         radiance[covered] = material.kd / np.pi * albedo * diffuse + weight[:, None] * specular
     return radiance
 

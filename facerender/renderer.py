@@ -6,7 +6,7 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -24,8 +24,17 @@ from facerender.glsl import resolve_includes
 from facerender.lobes import Lobe
 from facerender.mesh import Mesh, Part, load_mesh, part_maps, start_maps
 from facerender.reference import data_view
-from facerender.scene import Camera, Light, Material, Scene, View, point_lights, view_of
-from facerender.shading import Model, Shading
+from facerender.scene import (
+    Camera,
+    Light,
+    Material,
+    Scene,
+    View,
+    point_lights,
+    slope_ranges,
+    view_of,
+)
+from facerender.shading import Model, Outside, Shading
 from facerender.texture import Kind, Texture
 
 MAX_SIZE = 16384
@@ -149,7 +158,8 @@ class Renderer:
 
         Raises
         ------
-        InputError : a map is damaged, m lies outside the lobe's domain, an unknown term
+        InputError : a map is damaged, m lies outside the lobe's domain and the shading asks for an
+            error then, an unknown term
         """
         if only in ("normal", "albedo", "depth", "cosines"):
             linear = data_view(self.gbuffer(scene), scene, only)
@@ -159,22 +169,26 @@ class Renderer:
             raise InputError(f"unknown term {only!r}; known: {', '.join(ONLY)}")
         mesh = scene.mesh
         start_maps(mesh, self.albedo_kind)
-        if only != "diffuse":
-            for part, material in zip(mesh.parts, mesh.materials, strict=True):
-                shading.check_slope(material.m if part.uv is None else material.largest_m)
+        ranges = [] if only == "diffuse" else slope_ranges(scene)
+        chosen = [shading.for_slopes(*ends) for ends in ranges]
+        specular = [choice.glsl(ends[0]) for choice, ends in zip(chosen, ranges, strict=True)]
         view = view_of(scene, self.size[0] / self.size[1])
         with self.context.drawing() as gl:
             target = self._target("multisample" if self.samples > 1 else "single")
             with gl.scope(target, enable_only=moderngl.DEPTH_TEST):
                 target.clear(*_clear_color(scene, only))
-                for part, material in zip(mesh.parts, mesh.materials, strict=True):
-                    defines = _shade_defines(part, material, scene, shading, only)
+                for number, part in enumerate(mesh.parts):
+                    material = mesh.materials[number]
+                    brdf = specular[number] if specular else ""
+                    defines = _shade_defines(part, material, scene, brdf, only)
                     self._draw(part, material, self._program("shade", defines), view, scene)
             if self.samples > 1:
                 single = self._target("single")
                 gl.copy_framebuffer(single, target)
                 target = single
-            metadata = {**self.metadata, **asdict(shading)}
+            lobe = " and ".join(sorted({choice.lobe for choice in chosen})) or shading.lobe
+            terms = {"model": shading.model, "lobe": lobe, "fresnel": shading.fresnel}
+            metadata = {**self.metadata, **terms}
             return Frame(self._read(target), only, scene.background is None, metadata)
 
     def gbuffer(self, scene: Scene) -> GBuffer:
@@ -350,7 +364,7 @@ def _surface_defines(part: Part, material: Material) -> str:
 
 
 def _shade_defines(
-    part: Part, material: Material, scene: Scene, shading: Shading, only: Only | None
+    part: Part, material: Material, scene: Scene, specular: str, only: Only | None
 ) -> str:
     points = sum(light.position is not None for light in scene.lights)
     lines = [
@@ -362,8 +376,8 @@ def _shade_defines(
         lines.append("#define AMBIENT\n")
     if only != "specular" and material.kd > 0.0:
         lines.append("#define DIFFUSE\n")
-    if only != "diffuse" and material.ks > 0.0:
-        lines.append(shading.glsl)
+    if material.ks > 0.0:
+        lines.append(specular)
     return "".join(lines)
 
 
@@ -402,6 +416,7 @@ def render(
     model: Model = "cook-torrance",
     lobe: Lobe = "exact",
     fresnel: Fresnel = "schlick",
+    outside: Outside = "error",
     m: float | None = None,
     size: tuple[int, int] = (1024, 1024),
     samples: int = 4,
@@ -417,7 +432,7 @@ def render(
     Parameters
     ----------
     mesh : file, mesh, or None for the built-in head
-    model, lobe, fresnel : see :class:`Shading`
+    model, lobe, fresnel, outside : see :class:`Shading`
     m : rms slope for the whole mesh, in place of its roughness map
     size, samples, backend : see :class:`Renderer`
     camera, lights : see :class:`Scene`
@@ -428,7 +443,7 @@ def render(
     InputError : a file or a value cannot be used
     ContextError : no OpenGL context
     """
-    shading = Shading(model, lobe, fresnel)
+    shading = Shading(model, lobe, fresnel, outside)
     loaded = mesh if isinstance(mesh, Mesh) else load_mesh(mesh)
     if m is not None:
         loaded = loaded.with_material(m=m)

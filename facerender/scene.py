@@ -200,12 +200,18 @@ class Material:
                 raise InputError(f"{name} = {value!r}: give facerender.Texture.open(FILE) or None")
 
     @cached_property
-    def largest_m(self) -> float:
-        """The largest rms slope, of the roughness map if there is one, which is then decoded."""
+    def slopes(self) -> tuple[float, float]:
+        """The smallest and largest m, of the roughness map if there is one, which is then
+        decoded."""
         if self.roughness_map is None or self.property_map is None:
-            return self.m
+            return self.m, self.m
         roughness = self.property_map.levels("data").result()[0][..., 1]
-        return max((self.roughness_factor * float(roughness.max()) / 255.0) ** 2, MIN_SLOPE)
+        ends = (
+            self.roughness_factor * float(end) / 255.0
+            for end in (np.min(roughness), np.max(roughness))
+        )
+        low, high = (max(end**2, MIN_SLOPE) for end in ends)
+        return low, high
 
     @cached_property
     def property_map(self) -> Texture | None:
@@ -238,6 +244,13 @@ class Scene:
         if self.background is not None:
             background = _non_negative("background", self.background)
             object.__setattr__(self, "background", background)
+
+
+def slope_ranges(scene: Scene) -> list[tuple[float, float]]:
+    """Return the smallest and the largest m of each part; without texture coordinates no map
+    counts."""
+    parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
+    return [(at.m, at.m) if part.uv is None else at.slopes for part, at in parts]
 
 
 def point_lights(scene: Scene) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:

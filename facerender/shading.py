@@ -3,10 +3,8 @@ GLSL that selects them. Nothing here needs OpenGL; lights and maps are the rende
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
-
-from numpy.typing import ArrayLike
 
 from facerender import brdf, lobes
 from facerender.brdf import Fresnel
@@ -14,9 +12,11 @@ from facerender.errors import InputError
 from facerender.lobes import Lobe
 
 Model = Literal["cook-torrance", "ward", "ward-printed"]
+Outside = Literal["error", "exact"]
 
 MODELS: tuple[Model, ...] = ("cook-torrance", "ward", "ward-printed")
 FRESNEL_TERMS: tuple[Fresnel, ...] = ("schlick", "dielectric")
+OUTSIDE: tuple[Outside, ...] = ("error", "exact")
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,10 @@ class Shading:
     Parameters
     ----------
     model : "cook-torrance", "ward", or "ward-printed" (as Romanyuk et al. 2020 print it)
-    lobe : "exact", "cosine", "d4", "d8" or "d16"
+    lobe : "exact", "fitted", "fitted-fine", "cosine", "d4", "d8" or "d16"
     fresnel : "schlick" or "dielectric"; Cook-Torrance only, since Ward has no Fresnel term
+    outside : what a material gets whose m leaves the domain of the lobe: "error", or "exact" for
+        the exact lobe in its place
 
     Raises
     ------
@@ -37,12 +39,14 @@ class Shading:
     model: Model = "cook-torrance"
     lobe: Lobe = "exact"
     fresnel: Fresnel = "schlick"
+    outside: Outside = "error"
 
     def __post_init__(self) -> None:
         for kind, value, known in (
             ("model", self.model, MODELS),
             ("lobe", self.lobe, lobes.NAMES),
             ("Fresnel term", self.fresnel, FRESNEL_TERMS),
+            ("choice outside the domain", self.outside, OUTSIDE),
         ):
             if value not in known:
                 raise InputError(f"unknown {kind} {value!r}; known: {', '.join(known)}")
@@ -54,13 +58,21 @@ class Shading:
         """The power of 1/cos γ in the model's lobe."""
         return brdf.K_COOK_TORRANCE if self.model == "cook-torrance" else brdf.K_WARD
 
-    def check_slope(self, m: ArrayLike) -> None:
-        """Raise InputError when m lies outside the domain of the lobe in this model."""
-        lobes.check_slope(m, self.lobe, self.k)
+    def for_slopes(self, smallest: float, largest: float) -> Shading:
+        """Return the choice for a material with these slopes: this one, or with the exact lobe.
 
-    @property
-    def glsl(self) -> str:
-        """The lines that make ``SPECULAR_BRDF(n, l, v, m, f0)`` this choice.
+        Raises
+        ------
+        InputError : m leaves the domain of the lobe, and ``outside`` is "error"
+        """
+        slopes = (smallest, largest)
+        if self.outside == "exact" and not lobes.in_domain(slopes, self.lobe, self.k).all():
+            return replace(self, lobe="exact")
+        lobes.check_slope(slopes, self.lobe, self.k)
+        return self
+
+    def glsl(self, smallest_m: float) -> str:
+        """The lines that make ``SPECULAR_BRDF(n, l, v, m, f0)`` this choice, for m from there on.
 
         Ward has no Fresnel term: its reflectance is f0, so that both models agree where
         normal, light and eye coincide.
@@ -69,7 +81,8 @@ class Shading:
         cook_torrance = self.model == "cook-torrance"
         call = f"fr_{name}(n, l, v, m, f0)" if cook_torrance else f"(f0 * fr_{name}(n, l, v, m))"
         return (
-            f"#define FR_LOBE FR_LOBE_{self.lobe.upper()}\n"
+            f"#define FR_LOBE FR_LOBE_{self.lobe.upper().replace('-', '_')}\n"
+            f"#define FR_SMALL_SLOPE {int(smallest_m < 0.1)}\n"
             f"#define FR_FRESNEL FR_FRESNEL_{self.fresnel.upper()}\n"
             f'#include "facerender/{name}.glsl"\n'
             f"#define SPECULAR_BRDF(n, l, v, m, f0) {call}\n"

@@ -126,14 +126,15 @@ def test_only_what_the_scene_needs_is_compiled(head):
     from facerender import renderer
 
     scene = fr.Scene(head)
-    full = renderer._shade_defines(head.parts[0], head.materials[0], scene, fr.Shading(), None)
+    specular = fr.Shading().glsl(0.3)
+    full = renderer._shade_defines(head.parts[0], head.materials[0], scene, specular, None)
     assert {"#define ALBEDO_MAP", "#define NORMAL_MAP", "#define AMBIENT"} <= set(full.splitlines())
     plain = head.with_material(normal_map=None, roughness_map=None, occlusion_map=None, ks=0.0)
     bare = renderer._shade_defines(
         plain.parts[0],
         plain.materials[0],
         replace(scene, mesh=plain, ambient=0.0, lights=()),
-        fr.Shading(),
+        specular,
         None,
     )
     assert bare.split("\n") == [

@@ -1,25 +1,21 @@
 // Constants that every file of the library shares.
-//
-// A host may #define FR_MIN_COSINE or FR_MIN_SLOPE before its first include.
 #ifndef FR_CONSTANTS
 #define FR_CONSTANTS
 
 #define FR_PI 3.14159265358979
+#define FR_LOG2_E 1.44269504088896
 
 // The power of 1/cos(gamma) in a model's lobe E/c^k.
 #define FR_K_COOK_TORRANCE 4
 #define FR_K_WARD 0
 
-// Cosines below this are raised to it. A dot product of two float32 unit vectors carries an error
-// near 1e-7, so smaller cosines are noise; and 1/(N.L N.V) = 1e12 times the largest peak, 2.5e7
-// at FR_MIN_SLOPE, stays finite (float32 ends at 3.4e38).
-#ifndef FR_MIN_COSINE
+// A light or an eye whose cosine is not above this counts as below the surface. A dot product of
+// two float32 unit vectors carries an error near 1e-7, so smaller cosines are mostly noise; and the
+// smallest divisor, (N.L)(N.V)(N.h)^2 m^2 = 1e-12 * 4e-12 * 1e-8 = 4e-32 at FR_MIN_SLOPE, and its
+// inverse stay in float32's normal range, 1.2e-38 to 3.4e38.
 #define FR_MIN_COSINE 1e-6
-#endif
 
-// Slopes below this are raised to it: the peak 1/(4 m^2) is 2.5e7.
-#ifndef FR_MIN_SLOPE
+// Slopes below this are raised to it: see FR_MIN_COSINE; the peak 1/(4 m^2) is then 2.5e7.
 #define FR_MIN_SLOPE 1e-4
-#endif
 
 #endif

@@ -18,7 +18,7 @@
 
 // Schlick (1994), eq. 15.
 float fr_fresnel_schlick(float f0, float v_dot_h) {
-    float u = clamp(1.0 - v_dot_h, 0.0, 1.0);
+    float u = max(1.0 - v_dot_h, 0.0);
     float u2 = u * u;
     return f0 + (1.0 - f0) * (u2 * u2 * u);
 }
@@ -29,7 +29,7 @@ float fr_fresnel_schlick(float f0, float v_dot_h) {
 float fr_fresnel_dielectric(float f0, float v_dot_h) {
     float root = sqrt(f0);
     float q = 4.0 * root / ((1.0 - root) * (1.0 - root));
-    float c = clamp(v_dot_h, 0.0, 1.0);
+    float c = min(v_dot_h, 1.0);
     float sum = max(sqrt(q + c * c) + c, 1e-20);
     float difference = q / sum;
     float a = difference / sum;

@@ -1,7 +1,8 @@
 // Cosine-power lobe c^n with n = 2/m^2 - k: the first step of Romanyuk et al. (2020), section 3.
 //
 //   c       cosine of the angle between normal and half vector, in [0, 1]
-//   m       rms slope, from 1e-4 to below 0.707 for Cook-Torrance (n > 0), to 2 for Ward
+//   m       rms slope, from 1e-4 to below 0.707 for Cook-Torrance, to 2 for Ward; beyond, n < 0
+//           counts as 0, and the result is finite without meaning
 //   k       FR_K_COOK_TORRANCE or FR_K_WARD
 //   unit    none: peak 1 at c = 1; the caller multiplies by the model's scale
 //   error   in % of the peak (tests/test_lobes.py), for m = 0.1, 0.2, 0.3, 0.4, 0.5, 0.6:
@@ -11,7 +12,7 @@
 #define FR_LOBE_COSINE_GLSL
 
 float fr_lobe_cosine(float c, float m, int k) {
-    float n = 2.0 / (m * m) - float(k);
+    float n = max(2.0 / (m * m) - float(k), 0.0);
     float x = min(c, 1.0);
     return x > 0.0 ? exp2(n * log2(x)) : 0.0;
 }

@@ -1,8 +1,9 @@
 // Exact lobe E/c^k, E = exp(-tan^2(gamma)/m^2): Beckmann and Spizzichino (1963), as Cook and
 // Torrance (1982, k = 4) and Ward (1992, eq. 4, k = 0) use it.
 //
-//   tan2    squared tangent of the angle gamma between normal and half vector, >= 0; with
-//           h = L + V of any length it is (h.h)/(N.h)^2 - 1: no normalised half vector, no acos
+//   x       tan^2(gamma)/m^2, >= 0; fr_slope_factor(x) is E
+//   tan2    squared tangent of the angle gamma between normal and half vector, >= 0; see
+//           half_vector.glsl: it needs no normalised half vector and no acos
 //   c       cosine of gamma, in [0, 1]
 //   m       rms slope of the microfacets, in [1e-4, 2]
 //   k       FR_K_COOK_TORRANCE or FR_K_WARD
@@ -17,9 +18,13 @@
 // without it (1 + tan2)^2 overflows and 0 times infinity is NaN.
 #define FR_MAX_TAN2 1e6
 
+float fr_slope_factor(float x) {
+    return exp2(-FR_LOG2_E * x);
+}
+
 float fr_lobe_exact_tan2(float tan2, float m, int k) {
     float t = clamp(tan2, 0.0, FR_MAX_TAN2);
-    float e = exp(-t / (m * m));
+    float e = fr_slope_factor(t / (m * m));
     if (k == FR_K_COOK_TORRANCE) {
         float sec2 = 1.0 + t;
         e *= sec2 * sec2;

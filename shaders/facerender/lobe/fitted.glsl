@@ -1,0 +1,91 @@
+// Fitted lobes max(1 + a1 u + a2 u^2 + ..., 0)^g, u = 1 - c: the best uniform approximations of
+// E/c^k by a cubic to the power 5 (fr_lobe_fitted) and a quartic to the power 8 (fr_lobe_fitted_fine)
+// among those that fall monotonically and are exact at c = 1, for all angles and slopes at once.
+// The constants are facerender/fitting.py's; the clamped power is Lyon's (1993).
+//
+//   c       cosine of the angle between normal and half vector, in [0, 1]
+//   m       rms slope, in [1e-4, 0.7] for Cook-Torrance, [1e-4, 1] for Ward; a larger one counts
+//           as the end of the domain
+//   k       FR_K_COOK_TORRANCE or FR_K_WARD
+//   unit    none: peak 1 at c = 1; the caller multiplies by the model's scale. The coefficients are
+//           the factors a1, a2, ... of u, u^2, ...
+//   error   in % of the peak (tests/test_lobes.py), at most, over all angles and the domain of m:
+//           fr_lobe_fitted       Cook-Torrance 0.19   Ward 0.13
+//           fr_lobe_fitted_fine  Cook-Torrance 0.04   Ward 0.04
+//
+// Where many fragments share one m, a host may compute the coefficients once and give them as an
+// expression of its own: #define FR_FITTED_COEFFICIENTS(m, k) my_uniform, and likewise
+// FR_FITTED_FINE_COEFFICIENTS.
+#ifndef FR_LOBE_FITTED_GLSL
+#define FR_LOBE_FITTED_GLSL
+
+#include "facerender/constants.glsl"
+
+#ifndef FR_FITTED_COEFFICIENTS
+#define FR_FITTED_COEFFICIENTS(m, k) fr_lobe_fitted_coefficients(m, k)
+#endif
+
+#ifndef FR_FITTED_FINE_COEFFICIENTS
+#define FR_FITTED_FINE_COEFFICIENTS(m, k) fr_lobe_fitted_fine_coefficients(m, k)
+#endif
+
+vec3 fr_lobe_fitted_coefficients(float m, int k) {
+    float w = m * m;
+    vec3 a;
+    if (k == FR_K_COOK_TORRANCE) {
+        w = min(w, 0.49);
+        a = vec3(-0.39700398, 0.07498738, -0.0060935954)
+          + w * (vec3(0.6738297, -0.58629695, 0.0026217349)
+          + w * (vec3(0.71936623, -1.6754473, 1.1615276)
+          + w * vec3(-1.0351326, 4.1195317, -5.0082767)));
+    } else {
+        w = min(w, 1.0);
+        a = vec3(-0.40198098, 0.083526049, -0.010091574)
+          + w * (vec3(-0.020725706, -0.49894731, 0.08771378)
+          + w * (vec3(0.077372606, -0.42975123, 0.18764888)
+          + w * vec3(-0.067503089, 0.51304211, -1.5410764)));
+    }
+    float r = 1.0 / w;
+    return a * vec3(r, r * r, r * r * r);
+}
+
+float fr_lobe_fitted(float c, float m, int k) {
+    vec3 a = FR_FITTED_COEFFICIENTS(m, k);
+    float u = 1.0 - min(c, 1.0);
+    float p = max(1.0 + u * (a.x + u * (a.y + u * a.z)), 0.0);
+    float p2 = p * p;
+    return p2 * p2 * p;
+}
+
+vec4 fr_lobe_fitted_fine_coefficients(float m, int k) {
+    float w = m * m;
+    vec4 a;
+    if (k == FR_K_COOK_TORRANCE) {
+        w = min(w, 0.49);
+        a = vec4(-0.24963107, 0.030319915, -0.0020734921, 0.0)
+          + w * (vec4(0.50360702, -0.52566283, 0.15216287, -0.017956779)
+          + w * (vec4(-0.013824908, 0.50565452, -0.92452698, 0.030042244)
+          + w * (vec4(-0.081719136, 0.47515006, -1.4199605, 1.6944034)
+          + w * vec4(0.19363848, -1.434821, 4.5145226, -5.6548034))));
+    } else {
+        w = min(w, 1.0);
+        a = vec4(-0.24950537, 0.029811221, -0.0017648837, 0.0)
+          + w * (vec4(0.0018034024, -0.38853178, 0.14142554, -0.024093986)
+          + w * (vec4(-0.0076809275, 0.078399249, -0.74785186, 0.058197197)
+          + w * (vec4(-0.0071770924, 0.063575568, -0.40797551, 1.0990611)
+          + w * vec4(0.015975844, -0.20239128, 1.087785, -2.6305629))));
+    }
+    float r = 1.0 / w;
+    return a * vec4(r, r * r, r * r * r, (r * r) * (r * r));
+}
+
+float fr_lobe_fitted_fine(float c, float m, int k) {
+    vec4 a = FR_FITTED_FINE_COEFFICIENTS(m, k);
+    float u = 1.0 - min(c, 1.0);
+    float p = max(1.0 + u * (a.x + u * (a.y + u * (a.z + u * a.w))), 0.0);
+    float p2 = p * p;
+    float p4 = p2 * p2;
+    return p4 * p4;
+}
+
+#endif
