@@ -79,7 +79,7 @@ def terms(call: str) -> dict[str, tuple[str, str]]:
     for lobe in lobes.NAMES:
         result[lobe] = term(call, lobe)
         if lobe == "exact":
-            result["exact, m >= 0.1"] = term(call, lobe, DOT)
+            result["exact, m >= 0.2"] = term(call, lobe, DOT)
         if lobe in COEFFICIENTS:
             result[f"{lobe}, uniform m"] = term(
                 call, lobe, "uniform vec4 coefficients;", COEFFICIENTS[lobe]

@@ -56,8 +56,9 @@ def fit(
     # In the tail v is large: unscaled rows would hide errors in the solver's tolerance.
     scale = np.maximum(1.0, v**degree)
     falling = derivative / np.maximum(1.0, v ** (degree - 1))[:, None]
-    # As m goes to 0, v is unbounded and the highest power alone decides: it must not rise.
-    bounds = [(None, 0.0 if column == (0, degree) else None) for column in columns]
+    # A closed form holds down to m = 0, where v is unbounded: its highest power must not rise.
+    last = (0, degree) if order > 0 else None
+    bounds = [(None, 0.0 if column == last else None) for column in columns]
 
     def constants_within(epsilon: float) -> Array | None:
         seen = exact > epsilon

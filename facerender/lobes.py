@@ -120,7 +120,8 @@ def in_domain(m: ArrayLike, name: str, k: int) -> NDArray[np.bool_]:
     slope = np.asarray(m, dtype=np.float64)
     end = max_slope(name, k)
     below_end = slope <= end if _end_belongs(name, k) else slope < end
-    return np.asarray((slope >= MIN_SLOPE) & below_end)
+    # 1e-7: float32, as a G-buffer holds it, rounds 1e-4 down.
+    return np.asarray((slope >= MIN_SLOPE * (1.0 - 1e-7)) & below_end)
 
 
 def check_slope(m: ArrayLike, name: str, k: int) -> NDArray[np.float64]:

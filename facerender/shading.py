@@ -82,7 +82,7 @@ class Shading:
         call = f"fr_{name}(n, l, v, m, f0)" if cook_torrance else f"(f0 * fr_{name}(n, l, v, m))"
         return (
             f"#define FR_LOBE FR_LOBE_{self.lobe.upper().replace('-', '_')}\n"
-            f"#define FR_SMALL_SLOPE {int(smallest_m < 0.1)}\n"
+            f"#define FR_SMALL_SLOPE {int(smallest_m < 0.2)}\n"
             f"#define FR_FRESNEL FR_FRESNEL_{self.fresnel.upper()}\n"
             f'#include "facerender/{name}.glsl"\n'
             f"#define SPECULAR_BRDF(n, l, v, m, f0) {call}\n"

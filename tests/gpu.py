@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import moderngl
 import numpy as np
@@ -59,9 +59,30 @@ class Evaluator:
                 texture.use(unit)
                 if f"{name}_texels" in program:
                     program[f"{name}_texels"] = unit
-            corners = np.array([-1, -1, 3, -1, -1, 3], dtype=np.float32)
-            target = gl.framebuffer([gl.renderbuffer((width, height), 4, dtype="f4")])
-            target.use()
-            gl.vertex_array(program, [(gl.buffer(corners), "2f", "corner")]).render()
+            target, triangle = _canvas(gl, program, (width, height))
+            triangle.render()
             data = target.read(components=4, dtype="f4")
         return np.frombuffer(data, np.float32).reshape(-1, 4)[:count, 0]
+
+    def draws(
+        self, fragment: str, size: tuple[int, int], seeds: Iterable[int]
+    ) -> Iterator[NDArray[np.float32]]:
+        """Yield what a fragment shader draws, flat, for each value of its ``uniform uint seed``."""
+        with self._context.gl as gl:
+            gl.gc()  # the target of the call before
+            program = gl.program(_VERTEX, resolve_includes(fragment))
+            target, triangle = _canvas(gl, program, size)
+            for seed in seeds:
+                program["seed"] = seed
+                triangle.render()
+                yield np.frombuffer(target.read(components=4, dtype="f4"), np.float32)
+
+
+def _canvas(
+    gl: moderngl.Context, program: moderngl.Program, size: tuple[int, int]
+) -> tuple[moderngl.Framebuffer, moderngl.VertexArray]:
+    """Return an unclamped float target, in use, and a triangle that covers it."""
+    corners = np.array([-1, -1, 3, -1, -1, 3], dtype=np.float32)
+    target = gl.framebuffer([gl.renderbuffer(size, 4, dtype="f4")])
+    target.use()
+    return target, gl.vertex_array(program, [(gl.buffer(corners), "2f", "corner")])

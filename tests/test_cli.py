@@ -299,6 +299,11 @@ def test_material_and_shading(cli: Cli) -> None:
     np.testing.assert_array_equal(image, frame.srgb8())
 
 
+def test_outside_the_domain(cli: Cli) -> None:
+    image = cli.render("--m", "0.9", "--lobe", "fitted", "--outside", "exact")
+    np.testing.assert_array_equal(image, cli.render("--m", "0.9"))
+
+
 def test_maps(cli: Cli, tmp_path: Path) -> None:
     Image.new("RGB", (4, 4), (0, 255, 0)).save(tmp_path / "green.png")
     Image.new("L", (4, 4), 0).save(tmp_path / "black.png")

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facerender import InputError, lobes
+from facerender import InputError, fitting, lobes
 
 REFERENCE = np.genfromtxt(Path(__file__).parent / "data/beckmann_reference.csv", delimiter=",")
 C, M, D, W, LOG_D = REFERENCE.T
@@ -74,6 +74,52 @@ def test_every_lobe_rises_with_the_cosine_from_zero_to_one(name, k, m, c):
     assert values[-1] == 1.0
 
 
+@pytest.mark.parametrize(
+    ("k", "name", "stated"),
+    [(4, "fitted", 0.19), (0, "fitted", 0.13), (4, "fitted-fine", 0.04), (0, "fitted-fine", 0.04)],
+)
+def test_fitted_lobes_keep_their_bound_between_the_points_of_the_fit(k, name, stated):
+    # 20 times as many slopes and angles as the fit had, in % of the peak
+    end = lobes.max_slope(name, k)
+    for m in [1e-4, 1e-3, *np.linspace(0.01, end, 720)]:
+        angle = np.linspace(0.0, np.pi / 2 if m > 0.2 else 8.0 * m, 1200)
+        u = 2.0 * np.sin(angle / 2.0) ** 2
+        value = lobes.FITTED[name, k](u, m)
+        with np.errstate(divide="ignore"):
+            exact = lobes.exact_tan2(np.tan(angle.clip(0, 1.5707963)) ** 2, m, k)
+        assert 100.0 * np.abs(value - exact).max() < stated, m
+        assert np.diff(value).max() <= 0.0, m
+        assert value[0] == 1.0
+
+
+def test_fit_finds_the_optimum_of_a_single_slope():
+    # Global optima, of g = 4 and 8, from an independent bisection with finer grids.
+    for k, power, degree, m, optimum in (
+        (4, 4, 3, 0.3, 0.1571), (4, 4, 3, 0.5, 0.1342), (0, 4, 3, 0.4, 0.1634),
+        (4, 8, 3, 0.6, 0.102), (0, 8, 4, 0.4, 0.008),
+    ):  # fmt: skip
+        found, error = fitting.fit(k, power, degree, m)
+        assert 100.0 * error == pytest.approx(optimum, rel=0.02, abs=0.0006)
+        c = np.cos(np.linspace(0.0, np.pi / 2, 5001)).clip(0.0)
+        dense = np.abs(found(1.0 - c, m) - lobes.exact(c, m, k)).max()
+        assert dense == pytest.approx(error, rel=0.03)
+
+
+@pytest.mark.parametrize(("name", "k"), lobes.FITTED)
+def test_constants_are_as_good_as_a_new_fit(name, k):
+    lobe = lobes.FITTED[name, k]
+    slopes = np.linspace(0.05, lobe.max_slope, 12)
+    _, error = fitting.fit(k, lobe.power, len(lobe.table[0]), slopes, len(lobe.table) - 1)
+    c = np.cos(np.linspace(0.0, np.pi / 2, 2001)).clip(0.0)
+    ours = np.abs(lobe(1.0 - c, slopes[:, None]) - lobes.exact(c, slopes[:, None], k)).max()
+    assert 0.97 * error < ours < 1.15 * error
+
+
+def test_fit_says_where_there_is_none():
+    with pytest.raises(InputError, match="no monotone fit of power 5 for m up to 1.5, k = 4"):
+        fitting.fit(4, 5, 3, [0.5, 1.5])
+
+
 def test_clamp_keeps_the_power_from_rising_again():
     c = np.cos(np.radians([49.4, 60.0, 90.0])).clip(0.0)
     assert (lobes.g_power(c, 0.2, 4, 16) == 0.0).all()
@@ -91,6 +137,10 @@ def test_clamp_keeps_the_power_from_rising_again():
         (lambda: lobes.cosine(0.5, 0.8, 4), r"m = 0.8 .* lobe cosine .* 0.7071\), or use the lobe"),
         (lambda: lobes.g_power(0.5, [0.3, 0.75], 4, 16), "m = 0.75 .* lobe d16"),
         (lambda: lobes.g_power(0.5, 0.3, 4, 5), "g = 5 is none of 4, 8, 16"),
+        (lambda: lobes.fitted(0.5, 0.71, 4), r"m = 0.71 .* fitted .* 0.7\], or use the lobe exact"),
+        (lambda: lobes.fitted_fine(1.1, 0.5, 0), "cosine 1.1"),
+        (lambda: lobes.fitted_coefficients(1.01, 0), r"m = 1.01 .* Ward: give m in \[0.0001, 1\]"),
+        (lambda: lobes.fitted_fine_coefficients(0.8, 4), "lobe fitted-fine"),
         (lambda: lobes.lobe("d32", 0.5, 0.3, 4), "unknown lobe 'd32'; known: exact, cosine"),
     ],
 )
@@ -99,6 +149,11 @@ def test_values_outside_the_domain_are_refused(call, message):
         call()
 
 
-def test_ward_has_every_lobe_up_to_a_slope_of_two():
-    for name in lobes.NAMES:
-        assert lobes.lobe(name, 1.0, 2.0, 0) == 1.0
+def test_domains_reach_their_ends():
+    for k in (0, 4):
+        for name in lobes.NAMES:
+            end = lobes.max_slope(name, k)
+            assert lobes.in_domain([1e-4, np.float32(1e-4), 0.999 * end], name, k).all()
+            assert not lobes.in_domain([0.0, 0.99e-4, 1.001 * end, np.nan], name, k).any()
+            closed = name == "exact" or k == 0 or name.startswith("fitted")
+            assert lobes.in_domain(end, name, k) == closed

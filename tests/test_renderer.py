@@ -69,6 +69,34 @@ def test_every_pixel_of_the_scan_agrees_with_float64(transparent, scan_mesh, sha
     assert worst_error(transparent, scene, shading) < 1e-4
 
 
+@pytest.mark.parametrize("m", [1e-3, 0.05, 0.15, 0.25, 1.5])
+def test_the_exact_lobe_agrees_at_every_slope(transparent, head, m):
+    # Both forms of the half vector; below m = 0.1 the interpolated normal's own rounding shows.
+    scene = lit(head.with_material(m=m, roughness_map=None), background=None)
+    assert worst_error(transparent, scene, fr.Shading()) < (1e-4 if m > 0.01 else 1e-2)
+
+
+def test_outside_its_domain_a_lobe_gives_way_to_exact_where_asked(renderer, head):
+    shiny = head.with_material(m=0.3, roughness_map=None)
+    rough = head.with_material(m=0.75, roughness_map=None)
+    exact = renderer.render(fr.Scene(rough))
+    for lobe in ("fitted", "d16"):
+        chosen = fr.Shading(lobe=lobe, outside="exact")
+        frame = renderer.render(fr.Scene(rough), chosen)
+        np.testing.assert_array_equal(frame.linear, exact.linear)
+        assert frame.metadata["lobe"] == "exact"
+        frame = renderer.render(fr.Scene(shiny), chosen)
+        np.testing.assert_array_equal(
+            frame.linear, renderer.render(fr.Scene(shiny), fr.Shading(lobe=lobe)).linear
+        )
+        assert frame.metadata["lobe"] == lobe
+    gbuffer = renderer.gbuffer(fr.Scene(rough))
+    np.testing.assert_array_equal(
+        reference.shade(gbuffer, fr.Scene(rough), chosen),
+        reference.shade(gbuffer, fr.Scene(rough), fr.Shading()),
+    )
+
+
 def test_the_comparison_sees_a_change_of_a_thousandth(transparent, head):
     scene = lit(head, background=None)
     gbuffer = transparent.gbuffer(scene)

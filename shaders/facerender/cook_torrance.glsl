@@ -6,10 +6,10 @@
 //   f0        Fresnel reflectance at normal incidence, in [0, 1)
 //   unit      1/sr, for a specular weight ks = 1; N.L is not included, 1/pi is
 //   result    finite and >= 0; exactly 0 where N.L or N.V is not above FR_MIN_COSINE
-//   error     that of the lobe; float32 adds, relative to what the lobe's peak gives in the same
-//             directions, 1e-5 + 1.2e-6/m for the exact lobe (5e-7/m^2 where FR_SMALL_SLOPE is 0)
-//             and 1e-5 + 5e-7/m^2 for the others, where N.L and N.V are above 0.02; nearer to the
-//             horizon the dot products' own 1e-7/(N.L) and 1e-7/(N.V) come on top
+//   error     that of the lobe; float32 adds, of what the lobe's peak gives in the same directions,
+//             1e-5 + 2.4e-7/m for the exact lobe (1e-5 + 2e-6/m^2 where FR_SMALL_SLOPE is 0) and
+//             1e-5 + 2e-6/m^2 for the others, where N.L and N.V are above 0.02; nearer to the
+//             horizon the dot products' own 1e-7/(N.L) and 1e-7/(N.V) add to it
 #ifndef FR_COOK_TORRANCE_GLSL
 #define FR_COOK_TORRANCE_GLSL
 

@@ -5,13 +5,13 @@
 //   n_dot_h   dot(n, h), from the caller, who has it as dot(n, l) + dot(n, v)
 //   unit      none: x is dot(h, h), y is |n x h|^2 = dot(h, h) - dot(n, h)^2 >= 0, so that
 //             cos^2(gamma) = 1 - y/x and tan^2(gamma) = y/dot(n, h)^2
-//   error     of y/x in float32, with FR_SMALL_SLOPE: 3e-7 sin(gamma), as of the cross product;
-//             without: 3e-7, since the difference of two squares cancels where gamma is small
+//   error     in float32, of sin(gamma) = sqrt(y/x): 1.6e-7 with FR_SMALL_SLOPE; without, the
+//             difference of two squares cancels where gamma is small, and sin^2(gamma) = y/x errs
+//             by up to 2e-6 where dot(n, h) is as small as 0.04
 //
-// The exact lobe multiplies that by 1/m^2: from the difference it is accurate to 5e-7/m^2 of its
-// peak, from the component across the normal to 1.2e-6/m (sin(gamma) is near m where the lobe is
-// steepest). The second costs some 4 % of a whole specular term more; a host whose m stays above
-// 0.1 may save them: #define FR_SMALL_SLOPE 0.
+// The exact lobe multiplies tan^2(gamma) by 1/m^2: FR_SMALL_SLOPE is what keeps it accurate for
+// small m. It costs up to 7 % of a whole specular term (benchmarks/terms.py); a host whose m stays
+// above 0.2 may save them: #define FR_SMALL_SLOPE 0. See the models' headers for the bounds.
 #ifndef FR_HALF_VECTOR_GLSL
 #define FR_HALF_VECTOR_GLSL
 
