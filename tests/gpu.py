@@ -1,4 +1,5 @@
-"""Evaluates a GLSL expression on arrays, into an unclamped float target, where a NaN shows."""
+"""Evaluates a GLSL expression on arrays, into an unclamped float target, where a NaN shows; and
+directions to evaluate it at."""
 
 from __future__ import annotations
 
@@ -21,10 +22,10 @@ class Evaluator:
     """A context that stays open between evaluations."""
 
     def __init__(self, backend: Backend = "auto") -> None:
-        self._context = create_context(backend)
+        self.context = create_context(backend)
 
     def release(self) -> None:
-        self._context.release()
+        self.context.release()
 
     def __call__(
         self, prelude: str, expression: str, inputs: Mapping[str, NDArray[np.float32]]
@@ -49,7 +50,7 @@ class Evaluator:
                 f"result = vec4({expression}); }}",
             ]
         )
-        with self._context.gl as gl:
+        with self.context.gl as gl:
             program = gl.program(_VERTEX, resolve_includes(fragment))
             for unit, (name, values) in enumerate(inputs.items()):
                 texels = np.zeros((height * width, 4), dtype=np.float32)
@@ -68,7 +69,7 @@ class Evaluator:
         self, fragment: str, size: tuple[int, int], seeds: Iterable[int]
     ) -> Iterator[NDArray[np.float32]]:
         """Yield what a fragment shader draws, flat, for each value of its ``uniform uint seed``."""
-        with self._context.gl as gl:
+        with self.context.gl as gl:
             gl.gc()  # the target of the call before
             program = gl.program(_VERTEX, resolve_includes(fragment))
             target, triangle = _canvas(gl, program, size)
@@ -86,3 +87,25 @@ def _canvas(
     target = gl.framebuffer([gl.renderbuffer(size, 4, dtype="f4")])
     target.use()
     return target, gl.vertex_array(program, [(gl.buffer(corners), "2f", "corner")])
+
+
+def directions(m: NDArray[np.float32], lowest: float = 0.02) -> dict[str, NDArray[np.float32]]:
+    """Draw a normal, a light and an eye for each slope, as float32 rounds them: N.L and N.V above
+    ``lowest``, half of the half vectors anywhere, half with tangents below 3 m."""
+    random = np.random.default_rng(7)
+    count = len(m)
+
+    def unit(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(x / np.linalg.norm(x, axis=-1, keepdims=True))
+
+    n = unit(random.normal(size=(count, 3)))
+    z = random.uniform(lowest, 1.0, (2, count, 1))
+    l, v = np.sqrt(1.0 - z**2) * unit(np.cross(n, random.normal(size=(2, count, 3)))) + z * n
+    across = unit(np.cross(n, random.normal(size=(count, 3))))
+    h = unit(n + across * random.uniform(0.0, 3.0, (count, 1)) * m[:, None])
+    mirrored = 2.0 * (h * l).sum(axis=-1, keepdims=True) * h - l
+    v[: count // 2] = mirrored[: count // 2]
+    below = (n * v).sum(axis=-1) <= lowest
+    v[below] = n[below]
+    vectors = {"n": n, "l": l, "v": v}
+    return {name: x.astype(np.float32) for name, x in vectors.items()} | {"m": m}

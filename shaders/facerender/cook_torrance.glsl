@@ -33,7 +33,7 @@ float fr_cook_torrance(vec3 n, vec3 l, vec3 v, float m, float f0) {
     vec2 squares = fr_half_vector(n, h, n_dot_h);
     float h_dot_h = squares.x;
     float masked = min(h_dot_h, 4.0 * n_dot_h * min(n_dot_l, n_dot_v));
-    float inverse = 1.0 / (product * n_dot_h * n_dot_h * m2);
+    float inverse = 1.0 / (product * (n_dot_h * n_dot_h) * m2);
     float sec2 = h_dot_h * m2 * (product * inverse);
     float value = fr_slope_factor(squares.y * (product * inverse)) * sec2 * (masked * inverse);
 #else

@@ -27,8 +27,8 @@ vec2 fr_half_vector(vec3 n, vec3 h, float n_dot_h) {
     float across2 = dot(across, across);
     return vec2(along + across2, across2);
 #else
-    float h_dot_h = max(dot(h, h), along);  // rounding must not lift the lobe above its peak
-    return vec2(h_dot_h, h_dot_h - along);
+    float h_dot_h = dot(h, h);
+    return vec2(h_dot_h, abs(h_dot_h - along));  // a rounded difference below 0 would lift the lobe
 #endif
 }
 

@@ -23,14 +23,14 @@ float fr_ward(vec3 n, vec3 l, vec3 v, float m) {
     float slope = max(m, FR_MIN_SLOPE);
     float m2 = slope * slope;
 #if FR_LOBE == FR_LOBE_EXACT
-    float n_dot_h2 = n_dot_h * n_dot_h;
-    float inverse = 1.0 / (n_dot_h2 * m2);
-    float value = fr_slope_factor(fr_half_vector(n, h, n_dot_h).y * inverse) * (n_dot_h2 * inverse);
+    float across2 = fr_half_vector(n, h, n_dot_h).y;
+    float lobe = fr_slope_factor(across2 / (n_dot_h * n_dot_h * m2));
 #else
-    float value = fr_lobe(n_dot_h * inversesqrt(dot(h, h)), slope, FR_K_WARD) / m2;
+    float lobe = fr_lobe(n_dot_h * inversesqrt(dot(h, h)), slope, FR_K_WARD);
 #endif
+    float scale = 4.0 * FR_PI * m2;
     bool above = n_dot_l > FR_MIN_COSINE && n_dot_v > FR_MIN_COSINE;
-    return above ? value * inversesqrt(n_dot_l * n_dot_v) * (0.25 / FR_PI) : 0.0;
+    return above ? lobe * inversesqrt(scale * scale * (n_dot_l * n_dot_v)) : 0.0;
 }
 
 #endif
