@@ -337,6 +337,8 @@ EXTREMES = {
     "V = -L on the horizon": ([1, 0, 0], [-1, 0, 0]),
     "both on the horizon": ([1, 0, 0], [0, 1, 0]),
     "nearly on the horizon": ([1, 0, 1e-20], [-1, 0, 1e-20]),
+    "light 5e-7 above the horizon": ([1, 0, 5e-7], [0, 0, 1]),
+    "eye 5e-7 above the horizon": ([0, 0, 1], [1, 0, 5e-7]),
     "N = H, 1e-5 above the horizon": ([1, 0, 1e-5], [-1, 0, 1e-5]),
     "light 1e-5 above the horizon": ([1, 0, 1e-5], [0.6, 0, 0.8]),
     "longer by 1e-6": ([0, 0, 1.000001], [0, 0, 1.000001]),
@@ -357,7 +359,34 @@ def test_brdf_at_the_extremes(evaluate, name, lobe, small_slope):
     case = brdf_case(name, lobe, small_slope, inputs)
     result = evaluate(case.include, case.expression, inputs)
     check(result, case)
-    assert (result.reshape(4, -1)[:, :7] == 0.0).all()
+    assert (result.reshape(4, -1)[:, :9] == 0.0).all()
+
+
+def test_what_lies_outside_the_domain_counts_as_its_end(evaluate):
+    inputs = {"c": np.float32(np.linspace(0.0, 1.0, 100))}
+    for lobe in ("fitted", "fitted_fine"):
+        for k, end in ((4, 0.7), (0, 1.0)):
+            beyond, at = (
+                evaluate(include("lobe/fitted"), f"fr_lobe_{lobe}(c, {m}, {k})", inputs)
+                for m in (2.0, end)
+            )
+            np.testing.assert_allclose(beyond, at, atol=1e-6)
+    vectors = {name: np.float32([[0, 0, 1]]) for name in "nlv"}
+    for file, call in (("cook_torrance", "fr_cook_torrance(n, l, v, m, 0.5)"),
+                       ("ward", "fr_ward(n, l, v, m)")):  # fmt: skip
+        none, least = (
+            evaluate(include(file), call, vectors | {"m": np.float32([m])}) for m in (0.0, 1e-4)
+        )
+        assert none == least
+
+
+def test_small_slopes_are_accurate_unless_the_host_says_otherwise(evaluate):
+    inputs = directions(np.full(2000, 0.01, np.float32))
+    unsaid, small = (
+        evaluate(define + include("ward"), "fr_ward(n, l, v, m)", inputs)
+        for define in ("", "#define FR_SMALL_SLOPE 1\n")
+    )
+    np.testing.assert_array_equal(unsaid, small)
 
 
 def test_reflectance_of_unsaid_choices_is_exact_and_schlick(evaluate):
