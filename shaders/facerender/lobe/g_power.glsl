@@ -3,8 +3,8 @@
 // at m = 0.2 the printed D16 reaches 2.3e4 times its peak at 90 degrees.
 //
 //   c       cosine of the angle between normal and half vector, in [0, 1]
-//   m       rms slope, from 1e-4 to below 0.707 for Cook-Torrance, to 2 for Ward; beyond, n < 0
-//           counts as 0, and the result is finite without meaning
+//   m       rms slope, from 1e-4 to below 0.707 for Cook-Torrance, to 2 for Ward; beyond, the
+//           result is finite without meaning
 //   k       FR_K_COOK_TORRANCE or FR_K_WARD
 //   g       4, 8 or 16
 //   unit    none: peak 1 at c = 1; the caller multiplies by the model's scale
@@ -19,7 +19,7 @@
 #define FR_LOBE_G_POWER_GLSL
 
 float fr_lobe_g_power(float c, float m, int k, int g) {
-    float n = max(2.0 / (m * m) - float(k), 0.0);
+    float n = 2.0 / (m * m) - float(k);
     // As 1 - a (1 - c): Mesa multiplies a (c - 1) + 1 out, and loses the digits of a small angle.
     float power = max(1.0 - n / float(g) * (1.0 - min(c, 1.0)), 0.0);
     power *= power;
