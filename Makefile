@@ -7,19 +7,19 @@
 PYTHON ?= python3
 VENV = .venv/bin
 
-.PHONY: render test slow head system
+.PHONY: render test slow head system test-system
 
 render: .venv/installed | system
 	mkdir -p out
 	$(VENV)/facerender render -o out/head.png
 
-test: .venv/installed-dev | system
+test: .venv/installed-dev | test-system
 	$(VENV)/ruff check .
 	$(VENV)/ruff format --check .
 	$(VENV)/mypy
 	$(VENV)/pytest
 
-slow: .venv/installed-dev | system
+slow: .venv/installed-dev | test-system
 	$(VENV)/pytest -m "slow or not slow"
 
 head: .venv/installed-dev
@@ -27,6 +27,9 @@ head: .venv/installed-dev
 
 system:
 	@tools/system-libraries
+
+test-system:
+	@tools/system-libraries --tests
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -m venv .venv

@@ -16,8 +16,8 @@ SINGLE = 2.0**-23  # Mitsuba's wheels have no variant in double precision
 def mi():
     try:
         import mitsuba
-    except ImportError:
-        missing("mitsuba is not installed")
+    except (ImportError, NameError):  # NameError where a system library is missing
+        missing("no mitsuba, or not libatomic.so.1 (Debian: libatomic1), which it needs")
     mitsuba.set_variant("scalar_rgb")
     return mitsuba
 
