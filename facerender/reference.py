@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender import brdf
 from facerender.frame import GBuffer
 from facerender.scene import Scene, point_lights, slope_ranges
 from facerender.shading import Shading
@@ -48,23 +47,9 @@ def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float6
         for l, irradiance in lighting(scene, position):
             received = irradiance * np.maximum((n * l).sum(axis=-1), 0.0)[:, None]
             diffuse += received
-            specular += received * _specular(chosen, n, l, v, m, material.f0)[:, None]
+            specular += received * chosen.brdf(n, l, v, m, material.f0)[:, None]
         radiance[covered] = material.kd / np.pi * albedo * diffuse + weight[:, None] * specular
     return radiance
-
-
-def _specular(
-    shading: Shading,
-    n: NDArray[np.float64],
-    l: NDArray[np.float64],
-    v: NDArray[np.float64],
-    m: NDArray[np.float64],
-    f0: float,
-) -> NDArray[np.float64]:
-    if shading.model == "cook-torrance":
-        return brdf.cook_torrance(n, l, v, m, f0, lobe=shading.lobe, fresnel_term=shading.fresnel)
-    ward = brdf.ward if shading.model == "ward" else brdf.ward_printed
-    return f0 * ward(n, l, v, m, lobe=shading.lobe)
 
 
 def lighting(scene: Scene, position: NDArray[np.float64]) -> list[Lighting]:

@@ -6,6 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from facerender import brdf, lobes
 from facerender.brdf import Fresnel
 from facerender.errors import InputError
@@ -71,12 +74,25 @@ class Shading:
         lobes.check_slope(slopes, self.lobe, self.k)
         return self
 
-    def glsl(self, smallest_m: float) -> str:
-        """The lines that make ``SPECULAR_BRDF(n, l, v, m, f0)`` this choice, for m from there on.
+    def brdf(
+        self, n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike, f0: float
+    ) -> NDArray[np.float64]:
+        """Evaluate in float64 what ``SPECULAR_BRDF`` is in GLSL, in 1/sr; see ``brdf.py``.
 
         Ward has no Fresnel term: its reflectance is f0, so that both models agree where
         normal, light and eye coincide.
+
+        Raises
+        ------
+        InputError : a vector that is no unit vector, or a value outside its domain
         """
+        if self.model == "cook-torrance":
+            return brdf.cook_torrance(n, l, v, m, f0, lobe=self.lobe, fresnel_term=self.fresnel)
+        ward = brdf.ward if self.model == "ward" else brdf.ward_printed
+        return f0 * ward(n, l, v, m, lobe=self.lobe)
+
+    def glsl(self, smallest_m: float) -> str:
+        """The lines that make ``SPECULAR_BRDF(n, l, v, m, f0)`` this choice, for m >= smallest_m."""
         name = self.model.replace("-", "_")
         cook_torrance = self.model == "cook-torrance"
         call = f"fr_{name}(n, l, v, m, f0)" if cook_torrance else f"(f0 * fr_{name}(n, l, v, m))"

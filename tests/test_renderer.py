@@ -15,9 +15,9 @@ import pytest
 
 import facerender as fr
 from facerender import reference
+from facerender.compare import block_error, point_error
 from facerender.context import Backend, create_context
 from facerender.host import CAPABILITIES, STATE
-from tests import gates
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_backend
 
@@ -118,8 +118,8 @@ def test_egl_and_osmesa_draw_the_same_image(egl, scan_mesh, samples):
             frames.append(renderer.render(scene).linear)
     a, b = frames
     np.testing.assert_array_equal(a, b)  # one driver; the gates are what others must keep
-    assert gates.point(a[..., :3], b[..., :3]) <= 0.05
-    assert gates.block(a[..., :3], b[..., :3], b[..., 3]) <= 1e-3
+    assert point_error(a[..., :3], b[..., :3]) <= 0.05
+    assert block_error(a[..., :3], b[..., :3], b[..., 3]) <= 1e-3
 
 
 def false_highlights(linear: np.ndarray, expected: np.ndarray) -> float:
@@ -483,7 +483,7 @@ def test_float_albedo_is_close_to_the_bytes(egl, head):
          fr.Renderer((256, 256), samples=1, backend=egl, float_albedo=True) as floats:  # fmt: skip
         a, b = bytes_.render(scene), floats.render(scene)
     assert b.metadata["albedo"] == "RGBA16F"
-    assert gates.block(a.linear[..., :3], b.linear[..., :3], b.linear[..., 3]) < 0.01
+    assert block_error(a.linear[..., :3], b.linear[..., :3], b.linear[..., 3]) < 0.01
     assert (a.linear != b.linear).any()
 
 

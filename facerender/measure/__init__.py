@@ -1,0 +1,1 @@
+"""Measures what specular terms cost and what approximations lose."""

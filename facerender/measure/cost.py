@@ -1,0 +1,195 @@
+"""Cost measured here: nanoseconds an evaluation of a GLSL term, and milliseconds a frame. What a
+compiler says of a GPU that is not here is in ``amd.py``."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.context import Backend, create_context
+from facerender.glsl import resolve_includes
+from facerender.renderer import Renderer
+from facerender.scene import Scene
+from facerender.shading import Shading
+
+SIZE = (512, 256)
+# Other work on the machine only ever adds time: the lower quartile of the repeats is steadier than
+# their median, and unlike their minimum no matter of luck.
+QUANTILE = 0.25
+SOFTWARE = ("llvmpipe", "softpipe", "swr", "swiftshader")
+
+_VERTEX = """#version 330 core
+in vec2 corner;
+void main() { gl_Position = vec4(corner, 0.0, 1.0); }
+"""
+# Directions, c and m differ at every turn, so that nothing can be taken out of the loop; turning
+# keeps unit vectors unit.
+_FRAGMENT = """#version 330 core
+%s
+uniform int count;
+uniform float step;
+out float total;
+void main() {
+    vec2 p = gl_FragCoord.xy / 512.0;
+    vec3 n = normalize(vec3(0.2 * p - 0.1, 1.0));
+    vec3 l = normalize(vec3(p.x - 0.5, 0.4, 1.0));
+    vec3 v = normalize(vec3(-0.3, p.y - 0.5, 1.0));
+    float m = 0.3 + 0.01 * p.x;
+    float f0 = 0.028 + 0.01 * p.y;
+    mat2 turn = mat2(cos(step), sin(step), -sin(step), cos(step));
+    total = 0.0;
+    for (int i = 0; i < count; ++i) {
+        l.xy = turn * l.xy;
+        v.xy = v.xy * turn;
+        m += step;
+        float c = 0.8 + 0.2 * l.x;
+        total += %s;
+    }
+}
+"""
+_EMPTY = ("", "(l.x + v.y) * m + f0 + c")
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate and its 95 % interval, by bootstrap over the repeats."""
+
+    value: float
+    low: float
+    high: float
+
+
+def by_slope(
+    terms: Mapping[str, tuple[str, str]],
+    repeats: int = 15,
+    backend: Backend = "auto",
+    progress: Callable[[float], object] = lambda done: None,
+) -> dict[str, Interval]:
+    """Measure terms by the slope of time over the number of evaluations, net of an empty loop.
+
+    A fragment evaluates the term n times, for three n; the terms take turns, so that what slows
+    the machine down meets all of them. GPU timer queries where a GPU draws, the wall clock and
+    ``glFinish`` where the CPU does.
+
+    Parameters
+    ----------
+    terms : prelude (with includes of the library) and float expression of vec3 n, l, v and float
+        c (cosine of the half vector's angle), m, f0
+    repeats : of every measurement
+    progress : called with the share that is done, in [0, 1]
+
+    Returns
+    -------
+    nanoseconds an evaluation, of all pixels' evaluations together
+
+    Raises
+    ------
+    ContextError : no OpenGL context
+    """
+    context = create_context(backend)
+    try:
+        with context.gl as gl:
+            target = gl.framebuffer([gl.renderbuffer(SIZE, 1, dtype="f4")])
+            corners = gl.buffer(np.array([-1, -1, 3, -1, -1, 3], dtype=np.float32))
+            target.use()
+            kernels = []
+            for prelude, expression in (_EMPTY, *terms.values()):
+                program = gl.program(_VERTEX, resolve_includes(_FRAGMENT % (prelude, expression)))
+                program["step"] = 1e-4
+                kernels.append(gl.vertex_array(program, [(corners, "2f", "corner")]))
+            clock = _wall_clock if is_software(context.renderer) else _gpu_clock
+
+            def seconds(kernel: moderngl.VertexArray, count: int) -> float:
+                kernel.program["count"] = count
+                with clock(gl) as elapsed:
+                    kernel.render()
+                return elapsed[0]
+
+            for kernel in kernels:
+                seconds(kernel, 1)  # compiles
+            counts = np.array([8, 24, 40])
+            while seconds(kernels[0], int(counts[-1])) < 2e-3 and counts[-1] < 100_000:
+                counts *= 2
+            times = np.empty((repeats, len(kernels), len(counts)))
+            for turn in range(repeats):
+                for index, kernel in enumerate(kernels):
+                    times[turn, index] = [seconds(kernel, int(count)) for count in counts]
+                progress((turn + 1) / repeats)
+    finally:
+        context.release()
+    lever = (counts - counts.mean()) / ((counts - counts.mean()) ** 2).sum()
+
+    def net(turns: NDArray[np.int64]) -> NDArray[np.float64]:
+        slopes = np.quantile(times[turns], QUANTILE, axis=0) @ lever
+        return np.asarray(1e9 / (SIZE[0] * SIZE[1]) * (slopes[1:] - slopes[0]))
+
+    intervals = _bootstrap(net, repeats)
+    return dict(zip(terms, intervals, strict=True))
+
+
+def frames(
+    scene: Scene,
+    shadings: Sequence[Shading],
+    size: tuple[int, int],
+    repeats: int = 9,
+    backend: Backend = "auto",
+    progress: Callable[[float], object] = lambda done: None,
+) -> list[Interval]:
+    """Measure milliseconds a frame, readback included, one sample a pixel; the shadings take turns.
+
+    Raises
+    ------
+    ContextError : no OpenGL context
+    InputError : the scene cannot be drawn with a shading
+    """
+    times = np.empty((repeats, len(shadings)))
+    with Renderer(size, samples=1, backend=backend) as renderer:
+        for shading in shadings:
+            renderer.render(scene, shading)
+        for turn in range(repeats):
+            for index, shading in enumerate(shadings):
+                start = time.perf_counter()
+                renderer.render(scene, shading)
+                times[turn, index] = time.perf_counter() - start
+            progress((turn + 1) / repeats)
+    return _bootstrap(lambda turns: 1e3 * np.quantile(times[turns], QUANTILE, axis=0), repeats)
+
+
+def is_software(renderer: str) -> bool:
+    """Tell from GL_RENDERER whether the CPU draws."""
+    return any(name in renderer.lower() for name in SOFTWARE)
+
+
+def _bootstrap(
+    estimate: Callable[[NDArray[np.int64]], NDArray[np.float64]], repeats: int
+) -> list[Interval]:
+    """Return an estimate (N,) of all turns, with its 95 % interval over resampled turns."""
+    draws = np.random.default_rng(0).integers(repeats, size=(500, repeats))
+    low, high = np.percentile([estimate(turns) for turns in draws], [2.5, 97.5], axis=0)
+    value = estimate(np.arange(repeats))
+    return [Interval(*map(float, row)) for row in zip(value, low, high, strict=True)]
+
+
+@contextmanager
+def _wall_clock(gl: moderngl.Context) -> Iterator[list[float]]:
+    elapsed: list[float] = []
+    gl.finish()
+    start = time.perf_counter()
+    yield elapsed
+    gl.finish()
+    elapsed.append(time.perf_counter() - start)
+
+
+@contextmanager
+def _gpu_clock(gl: moderngl.Context) -> Iterator[list[float]]:
+    elapsed: list[float] = []
+    query = gl.query(time=True)
+    with query:
+        yield elapsed
+    elapsed.append(1e-9 * query.elapsed)

@@ -1,0 +1,145 @@
+"""What an approximation loses, at three levels: of the lobe, of the BRDF, of an image; always
+against float64."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender import lobes
+from facerender.compare import block_error, point_error
+from facerender.context import Backend
+from facerender.image import encode_srgb8
+from facerender.lobes import Lobe
+from facerender.reference import shade
+from facerender.renderer import Renderer
+from facerender.scene import Scene
+from facerender.shading import Shading
+
+Array = NDArray[np.float64]
+
+
+def lobe_error(name: Lobe, m: float, k: int, degrees: Array | None = None) -> Array:
+    """Return the lobe minus the exact lobe, in units of its peak, at angles γ of the half vector.
+
+    Parameters
+    ----------
+    m : rms slope, in the domain of the lobe
+    k : 4 for Cook-Torrance, 0 for Ward
+    degrees : angles in degrees, (N,); 0 to 90 in steps of 1/100 where None
+
+    Raises
+    ------
+    InputError : m outside the domain of the lobe
+    """
+    angles = np.linspace(0.0, 90.0, 9001) if degrees is None else degrees
+    c = np.cos(np.radians(angles)).clip(0.0, 1.0)
+    return lobes.lobe(name, c, m, k) - lobes.exact(c, m, k)
+
+
+def brdf_error(shading: Shading, m: float, f0: float = 0.028, count: int = 32) -> float:
+    """Return the largest error of the reflected radiance f N.L over all directions, relative to the
+    largest exact one; light and eye lie at count angles to 89 degrees, and 2 count azimuths.
+
+    Raises
+    ------
+    InputError : m outside the domain of the lobe
+    """
+    theta = np.radians(np.linspace(0.0, 89.0, count))
+    phi = np.linspace(0.0, np.pi, 2 * count)
+    l = _direction(theta[:, None, None], phi)
+    v = _direction(theta[:, None], np.pi)
+    n = np.array([0.0, 0.0, 1.0])
+    exact = Shading(shading.model, "exact", shading.fresnel)
+    values, expected = (s.brdf(n, l, v, m, f0) * l[..., 2] for s in (shading, exact))
+    return float(np.abs(values - expected).max() / expected.max())
+
+
+def _direction(theta: Array, phi: Array | float) -> Array:
+    sine = np.sin(theta)
+    x, y, z = np.broadcast_arrays(sine * np.cos(phi), sine * np.sin(phi), np.cos(theta))
+    return np.stack([x, y, z], axis=-1)
+
+
+@dataclass(frozen=True)
+class ImageError:
+    """How far an image is from float64 exact shading of the same G-buffer.
+
+    Attributes
+    ----------
+    point, block : of the linear image; see ``facerender.compare``
+    largest, percentile : relative to max(reference, 0.01), the second exceeded by 1 pixel in 1000
+    steps, steps_percentile : the same of the displayed image, in steps of 1/255
+    flip : mean of FLIP (Andersson et al. 2020) over the image, or None without flip-evaluator
+    """
+
+    point: float
+    block: float
+    largest: float
+    percentile: float
+    steps: int
+    steps_percentile: float
+    flip: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Images of one scene: float64 with the exact lobe, and what OpenGL draws with each shading."""
+
+    reference: Array
+    images: list[NDArray[np.float32]]
+    errors: list[ImageError]
+
+
+def image_errors(
+    scene: Scene, shadings: Sequence[Shading], size: tuple[int, int], backend: Backend = "auto"
+) -> Comparison:
+    """Draw a scene with each shading, one sample a pixel, and compare with float64.
+
+    The reference has the exact lobe and otherwise the model and Fresnel term of the first shading.
+
+    Raises
+    ------
+    ContextError : no OpenGL context
+    InputError : the scene cannot be drawn with a shading
+    """
+    scene = Scene(scene.mesh, scene.camera, scene.lights, scene.ambient, None)
+    exact = Shading(shadings[0].model, "exact", shadings[0].fresnel)
+    with Renderer(size, samples=1, backend=backend) as renderer:
+        gbuffer = renderer.gbuffer(scene)
+        reference = shade(gbuffer, scene, exact)
+        images = [renderer.render(scene, shading).linear[..., :3] for shading in shadings]
+    covered = gbuffer.part >= 0
+    return Comparison(
+        reference, images, [image_error(image, reference, covered) for image in images]
+    )
+
+
+def image_error(
+    image: NDArray[np.float32], reference: Array, covered: NDArray[np.bool_]
+) -> ImageError:
+    """Compare a linear image (H, W, 3) with its reference over the covered pixels (H, W)."""
+    relative = np.abs(image - reference)[covered] / np.maximum(reference[covered], 0.01)
+    shown, expected = encode_srgb8(image), encode_srgb8(reference.astype(np.float32))
+    steps = np.abs(shown.astype(int) - expected)[covered].max(axis=-1)
+    return ImageError(
+        point=point_error(image, reference),
+        block=block_error(image, reference, covered.astype(np.float64)),
+        largest=float(relative.max()),
+        percentile=float(np.quantile(relative.max(axis=-1), 0.999)),
+        steps=int(steps.max()),
+        steps_percentile=float(np.quantile(steps, 0.999)),
+        flip=_flip(shown, expected),
+    )
+
+
+def _flip(shown: NDArray[np.uint8], expected: NDArray[np.uint8]) -> float | None:
+    try:
+        import flip_evaluator
+    except ImportError:
+        return None
+    images = (image.astype(np.float32) / 255.0 for image in (expected, shown))
+    return float(flip_evaluator.evaluate(*images, "LDR")[1])
