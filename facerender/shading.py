@@ -92,7 +92,7 @@ class Shading:
         return f0 * ward(n, l, v, m, lobe=self.lobe)
 
     def glsl(self, smallest_m: float) -> str:
-        """The lines that make ``SPECULAR_BRDF(n, l, v, m, f0)`` this choice, for m >= smallest_m."""
+        """Return what makes ``SPECULAR_BRDF(n, l, v, m, f0)`` this choice, for m >= smallest_m."""
         name = self.model.replace("-", "_")
         cook_torrance = self.model == "cook-torrance"
         call = f"fr_{name}(n, l, v, m, f0)" if cook_torrance else f"(f0 * fr_{name}(n, l, v, m))"
