@@ -59,7 +59,7 @@ def gpu_table(evaluate: Evaluator) -> str:
     """Largest relative error of whole exact terms where the lobe is above 1e-3 of its peak."""
     rows = []
     for m in (1e-4, 1e-3, 0.01, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0):
-        inputs = directions(np.full(COUNT, m, np.float32))
+        inputs = directions(np.full(COUNT, m, np.float32), lowest=0.02)
         n, l, v = (inputs[axis].astype(np.float64) for axis in "nlv")
         c = (n * (l + v)).sum(axis=-1) / np.linalg.norm(l + v, axis=-1)
         cells = [f"{m:g}"]

@@ -110,29 +110,40 @@ def max_slope(name: str, k: int) -> float:
     It belongs to the domain but for the cosine power and the g-powers in Cook-Torrance, whose
     exponent n = 2/m² - k must be positive.
     """
+    if name not in NAMES:
+        raise InputError(f"unknown lobe {name!r}; known: {', '.join(NAMES)}")
+    if k not in _MODELS:
+        raise InputError(f"k = {k} is neither 4 (Cook-Torrance) nor 0 (Ward)")
     if (name, k) in FITTED:
         return FITTED[name, k].max_slope
     return MAX_SLOPE if name == "exact" or k == 0 else math.sqrt(2.0 / k)
 
 
 def in_domain(m: ArrayLike, name: str, k: int) -> NDArray[np.bool_]:
-    """Tell which slopes lie in the lobe's domain."""
+    """Tell which slopes lie in the lobe's domain, to a millionth at ends that belong to it: a
+    G-buffer holds m as float32.
+
+    Raises
+    ------
+    InputError : an unknown lobe, or k neither 4 nor 0
+    """
     slope = np.asarray(m, dtype=np.float64)
     end = max_slope(name, k)
-    below_end = slope <= end if _end_belongs(name, k) else slope < end
-    # 1e-7: float32, as a G-buffer holds it, rounds 1e-4 down.
-    return np.asarray((slope >= MIN_SLOPE * (1.0 - 1e-7)) & below_end)
+    below_end = slope <= end * (1.0 + 1e-6) if _end_belongs(name, k) else slope < end
+    return np.asarray((slope >= MIN_SLOPE * (1.0 - 1e-6)) & below_end)
 
 
 def check_slope(m: ArrayLike, name: str, k: int) -> NDArray[np.float64]:
     """Return m as float64, or raise InputError when a value lies outside the lobe's domain."""
-    if k not in _MODELS:
-        raise InputError(f"k = {k} is neither 4 (Cook-Torrance) nor 0 (Ward)")
     slope = np.asarray(m, dtype=np.float64)
     inside = in_domain(slope, name, k)
     if not inside.all():
         bracket = "]" if _end_belongs(name, k) else ")"
-        remedy = "" if max_slope(name, k) == MAX_SLOPE else ", or use the lobe exact"
+        remedy = (
+            ""
+            if max_slope(name, k) == MAX_SLOPE
+            else ", or use the lobe exact, as --outside exact does"
+        )
         raise InputError(
             f"m = {slope[~inside].flat[0]:g} is outside the domain of lobe {name} for "
             f"{_MODELS[k]}: give m in [{MIN_SLOPE:g}, {max_slope(name, k):.4g}{bracket}{remedy}"
@@ -284,7 +295,8 @@ def fitted_coefficients(m: ArrayLike, k: int) -> NDArray[np.float64]:
     ------
     InputError : m outside the domain of :func:`fitted`
     """
-    return FITTED["fitted", k].coefficients(check_slope(m, "fitted", k))
+    slope = check_slope(m, "fitted", k)
+    return FITTED["fitted", k].coefficients(slope)
 
 
 def fitted_fine_coefficients(m: ArrayLike, k: int) -> NDArray[np.float64]:
@@ -294,23 +306,24 @@ def fitted_fine_coefficients(m: ArrayLike, k: int) -> NDArray[np.float64]:
     ------
     InputError : m outside the domain of :func:`fitted_fine`
     """
-    return FITTED["fitted-fine", k].coefficients(check_slope(m, "fitted-fine", k))
+    slope = check_slope(m, "fitted-fine", k)
+    return FITTED["fitted-fine", k].coefficients(slope)
 
 
 def _power_polynomial(
     name: Literal["fitted", "fitted-fine"], c: ArrayLike, m: ArrayLike, k: int
 ) -> NDArray[np.float64]:
-    return FITTED[name, k](1.0 - _check_cosine(c), check_slope(m, name, k))
+    slope = check_slope(m, name, k)
+    return FITTED[name, k](1.0 - _check_cosine(c), slope)
 
 
 def lobe(name: Lobe, c: ArrayLike, m: ArrayLike, k: int) -> NDArray[np.float64]:
     """Evaluate the named lobe; parameters as in :func:`exact` and the function of that name."""
+    check_slope(m, name, k)
     if name == "exact":
         return exact(c, m, k)
     if name == "cosine":
         return cosine(c, m, k)
     if name == "fitted" or name == "fitted-fine":
         return _power_polynomial(name, c, m, k)
-    if name not in _POWERS:
-        raise InputError(f"unknown lobe {name!r}; known: {', '.join(NAMES)}")
     return g_power(c, m, k, _POWERS[name])

@@ -186,8 +186,10 @@ class Renderer:
                 single = self._target("single")
                 gl.copy_framebuffer(single, target)
                 target = single
-            lobe = " and ".join(sorted({choice.lobe for choice in chosen})) or shading.lobe
-            terms = {"model": shading.model, "lobe": lobe, "fresnel": shading.fresnel}
+            terms = {"model": shading.model, "lobe": shading.lobe, "fresnel": shading.fresnel}
+            used = [choice.lobe for choice in chosen]
+            if any(lobe != shading.lobe for lobe in used):
+                terms["lobe of each part"] = ", ".join(used)
             metadata = {**self.metadata, **terms}
             return Frame(self._read(target), only, scene.background is None, metadata)
 

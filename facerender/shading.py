@@ -19,6 +19,7 @@ Outside = Literal["error", "exact"]
 
 MODELS: tuple[Model, ...] = ("cook-torrance", "ward", "ward-printed")
 FRESNEL_TERMS: tuple[Fresnel, ...] = ("schlick", "dielectric")
+SMALL_SLOPE = 0.2  # from here on the exact lobe is accurate without FR_SMALL_SLOPE
 OUTSIDE: tuple[Outside, ...] = ("error", "exact")
 
 
@@ -69,8 +70,10 @@ class Shading:
         InputError : m leaves the domain of the lobe, and ``outside`` is "error"
         """
         slopes = (smallest, largest)
-        if self.outside == "exact" and not lobes.in_domain(slopes, self.lobe, self.k).all():
-            return replace(self, lobe="exact")
+        if lobes.in_domain(slopes, self.lobe, self.k).all():
+            return self
+        if self.outside == "exact" and self.lobe != "exact":
+            return replace(self, lobe="exact").for_slopes(smallest, largest)
         lobes.check_slope(slopes, self.lobe, self.k)
         return self
 
@@ -96,9 +99,11 @@ class Shading:
         name = self.model.replace("-", "_")
         cook_torrance = self.model == "cook-torrance"
         call = f"fr_{name}(n, l, v, m, f0)" if cook_torrance else f"(f0 * fr_{name}(n, l, v, m))"
+        plain = self.lobe == "exact" and smallest_m >= SMALL_SLOPE
+        small = "#define FR_SMALL_SLOPE 0\n" if plain else ""
         return (
             f"#define FR_LOBE FR_LOBE_{self.lobe.upper().replace('-', '_')}\n"
-            f"#define FR_SMALL_SLOPE {int(smallest_m < 0.2)}\n"
+            f"{small}"
             f"#define FR_FRESNEL FR_FRESNEL_{self.fresnel.upper()}\n"
             f'#include "facerender/{name}.glsl"\n'
             f"#define SPECULAR_BRDF(n, l, v, m, f0) {call}\n"

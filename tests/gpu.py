@@ -89,9 +89,10 @@ def _canvas(
     return target, gl.vertex_array(program, [(gl.buffer(corners), "2f", "corner")])
 
 
-def directions(m: NDArray[np.float32], lowest: float = 0.02) -> dict[str, NDArray[np.float32]]:
+def directions(m: NDArray[np.float32], lowest: float = 1e-5) -> dict[str, NDArray[np.float32]]:
     """Draw a normal, a light and an eye for each slope, as float32 rounds them: N.L and N.V above
-    ``lowest``, half of the half vectors anywhere, half with tangents below 3 m."""
+    ``lowest``, half of them log-uniform; half of the half vectors anywhere, half with tangents from
+    0 to 3 m, dense near 0."""
     random = np.random.default_rng(7)
     count = len(m)
 
@@ -99,10 +100,11 @@ def directions(m: NDArray[np.float32], lowest: float = 0.02) -> dict[str, NDArra
         return np.asarray(x / np.linalg.norm(x, axis=-1, keepdims=True))
 
     n = unit(random.normal(size=(count, 3)))
-    z = random.uniform(lowest, 1.0, (2, count, 1))
+    even, logarithmic = random.uniform(lowest, 1.0, (2, count, 1)), random.random((2, count, 1))
+    z = np.where(random.random((2, count, 1)) < 0.5, even, lowest**logarithmic)
     l, v = np.sqrt(1.0 - z**2) * unit(np.cross(n, random.normal(size=(2, count, 3)))) + z * n
     across = unit(np.cross(n, random.normal(size=(count, 3))))
-    h = unit(n + across * random.uniform(0.0, 3.0, (count, 1)) * m[:, None])
+    h = unit(n + across * 3.0 * random.random((count, 1)) ** 3 * m[:, None])
     mirrored = 2.0 * (h * l).sum(axis=-1, keepdims=True) * h - l
     v[: count // 2] = mirrored[: count // 2]
     below = (n * v).sum(axis=-1) <= lowest

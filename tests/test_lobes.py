@@ -141,6 +141,9 @@ def test_clamp_keeps_the_power_from_rising_again():
         (lambda: lobes.fitted_fine(1.1, 0.5, 0), "cosine 1.1"),
         (lambda: lobes.fitted_coefficients(1.01, 0), r"m = 1.01 .* Ward: give m in \[0.0001, 1\]"),
         (lambda: lobes.fitted_fine_coefficients(0.8, 4), "lobe fitted-fine"),
+        (lambda: lobes.fitted(0.5, 0.3, 3), "k = 3 is neither"),
+        (lambda: lobes.fitted_coefficients(0.3, 3), "k = 3 is neither"),
+        (lambda: lobes.in_domain(0.3, "d32", 4), "unknown lobe 'd32'"),
         (lambda: lobes.lobe("d32", 0.5, 0.3, 4), "unknown lobe 'd32'; known: exact, cosine"),
     ],
 )
@@ -154,6 +157,8 @@ def test_domains_reach_their_ends():
         for name in lobes.NAMES:
             end = lobes.max_slope(name, k)
             assert lobes.in_domain([1e-4, np.float32(1e-4), 0.999 * end], name, k).all()
+            if name.startswith("fitted"):  # as float32 rounds a map's squared roughness
+                assert lobes.in_domain(end * 1.0000002, name, k)
             assert not lobes.in_domain([0.0, 0.99e-4, 1.001 * end, np.nan], name, k).any()
             closed = name == "exact" or k == 0 or name.startswith("fitted")
             assert lobes.in_domain(end, name, k) == closed

@@ -12,12 +12,14 @@ from dataclasses import replace
 import moderngl
 import numpy as np
 import pytest
+from PIL import Image
 
 import facerender as fr
 from facerender import reference
 from facerender.compare import block_error, point_error
 from facerender.context import Backend, create_context
 from facerender.host import CAPABILITIES, STATE
+from facerender.scene import slope_ranges
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_backend
 
@@ -84,12 +86,12 @@ def test_outside_its_domain_a_lobe_gives_way_to_exact_where_asked(renderer, head
         chosen = fr.Shading(lobe=lobe, outside="exact")
         frame = renderer.render(fr.Scene(rough), chosen)
         np.testing.assert_array_equal(frame.linear, exact.linear)
-        assert frame.metadata["lobe"] == "exact"
+        assert frame.metadata["lobe of each part"] == "exact"
         frame = renderer.render(fr.Scene(shiny), chosen)
         np.testing.assert_array_equal(
             frame.linear, renderer.render(fr.Scene(shiny), fr.Shading(lobe=lobe)).linear
         )
-        assert frame.metadata["lobe"] == lobe
+        assert "lobe of each part" not in frame.metadata
     gbuffer = renderer.gbuffer(fr.Scene(rough))
     np.testing.assert_array_equal(
         reference.shade(gbuffer, fr.Scene(rough), chosen),
@@ -548,3 +550,64 @@ def test_moderngl_is_not_left_with_our_context_as_its_default(egl, head):
     with fr.Renderer((32, 32), backend=egl) as renderer:
         renderer.render(fr.Scene(head))
     assert moderngl._store.default_context is None
+
+
+@pytest.fixture(scope="module")
+def pair(head):
+    """The head with m = 0.75, and beside it another with m from 0.0001 to 0.36 by a map."""
+    ramp = Image.fromarray(np.tile(np.linspace(0, 153, 256, dtype=np.uint8), (4, 1)))
+    part = head.parts[0]
+    other = replace(part, positions=part.positions + [0.2, 0.0, 0.0])
+    rough = replace(head.materials[0], roughness_map=None, normal_map=None, m=0.75)
+    mapped = replace(rough, roughness_map=fr.Texture(lambda: ramp, "ramp"), m=0.3)
+    bounds = head.bounds + [[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]]
+    return replace(head, parts=(part, other), materials=(rough, mapped), bounds=bounds)
+
+
+def test_each_part_gets_the_lobe_that_its_slopes_allow(transparent, pair):
+    low, high = pair.materials[1].slopes
+    assert low == pytest.approx(1e-4)
+    assert high == pytest.approx(0.36)
+    chosen = fr.Shading(lobe="fitted", outside="exact")
+    scene = lit(pair, background=None)
+    frame = transparent.render(scene, chosen)
+    assert frame.metadata["lobe"] == "fitted"
+    assert frame.metadata["lobe of each part"] == "exact, fitted"
+    gbuffer = transparent.gbuffer(scene)
+    covered = gbuffer.part >= 0
+    assert set(gbuffer.part[covered]) == {0, 1}
+    near = gbuffer.m > 0.1  # smaller slopes from float32 maps and normals: see the headers' bounds
+    expected = reference.shade(gbuffer, scene, chosen)
+    difference = np.abs(frame.linear[..., :3] - expected) / np.maximum(expected, 0.01)
+    assert difference[covered & near].max() < 1e-4
+
+
+def test_slope_range_chooses_the_form_of_the_half_vector(pair):
+    ranges = slope_ranges(fr.Scene(pair))
+    assert ranges[0] == (0.75, 0.75)
+    texts = [fr.Shading().for_slopes(*ends).glsl(ends[0]) for ends in ranges]
+    assert ["FR_SMALL_SLOPE 0" in text for text in texts] == [True, False]
+    assert "FR_SMALL_SLOPE" not in fr.Shading(lobe="d16").glsl(0.5)
+    for smallest, plain in ((0.19, False), (0.2, True)):
+        assert ("FR_SMALL_SLOPE 0" in fr.Shading().glsl(smallest)) == plain
+
+
+def test_shading_looks_at_both_ends_of_the_slopes():
+    shading = fr.Shading(lobe="d16", outside="exact")
+    assert shading.for_slopes(0.1, 0.7) is shading
+    assert shading.for_slopes(0.1, 0.8).lobe == "exact"
+    assert shading.for_slopes(1e-5 + 1e-4, 0.8).lobe == "exact"
+    for ends in ((1e-5, 0.3), (0.3, 5.0)):
+        with pytest.raises(fr.InputError, match="outside the domain of lobe exact"):
+            shading.for_slopes(*ends)
+    with pytest.raises(fr.InputError, match="or use the lobe exact, as --outside exact does"):
+        fr.Shading(lobe="d16").for_slopes(0.1, 0.8)
+    with pytest.raises(fr.InputError, match="unknown choice outside the domain 'clamp'"):
+        fr.Shading(outside="clamp")
+
+
+def test_render_forwards_what_happens_outside(egl, head):
+    options = {"size": (32, 32), "samples": 1, "backend": egl, "m": 0.8, "lobe": "d16"}
+    assert fr.render(head, outside="exact", **options).metadata["lobe of each part"] == "exact"
+    with pytest.raises(fr.InputError, match="outside the domain"):
+        fr.render(head, **options)

@@ -6,10 +6,10 @@
 //   f0        Fresnel reflectance at normal incidence, in [0, 1)
 //   unit      1/sr, for a specular weight ks = 1; N.L is not included, 1/pi is
 //   result    finite and >= 0; exactly 0 where N.L or N.V is not above FR_MIN_COSINE
-//   error     that of the lobe; float32 adds, of what the lobe's peak gives in the same directions,
-//             1e-5 + 2.4e-7/m for the exact lobe (1e-5 + 2e-6/m^2 where FR_SMALL_SLOPE is 0) and
-//             1e-5 + 2e-6/m^2 for the others, where N.L and N.V are above 0.02; nearer to the
-//             horizon the dot products' own 1e-7/(N.L) and 1e-7/(N.V) add to it
+//   error     that of the lobe; float32 adds, of what the lobe's highest value gives in the same
+//             directions, 1e-5 + 2e-7/(N.L) + 2e-7/(N.V) and, with e = 3e-7 (1 + 1/(N.L + N.V)),
+//             e/m for the exact lobe, e/m^2 for the others and where FR_SMALL_SLOPE is 0 (the
+//             cosine power: 7e-7/m^2 more, from log2)
 #ifndef FR_COOK_TORRANCE_GLSL
 #define FR_COOK_TORRANCE_GLSL
 
@@ -27,18 +27,20 @@ float fr_cook_torrance(vec3 n, vec3 l, vec3 v, float m, float f0) {
     float slope = max(m, FR_MIN_SLOPE);
     float m2 = slope * slope;
 
-    // D G/((N.L)(N.V)), times 4 m^2 in the second case, with a single division: the masking term
-    // is G = min(h.h, 4 (N.h) min(N.L, N.V))/(h.h).
+    // 4 D G/((N.L)(N.V)), where the masking term is G = masked/(h.h); for the exact lobe, whose
+    // 1/c^2 is (h.h)/(N.h)^2, with a single division.
 #if FR_LOBE == FR_LOBE_EXACT
     vec2 squares = fr_half_vector(n, h, n_dot_h);
     float h_dot_h = squares.x;
+#else
+    float h_dot_h = dot(h, h);
+#endif
     float masked = min(h_dot_h, 4.0 * n_dot_h * min(n_dot_l, n_dot_v));
+#if FR_LOBE == FR_LOBE_EXACT
     float inverse = 1.0 / (product * (n_dot_h * n_dot_h) * m2);
     float sec2 = h_dot_h * m2 * (product * inverse);
     float value = fr_slope_factor(squares.y * (product * inverse)) * sec2 * (masked * inverse);
 #else
-    float h_dot_h = dot(h, h);
-    float masked = min(h_dot_h, 4.0 * n_dot_h * min(n_dot_l, n_dot_v));
     float inverse = 1.0 / (product * h_dot_h);
     float c = n_dot_h * sqrt(h_dot_h) * (product * inverse);
     float value = fr_lobe(c, slope, FR_K_COOK_TORRANCE) / m2 * (masked * inverse);

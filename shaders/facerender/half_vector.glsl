@@ -5,13 +5,13 @@
 //   n_dot_h   dot(n, h), from the caller, who has it as dot(n, l) + dot(n, v)
 //   unit      none: x is dot(h, h), y is |n x h|^2 = dot(h, h) - dot(n, h)^2 >= 0, so that
 //             cos^2(gamma) = 1 - y/x and tan^2(gamma) = y/dot(n, h)^2
-//   error     in float32, of sin(gamma) = sqrt(y/x): 1.6e-7 with FR_SMALL_SLOPE; without, the
-//             difference of two squares cancels where gamma is small, and sin^2(gamma) = y/x errs
-//             by up to 2e-6 where dot(n, h) is as small as 0.04
+//   error     in float32, with e = 3e-7 (1 + 1/dot(n, h)): e of sin(gamma) = sqrt(y/x) with
+//             FR_SMALL_SLOPE; without, the difference of two squares cancels where gamma is small,
+//             and e is the error of sin^2(gamma) = y/x
 //
 // The exact lobe multiplies tan^2(gamma) by 1/m^2: FR_SMALL_SLOPE is what keeps it accurate for
-// small m. It costs up to 7 % of a whole specular term (benchmarks/terms.py); a host whose m stays
-// above 0.2 may save them: #define FR_SMALL_SLOPE 0. See the models' headers for the bounds.
+// small m. It costs up to 12 % of a whole specular term (benchmarks/terms.py); a host whose m stays
+// above 0.2 may save them: #define FR_SMALL_SLOPE 0.
 #ifndef FR_HALF_VECTOR_GLSL
 #define FR_HALF_VECTOR_GLSL
 

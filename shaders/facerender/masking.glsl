@@ -1,4 +1,5 @@
-// V-cavity masking and shadowing: Torrance and Sparrow (1967); Cook and Torrance (1982).
+// V-cavity masking and shadowing: Torrance and Sparrow (1967); Cook and Torrance (1982). For hosts
+// that build a BRDF of their own; cook_torrance.glsl has it within its one division.
 //
 //   n_dot_h, v_dot_h   cosines with the half vector; only their ratio counts, so that h may have
 //                      any length; v_dot_h > 0

@@ -4,10 +4,10 @@
 //   m         rms slope (Ward's alpha), in the domain of the chosen lobe (FR_LOBE)
 //   unit      1/sr, for a specular reflectance of 1; N.L is not included, 1/pi is
 //   result    finite and >= 0; exactly 0 where N.L or N.V is not above FR_MIN_COSINE
-//   error     that of the lobe; float32 adds, of what the lobe's peak gives in the same directions,
-//             1e-5 + 2.4e-7/m for the exact lobe (1e-5 + 2e-6/m^2 where FR_SMALL_SLOPE is 0) and
-//             1e-5 + 2e-6/m^2 for the others, where N.L and N.V are above 0.02; nearer to the
-//             horizon the dot products' own 1e-7/(N.L) and 1e-7/(N.V) add to it
+//   error     that of the lobe; float32 adds, of what the lobe's highest value gives in the same
+//             directions, 1e-5 + 2e-7/(N.L) + 2e-7/(N.V) and, with e = 3e-7 (1 + 1/(N.L + N.V)),
+//             e/m for the exact lobe, e/m^2 for the others and where FR_SMALL_SLOPE is 0 (the
+//             cosine power: 7e-7/m^2 more, from log2)
 #ifndef FR_WARD_GLSL
 #define FR_WARD_GLSL
 

@@ -1,5 +1,6 @@
 // Exact lobe E/c^k, E = exp(-tan^2(gamma)/m^2): Beckmann and Spizzichino (1963), as Cook and
-// Torrance (1982, k = 4) and Ward (1992, eq. 4, k = 0) use it.
+// Torrance (1982, k = 4) and Ward (1992, eq. 4, k = 0) use it. The models here call fr_slope_factor;
+// the lobe as a whole is for hosts that build a BRDF of their own.
 //
 //   x       tan^2(gamma)/m^2, >= 0; fr_slope_factor(x) is E
 //   tan2    squared tangent of the angle gamma between normal and half vector, >= 0; see

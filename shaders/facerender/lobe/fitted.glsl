@@ -1,6 +1,7 @@
 // Fitted lobes max(1 + a1 u + a2 u^2 + ..., 0)^g, u = 1 - c: the best uniform approximations of
 // E/c^k by a cubic to the power 5 (fr_lobe_fitted) and a quartic to the power 8 (fr_lobe_fitted_fine)
-// among those that fall monotonically and are exact at c = 1, for all angles and slopes at once.
+// among those that fall monotonically, are exact at c = 1 and have coefficients cubic (fine: quartic)
+// in m^2, over all angles and slopes at once.
 // The constants are facerender/fitting.py's; the clamped power is Lyon's (1993).
 //
 //   c       cosine of the angle between normal and half vector, in [0, 1]
@@ -13,9 +14,9 @@
 //           fr_lobe_fitted       Cook-Torrance 0.19   Ward 0.13
 //           fr_lobe_fitted_fine  Cook-Torrance 0.04   Ward 0.04
 //
-// Where many fragments share one m, a host may compute the coefficients once and give them as an
-// expression of its own: #define FR_FITTED_COEFFICIENTS(m, k) my_uniform, and likewise
-// FR_FITTED_FINE_COEFFICIENTS.
+// Where all fragments share one m, a host may give the coefficients (facerender.lobes computes them):
+// #define FR_FITTED_COEFFICIENTS(m, k) vec3(...), and FR_FITTED_FINE_COEFFICIENTS with a vec4, before
+// the include. Constants save a fifth of the term; a uniform costs llvmpipe more than computing them.
 #ifndef FR_LOBE_FITTED_GLSL
 #define FR_LOBE_FITTED_GLSL
 
