@@ -186,11 +186,14 @@ class Renderer:
                 single = self._target("single")
                 gl.copy_framebuffer(single, target)
                 target = single
-            terms = {"model": shading.model, "lobe": shading.lobe, "fresnel": shading.fresnel}
-            used = [choice.lobe for choice in chosen]
-            if any(lobe != shading.lobe for lobe in used):
-                terms["lobe of each part"] = ", ".join(used)
-            metadata = {**self.metadata, **terms}
+            metadata = {
+                **self.metadata,
+                "model": shading.model,
+                "lobe": shading.lobe,
+                "fresnel": shading.fresnel,
+            }
+            if any(choice is not shading for choice in chosen):
+                metadata["lobe of each part"] = ", ".join(choice.lobe for choice in chosen)
             return Frame(self._read(target), only, scene.background is None, metadata)
 
     def gbuffer(self, scene: Scene) -> GBuffer:
