@@ -16,9 +16,9 @@ import time
 import moderngl
 import numpy as np
 
-from facerender import lobes
 from facerender.context import create_context
 from facerender.glsl import resolve_includes
+from facerender.measure.variants import CALLS, term, terms
 
 SIZE = (512, 256)
 COUNTS = (8, 72)
@@ -50,39 +50,20 @@ void main() {
 }
 """
 EMPTY = ("", "(l.x + v.y) * m + f0")
-
-
-def term(call: str, lobe: str, *defines: str) -> tuple[str, str]:
-    """Prelude and expression of a model's term."""
-    folder = "printed" if "printed_" in call else "facerender"
-    file = call.split("(")[0].removeprefix("fr_").removeprefix("printed_")
-    lines = [f"#define FR_LOBE FR_LOBE_{lobe.upper().replace('-', '_')}", *defines]
-    return "\n".join([*lines, f'#include "{folder}/{file}.glsl"']), call
-
-
-COOK_TORRANCE = "fr_cook_torrance(n, l, v, m, f0)"
-WARD = "fr_ward(n, l, v, m)"
-DOT = "#define FR_SMALL_SLOPE 0"
 COEFFICIENTS = {
     "fitted": "#define FR_FITTED_COEFFICIENTS(m, k) coefficients.xyz",
     "fitted-fine": "#define FR_FITTED_FINE_COEFFICIENTS(m, k) coefficients",
 }
 
 
-def terms(call: str) -> dict[str, tuple[str, str]]:
-    """The printed forms first, then the library's."""
-    printed = call.replace("fr_", "fr_printed_")
-    result = {
-        "printed, exact": term(printed, "exact"),
-        "printed, d16": term(printed, "d16"),
-    }
-    for lobe in lobes.NAMES:
-        result[lobe] = term(call, lobe)
-        if lobe == "exact":
-            result["exact, m >= 0.2"] = term(call, lobe, DOT)
-        if lobe in COEFFICIENTS:
-            result[f"{lobe}, uniform m"] = term(
-                call, lobe, "uniform vec4 coefficients;", COEFFICIENTS[lobe]
+def with_uniform_m(model: str) -> dict[str, tuple[str, str]]:
+    """The terms, and the fitted ones with their coefficients from the host."""
+    result = {}
+    for name, variant in terms(model).items():
+        result[name] = variant
+        if name in COEFFICIENTS:
+            result[f"{name}, uniform m"] = term(
+                CALLS[model], name, "uniform vec4 coefficients;", COEFFICIENTS[name]
             )
     return result
 
@@ -133,8 +114,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=25)
     repeats = parser.parse_args().repeats
-    measure("Cook-Torrance with Fresnel and masking", terms(COOK_TORRANCE), repeats)
-    measure("Ward", terms(WARD), repeats)
+    measure("Cook-Torrance with Fresnel and masking", with_uniform_m("cook-torrance"), repeats)
+    measure("Ward", with_uniform_m("ward"), repeats)
 
 
 if __name__ == "__main__":

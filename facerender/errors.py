@@ -14,6 +14,10 @@ class ContextError(FacerenderError, RuntimeError):
     """No OpenGL context, or one that cannot do what was asked."""
 
 
+class NotMeasured(FacerenderError, RuntimeError):
+    """A tool that a measurement needs is missing here, or refuses to work."""
+
+
 class FacerenderWarning(UserWarning):
     """Something in the input was missing or mended, and the result can still be used."""
 

@@ -42,18 +42,21 @@ void main() {
     vec3 v = normalize(vec3(-0.3, p.y - 0.5, 1.0));
     float m = 0.3 + 0.01 * p.x;
     float f0 = 0.028 + 0.01 * p.y;
+    float c = 0.7 + 0.2 * p.x;
     mat2 turn = mat2(cos(step), sin(step), -sin(step), cos(step));
     total = 0.0;
     for (int i = 0; i < count; ++i) {
         l.xy = turn * l.xy;
         v.xy = v.xy * turn;
         m += step;
-        float c = 0.8 + 0.2 * l.x;
+        c += step;
         total += %s;
     }
 }
 """
-_EMPTY = ("", "(l.x + v.y) * m + f0 + c")
+# What of a turn is not the term's: expressions that use the same inputs.
+OF_VECTORS = "(l.x + v.y) * m + f0"
+OF_COSINE = "c + m"
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,7 @@ class Interval:
 
 def by_slope(
     terms: Mapping[str, tuple[str, str]],
+    empty: str = OF_VECTORS,
     repeats: int = 15,
     backend: Backend = "auto",
     progress: Callable[[float], object] = lambda done: None,
@@ -81,6 +85,7 @@ def by_slope(
     ----------
     terms : prelude (with includes of the library) and float expression of vec3 n, l, v and float
         c (cosine of the half vector's angle), m, f0
+    empty : expression whose cost is taken off: OF_VECTORS for whole terms, OF_COSINE for lobes
     repeats : of every measurement
     progress : called with the share that is done, in [0, 1]
 
@@ -91,6 +96,7 @@ def by_slope(
     Raises
     ------
     ContextError : no OpenGL context
+    moderngl.Error : a term that is not GLSL
     """
     context = create_context(backend)
     try:
@@ -99,9 +105,9 @@ def by_slope(
             corners = gl.buffer(np.array([-1, -1, 3, -1, -1, 3], dtype=np.float32))
             target.use()
             kernels = []
-            for prelude, expression in (_EMPTY, *terms.values()):
+            for prelude, expression in (("", empty), *terms.values()):
                 program = gl.program(_VERTEX, resolve_includes(_FRAGMENT % (prelude, expression)))
-                program["step"] = 1e-4
+                program["step"] = 1e-6
                 kernels.append(gl.vertex_array(program, [(corners, "2f", "corner")]))
             clock = _wall_clock if is_software(context.renderer) else _gpu_clock
 

@@ -1,0 +1,202 @@
+"""Cost of GLSL expressions on AMD's GPUs as their compiler in Mesa, RADV, estimates it. No GPU is
+needed and nothing runs.
+
+    python -m facerender.measure.amd -o docs/measurements/amd.json
+
+Needs the Debian packages glslang-tools, mesa-vulkan-drivers and libvulkan1, and the extra
+facerender[measure].
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from facerender.errors import FacerenderError, InputError, NotMeasured
+from facerender.glsl import resolve_includes
+from facerender.measure import variants
+from facerender.shading import Model
+
+FAMILIES = ("navi21", "vega10")  # RDNA2, GCN5
+ICD_FOLDERS = (Path("/usr/share/vulkan/icd.d"), Path("/etc/vulkan/icd.d"))
+_DRIVER_PACKAGES = "mesa-vulkan-drivers libvulkan1"
+
+_KERNEL = """#version 450
+%s
+layout(local_size_x = 64) in;
+struct Point { vec4 n_m, l_f0, v; };
+layout(std430, binding = 0) readonly restrict buffer Points { Point points[]; };
+layout(std430, binding = 1) writeonly restrict buffer Results { float results[]; };
+void main() {
+    uint i = gl_GlobalInvocationID.x;
+    vec3 n = points[i].n_m.xyz, l = points[i].l_f0.xyz, v = points[i].v.xyz;
+    float m = points[i].n_m.w, f0 = points[i].l_f0.w;
+    float result = %s;
+    %s
+    results[i] = result;
+}
+"""
+_EMPTY = ("", "dot(l, v) + n.x + m * f0")
+# A wave's inverse throughput is the larger of what its busiest unit takes and of its latency over
+# the waves that hide it. The second, a share of the memory's latency, would rule in a kernel as
+# short as a term. The ballast, dependent operations that cancel in the net, makes the vector ALU
+# the busiest unit, as in a whole shader.
+_BALLAST = 256 * "result = fma(result, result, 0.25);"
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What a wave of 64 invocations adds to that of a kernel that only sums up its inputs, as the
+    compiler estimates it from the code.
+
+    Attributes
+    ----------
+    instructions : machine instructions
+    latency : cycles of a wave that runs alone: issue and stalls
+    inverse_throughput : cycles for which the wave occupies the vector ALU of its SIMD. On RDNA2 a
+        transcendental counts as any instruction: its unit, four times as slow, works beside.
+    """
+
+    instructions: int
+    latency: int
+    inverse_throughput: int
+
+
+def statistics(terms: Mapping[str, tuple[str, str]], family: str) -> dict[str, Statistics]:
+    """Return the cost of each term on a family of GPUs, from N, L, V, m and F0 in a buffer.
+
+    Parameters
+    ----------
+    terms : name to prelude and expression; the prelude may include files of the library, the
+        expression is a float of vec3 n, l, v and float m, f0
+    family : "navi21" (RDNA2) or "vega10" (GCN5)
+
+    Raises
+    ------
+    InputError : an unknown family, or a term that is not GLSL
+    NotMeasured : a tool is missing; the message says which, and how to get it
+    """
+    if family not in FAMILIES:
+        raise InputError(f"unknown family {family!r}; known: {', '.join(FAMILIES)}")
+    modules = [_spirv(*term) for term in (_EMPTY, *terms.values())]
+    (empty, *gross) = _compile(modules, family)[1]
+    return {
+        name: Statistics(
+            *(row[key] - empty[key] for key in ("Instructions", "Latency", "Inverse Throughput"))
+        )
+        for name, row in zip(terms, gross, strict=True)
+    }
+
+
+def driver() -> str:
+    """Return the compiler's name and version, such as "radv Mesa 22.3.6".
+
+    Raises
+    ------
+    NotMeasured : a tool is missing; the message says which, and how to get it
+    """
+    return _compile([], FAMILIES[0])[0]
+
+
+def table() -> dict[str, Any]:
+    """Return the driver, and the statistics by family, model and term; errors as in
+    :func:`statistics`."""
+
+    def rows(model: Model, family: str) -> dict[str, dict[str, int]]:
+        found = statistics(variants.terms(model), family)
+        return {name: asdict(row) for name, row in found.items()}
+
+    return {
+        "driver": driver(),
+        "statistics": {
+            family: {model: rows(model, family) for model in variants.CALLS} for family in FAMILIES
+        },
+    }
+
+
+@cache
+def _spirv(prelude: str, expression: str) -> bytes:
+    compiler = shutil.which("glslangValidator")
+    if compiler is None:
+        raise _not_measured("glslangValidator is not installed", "glslang-tools")
+    source = _KERNEL % (resolve_includes(prelude), expression, _BALLAST)
+    with tempfile.TemporaryDirectory() as folder:
+        module = Path(folder, "kernel.spv")
+        run = subprocess.run(
+            [compiler, "-V", "--target-env", "vulkan1.1", "--stdin", "-S", "comp", "-o", module],
+            input=source,
+            capture_output=True,
+            text=True,
+        )
+        if run.returncode:
+            error = next((line for line in run.stdout.splitlines() if "ERROR" in line), run.stderr)
+            raise InputError(f"{expression} is not GLSL: {error.strip()}")
+        return module.read_bytes()
+
+
+def _compile(modules: Sequence[bytes], family: str) -> tuple[str, list[dict[str, int]]]:
+    """Have RADV compile for the family, in a process of its own, since the driver reads the family
+    when it is loaded."""
+    manifests = [path for folder in ICD_FOLDERS for path in folder.glob("radeon_icd*.json")]
+    if not manifests:
+        folders = " or ".join(map(str, ICD_FOLDERS))
+        raise _not_measured(f"no RADV: no radeon_icd*.json in {folders}", _DRIVER_PACKAGES)
+    if importlib.util.find_spec("vulkan") is None:
+        raise NotMeasured(
+            "the Python package vulkan is not installed: pip install 'facerender[measure]'"
+        )
+    # What a user sets for other programs would change what is measured.
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("ACO_", "MESA_", "RADV_", "VK_"))
+    } | {
+        "RADV_FORCE_FAMILY": family,
+        "VK_ICD_FILENAMES": os.pathsep.join(map(str, manifests)),
+        "MESA_SHADER_CACHE_DISABLE": "true",
+    }
+    run = subprocess.run(
+        [sys.executable, Path(__file__).with_name("radv.py")],
+        input=json.dumps([module.hex() for module in modules]),
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
+    if run.returncode:
+        said = run.stderr.strip().splitlines() or [f"exit status {run.returncode}"]
+        raise _not_measured(f"RADV did not compile for {family} ({said[-1]})", _DRIVER_PACKAGES)
+    name, rows = json.loads(run.stdout)
+    return name, rows
+
+
+def _not_measured(what: str, packages: str) -> NotMeasured:
+    return NotMeasured(f"{what}; on Debian or Ubuntu: apt-get install {packages}")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the table; return 0, or 2 where it cannot be made."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE.json")
+    options = parser.parse_args(arguments)
+    try:
+        text = json.dumps(table(), indent=2)
+    except FacerenderError as error:
+        print(f"facerender: error: {error}", file=sys.stderr)
+        return 2
+    options.output.write_text(text + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

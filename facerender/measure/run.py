@@ -1,0 +1,195 @@
+"""What ``facerender measure`` measures, as one dictionary; ``report.py`` writes it, and
+docs/measure.schema.md describes it."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+from collections.abc import Callable
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender import __version__, lobes
+from facerender.context import Backend, create_context
+from facerender.errors import NotMeasured
+from facerender.image import encode_srgb8
+from facerender.lobes import Lobe
+from facerender.measure import amd, cost, error
+from facerender.measure.variants import lobe_terms, terms
+from facerender.mesh import Mesh, start_maps
+from facerender.scene import Camera, Scene
+from facerender.shading import Model, Shading
+
+SCHEMA = "facerender.measure/1"
+MODELS: tuple[Model, ...] = ("cook-torrance", "ward")
+SLOPES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+DEGREES = np.linspace(0.0, 90.0, 181)
+MAGNIFIED = 8
+
+Images = dict[str, NDArray[np.uint8]]
+
+
+def measure(
+    mesh: Mesh,
+    m: float = 0.3,
+    quick: bool = False,
+    backend: Backend = "auto",
+    progress: Callable[[str, float], object] = lambda what, done: None,
+) -> tuple[dict[str, Any], Images]:
+    """Measure what every form and lobe of both models costs and loses, on this machine.
+
+    Parameters
+    ----------
+    mesh : rendered for the cost of a frame and the error of an image
+    m : rms slope of the whole mesh
+    quick : smaller images and fewer repeats
+    progress : called with what is measured and the share of it that is done
+
+    Returns
+    -------
+    the data, as docs/measure.schema.md describes it, and images by caption, (H, W, 3) sRGB
+
+    Raises
+    ------
+    ContextError : no OpenGL context
+    InputError : m outside [1e-4, 2], or a damaged map
+    """
+    size = (256, 256) if quick else (512, 512)
+    repeats = 7 if quick else 21
+    plain = mesh.with_material(m=m, roughness_map=None)
+    start_maps(plain)
+    scene = Scene(plain, Camera(azimuth=-35.0, elevation=4.0))
+    not_measured: list[str] = []
+
+    statistics: dict[str, dict[Model, dict[str, amd.Statistics]]] = {}
+    driver = None
+    try:
+        driver = amd.driver()
+        for number, family in enumerate(amd.FAMILIES):
+            progress("compiler statistics", number / len(amd.FAMILIES))
+            statistics[family] = {model: amd.statistics(terms(model), family) for model in MODELS}
+    except NotMeasured as reason:
+        not_measured.append(str(reason))
+
+    variants: list[dict[str, Any]] = []
+    images: Images = {}
+    for model in MODELS:
+
+        def stage(what: str, model: Model = model) -> Callable[[float], object]:
+            return lambda done: progress(f"{model}: {what}", done)
+
+        costs = {
+            "term_ns": cost.by_slope(
+                terms(model), cost.OF_VECTORS, repeats, backend, stage("terms")
+            ),
+            "lobe_ns": cost.by_slope(
+                lobe_terms(model), cost.OF_COSINE, repeats, backend, stage("lobes")
+            ),
+        }
+        k = Shading(model).k
+        shadings = [Shading(model, name) for name in lobes.NAMES if lobes.in_domain(m, name, k)]
+        drawn = [shading.lobe for shading in shadings]
+        milliseconds = cost.frames(scene, shadings, size, repeats, backend, stage("frames"))
+        costs["frame_ms"] = dict(zip(drawn, milliseconds, strict=True))
+        comparison = error.image_errors(scene, shadings, size, backend)
+        image_errors: dict[str, error.ImageError] = dict(zip(drawn, comparison.errors, strict=True))
+        images |= _triptychs(model, comparison, drawn)
+        for name in terms(model):
+            lobe = lobe_of(name)
+            entry: dict[str, Any] = {"model": model, "name": name, "lobe": lobe}
+            entry["cost"] = {kind: _row(rows.get(name)) for kind, rows in costs.items()} | {
+                family: _row(statistics[family][model][name] if statistics else None)
+                for family in amd.FAMILIES
+            }
+            entry["error"] = _errors(model, lobe) | {"image": _row(image_errors.get(name))}
+            variants.append(entry)
+    if importlib.util.find_spec("flip_evaluator") is None:
+        not_measured.append("FLIP needs flip-evaluator: pip install 'facerender[measure]'")
+    data = {
+        "schema": SCHEMA,
+        "environment": environment(backend) | {"amd_driver": driver},
+        "settings": {"mesh": mesh.name, "m": m, "size": size, "repeats": repeats, "quick": quick},
+        "variants": variants,
+        "curves": {"degrees": DEGREES.tolist()} | {model: _curves(model) for model in MODELS},
+        "not_measured": not_measured,
+    }
+    return data, images
+
+
+def environment(backend: Backend = "auto") -> dict[str, Any]:
+    """Say where figures come from: OpenGL driver, processor, versions, date."""
+    context = create_context(backend)
+    renderer, version = context.renderer, context.version
+    context.release()
+    return {
+        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "facerender": __version__,
+        "GL_RENDERER": renderer,
+        "GL_VERSION": version,
+        "software": cost.is_software(renderer),
+        "processor": _processor(),
+        "cores": len(os.sched_getaffinity(0)),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+    }
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.machine())
+
+
+def lobe_of(variant: str) -> Lobe:
+    """Return the lobe of a variant's name, such as "printed, d16" or "exact, m >= 0.2"."""
+    return next(name for name in reversed(lobes.NAMES) if name in variant.split(", "))
+
+
+def _row(measured: Any) -> dict[str, Any] | None:
+    return None if measured is None else asdict(measured)
+
+
+def _errors(model: Model, lobe: Lobe) -> dict[str, dict[str, float | None]]:
+    """Errors of lobe and BRDF by slope, in percent; None outside the lobe's domain."""
+    shading = Shading(model, lobe)
+    result: dict[str, dict[str, float | None]] = {"lobe": {}, "brdf": {}}
+    for m in SLOPES:
+        inside = lobes.in_domain(m, lobe, shading.k)
+        of_lobe = np.abs(error.lobe_error(lobe, m, shading.k)).max() if inside else None
+        of_brdf = error.brdf_error(shading, m) if inside else None
+        result["lobe"][f"{m:g}"] = None if of_lobe is None else 100.0 * float(of_lobe)
+        result["brdf"][f"{m:g}"] = None if of_brdf is None else 100.0 * of_brdf
+    return result
+
+
+def _curves(model: Model) -> dict[str, dict[str, list[float]]]:
+    k = Shading(model).k
+    return {
+        name: {
+            f"{m:g}": (100.0 * error.lobe_error(name, m, k, DEGREES)).tolist()
+            for m in SLOPES
+            if lobes.in_domain(m, name, k)
+        }
+        for name in lobes.NAMES
+        if name != "exact"
+    }
+
+
+def _triptychs(model: Model, comparison: error.Comparison, drawn: list[Lobe]) -> Images:
+    reference = comparison.reference.astype(np.float32)
+    images = {f"{model} exact": encode_srgb8(reference)}
+    for lobe, image in zip(drawn, comparison.images, strict=True):
+        if lobe != "exact":
+            images[f"{model} {lobe}"] = encode_srgb8(image)
+            difference = MAGNIFIED * np.abs(image - reference)
+            images[f"{model} {lobe} difference x{MAGNIFIED}"] = encode_srgb8(difference)
+    return images

@@ -1,0 +1,60 @@
+"""The specular terms and lobes whose cost is measured, as GLSL: the forms that Romanyuk et al.
+(2020) print, and the library's. How they are measured is not told here."""
+
+from __future__ import annotations
+
+from facerender import lobes
+from facerender.shading import Model, Shading
+
+CALLS: dict[Model, str] = {
+    "cook-torrance": "fr_cook_torrance(n, l, v, m, f0)",
+    "ward": "fr_ward(n, l, v, m)",
+}
+# Their lobes alone: E/c^4, and E from the angle.
+_PRINTED_EXACT: dict[Model, str] = {
+    "cook-torrance": "exp((c * c - 1.0) / (m * m * c * c)) / (c * c * c * c)",
+    "ward": "exp(-tan(acos(c)) * tan(acos(c)) / (m * m))",
+}
+
+
+def term(call: str, lobe: str, *defines: str) -> tuple[str, str]:
+    """Return the prelude and the expression, in 1/sr, of a model's term.
+
+    Parameters
+    ----------
+    call : the expression; its function names the file
+    lobe : a name of ``lobes.NAMES``
+    defines : lines of GLSL that stand before the include
+    """
+    folder = "printed" if "printed_" in call else "facerender"
+    file = call.split("(")[0].removeprefix("fr_").removeprefix("printed_")
+    return "\n".join([_choose(lobe), *defines, f'#include "{folder}/{file}.glsl"']), call
+
+
+def terms(model: Model) -> dict[str, tuple[str, str]]:
+    """Return prelude and expression of each whole term by name, the printed forms first."""
+    call = CALLS[model]
+    printed = call.replace("fr_", "fr_printed_")
+    result = {f"printed, {lobe}": term(printed, lobe) for lobe in ("exact", "d16")}
+    for lobe in lobes.NAMES:
+        result[lobe] = term(call, lobe)
+        if lobe == "exact":
+            result["exact, m >= 0.2"] = term(call, lobe, "#define FR_SMALL_SLOPE 0")
+    return result
+
+
+def lobe_terms(model: Model) -> dict[str, tuple[str, str]]:
+    """Return prelude and expression of each lobe alone, of float c and m, without a unit."""
+    k = Shading(model).k
+    power = f"fr_printed_g_power(c, 2.0 / (m * m) - {k}.0, 16)"
+    return {
+        "printed, exact": ("", _PRINTED_EXACT[model]),
+        "printed, d16": ('#include "printed/g_power.glsl"', power),
+    } | {
+        lobe: (f'{_choose(lobe)}\n#include "facerender/lobe.glsl"', f"fr_lobe(c, m, {k})")
+        for lobe in lobes.NAMES
+    }
+
+
+def _choose(lobe: str) -> str:
+    return f"#define FR_LOBE FR_LOBE_{lobe.upper().replace('-', '_')}"
