@@ -11,6 +11,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NoReturn, TextIO
 
 from facerender import __version__
@@ -81,6 +82,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"facerender {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_render(commands.add_parser("render", help="render a mesh file, or the built-in head"))
+    _add_measure(
+        commands.add_parser("measure", help="what each approximation costs and loses, here")
+    )
     doctor = commands.add_parser("doctor", help="what OpenGL is found here, what is missing")
     doctor.add_argument("--json", action="store_true", help="print the findings as JSON")
     doctor.set_defaults(command=_doctor)
@@ -145,6 +149,22 @@ def _add_render(render: argparse.ArgumentParser) -> None:
     image.add_argument("--json", action="store_true", help="describe the image as JSON")
 
 
+def _add_measure(measure: argparse.ArgumentParser) -> None:
+    measure.set_defaults(command=_measure)
+    measure.add_argument("mesh", nargs="?", help="rendered; without it the built-in head")
+    measure.add_argument(
+        "-o",
+        "--output",
+        default="out/measure",
+        metavar="DIR",
+        help="for measure.json, plots and index.html (out/measure)",
+    )
+    measure.add_argument("--m", type=float, default=0.3, help="rms slope of the mesh (0.3)")
+    measure.add_argument("--quick", action="store_true", help="smaller images, fewer repeats")
+    measure.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
+    measure.add_argument("--json", action="store_true", help="print measure.json, no table")
+
+
 def _render(options: argparse.Namespace, caught: list[str]) -> int:
     size = _parse_size(options.size)
     if options.m is not None and options.roughness_map is not None:
@@ -196,6 +216,38 @@ def _render(options: argparse.Namespace, caught: list[str]) -> int:
     else:
         print(options.output)
     return 0
+
+
+def _measure(options: argparse.Namespace, caught: list[str]) -> int:
+    from facerender.measure import report
+    from facerender.measure.run import measure
+
+    report.check_output(options.output)
+    _import_trimesh()
+    mesh = load_mesh(options.mesh)
+    with _Progress() as progress:
+        data, images = measure(mesh, options.m, options.quick, options.backend, progress)
+        progress("report", 0.0)
+        paths = report.write(data, images, Path(options.output))
+    print(json.dumps(data, indent=2) if options.json else report.table(data))
+    print(*paths, sep="\n", file=sys.stderr)
+    return 0
+
+
+class _Progress:
+    """A line on standard error that says what is done, and vanishes; on a terminal only."""
+
+    def __enter__(self) -> _Progress:
+        return self
+
+    def __call__(self, what: str, done: float) -> None:
+        if sys.stderr.isatty():
+            bar = "#" * round(24 * done)
+            print(f"\r\033[K{bar:24}  {what}", end="", file=sys.stderr, flush=True)
+
+    def __exit__(self, *exception: object) -> None:
+        if sys.stderr.isatty():
+            print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
 def _import_trimesh() -> None:

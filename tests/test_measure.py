@@ -1,0 +1,132 @@
+"""What a measurement measures: costs that are ordered as they must be, errors that are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import facerender as fr
+from facerender.errors import NotMeasured
+from facerender.measure import amd, cost, error, run
+from facerender.measure.variants import lobe_terms, terms
+
+
+def powers(count):
+    return "", " + ".join(f"exp2(-c * {i}.0)" for i in range(1, count + 1))
+
+
+def test_slope_sees_what_costs_more(egl):
+    measured = cost.by_slope(
+        {"none": ("", cost.OF_COSINE), "four": powers(4), "sixteen": powers(16)},
+        cost.OF_COSINE,
+        repeats=7,
+        backend=egl,
+    )
+    none, four, sixteen = measured.values()
+    assert abs(none.value) < 0.1 * four.value
+    assert 2.0 < sixteen.value / four.value < 8.0
+    assert all(x.low <= x.value <= x.high for x in measured.values())
+
+
+def test_interval_covers_the_spread_of_the_repeats():
+    times = np.array([5.0, 1.0, 1.1, 0.9, 1.05, 0.95, 9.0, 1.0])
+    (found,) = cost._bootstrap(lambda turns: np.quantile(times[turns], [0.25], axis=0), 8)
+    assert found.value == pytest.approx(0.9875)
+    assert 0.9 <= found.low <= found.value <= found.high < 5.0
+
+
+def test_frames_are_timed_for_each_shading(egl, head):
+    shadings = [fr.Shading(), fr.Shading(lobe="d16")]
+    plain = fr.Scene(head.with_material(m=0.3))
+    intervals = cost.frames(plain, shadings, (32, 32), repeats=3, backend=egl)
+    assert len(intervals) == 2
+    assert all(0.0 < x.low <= x.value <= x.high for x in intervals)
+
+
+@pytest.mark.parametrize(
+    ("renderer", "software"),
+    [("llvmpipe (LLVM 15.0.6, 256 bits)", True), ("softpipe", True), ("NVIDIA H200/PCIe", False)],
+)
+def test_software_drivers_are_known(renderer, software):
+    assert cost.is_software(renderer) == software
+
+
+def test_lobe_error_is_signed_and_relative_to_the_peak():
+    degrees = np.linspace(0.0, 90.0, 9001)
+    d16 = error.lobe_error("d16", 0.4, 4)
+    assert 100.0 * np.abs(d16).max() == pytest.approx(9.50, abs=0.01)
+    assert d16[0] == 0.0
+    np.testing.assert_array_equal(d16[::100], error.lobe_error("d16", 0.4, 4, degrees[::100]))
+
+
+def test_brdf_error():
+    assert error.brdf_error(fr.Shading(), 0.3) == 0.0
+    fine, fitted, d16 = (
+        error.brdf_error(fr.Shading("ward", lobe), 0.3) for lobe in ("fitted-fine", "fitted", "d16")
+    )
+    assert 0.0 < fine < fitted < d16 < 0.1
+
+
+def test_image_error_tells_a_pixel_from_a_weight():
+    reference = np.full((64, 64, 3), 0.5)
+    covered = np.ones((64, 64), bool)
+    same = error.image_error(reference.astype(np.float32), reference, covered)
+    assert (same.point, same.block, same.largest, same.steps, same.flip) == (0, 0, 0, 0, 0)
+    spot = reference.copy()
+    spot[20, 20] += 0.2
+    pixel = error.image_error(spot.astype(np.float32), reference, covered)
+    assert pixel.point == pytest.approx(0.2)
+    assert pixel.block < 0.002
+    assert pixel.largest == pytest.approx(0.4)
+    assert pixel.percentile == 0.0
+    weight = error.image_error((reference * 1.04).astype(np.float32), reference, covered)
+    assert weight.block == pytest.approx(0.04, rel=1e-4)
+    assert weight.steps == weight.steps_percentile == 3
+
+
+def test_image_errors_are_those_of_the_shadings(egl, head):
+    scene = fr.Scene(head.with_material(m=0.4))
+    shadings = [fr.Shading(lobe=lobe) for lobe in ("exact", "fitted", "d16")]
+    exact, fitted, d16 = error.image_errors(scene, shadings, (128, 128), egl).errors
+    assert exact.largest < 1e-4
+    assert exact.largest < fitted.largest < d16.largest
+    assert exact.steps <= 1 < d16.steps
+
+
+@pytest.mark.parametrize("model", run.MODELS)
+def test_every_lobe_is_measured(model):
+    assert set(fr.lobes.NAMES) < set(terms(model))
+    assert set(fr.lobes.NAMES) < set(lobe_terms(model))
+    names = {name: run.lobe_of(name) for name in terms(model)}
+    assert names["printed, d16"] == "d16"
+    assert names["exact, m >= 0.2"] == "exact"
+    assert names["fitted-fine"] == "fitted-fine"
+
+
+def test_what_is_missing_is_said_and_the_rest_measured(egl, head, monkeypatch):
+    def none(family=None, *rest):
+        raise NotMeasured("no RADV: apt-get install mesa-vulkan-drivers")
+
+    monkeypatch.setattr(amd, "driver", none)
+    monkeypatch.setattr(cost, "SIZE", (64, 32))
+    stages = []
+    data, images = run.measure(
+        head, 0.65, quick=True, backend=egl, progress=lambda what, done: stages.append(what)
+    )
+    assert data["not_measured"] == ["no RADV: apt-get install mesa-vulkan-drivers"]
+    assert data["environment"]["amd_driver"] is None
+    assert {"cook-torrance: terms", "ward: frames"} <= set(stages)
+    rows = {(row["model"], row["name"]): row for row in data["variants"]}
+    assert len(rows) == 2 * len(terms("ward"))
+    for row in rows.values():
+        assert row["cost"]["navi21"] is None
+        assert row["cost"]["term_ns"]["value"] > 0.0
+    d16 = rows["cook-torrance", "d16"]
+    assert d16["error"]["lobe"]["0.4"] == pytest.approx(9.50, abs=0.01)
+    assert d16["error"]["image"]["largest"] > 0.1
+    assert rows["cook-torrance", "printed, d16"]["error"]["image"] is None
+    assert images["ward exact"].shape == (256, 256, 3)
+    assert (
+        images["cook-torrance d16 difference x8"].max()
+        > images["cook-torrance fitted difference x8"].max()
+    )
