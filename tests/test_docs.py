@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
-from docs import accuracy
+import json
+
+from docs import accuracy, trade
 
 
 def test_tables_of_the_lobes_are_current():
     assert accuracy.lobe_tables() in accuracy.OUTPUT.read_text(encoding="utf-8")
+
+
+def test_trade_is_what_its_measurement_says():
+    data = json.loads(trade.MEASUREMENT.read_text(encoding="utf-8"))
+    assert trade.TRADE.read_text(encoding="utf-8") == trade.trade(data)
+    assert trade.MARKED.findall(trade.README.read_text(encoding="utf-8")) == [trade.headline(data)]
