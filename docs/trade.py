@@ -24,6 +24,9 @@ HEAD = """# The trade: what each approximation costs and loses
 Written by `python -m docs.trade` from [measurements/llvmpipe.json](measurements/llvmpipe.json),
 which `facerender measure` wrote. Measure your own machine and mesh: `facerender measure MESH`.
 
+Measured on {date}: {GL_RENDERER}, OpenGL {GL_VERSION}, on {cores} cores of {processor}; for AMD's
+GPUs, which nothing ran on, the estimates of {amd_driver}'s compiler. A GPU has not been measured.
+
 """
 
 
@@ -62,7 +65,8 @@ def headline(data: dict[str, Any]) -> str:
 
 
 def trade(data: dict[str, Any]) -> str:
-    return HEAD + report.markdown(data)
+    """Return docs/trade.md."""
+    return HEAD.format_map(data["environment"]) + report.markdown(data)
 
 
 def main() -> None:

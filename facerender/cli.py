@@ -219,10 +219,10 @@ def _render(options: argparse.Namespace, caught: list[str]) -> int:
 
 
 def _measure(options: argparse.Namespace, caught: list[str]) -> int:
-    from facerender.measure import report
+    from facerender.measure import plots, report
     from facerender.measure.run import measure
 
-    report.check_output(options.output)
+    plots.check()
     _import_trimesh()
     mesh = load_mesh(options.mesh)
     with _Progress() as progress:

@@ -3,6 +3,7 @@ compiler says of a GPU that is not here is in ``amd.py``."""
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -78,8 +79,9 @@ def by_slope(
     """Measure terms by the slope of time over the number of evaluations, net of an empty loop.
 
     A fragment evaluates the term n times, for three n; the terms take turns, so that what slows
-    the machine down meets all of them. GPU timer queries where a GPU draws, the wall clock and
-    ``glFinish`` where the CPU does.
+    the machine down meets all of them. GPU timer queries where a GPU draws. Where the CPU
+    does, the processor time of this process up to ``glFinish``, over the number of cores: the wall
+    clock's time on an idle machine, and nearly so on a busy one.
 
     Parameters
     ----------
@@ -109,7 +111,7 @@ def by_slope(
                 program = gl.program(_VERTEX, resolve_includes(_FRAGMENT % (prelude, expression)))
                 program["step"] = 1e-6
                 kernels.append(gl.vertex_array(program, [(corners, "2f", "corner")]))
-            clock = _wall_clock if is_software(context.renderer) else _gpu_clock
+            clock = _cpu_clock if is_software(context.renderer) else _gpu_clock
 
             def seconds(kernel: moderngl.VertexArray, count: int) -> float:
                 kernel.program["count"] = count
@@ -183,13 +185,13 @@ def _bootstrap(
 
 
 @contextmanager
-def _wall_clock(gl: moderngl.Context) -> Iterator[list[float]]:
+def _cpu_clock(gl: moderngl.Context) -> Iterator[list[float]]:
     elapsed: list[float] = []
     gl.finish()
-    start = time.perf_counter()
+    start = time.process_time()
     yield elapsed
     gl.finish()
-    elapsed.append(time.perf_counter() - start)
+    elapsed.append((time.process_time() - start) / len(os.sched_getaffinity(0)))
 
 
 @contextmanager

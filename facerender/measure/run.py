@@ -24,12 +24,12 @@ from facerender.measure import amd, cost, error
 from facerender.measure.variants import lobe_terms, terms
 from facerender.mesh import Mesh, start_maps
 from facerender.scene import Camera, Scene
-from facerender.shading import Model, Shading
+from facerender.shading import SMALL_SLOPE, Model, Shading
 
 SCHEMA = "facerender.measure/1"
 MODELS: tuple[Model, ...] = ("cook-torrance", "ward")
 SLOPES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
-DEGREES = np.linspace(0.0, 90.0, 181)
+DEGREES = np.linspace(0.0, 90.0, 91)
 MAGNIFIED = 8
 
 Images = dict[str, NDArray[np.uint8]]
@@ -65,6 +65,7 @@ def measure(
     plain = mesh.with_material(m=m, roughness_map=None)
     start_maps(plain)
     scene = Scene(plain, Camera(azimuth=-35.0, elevation=4.0))
+    slopes = sorted({*SLOPES, m})
     not_measured: list[str] = []
 
     statistics: dict[str, dict[Model, dict[str, amd.Statistics]]] = {}
@@ -101,13 +102,15 @@ def measure(
         image_errors: dict[str, error.ImageError] = dict(zip(drawn, comparison.errors, strict=True))
         images |= _triptychs(model, comparison, drawn)
         for name in terms(model):
+            if m < SMALL_SLOPE and name == f"exact, m >= {SMALL_SLOPE:g}":
+                continue
             lobe = lobe_of(name)
             entry: dict[str, Any] = {"model": model, "name": name, "lobe": lobe}
             entry["cost"] = {kind: _row(rows.get(name)) for kind, rows in costs.items()} | {
                 family: _row(statistics[family][model][name] if statistics else None)
                 for family in amd.FAMILIES
             }
-            entry["error"] = _errors(model, lobe) | {"image": _row(image_errors.get(name))}
+            entry["error"] = _errors(model, lobe, slopes) | {"image": _row(image_errors.get(name))}
             variants.append(entry)
     if importlib.util.find_spec("flip_evaluator") is None:
         not_measured.append("FLIP needs flip-evaluator: pip install 'facerender[measure]'")
@@ -116,7 +119,8 @@ def measure(
         "environment": environment(backend) | {"amd_driver": driver},
         "settings": {"mesh": mesh.name, "m": m, "size": size, "repeats": repeats, "quick": quick},
         "variants": variants,
-        "curves": {"degrees": DEGREES.tolist()} | {model: _curves(model) for model in MODELS},
+        "curves": {"degrees": DEGREES.tolist()}
+        | {model: _curves(model, slopes) for model in MODELS},
         "not_measured": not_measured,
     }
     return data, images
@@ -158,11 +162,11 @@ def _row(measured: Any) -> dict[str, Any] | None:
     return None if measured is None else asdict(measured)
 
 
-def _errors(model: Model, lobe: Lobe) -> dict[str, dict[str, float | None]]:
+def _errors(model: Model, lobe: Lobe, slopes: list[float]) -> dict[str, dict[str, float | None]]:
     """Errors of lobe and BRDF by slope, in percent; None outside the lobe's domain."""
     shading = Shading(model, lobe)
     result: dict[str, dict[str, float | None]] = {"lobe": {}, "brdf": {}}
-    for m in SLOPES:
+    for m in slopes:
         inside = lobes.in_domain(m, lobe, shading.k)
         of_lobe = np.abs(error.lobe_error(lobe, m, shading.k)).max() if inside else None
         of_brdf = error.brdf_error(shading, m) if inside else None
@@ -171,12 +175,12 @@ def _errors(model: Model, lobe: Lobe) -> dict[str, dict[str, float | None]]:
     return result
 
 
-def _curves(model: Model) -> dict[str, dict[str, list[float]]]:
+def _curves(model: Model, slopes: list[float]) -> dict[str, dict[str, list[float]]]:
     k = Shading(model).k
     return {
         name: {
-            f"{m:g}": (100.0 * error.lobe_error(name, m, k, DEGREES)).tolist()
-            for m in SLOPES
+            f"{m:g}": np.round(100.0 * error.lobe_error(name, m, k, DEGREES), 5).tolist()
+            for m in slopes
             if lobes.in_domain(m, name, k)
         }
         for name in lobes.NAMES

@@ -10,7 +10,7 @@
 //             and e is the error of sin^2(gamma) = y/x
 //
 // The exact lobe multiplies tan^2(gamma) by 1/m^2: FR_SMALL_SLOPE is what keeps it accurate for
-// small m. It costs up to 12 % of a whole specular term (benchmarks/terms.py); a host whose m stays
+// small m. It costs up to 12 % of a whole specular term (facerender measure); a host whose m stays
 // above 0.2 may save them: #define FR_SMALL_SLOPE 0.
 #ifndef FR_HALF_VECTOR_GLSL
 #define FR_HALF_VECTOR_GLSL

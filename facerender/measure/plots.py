@@ -1,0 +1,189 @@
+"""Pictures of a measurement, as PNG in memory. What they show is decided in ``pareto.py`` and
+``report.py``. Needs the extra ``report``: matplotlib."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import pairwise, product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError
+from facerender.measure.pareto import EXACT, Row
+
+WIDTH = 6.4  # inches, at 110 dots an inch: the letters stay legible on a phone
+DPI = 110
+# After Okabe and Ito (2008), which the colour-blind can tell apart; darker, to write in them.
+COLOURS = {
+    "exact": "#000000",
+    "cosine": "#767676",
+    "d4": "#2b8cbe",
+    "d8": "#08457e",
+    "d16": "#b3568f",
+    "fitted": "#00805d",
+    "fitted-fine": "#c44e00",
+}
+MARKERS: dict[str, dict[str, Any]] = {
+    "not dominated": {"marker": "o", "color": "#444444"},
+    "dominated": {"marker": "o", "color": "#444444", "mfc": "white"},
+    "as printed": {"marker": "s", "color": "#444444", "mfc": "white"},
+}
+# Where a label may lie: points from its own point, in directions beginning with the right.
+_DISTANCES = (7, 12, 18, 26, 36, 48, 64, 80)
+_DIRECTIONS = ((1, 0), (0, 1), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
+
+
+def check() -> None:
+    """Raise InputError where matplotlib is missing; call it before minutes of measuring."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        message = "the report needs matplotlib: pip install 'facerender[measure]'"
+        raise InputError(message) from None
+
+
+def trade(panels: Mapping[str, tuple[Sequence[Row], str]], cost: str) -> bytes:
+    """Draw error over cost, a panel for each model, and the line of what nothing dominates.
+
+    Parameters
+    ----------
+    panels : by title, the rows and what their errors are, with the unit
+    cost : what it is, with the unit
+    """
+    from matplotlib.lines import Line2D
+
+    with _figure(3.9 * len(panels)) as figure:
+        all_axes = figure.subplots(len(panels), squeeze=False)[:, 0]
+        points = []
+        for axes, (title, (rows, error)) in zip(all_axes, panels.items(), strict=True):
+            axes.set(title=title, xlabel=cost, ylabel=error.replace(", ", ",\n", 1), yscale="log")
+            points.append(_points(axes, rows))
+        keys = [Line2D([], [], ls="", label=name, **style) for name, style in MARKERS.items()]
+        figure.legend(handles=keys, loc="outside upper center", ncols=3, frameon=False)
+        figure.canvas.draw()  # lays the axes out: only now can labels be measured
+        for axes, named in zip(all_axes, points, strict=True):
+            _label(axes, named)
+        return _png(figure)
+
+
+def angles(
+    degrees: Sequence[float], curves: Mapping[str, Mapping[str, Sequence[float]]], title: str
+) -> bytes:
+    """Draw the error of lobes over the angle, a panel for each m.
+
+    Parameters
+    ----------
+    degrees : γ
+    curves : by lobe and m, errors in percent of the peak, one for each angle
+    """
+    slopes = sorted({m for errors in curves.values() for m in errors}, key=float)
+    with _figure(1.9 * len(slopes) + 1.0) as figure:
+        all_axes = figure.subplots(len(slopes), sharex=True, squeeze=False)[:, 0]
+        for axes, m in zip(all_axes, slopes, strict=True):
+            for lobe, errors in curves.items():
+                if m in errors:
+                    axes.plot(degrees, errors[m], color=COLOURS[lobe], lw=1.3)
+            axes.set_yscale("asinh", linear_width=0.03)
+            shown = [np.abs(errors[m]).max() for errors in curves.values() if m in errors]
+            largest = max(0.1, *shown)
+            decades = 10.0 ** np.arange(-1, max(1, int(np.ceil(np.log10(largest)))))
+            ticks = [*-decades[::-1], 0.0, *decades]
+            axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+            axes.set_yticks([], minor=True)
+            axes.set_ylim(-2.0 * largest, 2.0 * largest)
+            axes.set_title(f"m = {m}", loc="left")
+        all_axes[-1].set(xlabel="angle γ of the half vector, degrees", xlim=(0.0, degrees[-1]))
+        for lobe in curves:
+            all_axes[0].plot([], color=COLOURS[lobe], label=lobe)
+        figure.suptitle(f"{title}: approximated less exact lobe")
+        figure.supylabel("error of the lobe, % of its peak")
+        figure.legend(loc="outside lower center", ncols=3, frameon=False)
+        return _png(figure)
+
+
+def strip(images: Sequence[NDArray[np.uint8]]) -> bytes:
+    """Encode images of one height (H, W, 3) side by side."""
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(np.hstack(images)).save(file, "PNG", optimize=True)
+    return file.getvalue()
+
+
+@contextmanager
+def _figure(height: float) -> Iterator[Any]:
+    """A figure that draws with Agg and with matplotlib's own style, whatever the user's is."""
+    from matplotlib import style
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    changes = {"axes.grid": True, "grid.color": "#e6e6e6", "axes.axisbelow": True}
+    with style.context(["default", changes | {"font.size": 10, "axes.titlesize": "medium"}]):
+        figure = Figure((WIDTH, height), DPI, layout="constrained")
+        FigureCanvasAgg(figure)
+        yield figure
+
+
+def _png(figure: Any) -> bytes:
+    file = io.BytesIO()
+    figure.savefig(file, format="png")
+    return file.getvalue()
+
+
+def _points(axes: Any, rows: Sequence[Row]) -> list[tuple[float, float, Row]]:
+    """Draw a point a row, its interval and the frontier; return cost, error as shown, and row."""
+    points = [
+        (row.cost, max(row.error, EXACT), row)
+        for row in rows
+        if row.cost is not None and row.error is not None
+    ]
+    frontier = [(x, y) for x, y, row in points if not (row.dominated or row.printed)]
+    for (x, y), (dearer, less) in pairwise(frontier):
+        axes.plot((x, dearer), (y, y), color="#999999", lw=1, zorder=1)
+        axes.plot((dearer, dearer), (y, less), color="#999999", lw=1, zorder=1)
+    for x, y, row in points:
+        state = "as printed" if row.printed else "dominated" if row.dominated else "not dominated"
+        style = MARKERS[state] | {"color": COLOURS[row.variant["lobe"]]}
+        axes.plot(row.interval or (x, x), (y, y), color=style["color"], lw=1, zorder=2)
+        axes.plot(x, y, ls="", zorder=3, **style)
+    low, high = np.percentile([row.interval or (x, x) for x, _, row in points], [0, 100])
+    half = 0.6 * max(high - low, 0.1 * high)  # differences of a few percent shall look small
+    axes.set_xlim(max(0.0, (low + high) / 2.0 - half), (low + high) / 2.0 + half)
+    axes.set_ylim(EXACT / 3.0, 3.0 * max(1.0, *(y for _, y, _ in points)))
+    ticks = 10.0 ** np.arange(-2, np.ceil(np.log10(axes.get_ylim()[1])))
+    axes.set_yticks(ticks, ["exact", *(f"{tick:g}" for tick in ticks[1:])])
+    return points
+
+
+def _label(axes: Any, points: Sequence[tuple[float, float, Row]]) -> None:
+    """Write each name at the nearest place that is free of names, points and lines."""
+    from matplotlib.text import Text
+
+    frame, renderer = axes.get_window_extent(), axes.figure.canvas.get_renderer()
+    taken = [line.get_window_extent() for line in axes.lines]
+    places = list(product(_DISTANCES, _DIRECTIONS))
+    for x, y, row in points:
+        colour = COLOURS[row.variant["lobe"]]
+        for distance, (right, up) in places:
+            note = axes.annotate(
+                row.variant["name"],
+                (x, y),
+                (distance * right, distance * up),
+                textcoords="offset points",
+                ha=("center", "left", "right")[right],
+                va=("center", "bottom", "top")[up],
+                color=colour,
+                arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.6},
+            )
+            note.set_in_layout(False)
+            note.update_positions(renderer)
+            box = Text.get_window_extent(note)  # without the line to its point
+            inside = frame.contains(*box.min) and frame.contains(*box.max)
+            if (inside and not box.count_overlaps(taken)) or (distance, (right, up)) == places[-1]:
+                taken.append(box.padded(3))
+                break
+            note.remove()

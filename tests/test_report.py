@@ -1,0 +1,204 @@
+"""The report of a measurement: who dominates whom, and files that are whole or not there."""
+
+from __future__ import annotations
+
+import json
+import sys
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from facerender import InputError
+from facerender.measure import plots, report
+from facerender.measure.pareto import measure_of, pareto
+
+COSTS = {  # ns, and largest error of the image as a fraction
+    "printed, exact": (0.4, None),
+    "exact": (0.8, 2e-5),
+    "exact, m >= 0.2": (0.7, None),
+    "d4": (0.7, 0.2),
+    "d8": (0.6, 0.1),
+    "d16": (0.6, 0.1),
+    "cosine": (0.6, 0.3),
+    "fitted": (0.9, 1e-5),
+}
+VOID = {"meta", "img", "br"}
+
+
+def variant(name, cost, largest):
+    image = {"point": 0.1, "block": 0.1, "largest": largest, "percentile": 0.1, "steps": 3}
+    interval = {"value": cost, "low": 0.9 * cost, "high": 1.1 * cost}
+    return {
+        "model": "cook-torrance",
+        "name": name,
+        "lobe": name.removeprefix("printed, ").split(",")[0],
+        "cost": {
+            "term_ns": interval,
+            "lobe_ns": None,
+            "frame_ms": interval if name == "exact" else None,
+            "navi21": {"instructions": 60, "latency": 500, "inverse_throughput": 70},
+            "vega10": None,
+        },
+        "error": {
+            "lobe": {"0.3": 0.0 if "exact" in name else 2.5, "0.8": None},
+            "brdf": {"0.3": 1.5, "0.8": None},
+            "image": image | {"steps_percentile": 1.0, "flip": None} if largest else None,
+        },
+    }
+
+
+@pytest.fixture
+def data():
+    return {
+        "schema": "facerender.measure/1",
+        "environment": {"GL_RENDERER": "<llvm> & pipe", "software": True, "cores": 1},
+        "settings": {"mesh": "head", "m": 0.3, "size": [8, 8], "repeats": 3, "quick": True},
+        "variants": [variant(name, *values) for name, values in COSTS.items()],
+        "curves": {"degrees": [0.0, 45.0, 90.0], "cook-torrance": {"d4": {"0.3": [0, -2.5, 0]}}},
+        "not_measured": ["vega10: needs a driver"],
+    }
+
+
+@pytest.fixture
+def images():
+    names = ("exact", "d16", "d16 difference x8")
+    return {f"cook-torrance {name}": np.zeros((8, 8, 3), np.uint8) for name in names}
+
+
+def states(data, kind="term_ns"):
+    return {row.variant["name"]: row.dominated for row in pareto(data, "cook-torrance", kind)}
+
+
+def test_dominated(data):
+    assert states(data) == {
+        "printed, exact": False,  # the cheapest, yet it dominates nothing
+        "cosine": True,  # as dear as d8, and less exact
+        "d8": False,
+        "d16": False,  # ties with d8 in both
+        "exact, m >= 0.2": False,
+        "d4": True,
+        "exact": True,  # as exact, and dearer
+        "fitted": True,  # below what float32 leaves, less error is no merit
+    }
+
+
+def test_rows_are_ordered_by_cost_and_the_unmeasured_come_last(data):
+    costs = [row.cost for row in pareto(data, "cook-torrance", "term_ns")]
+    assert costs == sorted(costs)
+    frames = pareto(data, "cook-torrance", "frame_ms")
+    assert [row.variant["name"] for row in frames].index("exact") == 0
+    assert not any(row.dominated for row in frames)
+
+
+def test_the_lobe_stands_in_where_an_image_is_missing(data):
+    assert measure_of(data, "cook-torrance") == "image"
+    data["variants"][3]["error"]["image"] = None
+    assert measure_of(data, "cook-torrance") == "lobe"
+    assert states(data)["d4"]
+    assert {row.error for row in pareto(data, "cook-torrance", "term_ns")} == {0.0, 2.5}
+
+
+def test_outside_the_domain_nothing_is_compared(data):
+    data["settings"]["m"] = 0.8
+    assert measure_of(data, "cook-torrance") == "image"
+    for each in data["variants"]:
+        each["error"]["image"] = None
+    assert not any(states(data).values())
+    assert "outside the domain" in report.table(data)
+
+
+@pytest.mark.parametrize("write", [report.table, report.markdown])
+def test_tables_mark_rows_and_say_what_is_missing(data, write):
+    lines = write(data).splitlines()
+    d4 = next(line for line in lines if "d4" in line and "0.700" in line)
+    assert "dominated" in d4
+    assert "20.0" in d4  # percent
+    assert "not measured" in d4  # the lobe alone
+    printed = next(line for line in lines if "printed, exact" in line)
+    assert "as printed" in printed
+    assert "dominated" not in printed
+    assert "not measured" in write(data).split("AMD Vega 10")[1].lower()
+
+
+class Page(HTMLParser):
+    """Collects the text, checks that tags nest, and that all that is referred to is inside."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.texts, self.tags = [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        attributes = dict(attributes)
+        self.tags.append((tag, attributes))
+        assert tag not in ("script", "link", "iframe", "object")
+        assert not {"href", "srcset", "style"} & attributes.keys()
+        if "src" in attributes:
+            assert attributes["src"].startswith("data:image/png;base64,")
+            assert attributes["alt"]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, text):
+        self.texts.append(text)
+
+
+def test_files(data, images, tmp_path):
+    paths = report.write(data, images, tmp_path / "new" / "report")
+    assert {path.name for path in paths} == {
+        "measure.json",
+        "trade-term-ns.png",
+        "trade-frame-ms.png",
+        "trade-navi21.png",
+        "angles-cook-torrance.png",
+        "images-cook-torrance-d16.png",
+        "index.html",
+    }
+    assert sorted(paths) == sorted((tmp_path / "new" / "report").iterdir())
+    assert json.loads(paths[0].read_text()) == data
+
+    text = paths[-1].read_text(encoding="utf-8")
+    page = Page(text)
+    assert not page.open
+    assert ("html", {"lang": "en"}) in page.tags
+    assert "url(" not in text
+    assert "@import" not in text
+    for shown in ("<llvm> & pipe", "1", "8 x 8", "not measured", "vega10: needs a driver"):
+        assert shown in page.texts
+    assert sum(tag == "img" for tag, _ in page.tags) == len(paths) - 2
+    assert ("tr", {"class": "dominated"}) in page.tags
+
+
+def test_nothing_is_written_when_a_plot_fails(data, images, tmp_path, monkeypatch):
+    def fail(*arguments):
+        raise MemoryError
+
+    monkeypatch.setattr(plots, "strip", fail)
+    with pytest.raises(MemoryError):
+        report.write(data, images, tmp_path / "report")
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_no_number_in_json_is_refused(data, images, tmp_path):
+    data["variants"][1]["cost"]["term_ns"]["high"] = float("nan")
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        report.write(data, images, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_matplotlib(data, images, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(InputError, match=r"the report needs matplotlib: pip install 'facerender\["):
+        report.write(data, images, tmp_path)
+    assert "not measured" in report.table(data)
+
+
+def test_a_directory_that_cannot_be_made(data, images, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="cannot make .*file/report: not a directory"):
+        report.write(data, images, tmp_path / "file" / "report")
