@@ -85,6 +85,13 @@ def _parser() -> argparse.ArgumentParser:
     _add_measure(
         commands.add_parser("measure", help="what each approximation costs and loses, here")
     )
+    reproduce = commands.add_parser(
+        "reproduce", help="the paper's figures and claims, measured here"
+    )
+    reproduce.add_argument(
+        "-o", "--output", default="out/reproduction", metavar="DIR", help="(out/reproduction)"
+    )
+    reproduce.set_defaults(command=_reproduce)
     doctor = commands.add_parser("doctor", help="what OpenGL is found here, what is missing")
     doctor.add_argument("--json", action="store_true", help="print the findings as JSON")
     doctor.set_defaults(command=_doctor)
@@ -311,6 +318,15 @@ def _scene_settings(options: argparse.Namespace, camera: Camera) -> dict[str, An
             None if transparent else tuple(_numbers("background", options.background, (3,)))
         )
     return settings
+
+
+def _reproduce(options: argparse.Namespace, caught: list[str]) -> int:
+    from facerender.measure.reproduce import reproduce
+
+    result = reproduce(progress=lambda step: print(f"facerender: {step}", file=sys.stderr))
+    for path in result.write(options.output):
+        print(path)
+    return 0
 
 
 def _doctor(options: argparse.Namespace, caught: list[str]) -> int:

@@ -30,7 +30,7 @@ def test_slope_sees_what_costs_more(egl):
 
 def test_interval_covers_the_spread_of_the_repeats():
     times = np.array([5.0, 1.0, 1.1, 0.9, 1.05, 0.95, 9.0, 1.0])
-    (found,) = cost._bootstrap(lambda turns: np.quantile(times[turns], [0.25], axis=0), 8)
+    (found,) = cost.bootstrap(lambda turns: np.quantile(times[turns], [0.25], axis=0), 8)
     assert found.value == pytest.approx(0.9875)
     assert 0.9 <= found.low <= found.value <= found.high < 5.0
 

@@ -137,7 +137,7 @@ def by_slope(
         slopes = np.quantile(times[turns], QUANTILE, axis=0) @ lever
         return np.asarray(1e9 / (SIZE[0] * SIZE[1]) * (slopes[1:] - slopes[0]))
 
-    intervals = _bootstrap(net, repeats)
+    intervals = bootstrap(net, repeats)
     return dict(zip(terms, intervals, strict=True))
 
 
@@ -166,7 +166,7 @@ def frames(
                 renderer.render(scene, shading)
                 times[turn, index] = time.perf_counter() - start
             progress((turn + 1) / repeats)
-    return _bootstrap(lambda turns: 1e3 * np.quantile(times[turns], QUANTILE, axis=0), repeats)
+    return bootstrap(lambda turns: 1e3 * np.quantile(times[turns], QUANTILE, axis=0), repeats)
 
 
 def is_software(renderer: str) -> bool:
@@ -174,7 +174,7 @@ def is_software(renderer: str) -> bool:
     return any(name in renderer.lower() for name in SOFTWARE)
 
 
-def _bootstrap(
+def bootstrap(
     estimate: Callable[[NDArray[np.int64]], NDArray[np.float64]], repeats: int
 ) -> list[Interval]:
     """Return an estimate (N,) of all turns, with its 95 % interval over resampled turns."""

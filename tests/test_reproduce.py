@@ -1,0 +1,162 @@
+"""The paper's figures and claims: numbers that are known, and documents that hold them all."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from docs import reproduction
+from facerender import lobes
+from facerender.cli import main
+from facerender.errors import InputError, NotMeasured
+from facerender.measure import reproduce as measured
+from facerender.measure.cost import Interval
+from facerender.measure.reproduce import FLAGS, Reproduction, reproduce
+from tests.conftest import missing
+
+FIGURES = [f"fig{number}.png" for number in range(1, 6)]
+
+
+@pytest.fixture(scope="module")
+def result(egl: str) -> Reproduction:
+    return reproduce(repeats=3, size=(48, 56))
+
+
+def test_error_of_d16_is_small_near_a_slope_of_a_fifth_only(result):
+    relative, absolute, unclamped = result.claims[:3]
+    assert relative.values["0.2"] == pytest.approx(1.13, abs=0.005)
+    assert relative.where == "of m = 0.1 to 0.7 it holds from 0.188 to 0.200"
+    expected = {"0.2": 0.13, "0.3": 3.21, "0.4": 9.50, "0.5": 22.3, "0.6": 47.6}
+    assert absolute.values == pytest.approx(expected, abs=0.05)
+    assert unclamped.values["0.2"] == pytest.approx(2.3e6, rel=0.02)
+    assert {claim.verdict for claim in (relative, absolute, unclamped)} == {"fails"}
+
+
+def test_every_claim_has_a_verdict(result):
+    verdicts = {"holds", "fails", "undecided", "not measured", "for comparison"}
+    assert {claim.verdict for claim in result.claims} <= verdicts
+    ours = [claim for claim in result.claims if "our exact" in claim.claim]
+    assert len(ours) == 8
+    for claim in result.claims:
+        assert (claim.verdict == "for comparison") == (claim.paper == "")
+
+
+def test_d16_gains_more_in_ward_whose_printed_form_has_acos_and_tan(result):
+    ratios = {claim.claim: claim.values["ratio"] for claim in result.claims[3:] if claim.values}
+    cook_torrance = ratios["Cook-Torrance, whole term: D16 against exact, as printed"]
+    assert cook_torrance < ratios["Ward, whole term: D16 against exact, as printed"]
+
+
+def test_files(result, tmp_path):
+    paths = result.write(tmp_path / "new" / "folder")
+    assert [path.name for path in paths] == [*FIGURES, "reproduction.json", "index.html"]
+    assert sorted(path.name for path in paths[0].parent.iterdir()) == sorted(p.name for p in paths)
+    for path in paths[:5]:
+        pixels = np.asarray(Image.open(path).convert("RGB"))
+        assert pixels.std() > 10.0, path.name
+
+    content = json.loads(paths[5].read_text())
+    assert content["schema"] == "facerender.reproduce/1"
+    assert set(content) == {"schema", "paper", "environment", "claims", "cost", "figures"}
+    assert {"date", "GL_RENDERER", "GL_VERSION", "processor"} <= set(content["environment"])
+    for claim in content["claims"]:
+        fields = {"claim", "paper", "measured", "conditions", "verdict", "where", "values"}
+        assert set(claim) == fields
+    assert all(set(cost) == {"value", "low", "high"} for cost in content["cost"].values())
+    assert list(content["figures"]) == FIGURES
+
+    page = paths[6].read_text()
+    assert page.count("data:image/png;base64,") == 5
+    assert "<script" not in page
+    assert "http" not in page
+    for claim in result.claims:
+        assert claim.measured in page
+        assert claim.measured in result.markdown("figures")
+
+
+def test_a_place_that_cannot_be_written_is_one_line(result, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"cannot write .*file.*; give a folder"):
+        result.write(tmp_path / "file")
+
+
+def test_scalar_code_computes_the_lobes(tmp_path):
+    if not shutil.which("cc"):
+        missing("no C compiler")
+    source = Path(measured.__file__).with_name("scalar.c")
+    strict = ("-Wall", "-Wextra", "-Werror", "-std=c11")
+    subprocess.run(["cc", *FLAGS, *strict, source, "-o", tmp_path / "scalar", "-lm"], check=True)
+    output = subprocess.run(
+        [tmp_path / "scalar", "1"], check=True, capture_output=True, text=True
+    ).stdout.splitlines()
+    means = dict(zip(output[0].split(), map(float, output[1].split()), strict=True))
+
+    share = np.arange(4096) / 4096
+    c, each = np.cos(share), 0.3 + 0.1 * share
+
+    def mean(name: lobes.Lobe, m: float | np.ndarray) -> float:
+        if name == "exact":
+            return float((lobes.exact(c, m, 4) / (4.0 * m**2)).mean())
+        n = 2.0 / m**2 - 4.0
+        return float(((n / 16.0 * (c - 1.0) + 1.0) ** 16 / (4.0 * m**2)).mean())
+
+    expected = {
+        **{"printed_each": mean("exact", each), "printed_one": mean("exact", 0.3)},
+        **{"exact_each": mean("exact", each), "d16_each": mean("d16", each)},
+        **{"d16_one": mean("d16", 0.3), "d16_beforehand": mean("d16", 0.3)},
+    }
+    assert means == pytest.approx(expected, rel=1e-5)
+
+
+def test_without_a_compiler_scalar_cost_is_not_measured(monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(NotMeasured, match="needs the apt packages gcc and libc6-dev") as caught:
+        measured.scalar_cost(2)
+    (claim,) = measured._scalar_claims({}, str(caught.value))
+    assert claim.verdict == "not measured"
+    assert claim.where == str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "verdict"), [(2.1, 2.3, "holds"), (1.9, 2.1, "undecided"), (1.5, 1.9, "fails")]
+)
+def test_a_claim_of_speed_holds_with_its_whole_interval(low, high, verdict):
+    one = Interval(1.0, 1.0, 1.0)
+    slow = Interval((low + high) / 2.0, low, high)
+    assert measured._speed_claim("", slow, one, "", "twice", 2.0).verdict == verdict
+
+
+def test_the_command_writes_and_names_its_files(monkeypatch, capsys, tmp_path, result):
+    monkeypatch.setattr(measured, "reproduce", lambda progress: progress("figures") or result)
+    assert main(["reproduce", "-o", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr()
+    assert printed.out.splitlines()[0] == str(tmp_path / "out" / "fig1.png")
+    assert len(printed.out.splitlines()) == 7
+    assert printed.err == "facerender: figures\n"
+
+
+def test_without_matplotlib_the_command_says_how_to_get_it(monkeypatch, capsys, tmp_path):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert main(["reproduce", "-o", str(tmp_path / "out")]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("facerender: error: ")
+    assert printed.err.endswith("pip install 'facerender[measure]'\n")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_document_holds_the_errors_and_its_figures_are_small(result):
+    document = reproduction.OUTPUT.read_text(encoding="utf-8")
+    for claim in result.claims[:3]:
+        assert claim.measured in document
+        assert claim.where in document
+    sizes = [path.stat().st_size for path in reproduction.OUTPUT.with_suffix("").glob("*.png")]
+    assert len(sizes) == 5
+    assert sum(sizes) < 400_000
