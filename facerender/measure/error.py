@@ -40,7 +40,7 @@ def lobe_error(name: Lobe, m: float, k: int, degrees: Array | None = None) -> Ar
     return lobes.lobe(name, c, m, k) - lobes.exact(c, m, k)
 
 
-def brdf_error(shading: Shading, m: float, f0: float = 0.028, count: int = 32) -> float:
+def brdf_error(shading: Shading, m: float, f0: float = 0.028, count: int = 24) -> float:
     """Return the largest error of the reflected radiance f N.L over all directions, relative to the
     largest exact one; light and eye lie at count angles to 89 degrees, and 2 count azimuths.
 

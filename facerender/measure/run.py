@@ -9,6 +9,7 @@ import platform
 from collections.abc import Callable
 from dataclasses import asdict
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -61,11 +62,11 @@ def measure(
     InputError : m outside [1e-4, 2], or a damaged map
     """
     size = (256, 256) if quick else (512, 512)
-    repeats = 7 if quick else 21
+    repeats = 4 if quick else 21
     plain = mesh.with_material(m=m, roughness_map=None)
     start_maps(plain)
     scene = Scene(plain, Camera(azimuth=-35.0, elevation=4.0))
-    slopes = sorted({*SLOPES, m})
+    slopes = tuple(sorted({*SLOPES, m}))
     not_measured: list[str] = []
 
     statistics: dict[str, dict[Model, dict[str, amd.Statistics]]] = {}
@@ -162,7 +163,10 @@ def _row(measured: Any) -> dict[str, Any] | None:
     return None if measured is None else asdict(measured)
 
 
-def _errors(model: Model, lobe: Lobe, slopes: list[float]) -> dict[str, dict[str, float | None]]:
+@cache
+def _errors(
+    model: Model, lobe: Lobe, slopes: tuple[float, ...]
+) -> dict[str, dict[str, float | None]]:
     """Errors of lobe and BRDF by slope, in percent; None outside the lobe's domain."""
     shading = Shading(model, lobe)
     result: dict[str, dict[str, float | None]] = {"lobe": {}, "brdf": {}}
@@ -175,7 +179,7 @@ def _errors(model: Model, lobe: Lobe, slopes: list[float]) -> dict[str, dict[str
     return result
 
 
-def _curves(model: Model, slopes: list[float]) -> dict[str, dict[str, list[float]]]:
+def _curves(model: Model, slopes: tuple[float, ...]) -> dict[str, dict[str, list[float]]]:
     k = Shading(model).k
     return {
         name: {
