@@ -16,7 +16,7 @@ from typing import Any, NoReturn, TextIO
 
 from facerender import __version__
 from facerender.context import BACKENDS, probe
-from facerender.errors import FacerenderError, FacerenderWarning, InputError
+from facerender.errors import FacerenderError, FacerenderWarning, InputError, reason
 from facerender.frame import ONLY
 from facerender.lobes import NAMES as LOBES
 from facerender.mesh import load_mesh, start_maps
@@ -230,15 +230,25 @@ def _measure(options: argparse.Namespace, caught: list[str]) -> int:
     from facerender.measure.run import measure
 
     plots.check()
+    folder = _folder(options.output)
     _import_trimesh()
     mesh = load_mesh(options.mesh)
     with _Progress() as progress:
         data, images = measure(mesh, options.m, options.quick, options.backend, progress)
         progress("report", 0.0)
-        paths = report.write(data, images, Path(options.output))
+        paths = report.write(data, images, folder)
     print(json.dumps(data, indent=2) if options.json else report.table(data))
     print(*paths, sep="\n", file=sys.stderr)
     return 0
+
+
+def _folder(text: str) -> Path:
+    """Make the folder of the results, so that nothing is measured for one that cannot be."""
+    try:
+        Path(text).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make {text}: {reason(error)}; give a writable folder") from None
+    return Path(text)
 
 
 class _Progress:
@@ -323,8 +333,9 @@ def _scene_settings(options: argparse.Namespace, camera: Camera) -> dict[str, An
 def _reproduce(options: argparse.Namespace, caught: list[str]) -> int:
     from facerender.measure.reproduce import reproduce
 
+    folder = _folder(options.output)
     result = reproduce(progress=lambda step: print(f"facerender: {step}", file=sys.stderr))
-    for path in result.write(options.output):
+    for path in result.write(folder):
         print(path)
     return 0
 

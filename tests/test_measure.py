@@ -160,6 +160,11 @@ def test_command_refuses_in_one_line(tmp_path, capsys, monkeypatch):
     assert capsys.readouterr().err.startswith("facerender: error: cannot read absent.glb")
     assert main(["measure", "--m", "3", "-o", str(tmp_path)]) == 2
     assert "facerender: error: m = 3" in capsys.readouterr().err
+    (tmp_path / "file").touch()
+    for command in ("measure", "reproduce"):
+        assert main([command, "-o", str(tmp_path / "file" / "folder")]) == 2
+        assert "folder: not a directory; give a writable folder" in capsys.readouterr().err
+    (tmp_path / "file").unlink()
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main(["measure", "-o", str(tmp_path)]) == 2
     assert capsys.readouterr().err.rstrip().endswith("pip install 'facerender[measure]'")
