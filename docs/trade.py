@@ -25,7 +25,8 @@ Written by `python -m docs.trade` from [measurements/llvmpipe.json](measurements
 which `facerender measure` wrote. Measure your own machine and mesh: `facerender measure MESH`.
 
 Measured on {date}: {GL_RENDERER}, OpenGL {GL_VERSION}, on {cores} cores of {processor}; for AMD's
-GPUs, which nothing ran on, the estimates of {amd_driver}'s compiler. A GPU has not been measured.
+GPUs, which nothing ran on, the estimates of {amd_driver}'s compiler. Software: {software}; where
+it is True, no GPU has been measured.
 
 """
 
@@ -39,7 +40,7 @@ def headline(data: dict[str, Any]) -> str:
         variants = [v for v in data["variants"] if v["model"] == model]
         base = variants[0]["cost"]
         for variant in variants:
-            cost = variant["cost"]
+            cost, error = variant["cost"], variant["error"]["lobe"][m]
             name = variant["name"]
             nanoseconds, cycles = cost["term_ns"]["value"], cost["navi21"]
             cells = rows.setdefault(f"**{name}**" if name.startswith("exact") else name, [])
@@ -49,7 +50,7 @@ def headline(data: dict[str, Any]) -> str:
                 if cycles is None
                 else f"{cycles['inverse_throughput']}, "
                 f"{cycles['inverse_throughput'] / base['navi21']['inverse_throughput']:.2f}",
-                f"{variant['error']['lobe'][m]:.2f}",
+                "-" if error is None else f"{error:.2f}",
             ]
     head = [
         "",

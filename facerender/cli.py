@@ -207,8 +207,7 @@ def _render(options: argparse.Namespace, caught: list[str]) -> int:
     ) as renderer:
         frame = renderer.render(scene, shading, options.only)
         backend = renderer.context.backend
-    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    _clean_up_on_interrupt()
     frame.save(options.output, options.exposure)
     if options.json:
         facts = {
@@ -236,10 +235,19 @@ def _measure(options: argparse.Namespace, caught: list[str]) -> int:
     with _Progress() as progress:
         data, images = measure(mesh, options.m, options.quick, options.backend, progress)
         progress("report", 0.0)
+        _clean_up_on_interrupt()
         paths = report.write(data, images, folder)
     print(json.dumps(data, indent=2) if options.json else report.table(data))
+    for line in data["not_measured"]:
+        print(f"facerender: not measured: {line}", file=sys.stderr)
     print(*paths, sep="\n", file=sys.stderr)
     return 0
+
+
+def _clean_up_on_interrupt() -> None:
+    """From here on files are written, which Ctrl-C must not leave half-written."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _folder(text: str) -> Path:
@@ -331,10 +339,13 @@ def _scene_settings(options: argparse.Namespace, camera: Camera) -> dict[str, An
 
 
 def _reproduce(options: argparse.Namespace, caught: list[str]) -> int:
+    from facerender.measure import plots
     from facerender.measure.reproduce import reproduce
 
+    plots.check()
     folder = _folder(options.output)
     result = reproduce(progress=lambda step: print(f"facerender: {step}", file=sys.stderr))
+    _clean_up_on_interrupt()
     for path in result.write(folder):
         print(path)
     return 0

@@ -113,14 +113,16 @@ def test_what_is_missing_is_said_and_the_rest_measured(egl, head, monkeypatch):
     def none(family=None, *rest):
         raise NotMeasured("no RADV: apt-get install mesa-vulkan-drivers")
 
-    monkeypatch.setattr(amd, "driver", none)
+    monkeypatch.setattr(amd, "statistics", none)
     one = cost.Interval(1.0, 0.9, 1.1)
     monkeypatch.setattr(cost, "by_slope", lambda terms, *rest: dict.fromkeys(terms, one))
     stages = []
     data, images = run.measure(
         head, 0.65, quick=True, backend=egl, progress=lambda what, done: stages.append(what)
     )
-    assert data["not_measured"] == ["no RADV: apt-get install mesa-vulkan-drivers"]
+    assert data["not_measured"] == [
+        f"{family}: no RADV: apt-get install mesa-vulkan-drivers" for family in amd.FAMILIES
+    ]
     assert data["environment"]["amd_driver"] is None
     assert "ward: frames" in stages
     rows = {(row["model"], row["name"]): row for row in data["variants"]}
@@ -131,7 +133,12 @@ def test_what_is_missing_is_said_and_the_rest_measured(egl, head, monkeypatch):
     d16 = rows["cook-torrance", "d16"]
     assert d16["error"]["lobe"]["0.4"] == pytest.approx(9.50, abs=0.01)
     assert d16["error"]["image"]["largest"] > 0.1
-    assert rows["cook-torrance", "printed, d16"]["error"]["image"] is None
+    printed = rows["cook-torrance", "printed, d16"]["error"]
+    assert printed["image"] is None
+    assert printed["lobe"]["0.2"] == pytest.approx(2.33e6, rel=0.01)  # it has no clamp
+    assert rows["ward", "exact, m >= 0.2"]["error"]["lobe"] | {"0.1": 0.0} == dict.fromkeys(
+        printed["lobe"], 0.0
+    )
     assert images["ward exact"].shape == (256, 256, 3)
     assert (
         images["cook-torrance d16 difference x8"].max()

@@ -28,7 +28,7 @@ VOID = {"meta", "img", "br"}
 
 def variant(name, cost, largest):
     image = {"point": 0.1, "block": 0.1, "largest": largest, "percentile": 0.1, "steps": 3}
-    interval = {"value": cost, "low": 0.9 * cost, "high": 1.1 * cost}
+    interval = {"value": cost, "low": 0.99 * cost, "high": 1.01 * cost}
     return {
         "model": "cook-torrance",
         "name": name,
@@ -81,6 +81,15 @@ def test_dominated(data):
         "exact": True,  # as exact, and dearer
         "fitted": True,  # below what float32 leaves, less error is no merit
     }
+
+
+def test_costs_whose_intervals_overlap_count_as_equal(data):
+    costs = {each["name"]: each["cost"]["term_ns"] for each in data["variants"]}
+    costs["d4"] |= {"value": 0.69, "low": 0.68, "high": 0.72}
+    assert states(data)["d4"]  # "exact, m >= 0.2" at 0.7 is as cheap for all we know
+    costs["d8"]["low"] = costs["d16"]["low"] = costs["cosine"]["low"] = 0.5
+    costs["d4"] |= {"value": 0.4, "low": 0.39, "high": 0.41}
+    assert not states(data)["d4"]
 
 
 def test_rows_are_ordered_by_cost_and_the_unmeasured_come_last(data):

@@ -43,6 +43,9 @@ def test_every_claim_has_a_verdict(result):
     verdicts = {"holds", "fails", "undecided", "not measured", "for comparison"}
     assert {claim.verdict for claim in result.claims} <= verdicts
     ours = [claim for claim in result.claims if "our exact" in claim.claim]
+    unmeasured = [claim.where for claim in result.claims if claim.verdict == "not measured"]
+    if unmeasured:
+        missing("; ".join(unmeasured))
     assert len(ours) == 8
     for claim in result.claims:
         assert (claim.verdict == "for comparison") == (claim.paper == "")
@@ -83,7 +86,7 @@ def test_files(result, tmp_path):
 
 def test_a_place_that_cannot_be_written_is_one_line(result, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"cannot write .*file.*; give a folder"):
+    with pytest.raises(InputError, match=r"cannot make .*file.*; give a writable"):
         result.write(tmp_path / "file")
 
 

@@ -6,8 +6,9 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import moderngl
 import numpy as np
@@ -23,7 +24,7 @@ SIZE = (512, 256)
 # Other work on the machine only ever adds time: the lower quartile of the repeats is steadier than
 # their median, and unlike their minimum no matter of luck.
 QUANTILE = 0.25
-SOFTWARE = ("llvmpipe", "softpipe", "swr", "swiftshader")
+SOFTWARE = ("llvmpipe", "softpipe", "swr", "swiftshader", "software rasterizer")
 
 _VERTEX = """#version 330 core
 in vec2 corner;
@@ -80,8 +81,8 @@ def by_slope(
 
     A fragment evaluates the term n times, for three n; the terms take turns, so that what slows
     the machine down meets all of them. GPU timer queries where a GPU draws. Where the CPU
-    does, the processor time of this process up to ``glFinish``, over the number of cores: the wall
-    clock's time on an idle machine, and nearly so on a busy one.
+    does, the processor time of this process up to ``glFinish``, over the threads that draw: the
+    wall clock's time on an idle machine, and nearly so on a busy one.
 
     Parameters
     ----------
@@ -109,9 +110,10 @@ def by_slope(
             kernels = []
             for prelude, expression in (("", empty), *terms.values()):
                 program = gl.program(_VERTEX, resolve_includes(_FRAGMENT % (prelude, expression)))
-                program["step"] = 1e-6
                 kernels.append(gl.vertex_array(program, [(corners, "2f", "corner")]))
-            clock = _cpu_clock if is_software(context.renderer) else _gpu_clock
+            clock: Callable[[moderngl.Context], AbstractContextManager[list[float]]] = _gpu_clock
+            if is_software(context.renderer):
+                clock = partial(_cpu_clock, threads=_threads(context.renderer))
 
             def seconds(kernel: moderngl.VertexArray, count: int) -> float:
                 kernel.program["count"] = count
@@ -124,6 +126,8 @@ def by_slope(
             counts = np.array([8, 24, 40])
             while seconds(kernels[0], int(counts[-1])) < 2e-3 and counts[-1] < 100_000:
                 counts *= 2
+            for kernel in kernels:
+                kernel.program["step"] = 0.05 / counts[-1]  # c and m stay in their domains
             times = np.empty((repeats, len(kernels), len(counts)))
             for turn in range(repeats):
                 for index, kernel in enumerate(kernels):
@@ -184,14 +188,23 @@ def bootstrap(
     return [Interval(*map(float, row)) for row in zip(value, low, high, strict=True)]
 
 
+def _threads(renderer: str) -> int:
+    """How many threads of the CPU a software driver draws with."""
+    if "softpipe" in renderer.lower():
+        return 1
+    cores = len(os.sched_getaffinity(0))
+    wanted = os.environ.get("LP_NUM_THREADS", "")  # llvmpipe's; 0 is the caller's thread alone
+    return max(1, min(cores, int(wanted))) if wanted.isdecimal() else cores
+
+
 @contextmanager
-def _cpu_clock(gl: moderngl.Context) -> Iterator[list[float]]:
+def _cpu_clock(gl: moderngl.Context, threads: int) -> Iterator[list[float]]:
     elapsed: list[float] = []
     gl.finish()
     start = time.process_time()
     yield elapsed
     gl.finish()
-    elapsed.append((time.process_time() - start) / len(os.sched_getaffinity(0)))
+    elapsed.append((time.process_time() - start) / threads)
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from facerender import lobes
 from facerender.compare import block_error, point_error
@@ -38,6 +38,13 @@ def lobe_error(name: Lobe, m: float, k: int, degrees: Array | None = None) -> Ar
     angles = np.linspace(0.0, 90.0, 9001) if degrees is None else degrees
     c = np.cos(np.radians(angles)).clip(0.0, 1.0)
     return lobes.lobe(name, c, m, k) - lobes.exact(c, m, k)
+
+
+def printed_lobe(c: ArrayLike, m: float, k: int, g: int) -> Array:
+    """Evaluate D4, D8 or D16 (g) as Romanyuk et al. (2020) print them, ((n/g)(c - 1) + 1)^g with
+    n = 2/m² - k, without the clamp; in units of the peak."""
+    n = 2.0 / m**2 - k
+    return np.asarray((n / g * (np.asarray(c) - 1.0) + 1.0) ** g)
 
 
 def brdf_error(shading: Shading, m: float, f0: float = 0.028, count: int = 24) -> float:

@@ -38,7 +38,8 @@ class Row:
     interval : of 95 % around the cost; None where it is no measurement
     error : in percent, of what ``measure_of`` says; None outside the domain of the lobe
     printed : a form of the paper, which is there to compare: it dominates nothing
-    dominated : another variant is not dearer and not less exact, and better in one of them
+    dominated : another variant is not dearer and not less exact, and better in one of them;
+        costs whose intervals overlap count as equal
     """
 
     variant: dict[str, Any]
@@ -65,7 +66,9 @@ def pareto(data: dict[str, Any], model: str, kind: str) -> list[Row]:
     def error(variant: dict[str, Any]) -> float | None:
         if not by_image:
             return variant["error"]["lobe"][slope(data)]  # type: ignore[no-any-return]
-        image = variant["error"]["image"] or images.get(variant["lobe"])
+        printed_power = variant["name"].startswith("printed") and variant["lobe"] != "exact"
+        own = None if printed_power else images.get(variant["lobe"])  # it has no clamp
+        image = variant["error"]["image"] or own
         return 100.0 * image["largest"] if image else None
 
     rows = []
@@ -87,7 +90,14 @@ def _dominates(a: Row, b: Row) -> bool:
     if a.printed or a.cost is None or b.cost is None or a.error is None or b.error is None:
         return False
     error, other = max(a.error, EXACT), max(b.error, EXACT)
-    return a.cost <= b.cost and error <= other and (a.cost < b.cost or error < other)
+    (low, high), (other_low, other_high) = _span(a), _span(b)
+    return error <= other and (high < other_low or (low <= other_high and error < other))
+
+
+def _span(row: Row) -> tuple[float, float]:
+    """The interval of the cost: where two overlap, their order is noise."""
+    assert row.cost is not None
+    return row.interval or (row.cost, row.cost)
 
 
 def _of_model(data: dict[str, Any], model: str) -> list[dict[str, Any]]:
@@ -95,5 +105,5 @@ def _of_model(data: dict[str, Any], model: str) -> list[dict[str, Any]]:
 
 
 def _images(variants: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
-    """Errors of the image by lobe; a printed form, which draws none, has that of its lobe."""
+    """Errors of the image by lobe; variants that draw none have that of their lobe."""
     return {v["lobe"]: v["error"]["image"] for v in reversed(variants) if v["error"]["image"]}

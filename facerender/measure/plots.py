@@ -1,5 +1,5 @@
 """Pictures of a measurement, as PNG in memory. What they show is decided in ``pareto.py`` and
-``report.py``. Needs the extra ``report``: matplotlib."""
+``report.py``. Needs the extra ``measure``: matplotlib."""
 
 from __future__ import annotations
 

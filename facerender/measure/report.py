@@ -45,9 +45,9 @@ METHODS = {
 }
 DOMINATED = (
     "Dominated: another variant of the model is not dearer and not less exact, and better in one of"
-    f" the two. Errors up to {EXACT:g} % count as exact, for float32 leaves as much. Forms as the"
-    " paper prints them bear the error of their lobe; they give NaN in some directions, and"
-    " dominate nothing."
+    f" the two. Costs whose intervals overlap count as equal, errors up to {EXACT:g} % as none, for"
+    " float32 leaves as much. Forms as printed give NaN in some directions, and dominate nothing;"
+    " D16 as printed has no clamp."
 )
 
 
@@ -86,6 +86,17 @@ def write(
         **{picture.file: picture.png for picture in (*trades, *curves, *strips)},
         "index.html": _page(data, trades, curves, strips).encode(),
     }
+    return write_files(directory, files)
+
+
+def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
+    """Write files by name, each whole or not at all, and return their paths; without files, only
+    make the directory.
+
+    Raises
+    ------
+    InputError : the directory cannot be made or written
+    """
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -24,12 +24,13 @@ from numpy.typing import NDArray
 from facerender import lobes
 from facerender.brdf import K_COOK_TORRANCE
 from facerender.context import Backend
-from facerender.errors import InputError, NotMeasured, reason
-from facerender.image import encode_srgb8, write_whole
+from facerender.errors import NotMeasured
+from facerender.image import encode_srgb8
 from facerender.lobes import Lobe
-from facerender.measure import amd
+from facerender.measure import amd, plots
 from facerender.measure.cost import OF_COSINE, OF_VECTORS, QUANTILE, Interval, bootstrap, by_slope
-from facerender.measure.error import lobe_error
+from facerender.measure.error import lobe_error, printed_lobe
+from facerender.measure.report import write_files
 from facerender.measure.run import environment
 from facerender.measure.variants import lobe_terms, terms
 from facerender.mesh import load_mesh
@@ -172,16 +173,9 @@ class Reproduction:
         ------
         InputError : the folder cannot be made or written
         """
-        target = Path(folder)
-        try:
-            target.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"cannot write {target}: {reason(error)}; give a folder") from None
         texts = {"reproduction.json": self.json(), "index.html": self.html()}
-        contents = {**self.figures, **{name: text.encode() for name, text in texts.items()}}
-        for name, content in contents.items():
-            _write(target / name, content)
-        return [target / name for name in contents]
+        encoded = {name: text.encode() for name, text in texts.items()}
+        return write_files(Path(folder), {**self.figures, **encoded})
 
 
 def reproduce(
@@ -203,12 +197,7 @@ def reproduce(
     InputError : matplotlib is not installed
     ContextError : no OpenGL context
     """
-    try:
-        import matplotlib.figure  # noqa: F401
-    except ImportError:
-        raise InputError(
-            "the figures need the package matplotlib; pip install 'facerender[measure]'"
-        ) from None
+    plots.check()
     progress("figures 1 to 4")
     figures = {
         "fig1.png": _lobes_figure(()),
@@ -269,7 +258,9 @@ def error_claims() -> list[Claim]:
         return 100.0 * float(np.abs(lobe_error("d16", m, K_COOK_TORRANCE, _DEGREES)).max())
 
     def unclamped(m: float) -> float:
-        return 100.0 * float(np.abs(_printed(16, m) - _exact(m)).max())
+        return 100.0 * float(
+            np.abs(printed_lobe(_COSINES, m, K_COOK_TORRANCE, 16) - _exact(m)).max()
+        )
 
     claims = []
     for error, conditions in (
@@ -298,12 +289,6 @@ def error_claims() -> list[Claim]:
 
 def _exact(m: float) -> Array:
     return lobes.exact(_COSINES, m, K_COOK_TORRANCE)
-
-
-def _printed(g: int, m: float) -> Array:
-    """D4, D8 or D16 without a clamp, at all angles."""
-    n = 2.0 / m**2 - K_COOK_TORRANCE
-    return np.asarray((n / g * (_COSINES - 1.0) + 1.0) ** g)
 
 
 # --- cost ----------------------------------------------------------------------------------------
@@ -475,7 +460,9 @@ def _lobes_figure(powers: Sequence[int]) -> bytes:
         for index, g in enumerate(powers):
             clamped = lobes.g_power(_COSINES, m, K_COOK_TORRANCE, g)
             panel.plot(_DEGREES, clamped, "--", color=f"C{index}", label=f"D{g}")
-            panel.plot(_DEGREES, _printed(g, m), ":", color=f"C{index}")
+            panel.plot(
+                _DEGREES, printed_lobe(_COSINES, m, K_COOK_TORRANCE, g), ":", color=f"C{index}"
+            )
         panel.set_title(f"m = {m:g}, peak {0.25 / m**2:.2f}", fontsize="medium")
         panel.set(xlim=(0.0, 90.0), xticks=(0, 30, 60, 90), ylim=(-0.05, 1.1))
         panel.grid(alpha=0.3)
@@ -532,13 +519,6 @@ def _faces_figure(size: tuple[int, int], backend: Backend) -> bytes:
 
 
 # --- documents -----------------------------------------------------------------------------------
-
-
-def _write(path: Path, content: bytes) -> None:
-    def write(name: str) -> None:
-        Path(name).write_bytes(content)
-
-    write_whole(path, write)
 
 
 def _rows(claims: Sequence[Claim]) -> list[list[str]]:

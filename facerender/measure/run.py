@@ -49,7 +49,7 @@ def measure(
     ----------
     mesh : rendered for the cost of a frame and the error of an image
     m : rms slope of the whole mesh
-    quick : smaller images and fewer repeats
+    quick : smaller images, fewer repeats, no lobes alone
     progress : called with what is measured and the share of it that is done
 
     Returns
@@ -62,7 +62,7 @@ def measure(
     InputError : m outside [1e-4, 2], or a damaged map
     """
     size = (256, 256) if quick else (512, 512)
-    repeats = 4 if quick else 21
+    repeats = 8 if quick else 21
     plain = mesh.with_material(m=m, roughness_map=None)
     start_maps(plain)
     scene = Scene(plain, Camera(azimuth=-35.0, elevation=4.0))
@@ -70,14 +70,12 @@ def measure(
     not_measured: list[str] = []
 
     statistics: dict[str, dict[Model, dict[str, amd.Statistics]]] = {}
-    driver = None
-    try:
-        driver = amd.driver()
-        for number, family in enumerate(amd.FAMILIES):
-            progress("compiler statistics", number / len(amd.FAMILIES))
+    for number, family in enumerate(amd.FAMILIES):
+        progress("compiler statistics", number / len(amd.FAMILIES))
+        try:
             statistics[family] = {model: amd.statistics(terms(model), family) for model in MODELS}
-    except NotMeasured as reason:
-        not_measured.append(str(reason))
+        except NotMeasured as why:
+            not_measured.append(f"{family}: {why}")
 
     variants: list[dict[str, Any]] = []
     images: Images = {}
@@ -86,14 +84,14 @@ def measure(
         def stage(what: str, model: Model = model) -> Callable[[float], object]:
             return lambda done: progress(f"{model}: {what}", done)
 
-        costs = {
-            "term_ns": cost.by_slope(
-                terms(model), cost.OF_VECTORS, repeats, backend, stage("terms")
-            ),
-            "lobe_ns": cost.by_slope(
+        costs: dict[str, dict[str, cost.Interval]] = {"lobe_ns": {}}
+        costs["term_ns"] = cost.by_slope(
+            terms(model), cost.OF_VECTORS, repeats, backend, stage("terms")
+        )
+        if not quick:
+            costs["lobe_ns"] = cost.by_slope(
                 lobe_terms(model), cost.OF_COSINE, repeats, backend, stage("lobes")
-            ),
-        }
+            )
         k = Shading(model).k
         shadings = [Shading(model, name) for name in lobes.NAMES if lobes.in_domain(m, name, k)]
         drawn = [shading.lobe for shading in shadings]
@@ -108,16 +106,16 @@ def measure(
             lobe = lobe_of(name)
             entry: dict[str, Any] = {"model": model, "name": name, "lobe": lobe}
             entry["cost"] = {kind: _row(rows.get(name)) for kind, rows in costs.items()} | {
-                family: _row(statistics[family][model][name] if statistics else None)
+                family: _row(statistics[family][model][name] if family in statistics else None)
                 for family in amd.FAMILIES
             }
-            entry["error"] = _errors(model, lobe, slopes) | {"image": _row(image_errors.get(name))}
+            entry["error"] = _errors(model, name, slopes) | {"image": _row(image_errors.get(name))}
             variants.append(entry)
     if importlib.util.find_spec("flip_evaluator") is None:
         not_measured.append("FLIP needs flip-evaluator: pip install 'facerender[measure]'")
     data = {
         "schema": SCHEMA,
-        "environment": environment(backend) | {"amd_driver": driver},
+        "environment": environment(backend) | {"amd_driver": amd.driver() if statistics else None},
         "settings": {"mesh": mesh.name, "m": m, "size": size, "repeats": repeats, "quick": quick},
         "variants": variants,
         "curves": {"degrees": DEGREES.tolist()}
@@ -163,20 +161,36 @@ def _row(measured: Any) -> dict[str, Any] | None:
     return None if measured is None else asdict(measured)
 
 
-@cache
 def _errors(
-    model: Model, lobe: Lobe, slopes: tuple[float, ...]
+    model: Model, name: str, slopes: tuple[float, ...]
 ) -> dict[str, dict[str, float | None]]:
-    """Errors of lobe and BRDF by slope, in percent; None outside the lobe's domain."""
+    """Errors of a variant's lobe and BRDF by slope, in percent; None outside its domain."""
+    lobe = lobe_of(name)
+    if name.startswith("printed") and lobe != "exact":
+        unclamped: dict[str, float | None] = {
+            f"{m:g}": _unclamped(m, Shading(model).k) for m in slopes
+        }
+        return {"lobe": unclamped, "brdf": dict.fromkeys(unclamped, None)}
+    least = SMALL_SLOPE if name.endswith(f">= {SMALL_SLOPE:g}") else 0.0
+    by_slope = {f"{m:g}": _of_lobe(model, lobe, m) if m >= least else (None, None) for m in slopes}
+    return {
+        "lobe": {m: pair[0] for m, pair in by_slope.items()},
+        "brdf": {m: pair[1] for m, pair in by_slope.items()},
+    }
+
+
+def _unclamped(m: float, k: int) -> float:
+    c = np.cos(np.radians(np.linspace(0.0, 90.0, 9001))).clip(0.0, 1.0)
+    return 100.0 * float(np.abs(error.printed_lobe(c, m, k, 16) - lobes.exact(c, m, k)).max())
+
+
+@cache
+def _of_lobe(model: Model, lobe: Lobe, m: float) -> tuple[float, float] | tuple[None, None]:
     shading = Shading(model, lobe)
-    result: dict[str, dict[str, float | None]] = {"lobe": {}, "brdf": {}}
-    for m in slopes:
-        inside = lobes.in_domain(m, lobe, shading.k)
-        of_lobe = np.abs(error.lobe_error(lobe, m, shading.k)).max() if inside else None
-        of_brdf = error.brdf_error(shading, m) if inside else None
-        result["lobe"][f"{m:g}"] = None if of_lobe is None else 100.0 * float(of_lobe)
-        result["brdf"][f"{m:g}"] = None if of_brdf is None else 100.0 * of_brdf
-    return result
+    if not lobes.in_domain(m, lobe, shading.k):
+        return None, None
+    of_lobe = float(np.abs(error.lobe_error(lobe, m, shading.k)).max())
+    return 100.0 * of_lobe, 100.0 * error.brdf_error(shading, m)
 
 
 def _curves(model: Model, slopes: tuple[float, ...]) -> dict[str, dict[str, list[float]]]:

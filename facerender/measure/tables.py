@@ -95,7 +95,7 @@ def _cost_cells(row: Row, kind: str, exact: float | None) -> list[str]:
         extra = [extra[0], _number(lobe and lobe["value"])]
     ratio = f"{row.cost / exact:.2f}" if row.cost is not None and exact else ""
     remarks = ["as printed"] * row.printed + ["dominated"] * row.dominated
-    error = _number(row.error, "outside the domain")
+    error = _number(row.error, NOT_MEASURED if row.printed else "outside the domain")
     return [row.variant["name"], ", ".join(remarks), _number(row.cost), ratio, error, *extra]
 
 
