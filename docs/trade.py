@@ -25,8 +25,7 @@ Written by `python -m docs.trade` from [measurements/llvmpipe.json](measurements
 which `facerender measure` wrote. Measure your own machine and mesh: `facerender measure MESH`.
 
 Measured on {date}: {GL_RENDERER}, OpenGL {GL_VERSION}, on {cores} cores of {processor}; for AMD's
-GPUs, which nothing ran on, the estimates of {amd_driver}'s compiler. Software: {software}; where
-it is True, no GPU has been measured.
+GPUs, which nothing ran on, the estimates of {amd_driver}'s compiler. {gpu}
 
 """
 
@@ -67,7 +66,9 @@ def headline(data: dict[str, Any]) -> str:
 
 def trade(data: dict[str, Any]) -> str:
     """Return docs/trade.md."""
-    return HEAD.format_map(data["environment"]) + report.markdown(data)
+    environment = data["environment"]
+    gpu = "No GPU has been measured." if environment["software"] else ""
+    return HEAD.format_map(environment | {"gpu": gpu}) + report.markdown(data)
 
 
 def main() -> None:

@@ -62,7 +62,7 @@ def measure(
     InputError : m outside [1e-4, 2], or a damaged map
     """
     size = (256, 256) if quick else (512, 512)
-    repeats = 8 if quick else 21
+    repeats = 7 if quick else 21
     plain = mesh.with_material(m=m, roughness_map=None)
     start_maps(plain)
     scene = Scene(plain, Camera(azimuth=-35.0, elevation=4.0))
