@@ -5,12 +5,13 @@ python -m docs.accuracy        from the repository's root; needs an OpenGL conte
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from facerender import brdf, lobes
+from facerender.measure import error
+from facerender.measure.tables import markdown_table
 from tests.gpu import Evaluator, directions
 
 OUTPUT = Path(__file__).with_suffix(".md")
@@ -19,16 +20,12 @@ SLOPES = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7, 0.85,
 COUNT = 200_000
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
 def lobe_error(name: str, m: float, k: int) -> float:
     """Largest difference from the exact lobe in % of its peak, over 0 to 90 degrees."""
-    angle = np.concatenate([np.linspace(0.0, np.pi / 2, 20001), np.linspace(0.0, 8.0 * m, 20001)])
-    c = np.cos(angle[angle <= np.pi / 2]).clip(0.0)
-    return 100.0 * float(np.abs(lobes.lobe(name, c, m, k) - lobes.exact(c, m, k)).max())
+    degrees = np.concatenate(
+        [np.linspace(0.0, 90.0, 20001), np.degrees(np.linspace(0, 8 * m, 20001))]
+    )
+    return 100.0 * float(np.abs(error.lobe_error(name, m, k, degrees[degrees <= 90.0])).max())
 
 
 def lobe_tables() -> str:
@@ -42,12 +39,12 @@ def lobe_tables() -> str:
             errors = [f"{lobe_error(name, m, k):.3g}" if inside[name] else "-" for name in names]
             if any(inside.values()):
                 rows.append([f"{m:g}", *errors])
-        parts.append(f"### {model}\n\n" + table(["m", *names], rows))
+        parts.append(f"### {model}\n\n" + markdown_table(["m", *names], rows))
     domains = [
         [name, *(f"{lobes.MIN_SLOPE:g} to {lobes.max_slope(name, k):.4g}" for k in MODELS)]
         for name in lobes.NAMES
     ]
-    parts.append("### Domains of m\n\n" + table(["lobe", *MODELS.values()], domains))
+    parts.append("### Domains of m\n\n" + markdown_table(["lobe", *MODELS.values()], domains))
     return "\n\n".join(parts)
 
 
@@ -71,11 +68,11 @@ def gpu_table(evaluate: Evaluator) -> str:
             for small in (1, 0):
                 prelude = include(f"facerender/{name}", f"FR_SMALL_SLOPE {small}")
                 result = evaluate(prelude, call, inputs)
-                error = np.abs(result - expected)[shown] / expected[shown]
-                cells.append(f"{error.max():.1e}")
+                off = np.abs(result - expected)[shown] / expected[shown]
+                cells.append(f"{off.max():.1e}")
         rows.append(cells)
     head = ["m", "Cook-Torrance", "FR_SMALL_SLOPE 0", "Ward", "FR_SMALL_SLOPE 0"]
-    return table(head, rows)
+    return markdown_table(head, rows)
 
 
 UP, LEFT, RIGHT = [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]
@@ -134,7 +131,7 @@ def extremes_table(evaluate: Evaluator) -> str:
             evaluate(include(file), ours, inputs),
         )
         rows.append([what, *(f"{result[0]:.4g}" for result in results)])
-    return table(["input", "as printed", "facerender"], rows)
+    return markdown_table(["input", "as printed", "facerender"], rows)
 
 
 TEXT = """# Accuracy

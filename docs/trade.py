@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from facerender.measure import report
+from facerender.measure.tables import markdown_table
 
 HERE = Path(__file__).parent
 MEASUREMENT = HERE / "measurements" / "llvmpipe.json"
@@ -60,8 +61,7 @@ def headline(data: dict[str, Any]) -> str:
         "RDNA2, cycles",
         "error, %",
     ]
-    lines = [head, ["---"] * len(head), *([name, *cells] for name, cells in rows.items())]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    return markdown_table(head, [[name, *cells] for name, cells in rows.items()]) + "\n"
 
 
 def trade(data: dict[str, Any]) -> str:

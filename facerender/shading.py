@@ -23,6 +23,11 @@ SMALL_SLOPE = 0.2  # from here on the exact lobe is accurate without FR_SMALL_SL
 OUTSIDE: tuple[Outside, ...] = ("error", "exact")
 
 
+def choose_lobe(lobe: Lobe) -> str:
+    """Return the line of GLSL that makes ``fr_lobe`` this lobe."""
+    return f"#define FR_LOBE FR_LOBE_{lobe.upper().replace('-', '_')}\n"
+
+
 @dataclass(frozen=True)
 class Shading:
     """Choice of specular terms.
@@ -102,8 +107,7 @@ class Shading:
         plain = self.lobe == "exact" and smallest_m >= SMALL_SLOPE
         small = "#define FR_SMALL_SLOPE 0\n" if plain else ""
         return (
-            f"#define FR_LOBE FR_LOBE_{self.lobe.upper().replace('-', '_')}\n"
-            f"{small}"
+            f"{choose_lobe(self.lobe)}{small}"
             f"#define FR_FRESNEL FR_FRESNEL_{self.fresnel.upper()}\n"
             f'#include "facerender/{name}.glsl"\n'
             f"#define SPECULAR_BRDF(n, l, v, m, f0) {call}\n"

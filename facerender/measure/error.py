@@ -47,6 +47,12 @@ def printed_lobe(c: ArrayLike, m: float, k: int, g: int) -> Array:
     return np.asarray((n / g * (np.asarray(c) - 1.0) + 1.0) ** g)
 
 
+def printed_error(m: float, k: int, g: int) -> Array:
+    """Return :func:`printed_lobe` minus the exact lobe, at 0 to 90 degrees in steps of 1/100."""
+    c = np.cos(np.radians(np.linspace(0.0, 90.0, 9001))).clip(0.0, 1.0)
+    return printed_lobe(c, m, k, g) - lobes.exact(c, m, k)
+
+
 def brdf_error(shading: Shading, m: float, f0: float = 0.028, count: int = 24) -> float:
     """Return the largest error of the reflected radiance f N.L over all directions, relative to the
     largest exact one; light and eye lie at count angles to 89 degrees, and 2 count azimuths.

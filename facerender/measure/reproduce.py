@@ -29,9 +29,10 @@ from facerender.image import encode_srgb8
 from facerender.lobes import Lobe
 from facerender.measure import amd, plots
 from facerender.measure.cost import OF_COSINE, OF_VECTORS, QUANTILE, Interval, bootstrap, by_slope
-from facerender.measure.error import lobe_error, printed_lobe
+from facerender.measure.error import lobe_error, printed_error, printed_lobe
 from facerender.measure.report import write_files
 from facerender.measure.run import environment
+from facerender.measure.tables import markdown_table
 from facerender.measure.variants import lobe_terms, terms
 from facerender.mesh import load_mesh
 from facerender.renderer import Renderer
@@ -157,8 +158,7 @@ class Reproduction:
     def markdown(self, folder: str) -> str:
         """Return the table and the figures, which lie in a folder beside the document."""
         head, *rows = _rows(self.claims)
-        lines = [head, ["---"] * len(head), *rows]
-        table = "\n".join("| " + " | ".join(line) + " |" for line in lines)
+        table = markdown_table(head, rows)
         figures = "\n\n".join(
             f"![{caption.split('.')[0]}]({folder}/{name})\n\n{caption}"
             for name, caption in CAPTIONS.items()
@@ -258,9 +258,7 @@ def error_claims() -> list[Claim]:
         return 100.0 * float(np.abs(lobe_error("d16", m, K_COOK_TORRANCE, _DEGREES)).max())
 
     def unclamped(m: float) -> float:
-        return 100.0 * float(
-            np.abs(printed_lobe(_COSINES, m, K_COOK_TORRANCE, 16) - _exact(m)).max()
-        )
+        return 100.0 * float(np.abs(printed_error(m, K_COOK_TORRANCE, 16)).max())
 
     claims = []
     for error, conditions in (

@@ -22,13 +22,13 @@ from facerender.errors import NotMeasured
 from facerender.image import encode_srgb8
 from facerender.lobes import Lobe
 from facerender.measure import amd, cost, error
-from facerender.measure.variants import lobe_terms, terms
+from facerender.measure.variants import CALLS, lobe_terms, terms
 from facerender.mesh import Mesh, start_maps
 from facerender.scene import Camera, Scene
 from facerender.shading import SMALL_SLOPE, Model, Shading
 
 SCHEMA = "facerender.measure/1"
-MODELS: tuple[Model, ...] = ("cook-torrance", "ward")
+MODELS = tuple(CALLS)
 SLOPES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 DEGREES = np.linspace(0.0, 90.0, 91)
 MAGNIFIED = 8
@@ -168,7 +168,8 @@ def _errors(
     lobe = lobe_of(name)
     if name.startswith("printed") and lobe != "exact":
         unclamped: dict[str, float | None] = {
-            f"{m:g}": _unclamped(m, Shading(model).k) for m in slopes
+            f"{m:g}": 100.0 * float(np.abs(error.printed_error(m, Shading(model).k, 16)).max())
+            for m in slopes
         }
         return {"lobe": unclamped, "brdf": dict.fromkeys(unclamped, None)}
     least = SMALL_SLOPE if name.endswith(f">= {SMALL_SLOPE:g}") else 0.0
@@ -177,11 +178,6 @@ def _errors(
         "lobe": {m: pair[0] for m, pair in by_slope.items()},
         "brdf": {m: pair[1] for m, pair in by_slope.items()},
     }
-
-
-def _unclamped(m: float, k: int) -> float:
-    c = np.cos(np.radians(np.linspace(0.0, 90.0, 9001))).clip(0.0, 1.0)
-    return 100.0 * float(np.abs(error.printed_lobe(c, m, k, 16) - lobes.exact(c, m, k)).max())
 
 
 @cache

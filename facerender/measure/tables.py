@@ -57,8 +57,15 @@ class Table:
         if not self.rows:
             return f"### {self.title}\n\nNot measured."
         marks = ["---" if name in _LEFT else "---:" for name in self.head]
-        lines = [f"| {' | '.join(cells)} |" for cells in (self.head, marks, *self.rows)]
-        return "\n".join([f"### {self.title}\n\n{self.note}\n", *lines])
+        return f"### {self.title}\n\n{self.note}\n\n{markdown_table(self.head, self.rows, marks)}"
+
+
+def markdown_table(
+    head: Sequence[str], rows: Sequence[Sequence[str]], marks: Sequence[str] = ()
+) -> str:
+    """Return a table in Markdown; marks align its columns, to the left where none are given."""
+    lines = (head, marks or ["---"] * len(head), *rows)
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def cost_tables(data: dict[str, Any], kind: str) -> list[Table]:

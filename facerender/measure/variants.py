@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from facerender import lobes
-from facerender.shading import Model, Shading
+from facerender.lobes import Lobe
+from facerender.shading import Model, Shading, choose_lobe
 
 CALLS: dict[Model, str] = {
     "cook-torrance": "fr_cook_torrance(n, l, v, m, f0)",
@@ -17,7 +18,7 @@ _PRINTED_EXACT: dict[Model, str] = {
 }
 
 
-def term(call: str, lobe: str, *defines: str) -> tuple[str, str]:
+def term(call: str, lobe: Lobe, *defines: str) -> tuple[str, str]:
     """Return the prelude and the expression, in 1/sr, of a model's term.
 
     Parameters
@@ -28,7 +29,7 @@ def term(call: str, lobe: str, *defines: str) -> tuple[str, str]:
     """
     folder = "printed" if "printed_" in call else "facerender"
     file = call.split("(")[0].removeprefix("fr_").removeprefix("printed_")
-    return "\n".join([_choose(lobe), *defines, f'#include "{folder}/{file}.glsl"']), call
+    return choose_lobe(lobe) + "\n".join([*defines, f'#include "{folder}/{file}.glsl"']), call
 
 
 def terms(model: Model) -> dict[str, tuple[str, str]]:
@@ -51,10 +52,6 @@ def lobe_terms(model: Model) -> dict[str, tuple[str, str]]:
         "printed, exact": ("", _PRINTED_EXACT[model]),
         "printed, d16": ('#include "printed/g_power.glsl"', power),
     } | {
-        lobe: (f'{_choose(lobe)}\n#include "facerender/lobe.glsl"', f"fr_lobe(c, m, {k})")
+        lobe: (f'{choose_lobe(lobe)}#include "facerender/lobe.glsl"', f"fr_lobe(c, m, {k})")
         for lobe in lobes.NAMES
     }
-
-
-def _choose(lobe: str) -> str:
-    return f"#define FR_LOBE FR_LOBE_{lobe.upper().replace('-', '_')}"
