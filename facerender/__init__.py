@@ -10,7 +10,8 @@ Scene           mesh, Camera, Light, ambient, background
 Shading         model, lobe, Fresnel term
 Frame, GBuffer  what a renderer returns
 brdf, lobes     the same functions in float64
-shader_source   one file of the GLSL library, flat; shader_dir: the include path
+shader_source   one file of the GLSL library, flat, for a target; shader_dir: the include path;
+                resolve_includes, moderngl_includes: for programs of your own
 """
 
 from facerender import brdf, lobes
@@ -19,7 +20,7 @@ __version__ = "0.1.0"
 
 from facerender.errors import ContextError, FacerenderError, FacerenderWarning, InputError
 from facerender.frame import Frame, GBuffer
-from facerender.glsl import shader_dir, shader_source
+from facerender.glsl import moderngl_includes, resolve_includes, shader_dir, shader_source
 from facerender.mesh import Mesh, load_mesh
 from facerender.renderer import Renderer, render
 from facerender.scene import Camera, Light, Material, Scene, View, load_scene, view_of
@@ -46,7 +47,9 @@ __all__ = [
     "load_mesh",
     "load_scene",
     "lobes",
+    "moderngl_includes",
     "render",
+    "resolve_includes",
     "shader_dir",
     "shader_source",
     "view_of",

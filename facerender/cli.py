@@ -9,15 +9,18 @@ import json
 import re
 import signal
 import sys
+import textwrap
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TextIO
 
 from facerender import __version__
+from facerender.catalogue import functions
 from facerender.context import BACKENDS, probe
 from facerender.errors import FacerenderError, FacerenderWarning, InputError, reason
 from facerender.frame import ONLY
+from facerender.glsl import TARGETS, shader_dir, shader_source
 from facerender.lobes import NAMES as LOBES
 from facerender.mesh import load_mesh, start_maps
 from facerender.renderer import Renderer
@@ -39,8 +42,10 @@ class _Parser(argparse.ArgumentParser):
 
 def console() -> NoReturn:
     """Entry point of the command. Ctrl-C ends the process at once, since trimesh would catch and
-    forget a KeyboardInterrupt; while a file is written, it is cleaned up first."""
+    forget a KeyboardInterrupt; while a file is written, it is cleaned up first. So does a reader of
+    standard output that has read enough."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     sys.exit(main())
 
 
@@ -92,6 +97,7 @@ def _parser() -> argparse.ArgumentParser:
         "-o", "--output", default="out/reproduction", metavar="DIR", help="(out/reproduction)"
     )
     reproduce.set_defaults(command=_reproduce)
+    _add_shaders(commands.add_parser("shaders", help="the GLSL library, for programs of your own"))
     doctor = commands.add_parser("doctor", help="what OpenGL is found here, what is missing")
     doctor.add_argument("--json", action="store_true", help="print the findings as JSON")
     doctor.set_defaults(command=_doctor)
@@ -170,6 +176,29 @@ def _add_measure(measure: argparse.ArgumentParser) -> None:
     measure.add_argument("--quick", action="store_true", help="smaller images, fewer repeats")
     measure.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
     measure.add_argument("--json", action="store_true", help="print measure.json, no table")
+
+
+def _add_shaders(shaders: argparse.ArgumentParser) -> None:
+    actions = shaders.add_subparsers(required=True, metavar="ACTION")
+    listing = actions.add_parser("list", help="every function: signature, unit, error")
+    listing.add_argument("--json", action="store_true", help="all that the headers say, as JSON")
+    listing.set_defaults(command=_list_shaders)
+    path = actions.add_parser("path", help="the include root")
+    path.set_defaults(command=_print_shader_dir)
+    flatten = actions.add_parser("flatten", help="one file, with all that it includes")
+    flatten.add_argument(
+        "name",
+        metavar="NAME",
+        help="cook_torrance, lobe/exact, ...; a function; or a GLSL file of your own",
+    )
+    flatten.add_argument(
+        "--target",
+        choices=TARGETS,
+        help="begin with this #version; without it: text to include, for all targets",
+    )
+    flatten.add_argument("--lobe", choices=LOBES, help="leave the others out")
+    flatten.add_argument("--m", type=float, help="rms slope, as a constant")
+    flatten.set_defaults(command=_flatten)
 
 
 def _render(options: argparse.Namespace, caught: list[str]) -> int:
@@ -348,6 +377,30 @@ def _reproduce(options: argparse.Namespace, caught: list[str]) -> int:
     _clean_up_on_interrupt()
     for path in result.write(folder):
         print(path)
+    return 0
+
+
+def _list_shaders(options: argparse.Namespace, caught: list[str]) -> int:
+    if options.json:
+        print(json.dumps([dataclasses.asdict(function) for function in functions()], indent=2))
+        return 0
+    for function in functions():
+        print(f"{function.signature}    {function.file}")
+        print(f"    {function.summary}")
+        for name, text in (("unit", function.unit), ("error", function.error)):
+            print(
+                textwrap.fill(text, 96, initial_indent=f"    {name:6}", subsequent_indent=" " * 10)
+            )
+    return 0
+
+
+def _print_shader_dir(options: argparse.Namespace, caught: list[str]) -> int:
+    print(shader_dir())
+    return 0
+
+
+def _flatten(options: argparse.Namespace, caught: list[str]) -> int:
+    print(shader_source(options.name, options.target, lobe=options.lobe, m=options.m), end="")
     return 0
 
 

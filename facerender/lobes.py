@@ -142,7 +142,7 @@ def check_slope(m: ArrayLike, name: str, k: int) -> NDArray[np.float64]:
         remedy = (
             ""
             if max_slope(name, k) == MAX_SLOPE
-            else ", or use the lobe exact, as --outside exact does"
+            else ", or use the lobe exact (facerender render: --outside exact)"
         )
         raise InputError(
             f"m = {slope[~inside].flat[0]:g} is outside the domain of lobe {name} for "

@@ -23,9 +23,14 @@ SMALL_SLOPE = 0.2  # from here on the exact lobe is accurate without FR_SMALL_SL
 OUTSIDE: tuple[Outside, ...] = ("error", "exact")
 
 
+def lobe_macro(lobe: Lobe) -> str:
+    """Return the value of FR_LOBE that stands for a lobe."""
+    return f"FR_LOBE_{lobe.upper().replace('-', '_')}"
+
+
 def choose_lobe(lobe: Lobe) -> str:
     """Return the line of GLSL that makes ``fr_lobe`` this lobe."""
-    return f"#define FR_LOBE FR_LOBE_{lobe.upper().replace('-', '_')}\n"
+    return f"#define FR_LOBE {lobe_macro(lobe)}\n"
 
 
 @dataclass(frozen=True)

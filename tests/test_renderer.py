@@ -600,7 +600,7 @@ def test_shading_looks_at_both_ends_of_the_slopes():
     for ends in ((1e-5, 0.3), (0.3, 5.0)):
         with pytest.raises(fr.InputError, match="outside the domain of lobe exact"):
             shading.for_slopes(*ends)
-    with pytest.raises(fr.InputError, match="or use the lobe exact, as --outside exact does"):
+    with pytest.raises(fr.InputError, match="or use the lobe exact .facerender render: --outside"):
         fr.Shading(lobe="d16").for_slopes(0.1, 0.8)
     with pytest.raises(fr.InputError, match="unknown choice outside the domain 'clamp'"):
         fr.Shading(outside="clamp")

@@ -130,7 +130,7 @@ def _spirv(prelude: str, expression: str) -> bytes:
     compiler = shutil.which("glslangValidator")
     if compiler is None:
         raise _not_measured("glslangValidator is not installed", "glslang-tools")
-    source = _KERNEL % (resolve_includes(prelude), expression, _BALLAST)
+    source = resolve_includes(_KERNEL % (prelude, expression, _BALLAST))
     with tempfile.TemporaryDirectory() as folder:
         module = Path(folder, "kernel.spv")
         run = subprocess.run(

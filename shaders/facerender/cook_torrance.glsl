@@ -1,6 +1,6 @@
-// Cook-Torrance specular BRDF: F G D/(pi (N.L)(N.V)) with D = E/(4 m^2 c^4); Cook and Torrance
-// (1982), in the normalisation used since (Walter et al. 2007: F G D'/(4 (N.L)(N.V)), D' = 4D/pi).
+// Cook-Torrance specular BRDF, with V-cavity masking.
 //
+//   formula   F G D/(pi (N.L)(N.V)), D = E/(4 m^2 c^4), E = exp(-tan^2(gamma)/m^2)
 //   n, l, v   unit vectors: normal, towards the light, towards the eye
 //   m         rms slope, in the domain of the chosen lobe (FR_LOBE)
 //   f0        Fresnel reflectance at normal incidence, in [0, 1)
@@ -10,6 +10,8 @@
 //             directions, 1e-5 + 2e-7/(N.L) + 2e-7/(N.V) and, with e = 3e-7 (1 + 1/(N.L + N.V)),
 //             e/m for the exact lobe, e/m^2 for the others and where FR_SMALL_SLOPE is 0 (the
 //             cosine power: 7e-7/m^2 more, from log2)
+//   source    Cook and Torrance (1982), in the normalisation used since: Walter et al. (2007),
+//             F G D'/(4 (N.L)(N.V)) with D' = 4 D/pi
 #ifndef FR_COOK_TORRANCE_GLSL
 #define FR_COOK_TORRANCE_GLSL
 
@@ -24,7 +26,7 @@ float fr_cook_torrance(vec3 n, vec3 l, vec3 v, float m, float f0) {
     float product = n_dot_l * n_dot_v;
     vec3 h = l + v;  // keeps its length: V.H = |h|/2
     float n_dot_h = n_dot_l + n_dot_v;
-    float slope = max(m, FR_MIN_SLOPE);
+    float slope = max(FR_SLOPE(m), FR_MIN_SLOPE);
     float m2 = slope * slope;
 
     // 4 D G/((N.L)(N.V)), where the masking term is G = masked/(h.h); for the exact lobe, whose

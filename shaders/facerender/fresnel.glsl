@@ -1,13 +1,16 @@
 // Fresnel reflectance of a dielectric in air, for unpolarised light. The host chooses the one that
 // fr_fresnel calls: #define FR_FRESNEL FR_FRESNEL_DIELECTRIC. Default: Schlick.
 //
+//   formula   that of fr_fresnel_schlick or fr_fresnel_dielectric
 //   f0        reflectance at normal incidence, in [0, 1); skin: 0.028, index of refraction 1.4
 //   v_dot_h   cosine between the eye (or the light) and the unit half vector, in [0, 1]
 //   unit      none, in [0, 1]
-//   error     fr_fresnel_schlick: at most 0.046 absolute at f0 = 0.028 (at 84 degrees);
-//             fr_fresnel_dielectric: of the formula none
+//   error     of the chosen one
+//   source    of the chosen one
 #ifndef FR_FRESNEL_GLSL
 #define FR_FRESNEL_GLSL
+
+#include "facerender/constants.glsl"
 
 #define FR_FRESNEL_SCHLICK 0
 #define FR_FRESNEL_DIELECTRIC 1
@@ -16,16 +19,25 @@
 #define FR_FRESNEL FR_FRESNEL_SCHLICK
 #endif
 
-// Schlick (1994), eq. 15.
+// Fresnel reflectance, Schlick's approximation.
+//
+//   formula   f0 + (1 - f0)(1 - V.H)^5
+//   error     at most 0.046 absolute at f0 = 0.028 (at 84 degrees)
+//   source    Schlick (1994), eq. 15
 float fr_fresnel_schlick(float f0, float v_dot_h) {
     float u = max(1.0 - v_dot_h, 0.0);
     float u2 = u * u;
     return f0 + (1.0 - f0) * (u2 * u2 * u);
 }
 
-// Cook and Torrance (1982), with the index of refraction eta from f0 as they give it; written with
-// q = eta^2 - 1 and g - c = q/(g + c), so that nothing cancels where eta is near 1. At q = c = 0
-// the floor 1e-20 (whose square float32 still holds) makes 0/0 a 0, the limit for c > 0.
+// Fresnel reflectance, exact. Written with q = eta^2 - 1 and g - c = q/(g + c), so that nothing
+// cancels where eta is near 1; at q = c = 0 the floor 1e-20 (whose square float32 still holds) makes
+// 0/0 a 0, the limit for c > 0.
+//
+//   formula   a^2 (1 + b^2)/2, a = (g - c)/(g + c), b = (c (g + c) - 1)/(c (g - c) + 1), c = V.H,
+//             g^2 = eta^2 + c^2 - 1, eta = (1 + sqrt(f0))/(1 - sqrt(f0))
+//   error     of the formula none
+//   source    Cook and Torrance (1982)
 float fr_fresnel_dielectric(float f0, float v_dot_h) {
     float root = sqrt(f0);
     float q = 4.0 * root / ((1.0 - root) * (1.0 - root));
@@ -37,6 +49,7 @@ float fr_fresnel_dielectric(float f0, float v_dot_h) {
     return 0.5 * a * a * (1.0 + b * b);
 }
 
+// Fresnel reflectance, as the host chose it: #define FR_FRESNEL FR_FRESNEL_DIELECTRIC.
 float fr_fresnel(float f0, float v_dot_h) {
 #if FR_FRESNEL == FR_FRESNEL_DIELECTRIC
     return fr_fresnel_dielectric(f0, v_dot_h);

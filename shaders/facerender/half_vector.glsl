@@ -1,19 +1,22 @@
 // Squares of the half vector h = L + V, which keeps its length: nothing here is normalised.
 //
+//   formula   (|h|^2, |n x h|^2), so that cos^2(gamma) = 1 - y/x, tan^2(gamma) = y/(n.h)^2
 //   n         normal, a unit vector
 //   h         l + v, of any length
 //   n_dot_h   dot(n, h), from the caller, who has it as dot(n, l) + dot(n, v)
-//   unit      none: x is dot(h, h), y is |n x h|^2 = dot(h, h) - dot(n, h)^2 >= 0, so that
-//             cos^2(gamma) = 1 - y/x and tan^2(gamma) = y/dot(n, h)^2
+//   unit      none, both >= 0
 //   error     in float32, with e = 3e-7 (1 + 1/dot(n, h)): e of sin(gamma) = sqrt(y/x) with
 //             FR_SMALL_SLOPE; without, the difference of two squares cancels where gamma is small,
 //             and e is the error of sin^2(gamma) = y/x
+//   source    |n x h|^2 = (n.n)(h.h) - (n.h)^2: Lagrange's identity
 //
 // The exact lobe multiplies tan^2(gamma) by 1/m^2: FR_SMALL_SLOPE is what keeps it accurate for
 // small m. It costs up to 12 % of a whole specular term (facerender measure); a host whose m stays
 // above 0.2 may save them: #define FR_SMALL_SLOPE 0.
 #ifndef FR_HALF_VECTOR_GLSL
 #define FR_HALF_VECTOR_GLSL
+
+#include "facerender/constants.glsl"
 
 #ifndef FR_SMALL_SLOPE
 #define FR_SMALL_SLOPE 1

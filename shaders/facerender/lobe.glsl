@@ -1,12 +1,16 @@
 // The lobe that the host chose at compile time: #define FR_LOBE FR_LOBE_D16. Default: exact.
 //
+//   formula E/c^k, E = exp(-tan^2(gamma)/m^2), or what the chosen lobe puts in its place
 //   c       cosine of the angle between normal and half vector, in [0, 1]
 //   m       rms slope, in the domain of the chosen lobe
 //   k       FR_K_COOK_TORRANCE or FR_K_WARD
 //   unit    none: peak 1 at c = 1; the caller multiplies by the model's scale
-//   error   see lobe/*.glsl
+//   error   of the chosen lobe: see lobe/*.glsl
+//   source  see lobe/*.glsl
 #ifndef FR_LOBE_GLSL
 #define FR_LOBE_GLSL
+
+#include "facerender/constants.glsl"
 
 #define FR_LOBE_EXACT 1
 #define FR_LOBE_COSINE 2

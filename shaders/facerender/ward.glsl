@@ -1,5 +1,6 @@
-// Ward's isotropic specular BRDF: E/(4 pi m^2 sqrt((N.L)(N.V))); Ward (1992), eq. 4.
+// Ward's isotropic specular BRDF.
 //
+//   formula   E/(4 pi m^2 sqrt((N.L)(N.V))), E = exp(-tan^2(gamma)/m^2)
 //   n, l, v   unit vectors: normal, towards the light, towards the eye
 //   m         rms slope (Ward's alpha), in the domain of the chosen lobe (FR_LOBE)
 //   unit      1/sr, for a specular reflectance of 1; N.L is not included, 1/pi is
@@ -8,6 +9,7 @@
 //             directions, 1e-5 + 2e-7/(N.L) + 2e-7/(N.V) and, with e = 3e-7 (1 + 1/(N.L + N.V)),
 //             e/m for the exact lobe, e/m^2 for the others and where FR_SMALL_SLOPE is 0 (the
 //             cosine power: 7e-7/m^2 more, from log2)
+//   source    Ward (1992), eq. 4
 #ifndef FR_WARD_GLSL
 #define FR_WARD_GLSL
 
@@ -20,7 +22,7 @@ float fr_ward(vec3 n, vec3 l, vec3 v, float m) {
     float n_dot_v = dot(n, v);
     vec3 h = l + v;  // keeps its length
     float n_dot_h = n_dot_l + n_dot_v;
-    float slope = max(m, FR_MIN_SLOPE);
+    float slope = max(FR_SLOPE(m), FR_MIN_SLOPE);
     float m2 = slope * slope;
 #if FR_LOBE == FR_LOBE_EXACT
     float across2 = fr_half_vector(n, h, n_dot_h).y;

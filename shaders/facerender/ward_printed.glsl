@@ -1,12 +1,13 @@
-// Ward's specular BRDF as Romanyuk et al. (2020) print it, E/(4 pi m^2 sqrt(N.V + L.H)), to
-// reproduce that paper and for nothing else: it is not reciprocal, and 0.707 times Ward at normal
-// incidence. Use ward.glsl.
+// Ward's specular BRDF as Romanyuk et al. (2020) print it. To reproduce that paper and for nothing
+// else: it is not reciprocal, and 0.707 times Ward at normal incidence. Use ward.glsl.
 //
+//   formula   E/(4 pi m^2 sqrt(N.V + L.H)), E = exp(-tan^2(gamma)/m^2)
 //   n, l, v   unit vectors: normal, towards the light, towards the eye
 //   m         rms slope (Ward's alpha), in the domain of the chosen lobe (FR_LOBE)
 //   unit      1/sr, for a specular reflectance of 1; N.L is not included, 1/pi is
 //   result    finite and >= 0; exactly 0 where N.L or N.V is not above FR_MIN_COSINE
 //   error     as of ward.glsl
+//   source    Romanyuk et al. (2020)
 #ifndef FR_WARD_PRINTED_GLSL
 #define FR_WARD_PRINTED_GLSL
 

@@ -1,18 +1,22 @@
-// Cosine-power lobe c^n with n = 2/m^2 - k: the first step of Romanyuk et al. (2020), section 3.
+// Cosine-power lobe.
 //
+//   formula c^n, n = 2/m^2 - k
 //   c       cosine of the angle between normal and half vector, in [0, 1]
 //   m       rms slope, from 1e-4 to below 0.707 for Cook-Torrance, to 2 for Ward; beyond, n < 0
 //           counts as 0, and the result is finite without meaning
 //   k       FR_K_COOK_TORRANCE or FR_K_WARD
 //   unit    none: peak 1 at c = 1; the caller multiplies by the model's scale
 //   error   in % of the peak (tests/test_lobes.py), for m = 0.1, 0.2, 0.3, 0.4, 0.5, 0.6:
-//           Cook-Torrance  0.28  1.26  3.42  8.00  17.8  39.7
-//           Ward           0.27  1.07  2.37  4.11  6.25  8.70
+//           Cook-Torrance  0.28, 1.26, 3.42, 8.00, 17.8, 39.7;
+//           Ward           0.27, 1.07, 2.37, 4.11, 6.25, 8.70
+//   source  Romanyuk et al. (2020), section 3: the first step
 #ifndef FR_LOBE_COSINE_GLSL
 #define FR_LOBE_COSINE_GLSL
 
+#include "facerender/constants.glsl"
+
 float fr_lobe_cosine(float c, float m, int k) {
-    float n = max(2.0 / (m * m) - float(k), 0.0);
+    float n = max(2.0 / (FR_SLOPE(m) * FR_SLOPE(m)) - float(k), 0.0);
     float x = min(c, 1.0);
     return x > 0.0 ? exp2(n * log2(x)) : 0.0;
 }

@@ -1,8 +1,8 @@
-// Exact lobe E/c^k, E = exp(-tan^2(gamma)/m^2): Beckmann and Spizzichino (1963), as Cook and
-// Torrance (1982, k = 4) and Ward (1992, eq. 4, k = 0) use it. The models here call fr_slope_factor;
-// the lobe as a whole is for hosts that build a BRDF of their own.
+// Exact lobe, from the cosine. The models here call fr_slope_factor; the lobe as a whole is for
+// hosts that build a BRDF of their own.
 //
-//   x       tan^2(gamma)/m^2, >= 0; fr_slope_factor(x) is E
+//   formula E/c^k, E = exp(-tan^2(gamma)/m^2)
+//   x       tan^2(gamma)/m^2, >= 0
 //   tan2    squared tangent of the angle gamma between normal and half vector, >= 0; see
 //           half_vector.glsl: it needs no normalised half vector and no acos
 //   c       cosine of gamma, in [0, 1]
@@ -10,6 +10,8 @@
 //   k       FR_K_COOK_TORRANCE or FR_K_WARD
 //   unit    none: peak 1 at gamma = 0; the caller multiplies by the model's scale
 //   error   of the formula: none; in float32 a relative error e of tan2 becomes e tan2/m^2
+//   source  Beckmann and Spizzichino (1963), as Cook and Torrance (1982, k = 4) and Ward (1992,
+//           eq. 4, k = 0) use it
 #ifndef FR_LOBE_EXACT_GLSL
 #define FR_LOBE_EXACT_GLSL
 
@@ -19,13 +21,17 @@
 // without it (1 + tan2)^2 overflows and 0 times infinity is NaN.
 #define FR_MAX_TAN2 1e6
 
+// Slope factor E alone.
+//
+//   formula E = exp(-x)
 float fr_slope_factor(float x) {
     return exp2(-FR_LOG2_E * x);
 }
 
+// Exact lobe, from the squared tangent: the digits of a small angle stay.
 float fr_lobe_exact_tan2(float tan2, float m, int k) {
     float t = clamp(tan2, 0.0, FR_MAX_TAN2);
-    float e = fr_slope_factor(t / (m * m));
+    float e = fr_slope_factor(t / (FR_SLOPE(m) * FR_SLOPE(m)));
     if (k == FR_K_COOK_TORRANCE) {
         float sec2 = 1.0 + t;
         e *= sec2 * sec2;

@@ -1,22 +1,21 @@
-// Fitted lobes max(1 + a1 u + a2 u^2 + ..., 0)^g, u = 1 - c: the best uniform approximations of
-// E/c^k by a cubic to the power 5 (fr_lobe_fitted) and a quartic to the power 8 (fr_lobe_fitted_fine)
-// among those that fall monotonically, are exact at c = 1 and have coefficients cubic (fine: quartic)
-// in m^2, over all angles and slopes at once.
-// The constants are facerender/fitting.py's; the clamped power is Lyon's (1993).
+// Fitted lobes: the best uniform approximations of E/c^k by a cubic to the power 5 (fr_lobe_fitted)
+// and a quartic to the power 8 (fr_lobe_fitted_fine), over all angles and slopes at once, among
+// those that fall monotonically, are exact at c = 1 and have coefficients cubic (fine: quartic) in
+// m^2.
 //
+//   formula max(1 + a1 u + a2 u^2 + ..., 0)^g, u = 1 - c
 //   c       cosine of the angle between normal and half vector, in [0, 1]
 //   m       rms slope, in [1e-4, 0.7] for Cook-Torrance, [1e-4, 1] for Ward; a larger one counts
 //           as the end of the domain
 //   k       FR_K_COOK_TORRANCE or FR_K_WARD
-//   unit    none: peak 1 at c = 1; the caller multiplies by the model's scale. The coefficients are
-//           the factors a1, a2, ... of u, u^2, ...
-//   error   in % of the peak (tests/test_lobes.py), at most, over all angles and the domain of m:
-//           fr_lobe_fitted       Cook-Torrance 0.19   Ward 0.13
-//           fr_lobe_fitted_fine  Cook-Torrance 0.04   Ward 0.04
+//   unit    none: peak 1 at c = 1; the caller multiplies by the model's scale
+//   error   in % of the peak (tests/test_lobes.py), at most, over all angles and the domain of m
+//   source  constants: facerender/fitting.py; the clamped power: Lyon (1993)
 //
-// Where all fragments share one m, a host may give the coefficients (facerender.lobes computes them):
-// #define FR_FITTED_COEFFICIENTS(m, k) vec3(...), and FR_FITTED_FINE_COEFFICIENTS with a vec4, before
-// the include. Constants save a fifth of the term; a uniform costs llvmpipe more than computing them.
+// Where all fragments share one m, a host may give the coefficients (facerender.lobes and facerender
+// shaders flatten --m compute them): #define FR_FITTED_COEFFICIENTS(m, k) vec3(...), and
+// FR_FITTED_FINE_COEFFICIENTS with a vec4, before the include. Constants save a fifth of the term; a
+// uniform costs llvmpipe more than computing them.
 #ifndef FR_LOBE_FITTED_GLSL
 #define FR_LOBE_FITTED_GLSL
 
@@ -30,8 +29,13 @@
 #define FR_FITTED_FINE_COEFFICIENTS(m, k) fr_lobe_fitted_fine_coefficients(m, k)
 #endif
 
+// Coefficients of fr_lobe_fitted.
+//
+//   formula a1, a2, a3 with a_i m^(2i) a cubic in m^2
+//   unit    none: the factors of u, u^2, u^3
+//   error   see fr_lobe_fitted
 vec3 fr_lobe_fitted_coefficients(float m, int k) {
-    float w = m * m;
+    float w = FR_SLOPE(m) * FR_SLOPE(m);
     vec3 a;
     if (k == FR_K_COOK_TORRANCE) {
         w = min(w, 0.49);
@@ -50,6 +54,10 @@ vec3 fr_lobe_fitted_coefficients(float m, int k) {
     return a * vec3(r, r * r, r * r * r);
 }
 
+// Fitted lobe: a clamped cubic to the power 5.
+//
+//   formula max(1 + a1 u + a2 u^2 + a3 u^3, 0)^5, u = 1 - c
+//   error   at most 0.19 % of the peak for Cook-Torrance, 0.13 % for Ward
 float fr_lobe_fitted(float c, float m, int k) {
     vec3 a = FR_FITTED_COEFFICIENTS(m, k);
     float u = 1.0 - min(c, 1.0);
@@ -58,8 +66,13 @@ float fr_lobe_fitted(float c, float m, int k) {
     return p2 * p2 * p;
 }
 
+// Coefficients of fr_lobe_fitted_fine.
+//
+//   formula a1, a2, a3, a4 with a_i m^(2i) a quartic in m^2
+//   unit    none: the factors of u, u^2, u^3, u^4
+//   error   see fr_lobe_fitted_fine
 vec4 fr_lobe_fitted_fine_coefficients(float m, int k) {
-    float w = m * m;
+    float w = FR_SLOPE(m) * FR_SLOPE(m);
     vec4 a;
     if (k == FR_K_COOK_TORRANCE) {
         w = min(w, 0.49);
@@ -80,6 +93,10 @@ vec4 fr_lobe_fitted_fine_coefficients(float m, int k) {
     return a * vec4(r, r * r, r * r * r, (r * r) * (r * r));
 }
 
+// Finer fitted lobe: a clamped quartic to the power 8.
+//
+//   formula max(1 + a1 u + a2 u^2 + a3 u^3 + a4 u^4, 0)^8, u = 1 - c
+//   error   at most 0.04 % of the peak for both models
 float fr_lobe_fitted_fine(float c, float m, int k) {
     vec4 a = FR_FITTED_FINE_COEFFICIENTS(m, k);
     float u = 1.0 - min(c, 1.0);

@@ -1,7 +1,7 @@
-// g-power lobe max((n/g)(c - 1) + 1, 0)^g with n = 2/m^2 - k: D4, D8 and D16 of Romanyuk et al.
-// (2020), with the clamp of Lyon (1993). Unclamped, the even power turns a negative base back up:
-// at m = 0.2 the printed D16 reaches 2.3e4 times its peak at 90 degrees.
+// g-power lobe: D4, D8 and D16. Unclamped, the even power turns a negative base back up: at m = 0.2
+// the printed D16 reaches 2.3e4 times its peak at 90 degrees.
 //
+//   formula max((n/g)(c - 1) + 1, 0)^g, n = 2/m^2 - k
 //   c       cosine of the angle between normal and half vector, in [0, 1]
 //   m       rms slope, from 1e-4 to below 0.707 for Cook-Torrance, to 2 for Ward; beyond, the
 //           result is finite without meaning
@@ -9,17 +9,20 @@
 //   g       4, 8 or 16
 //   unit    none: peak 1 at c = 1; the caller multiplies by the model's scale
 //   error   in % of the peak (tests/test_lobes.py), for m = 0.1, 0.2, 0.3, 0.4, 0.5, 0.6:
-//           Cook-Torrance  g = 4   6.96  5.54  2.46  4.18  17.8  45.4
-//                          g = 8   3.11  1.68  1.43  7.79  20.9  46.9
-//                          g = 16  1.31  0.13  3.21  9.50  22.3  47.6
-//           Ward           g = 4   6.98  5.78  3.79  1.12  2.55  6.64
-//                          g = 8   3.13  1.92  0.12  2.83  6.25  10.25
-//                          g = 16  1.32  0.12  1.88  4.60  7.99  11.9
+//           Cook-Torrance  g = 4:  6.96, 5.54, 2.46, 4.18, 17.8, 45.4;
+//                          g = 8:  3.11, 1.68, 1.43, 7.79, 20.9, 46.9;
+//                          g = 16: 1.31, 0.13, 3.21, 9.50, 22.3, 47.6;
+//           Ward           g = 4:  6.98, 5.78, 3.79, 1.12, 2.55, 6.64;
+//                          g = 8:  3.13, 1.92, 0.12, 2.83, 6.25, 10.25;
+//                          g = 16: 1.32, 0.12, 1.88, 4.60, 7.99, 11.9
+//   source  Romanyuk et al. (2020); Lyon (1993) for the clamp
 #ifndef FR_LOBE_G_POWER_GLSL
 #define FR_LOBE_G_POWER_GLSL
 
+#include "facerender/constants.glsl"
+
 float fr_lobe_g_power(float c, float m, int k, int g) {
-    float n = 2.0 / (m * m) - float(k);
+    float n = 2.0 / (FR_SLOPE(m) * FR_SLOPE(m)) - float(k);
     // As 1 - a (1 - c): Mesa multiplies a (c - 1) + 1 out, and loses the digits of a small angle.
     float power = max(1.0 - n / float(g) * (1.0 - min(c, 1.0)), 0.0);
     power *= power;
