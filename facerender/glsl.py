@@ -36,6 +36,7 @@ _MODEL_FILES = {
     "facerender/cook_torrance.glsl": K_COOK_TORRANCE,
     "facerender/ward.glsl": K_WARD,
 }
+_SLOPE_MACROS = ("FR_SLOPE", "FR_FITTED_COEFFICIENTS", "FR_FITTED_FINE_COEFFICIENTS")
 _COMMENT_OR_STRING = re.compile(r'"[^"\n]*"|//(?:\\\n|[^\n])*|/\*.*?(?:\*/|\Z)', re.DOTALL)
 _DIRECTIVE = re.compile(r"\s*#\s*(\w+)\s*(.*?)\s*")
 _INCLUDE = re.compile(r'"([^"]+)"|<([^>]+)>')
@@ -59,6 +60,7 @@ def data_dir(name: str) -> Path:
     return installed if installed.is_dir() else Path(__file__).parents[1] / name
 
 
+@cache
 def shader_dir() -> Path:
     """Return the include root: a host adds it to its include path and writes
     ``#include "facerender/cook_torrance.glsl"``."""
@@ -106,7 +108,7 @@ def shader_source(
     macros = {} if lobe is None else {"FR_LOBE": lobe_macro(lobe)}
     if lobe == "exact" and m is not None and m >= SMALL_SLOPE:
         macros["FR_SMALL_SLOPE"] = "0"
-    expansion = _Expansion(macros)
+    expansion = _Expansion(macros | ({} if m is None else dict.fromkeys(_SLOPE_MACROS, "")))
     expansion.file(path)
     if lobe is not None and "facerender/lobe.glsl" not in expansion.files:
         raise InputError(f"{name} does not use FR_LOBE: leave lobe {lobe} out")
@@ -187,15 +189,15 @@ def _constant_slope(name: str, files: Iterable[str], lobe: Lobe | None, m: float
         lobes.check_slope(m, lobe or used[0], k)
 
     macros = {"FR_SLOPE(m)": str(float(m))}
-    for fitted, kind, coefficients in (
-        ("fitted", "vec3", lobes.fitted_coefficients),
-        ("fitted-fine", "vec4", lobes.fitted_fine_coefficients),
-    ):
-        if used == ["fitted"] and lobe in (None, fitted):
+    if used == ["fitted"]:
+        for macro, kind, coefficients in (
+            ("FR_FITTED_COEFFICIENTS", "vec3", lobes.fitted_coefficients),
+            ("FR_FITTED_FINE_COEFFICIENTS", "vec4", lobes.fitted_fine_coefficients),
+        ):
             vectors = [
                 f"{kind}({', '.join(f'{a:#.9g}' for a in coefficients(m, k))})" for k in powers
             ]
-            macros[f"FR_{fitted.upper().replace('-', '_')}_COEFFICIENTS(m, k)"] = (
+            macros[f"{macro}(m, k)"] = (
                 vectors[0]
                 if len(vectors) == 1
                 else f"((k) == {powers[0]} ? {vectors[0]} : {vectors[1]})"
@@ -263,7 +265,6 @@ class _Expansion:
         guard = match[1] if (match := _GUARD.match(code)) else None
         lines = zip(text.split("\n"), code.split("\n"), strict=True)
         for number, (line, bare) in enumerate(lines, 1):
-            where = f"{_label(path)}:{number}" if path else f"line {number}"
             directive, rest = match.groups() if (match := _DIRECTIVE.fullmatch(bare)) else ("", "")
             if directive in ("if", "ifdef", "ifndef"):
                 own = directive == "ifndef" and rest == guard
@@ -271,7 +272,7 @@ class _Expansion:
                 self._branch(directive, rest, line)
             elif directive in ("elif", "else", "endif"):
                 if len(self._conditionals) == depth:
-                    raise InputError(f"{where}: #{directive} without #if")
+                    raise InputError(f"{_place(path, number)}: #{directive} without #if")
                 if directive == "endif":
                     self._put(line if self._conditionals.pop().stays else None)
                 else:
@@ -279,7 +280,7 @@ class _Expansion:
             elif not self._active:
                 self._put(None)
             elif directive == "include":
-                self._include(rest, path, where)
+                self._include(rest, path, number)
                 if self._numbered:
                     self.lines.append(f"#line {number + 1} {source}")
             elif directive == "version" and not self._numbered:
@@ -299,7 +300,8 @@ class _Expansion:
         if line is not None or self._numbered:
             self.lines.append(line or "")
 
-    def _include(self, rest: str, path: Path | None, where: str) -> None:
+    def _include(self, rest: str, path: Path | None, number: int) -> None:
+        where = _place(path, number)
         match = _INCLUDE.fullmatch(rest)
         if match is None:
             raise InputError(f'{where}: #include {rest}: write #include "FILE" or <FILE>')
@@ -364,6 +366,10 @@ class _Expansion:
             self._macros.pop(match[1], None)
         elif match and directive == "define" and not any(c.open for c in self._conditionals):
             self._macros[match[1]] = match[2]
+
+
+def _place(path: Path | None, number: int) -> str:
+    return f"{_label(path)}:{number}" if path else f"line {number}"
 
 
 def _blank(match: re.Match[str]) -> str:

@@ -646,3 +646,60 @@ def test_doctor_without_opengl(cli: Cli) -> None:
     assert (status, err) == (2, "")
     assert re.search(r"egl .*apt-get install", out)
     assert re.search(r"osmesa .*apt-get install libosmesa6", out)
+
+
+def test_shaders_lists_every_function(cli):
+    status, out, err = cli.run("shaders", "list")
+    assert (status, err) == (0, "")
+    _, text, _ = cli.run("shaders", "list", "--json")
+    described = json.loads(text)
+    defined = set()
+    for path in (fr.shader_dir() / "facerender").rglob("*.glsl"):
+        defined |= set(re.findall(r"^\w+ (fr_\w+)\(.*\{$", path.read_text(), re.MULTILINE))
+    assert {function["name"] for function in described} == defined
+    words = " ".join(out.split())
+    for function in described:
+        for key in ("signature", "file", "summary", "unit", "error"):
+            assert " ".join(function[key].split()) in words
+    fresnel = next(f for f in described if f["name"] == "fr_fresnel_schlick")
+    assert fresnel["error"] == "at most 0.046 absolute at f0 = 0.028 (at 84 degrees)"
+    assert fresnel["source"] == "Schlick (1994), eq. 15"
+    assert fresnel["parameters"]["f0"].startswith("reflectance at normal incidence, in [0, 1)")
+
+
+def test_shaders_path_is_an_include_root(cli):
+    _, out, _ = cli.run("shaders", "path")
+    assert Path(out.strip(), "facerender/cook_torrance.glsl").is_file()
+
+
+def test_shaders_flatten(cli):
+    status, out, err = cli.run(
+        *("shaders", "flatten", "ward", "--target", "es300", "--lobe", "d8", "--m", "0.3")
+    )
+    assert (status, err) == (0, "")
+    assert out == fr.shader_source("ward", "es300", lobe="d8", m=0.3)
+    assert out.startswith("#version 300 es\n")
+    assert "#define FR_SLOPE(m) 0.3\n" in out
+
+
+def test_shaders_errors(cli, write):
+    own = write("own.frag", '#include "other.glsl"')
+    for message, *arguments in (
+        ("unknown shader 'ggx'; known: constants, cook_torrance", "ggx"),
+        ("argument --target: invalid choice: '120'", "ward", "--target", "120"),
+        ("argument --lobe: invalid choice: 'd32'", "ward", "--lobe", "d32"),
+        ("m = 0.9 is outside", "cook_torrance", "--lobe", "d16", "--m", "0.9"),
+        (r"own.frag:1: no file other.glsl in ", own),
+        ("cannot read none.frag: no such file", "none.frag"),
+    ):
+        cli.fail(message, "shaders", "flatten", *arguments)
+    write("other.glsl", '#include "own.frag"')
+    cli.fail(r"other.glsl:1: include cycle .*own.frag -> ", "shaders", "flatten", own)
+    cli.fail("the following arguments are required: ACTION", "shaders")
+
+
+def test_a_reader_that_has_enough_is_no_error():
+    command = f"{sys.executable} -m facerender shaders list | head -n 1"
+    shell = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
+    assert shell.stdout.startswith("float fr_cook_torrance")
+    assert shell.stderr == ""

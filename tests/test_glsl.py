@@ -1,0 +1,327 @@
+"""The library as text: what the include scanner does, and flattened files on every target."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import moderngl
+import numpy as np
+import pytest
+
+import facerender as fr
+from facerender import InputError, brdf, glsl, lobes
+from facerender.catalogue import functions
+from facerender.context import Backend
+from tests.conftest import missing
+from tests.gpu import Evaluator, directions
+
+WITH_A_LOBE = ("cook_torrance", "lobe", "ward", "ward_printed")
+COOK_TORRANCE = {"name": "cook_torrance", "lobe": "d16"}
+ARGUMENTS = {"vec3": "vec3(0.0, 0.6, 0.8)", "float": "0.5", "int": "4"}
+OUTPUT = {"330": "", "es300": "", "vulkan": "layout(location = 0) "}
+# Every file, open and with its choices made.
+CHOICES: list[tuple[str, lobes.Lobe | None, float | None]] = [
+    *((name, None, None) for name in glsl.library()),
+    *((name, lobe, m) for name in WITH_A_LOBE for lobe in lobes.NAMES for m in (None, 0.15, 0.3)),
+    *((f"lobe/{name}", None, 0.3) for name in ("cosine", "exact", "fitted", "g_power")),
+]
+
+
+def program(name: str, target: glsl.Target, lobe: lobes.Lobe | None, m: float | None) -> str:
+    """A fragment shader of a host that knows of the library its signatures alone."""
+    text = fr.shader_source(name, target, lobe=lobe, m=m)
+    calls = []
+    for function in functions():
+        parameters = re.search(r"\((.*)\)", function.signature)[1].split(", ")
+        call = f"{function.name}({', '.join(ARGUMENTS[word.split()[0]] for word in parameters)})"
+        if function.file == f"facerender/{name}.glsl":
+            calls.append(call if function.signature.startswith("float") else f"dot({call}, {call})")
+    main = f"void main() {{ result = vec4({' + '.join(calls) or '0.0'}); }}"
+    return f"{text}\n{OUTPUT[target]}out vec4 result;\n{main}\n"
+
+
+@pytest.mark.parametrize("target", glsl.TARGETS)
+def test_every_flattened_file_compiles_without_a_warning(target, tmp_path):
+    for tool in ("glslangValidator", "spirv-val"):
+        if shutil.which(tool) is None:
+            missing(f"{tool} is not installed")
+    paths = []
+    for number, choice in enumerate(CHOICES):
+        paths.append(tmp_path / f"{number}.frag")
+        paths[-1].write_text(program(choice[0], target, *choice[1:]))
+    if target != "vulkan":
+        run(["glslangValidator", *paths])
+        return
+    for path in paths:
+        module = path.with_suffix(".spv")
+        run(["glslangValidator", "-V", path, "-o", module])
+        run(["spirv-val", module])
+
+
+def run(command: list[str | Path]) -> None:
+    done = subprocess.run(command, capture_output=True, text=True)
+    said = done.stdout + done.stderr
+    assert done.returncode == 0, said
+    assert "WARNING" not in said.upper(), said
+
+
+def test_a_warning_would_be_seen(tmp_path):
+    path = tmp_path / "x.frag"
+    path.write_text(
+        "#version 300 es\nprecision highp float;\nout float x;\nfloat f__x = 1.0;\nvoid main() {}\n"
+    )
+    with pytest.raises(AssertionError):
+        run(["glslangValidator", path])
+
+
+@pytest.mark.parametrize(("name", "lobe", "m"), CHOICES)
+def test_flattened_files_hold_each_file_once(name, lobe, m):
+    text = fr.shader_source(name, lobe=lobe, m=m)
+    assert "#include" not in text
+    guards = re.findall(r"^#define (FR_\w+_GLSL)$", text, re.MULTILINE)
+    assert len(guards) == len(set(guards)) > 0
+    lines = text.split("\n")
+    assert re.match(r"// facerender/.* facerender \d+\.\d+", lines[0])
+    assert "MIT" in lines[1]
+    if lobe:
+        assert ("exp2" in text) == (lobe in ("exact", "cosine"))
+        assert "FR_LOBE ==" not in text
+    macros = dict(re.findall(r"^#define (FR_[A-Z_]+)(?:\(m.*?\))? (.+)$", text, re.MULTILINE))
+    assert (macros["FR_SLOPE"] == "(m)") == (m is None)
+
+
+@pytest.fixture(scope="module")
+def evaluate(egl: Backend) -> Iterator[Evaluator]:
+    evaluator = Evaluator(egl)
+    yield evaluator
+    evaluator.release()
+
+
+@pytest.mark.parametrize("lobe", lobes.NAMES)
+@pytest.mark.parametrize("m", [0.15, 0.3])
+def test_with_a_constant_slope_the_callers_does_not_count(evaluate, lobe, m):
+    inputs = directions(np.full(5000, m, np.float32), lowest=0.02)
+    vectors = [inputs[axis].astype(float) for axis in "nlv"]
+    for name, call, expected in (
+        ("cook_torrance", "fr_cook_torrance(n, l, v, 1.7, 0.028)",
+         brdf.cook_torrance(*vectors, m, 0.028, lobe=lobe)),
+        ("ward", "fr_ward(n, l, v, 1.7)", brdf.ward(*vectors, m, lobe=lobe)),
+    ):  # fmt: skip
+        result = evaluate(fr.shader_source(name, lobe=lobe, m=m), call, inputs)
+        np.testing.assert_allclose(result, expected, rtol=1e-3, atol=2e-5 / m**2)
+
+
+@pytest.mark.parametrize("k", [4, 0])
+def test_a_lobe_alone_has_constants_for_both_models(evaluate, k):
+    c = np.float32(np.linspace(0.5, 1.0, 200))
+    for file, function, lobe in (
+        ("fitted", f"fr_lobe_fitted(c, 1.7, {k})", "fitted"),
+        ("fitted", f"fr_lobe_fitted_fine(c, 1.7, {k})", "fitted-fine"),
+        ("g_power", f"fr_lobe_g_power(c, 1.7, {k}, 16)", "d16"),
+        ("cosine", f"fr_lobe_cosine(c, 1.7, {k})", "cosine"),
+        ("exact", f"fr_lobe_exact(c, 1.7, {k})", "exact"),
+    ):
+        result = evaluate(fr.shader_source(f"lobe/{file}", m=0.3), function, {"c": c})
+        np.testing.assert_allclose(result, lobes.lobe(lobe, c, 0.3, k), atol=1e-5)
+
+
+def test_a_shader_of_ones_own_is_flattened(tmp_path):
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts/light.glsl").write_text('#include "color.glsl"\nvec3 light;\n')
+    (tmp_path / "parts/color.glsl").write_text("#include <facerender/ward.glsl>\nvec3 color;\n")
+    own = tmp_path / "own.frag"
+    own.write_text(
+        "#version 330 core\n"
+        '// #include "nothing.glsl"\n'
+        "/* #include <nothing.glsl>\n"
+        "   #include <nothing.glsl> */\n"
+        "#define FR_LOBE FR_LOBE_D16\n"
+        '  #  include "parts/light.glsl"  // and comments /* behind */\n'
+        '#include "facerender/lobe.glsl" /* again */\n'
+        "out vec4 result;\n"
+        "void main() { result = vec4(fr_ward(light, light, light, 0.3)); }\n"
+    )
+    text = fr.shader_source(str(own))
+    assert text.startswith("#version 330 core\n// ")
+    assert text.count("#version") == 1
+    assert text.index("float fr_ward") < text.index("vec3 color;") < text.index("vec3 light;")
+    assert text.count("float fr_lobe(") == 1
+    assert "fr_lobe_exact" not in text, "its own #define decides"
+    with pytest.raises(InputError, match="own.frag says #version 330 core: leave that line, or"):
+        fr.shader_source(str(own), "es300")
+
+
+def test_branches_that_macros_decide_are_left_out():
+    text = """#define A 2
+#define B A
+#if B == 2 && defined(A)
+yes1
+#elif UNKNOWN
+no
+#else
+no
+#endif
+#if B > 2 || !defined(A)
+no
+#elif HOST
+yes2
+#elif A < 3
+yes3
+#else
+no
+#endif
+#ifdef A
+yes4
+#endif
+#ifndef A
+no
+#else
+yes5
+#if HOST
+yes6
+#define A 3
+#endif
+#endif
+#undef A
+#if A == 2
+yes7
+#endif
+#if 0
+#if HOST
+no
+#else
+no
+#endif
+no
+#endif
+#if HOST || 1 == 1
+yes8
+#endif
+#if (HOST)
+yes9
+#endif
+"""
+    lines = fr.resolve_includes(text).split("\n")
+    assert [line for line in lines if line and "#" not in line] == [f"yes{i}" for i in range(1, 10)]
+    conditions = [line for line in lines if re.match("#(if|el|endif)", line)]
+    kept = "#if HOST|#else|#endif|#if HOST|#endif|#if A == 2|#endif|#if (HOST)|#endif"
+    assert "|".join(conditions) == kept
+    assert len(lines) == len(text.split("\n")), "every line keeps its number"
+
+
+def test_an_include_in_a_branch_does_not_stand_for_one_outside():
+    ward = '#include "facerender/ward.glsl"\n'
+    definition = "float fr_ward("
+    assert fr.resolve_includes(ward + ward).count(definition) == 1
+    assert fr.resolve_includes(f"#if X\n{ward}{ward}#endif\n").count(definition) == 1
+    assert fr.resolve_includes(f"{ward}#if X\n{ward}#endif\n").count(definition) == 1
+    assert fr.resolve_includes(f"#if X\n{ward}#else\n{ward}#endif\n").count(definition) == 2
+    assert fr.resolve_includes(f"#if X\n{ward}#endif\n{ward}").count(definition) == 2
+    assert fr.resolve_includes(f"#if 1\n{ward}#endif\n{ward}").count(definition) == 1
+
+
+def test_compilers_count_lines_as_in_the_file(evaluate):
+    text = '#version 330 core\n#include "facerender/ward.glsl"\n#if FR_K_WARD\n\n#endif\nnonsense\n'
+    with evaluate.context.gl as gl, pytest.raises(moderngl.Error, match=r"0:6\(\d+\): "):
+        gl.program("#version 330\nvoid main() {}", fr.resolve_includes(text))
+    lines = fr.resolve_includes(text).split("\n")
+    (directive,) = (
+        line for line in lines if "facerender/half_vector.glsl" in line and "#line" in line
+    )
+    assert re.fullmatch(r"#line 1 \d+  // facerender/half_vector.glsl", directive)
+    body = lines[lines.index(directive) + 1 :]
+    source = (fr.shader_dir() / "facerender/half_vector.glsl").read_text().split("\n")
+    assert body[:18] == source[:18]
+    include = next(i for i, line in enumerate(source, 1) if "#include" in line)
+    number = directive.split()[2]
+    assert f"#line {include + 1} {number}" in body
+
+
+def test_errors_name_file_and_line(tmp_path):
+    def fail(message: str, **files: str) -> None:
+        for name, text in files.items():
+            (tmp_path / f"{name}.glsl").write_text(text)
+        with pytest.raises(InputError, match=message):
+            fr.shader_source(str(tmp_path / "a.glsl"))
+
+    fail(r"a\.glsl:2: no file nothing\.glsl in .* or .*shaders", a='\n#include "nothing.glsl"\n')
+    fail(
+        r"b\.glsl:1: no file lobe\.glsl in [^ ]*shaders$",
+        a='#include "b.glsl"',
+        b="#include <lobe.glsl>",
+    )
+    fail(r"b\.glsl:1: include cycle .*a\.glsl -> .*b\.glsl -> .*a\.glsl", b='#include "a.glsl"')
+    fail(r"a\.glsl:1: include cycle .*a\.glsl -> .*a\.glsl", a='#include "./a.glsl"')
+    fail(r"a\.glsl:1: #include facerender: write", a="#include facerender")
+    fail(r"a\.glsl:1: #endif without #if", a="#endif")
+    fail(r"b\.glsl:1: #else without #if", a='#if X\n#include "b.glsl"\n#endif', b="#else")
+    fail(r"a\.glsl: #if without #endif", a="#if X")
+    with pytest.raises(InputError, match="line 2: no file facerender/ggx.glsl in "):
+        fr.resolve_includes('\n#include "facerender/ggx.glsl"')
+
+
+def test_choices_that_cannot_be(tmp_path):
+    for message, arguments in (
+        ("unknown shader 'ggx'; known: constants, cook_torrance, ", {"name": "ggx"}),
+        ("unknown target '120'; known: 330, es300, vulkan", {"name": "ward", "target": "120"}),
+        ("unknown lobe 'd32'; known: exact, ", {"name": "ward", "lobe": "d32"}),
+        (r"m = 0.9 is outside .* give m in \[0.0001, 0.7071\)", COOK_TORRANCE | {"m": 0.9}),
+        ("m = 0.9 is outside", {"name": "lobe/fitted", "m": 0.9}),
+        ("m = 0.3 without a lobe", {"name": "ward", "m": 0.3}),
+        ("fresnel does not use FR_LOBE: leave lobe d16 out", {"name": "fresnel", "lobe": "d16"}),
+        ("masking does not use a slope: leave m = 0.3 out", {"name": "masking", "m": 0.3}),
+        ("cannot read .*none.frag: no such file", {"name": str(tmp_path / "none.frag")}),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=message):
+            fr.shader_source(**arguments)
+    (tmp_path / "latin.glsl").write_bytes(b"// \xe9")
+    with pytest.raises(InputError, match="latin.glsl: it is not UTF-8 text"):
+        fr.shader_source(str(tmp_path / "latin.glsl"))
+    assert fr.shader_source("ward", lobe="d16", m=0.9), "Ward's domain is larger"
+
+
+def test_a_function_names_its_file():
+    for function in functions():
+        name = function.file.removeprefix("facerender/").removesuffix(".glsl")
+        assert fr.shader_source(function.name) == fr.shader_source(name)
+
+
+def test_moderngl_programs_may_include(evaluate):
+    with evaluate.context.gl as gl:
+        fr.moderngl_includes(gl)
+        fragment = """#version 330 core
+        #define FR_LOBE FR_LOBE_D16
+        #include "facerender/ward.glsl"
+        #include "facerender/cook_torrance.glsl"
+        out float result;
+        const vec3 z = vec3(0.0);
+        void main() { result = fr_ward(z, z, z, 0.3) + fr_lobe(1.0, 0.3, 0); }
+        """
+        gl.program("#version 330\nvoid main() {}", fragment).release()
+        gl.includes.clear()
+
+
+@pytest.mark.parametrize("function", functions(), ids=lambda function: function.name)
+def test_headers_say_everything(function):
+    assert function.summary.endswith(".")
+    assert all(function.parameters.values())
+    assert all((function.formula, function.unit, function.error, function.source))
+
+
+def test_every_symbol_carries_the_prefix():
+    """No name of a user's own can collide: what a file declares, and its macros."""
+    for name in glsl.library():
+        text = (fr.shader_dir() / f"facerender/{name}.glsl").read_text()
+        code = re.sub(r"//[^\n]*", "", text)
+        macros = re.findall(r"^\s*#\s*define\s+(\w+)", code, re.MULTILINE)
+        outside = re.sub(r"^\s*#[^\n]*|precision highp float;", "", code, flags=re.MULTILINE)
+        while "{" in outside:
+            outside = re.sub(r"\([^()]*\)\s*\{[^{}]*\}|\{[^{}]*\}", ";", outside)
+        declared = re.findall(r"\w+(?=\s*;)", outside)
+        assert all(macro.startswith("FR_") for macro in macros)
+        assert all(symbol.startswith("fr_") for symbol in declared), declared
+        assert len(declared) == sum(f.file == f"facerender/{name}.glsl" for f in functions())
