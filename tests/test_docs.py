@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from docs import accuracy, trade
+from docs import accuracy, shaders, trade
 
 
 def test_tables_of_the_lobes_are_current():
@@ -15,3 +15,7 @@ def test_trade_is_what_its_measurement_says():
     data = json.loads(trade.MEASUREMENT.read_text(encoding="utf-8"))
     assert trade.TRADE.read_text(encoding="utf-8") == trade.trade(data)
     assert trade.MARKED.findall(trade.README.read_text(encoding="utf-8")) == [trade.headline(data)]
+
+
+def test_reference_of_the_shaders_is_what_their_headers_say():
+    assert shaders.OUTPUT.read_text(encoding="utf-8") == shaders.reference()

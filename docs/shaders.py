@@ -1,0 +1,107 @@
+"""Writes docs/shaders.md, the reference of the GLSL library, from the headers of its files.
+
+python -m docs.shaders
+"""
+
+from __future__ import annotations
+
+from itertools import groupby
+from pathlib import Path
+
+from facerender.catalogue import Function, functions
+from facerender.measure.tables import markdown_table
+
+OUTPUT = Path(__file__).with_suffix(".md")
+
+HOSTS = """# The shader library
+
+The first part is how to use it in a program of yours, the second every function. Written by
+`python -m docs.shaders` from the headers of [shaders/facerender](../shaders/facerender);
+`facerender shaders list` prints the same, with `--json` for programs.
+
+## In your program
+
+Files include each other as `"facerender/cook_torrance.glsl"`, below one include root. They need
+nothing but the language: GLSL 330, GLSL ES 300 (WebGL 2), or GLSL 450 for Vulkan, no uniforms, no
+host code. Where your host has no include, flatten:
+
+```
+facerender shaders flatten cook_torrance                         text to include, for all targets
+facerender shaders flatten cook_torrance --target es300          the same behind #version 300 es
+facerender shaders flatten ward --lobe d16 --m 0.3               one lobe, one slope: constants
+facerender shaders flatten mine.frag --target vulkan             your own file, includes resolved
+```
+
+Choices are macros, said before the include (or given to `flatten`):
+
+| macro | values | default |
+| --- | --- | --- |
+| FR_LOBE | FR_LOBE_EXACT, _COSINE, _D4, _D8, _D16, _FITTED, _FITTED_FINE | FR_LOBE_EXACT |
+| FR_FRESNEL | FR_FRESNEL_SCHLICK, FR_FRESNEL_DIELECTRIC | FR_FRESNEL_SCHLICK |
+| FR_SMALL_SLOPE | 1: accurate for every m; 0: cheaper, for m from 0.2 | 1 |
+| FR_SLOPE(m) | (m), or one slope for all fragments, such as 0.3 | (m) |
+| FR_FITTED_COEFFICIENTS(m, k) | a vec3 | computed from m |
+| FR_FITTED_FINE_COEFFICIENTS(m, k) | a vec4 | computed from m |
+
+Radiance is `fr_cook_torrance(n, l, v, m, f0) * irradiance * max(dot(n, l), 0.0)` for a light of
+that irradiance; a material with a specular weight multiplies by it. Which lobe loses what, and
+where, is in [accuracy.md](accuracy.md); what it costs in [trade.md](trade.md).
+
+In GLSL ES the library declares `precision highp float`, which counts for what follows it: mediump
+holds neither 1/m^2 nor the digits of a small angle. A host that wants mediump elsewhere declares it
+after the include.
+
+| host | how | example |
+| --- | --- | --- |
+| moderngl | `facerender.moderngl_includes(ctx)`, then `#include` | \
+[moderngl_minimal.py](../examples/moderngl_minimal.py) |
+| PyOpenGL, or any host in Python | `facerender.resolve_includes(text)` | \
+[pyopengl_include.py](../examples/pyopengl_include.py) |
+| PyVista, VTK | `facerender.shader_source(...)` in a shader replacement | \
+[pyvista_replacement.py](../examples/pyvista_replacement.py) |
+| C, C++ | flatten in the build, or `make install-shaders PREFIX=...` and `pkg-config \
+--variable=shaderdir facerender-shaders` or CMake's `find_package(facerender_shaders)` | \
+[c_egl](../examples/c_egl) |
+| three.js, WebGL 2 | `make npm`: a package of ES modules, one string for each file | \
+[threejs](../examples/threejs) |
+| Vulkan | `glslangValidator -V`, with `-I$(facerender shaders path)` and \
+`GL_GOOGLE_include_directive`, or flattened with `--target vulkan` | |
+
+Compiler messages: in `resolve_includes`, source string 0 is your text, with your line numbers;
+files of the library have the numbers that their `#line` gives.
+"""
+
+LEGEND = """## Every function
+
+gamma is the angle between the normal and the half vector, c its cosine. N, L, V and H are unit
+vectors: the normal, towards the light, towards the eye, and half between these two. F, G and D are
+Fresnel reflectance, masking and the distribution of slopes. The test suite holds every error stated
+here, on every target.
+"""
+
+
+def section(function: Function) -> str:
+    """Return the entry of one function."""
+    parameters = groupby(function.parameters.items(), lambda item: item[1])
+    rows = [
+        ["formula", f"`{function.formula}`"],
+        *([", ".join(f"`{name}`" for name, _ in names), text] for text, names in parameters),
+        ["unit", function.unit],
+        *([["result", function.result]] if function.result else []),
+        ["error", function.error],
+        ["source", function.source],
+        ["file", f"[{function.file}](../shaders/{function.file})"],
+    ]
+    escaped = [[cell.replace("|", "\\|") for cell in row] for row in rows]
+    signature = f"```glsl\n{function.signature}\n```"
+    table = markdown_table(["", ""], escaped)
+    return f"### {function.name}\n\n{signature}\n\n{function.summary}\n\n{table}\n"
+
+
+def reference() -> str:
+    """Return docs/shaders.md."""
+    return "\n".join([HOSTS, LEGEND, *(section(function) for function in functions())])
+
+
+if __name__ == "__main__":
+    OUTPUT.write_text(reference(), encoding="utf-8")
