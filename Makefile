@@ -2,12 +2,17 @@
 # make test     ruff, mypy, pytest
 # make slow     the exhaustive tests as well
 # make head     assets/head.glb anew from its generator
-# Both make .venv and install what is missing; see tools/system-libraries for what apt installs.
+# make install-shaders PREFIX=/usr/local [DESTDIR=]   the GLSL library, for pkg-config and CMake
+# The others make .venv and install what is missing; see tools/system-libraries for what apt installs.
 
 PYTHON ?= python3
 VENV = .venv/bin
 
-.PHONY: render test slow head system test-system
+PREFIX ?= /usr/local
+SHARE = $(DESTDIR)$(PREFIX)/share
+VERSION = $(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' facerender/__init__.py)
+
+.PHONY: render test slow head install-shaders system test-system
 
 render: .venv/installed | system
 	mkdir -p out
@@ -24,6 +29,15 @@ slow: .venv/installed-dev | test-system
 
 head: .venv/installed-dev
 	$(VENV)/python -m assets.head_generator -o assets/head.glb
+
+install-shaders:
+	mkdir -p "$(SHARE)/facerender/shaders" "$(SHARE)/pkgconfig" "$(SHARE)/cmake/facerender_shaders"
+	cp -R shaders/facerender "$(SHARE)/facerender/shaders"
+	cp packaging/facerender_shadersConfig.cmake "$(SHARE)/cmake/facerender_shaders"
+	sed 's/@VERSION@/$(VERSION)/' packaging/facerender_shadersConfigVersion.cmake.in \
+	    > "$(SHARE)/cmake/facerender_shaders/facerender_shadersConfigVersion.cmake"
+	sed 's/@VERSION@/$(VERSION)/' packaging/facerender-shaders.pc.in \
+	    > "$(SHARE)/pkgconfig/facerender-shaders.pc"
 
 system:
 	@tools/system-libraries

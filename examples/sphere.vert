@@ -1,0 +1,10 @@
+#version 330 core
+// One triangle over a square picture, from three vertices without attributes.
+
+out vec2 p;  // across the picture; 1 is the sphere's radius
+
+void main() {
+    vec2 corner = vec2(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0);
+    p = corner / 0.9;
+    gl_Position = vec4(corner, 0.0, 1.0);
+}

@@ -1,0 +1,271 @@
+"""Each example runs with one command and draws what the float64 reference says; CMake and
+pkg-config find the installed shaders."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from facerender import __version__, brdf
+from facerender.context import Backend
+from facerender.image import linear_to_srgb, srgb_to_linear
+from tests.conftest import missing
+
+ROOT = Path(__file__).parents[1]
+EXAMPLES = ROOT / "examples"
+SIZE = 512
+LIGHT = np.array([-1.0, 1.0, 1.5]) / np.linalg.norm([-1.0, 1.0, 1.5])
+EYE = np.array([0.0, 0.0, 1.0])
+PROBES = ((189, 189), (150, 190), (230, 230), (190, 60), (60, 300), (256, 256), (350, 350), (2, 2))
+
+
+def require_command(*names: str) -> None:
+    for name in names:
+        if shutil.which(name) is None:
+            missing(f"no {name}: install it (tools/system-libraries --tests)")
+
+
+def require_package(name: str) -> None:
+    if find_spec(name) is None:
+        missing(f"no Python package {name}")
+
+
+def run(*command: str | Path, **options) -> subprocess.CompletedProcess[str]:
+    result = subprocess.run(command, capture_output=True, text=True, **options)
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result
+
+
+def specular(n: NDArray[np.float64], eye: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The specular radiance of sphere.frag, which is that of the PyVista example."""
+    received = np.pi * np.maximum(n @ LIGHT, 0.0)
+    return received * brdf.cook_torrance(n, LIGHT, eye, 0.2, 0.04)
+
+
+def sphere() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Normals of every pixel of sphere.frag, and its distance from the centre, in radii."""
+    at = ((np.arange(SIZE) + 0.5) / SIZE * 2.0 - 1.0) / 0.9
+    x, y = np.meshgrid(at, -at)
+    r = np.hypot(x, y)
+    z = np.sqrt(np.maximum(1.0 - r**2, 0.0))
+    return np.stack([x, y, z], axis=-1) / np.maximum(r, 1.0)[..., None], r
+
+
+def check_picture(path: Path) -> NDArray[np.uint8]:
+    """Check that there is a sphere on black, brightest where the normal is the half vector."""
+    with Image.open(path) as image:
+        pixels = np.asarray(image.convert("RGB"))
+    assert pixels.shape == (SIZE, SIZE, 3)
+    assert not pixels[[0, 0, -1, -1], [0, -1, 0, -1]].any()
+    assert 0.5 < (pixels.max(axis=-1) > 20).mean() < 0.75
+    brightness = pixels.sum(axis=-1, dtype=int)
+    y, x = np.argwhere(brightness >= brightness.max() - 2).mean(axis=0)
+    assert np.hypot(x - 190, y - 190) < 8
+    assert pixels[190, 190].min() > 160
+    assert pixels[400, 430].max() < 60
+    return pixels
+
+
+def check_sphere(path: Path) -> None:
+    """Check every pixel of a picture of sphere.frag."""
+    n, r = sphere()
+    inside = r < 0.99
+    diffuse = np.array([0.46, 0.25, 0.17]) * (np.maximum(n[inside] @ LIGHT, 0.0) + 0.05)[:, None]
+    expected = linear_to_srgb(diffuse + specular(n[inside], EYE)[:, None])
+    drawn = check_picture(path)[inside]
+    np.testing.assert_allclose(drawn / 255.0, expected, atol=0.7 / 255.0)
+
+
+@pytest.mark.parametrize(
+    ("script", "package"), [("moderngl_minimal", "moderngl"), ("pyopengl_include", "OpenGL")]
+)
+def test_script_agrees_with_float64(egl: Backend, tmp_path: Path, script: str, package: str):
+    require_package(package)
+    run(sys.executable, EXAMPLES / f"{script}.py", tmp_path / "sphere.png")
+    check_sphere(tmp_path / "sphere.png")
+    code = (
+        f"import sys, numpy, examples.{script} as example; numpy.save(sys.argv[1], example.draw())"
+    )
+    run(sys.executable, "-c", code, tmp_path / "radiance.npy", cwd=ROOT)
+    n, r = sphere()
+    drawn = np.load(tmp_path / "radiance.npy")[..., 3]
+    inside = r < 0.99
+    np.testing.assert_allclose(drawn[inside], specular(n[inside], EYE), rtol=1e-4, atol=1e-6)
+    assert not drawn[r > 1.01].any()
+
+
+@pytest.fixture(scope="module")
+def c_egl(egl: Backend, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the C example, built without a warning."""
+    require_command("cc", "pkg-config")
+    if subprocess.run(["pkg-config", "--exists", "egl", "opengl"]).returncode:
+        missing("no headers of EGL and OpenGL: install libegl-dev libopengl-dev")
+    copy = tmp_path_factory.mktemp("examples") / "examples"
+    shutil.copytree(EXAMPLES, copy, ignore=shutil.ignore_patterns("*.inc", "sphere", "*.ppm"))
+    make_c(copy / "c_egl")
+    return copy / "c_egl"
+
+
+def make_c(folder: Path) -> None:
+    flags = "CFLAGS=-O1 -Wall -Wextra -Wpedantic -Werror"
+    run(
+        "make",
+        "-C",
+        folder,
+        "sphere",
+        f"FACERENDER={sys.executable} -m facerender",
+        flags,
+        cwd=ROOT,
+    )
+
+
+def test_c_program_agrees_with_float64(c_egl: Path, tmp_path: Path):
+    picture = tmp_path / "sphere.ppm"
+    printed = run(c_egl / "sphere", picture, *(f"{x},{y}" for x, y in PROBES)).stdout
+    check_sphere(picture)
+    n, _ = sphere()
+    values = np.array([line.split() for line in printed.splitlines()], dtype=float)
+    columns, rows = np.array(PROBES).T
+    np.testing.assert_array_equal(values[:, :2], PROBES)
+    reference = np.where(n[rows, columns, 2] > 0.0, specular(n[rows, columns], EYE), 0.0)
+    assert reference.max() > 0.2
+    np.testing.assert_allclose(values[:, 2], reference, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "usage"),
+        (["no/folder.ppm"], "no/folder.ppm: No such file"),
+        (["sphere.ppm", "1,512"], "1,512 is not a pixel"),
+        (["sphere.ppm", "1;2"], "1;2 is not a pixel"),
+    ],
+)
+def test_c_program_says_what_is_wrong(
+    c_egl: Path, tmp_path: Path, arguments: list[str], message: str
+):
+    program = c_egl / "sphere"
+    result = subprocess.run([program, *arguments], cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode == 1
+    assert message in result.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_c_program_prints_the_log_of_a_shader_that_does_not_compile(c_egl: Path, tmp_path: Path):
+    copy = tmp_path / "examples"
+    shutil.copytree(c_egl.parent, copy, ignore=shutil.ignore_patterns("*.inc", "sphere"))
+    fragment = copy / "sphere.frag"
+    fragment.write_text(fragment.read_text().replace("float r =", "flaot r ="))
+    make_c(copy / "c_egl")
+    result = subprocess.run(
+        [copy / "c_egl" / "sphere", "sphere.ppm"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert result.returncode == 1
+    assert "error: syntax error" in result.stderr
+    assert "shader does not compile" in result.stderr
+    assert not (tmp_path / "sphere.ppm").exists()
+
+
+def test_pyvista_draws_a_picture(egl: Backend, tmp_path: Path):
+    require_package("pyvista")
+    run(sys.executable, EXAMPLES / "pyvista_replacement.py", tmp_path / "sphere.png")
+    check_picture(tmp_path / "sphere.png")
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_pyvista_agrees_with_float64(egl: Backend, tmp_path: Path, parallel: bool):
+    require_package("pyvista")
+    code = f"""
+import sys
+import pyvista
+from examples.pyvista_replacement import plot
+
+plotter = plot(pyvista.Sphere(radius=1.0, theta_resolution=128, phi_resolution=128))
+(actor,) = plotter.actors.values()
+actor.prop.ambient = actor.prop.diffuse = 0.0
+plotter.camera.parallel_projection = {parallel}
+plotter.screenshot(sys.argv[1])
+camera = plotter.camera
+print(camera.position[2], camera.view_angle, camera.parallel_scale)
+"""
+    printed = run(sys.executable, "-c", code, tmp_path / "sphere.png", cwd=ROOT).stdout
+    distance, angle, scale = map(float, printed.split())
+    at = (np.arange(SIZE) + 0.5) / SIZE * 2.0 - 1.0
+    x, y = np.meshgrid(at, -at)
+    plane = np.stack([x, y, np.zeros_like(x)], axis=-1)
+    origin, ray = (
+        (plane * scale + EYE * distance, -EYE + 0.0 * plane)
+        if parallel
+        else (EYE * distance + 0.0 * plane, plane * np.tan(np.radians(angle / 2.0)) - EYE)
+    )
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    nearest = -(origin * ray).sum(axis=-1)
+    depth2 = 1.0 - (origin**2).sum(axis=-1) + nearest**2
+    inside = depth2 > 0.02
+    n = origin + ray * (nearest - np.sqrt(np.maximum(depth2, 0.0)))[..., None]
+    with Image.open(tmp_path / "sphere.png") as image:
+        drawn = srgb_to_linear(np.asarray(image.convert("L")) / 255.0)
+    reference = specular(n[inside], -ray[inside])
+    assert reference.max() > 0.2
+    np.testing.assert_allclose(drawn[inside], reference, atol=4e-3)  # 8 bits, sRGB
+
+
+@pytest.fixture(scope="module")
+def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the shaders lie after being installed by way of DESTDIR, and moved."""
+    folder = tmp_path_factory.mktemp("install")
+    run("make", "-s", "install-shaders", f"DESTDIR={folder}", "PREFIX=/opt/staged", cwd=ROOT)
+    return (folder / "opt/staged").rename(folder / "moved")
+
+
+def test_install_has_every_file_of_the_library(prefix: Path):
+    installed, own = prefix / "share/facerender/shaders", ROOT / "shaders"
+    assert {path.relative_to(installed) for path in installed.rglob("*.*")} == {
+        path.relative_to(own) for path in (own / "facerender").rglob("*.glsl")
+    }
+
+
+def test_pkg_config_finds_the_shaders(prefix: Path):
+    require_command("pkg-config")
+    environment = {**os.environ, "PKG_CONFIG_PATH": str(prefix / "share/pkgconfig")}
+
+    def ask(option: str) -> str:
+        return run("pkg-config", option, "facerender-shaders", env=environment).stdout.strip()
+
+    shaders = Path(ask("--variable=shaderdir"))
+    assert (shaders / "facerender/cook_torrance.glsl").samefile(
+        prefix / "share/facerender/shaders/facerender/cook_torrance.glsl"
+    )
+    assert ask("--cflags") == f"-I{shaders}"
+    assert ask("--modversion") == __version__
+
+
+def test_cmake_finds_the_shaders(prefix: Path, tmp_path: Path):
+    require_command("cmake")
+    (tmp_path / "CMakeLists.txt").write_text(
+        f"""
+cmake_minimum_required(VERSION 3.11)
+project(host LANGUAGES NONE)
+find_package(facerender_shaders {__version__} EXACT REQUIRED)
+find_package(facerender_shaders {__version__.rpartition(".")[0]} REQUIRED)
+get_target_property(root facerender::shaders INTERFACE_INCLUDE_DIRECTORIES)
+message("${{FACERENDER_SHADERS_DIR}}|${{root}}")
+foreach(other 99.0 {__version__}.1)
+    find_package(facerender_shaders ${{other}} QUIET)
+    message("${{other}} ${{facerender_shaders_FOUND}}")
+endforeach()
+"""
+    )
+    build = ("cmake", "-S", tmp_path, "-B", tmp_path / "build", f"-DCMAKE_PREFIX_PATH={prefix}")
+    printed = run(*build).stderr
+    root = prefix / "share/facerender/shaders"
+    assert printed.split() == [f"{root}|{root}", "99.0", "0", f"{__version__}.1", "0"]
