@@ -2,6 +2,7 @@
 # make test     ruff, mypy, pytest
 # make slow     the exhaustive tests as well
 # make head     assets/head.glb anew from its generator
+# make npm      the shaders as an npm package: out/npm
 # make install-shaders PREFIX=/usr/local [DESTDIR=]   the GLSL library, for pkg-config and CMake
 # The others make .venv and install what is missing; see tools/system-libraries for what apt installs.
 
@@ -12,7 +13,7 @@ PREFIX ?= /usr/local
 SHARE = $(DESTDIR)$(PREFIX)/share
 VERSION = $(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' facerender/__init__.py)
 
-.PHONY: render test slow head install-shaders system test-system
+.PHONY: render test slow head npm install-shaders system test-system
 
 render: .venv/installed | system
 	mkdir -p out
@@ -29,6 +30,9 @@ slow: .venv/installed-dev | test-system
 
 head: .venv/installed-dev
 	$(VENV)/python -m assets.head_generator -o assets/head.glb
+
+npm: .venv/installed
+	$(VENV)/python tools/npm-package -o out/npm
 
 install-shaders:
 	mkdir -p "$(SHARE)/facerender/shaders" "$(SHARE)/pkgconfig" "$(SHARE)/cmake/facerender_shaders"

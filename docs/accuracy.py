@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from facerender import brdf, lobes
+from facerender.context import create_context
 from facerender.measure import error
 from facerender.measure.tables import markdown_table
 from tests.gpu import Evaluator, directions
@@ -173,14 +174,14 @@ The last two tables: {renderer}, OpenGL {version}.
 
 
 def main() -> None:
-    evaluate = Evaluator()
+    evaluate = Evaluator(create_context().gl)
     text = TEXT.format(
         lobes=lobe_tables(),
         gpu=gpu_table(evaluate),
         extremes=extremes_table(evaluate),
         count=COUNT,
-        renderer=evaluate.context.renderer,
-        version=evaluate.context.version,
+        renderer=evaluate.renderer,
+        version=evaluate.version,
     )
     OUTPUT.write_text(text, encoding="utf-8")
 

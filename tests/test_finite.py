@@ -18,7 +18,7 @@ import pytest
 from numpy.typing import NDArray
 
 from facerender import shader_dir
-from facerender.context import Backend
+from facerender.context import Backend, create_context
 from tests.gpu import Evaluator
 
 SIZE = (512, 512)
@@ -183,7 +183,7 @@ CASES = [
 
 @pytest.fixture(scope="module")
 def evaluator(egl: Backend) -> Iterator[Evaluator]:
-    evaluator = Evaluator(egl)
+    evaluator = Evaluator(create_context(egl).gl)
     yield evaluator
     evaluator.release()
 

@@ -15,7 +15,7 @@ import pytest
 import facerender as fr
 from facerender import InputError, brdf, glsl, lobes
 from facerender.catalogue import functions
-from facerender.context import Backend
+from facerender.context import Backend, create_context
 from tests.conftest import missing
 from tests.gpu import Evaluator, directions
 
@@ -96,7 +96,7 @@ def test_flattened_files_hold_each_file_once(name, lobe, m):
 
 @pytest.fixture(scope="module")
 def evaluate(egl: Backend) -> Iterator[Evaluator]:
-    evaluator = Evaluator(egl)
+    evaluator = Evaluator(create_context(egl).gl)
     yield evaluator
     evaluator.release()
 
@@ -226,7 +226,7 @@ def test_an_include_in_a_branch_does_not_stand_for_one_outside():
 
 def test_compilers_count_lines_as_in_the_file(evaluate):
     text = '#version 330 core\n#include "facerender/ward.glsl"\n#if FR_K_WARD\n\n#endif\nnonsense\n'
-    with evaluate.context.gl as gl, pytest.raises(moderngl.Error, match=r"0:6\(\d+\): "):
+    with evaluate.gl as gl, pytest.raises(moderngl.Error, match=r"0:6\(\d+\): "):
         gl.program("#version 330\nvoid main() {}", fr.resolve_includes(text))
     lines = fr.resolve_includes(text).split("\n")
     (directive,) = (
@@ -291,7 +291,7 @@ def test_a_function_names_its_file():
 
 
 def test_moderngl_programs_may_include(evaluate):
-    with evaluate.context.gl as gl:
+    with evaluate.gl as gl:
         fr.moderngl_includes(gl)
         fragment = """#version 330 core
         #define FR_LOBE FR_LOBE_D16

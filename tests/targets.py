@@ -1,0 +1,169 @@
+"""The targets that the shader library is held to: a desktop's OpenGL, OpenGL ES and WebGL 2.
+
+Each is opened in a process of its own, where it may set Mesa's environment before Mesa loads, bind
+EGL's other API and run an event loop.
+"""
+
+from __future__ import annotations
+
+import base64
+import ctypes
+import multiprocessing
+import os
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.context import Backend, create_context
+from facerender.errors import ContextError
+from tests import chromium
+from tests.gpu import WIDTH, Evaluate, Evaluator, Inputs, fragment_shader, texels, vertex_shader
+
+
+def _desktop(backend: Backend) -> Evaluator:
+    return Evaluator(create_context(backend).gl)
+
+
+def _desktop_450() -> Evaluator:
+    gl = moderngl.create_context(
+        require=450, standalone=True, backend="egl", libegl="libEGL.so.1", libgl="libGL.so.1"
+    )
+    return Evaluator(gl, "450 core")
+
+
+def _softpipe() -> Evaluator:
+    os.environ["GALLIUM_DRIVER"] = "softpipe"
+    evaluator = _desktop("egl")
+    if "softpipe" not in evaluator.renderer:
+        raise ContextError(f"no softpipe, but {evaluator.renderer}")
+    return evaluator
+
+
+class _EsContext:
+    """An OpenGL ES 3.0 context without a surface, current from here on, for moderngl."""
+
+    def __init__(self) -> None:
+        egl = ctypes.CDLL("libEGL.so.1")
+        pointer, integer = ctypes.c_void_p, ctypes.c_int
+        egl.eglGetPlatformDisplay.restype = egl.eglCreateContext.restype = pointer
+        egl.eglGetProcAddress.restype = pointer
+        egl.eglGetProcAddress.argtypes = [ctypes.c_char_p]
+        surfaceless = 0x31DD  # EGL_PLATFORM_SURFACELESS_MESA
+        display = pointer(egl.eglGetPlatformDisplay(surfaceless, None, None))
+        config, count = pointer(), integer()
+        # EGL_RENDERABLE_TYPE: ES 3, EGL_SURFACE_TYPE: a pixel buffer
+        wanted = (integer * 5)(0x3040, 0x40, 0x3033, 1, 0x3038)
+        version = (integer * 5)(0x3098, 3, 0x30FB, 0, 0x3038)
+        context = None
+        if egl.eglInitialize(display, None, None) and egl.eglBindAPI(0x30A0):  # EGL_OPENGL_ES_API
+            egl.eglChooseConfig(display, wanted, ctypes.byref(config), 1, ctypes.byref(count))
+            context = pointer(egl.eglCreateContext(display, config, None, version))
+        if not context or not egl.eglMakeCurrent(display, None, None, context):
+            raise ContextError("libEGL refused an OpenGL ES 3.0 context")
+        self._address = egl.eglGetProcAddress
+
+    def load(self, name: str) -> int:
+        return self._address(name.encode()) or 0
+
+    load_opengl_function = load
+
+    def release(self) -> None:
+        pass
+
+    def __enter__(self) -> _EsContext:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        pass
+
+
+def _es300() -> Evaluator:
+    return Evaluator(moderngl.create_context(require=300, context=_EsContext()), "300 es")
+
+
+class _WebGL:
+    """A page of a headless Chromium on SwiftShader."""
+
+    def __init__(self) -> None:
+        from playwright.sync_api import sync_playwright
+
+        self._playwright = sync_playwright().start()
+        self._browser = chromium.launch(self._playwright)
+        self._page = self._browser.new_page()
+        self._folder = TemporaryDirectory()
+        self._file = Path(self._folder.name, "inputs")
+        script = Path(__file__).with_name("webgl.js").read_text(encoding="utf-8")
+        self.renderer, self.version = self._page.evaluate(script)
+
+    def release(self) -> None:
+        self._browser.close()
+        self._playwright.stop()
+        self._folder.cleanup()
+
+    def __call__(self, prelude: str, expression: str, inputs: Inputs) -> NDArray[np.float32]:
+        images = {f"{name}_texels": texels(values) for name, values in inputs.items()}
+        self._file.write_bytes(b"".join(image.tobytes() for image in images.values()))
+        self._page.set_input_files("input", self._file)
+        call = {
+            "vertex": vertex_shader("300 es"),
+            "fragment": fragment_shader("300 es", prelude, expression, inputs),
+            "inputs": {name: image.shape[-1] for name, image in images.items()},
+            "width": WIDTH,
+            "height": next(iter(images.values())).shape[0],
+        }
+        data = base64.b64decode(self._page.evaluate("call => window.evaluate(call)", call))
+        return np.frombuffer(data, np.float32)[: len(next(iter(inputs.values())))]
+
+
+TARGETS: dict[str, Callable[[], Evaluate]] = {
+    "GLSL 330, EGL": partial(_desktop, "egl"),
+    "GLSL 330, OSMesa": partial(_desktop, "osmesa"),
+    "GLSL 450, EGL": _desktop_450,
+    "GLSL 330, softpipe": _softpipe,
+    "GLSL ES 300, EGL": _es300,
+    "WebGL 2, Chromium": _WebGL,
+}
+
+_here: Evaluate  # in the process of a target
+
+
+def _open(target: str) -> tuple[str, str]:
+    global _here
+    _here = TARGETS[target]()
+    return _here.renderer, _here.version
+
+
+def _evaluate(prelude: str, expression: str, inputs: Inputs) -> NDArray[np.float32]:
+    return _here(prelude, expression, inputs)
+
+
+def _release() -> None:
+    _here.release()
+
+
+class Remote:
+    """A target's evaluator, at work in a process of its own."""
+
+    def __init__(self, target: str) -> None:
+        self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+        try:
+            self.renderer, self.version = self._pool.submit(_open, target).result()
+        except Exception:
+            self._pool.shutdown()
+            raise
+
+    def __call__(self, prelude: str, expression: str, inputs: Inputs) -> NDArray[np.float32]:
+        return self._pool.submit(_evaluate, prelude, expression, inputs).result()
+
+    def __enter__(self) -> Remote:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._pool.submit(_release).result()
+        self._pool.shutdown()
