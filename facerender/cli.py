@@ -388,9 +388,8 @@ def _list_shaders(options: argparse.Namespace, caught: list[str]) -> int:
         print(f"{function.signature}    {function.file}")
         print(f"    {function.summary}")
         for name, text in (("unit", function.unit), ("error", function.error)):
-            print(
-                textwrap.fill(text, 96, initial_indent=f"    {name:6}", subsequent_indent=" " * 10)
-            )
+            lines = textwrap.wrap(text, 86, break_on_hyphens=False)
+            print(f"    {name:6}" + f"\n{'':10}".join(lines))
     return 0
 
 

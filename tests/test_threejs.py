@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import re
 import shutil
 import subprocess
@@ -46,7 +47,8 @@ def site(tmp_path_factory):
     shutil.copy(ROOT / "assets/head.glb", root / "assets")
     subprocess.run([sys.executable, ROOT / "tools/npm-package", "-o", root / "out/npm"], check=True)
     npm = [node_tool("npm"), "ci", "--prefer-offline", "--no-audit", "--no-fund"]
-    installed = subprocess.run(npm, cwd=example, capture_output=True, text=True)
+    environment = {**os.environ, "NODE_USE_SYSTEM_CA": "1"}  # behind a proxy with its own
+    installed = subprocess.run(npm, cwd=example, env=environment, capture_output=True, text=True)
     if installed.returncode and OFFLINE.search(installed.stderr):
         missing("the npm registry cannot be reached")
     assert installed.returncode == 0, installed.stderr
