@@ -16,8 +16,8 @@ OUTPUT = Path(__file__).with_suffix(".md")
 HOSTS = """# The shader library
 
 The first part is how to use it in a program of yours, the second every function. Written by
-`python -m docs.shaders` from the headers of [shaders/facerender](../shaders/facerender);
-`facerender shaders list` prints the same, with `--json` for programs.
+`python -m docs.shaders` from the headers of [shaders/facerender](../shaders/facerender), which
+`facerender shaders list --json` gives to programs.
 
 ## In your program
 
@@ -27,7 +27,7 @@ host code. Where your host has no include, flatten:
 
 ```
 facerender shaders flatten cook_torrance                         text to include, for all targets
-facerender shaders flatten cook_torrance --target es300          the same behind #version 300 es
+facerender shaders flatten cook_torrance --target es300          behind #version 300 es; your main follows
 facerender shaders flatten ward --lobe d16 --m 0.3               one lobe, one slope: constants
 facerender shaders flatten mine.frag --target vulkan             your own file, includes resolved
 ```
@@ -59,13 +59,29 @@ after the include.
 [pyopengl_include.py](../examples/pyopengl_include.py) |
 | PyVista, VTK | `facerender.shader_source(...)` in a shader replacement | \
 [pyvista_replacement.py](../examples/pyvista_replacement.py) |
-| C, C++ | flatten in the build, or `make install-shaders PREFIX=...` and `pkg-config \
---variable=shaderdir facerender-shaders` or CMake's `find_package(facerender_shaders)` | \
-[c_egl](../examples/c_egl) |
+| C, C++ | flatten in the build; or install, see below | [c_egl](../examples/c_egl) |
 | three.js, WebGL 2 | `make npm`: a package of ES modules, one string for each file | \
 [threejs](../examples/threejs) |
-| Vulkan | `glslangValidator -V`, with `-I$(facerender shaders path)` and \
-`GL_GOOGLE_include_directive`, or flattened with `--target vulkan` | |
+| Vulkan | an include path for the compiler, see below, or `--target vulkan` | |
+
+`make install-shaders PREFIX=/usr/local` installs the files for C and C++: `pkg-config
+--variable=shaderdir facerender-shaders` prints the include root, and in CMake
+
+```cmake
+find_package(facerender_shaders 0.1 REQUIRED)
+add_custom_command(OUTPUT skin.spv DEPENDS skin.frag
+    COMMAND glslc -I ${FACERENDER_SHADERS_DIR} ${CMAKE_CURRENT_SOURCE_DIR}/skin.frag -o skin.spv)
+```
+
+glslangValidator asks for `#extension GL_GOOGLE_include_directive : require` behind `#version 450`, and
+for the include root with no space in it:
+
+```
+glslangValidator -V -I$(facerender shaders path) skin.frag -o skin.spv
+```
+
+A file comes once into a flattened text, however often it is included: files that are meant to be
+included twice, with other macros each time, are not for `flatten`.
 
 Compiler messages: in `resolve_includes`, source string 0 is your text, with your line numbers;
 files of the library have the numbers that their `#line` gives.

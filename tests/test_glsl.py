@@ -204,12 +204,41 @@ yes8
 #if (HOST)
 yes9
 #endif
+#if HOST || 0
+yes10
+#endif
+#define OCTAL 010
+#if OCTAL == 10
+yes11
+#endif
+#if !(defined(HOST) || defined(OCTAL))
+yes12
+#endif
+#if defined OCTAL && !defined ( ABSENT )
+yes13
+#endif
+#if 2 >= 2 && 2 <= 2 && 3 > 2 && 2 < 3 && !(0)
+yes14
+#endif
+#if 2 >= 3 || 3 <= 2 || 2 > 2 || 2 < 2 || 0
+no
+#endif
+#define F(x) x
+#ifdef F
+yes15
+#endif
+#undef NEVER
 """
     lines = fr.resolve_includes(text).split("\n")
-    assert [line for line in lines if line and "#" not in line] == [f"yes{i}" for i in range(1, 10)]
+    assert [line for line in lines if line and "#" not in line] == [f"yes{i}" for i in range(1, 16)]
     conditions = [line for line in lines if re.match("#(if|el|endif)", line)]
-    kept = "#if HOST|#else|#endif|#if HOST|#endif|#if A == 2|#endif|#if (HOST)|#endif"
-    assert "|".join(conditions) == kept
+    assert conditions == [
+        *("#if HOST", "#else", "#endif", "#if HOST", "#endif", "#if A == 2", "#endif"),
+        *("#if (HOST)", "#endif", "#if HOST || 0", "#endif", "#if OCTAL == 10", "#endif"),
+        *("#if !(defined(HOST) || defined(OCTAL))", "#endif"),
+        *("#if defined OCTAL && !defined ( ABSENT )", "#endif"),
+        *("#if 2 >= 2 && 2 <= 2 && 3 > 2 && 2 < 3 && !(0)", "#endif"),
+    ]
     assert len(lines) == len(text.split("\n")), "every line keeps its number"
 
 
@@ -241,6 +270,86 @@ def test_compilers_count_lines_as_in_the_file(evaluate):
     assert f"#line {include + 1} {number}" in body
 
 
+def test_lines_count_behind_an_include_in_a_branch(evaluate):
+    ward = '#include "facerender/ward.glsl"\n'
+    text = f"#version 330 core\n#ifdef X\n{ward}#else\n\n#endif\nnonsense\n"
+    with evaluate.gl as gl, pytest.raises(moderngl.Error, match=r"0:7\(\d+\): "):
+        gl.program("#version 330\nvoid main() {}", fr.resolve_includes(text))
+
+
+def test_a_default_at_the_top_of_a_file_is_no_include_guard():
+    default = "#ifndef FR_LOBE\n#define FR_LOBE FR_LOBE_D16\n#endif\n"
+    text = fr.resolve_includes(default + '#include "facerender/lobe.glsl"\n')
+    assert "float fr_lobe_exact(" in text, "the host may still choose"
+
+
+def test_comments_do_not_become_code():
+    text = """#define A 1 // of /* one \\
+#include "nothing.glsl"
+#if 1 /* begins
+ends */ && 1
+yes
+#endif
+#include "facerender/masking.glsl" /* begins
+ends */
+/* not closed
+#include "nothing.glsl"
+"""
+    lines = fr.resolve_includes(text).split("\n")
+    assert "ends */" not in lines
+    assert lines[-3:-1] == ["/* not closed", '#include "nothing.glsl"']
+
+
+def test_one_file_by_two_paths_comes_once(tmp_path):
+    (tmp_path / "link.glsl").symlink_to(fr.shader_dir() / "facerender/ward.glsl")
+    own = tmp_path / "own.glsl"
+    own.write_bytes(b'\xef\xbb\xbf#include "link.glsl"\r\n#include "facerender/ward.glsl"\r\n')
+    text = fr.shader_source(str(own), lobe="d16", m=0.9)
+    assert text.count("float fr_ward(") == 1
+    assert "\ufeff" not in text
+    assert text.startswith("// own.glsl with")
+
+
+def test_names_of_the_library(tmp_path, monkeypatch):
+    ward = fr.shader_source("ward")
+    assert fr.shader_source("facerender/ward.glsl") == fr.shader_source("ward.glsl") == ward
+    monkeypatch.chdir(tmp_path)
+    Path("ward.glsl").write_text("float own;\n")
+    assert "float own;" in fr.shader_source("ward.glsl")
+    assert fr.shader_source("ward") == ward
+    Path("plain").write_text("float own;\n")
+    assert "float own;" in fr.shader_source("plain")
+
+
+def test_own_files_and_choices(tmp_path):
+    own = tmp_path / "own.glsl"
+    both = '#include "facerender/ward.glsl"\n#include "facerender/cook_torrance.glsl"\n'
+    own.write_text("#define FR_LOBE FR_LOBE_FITTED\n" + both)
+    text = fr.shader_source(str(own), m=0.3)
+    assert re.search(r"#define FR_FITTED_COEFFICIENTS\(m, k\) \(\(k\) == 4 \? vec3", text)
+    with pytest.raises(InputError, match=r"own.glsl:1 defines FR_LOBE: leave the line, or that"):
+        fr.shader_source(str(own), lobe="d16")
+    with pytest.raises(InputError, match="m = 0.9 is outside the domain of lobe fitted for Cook"):
+        fr.shader_source(str(own), m=0.9)
+    own.write_text(f"#ifdef X\n{both}#else\n{both}#endif\n")
+    assert (
+        fr.shader_source(str(own), lobe="fitted", m=0.3).count("FR_FITTED_COEFFICIENTS(m, k) (")
+        == 1
+    )
+    own.write_text(
+        '#include "facerender/lobe/exact.glsl"\n#include "facerender/lobe/fitted.glsl"\n'
+    )
+    assert "FR_FITTED_FINE_COEFFICIENTS(m, k) (" in fr.shader_source(str(own), m=0.3)
+
+
+@pytest.mark.parametrize(
+    ("lobe", "m", "plain"), [("exact", 0.2, True), ("exact", 0.19, False), ("d16", 0.3, False)]
+)
+def test_a_constant_slope_picks_the_cheaper_form(lobe, m, plain):
+    text = fr.shader_source("ward", lobe=lobe, m=m)
+    assert ("#define FR_SMALL_SLOPE 0\n" in text) == plain
+
+
 def test_errors_name_file_and_line(tmp_path):
     def fail(message: str, **files: str) -> None:
         for name, text in files.items():
@@ -260,6 +369,11 @@ def test_errors_name_file_and_line(tmp_path):
     fail(r"a\.glsl:1: #endif without #if", a="#endif")
     fail(r"b\.glsl:1: #else without #if", a='#if X\n#include "b.glsl"\n#endif', b="#else")
     fail(r"a\.glsl: #if without #endif", a="#if X")
+    fail(r"a\.glsl:2: a second #version", a="#version 330\n#version 330")
+    fail(r"a\.glsl:1: cannot read xxx.*: file name too long", a=f'#include "{"x" * 300}"')
+    for i in range(100):
+        (tmp_path / f"{i}.glsl").write_text(f'#include "{i + 1}.glsl"')
+    fail(r"62\.glsl:1: more than 64 files within each other", a='#include "0.glsl"')
     with pytest.raises(InputError, match="line 2: no file facerender/ggx.glsl in "):
         fr.resolve_includes('\n#include "facerender/ggx.glsl"')
 

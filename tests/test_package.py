@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 # What may be imported without OpenGL; see the arrows in the README.
 WITHOUT_GL = [
     *("errors", "lobes", "brdf", "shading", "glsl", "texture", "scene", "mesh", "image"),
-    *("frame", "reference", "catalogue", "measure.amd", "measure.variants"),
+    *("frame", "reference", "catalogue", "includes", "measure.amd", "measure.variants"),
 ]
 
 
