@@ -27,7 +27,7 @@ host code. Where your host has no include, flatten:
 
 ```
 facerender shaders flatten cook_torrance                         text to include, for all targets
-facerender shaders flatten cook_torrance --target es300          behind #version 300 es; your main follows
+facerender shaders flatten cook_torrance --target es300          begins with #version 300 es
 facerender shaders flatten ward --lobe d16 --m 0.3               one lobe, one slope: constants
 facerender shaders flatten mine.frag --target vulkan             your own file, includes resolved
 ```
@@ -73,8 +73,8 @@ add_custom_command(OUTPUT skin.spv DEPENDS skin.frag
     COMMAND glslc -I ${FACERENDER_SHADERS_DIR} ${CMAKE_CURRENT_SOURCE_DIR}/skin.frag -o skin.spv)
 ```
 
-glslangValidator asks for `#extension GL_GOOGLE_include_directive : require` behind `#version 450`, and
-for the include root with no space in it:
+glslangValidator asks for `#extension GL_GOOGLE_include_directive : require` behind `#version 450`,
+and for an include root with no space in it:
 
 ```
 glslangValidator -V -I$(facerender shaders path) skin.frag -o skin.spv
