@@ -9,6 +9,7 @@ load_mesh       a mesh file with its materials; Mesh.with_material changes them
 Scene           mesh, Camera, Light, ambient, background
 Shading         model, lobe, Fresnel term
 Frame, GBuffer  what a renderer returns
+compare         whether two images are the same, and why not
 brdf, lobes     the same functions in float64
 shader_source   one file of the GLSL library, flat, for a target; shader_dir: the include path;
                 resolve_includes, moderngl_includes: for programs of your own
@@ -18,6 +19,7 @@ from facerender import brdf, lobes
 
 __version__ = "0.1.0"
 
+from facerender.compare import compare
 from facerender.errors import ContextError, FacerenderError, FacerenderWarning, InputError
 from facerender.frame import Frame, GBuffer
 from facerender.glsl import moderngl_includes, resolve_includes, shader_dir, shader_source
@@ -44,6 +46,7 @@ __all__ = [
     "Texture",
     "View",
     "brdf",
+    "compare",
     "load_mesh",
     "load_scene",
     "lobes",

@@ -21,6 +21,7 @@ from facerender.context import BACKENDS, probe
 from facerender.errors import FacerenderError, FacerenderWarning, InputError, reason
 from facerender.frame import ONLY
 from facerender.glsl import TARGETS, shader_dir, shader_source
+from facerender.image import read_image
 from facerender.lobes import NAMES as LOBES
 from facerender.mesh import load_mesh, start_maps
 from facerender.renderer import Renderer
@@ -50,7 +51,7 @@ def console() -> NoReturn:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status: 0 done, 2 bad input or no OpenGL."""
+    """Run a command and return its exit status: 0 done, 1 images differ, 2 bad input, no OpenGL."""
     caught: list[str] = []
     with warnings.catch_warnings():
         warnings.simplefilter("always", FacerenderWarning)
@@ -97,6 +98,7 @@ def _parser() -> argparse.ArgumentParser:
         "-o", "--output", default="out/reproduction", metavar="DIR", help="(out/reproduction)"
     )
     reproduce.set_defaults(command=_reproduce)
+    _add_compare(commands.add_parser("compare", help="whether two renders are the same"))
     _add_shaders(commands.add_parser("shaders", help="the GLSL library, for programs of your own"))
     doctor = commands.add_parser("doctor", help="what OpenGL is found here, what is missing")
     doctor.add_argument("--json", action="store_true", help="print the findings as JSON")
@@ -176,6 +178,25 @@ def _add_measure(measure: argparse.ArgumentParser) -> None:
     measure.add_argument("--quick", action="store_true", help="smaller images, fewer repeats")
     measure.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
     measure.add_argument("--json", action="store_true", help="print measure.json, no table")
+
+
+def _add_compare(compare: argparse.ArgumentParser) -> None:
+    compare.set_defaults(command=_compare)
+    compare.description = "Exit status: 0 the same, 1 they differ, 2 they cannot be compared."
+    kinds = ".exr, .npz, .npy, .png or .jpg, or a folder of them"
+    compare.add_argument("a", metavar="A", help=f"reference: {kinds}")
+    compare.add_argument("b", metavar="B", help="image, or folder with files of the same names")
+    compare.add_argument(
+        "--point", type=float, help="limit: excess of a pixel (0.05; 8-bit: 8 steps)"
+    )
+    compare.add_argument(
+        "--block", type=float, help="limit: mean difference of a block (0.005; 8-bit: 1 step)"
+    )
+    compare.add_argument("--coverage", type=float, help="limit: share of changed pixels (0.005)")
+    compare.add_argument("--mask", metavar="FILE", help="image, not 0 where pixels count")
+    compare.add_argument("--heatmap", metavar="OUT.png", help="map of FLIP, for two images")
+    compare.add_argument("--report", metavar="OUT.html", help="a page to look at the images")
+    compare.add_argument("--json", action="store_true", help="every figure")
 
 
 def _add_shaders(shaders: argparse.ArgumentParser) -> None:
@@ -378,6 +399,32 @@ def _reproduce(options: argparse.Namespace, caught: list[str]) -> int:
     for path in result.write(folder):
         print(path)
     return 0
+
+
+def _compare(options: argparse.Namespace, caught: list[str]) -> int:
+    from facerender.compare import Pair, pairs_of
+    from facerender.compare_report import save_heat_map, write_report
+
+    limits = {name: getattr(options, name) for name in ("point", "block", "coverage")}
+    mask = read_image(options.mask).color.max(axis=-1) if options.mask else None
+    pairs = [Pair.of(*names, mask=mask, **limits) for names in pairs_of(options.a, options.b)]
+    status = max(pair.status for pair in pairs)
+    _clean_up_on_interrupt()
+    if options.report:
+        write_report(options.report, pairs)
+    if options.json:
+        result = {"same": status == 0, "pairs": [pair.as_dict() for pair in pairs]}
+        print(json.dumps(result, indent=2))
+    for pair in pairs:
+        if pair.error:
+            print(f"facerender: error: {pair.error}", file=sys.stderr)
+        elif not options.json:
+            print(f"{pair.name}: {pair.comparison}")
+    if options.heatmap:
+        if len(pairs) > 1:
+            raise InputError(f"--heatmap takes two images, not the {len(pairs)} of two folders")
+        save_heat_map(options.heatmap, pairs[0])
+    return status
 
 
 def _list_shaders(options: argparse.Namespace, caught: list[str]) -> int:

@@ -1,30 +1,277 @@
-"""How far one linear image is from another: the point gate sees a few wrong pixels and lets shifted
-edges pass, the block gate sees a lobe or a weight that changed. No OpenGL here."""
+"""Whether two renders are the same: gates that fail on a broken highlight and pass on what drivers
+do differently. Images come from arrays, frames or files; nothing here needs OpenGL.
+
+The point gate takes the largest excess of a pixel over the 3 x 3 neighbourhood in the other
+image: it sees a few wrong pixels, and lets edges pass that moved by less than a pixel. At the
+silhouette it allows four times as much. The block gate takes the largest change of the mean of
+16 x 16 pixels inside the coverage, beyond what a twentieth of a pixel's shift explains: noise
+averages out, and a lobe or a weight that changed stays. The third counts pixels whose coverage
+changed.
+"""
 
 from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender.errors import InputError
+from facerender.frame import Frame
+from facerender.image import SUFFIXES, Encoding, Picture, picture_of, read_image
+
 BLOCK = 16
+MARGIN = 3  # pixels from the edge of the coverage, where a block does not look
+# Times the limit of a pixel, at the silhouette: slivers of grazing light come and go there from
+# driver to driver, by up to 0.19; the weakest false highlights measured there add 0.25.
+SILHOUETTE = 4.0
+SHIFT = 0.05  # pixels by which drivers may place what they draw differently
+FLOOR = 0.01  # radiance below which relative differences are taken of this
+LEAST = 64  # pixels that a block needs to be judged
+
+SHAPE = "another shape, texture or light"
+
+Float = NDArray[np.floating]
+Mask = NDArray[np.bool_]
+Comparable = Picture | Frame | NDArray[Any] | str | os.PathLike[str]
 
 
-def point_error(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
+@dataclass(frozen=True)
+class Limits:
+    """What two images that count as the same may differ by.
+
+    Attributes
+    ----------
+    point : excess of a pixel; radiance, or steps of 8 bits. At the silhouette four times as much
+    block : change of a block's mean, less what a shift of 0.05 pixels explains; relative to that
+        mean, 0.01 at least, or steps
+    coverage : share of all pixels whose coverage changed, in [0, 1]
+    """
+
+    point: float
+    block: float
+    coverage: float = 0.005
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if not value >= 0.0:
+                raise InputError(f"limit {name} = {value:g} is negative or not a number")
+
+
+LIMITS: dict[Encoding, Limits] = {"linear": Limits(0.05, 5e-3), "srgb8": Limits(8.0, 1.0)}
+# For float textures and one driver, where rounding is all that may differ.
+STRICT = Limits(0.05, 1e-3)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The figures of every gate, and what they say. Positions are (x, y) from the top left.
+
+    Attributes
+    ----------
+    reasons : why the images differ, in words; empty where they are the same
+    encoding : "linear" or "srgb8"; it gives the unit of point and block, as in :class:`Limits`
+    limits : that the figures were held against
+    point, point_at : excess of the worst pixel, negative where the image is darker, and where
+    points : pixels over the limit
+    block, block_at : change of the worst block's mean, and its top left pixel
+    blocks, blocks_judged : blocks over the limit, and all that have enough pixels
+    coverage : share of the pixels whose coverage changed; 0 without an alpha channel
+    largest, mean : largest and mean absolute difference of any channel, for information
+    """
+
+    reasons: tuple[str, ...]
+    encoding: Encoding
+    size: tuple[int, int]
+    limits: Limits
+    point: float
+    point_at: tuple[int, int]
+    points: int
+    block: float
+    block_at: tuple[int, int]
+    blocks: int
+    blocks_judged: int
+    coverage: float
+    largest: float
+    mean: float
+
+    @property
+    def same(self) -> bool:
+        """Whether every gate was passed."""
+        return not self.reasons
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return every figure, for JSON."""
+        return {"same": self.same, **asdict(self)}
+
+    def __str__(self) -> str:
+        return "; ".join(self.reasons) or "same"
+
+
+def compare(
+    reference: Comparable,
+    image: Comparable,
+    *,
+    point: float | None = None,
+    block: float | None = None,
+    coverage: float | None = None,
+    mask: NDArray[Any] | None = None,
+) -> Comparison:
+    """Compare an image with its reference.
+
+    Parameters
+    ----------
+    reference, image : a :class:`Frame`; an array (H, W, 3 or 4), linear float or 8-bit sRGB, its
+        fourth channel being coverage; or the path of a .exr, .npz, .npy, .png or .jpg file
+    point, block, coverage : limits of the gates, see :class:`Limits`; without, those of
+        :data:`LIMITS` for the images' encoding. On one driver and with float textures a block limit
+        of 1e-3 holds
+    mask : (H, W), not 0 where the images count; without, everywhere
+
+    Raises
+    ------
+    InputError : a file that cannot be read; sizes, channels or encodings that differ; a value that
+        is not finite, with its place; a limit that is none
+    """
+    a, b = (as_picture(given, name) for given, name in ((reference, "A"), (image, "B")))
+    _check_alike(a, b)
+    _check_finite(a)
+    _check_finite(b)
+    height, width = a.pixels.shape[:2]
+    counts = np.ones((height, width), dtype=bool) if mask is None else np.asarray(mask) != 0
+    if counts.shape != (height, width):
+        raise InputError(f"the mask is {_size(counts)}, the images are {_size(a.pixels)} pixels")
+    given = {"point": point, "block": block, "coverage": coverage}
+    said = {name: value for name, value in given.items() if value is not None}
+    limits = replace(LIMITS[a.encoding], **said)
+
+    full = (a.coverage >= 1.0) & (b.coverage >= 1.0)
+    silhouette = _filtered(full, np.maximum) & ~_filtered(full, np.minimum)
+    excess = np.where(counts, _excess(a.color, b.color), np.float32(0.0))
+    relative = np.abs(excess) / np.where(silhouette, np.float32(SILHOUETTE), np.float32(1.0))
+    over = relative > limits.point
+    means = _block_means(a.color, b.color, full & counts, a.encoding, SHIFT)
+    changed = ((a.coverage >= 0.5) != (b.coverage >= 0.5)) & counts
+    channels = range(a.color.shape[2])
+    # Channel by channel: NumPy is slow along a short last axis.
+    apart = np.maximum.reduce([np.abs(b.color[..., i] - a.color[..., i]) for i in channels])
+    difference = apart[counts]
+    row, column = np.unravel_index(relative.argmax(), relative.shape)
+    across, down = np.unravel_index(np.abs(np.nan_to_num(means)).argmax(), means.shape)[::-1]
+    result = Comparison(
+        reasons=(),
+        encoding=a.encoding,
+        size=(width, height),
+        limits=limits,
+        point=float(excess[row, column]),
+        point_at=(int(column), int(row)),
+        points=int(over.sum()),
+        block=float(np.nan_to_num(means[down, across])),
+        block_at=(int(across) * BLOCK, int(down) * BLOCK),
+        blocks=int((np.abs(means) > limits.block).sum()),
+        blocks_judged=int(np.isfinite(means).sum()),
+        coverage=float(changed.mean()),
+        largest=float(difference.max(initial=0.0)),
+        mean=float(difference.mean()) if difference.size else 0.0,
+    )
+    return replace(
+        result, reasons=_reasons(result, np.sign(excess) * over, full, silhouette, means)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two images and what comparing them gave: figures, or the error that made it impossible.
+
+    Attributes
+    ----------
+    name : of the pair
+    reference, image : None where it could not be read
+    comparison, error : one of the two
+    """
+
+    name: str
+    reference: Picture | None
+    image: Picture | None
+    comparison: Comparison | None
+    error: str = ""
+
+    @classmethod
+    def of(cls, name: str, reference: Comparable, image: Comparable, **options: Any) -> Pair:
+        """Compare two images; the options are those of :func:`compare`."""
+        pictures: list[Picture | None] = []
+        errors = []
+        for given, letter in ((reference, "A"), (image, "B")):
+            try:
+                pictures.append(as_picture(given, letter))
+            except InputError as error:
+                pictures.append(None)
+                errors.append(str(error))
+        a, b = pictures
+        if a is None or b is None:
+            return cls(name, a, b, None, errors[0])
+        try:
+            return cls(name, a, b, compare(a, b, **options))
+        except InputError as error:
+            return cls(name, a, b, None, str(error))
+
+    @property
+    def status(self) -> int:
+        """0 the same, 1 they differ, 2 they cannot be compared."""
+        return 2 if self.comparison is None else int(not self.comparison.same)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return name, error and every figure, for JSON."""
+        figures = self.comparison.as_dict() if self.comparison else {}
+        return {"name": self.name, "error": self.error, **figures}
+
+
+def pairs_of(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
+    """Return name, reference and image of two files, or of every image in two folders.
+
+    Raises
+    ------
+    InputError : a file and a folder, or folders without an image
+    """
+    a, b = Path(a), Path(b)
+    if a.is_dir() != b.is_dir():
+        raise InputError(f"one of {a} and {b} is a folder: give two folders, or two images")
+    if not a.is_dir():
+        return [(b.name, a, b)]
+    names = {
+        path.relative_to(folder).as_posix()
+        for folder in (a, b)
+        for path in folder.rglob("*")
+        if path.suffix.lower() in SUFFIXES
+    }
+    if not names:
+        raise InputError(f"no image in {a} and {b}: give folders of {', '.join(SUFFIXES)} files")
+    return [(name, a / name, b / name) for name in sorted(names)]
+
+
+def as_picture(given: Comparable, name: str) -> Picture:
+    """Return the image as pixels, whatever it was given as; name serves for errors."""
+    if isinstance(given, Picture):
+        return given
+    if isinstance(given, Frame):
+        return Picture(given.linear, "linear", name, given.metadata)
+    if isinstance(given, (str, os.PathLike)):
+        return read_image(given)
+    return picture_of(np.asarray(given), name)
+
+
+def point_error(a: Float, b: Float) -> float:
     """Return the largest excess of a pixel over the 3 x 3 neighbourhood in the other image, either
     way; a and b are (H, W, 3)."""
-    from scipy import ndimage
-
-    window = (3, 3, 1)
-    high_a, low_a = ndimage.maximum_filter(a, window), ndimage.minimum_filter(a, window)
-    high_b, low_b = ndimage.maximum_filter(b, window), ndimage.minimum_filter(b, window)
-    return float(max((b - high_a).max(), (low_a - b).max(), (a - high_b).max(), (low_b - a).max()))
+    return float(np.abs(_excess(a, b)).max())
 
 
-def block_error(
-    a: NDArray[np.floating], reference: NDArray[np.floating], coverage: NDArray[np.floating]
-) -> float:
-    """Return the largest mean signed difference over 16 x 16 blocks, relative to
-    max(|reference|, 0.01).
+def block_error(a: Float, reference: Float, coverage: Float) -> float:
+    """Return the largest change of the mean of 16 x 16 pixels, relative to it, or to 0.01.
 
     Parameters
     ----------
@@ -32,13 +279,164 @@ def block_error(
     coverage : (H, W) in [0, 1]; only pixels at least 3 inside of full coverage count, and blocks
         with at least 64 of them
     """
-    from scipy import ndimage
+    means = _block_means(reference, a, coverage >= 1.0, "linear")
+    return float(np.abs(np.nan_to_num(means)).max(initial=0.0))
 
-    inside = ndimage.binary_erosion(coverage >= 1.0, iterations=3)
-    difference = ((a - reference) / np.maximum(np.abs(reference), 0.01)).mean(axis=-1) * inside
-    height, width = (side // BLOCK * BLOCK for side in inside.shape)
-    blocks = (height // BLOCK, BLOCK, width // BLOCK, BLOCK)
-    total = difference[:height, :width].reshape(blocks).sum(axis=(1, 3))
-    count = inside[:height, :width].reshape(blocks).sum(axis=(1, 3))
-    filled = count >= 64
-    return float(np.abs(total[filled] / count[filled]).max(initial=0.0))
+
+def _check_alike(a: Picture, b: Picture) -> None:
+    if a.pixels.shape[:2] != b.pixels.shape[:2]:
+        raise InputError(
+            f"{a.name} is {_size(a.pixels)}, {b.name} is {_size(b.pixels)} pixels: render both at "
+            "one size"
+        )
+    if a.encoding != b.encoding:
+        kinds = {"linear": "linear float", "srgb8": "8-bit sRGB"}
+        raise InputError(
+            f"{a.name} is {kinds[a.encoding]}, {b.name} is {kinds[b.encoding]}: give two of a kind"
+        )
+    if a.pixels.shape[2] != b.pixels.shape[2]:
+        counts = (f"{x.name} has {x.pixels.shape[2]} channels" for x in (a, b))
+        raise InputError(f"{', '.join(counts)}: save both with alpha, or both without")
+    if a.color_space != b.color_space:
+        raise InputError(
+            f"{a.name} is in colour space {a.color_space}, {b.name} in {b.color_space}: convert one"
+        )
+
+
+def _check_finite(picture: Picture) -> None:
+    finite = np.isfinite(picture.pixels)
+    if finite.all():
+        return
+    nans = int(np.isnan(picture.pixels).sum())
+    row, column, channel = np.argwhere(~finite)[0]
+    raise InputError(
+        f"{picture.name} holds {nans} NaN and {int((~finite).sum()) - nans} infinite values, the "
+        f"first at pixel ({column}, {row}), channel {channel}: mend what drew it"
+    )
+
+
+def _size(pixels: NDArray[Any]) -> str:
+    return f"{pixels.shape[1]} x {pixels.shape[0]}"
+
+
+def _filtered(x: NDArray[Any], choose: Callable[..., NDArray[Any]]) -> NDArray[Any]:
+    """Apply np.maximum or np.minimum over 3 x 3 pixels, those beyond the border left out."""
+    for axis in (0, 1):
+        y = np.moveaxis(x, axis, 0)
+        x = x.copy()
+        z = np.moveaxis(x, axis, 0)
+        choose(z[1:], y[:-1], out=z[1:])
+        choose(z[:-1], y[1:], out=z[:-1])
+    return x
+
+
+def _excess(a: Float, b: Float) -> Float:
+    """Return (H, W): how far the worse channel leaves the neighbourhood in the other image; below 0
+    where b is the darker one."""
+    result = np.zeros(a.shape[:2], dtype=np.float32)
+    for channel in range(a.shape[2]):
+        x, y = (np.ascontiguousarray(image[..., channel]) for image in (a, b))
+        brighter = np.maximum(y - _filtered(x, np.maximum), _filtered(y, np.minimum) - x)
+        darker = np.maximum(x - _filtered(y, np.maximum), _filtered(x, np.minimum) - y)
+        worse = np.where(brighter > darker, brighter, -darker)
+        worse[np.maximum(brighter, darker) <= 0.0] = 0.0
+        result = np.where(np.abs(worse) > np.abs(result), worse, result)
+    return result
+
+
+def _block_means(
+    a: Float, b: Float, covered: Mask, encoding: Encoding, shift: float = 0.0
+) -> Float:
+    """Return how each block's mean changed, in its worst channel; NaN where too few of its pixels
+    lie inside the coverage.
+
+    shift : pixels, along rows and columns; what so small a shift explains is taken off
+    """
+    inside = covered
+    for _ in range(MARGIN):
+        inside = _filtered(inside, np.minimum)
+    count = _block_sums(inside)
+    worst = np.zeros(count.shape)
+    for channel in range(a.shape[2]):
+        x, y = (np.ascontiguousarray(image[..., channel]) for image in (a, b))
+        of = np.maximum(count, 1.0)
+        if encoding == "linear":
+            of = np.maximum(_block_sums(np.abs(x) * inside), FLOOR * of)
+        change = _block_sums((y - x) * inside) / of
+        if shift:
+            slopes = (np.diff(x, axis=axis, append=x.take([-1], axis)) for axis in (0, 1))
+            explained = sum(np.abs(_block_sums(slope * inside)) for slope in slopes)
+            change = np.sign(change) * np.maximum(np.abs(change) - shift * explained / of, 0.0)
+        worst = np.where(np.abs(change) > np.abs(worst), change, worst)
+    worst[count < LEAST] = np.nan
+    return worst
+
+
+def _block_sums(values: NDArray[Any]) -> NDArray[np.float64]:
+    height, width = (-(-side // BLOCK) for side in values.shape)
+    padding = [(0, height * BLOCK - values.shape[0]), (0, width * BLOCK - values.shape[1])]
+    blocks = np.pad(values, padding).reshape(height, BLOCK, width, BLOCK)
+    return np.asarray(blocks.sum(axis=(1, 3), dtype=np.float64))
+
+
+def _reasons(
+    result: Comparison, over: Float, full: Mask, silhouette: Mask, means: Float
+) -> tuple[str, ...]:
+    """Say why the images differ, and what that looks like.
+
+    over : (H, W), 1 where a pixel is too bright, -1 where it is too dark
+    """
+    limits = result.limits
+    reasons = []
+    like = ""
+    if result.points:
+        wrong = over != 0
+        bright = float((over > 0).sum()) / result.points
+        grazing = silhouette
+        for _ in range(MARGIN - 1):
+            grazing = _filtered(grazing, np.maximum)
+        at_edge = grazing[wrong].mean() > 0.5
+        where = " at the silhouette" if at_edge else ""
+        touching = (wrong[1:] & wrong[:-1]).sum() + (wrong[:, 1:] & wrong[:, :-1]).sum()
+        scattered = touching <= 0.5 * result.points
+        if bright > 0.9:
+            like = "fireflies" if scattered and not at_edge else "false highlights"
+        elif bright < 0.1 and result.points < 0.01 * full.sum():
+            like = "missing pixels" if scattered else "missing highlights"
+        else:
+            like = SHAPE
+        plural = "" if result.points == 1 else "s"
+        by = _amount(result.point, result.encoding)
+        reasons.append(
+            f"{result.points} pixel{plural} over by up to {by}{where}, worst {result.point_at}, "
+            f"limit {limits.point:g}: looks like {like}"
+        )
+    if result.blocks:
+        judged = means[np.isfinite(means)]
+        low, middle, high = np.percentile(judged, (10, 50, 90))
+        explained = _block_sums(over != 0)[np.abs(means) > limits.block].all()
+        if abs(middle) > limits.block and high - low < 0.5 * abs(middle):
+            guess = "exposure, light or colour space"
+        elif result.points and (explained or like == SHAPE):
+            guess = like
+        else:
+            guess = "a lobe or weight change"
+        mean, limit = (
+            (f"{100.0 * result.block:+.2g} %", f"{100.0 * limits.block:g} %")
+            if result.encoding == "linear"
+            else (f"{result.block:+.2g} of 255", f"{limits.block:g}")
+        )
+        reasons.append(
+            f"block {result.block_at}: mean {mean}, limit {limit}, {result.blocks} of "
+            f"{result.blocks_judged} blocks over: looks like {guess}"
+        )
+    if result.coverage > limits.coverage:
+        reasons.append(
+            f"coverage changed on {100.0 * result.coverage:.2g} % of the pixels, limit "
+            f"{100.0 * limits.coverage:g} %: looks like another mesh or camera"
+        )
+    return tuple(reasons)
+
+
+def _amount(value: float, encoding: Encoding) -> str:
+    return f"{abs(value):.2g}" if encoding == "linear" else f"{abs(value):.0f} of 255"

@@ -1,17 +1,64 @@
-"""Images at the edges: sRGB bytes from linear float, PNG and EXR files whole or not at all."""
+"""Images at the edges: sRGB bytes from linear float; image files, written whole or not at all; and
+what they hold."""
 
 from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Mapping
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, reason
+
+Encoding = Literal["linear", "srgb8"]
+
+SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What an image file holds.
+
+    Attributes
+    ----------
+    pixels : (H, W, 1 to 4) float32, row 0 on top; linear, or the 8-bit steps 0 to 255. An even
+        number of channels ends with alpha
+    encoding : "linear" or "srgb8"
+    name : for messages
+    metadata : that the file carries
+    color_space : as the file says it, "" where it says nothing
+    """
+
+    pixels: NDArray[np.float32]
+    encoding: Encoding
+    name: str
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    color_space: str = ""
+
+    @property
+    def coverage(self) -> NDArray[np.float32]:
+        """Alpha (H, W), in [0, 1]; 1 in an image without."""
+        if self.pixels.shape[2] % 2:
+            return np.ones(self.pixels.shape[:2], dtype=np.float32)
+        return self.pixels[..., -1] / np.float32(255.0 if self.encoding == "srgb8" else 1.0)
+
+    @property
+    def color(self) -> NDArray[np.float32]:
+        """Colour (H, W, 1 or 3), premultiplied by coverage, as linear images are."""
+        channels = self.pixels.shape[2]
+        if channels % 2:
+            return self.pixels
+        color = self.pixels[..., :-1]
+        return color if self.encoding == "linear" else color * self.coverage[..., None]
 
 
 def srgb_to_linear(encoded: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -108,12 +155,7 @@ def save_exr(
     path: str | os.PathLike[str], linear: NDArray[np.float32], metadata: Mapping[str, str]
 ) -> None:
     """Write linear float32 pixels (H, W, 3 or 4) as OpenEXR; needs the extra ``exr``."""
-    try:
-        import OpenEXR
-    except ImportError:
-        raise InputError(
-            f"cannot write {path}: EXR needs the package OpenEXR; pip install 'facerender[exr]'"
-        ) from None
+    OpenEXR = _openexr(path)
     channels = {"RGBA"[: linear.shape[-1]]: np.ascontiguousarray(linear)}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     file = OpenEXR.File({**header, **metadata}, channels)
@@ -125,3 +167,141 @@ def save_exr(
             raise OSError(str(error)) from None
 
     write_whole(path, write)
+
+
+def read_image(path: str | os.PathLike[str]) -> Picture:
+    """Read .exr (the extra ``exr``), .npz or .npy (linear float, or 8-bit), .png or .jpg (8-bit).
+
+    Raises
+    ------
+    InputError : a file that is missing, damaged, or of another kind; the message has the remedy
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            start = file.read(32)
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {reason(error)}") from None
+    if not start:
+        raise InputError(f"{path} is empty: write it anew")
+    suffix = path.suffix.lower()
+    if suffix == ".exr":
+        return _read_exr(path)
+    if suffix in (".npz", ".npy"):
+        return _read_numpy(path)
+    if suffix in (".png", ".jpg", ".jpeg"):
+        return _read_8_bit(path, start)
+    raise InputError(
+        f"{path}: unknown image format {suffix!r}; give .exr, .npz, .npy, .png or .jpg"
+    )
+
+
+def picture_of(values: NDArray[Any], name: str) -> Picture:
+    """Take an array (H, W), or (H, W, 1 to 4), of floats (linear) or uint8 (sRGB), as an image.
+
+    Raises
+    ------
+    InputError : another shape or type
+    """
+    pixels = values[..., None] if values.ndim == 2 else values
+    if pixels.ndim != 3 or not 1 <= pixels.shape[2] <= 4 or 0 in pixels.shape:
+        raise InputError(f"{name} has shape {values.shape}: give (H, W, 3) or (H, W, 4)")
+    if pixels.dtype == np.uint8:
+        return Picture(pixels.astype(np.float32), "srgb8", name)
+    if not np.issubdtype(pixels.dtype, np.floating):
+        raise InputError(f"{name} holds {pixels.dtype}: give linear float, or uint8")
+    with np.errstate(over="ignore"):
+        return Picture(pixels.astype(np.float32), "linear", name)
+
+
+def _read_exr(path: Path) -> Picture:
+    OpenEXR = _openexr(path)
+    try:
+        with _silence():
+            file = OpenEXR.File(str(path), separate_channels=True)
+            channels = {name: channel.pixels for name, channel in file.channels().items()}
+            header = file.header()
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise InputError(
+            f"{path} is no image that OpenEXR reads ({error}); write it anew"
+        ) from None
+    names = [name for name in "RGBA" if name in channels and "R" in channels]
+    names = names or sorted(channels, reverse=True)
+    if names not in (["R", "G", "B"], ["R", "G", "B", "A"], ["Y"], ["Y", "A"]):
+        raise InputError(f"{path} has channels {', '.join(channels)}: give R, G, B, and A if any")
+    metadata = {key: value for key, value in header.items() if isinstance(value, str)}
+    primaries = header.get("chromaticities")
+    pixels = np.stack([channels[name].astype(np.float32) for name in names], axis=-1)
+    return Picture(
+        pixels, "linear", str(path), metadata, "" if primaries is None else str(primaries)
+    )
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keep off standard output and error what OpenEXR says there, from C as well, about a damaged
+    file."""
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "w") as nothing, redirect_stdout(nothing):
+            os.dup2(nothing.fileno(), 2)
+            yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+def _openexr(path: str | os.PathLike[str]) -> Any:
+    try:
+        import OpenEXR
+    except ImportError:
+        raise InputError(
+            f"{path}: EXR needs the package OpenEXR; pip install 'facerender[exr]'"
+        ) from None
+    return OpenEXR
+
+
+def _read_numpy(path: Path) -> Picture:
+    try:
+        with path.open("rb") as file:
+            loaded = np.load(file, allow_pickle=False)
+            arrays = {"": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path} is no NumPy file ({error}); write it anew") from None
+    if len(arrays) > 1 and "linear" in arrays:
+        arrays = {"linear": arrays["linear"]}
+    if len(arrays) != 1:
+        raise InputError(f"{path} holds {', '.join(arrays) or 'no array'}: name one of them linear")
+    (values,) = arrays.values()
+    return picture_of(values, str(path))
+
+
+def _read_8_bit(path: Path, start: bytes) -> Picture:
+    from PIL import Image, UnidentifiedImageError
+
+    if start.startswith(b"\x89PNG") and start[24:25] == b"\x10":  # Pillow would drop the lower byte
+        raise InputError(f"{path} is a 16-bit PNG: save as 8-bit PNG, or as EXR")
+    try:
+        with Image.open(path, formats=("PNG", "JPEG")) as image:
+            image.load()
+    except UnidentifiedImageError:
+        raise InputError(f"{path} is neither PNG nor JPEG: write it anew") from None
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise InputError(f"{path} is damaged ({error}); write it anew") from None
+    if image.mode not in ("L", "LA", "RGB", "RGBA"):
+        kind = {"P": "a palette image", "CMYK": "a CMYK image", "1": "an image of single bits"}
+        raise InputError(f"{path} is {kind.get(image.mode, image.mode)}: save it as RGB")
+    if "transparency" in image.info:
+        raise InputError(f"{path} has one transparent colour: save it as RGBA")
+    metadata = {str(key): value for key, value in image.info.items() if isinstance(value, str)}
+    profile = image.info.get("icc_profile") or b""
+    space = f"ICC profile {zlib.crc32(profile):08x}" if profile else ""
+    if gamma := image.info.get("gamma"):
+        space = space or f"gamma {gamma:.4g}"
+    return Picture(
+        np.asarray(image, dtype=np.float32).reshape(image.height, image.width, -1),
+        "srgb8",
+        str(path),
+        metadata,
+        space,
+    )

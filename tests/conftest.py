@@ -19,6 +19,8 @@ from tests import chromium
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
+pytest_plugins = ["pytester"]
+
 TEST_DATA = Path(
     os.environ.get("FACERENDER_TEST_DATA", Path(__file__).parents[2] / "shared" / "data")
 )

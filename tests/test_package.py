@@ -16,7 +16,16 @@ ROOT = Path(__file__).parents[1]
 # What may be imported without OpenGL; see the arrows in the README.
 WITHOUT_GL = [
     *("errors", "lobes", "brdf", "shading", "glsl", "texture", "scene", "mesh", "image"),
-    *("frame", "reference", "catalogue", "includes", "measure.amd", "measure.variants"),
+    *(
+        "frame",
+        "reference",
+        "compare",
+        "goldens",
+        "catalogue",
+        "includes",
+        "measure.amd",
+        "measure.variants",
+    ),
 ]
 
 
@@ -26,6 +35,7 @@ def test_modules_without_opengl_do_not_import_it(module):
         "import sys, types; sys.modules['moderngl'] = sys.modules['glcontext'] = None\n"
         "package = sys.modules['facerender'] = types.ModuleType('facerender')\n"
         f"package.__path__ = [{str(ROOT / 'facerender')!r}]\n"
+        "package.__version__ = '0'\n"
         f"import facerender.{module}\n"
         "assert 'facerender.cli' not in sys.modules\n"
     )
@@ -56,3 +66,6 @@ def test_wheel_renders_away_from_the_checkout(tmp_path):
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path, env=environment)
     assert (tmp_path / "head.png").stat().st_size > 1000
+    command = [sys.executable, "-m", "pytest", "--facerender-unused=fail"]  # it knows the plugin
+    result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True)
+    assert result.returncode == pytest.ExitCode.NO_TESTS_COLLECTED

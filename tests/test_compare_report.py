@@ -1,0 +1,416 @@
+"""The heat map and the page of a comparison: what they show, that they stand alone, and that the
+page works in a browser."""
+
+from __future__ import annotations
+
+import sys
+from base64 import b64decode
+from html.parser import HTMLParser
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from facerender import InputError
+from facerender.compare import Pair
+from facerender.compare_report import save_heat_map, write_report
+from facerender.image import Picture
+
+SIZE = (40, 48)  # height, width
+AT = (30, 12)  # x, y of the wrong pixel
+NAME = '<b onclick="x">&\'.exr'
+ORDER = [  # of the page: those that differ, errors, those that are the same
+    *(NAME, "eight.png", "grey.npy", "coverage.exr"),
+    *("not finite.exr", "missing.exr", "sizes.exr"),
+    *("equal.exr", "equal, large.exr"),
+]
+VOID = {"meta", "link", "img", "input", "br"}
+
+
+def image(channels: int = 4) -> np.ndarray:
+    x = np.linspace(0.2, 0.6, SIZE[1], dtype=np.float32)
+    pixels = np.ones((*SIZE, 4), dtype=np.float32)
+    pixels[..., :3] = x[None, :, None] * (1.0, 0.8, 0.7)
+    return pixels[..., :channels]
+
+
+def with_pixel(value: float, channels: int = 4) -> np.ndarray:
+    pixels = image(channels).copy()
+    pixels[AT[1], AT[0], :3] = value
+    return pixels
+
+
+def to_8_bit(pixels: np.ndarray) -> np.ndarray:
+    return np.round(255.0 * pixels).astype(np.uint8)
+
+
+def uncovered() -> np.ndarray:
+    pixels = image()
+    pixels[:, :8, 3] = 0.0
+    return pixels
+
+
+def picture(pixels: np.ndarray, name: str, **metadata: str) -> Picture:
+    return Picture(pixels, "linear", name, metadata)
+
+
+@pytest.fixture(scope="module")
+def pairs() -> list[Pair]:
+    a = picture(image(), "a.exr", GL_RENDERER="<llvm> & pipe", samples="4")
+    b = picture(with_pixel(3.0), "b.exr", GL_RENDERER="<llvm> & pipe", samples="1", extra="new")
+    return [
+        Pair.of("equal.exr", image(), image()),
+        Pair.of("not finite.exr", image(), with_pixel(np.nan)),
+        Pair.of("missing.exr", "no/such.exr", image()),
+        Pair.of("sizes.exr", image(), image()[:, :20]),
+        Pair.of(NAME, a, b),
+        Pair.of("eight.png", to_8_bit(image(3)), to_8_bit(with_pixel(0.0, 3))),
+        Pair.of("grey.npy", image(1), with_pixel(0.0, 1)),
+        Pair.of("coverage.exr", image(), uncovered()),
+        Pair.of("equal, large.exr", np.ones((400, 300, 3)), np.ones((400, 300, 3))),
+    ]
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory, pairs: list[Pair]) -> Path:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    write_report(path, pairs)
+    return path
+
+
+class Page(HTMLParser):
+    """The page as tags with attributes, text by the nearest id, and a check of nesting."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.open: list[tuple[str, str | None]] = []
+        self.tags: list[tuple[str, dict[str, str | None], str]] = []
+        self.text: dict[str, str] = {}
+        self.feed(path.read_text(encoding="utf-8"))
+        self.close()
+        assert self.open == []
+
+    @property
+    def id(self) -> str:
+        return next((id for _, id in reversed(self.open) if id), "")
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in VOID:
+            self.open.append((tag, dict(attrs).get("id")))
+        self.tags.append((tag, dict(attrs), self.id))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop()[0] == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text[self.id] = self.text.get(self.id, "") + data
+
+    def images(self, id: str) -> dict[str | None, np.ndarray]:
+        """The pictures of a section by what they show."""
+        found = [a for tag, a, at in self.tags if tag == "img" and at == id]
+        return {a["alt"]: decode(a["src"] or "") for a in found}
+
+
+def decode(source: str) -> np.ndarray:
+    kind, _, data = source.partition(",")
+    assert kind == "data:image/png;base64"
+    return np.asarray(Image.open(BytesIO(b64decode(data))))
+
+
+@pytest.fixture(scope="module")
+def parsed(page: Path) -> Page:
+    return Page(page)
+
+
+def at(name: str) -> str:
+    return f"pair-{ORDER.index(name)}"
+
+
+def test_summary_has_each_pair_once_those_that_differ_first(parsed: Page) -> None:
+    links = [a["href"] for tag, a, _ in parsed.tags if tag == "a"]
+    assert links == [f"#{at(name)}" for name in ORDER]
+    ids = [a["id"] for _, a, _ in parsed.tags if "id" in a]
+    assert ids == [at(name) for name in ORDER]
+    summary = parsed.text[""]
+    places = [summary.index(name) for name in ORDER]
+    assert places == sorted(places)
+    rows = [a["class"] for tag, a, at in parsed.tags if tag == "tr" and a.get("class") and not at]
+    assert rows == ["differs"] * 4 + ["error"] * 3 + ["same"] * 2
+    assert "Comparison: 4 differ, 3 not comparable, 2 the same" in summary
+
+
+def test_figures_stand_beside_their_limits(parsed: Page) -> None:
+    summary = parsed.text[""].replace("\N{NO-BREAK SPACE}", " ")
+    excess = 3.0 - image()[AT[1], AT[0] + 1, 2]  # blue, over its brightest neighbour
+    assert f"{NAME}differs{excess:.3g} > 0.05" in summary
+    assert "coverage.exrdiffers0 ≤ 0.050 % ≤ 0.5 %16.7 % > 0.5 %" in summary
+    assert "missing.exrerror–––" in summary
+    text = parsed.text[at("eight.png")].replace("\N{NO-BREAK SPACE}", " ")
+    assert "Figures, in steps of 255" in text
+    assert "darker at (30, 12); 1 over" in text
+
+
+def test_reasons_and_errors_in_words(parsed: Page, pairs: list[Pair]) -> None:
+    for pair in pairs:
+        said = pair.comparison.reasons if pair.comparison else (pair.error,)
+        for reason in said:
+            assert reason in parsed.text[at(pair.name)]
+
+
+def test_page_fetches_nothing(page: Path, parsed: Page) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert "http:" not in text
+    assert "https:" not in text
+    assert "url(" not in text
+    assert "@import" not in text
+    for tag, attributes, _ in parsed.tags:
+        assert (attributes.get("src") or "data:").startswith("data:")
+        assert (attributes.get("href") or "#").startswith(("data:", "#"))
+        assert tag not in {"iframe", "object", "embed"}
+
+
+def test_names_are_text(page: Path, parsed: Page) -> None:
+    assert NAME not in page.read_text(encoding="utf-8")
+    assert all("onclick" not in attributes for _, attributes, _ in parsed.tags)
+    assert "<llvm> & pipe" in parsed.text[at(NAME)]
+
+
+def test_name_that_is_no_utf_8(tmp_path: Path) -> None:
+    write_report(tmp_path / "report.html", [Pair.of("\udcff.exr", image(), image())])
+    assert r"\udcff.exr" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_environment_marks_what_differs(page: Path, parsed: Page) -> None:
+    text = page.read_text(encoding="utf-8").partition(f'<section id="{at(NAME)}"')[2]
+    text = text.partition("</section>")[0]
+    for key, changed in {
+        "image": 0,
+        "pixels": 0,
+        "GL_RENDERER": 0,
+        "samples": 1,
+        "extra": 1,
+    }.items():
+        mark = ' class="changed"' * changed
+        assert f'<tr{mark}><th scope="row">{key}</th>' in text
+
+
+def test_pictures_of_a_pair_that_differs(parsed: Page) -> None:
+    shown = parsed.images(at(NAME))
+    assert list(shown) == ["a", "b", "heat", "difference"]
+    x, y = AT
+    wrong = np.zeros(SIZE, dtype=bool)
+    wrong[y, x] = True
+    np.testing.assert_array_equal((shown["a"] != shown["b"]).any(axis=-1), wrong)
+    assert tuple(shown["b"][y, x]) == (255, 255, 255)
+    np.testing.assert_array_equal((shown["difference"] != 0).any(axis=-1), wrong)
+    assert shown["heat"][y, x].sum() > 2 * shown["heat"][0, 0].sum()
+
+
+def test_colours_of_the_difference(parsed: Page) -> None:
+    x, y = AT
+    brighter = parsed.images(at(NAME))["difference"][y, x]
+    darker = parsed.images(at("grey.npy"))["difference"][y, x]
+    assert brighter[0] > brighter[2]
+    assert darker[2] > darker[0]
+    uncovered = parsed.images(at("coverage.exr"))["difference"]
+    assert uncovered[:, :8].any(axis=-1).all()
+    assert not uncovered[:, 8:].any()
+
+
+def test_what_is_not_finite_is_magenta(parsed: Page) -> None:
+    shown = parsed.images(at("not finite.exr"))
+    assert list(shown) == ["a", "b"]
+    magenta = (shown["b"] == (255, 0, 255)).all(axis=-1)
+    assert [tuple(place) for place in np.argwhere(magenta)] == [AT[::-1]]
+
+
+def test_pairs_without_a_verdict_show_what_there_is(parsed: Page) -> None:
+    sizes = {kind: shown.shape[:2] for kind, shown in parsed.images(at("sizes.exr")).items()}
+    assert sizes == {"a": SIZE, "b": (SIZE[0], 20)}
+    assert list(parsed.images(at("missing.exr"))) == ["b"]
+
+
+def test_equal_pairs_are_folded_with_one_small_image(parsed: Page) -> None:
+    assert sum(tag == "details" for tag, _, _ in parsed.tags) == 2
+    assert [x.shape[:2] for x in parsed.images(at("equal.exr")).values()] == [SIZE]
+    assert [x.shape[:2] for x in parsed.images(at("equal, large.exr")).values()] == [(160, 120)]
+
+
+def test_black_lies_behind_transparency(tmp_path: Path) -> None:
+    straight = to_8_bit(image())
+    straight[..., 3] = 51
+    write_report(tmp_path / "report.html", [Pair.of("x", straight, to_8_bit(image()))])
+    shown = Page(tmp_path / "report.html").images("pair-0")["a"]
+    np.testing.assert_array_equal(shown, np.round(straight[..., :3] * 0.2))
+
+
+def test_page_without_the_package_for_heat_maps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+    write_report(tmp_path / "report.html", [Pair.of("x", image(), with_pixel(3.0))])
+    page = Page(tmp_path / "report.html")
+    assert list(page.images("pair-0")) == ["a", "b", "difference"]
+    assert "pip install 'facerender[measure]'" in page.text["pair-0"]
+
+
+def test_page_is_whole_or_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pairs: list[Pair]
+) -> None:
+    path = tmp_path / "report.html"
+    path.write_text("old")
+
+    def full(self: Path, data: bytes) -> int:
+        with self.open("wb") as file:
+            file.write(data[:100])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(InputError, match="report.html: No space left"):
+        write_report(path, pairs[:1])
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_heat_map(tmp_path: Path) -> None:
+    for name, a, b in (
+        ("linear.png", image(), with_pixel(0.0)),
+        ("bytes.png", to_8_bit(image(3)), to_8_bit(with_pixel(0.0, 3))),
+        ("grey.png", image(1), with_pixel(0.0, 1)),
+    ):
+        save_heat_map(tmp_path / name, Pair.of("x", a, b))
+        heat = np.asarray(Image.open(tmp_path / name)).astype(int).sum(axis=-1)
+        assert heat.shape == SIZE
+        assert np.unravel_index(heat.argmax(), SIZE) == AT[::-1]
+        assert heat.max() > 100 + heat[0, 0]
+
+
+def test_heat_map_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "heat.png"
+    with pytest.raises(InputError, match="no heat map: cannot read no.exr: no such file"):
+        save_heat_map(path, Pair.of("x", "no.exr", image()))
+    with pytest.raises(InputError, match="48 x 40, B is 20 x 40 pixels"):
+        save_heat_map(path, Pair.of("x", image(), image()[:, :20]))
+    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+    with pytest.raises(InputError, match=r"pip install 'facerender\[measure\]'"):
+        save_heat_map(path, Pair.of("x", image(), with_pixel(0.0)))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def tab(browser, page: Path):
+    """The page, open; nothing was complained of or fetched in the end."""
+    tab = browser.new_page(viewport={"width": 1400, "height": 1000})
+    said: list[str] = []
+    tab.on("console", lambda message: said.append(message.text))
+    tab.on("pageerror", lambda error: said.append(str(error)))
+    tab.on("request", lambda request: said.append(request.url))
+    tab.goto(page.as_uri())
+    yield tab
+    tab.close()
+    assert [line for line in said if not line.startswith(("data:", page.as_uri()))] == []
+
+
+def visible(section) -> list[str]:
+    figures = section.locator("figure")
+    return [
+        figures.nth(i).get_attribute("class")
+        for i in range(figures.count())
+        if figures.nth(i).is_visible()
+    ]
+
+
+def test_views(tab) -> None:
+    section = tab.locator(f"#{at(NAME)}")
+    assert visible(section) == ["a", "b", "heat"]
+    section.get_by_label("difference").check()
+    assert visible(section) == ["difference"]
+    section.get_by_label("blink").check()
+    section.get_by_label("run").uncheck()
+    before = visible(section)
+    section.get_by_role("button", name="swap").click()
+    assert sorted(before + visible(section)) == ["a", "b"]
+    section.get_by_label("slider").check()
+    assert visible(section) == ["a", "b"]
+    boxes = [section.locator(f".{kind} .view").bounding_box() for kind in "ab"]
+    assert boxes[0] == boxes[1]
+    section.get_by_label("cut").fill("25")
+    clip = section.locator(".b .view").evaluate("view => getComputedStyle(view).clipPath")
+    assert clip == "inset(0px 0px 0px 25%)"
+
+
+def test_blinking_goes_on_by_itself(tab) -> None:
+    section = tab.locator(f"#{at(NAME)}")
+    section.get_by_label("blink").check()
+    for kind in "bab":
+        section.locator(f".{kind}").wait_for(state="visible", timeout=5000)
+
+
+def test_views_by_keyboard(tab) -> None:
+    section = tab.locator(f"#{at(NAME)}")
+    section.get_by_label("side by side").focus()
+    for shown in (1, 2, 1):
+        tab.keyboard.press("ArrowRight")
+        assert len(visible(section)) == shown
+
+
+def enlarged(section) -> tuple[float, float, float]:
+    """Size of a pixel of A on the screen, and the pixel in the middle of the view."""
+    x, y, size = section.locator(".a").evaluate(
+        """figure => {
+            const image = figure.querySelector("img").getBoundingClientRect();
+            const view = figure.querySelector(".view").getBoundingClientRect();
+            const size = image.width / +figure.style.getPropertyValue("--w");
+            return [(view.x + view.width / 2 - image.x) / size,
+                    (view.y + view.height / 2 - image.y) / size, size];
+        }"""
+    )
+    return size, x, y
+
+
+def test_zoom_to_the_worst_and_back(tab) -> None:
+    section = tab.locator(f"#{at(NAME)}")
+    fit = enlarged(section)[0]
+    section.get_by_label("worst pixel").check()
+    assert enlarged(section) == pytest.approx((2 * fit, AT[0] + 0.5, AT[1] + 0.5), rel=0.01)
+    rendering = section.locator(".a img").evaluate(
+        "image => getComputedStyle(image).imageRendering"
+    )
+    assert rendering == "pixelated"
+    section.locator(".stage").press("ArrowLeft")
+    assert enlarged(section)[1] == pytest.approx(AT[0] - 4 + 0.5, rel=0.01)
+    section.locator(".a .view").click()
+    assert enlarged(section)[0] == pytest.approx(fit)
+    assert section.get_by_label("whole").is_checked()
+    section.locator(".a .view").click(position={"x": fit * 20.5, "y": fit * 25.5})
+    assert enlarged(section) == pytest.approx((2 * fit, 20.5, 25.5), rel=0.01)
+
+
+def test_marks_lie_where_the_worst_is(tab) -> None:
+    section = tab.locator(f"#{at(NAME)}")
+    image = section.locator(".b img").bounding_box()
+    ring = section.locator(".b .ring").bounding_box()
+    pixel = image["width"] / SIZE[1]
+    x, y = (ring[axis] + ring[side] / 2 for axis, side in (("x", "width"), ("y", "height")))
+    assert (x - image["x"]) / pixel == pytest.approx(AT[0] + 0.5, abs=0.1)
+    assert (y - image["y"]) / pixel == pytest.approx(AT[1] + 0.5, abs=0.1)
+    square = section.locator(".b .square").bounding_box()
+    assert (square["x"] - image["x"]) / pixel == pytest.approx(16, abs=0.1)
+    assert (square["width"]) / pixel == pytest.approx(16, abs=0.1)
+    section.get_by_label("marks").uncheck()
+    assert not section.locator(".b .ring").is_visible()
+
+
+def test_link_opens_a_folded_pair(tab) -> None:
+    thumbnail = tab.locator(f"#{at('equal.exr')} img")
+    assert not thumbnail.is_visible()
+    tab.get_by_role("link", name="equal.exr", exact=True).click()
+    thumbnail.wait_for(state="visible", timeout=5000)
+
+
+@pytest.mark.parametrize("width", [420, 1400])
+def test_page_is_as_wide_as_the_window(tab, width: int) -> None:
+    tab.set_viewport_size({"width": width, "height": 900})
+    assert tab.evaluate("document.documentElement.scrollWidth") == width
