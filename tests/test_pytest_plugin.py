@@ -1,0 +1,575 @@
+"""The pytest plugin, on suites of its own that it runs in the same process or in others."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+
+import facerender as fr
+from facerender import compare_report  # noqa: F401  (here, not anew in every suite)
+from facerender.goldens import renderer_name
+from facerender.image import read_image, save_exr
+
+PLUGIN = ("-p", "pytest_facerender", "-p", "xdist")
+
+# image(value) has one value everywhere; `on` is the renderer that it says it comes from.
+SUITE = """
+import os
+import numpy as np
+import pytest
+
+def image(value=0.5):
+    pixels = np.full((32, 32, 3), value, dtype=np.float32)
+    return pixels
+
+@pytest.fixture
+def snapshot(facerender_snapshot):
+    renderer = os.environ.get("RENDERER", "llvmpipe (LLVM 15.0.6, 256 bits)")
+    def check(pixels, *args, **options):
+        options.setdefault("metadata", {"GL_RENDERER": renderer})
+        facerender_snapshot.check(pixels, *args, **options)
+    return check
+"""
+ONE = "def test_head(snapshot): snapshot(image({value}))\n"
+
+
+class Suites:
+    """Writes suites and runs them."""
+
+    def __init__(self, pytester: pytest.Pytester) -> None:
+        self.pytester = pytester
+        self.path = pytester.path
+
+    def write(self, tests: str, module: str = "test_suite") -> None:
+        self.pytester.makepyfile(**{module: SUITE + tests})
+
+    def run(self, *options: str) -> pytest.RunResult:
+        return self.pytester.runpytest_inprocess(*PLUGIN, *options)
+
+    def run_apart(self, *options: str) -> pytest.RunResult:
+        return self.pytester.runpytest_subprocess(*PLUGIN, *options)
+
+    def golden(self, name: str = "test_head", module: str = "test_suite") -> Path:
+        return self.path / "goldens" / module / f"{name}.exr"
+
+    def goldens(self) -> list[str]:
+        return sorted(path.name for path in self.path.glob("goldens/*/*"))
+
+    def value(self, name: str = "test_head") -> float:
+        return float(read_image(self.golden(name)).pixels[0, 0, 0])
+
+
+@pytest.fixture
+def suites(pytester, monkeypatch) -> Suites:
+    monkeypatch.setenv("PYTHONPATH", str(Path(fr.__file__).parents[1]))
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+    return Suites(pytester)
+
+
+@pytest.fixture
+def recorded(suites) -> Suites:
+    """One test with a golden of 0.5, recorded on llvmpipe."""
+    suites.write(ONE.format(value=0.5))
+    suites.run("--facerender-update-missing").assert_outcomes(passed=1)
+    return suites
+
+
+# --- comparing -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("options", [(), ("--facerender-unused=list",)])
+def test_missing_golden_fails_and_names_the_option(suites, options):
+    suites.write(ONE.format(value=0.5))
+    result = suites.run(*options)
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*test_head has no golden: --facerender-update-missing writes it"])
+    assert suites.goldens() == []
+
+
+def test_golden_lies_beside_the_test_with_its_metadata(suites):
+    suites.pytester.mkpydir("inner")
+    suites.pytester.path.joinpath("inner/test_deep.py").write_text(SUITE + ONE.format(value=2.5))
+    result = suites.run("--facerender-update-missing")
+    result.assert_outcomes(passed=1)
+    golden = suites.path / "inner/goldens/test_deep/test_head.exr"
+    result.stdout.fnmatch_lines(["written: inner/goldens/test_deep/test_head.exr"])
+    file = OpenEXR.File(str(golden))
+    np.testing.assert_array_equal(file.channels()["RGB"].pixels, np.full((32, 32, 3), 2.5))
+    assert file.header()["GL_RENDERER"] == "llvmpipe (LLVM 15.0.6, 256 bits)"
+    assert file.header()["facerender"] == fr.__version__
+
+
+def test_golden_of_a_frame_says_where_it_comes_from(suites, egl):
+    suites.write(
+        "import facerender as fr\n"
+        "def test_frame(facerender_snapshot):\n"
+        f"    facerender_snapshot.check(fr.render(size=(48, 32), samples=1, backend={egl!r}))\n"
+    )
+    suites.run("--facerender-update-missing").assert_outcomes(passed=1)
+    metadata = read_image(suites.golden("test_frame")).metadata
+    assert set(metadata) >= {"facerender", "GL_RENDERER", "GL_VERSION", "samples", "albedo"}
+    suites.run().assert_outcomes(passed=1)
+
+
+def test_path_of_an_image(recorded):
+    save_exr(recorded.path / "own.exr", np.full((32, 32, 3), 0.5, np.float32), {})
+    recorded.write("def test_head(snapshot): snapshot('own.exr')")
+    recorded.run().assert_outcomes(passed=1)
+
+
+def test_difference_fails_with_reasons_and_both_images(recorded):
+    recorded.write(ONE.format(value=0.6))
+    result = recorded.run("--basetemp=out")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(
+        [
+            "*AssertionError: test_head differs from its golden: 1024 pixels over by up to 0.1*, "
+            "limit 0.05: looks like *",
+            f"*golden {recorded.golden()}",
+            "*actual *out/facerender0/test_suite.py-test_head.exr",
+            "test_suite.py:*: AssertionError",  # the line of the suite, not of the plugin
+        ]
+    )
+    actual = read_image(recorded.path / "out/facerender0/test_suite.py-test_head.exr")
+    assert actual.pixels[0, 0] == pytest.approx(0.6)
+    assert recorded.value() == 0.5
+
+
+@pytest.mark.parametrize(
+    ("value", "options", "passes"),
+    [
+        ("0.51", "", False),
+        ("0.51", "block=0.03", True),
+        ("0.6", "block=0.3, point=0.2", True),
+        ("0.6", "block=0.3", False),
+        ("0.501", "", True),
+        ("0.501", "block=1e-3", False),
+        ("0.6", "mask=np.zeros((32, 32))", True),
+    ],
+)
+def test_limits_are_options_of_check(recorded, value, options, passes):
+    recorded.write(f"def test_head(snapshot): snapshot(image({value}), {options})")
+    recorded.run().assert_outcomes(passed=int(passes), failed=int(not passes))
+
+
+def test_coverage_limit(suites):
+    alpha = "np.concatenate([image(), np.tri(32, k={k}, dtype=np.float32)[..., None]], axis=-1)"
+    suites.write(f"def test_head(snapshot): snapshot({alpha.format(k=0)})")
+    suites.run("--facerender-update-missing").assert_outcomes(passed=1)
+    for limit, passes in (("0.005", False), ("0.05", True)):
+        suites.write(
+            f"def test_head(snapshot): snapshot({alpha.format(k=1)}, coverage={limit}, point=9)"
+        )
+        suites.run().assert_outcomes(passed=int(passes), failed=int(not passes))
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        ("image(np.nan)", "*the image holds 3072 NaN and 0 infinite values*"),
+        ("image()[..., 0]", "*the image is not linear float RGB*"),
+        ("image().astype(np.uint8)", "*the image is not linear float RGB*"),
+        ("image(), block=-1.0", "*limit block = -1 is negative*"),
+        ("image(), mask=np.ones((3, 3))", "*the mask is 3 x 3*"),
+    ],
+)
+@pytest.mark.parametrize("golden", [False, True])
+def test_image_that_is_none_becomes_no_golden(suites, image, message, golden):
+    suites.write(ONE.format(value=0.5))
+    if golden:
+        suites.run("--facerender-update-missing")
+    suites.write(f"def test_head(snapshot): snapshot({image})")
+    result = suites.run("--facerender-update")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines([message])
+    assert suites.goldens() == (["test_head.exr"] if golden else [])
+    assert not golden or suites.value() == 0.5
+
+
+# --- names ---------------------------------------------------------------------------------------
+
+
+def test_names_of_goldens(suites):
+    suites.write(
+        "@pytest.mark.parametrize('p', ['a/b', 'a-b', 'x@y', 'ü', 0.5, '..'])\n"
+        "def test_p(snapshot, p): snapshot(image())\n"
+        "class TestA:\n"
+        "    def test_same(self, snapshot): snapshot(image(0.1))\n"
+        "class TestB:\n"
+        "    def test_same(self, snapshot): snapshot(image(0.2))\n"
+        "def test_named(snapshot):\n"
+        "    snapshot(image(0.3), 'one')\n"
+        "    snapshot(image(0.4), '../two')\n"
+    )
+    suites.run("--facerender-update-missing").assert_outcomes(passed=9)
+    suites.run().assert_outcomes(passed=9)
+    assert suites.goldens() == [
+        *("..%2Ftwo.exr", "TestA.test_same.exr", "TestB.test_same.exr", "one.exr"),
+        *("test_p-%5Cxfc.exr", "test_p-...exr", "test_p-0.5.exr", "test_p-a%2Fb.exr"),
+        *("test_p-a-b.exr", "test_p-x%40y.exr"),
+    ]
+
+
+def test_one_name_serves_one_image_of_a_test(suites):
+    suites.write("def test_head(snapshot):\n    snapshot(image(0.1))\n    snapshot(image(0.2))\n")
+    result = suites.run("--facerender-update")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*test_head was checked before in this test: give each image*"])
+    assert suites.value() == pytest.approx(0.1)
+
+
+# --- updates -------------------------------------------------------------------------------------
+
+
+def test_update_writes_what_differs_and_what_is_missing(recorded):
+    before = recorded.golden().read_bytes()
+    stat = recorded.golden().stat()
+    recorded.write(
+        ONE.format(value=0.501)  # the same, within the limits
+        + "def test_other(snapshot): snapshot(image(0.7))\n"
+    )
+    result = recorded.run("--facerender-update")
+    result.assert_outcomes(passed=2)
+    result.stdout.no_fnmatch_line("written: *test_head.exr")
+    result.stdout.fnmatch_lines(["written: goldens/test_suite/test_other.exr"])
+    assert recorded.golden().read_bytes() == before
+    assert recorded.golden().stat().st_mtime_ns == stat.st_mtime_ns
+
+    recorded.write(ONE.format(value=0.6) + "def test_other(snapshot): snapshot(image(0.7))\n")
+    recorded.run().assert_outcomes(passed=1, failed=1)
+    recorded.run("--facerender-update").assert_outcomes(passed=2)
+    assert recorded.value() == pytest.approx(0.6)
+    recorded.run().assert_outcomes(passed=2)
+
+
+def test_update_takes_another_size(recorded):
+    recorded.write("def test_head(snapshot): snapshot(image()[:16])")
+    result = recorded.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*test_head.exr is 32 x 32, the image is 32 x 16 pixels*"])
+    recorded.run("--facerender-update").assert_outcomes(passed=1)
+    recorded.run().assert_outcomes(passed=1)
+
+
+def test_update_missing_leaves_what_differs(recorded):
+    before = recorded.golden().read_bytes()
+    recorded.write(ONE.format(value=0.6) + "def test_other(snapshot): snapshot(image(0.7))\n")
+    recorded.run("--facerender-update-missing").assert_outcomes(passed=1, failed=1)
+    assert recorded.golden().read_bytes() == before
+    assert recorded.goldens() == ["test_head.exr", "test_other.exr"]
+
+
+def test_update_refuses_the_golden_of_another_renderer(recorded, monkeypatch):
+    before = recorded.golden().read_bytes()
+    recorded.write(ONE.format(value=0.6))
+    monkeypatch.setenv("RENDERER", "softpipe")
+    result = recorded.run("--facerender-update")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(
+        [
+            "*test_head.exr was recorded on llvmpipe (LLVM 15.0.6, 256 bits), this is softpipe: "
+            "--facerender-force overwrites it, --facerender-alternative writes one*"
+        ]
+    )
+    assert recorded.golden().read_bytes() == before
+
+    recorded.run("--facerender-update", "--facerender-force").assert_outcomes(passed=1)
+    assert recorded.value() == pytest.approx(0.6)
+    assert recorded.goldens() == ["test_head.exr"]
+
+
+def test_update_refuses_a_golden_that_cannot_be_read(recorded):
+    recorded.golden().write_text("version https://git-lfs.github.com/spec/v1\n")
+    result = recorded.run("--facerender-update")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*test_head.exr was recorded on an unknown renderer, this is*"])
+    assert recorded.golden().read_text().startswith("version")
+    recorded.run("--facerender-update", "--facerender-force").assert_outcomes(passed=1)
+    assert recorded.value() == 0.5
+
+
+def test_alternative_for_another_renderer(recorded, monkeypatch):
+    before = recorded.golden().read_bytes()
+    update = ("--facerender-update", "--facerender-alternative")
+    recorded.write(ONE.format(value=0.6))
+    monkeypatch.setenv("RENDERER", "NVIDIA H200/PCIe/SSE2")
+    recorded.run(*update).assert_outcomes(passed=1)
+    assert recorded.goldens() == ["test_head.exr", "test_head@NVIDIA-H200.exr"]
+    assert recorded.run("--facerender-unused=fail").ret == pytest.ExitCode.OK
+    recorded.write(ONE.format(value=0.5))  # as the other golden is, but this one counts
+    recorded.run().assert_outcomes(failed=1)
+
+    monkeypatch.delenv("RENDERER")
+    recorded.run(*update).assert_outcomes(passed=1)
+    assert recorded.golden().read_bytes() == before
+    recorded.write(ONE.format(value=0.7))  # its own golden is updated in its place
+    recorded.run(*update).assert_outcomes(passed=1)
+    assert recorded.value() == pytest.approx(0.7)
+    assert recorded.value("test_head@NVIDIA-H200") == pytest.approx(0.6)
+
+    monkeypatch.setenv("RENDERER", "NVIDIA H200 (another driver)")  # the same name
+    recorded.run(*update).assert_outcomes(failed=1)
+    assert recorded.value("test_head@NVIDIA-H200") == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize(
+    ("renderer", "name"),
+    [
+        ("llvmpipe (LLVM 15.0.6, 256 bits)", "llvmpipe"),
+        ("softpipe", "softpipe"),
+        ("NVIDIA H200/PCIe/SSE2", "NVIDIA-H200"),
+        ("Mesa Intel(R) UHD Graphics 620 (KBL GT2)", "Mesa-Intel-R-UHD-Graphics-620"),
+        ("AMD Radeon RX 6800 (navi21, LLVM 15.0.6, DRM 3.49)", "AMD-Radeon-RX-6800"),
+        ("", ""),
+    ],
+)
+def test_renderer_names(renderer, name):
+    assert renderer_name(renderer) == name
+
+
+BREAK = """
+import os, signal
+import OpenEXR
+
+class Half:
+    def __init__(self, *args, **options): self.file = File(*args, **options)
+    def header(self): return self.file.header()
+    def channels(self): return self.file.channels()
+    def write(self, name):
+        self.file.write(name)
+        os.truncate(name, 200)
+        {end}
+
+File, OpenEXR.File = OpenEXR.File, Half
+"""
+
+
+@pytest.mark.parametrize(
+    "end", ["os.kill(os.getpid(), signal.SIGKILL)", "raise KeyboardInterrupt", "raise OSError(28)"]
+)
+def test_interrupted_update_leaves_the_old_golden(recorded, end):
+    before = recorded.golden().read_bytes()
+    recorded.write(ONE.format(value=0.6))
+    recorded.pytester.makeconftest(BREAK.format(end=end))
+    result = recorded.run_apart("--facerender-update")
+    assert result.ret == (-signal.SIGKILL if "SIGKILL" in end else 2 if "Key" in end else 1)
+    assert recorded.golden().read_bytes() == before
+    left = [name for name in recorded.goldens() if name != "test_head.exr"]
+    assert all(name.startswith(".") for name in left)
+    assert len(left) == int("SIGKILL" in end)
+
+    recorded.pytester.makeconftest("")  # what a killed process left does not matter
+    recorded.write(ONE.format(value=0.5))
+    assert recorded.run("--facerender-unused=fail").ret == pytest.ExitCode.OK
+
+
+@pytest.mark.parametrize("option", ["--facerender-force", "--facerender-alternative"])
+def test_options_that_need_update(suites, option):
+    suites.write(ONE.format(value=0.5))
+    result = suites.run(option)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines([f"ERROR: {option} goes with --facerender-update"])
+
+
+# --- ini -----------------------------------------------------------------------------------------
+
+
+def test_ini(suites):
+    suites.pytester.makeini(
+        "[pytest]\nfacerender_update_missing = true\nfacerender_unused = fail\n"
+        "facerender_report = page\n"
+    )
+    suites.write(ONE.format(value=0.5))
+    inner = suites.pytester.mkdir("inner")
+    result = suites.pytester.runpytest_inprocess(*PLUGIN, f"--rootdir={suites.path}")
+    result.assert_outcomes(passed=1)
+    assert suites.goldens() == ["test_head.exr"]
+    assert (suites.path / "page").is_dir()
+    suites.golden("old").write_bytes(b"")
+    assert suites.run().ret == pytest.ExitCode.TESTS_FAILED
+    assert suites.run("--facerender-unused=ignore").ret == pytest.ExitCode.OK
+    suites.golden().unlink()
+    suites.run("-o", "facerender_update_missing=false").assert_outcomes(failed=1)
+    assert list(inner.iterdir()) == []
+
+
+def test_ini_that_updates(recorded):
+    recorded.write(ONE.format(value=0.9))
+    recorded.run("-o", "facerender_update=true").assert_outcomes(passed=1)
+    assert recorded.value() == pytest.approx(0.9)
+
+
+def test_ini_that_is_none(suites):
+    suites.pytester.makeini("[pytest]\nfacerender_unused = never\n")
+    result = suites.run()
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["ERROR: facerender_unused: give one of ignore, list, fail"])
+
+
+# --- goldens that no test uses -------------------------------------------------------------------
+
+TWO = """
+def test_a(snapshot): snapshot(image())
+class TestB:
+    def test_b(self, snapshot): snapshot(image(), 'b')
+    def test_c(self): pass
+"""
+
+
+@pytest.fixture
+def unused(suites) -> Suites:
+    """Two modules with goldens, and one golden more in each."""
+    for module in ("test_one", "test_two"):
+        suites.write(TWO, module)
+    suites.run("--facerender-update-missing").assert_outcomes(passed=6)
+    for module in ("test_one", "test_two"):
+        suites.golden("old", module).write_bytes(b"")
+    return suites
+
+
+def found(result: pytest.RunResult) -> list[str]:
+    return [line for line in result.outlines if line.startswith("unused: ")]
+
+
+BOTH = [f"unused: goldens/{module}/old.exr" for module in ("test_one", "test_two")]
+
+
+@pytest.mark.parametrize("extra", [(), ("-n", "2")])
+def test_unused_goldens_are_listed_or_fail(unused, extra):
+    run = unused.run_apart if extra else unused.run
+    result = run(*extra, "--facerender-unused=list")
+    assert found(result) == BOTH
+    assert result.ret == pytest.ExitCode.OK
+    result = run(*extra, "--facerender-unused=fail")
+    assert found(result) == BOTH
+    assert result.ret == pytest.ExitCode.TESTS_FAILED
+    result.assert_outcomes(passed=6)
+
+
+def test_unused_goldens_are_not_looked_for_unasked(unused):
+    result = unused.run()
+    assert found(result) == []
+    result.stdout.no_fnmatch_line("*= facerender =*")
+
+
+@pytest.mark.parametrize(
+    ("selection", "judged"),
+    [
+        (["-k", "test_a"], []),
+        (["-k", "test_a or test_two"], ["test_two"]),
+        (["--deselect=test_one.py::TestB::test_b"], ["test_two"]),
+        (["test_one.py"], ["test_one"]),
+        (["test_one.py::test_a", "test_two.py"], ["test_two"]),
+        (["test_one.py::TestB", "test_two.py"], ["test_two"]),
+        (["test_one.py::TestB", "test_one.py::test_a"], ["test_one"]),
+        (["--ignore=test_one.py"], ["test_two"]),
+        (["-n2", "-k", "test_a or test_two"], ["test_two"]),
+        (["--lf"], []),
+        (["--co"], []),
+    ],
+)
+def test_unused_is_judged_only_where_all_tests_ran(unused, selection, judged):
+    run = unused.run_apart if "-n2" in selection else unused.run
+    result = run(*selection, "--facerender-unused=fail")
+    assert found(result) == [f"unused: goldens/{module}/old.exr" for module in judged]
+    assert result.ret == (pytest.ExitCode.TESTS_FAILED if judged else pytest.ExitCode.OK)
+
+
+@pytest.mark.parametrize(
+    "tests",
+    [
+        TWO + "def test_d(): pytest.skip()\n",
+        TWO + "def test_d(): assert False\n",
+        TWO + "@pytest.mark.xfail\ndef test_d(): assert False\n",
+        TWO + "raise RuntimeError\n",
+        TWO + "pytest.importorskip('no_such_module')\n",
+    ],
+)
+@pytest.mark.filterwarnings("ignore")
+def test_unused_is_not_judged_where_a_test_did_not_pass(unused, tests):
+    unused.write(tests, "test_one")
+    result = unused.run("--facerender-unused=list", "--continue-on-collection-errors")
+    assert found(result) == BOTH[1:]
+
+
+def test_last_failed_leaves_out_modules_unjudged(unused):
+    unused.write(TWO + "def test_d(): assert False\n", "test_one")
+    unused.run()
+    result = unused.run("--lf", "--facerender-unused=list")
+    result.assert_outcomes(failed=1)
+    assert found(result) == []
+
+
+def test_goldens_of_a_module_that_is_gone_are_unused(unused):
+    (unused.path / "test_one.py").unlink()
+    result = unused.run("--facerender-unused=list")
+    names = ("b", "old", "test_a")
+    assert found(result) == [f"unused: goldens/test_one/{name}.exr" for name in names] + BOTH[1:]
+
+
+# --- the report ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("extra", [(), ("-n", "2")])
+def test_report_has_every_image_and_those_that_fail_as_exr(recorded, extra):
+    recorded.write(
+        ONE.format(value=0.6)
+        + "@pytest.mark.parametrize('p', [1, 2, 3])\n"
+        + "def test_many(snapshot, p): snapshot(image(0.5), 'head')\n"
+    )
+    save_exr(recorded.golden("head"), np.full((32, 32, 3), 0.5, np.float32), {})
+    result = recorded.run_apart(*extra, "--facerender-report", "new/page")
+    result.assert_outcomes(passed=3, failed=1)
+    folder = recorded.path / "new/page"
+    page = (folder / "index.html").read_text()
+    names = ("test_head", *(f"test_many[{p}] head" for p in (1, 2, 3)))
+    assert [f"test_suite.py::{name}" in page for name in names] == [True] * 4
+    files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*.*"))
+    assert files == ["actual/test_suite.py-test_head.exr", "index.html"]
+    result.stdout.fnmatch_lines(
+        [f"*actual {folder}/actual/test_suite.py-test_head.exr", f"report: {folder}/index.html"]
+    )
+
+
+def test_report_folder_that_cannot_be_made(suites):
+    (suites.path / "file").touch()
+    result = suites.run("--facerender-report=file/page")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["ERROR: cannot make */file/page: Not a directory"])
+
+
+# --- other sessions ------------------------------------------------------------------------------
+
+
+def test_sessions_without_images_import_nothing(suites):
+    suites.pytester.makepyfile(
+        "import sys\n"
+        "def test_nothing(): assert not {'facerender', 'numpy', 'moderngl'} & set(sys.modules)\n"
+    )
+    result = suites.run_apart("--facerender-unused=list", "--facerender-report=page")
+    result.assert_outcomes(passed=1)
+    assert list((suites.path / "page").iterdir()) == []
+
+
+def test_options_are_in_the_help(suites):
+    output = suites.run("--help").stdout.str()
+    for name in ("update", "update-missing", "force", "alternative", "report", "unused"):
+        assert f"--facerender-{name}" in output
+
+
+def test_workers_write_goldens_of_their_own_and_shared_ones(suites):
+    suites.write(
+        "@pytest.mark.parametrize('p', range(8))\n"
+        "def test_many(snapshot, p):\n"
+        "    snapshot(image(p / 8))\n"
+        "    snapshot(image(), 'shared')\n"
+    )
+    result = suites.run_apart("-n", "2", "--facerender-update-missing")
+    result.assert_outcomes(passed=8)
+    assert len(suites.goldens()) == 9
+    assert sum(line.startswith("written: ") for line in result.outlines) == 9
+    assert suites.run_apart("-n", "2", "--facerender-unused=fail").ret == pytest.ExitCode.OK
