@@ -1,0 +1,130 @@
+"""Small images of every shading, camera, term and kind of mesh, on each backend, against goldens.
+
+``pytest tests/test_goldens.py --facerender-update-missing`` writes those that are missing: look at
+them. They were recorded on llvmpipe, with float albedo maps. Without maps other drivers agree
+within the strict limits as well; how a map is made smaller is a driver's own, and needs wider ones.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import facerender as fr
+from facerender.compare import STRICT, Limits
+from facerender.context import Backend
+from facerender.frame import ONLY, Only
+from facerender.scene import LIGHTS
+from tests import awkward_files as files
+from tests.conftest import require_backend
+from tests.test_renderer import SHADINGS
+
+SIZE = (128, 128)
+CLOSE = fr.Camera(azimuth=-30.0, elevation=5.0, zoom=1.25)
+CAMERAS = {
+    "front": fr.Camera(),
+    "profile": fr.Camera(azimuth=90.0),
+    "above": fr.Camera(azimuth=35.0, elevation=60.0),
+    "below": fr.Camera(azimuth=-30.0, elevation=-20.0, fov=60.0, zoom=1.8),
+}
+MAPPED = Limits(point=0.15, block=0.01)
+SLOPES = {"exact": 1.2, "fitted": 0.6, "d8": 0.15, "cosine": 0.15}
+
+Compare = Callable[..., None]
+
+
+@pytest.fixture(scope="module")
+def meshes(head: fr.Mesh, tmp_path_factory: pytest.TempPathFactory) -> dict[str, fr.Mesh]:
+    folder = tmp_path_factory.mktemp("meshes")
+    mini = files.mini_head()
+    colors = np.uint8(127.5 + 127.5 * np.insert(mini.normals, 3, 1.0, axis=1))
+    return {
+        "head": head,
+        "bare": head.with_material(m=0.3, albedo_map=None, normal_map=None, occlusion_map=None),
+        "mini": fr.load_mesh(files.MINI_HEAD),
+        "vertex-colors": fr.load_mesh(files.write_ply(folder / "mini.ply", mini, colors)),
+        "no-colors": fr.load_mesh(files.write_stl(folder / "mini.stl", mini)),
+    }
+
+
+@pytest.fixture(scope="module")
+def small(backend: Backend) -> Iterator[fr.Renderer]:
+    with fr.Renderer(SIZE, samples=1, backend=backend, float_albedo=True) as renderer:
+        yield renderer
+
+
+@pytest.fixture
+def agrees(facerender_snapshot) -> Compare:
+    """Compares with the golden that all backends share."""
+
+    def check(frame: fr.Frame, name: str, maps: bool = False) -> None:
+        wide = maps and not frame.metadata["GL_RENDERER"].startswith("llvmpipe")
+        limits = MAPPED if wide else STRICT
+        facerender_snapshot.check(frame, name, point=limits.point, block=limits.block)
+
+    return check
+
+
+@pytest.mark.parametrize("shading", SHADINGS, ids=lambda s: f"{s.model}-{s.lobe}-{s.fresnel}")
+def test_shadings(small, meshes, agrees, shading):
+    frame = small.render(fr.Scene(meshes["bare"], CLOSE), shading, "specular")
+    agrees(frame, f"bare-{shading.model}-{shading.lobe}-{shading.fresnel}")
+
+
+@pytest.mark.parametrize("model", ["cook-torrance", "ward"])
+@pytest.mark.parametrize("lobe", SLOPES)
+def test_other_slopes(small, meshes, agrees, model, lobe):
+    mesh = meshes["mini"].with_material(m=SLOPES[lobe])
+    frame = small.render(fr.Scene(mesh, CLOSE), fr.Shading(model, lobe), "specular")
+    agrees(frame, f"mini-{model}-{lobe}-m{SLOPES[lobe]}")
+
+
+@pytest.mark.parametrize("mesh", ["head", "mini"])
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_cameras(small, meshes, agrees, mesh, camera):
+    agrees(small.render(fr.Scene(meshes[mesh], CAMERAS[camera])), f"{mesh}-{camera}", maps=True)
+
+
+@pytest.mark.parametrize("mesh", ["head", "mini", "vertex-colors", "no-colors"])
+def test_meshes_in_ward(small, meshes, agrees, mesh):
+    frame = small.render(fr.Scene(meshes[mesh], CLOSE), fr.Shading("ward", "fitted"))
+    agrees(frame, f"{mesh}-ward-fitted", maps=mesh in ("head", "mini"))
+
+
+@pytest.mark.parametrize("only", ONLY)
+def test_terms(small, meshes, agrees, only: Only):
+    mesh = "head" if only == "albedo" else "bare"
+    frame = small.render(fr.Scene(meshes[mesh], CLOSE), only=only)
+    agrees(frame, f"{mesh}-only-{only}", maps=only == "albedo")
+
+
+def test_point_light_before_nothing(small, meshes, agrees):
+    mesh = meshes["head"]
+    place = tuple(mesh.center + mesh.radius * np.array([-1.0, 0.8, 1.5]))
+    light = fr.Light(irradiance=(3.0, 1.5, 0.6), position=place)
+    scene = fr.Scene(mesh, CLOSE, (light, LIGHTS["rim"]), ambient=0.0, background=None)
+    agrees(small.render(scene), "head-point-light", maps=True)
+
+
+def test_samples(backend, small, meshes, agrees):
+    if small.context.gl.max_samples < 4:
+        pytest.skip(f"{small.context.renderer} has no 4 samples")
+    with fr.Renderer(SIZE, samples=4, backend=backend, float_albedo=True) as renderer:
+        scene = replace(fr.Scene(meshes["head"], CLOSE), background=None)
+        agrees(renderer.render(scene), "head-4-samples", maps=True)
+
+
+def test_goldens_hold_on_another_driver():
+    require_backend("egl")
+    tests = "egl and not (cameras or terms or printed)"
+    command = [sys.executable, "-m", "pytest", "-p", "pytest_facerender", __file__, "-k", tests]
+    environment = {**os.environ, "GALLIUM_DRIVER": "softpipe"}
+    result = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout
+    assert "softpipe has no 4 samples" in result.stdout
