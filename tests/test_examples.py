@@ -269,3 +269,20 @@ endforeach()
     printed = run(*build).stderr
     root = prefix / "share/facerender/shaders"
     assert printed.split() == [f"{root}|{root}", "99.0", "0", f"{__version__}.1", "0"]
+
+
+@pytest.mark.parametrize(("weight", "failed"), [("1", 0), ("0.97", 2)])
+def test_images_of_the_ci_example(egl: Backend, tmp_path: Path, weight: str, failed: int):
+    """Three pictures against their goldens; 3 % off the highlight is seen where one shows."""
+    shutil.copytree(EXAMPLES / "ci_image_diff", tmp_path / "copy")
+    command = [sys.executable, "-m", "pytest", "-p", "pytest_facerender"]
+    result = subprocess.run(
+        [*command, "--facerender-report", "report"],
+        cwd=tmp_path / "copy",
+        env={**os.environ, "PYTHONPATH": str(ROOT), "SKIN_WEIGHT": weight},
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == bool(failed), result.stdout
+    assert result.stdout.count("looks like a lobe or weight change") == failed
+    assert (tmp_path / "copy/report/index.html").is_file()
