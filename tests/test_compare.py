@@ -214,14 +214,24 @@ def test_block_gate_looks_at_the_worst_channel():
 
 
 def test_block_gate_keeps_off_the_silhouette():
-    image = plain()
+    reference = plain()
+    reference[..., :3] = 0.2
+    image = reference.copy()
     ring = np.ones(image.shape[:2], dtype=bool)
     ring[11:-11, 11:-11] = False
     image[ring, :3] *= 1.1
-    result = compare(plain(), image)
+    result = compare(reference, image)
     assert (result.block, result.blocks) == (0.0, 0)
-    image[12, :, :3] *= 1.1
-    assert compare(plain(), image).blocks > 0
+    image[11, :, :3] *= 1.1
+    assert compare(reference, image).blocks > 0
+
+
+def test_block_gate_looks_at_dark_texture():
+    reference = plain(0.01)
+    reference[:, ::2, :3] *= 3.0
+    image = reference.copy()
+    image[..., :3] *= 0.98
+    assert compare(reference, image).blocks > 0
 
 
 def test_block_gate_forgives_a_shift_of_a_twentieth_of_a_pixel():
@@ -256,6 +266,17 @@ def test_mask_hides_what_does_not_count():
     mask[19:45, 19:45] = 0
     assert not compare(plain(), image).same
     assert compare(plain(), image, mask=mask).same
+    image[20:44, 20:44] = 0.0
+    assert compare(plain(), image).coverage > 0.005
+    assert compare(plain(), image, mask=mask).coverage == 0.0
+
+
+def test_colour_behind_transparency_does_not_count():
+    image = np.full((64, 64, 4), 100, dtype=np.uint8)
+    image[..., 3] = 0
+    other = image.copy()
+    other[..., :3] = 255
+    assert compare(image, other).same
 
 
 def test_8_bit_images_count_in_steps():
@@ -486,6 +507,13 @@ def test_kinds_that_differ(cli, exr, png, tmp_path):
     save_exr(tmp_path / "rgb.exr", plain()[..., :3], {})
     message = r"reference\.exr has 4 channels, .*rgb\.exr has 3 channels: save both with alpha"
     cli.fail(message, "compare", exr, tmp_path / "rgb.exr")
+
+
+def test_colour_spaces_that_differ(cli, png, tmp_path):
+    with Image.open(png) as image:
+        image.save(tmp_path / "wide.png", icc_profile=b"wide gamut")
+    message = r"reference\.png is in colour space , .*wide\.png in ICC profile \w+: convert one"
+    cli.fail(message, "compare", png, tmp_path / "wide.png")
 
 
 @pytest.mark.parametrize(("value", "counts"), [(np.nan, "2 NaN and 0"), (-np.inf, "0 NaN and 2")])
