@@ -207,7 +207,7 @@ class Expansion:
         condition = _DEFINED.sub(
             lambda match: f" {match[1]}defined {match[2] or match[3]} ", condition
         )
-        if re.search(r"[()\\\\]", condition):
+        if re.search(r"[()\\]", condition):
             return None
         either = {
             _all(self._comparison(term.strip()) for term in terms.split("&&"))
