@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, NoReturn, TextIO
 
 from facerender import __version__
-from facerender.catalogue import functions
 from facerender.context import BACKENDS, probe
 from facerender.errors import FacerenderError, FacerenderWarning, InputError, reason
 from facerender.frame import ONLY
@@ -428,6 +427,8 @@ def _compare(options: argparse.Namespace, caught: list[str]) -> int:
 
 
 def _list_shaders(options: argparse.Namespace, caught: list[str]) -> int:
+    from facerender.catalogue import functions
+
     if options.json:
         print(json.dumps([dataclasses.asdict(function) for function in functions()], indent=2))
         return 0
