@@ -6,10 +6,13 @@ package is imported with the first image.
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import tempfile
+import zlib
 from collections.abc import Generator, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -21,8 +24,10 @@ if TYPE_CHECKING:
 
     from facerender.compare import Comparable
 
+LONGEST = 180  # characters of a file's name; most systems take 255 bytes
 UNUSED = ("ignore", "list", "fail")
 
+_WRITTEN = pytest.StashKey[set[Path]]()  # goldens, in a session
 _CHECKS = pytest.StashKey[list[dict[str, str]]]()
 
 
@@ -36,10 +41,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     flag("update", "write goldens that are missing, and those that differ and are this renderer's")
     flag("force", "with --facerender-update: also those of another renderer")
     flag("alternative", "with --facerender-update: NAME@RENDERER.exr beside those of another")
-    # In the ini file these three would accept every image, and the suite would test nothing.
-    missing = "write goldens that are missing"
-    flag("update-missing", missing)
-    parser.addini("facerender_update_missing", missing, type="bool", default=False)
+    flag("update-missing", "write goldens that are missing")
     report = "write DIR/index.html with every image and its golden, and those that fail as EXR"
     group.addoption("--facerender-report", metavar="DIR", help=report)
     parser.addini("facerender_report", report, default="")
@@ -62,6 +64,9 @@ def pytest_configure(config: pytest.Config) -> None:
         except OSError as error:
             raise pytest.UsageError(f"cannot make {folder}: {error.strerror}") from None
         config.option.facerender_report = str(folder)  # workers may stand elsewhere
+        if not hasattr(config, "workerinput"):
+            for old in folder.glob("actual/*.exr"):
+                old.unlink()
     config.pluginmanager.register(_Session(config), "facerender-session")
 
 
@@ -115,7 +120,7 @@ class Snapshot:
         from facerender.image import save_exr
 
         node, config = self._request.node, self._request.config
-        safe = quote(name or _name_of(node), safe="=,+")
+        safe = _file_name(name or _name_of(node))
         if safe in self._names:
             raise InputError(f"{safe} was checked before in this test: give each image a name")
         self._names.add(safe)
@@ -126,41 +131,57 @@ class Snapshot:
             alternative=_setting(config, "alternative"),
         )
         golden = _goldens(self._request.path) / f"{safe}.exr"
+        written = config.stash.setdefault(_WRITTEN, set())
         verdict = check(
             f"{node.nodeid} {name}" if name else node.nodeid,
             image,
             golden,
             updates,
+            written,
             metadata=metadata,
             point=point,
             block=block,
             coverage=coverage,
             mask=mask,
         )
-        record = {"golden": str(golden), "written": str(verdict.written or ""), "pair": ""}
+        if verdict.written:
+            written.add(verdict.written)
+        record = {"golden": str(golden), "written": str(verdict.written or ""), "entry": ""}
         node.stash.setdefault(_CHECKS, []).append(record)
         report = _setting(config, "report")
         if report:
-            import pickle
+            from facerender.compare_report import entry
 
-            handle, record["pair"] = tempfile.mkstemp(".pickle", dir=report)
-            with open(handle, "wb") as file:
-                pickle.dump(verdict.pair, file)
+            handle, record["entry"] = tempfile.mkstemp(".json", dir=report)
+            with open(handle, "w", encoding="utf-8") as file:
+                json.dump(asdict(entry(verdict.pair)), file)
         if verdict.failure:
             if report:
                 folder = Path(report) / "actual"
-                folder.mkdir(exist_ok=True)
             else:
                 folder = self._request.getfixturevalue("tmp_path_factory").mktemp("facerender")
-            actual = folder / (re.sub(r"[^\w.=,+-]+", "-", verdict.pair.name).strip("-") + ".exr")
-            save_exr(actual, verdict.image.pixels, verdict.image.metadata)
-            raise AssertionError(f"{verdict.failure}\n  golden {verdict.golden}\n  actual {actual}")
+            actual = folder / f"{_file_name(verdict.pair.name.replace('::', '-'))}.exr"
+            try:
+                folder.mkdir(exist_ok=True)
+                save_exr(actual, verdict.image.pixels, verdict.image.metadata)
+                said = str(actual)
+            except (OSError, InputError) as error:
+                said = f"not written: {error}"
+            raise AssertionError(f"{verdict.failure}\n  golden {verdict.golden}\n  actual {said}")
 
 
 def _name_of(node: pytest.Item) -> str:
     """Return CLASS.test-PARAMETERS of a test."""
     names = [part.name for part in node.listchain() if isinstance(part, pytest.Class | pytest.Item)]
-    return ".".join(names).replace("[", "-").replace("]", "")
+    return re.sub(r"\[(.*)\]$", r"-\1", ".".join(names))
+
+
+def _file_name(name: str) -> str:
+    """Return a name that every file system takes, another for each name."""
+    safe = quote(name, safe="=,+")
+    if len(safe) <= LONGEST:
+        return safe
+    return f"{safe[:LONGEST]}~{zlib.crc32(name.encode(errors='surrogateescape')):08x}"
 
 
 @pytest.fixture
@@ -176,6 +197,7 @@ def pytest_runtest_makereport(
     report = yield
     if report.when == "teardown" and _CHECKS in item.stash:
         report.facerender_checks = item.stash[_CHECKS]  # type: ignore[attr-defined]
+        del item.stash[_CHECKS]  # a rerun begins anew
     return report
 
 
@@ -228,9 +250,9 @@ class _Session:
         fails = self.unused and _setting(self.config, "unused") == "fail"
         if fails and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
-        pickles = [Path(check["pair"]) for check in self._checks if check["pair"]]
-        if pickles:
-            self._write_report(pickles)
+        paths = [Path(check["entry"]) for check in self._checks if check["entry"]]
+        if paths:
+            self._write_report(paths)
 
     def _find_unused(self, modules: list[str]) -> list[Path]:
         """Return goldens that none of these modules used, and those of modules that are gone."""
@@ -246,23 +268,22 @@ class _Session:
             if str(folder / f"{golden.stem.partition('@')[0]}.exr") not in used
         )
 
-    def _write_report(self, pickles: list[Path]) -> None:
-        import pickle
+    def _write_report(self, paths: list[Path]) -> None:
+        from facerender.compare_report import Entry, write_report
 
-        from facerender.compare_report import write_report
-
-        pairs = []
-        for path in pickles:
-            pairs.append(pickle.loads(path.read_bytes()))
+        entries = {}  # of a test that was run again, the last
+        for path in paths:
+            entry = Entry(**json.loads(path.read_text(encoding="utf-8")))
+            entries[entry.name] = entry
             path.unlink()
         folder = Path(_setting(self.config, "report"))
-        write_report(folder / "index.html", sorted(pairs, key=lambda pair: pair.name))
+        write_report(folder / "index.html", sorted(entries.values(), key=lambda entry: entry.name))
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         written = sorted({check["written"] for check in self._checks if check["written"]})
         lines = [f"written: {self._relative(golden)}" for golden in written]
         lines += [f"unused: {self._relative(golden)}" for golden in self.unused]
-        if any(check["pair"] for check in self._checks):
+        if any(check["entry"] for check in self._checks):
             lines.append(f"report: {_setting(self.config, 'report')}/index.html")
         if lines:
             terminalreporter.write_sep("=", "facerender")

@@ -207,6 +207,7 @@ or taken off; "> x": not seen up to x.
 - In 8-bit images two to three times as much. Goldens are EXR, or `.npz`.
 - A pixel that is wrong by less than {point:g}, at the silhouette {rim:g}: so every black pixel in
   the dark.
+- Detail that averages to nothing and stays under {point:g}, such as faint strokes or grain.
 - A uniform change under the block limit, such as an exposure of 0.4 %.
 - A change of a lobe that shows within 3 pixels of the silhouette only and stays under the limit of
   a pixel, or in an image where no block has 64 other pixels: `blocks_judged` tells how many had.

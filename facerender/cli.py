@@ -402,27 +402,31 @@ def _reproduce(options: argparse.Namespace, caught: list[str]) -> int:
 
 def _compare(options: argparse.Namespace, caught: list[str]) -> int:
     from facerender.compare import Pair, pairs_of
-    from facerender.compare_report import save_heat_map, write_report
+    from facerender.compare_report import entry, save_heat_map, write_report
 
     limits = {name: getattr(options, name) for name in ("point", "block", "coverage")}
     mask = read_image(options.mask).color.max(axis=-1) if options.mask else None
-    pairs = [Pair.of(*names, mask=mask, **limits) for names in pairs_of(options.a, options.b)]
-    status = max(pair.status for pair in pairs)
-    _clean_up_on_interrupt()
-    if options.report:
-        write_report(options.report, pairs)
-    if options.json:
-        result = {"same": status == 0, "pairs": [pair.as_dict() for pair in pairs]}
-        print(json.dumps(result, indent=2))
-    for pair in pairs:
+    names = pairs_of(options.a, options.b)
+    if options.heatmap and len(names) > 1:
+        raise InputError(f"--heatmap takes two images, not the {len(names)} of two folders")
+    results, entries, status = [], [], 0
+    for name in names:
+        pair = Pair.of(*name, mask=mask, **limits)
+        status = max(status, pair.status)
+        results.append(pair.as_dict())
+        if options.report:
+            entries.append(entry(pair))
         if pair.error:
             print(f"facerender: error: {pair.error}", file=sys.stderr)
         elif not options.json:
             print(f"{pair.name}: {pair.comparison}")
+    _clean_up_on_interrupt()
+    if options.json:
+        print(json.dumps({"same": status == 0, "pairs": results}, indent=2))
+    if options.report:
+        write_report(options.report, entries)
     if options.heatmap:
-        if len(pairs) > 1:
-            raise InputError(f"--heatmap takes two images, not the {len(pairs)} of two folders")
-        save_heat_map(options.heatmap, pairs[0])
+        save_heat_map(options.heatmap, pair)
     return status
 
 

@@ -11,6 +11,7 @@ changed.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -29,8 +30,10 @@ MARGIN = 3  # pixels from the edge of the coverage, where a block does not look
 # Times the limit of a pixel, at the silhouette: slivers of grazing light come and go there from
 # driver to driver, by up to 0.19; the weakest false highlights measured there add 0.25.
 SILHOUETTE = 4.0
+FADED = 0.2  # excess of coverage that counts as changed
 SHIFT = 0.05  # pixels by which drivers may place what they draw differently
 FLOOR = 0.01  # radiance below which relative differences are taken of this
+FULL = 0.99  # coverage from which a pixel is inside: half floats and filters miss 1
 LEAST = 64  # pixels that a block needs to be judged
 
 SHAPE = "another shape, texture or light"
@@ -58,8 +61,8 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
-            if not value >= 0.0:
-                raise InputError(f"limit {name} = {value:g} is negative or not a number")
+            if not 0.0 <= value < math.inf:
+                raise InputError(f"limit {name} = {value:g} is negative or not finite")
 
 
 LIMITS: dict[Encoding, Limits] = {"linear": Limits(0.05, 5e-3), "srgb8": Limits(8.0, 1.0)}
@@ -109,7 +112,8 @@ class Comparison:
         return {"same": self.same, **asdict(self)}
 
     def __str__(self) -> str:
-        return "; ".join(self.reasons) or "same"
+        unjudged = "" if self.blocks_judged else ", but no block could be judged"
+        return "; ".join(self.reasons) or f"same{unjudged}"
 
 
 def compare(
@@ -130,7 +134,7 @@ def compare(
     point, block, coverage : limits of the gates, see :class:`Limits`; without, those of
         :data:`LIMITS` for the images' encoding. On one driver and with float textures a block limit
         of 1e-3 holds
-    mask : (H, W), not 0 where the images count; without, everywhere
+    mask : (H, W), not 0 where the images count; without, everywhere. Every value must be finite
 
     Raises
     ------
@@ -149,13 +153,17 @@ def compare(
     said = {name: value for name, value in given.items() if value is not None}
     limits = replace(LIMITS[a.encoding], **said)
 
-    full = (a.coverage >= 1.0) & (b.coverage >= 1.0)
+    if not counts.any():
+        raise InputError("the mask is 0 everywhere: nothing would be compared")
+
+    full = (a.coverage >= FULL) & (b.coverage >= FULL)
     silhouette = _filtered(full, np.maximum) & ~_filtered(full, np.minimum)
     excess = np.where(counts, _excess(a.color, b.color), np.float32(0.0))
     relative = np.abs(excess) / np.where(silhouette, np.float32(SILHOUETTE), np.float32(1.0))
     over = relative > limits.point
     means = _block_means(a.color, b.color, full & counts, a.encoding, SHIFT)
-    changed = ((a.coverage >= 0.5) != (b.coverage >= 0.5)) & counts
+    faded = np.abs(_excess(a.coverage[..., None], b.coverage[..., None])) > FADED
+    changed = (((a.coverage >= 0.5) != (b.coverage >= 0.5)) | faded) & counts
     channels = range(a.color.shape[2])
     # Channel by channel: NumPy is slow along a short last axis.
     apart = np.maximum.reduce([np.abs(b.color[..., i] - a.color[..., i]) for i in channels])
@@ -279,7 +287,7 @@ def block_error(a: Float, reference: Float, coverage: Float) -> float:
     coverage : (H, W) in [0, 1]; only pixels at least 3 inside of full coverage count, and blocks
         with at least 64 of them
     """
-    means = _block_means(reference, a, coverage >= 1.0, "linear")
+    means = _block_means(reference, a, coverage >= FULL, "linear")
     return float(np.abs(np.nan_to_num(means)).max(initial=0.0))
 
 
@@ -298,9 +306,8 @@ def _check_alike(a: Picture, b: Picture) -> None:
         counts = (f"{x.name} has {x.pixels.shape[2]} channels" for x in (a, b))
         raise InputError(f"{', '.join(counts)}: save both with alpha, or both without")
     if a.color_space != b.color_space:
-        raise InputError(
-            f"{a.name} is in colour space {a.color_space}, {b.name} in {b.color_space}: convert one"
-        )
+        spaces = (f"{x.name} is in colour space {x.color_space or 'none named'}" for x in (a, b))
+        raise InputError(f"{', '.join(spaces)}: convert one")
 
 
 def _check_finite(picture: Picture) -> None:

@@ -23,6 +23,7 @@ from facerender.errors import InputError
 from facerender.image import Encoding, Picture, encode_srgb8, save_png, write_whole
 
 VERDICTS = {1: "differs", 2: "error", 0: "same"}  # by status, in the page's order
+INDEX = "\N{SYMBOL FOR UNIT SEPARATOR}"  # in no name
 THUMBNAIL = 160  # pixels a side
 LEVELS = 32  # of the difference, either way
 DARKER, BRIGHTER, UNCOVERED = (74, 163, 255), (255, 148, 41), (190, 70, 255)
@@ -39,22 +40,45 @@ def save_heat_map(path: str | os.PathLike[str], pair: Pair) -> None:
     Raises
     ------
     InputError : flip-evaluator is missing, an image could not be read, the sizes differ, or the
-        file cannot be written
+        file is no .png or cannot be written
     """
+    if Path(path).suffix.lower() != ".png":
+        raise InputError(f"the heat map {path}: give a .png")
     a, b = pair.reference, pair.image
     if a is None or b is None or a.pixels.shape[:2] != b.pixels.shape[:2]:
         raise InputError(f"no heat map: {pair.error}")
     save_png(path, _heat_map(_shown(a), _shown(b)), {})
 
 
-def write_report(path: str | os.PathLike[str], pairs: Sequence[Pair]) -> None:
+@dataclass(frozen=True)
+class Entry:
+    """A pair as text, which takes less memory than its images and may go from process to process.
+
+    Attributes
+    ----------
+    name, status : of the pair
+    row, section : of the page; INDEX in them stands for the entry's number
+    """
+
+    name: str
+    status: int
+    row: str
+    section: str
+
+
+def entry(pair: Pair) -> Entry:
+    """Return what the page says of a pair."""
+    return Entry(pair.name, pair.status, _row(pair), _section(pair))
+
+
+def write_report(path: str | os.PathLike[str], entries: Sequence[Entry]) -> None:
     """Write a page with every pair, self-contained, those that differ first.
 
     Raises
     ------
     InputError : the file cannot be written
     """
-    page = _page(pairs).encode(errors="backslashreplace")  # of names that are not UTF-8
+    page = _page(entries).encode(errors="backslashreplace")  # of names that are not UTF-8
 
     def write(name: str) -> None:
         Path(name).write_bytes(page)
@@ -317,13 +341,15 @@ _MOTION = """<label class="cut">cut <input type="range" min="0" max="100" value=
 <button class="blinking swap" type="button">swap</button>"""
 
 
-def _page(pairs: Sequence[Pair]) -> str:
+def _page(entries: Sequence[Entry]) -> str:
     order = list(VERDICTS)
-    ranked = sorted(pairs, key=lambda pair: order.index(pair.status))
-    counts = Counter(pair.status for pair in pairs)
+    ranked = sorted(entries, key=lambda entry: order.index(entry.status))
+    counts = Counter(entry.status for entry in entries)
     words = {1: "differs" if counts[1] == 1 else "differ", 2: "not comparable", 0: "the same"}
     title = ", ".join(f"{counts[key]} {word}" for key, word in words.items() if counts[key])
-    sections = "\n".join(_section(pair, index) for index, pair in enumerate(ranked))
+    rows = (entry.row.replace(INDEX, str(number)) for number, entry in enumerate(ranked))
+    sections = (entry.section.replace(INDEX, str(number)) for number, entry in enumerate(ranked))
+    summary = _table("names", ("pair", "verdict", "point", "block", "coverage"), rows)
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -335,8 +361,8 @@ def _page(pairs: Sequence[Pair]) -> str:
 </head>
 <body>
 <h1>Comparison: {title}</h1>
-{_summary(ranked)}
-{sections}
+<div class="wide">{summary}</div>
+{"".join(sections)}
 <section>
 <h2>How to read this</h2>
 {_NOTES}</section>
@@ -346,22 +372,18 @@ def _page(pairs: Sequence[Pair]) -> str:
 """
 
 
-def _summary(pairs: Sequence[Pair]) -> str:
-    rows = []
-    for index, pair in enumerate(pairs):
-        verdict = VERDICTS[pair.status]
-        name = f'<a href="#pair-{index}">{escape(pair.name)}</a>'
-        gates = _gates(pair.comparison) if pair.comparison else ()
-        cells = [f"<td{gate.marked}>{gate.relation}</td>" for gate in gates] or ["<td>–</td>"] * 3
-        rows.append(
-            f'<tr class="{verdict}"><th scope="row">{name}</th><td class="verdict">{verdict}</td>'
-            f"{''.join(cells)}</tr>"
-        )
-    head = ("pair", "verdict", "point", "block", "coverage")
-    return f'<div class="wide">{_table("names", head, rows)}</div>'
+def _row(pair: Pair) -> str:
+    verdict = VERDICTS[pair.status]
+    gates = _gates(pair.comparison) if pair.comparison else ()
+    cells = [f"<td{gate.marked}>{gate.relation}</td>" for gate in gates] or ["<td>–</td>"] * 3
+    name = f'<a href="#pair-{INDEX}">{escape(pair.name)}</a>'
+    return (
+        f'<tr class="{verdict}"><th scope="row">{name}</th><td class="verdict">{verdict}</td>'
+        f"{''.join(cells)}</tr>"
+    )
 
 
-def _section(pair: Pair, index: int) -> str:
+def _section(pair: Pair) -> str:
     verdict = VERDICTS[pair.status]
     title = f'{escape(pair.name)} <span class="verdict">{verdict}</span>'
     gates = _gate_table(pair.comparison) if pair.comparison else ""
@@ -369,13 +391,13 @@ def _section(pair: Pair, index: int) -> str:
     if pair.status == 0 and pair.reference:
         return (
             f'<details class="same"><summary>{title}</summary>'
-            f'<div id="pair-{index}">{_thumbnail(pair.reference)}{tables}</div></details>'
+            f'<div id="pair-{INDEX}">{_thumbnail(pair.reference)}{tables}</div></details>'
         )
     reasons = pair.comparison.reasons if pair.comparison else (pair.error,)
     said = "".join(f"<li>{escape(reason)}</li>" for reason in reasons)
     return (
-        f'<section id="pair-{index}" class="{verdict}"><h2>{title}</h2>'
-        f'<ul class="reasons">{said}</ul>{_viewer(pair, index)}{tables}</section>'
+        f'<section id="pair-{INDEX}" class="{verdict}"><h2>{title}</h2>'
+        f'<ul class="reasons">{said}</ul>{_viewer(pair)}{tables}</section>'
     )
 
 
@@ -460,7 +482,7 @@ def _fact(picture: Picture) -> dict[str, str]:
     return {"image": picture.name, "pixels": pixels, **space, **picture.metadata}
 
 
-def _viewer(pair: Pair, index: int) -> str:
+def _viewer(pair: Pair) -> str:
     """Show the images there are, and how they differ if they could be compared."""
     places = _places(pair)
     pictures = {"a": pair.reference, "b": pair.image}
@@ -471,7 +493,7 @@ def _viewer(pair: Pair, index: int) -> str:
         return ""
     controls = ""
     if pair.reference and pair.image and pair.comparison:
-        controls = _choices("view", index, {mode: mode for mode in MODES})
+        controls = _choices("view", {mode: mode for mode in MODES})
         try:
             caption = "<b>heat map</b> FLIP: what the eye sees when the images alternate"
             figures.append(_figure("heat", caption, _heat_map(**shown), places))
@@ -482,7 +504,7 @@ def _viewer(pair: Pair, index: int) -> str:
         figures.append(_figure("difference", caption, difference, places))
     centres = {name: f"{x + side // 2},{y + side // 2}" for name, (x, y, side) in places.items()}
     if places:
-        controls += _choices("zoom", index, {"whole": "", **centres})
+        controls += _choices("zoom", {"whole": "", **centres})
         controls += '<label><input type="checkbox" class="marks" checked>marks</label>'
     if pair.comparison:
         controls += _MOTION
@@ -541,10 +563,10 @@ def _legend(largest: float, encoding: Encoding) -> str:
     )
 
 
-def _choices(name: str, index: int, values: Mapping[str, str]) -> str:
+def _choices(name: str, values: Mapping[str, str]) -> str:
     """Offer values by name, the first chosen."""
     choices = "".join(
-        f'<label><input type="radio" name="{name}-{index}" value="{value}"'
+        f'<label><input type="radio" name="{name}-{INDEX}" value="{value}"'
         f"{'' if position else ' checked'}>{label}</label>"
         for position, (label, value) in enumerate(values.items())
     )

@@ -4,14 +4,14 @@ here; the pytest plugin is pytest_facerender.py."""
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from facerender import __version__
 from facerender.compare import Comparable, Pair, as_picture, compare
-from facerender.errors import InputError
+from facerender.errors import InputError, reason
 from facerender.image import Picture, save_exr
 
 UNKNOWN = "an unknown renderer"
@@ -66,6 +66,7 @@ def check(
     image: Comparable,
     golden: Path,
     updates: Updates = Updates(),
+    written: Container[Path] = (),
     *,
     metadata: Mapping[str, str] | None = None,
     **options: Any,
@@ -77,6 +78,7 @@ def check(
     name : of the pair, for the report
     golden : FOLDER/NAME.exr; FOLDER/NAME@RENDERER.exr is taken in its place where it exists for the
         renderer that the image's metadata names
+    written : goldens that another image has become meanwhile: they are not written again
     metadata : to add to the image's own
     options : limits and mask, see :func:`facerender.compare`
 
@@ -85,11 +87,13 @@ def check(
     InputError : the image is not linear float, cannot be read, or the golden cannot be written
     """
     picture = as_picture(image, "the image")
-    if picture.encoding != "linear" or picture.pixels.shape[2] < 3:
+    if picture.encoding != "linear":
         raise InputError(
-            f"{picture.name} is not linear float RGB: 8 bits hide what a golden is to show; give a "
-            "Frame, an array of floats or an EXR file"
+            f"{picture.name} is 8-bit, which hides what a golden is to show: give a Frame, floats "
+            "or an EXR file"
         )
+    if picture.pixels.shape[2] < 3:
+        raise InputError(f"{picture.name} is grey: give RGB")
     merged = {"facerender": __version__, **picture.metadata, **(metadata or {})}
     picture = replace(picture, metadata=merged)
     renderer = merged.get("GL_RENDERER", "")
@@ -123,6 +127,12 @@ def check(
                 "--facerender-alternative writes one for this renderer beside it"
             )
             return Verdict(picture, pair, golden, failure=failure)
-    place.parent.mkdir(parents=True, exist_ok=True)
+    if place in written:
+        failure = f"{place.name} was written for another image just now: give each a name"
+        return Verdict(picture, pair, golden, failure=failure)
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make {place.parent}: {reason(error)}") from None
     save_exr(place, picture.pixels, picture.metadata)
     return Verdict(picture, pair, golden, written=place)

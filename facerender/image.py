@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import threading
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
@@ -20,6 +21,10 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, reason
 
 Encoding = Literal["linear", "srgb8"]
+
+REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # what an EXR has that says nothing
+SRGB_GAMMA = 0.45455  # what a PNG says of itself for programs that know no sRGB
+_SILENT = threading.Lock()
 
 SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
 
@@ -46,10 +51,12 @@ class Picture:
 
     @property
     def coverage(self) -> NDArray[np.float32]:
-        """Alpha (H, W), in [0, 1]; 1 in an image without."""
-        if self.pixels.shape[2] % 2:
-            return np.ones(self.pixels.shape[:2], dtype=np.float32)
-        return self.pixels[..., -1] / np.float32(255.0 if self.encoding == "srgb8" else 1.0)
+        """Alpha (H, W), in [0, 1]; 1 in an image without, or a linear one whose alpha is unused: 0
+        everywhere."""
+        scale = 255.0 if self.encoding == "srgb8" else 1.0
+        alpha = self.pixels[..., -1] / np.float32(scale)
+        absent = self.pixels.shape[2] % 2 or (self.encoding == "linear" and not alpha.any())
+        return np.ones_like(alpha) if absent else alpha
 
     @property
     def color(self) -> NDArray[np.float32]:
@@ -184,6 +191,8 @@ def read_image(path: str | os.PathLike[str]) -> Picture:
         raise InputError(f"cannot read {path}: {reason(error)}") from None
     if not start:
         raise InputError(f"{path} is empty: write it anew")
+    if start.startswith(b"version https://git-lfs"):
+        raise InputError(f"{path} is a pointer of Git LFS: git lfs pull")
     suffix = path.suffix.lower()
     if suffix == ".exr":
         return _read_exr(path)
@@ -219,36 +228,58 @@ def _read_exr(path: Path) -> Picture:
     try:
         with _silence():
             file = OpenEXR.File(str(path), separate_channels=True)
-            channels = {name: channel.pixels for name, channel in file.channels().items()}
+            parts = len(file.parts)
             header = file.header()
+            # Of a deep image this has lists of samples, which are no numbers.
+            channels = {
+                name: np.asarray(channel.pixels, dtype=np.float32)
+                for name, channel in file.channels().items()
+            }
     except (RuntimeError, ValueError, TypeError) as error:
         raise InputError(
             f"{path} is no image that OpenEXR reads ({error}); write it anew"
         ) from None
+    if parts > 1:
+        raise InputError(f"{path} has {parts} parts: write the one that counts as a file")
     names = [name for name in "RGBA" if name in channels and "R" in channels]
     names = names or sorted(channels, reverse=True)
     if names not in (["R", "G", "B"], ["R", "G", "B", "A"], ["Y"], ["Y", "A"]):
         raise InputError(f"{path} has channels {', '.join(channels)}: give R, G, B, and A if any")
+    pixels = _in_window(np.stack([channels[name] for name in names], axis=-1), header)
     metadata = {key: value for key, value in header.items() if isinstance(value, str)}
-    primaries = header.get("chromaticities")
-    pixels = np.stack([channels[name].astype(np.float32) for name in names], axis=-1)
-    return Picture(
-        pixels, "linear", str(path), metadata, "" if primaries is None else str(primaries)
-    )
+    primaries = header.get("chromaticities", REC_709)
+    space = "" if np.allclose(primaries, REC_709, atol=1e-4) else f"of primaries {primaries}"
+    return Picture(pixels, "linear", str(path), metadata, space)
+
+
+def _in_window(pixels: NDArray[np.float32], header: Mapping[str, Any]) -> NDArray[np.float32]:
+    """Place the pixels of an EXR's data window in its display window; 0 around them."""
+    (left, top), (right, bottom) = header["displayWindow"]
+    shown = np.zeros((bottom - top + 1, right - left + 1, pixels.shape[2]), dtype=np.float32)
+    x, y = np.subtract(header["dataWindow"][0], (left, top))
+    height, width = pixels.shape[:2]
+    rows = np.arange(max(y, 0), min(y + height, shown.shape[0]))
+    columns = np.arange(max(x, 0), min(x + width, shown.shape[1]))
+    shown[np.ix_(rows, columns)] = pixels[np.ix_(rows - y, columns - x)]
+    return shown
 
 
 @contextmanager
 def _silence() -> Iterator[None]:
     """Keep off standard output and error what OpenEXR says there, from C as well, about a damaged
     file."""
-    kept = os.dup(2)
-    try:
-        with open(os.devnull, "w") as nothing, redirect_stdout(nothing):
+    with _SILENT, open(os.devnull, "w") as nothing, redirect_stdout(nothing):
+        try:
+            kept = os.dup(2)
+        except OSError:  # closed
+            yield
+            return
+        try:
             os.dup2(nothing.fileno(), 2)
             yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
 
 
 def _openexr(path: str | os.PathLike[str]) -> Any:
@@ -296,7 +327,8 @@ def _read_8_bit(path: Path, start: bytes) -> Picture:
     metadata = {str(key): value for key, value in image.info.items() if isinstance(value, str)}
     profile = image.info.get("icc_profile") or b""
     space = f"ICC profile {zlib.crc32(profile):08x}" if profile else ""
-    if gamma := image.info.get("gamma"):
+    gamma = image.info.get("gamma", SRGB_GAMMA)
+    if abs(gamma - SRGB_GAMMA) > 1e-4:
         space = space or f"gamma {gamma:.4g}"
     return Picture(
         np.asarray(image, dtype=np.float32).reshape(image.height, image.width, -1),

@@ -5,7 +5,11 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 
@@ -248,6 +252,7 @@ def test_block_gate_forgives_a_shift_of_a_twentieth_of_a_pixel():
 def test_small_images_have_no_block_to_judge():
     image = plain(side=24)
     assert compare(image, image).blocks_judged == 0
+    assert str(compare(image, image)) == "same, but no block could be judged"
     assert compare(image[:1, :1], image[:1, :1]).same
 
 
@@ -277,6 +282,26 @@ def test_colour_behind_transparency_does_not_count():
     other = image.copy()
     other[..., :3] = 255
     assert compare(image, other).same
+
+
+def test_mask_that_hides_everything_is_refused():
+    with pytest.raises(fr.InputError, match="the mask is 0 everywhere: nothing would be compared"):
+        compare(plain(), plain(), mask=np.zeros((64, 64)))
+
+
+def test_coverage_that_fades_is_a_change():
+    image = plain()
+    image[..., 3] *= 0.6
+    assert compare(plain(), image).coverage > 0.5
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.995])
+def test_alpha_that_says_nothing_hides_no_block(alpha):
+    a, b = plain(), plain()
+    a[..., 3] *= alpha
+    b[..., 3] *= alpha
+    b[..., :3] *= 0.95
+    assert compare(a, b).blocks > 0
 
 
 def test_8_bit_images_count_in_steps():
@@ -451,6 +476,7 @@ UNREADABLE = {
     "complex.npy": (numpy_file(np.save, np.zeros((64, 64, 3), complex)), r"holds complex128"),
     "flat.npy": (numpy_file(np.save, np.zeros(64)), r"flat\.npy has shape \(64,\): give"),
     "five.npy": (numpy_file(np.save, np.zeros((64, 64, 5))), r"shape \(64, 64, 5\): give"),
+    "pointer.exr": (b"version https://git-lfs.github.com/spec/v1\n", r"is a pointer of Git LFS"),
     "image.tiff": (b"II*\0", r"image\.tiff: unknown image format '\.tiff'; give \.exr"),
     "image": (b"x", r"image: unknown image format ''"),
 }
@@ -463,6 +489,59 @@ def test_file_that_is_no_image(name, first, cli, tmp_path, exr):
     path = tmp_path / name
     path.write_bytes(content)
     cli.fail(message, "compare", *((path, exr) if first else (exr, path)))
+
+
+def write_exr(path: Path, pixels: np.ndarray, **header: object) -> Path:
+    kind = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File({**kind, **header}, {"RGB": np.ascontiguousarray(pixels)}).write(str(path))
+    return path
+
+
+@pytest.mark.parametrize(("x", "y"), [(0, 0), (10, 20), (-10, -20), (100, 0), (0, -100)])
+def test_exr_lies_where_its_data_window_says(tmp_path, x, y):
+    pixels = np.random.default_rng(1).random((30, 40, 3), dtype=np.float32)
+    corner = np.array([x, y], dtype=np.int32)
+    path = write_exr(
+        tmp_path / "window.exr",
+        pixels,
+        dataWindow=(corner, corner + np.int32([39, 29])),
+        displayWindow=(np.int32([0, 0]), np.int32([63, 47])),
+    )
+    large = np.zeros((348, 364, 3), dtype=np.float32)
+    large[150 + y : 180 + y, 150 + x : 190 + x] = pixels
+    np.testing.assert_array_equal(read_image(path).pixels, large[150:198, 150:214])
+
+
+def test_exr_of_several_parts_is_refused(tmp_path):
+    blank = {"RGB": np.zeros((4, 4, 3), dtype=np.float32)}
+    kind = {"type": OpenEXR.scanlineimage}
+    parts = [OpenEXR.Part({**kind, "name": name}, blank) for name in ("left", "right")]
+    OpenEXR.File(parts).write(str(tmp_path / "parts.exr"))
+    with pytest.raises(fr.InputError, match="parts.exr has 2 parts: write the one that counts"):
+        read_image(tmp_path / "parts.exr")
+
+
+def test_spaces_that_say_what_is_meant_anyway_are_no_difference(tmp_path):
+    pixels = np.full((20, 20, 3), 0.5, dtype=np.float32)
+    said = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
+    a = write_exr(tmp_path / "a.exr", pixels)
+    assert compare(a, write_exr(tmp_path / "b.exr", pixels, chromaticities=said)).same
+    wide = write_exr(tmp_path / "c.exr", pixels, chromaticities=(0.7, 0.3, *said[2:]))
+    with pytest.raises(fr.InputError, match=r"a.exr is in colour space none named, .*c.exr is in"):
+        compare(a, wide)
+
+
+def test_images_may_be_read_in_threads(exr, capfd):
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(read_image, [exr] * 40))
+    print("out")
+    os.write(2, b"error")
+    assert capfd.readouterr() == ("out\n", "error")
+
+
+def test_closed_standard_error_is_no_difference(exr):
+    command = f"{sys.executable} -m facerender compare {exr} {exr} 2>&-"
+    assert subprocess.run(["bash", "-c", command], capture_output=True).returncode == 0
 
 
 def test_missing_file(cli, exr, tmp_path):
@@ -512,7 +591,7 @@ def test_kinds_that_differ(cli, exr, png, tmp_path):
 def test_colour_spaces_that_differ(cli, png, tmp_path):
     with Image.open(png) as image:
         image.save(tmp_path / "wide.png", icc_profile=b"wide gamut")
-    message = r"reference\.png is in colour space , .*wide\.png in ICC profile \w+: convert one"
+    message = r"reference\.png is in colour space none named, .*wide\.png is in colour space ICC profile \w+: convert one"
     cli.fail(message, "compare", png, tmp_path / "wide.png")
 
 
@@ -538,8 +617,8 @@ def test_exr_with_odd_channels(cli, exr, tmp_path):
 @pytest.mark.parametrize(
     ("option", "value", "message"),
     [
-        ("--point", "-1", r"limit point = -1 is negative or not a number"),
-        ("--block", "nan", r"limit block = nan is negative or not a number"),
+        ("--point", "-1", r"limit point = -1 is negative or not finite"),
+        ("--block", "nan", r"limit block = nan is negative or not finite"),
         ("--coverage", "-0.5", r"limit coverage = -0\.5 is negative"),
         ("--point", "x", r"argument --point: invalid float value: 'x'"),
         ("--mask", "gone.png", r"cannot read gone\.png: no such file"),

@@ -15,7 +15,7 @@ from PIL import Image
 
 from facerender import InputError
 from facerender.compare import Pair
-from facerender.compare_report import save_heat_map, write_report
+from facerender.compare_report import entry, save_heat_map, write_report
 from facerender.image import Picture
 
 SIZE = (40, 48)  # height, width
@@ -76,7 +76,7 @@ def pairs() -> list[Pair]:
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory, pairs: list[Pair]) -> Path:
     path = tmp_path_factory.mktemp("report") / "report.html"
-    write_report(path, pairs)
+    write_report(path, [entry(pair) for pair in pairs])
     return path
 
 
@@ -178,7 +178,7 @@ def test_names_are_text(page: Path, parsed: Page) -> None:
 
 
 def test_name_that_is_no_utf_8(tmp_path: Path) -> None:
-    write_report(tmp_path / "report.html", [Pair.of("\udcff.exr", image(), image())])
+    write_report(tmp_path / "report.html", [entry(Pair.of("\udcff.exr", image(), image()))])
     assert r"\udcff.exr" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
@@ -241,7 +241,7 @@ def test_equal_pairs_are_folded_with_one_small_image(parsed: Page) -> None:
 def test_black_lies_behind_transparency(tmp_path: Path) -> None:
     straight = to_8_bit(image())
     straight[..., 3] = 51
-    write_report(tmp_path / "report.html", [Pair.of("x", straight, to_8_bit(image()))])
+    write_report(tmp_path / "report.html", [entry(Pair.of("x", straight, to_8_bit(image())))])
     shown = Page(tmp_path / "report.html").images("pair-0")["a"]
     np.testing.assert_array_equal(shown, np.round(straight[..., :3] * 0.2))
 
@@ -250,7 +250,7 @@ def test_page_without_the_package_for_heat_maps(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
-    write_report(tmp_path / "report.html", [Pair.of("x", image(), with_pixel(3.0))])
+    write_report(tmp_path / "report.html", [entry(Pair.of("x", image(), with_pixel(3.0)))])
     page = Page(tmp_path / "report.html")
     assert list(page.images("pair-0")) == ["a", "b", "difference"]
     assert "pip install 'facerender[measure]'" in page.text["pair-0"]
@@ -269,7 +269,7 @@ def test_page_is_whole_or_not_there(
 
     monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(InputError, match="report.html: No space left"):
-        write_report(path, pairs[:1])
+        write_report(path, [entry(pairs[0])])
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 

@@ -148,7 +148,7 @@ def test_difference_fails_with_reasons_and_both_images(recorded):
         ("0.6", "block=0.3", False),
         ("0.501", "", True),
         ("0.501", "block=1e-3", False),
-        ("0.6", "mask=np.zeros((32, 32))", True),
+        ("0.6", "mask=np.zeros((32, 32))", False),
     ],
 )
 def test_limits_are_options_of_check(recorded, value, options, passes):
@@ -171,8 +171,8 @@ def test_coverage_limit(suites):
     ("image", "message"),
     [
         ("image(np.nan)", "*the image holds 3072 NaN and 0 infinite values*"),
-        ("image()[..., 0]", "*the image is not linear float RGB*"),
-        ("image().astype(np.uint8)", "*the image is not linear float RGB*"),
+        ("image()[..., 0]", "*the image is grey: give RGB"),
+        ("image().astype(np.uint8)", "*the image is 8-bit, which hides what a golden is to*"),
         ("image(), block=-1.0", "*limit block = -1 is negative*"),
         ("image(), mask=np.ones((3, 3))", "*the mask is 3 x 3*"),
     ],
@@ -195,7 +195,7 @@ def test_image_that_is_none_becomes_no_golden(suites, image, message, golden):
 
 def test_names_of_goldens(suites):
     suites.write(
-        "@pytest.mark.parametrize('p', ['a/b', 'a-b', 'x@y', 'ü', 0.5, '..'])\n"
+        "@pytest.mark.parametrize('p', ['a/b', 'a-b', 'a[b]', 'x@y', 'ü', 0.5, '..'])\n"
         "def test_p(snapshot, p): snapshot(image())\n"
         "class TestA:\n"
         "    def test_same(self, snapshot): snapshot(image(0.1))\n"
@@ -205,13 +205,43 @@ def test_names_of_goldens(suites):
         "    snapshot(image(0.3), 'one')\n"
         "    snapshot(image(0.4), '../two')\n"
     )
-    suites.run("--facerender-update-missing").assert_outcomes(passed=9)
-    suites.run().assert_outcomes(passed=9)
+    suites.run("--facerender-update-missing").assert_outcomes(passed=10)
+    suites.run().assert_outcomes(passed=10)
     assert suites.goldens() == [
         *("..%2Ftwo.exr", "TestA.test_same.exr", "TestB.test_same.exr", "one.exr"),
         *("test_p-%5Cxfc.exr", "test_p-...exr", "test_p-0.5.exr", "test_p-a%2Fb.exr"),
-        *("test_p-a-b.exr", "test_p-x%40y.exr"),
+        *("test_p-a%5Bb%5D.exr", "test_p-a-b.exr", "test_p-x%40y.exr"),
     ]
+
+
+def test_long_names_are_cut_and_stay_apart(suites):
+    suites.write(
+        "@pytest.mark.parametrize('p', ['ж' * 300 + end for end in 'ab'], ids=str)\n"
+        "def test_p(snapshot, p): snapshot(image(), 'ж' * 300 + p[-1])\n"
+    )
+    suites.run("--facerender-update-missing").assert_outcomes(passed=2)
+    names = suites.goldens()
+    assert len(names) == 2
+    assert max(map(len, names)) < 200
+
+
+def test_two_tests_cannot_write_one_golden(suites):
+    suites.write(
+        "def test_a(snapshot): snapshot(image(0.1), 'one')\n"
+        "def test_b(snapshot): snapshot(image(0.2), 'one')\n"
+    )
+    result = suites.run("--facerender-update")
+    result.assert_outcomes(passed=1, failed=1)
+    result.stdout.fnmatch_lines(["*one.exr was written for another image just now: give*"])
+    assert suites.value("one") == pytest.approx(0.1)
+
+
+def test_place_of_goldens_that_cannot_be_made(suites):
+    suites.write(ONE.format(value=0.5))
+    (suites.path / "goldens").touch()
+    result = suites.run("--facerender-update-missing")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*cannot make */goldens/test_suite: *"])
 
 
 def test_one_name_serves_one_image_of_a_test(suites):
@@ -339,6 +369,8 @@ class Half:
     def __init__(self, *args, **options): self.file = File(*args, **options)
     def header(self): return self.file.header()
     def channels(self): return self.file.channels()
+    @property
+    def parts(self): return self.file.parts
     def write(self, name):
         self.file.write(name)
         os.truncate(name, 200)
@@ -533,6 +565,44 @@ def test_report_has_every_image_and_those_that_fail_as_exr(recorded, extra):
     result.stdout.fnmatch_lines(
         [f"*actual {folder}/actual/test_suite.py-test_head.exr", f"report: {folder}/index.html"]
     )
+
+
+def test_report_has_the_last_of_several_runs_of_a_test(suites):
+    suites.write(
+        "from pathlib import Path\n"
+        "def test_head(snapshot):\n"
+        "    again = Path('again').exists(); Path('again').touch()\n"
+        "    snapshot(image(0.5 if again else 0.9))\n"
+    )
+    suites.golden().parent.mkdir(parents=True)
+    save_exr(suites.golden(), np.full((32, 32, 3), 0.5, np.float32), {})
+    suites.pytester.makeconftest(
+        "from _pytest.runner import runtestprotocol\n"
+        "def pytest_runtest_protocol(item, nextitem):\n"
+        "    for _ in range(2):\n"
+        "        for report in runtestprotocol(item, nextitem=nextitem, log=False):\n"
+        "            item.ihook.pytest_runtest_logreport(report=report)\n"
+        "    return True\n"
+    )
+    suites.run("--facerender-report=page")
+    page = (suites.path / "page/index.html").read_text()
+    assert "<h1>Comparison: 1 the same</h1>" in page
+
+
+def test_report_keeps_no_image_of_an_earlier_session(recorded):
+    recorded.write(ONE.format(value=0.6))
+    recorded.run("--facerender-report=page").assert_outcomes(failed=1)
+    recorded.write(ONE.format(value=0.5))
+    recorded.run("--facerender-report=page").assert_outcomes(passed=1)
+    assert list((recorded.path / "page").rglob("*.exr")) == []
+
+
+def test_image_that_cannot_be_kept_hides_no_reason(recorded):
+    recorded.write(ONE.format(value=0.6))
+    (recorded.path / "page").mkdir()
+    (recorded.path / "page/actual").touch()
+    result = recorded.run("--facerender-report=page")
+    result.stdout.fnmatch_lines(["*test_head differs from its golden*", "*actual not written: *"])
 
 
 def test_report_folder_that_cannot_be_made(suites):
