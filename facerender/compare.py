@@ -429,9 +429,9 @@ def _reasons(
         else:
             guess = "a lobe or weight change"
         mean, limit = (
-            (f"{100.0 * result.block:+.2g} %", f"{100.0 * limits.block:g} %")
+            (f"{_signed(100.0 * result.block)} %", f"{100.0 * limits.block:g} %")
             if result.encoding == "linear"
-            else (f"{result.block:+.2g} of 255", f"{limits.block:g}")
+            else (f"{_signed(result.block)} of 255", f"{limits.block:g}")
         )
         reasons.append(
             f"block {result.block_at}: mean {mean}, limit {limit}, {result.blocks} of "
@@ -443,6 +443,10 @@ def _reasons(
             f"{100.0 * limits.coverage:g} %: looks like another mesh or camera"
         )
     return tuple(reasons)
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.2g}" if abs(value) < 10.0 else f"{value:+.0f}"
 
 
 def _amount(value: float, encoding: Encoding) -> str:
