@@ -175,8 +175,8 @@ in radiance ({point8:g} of 255 in 8-bit images), {times:g} times as much at the 
 **block** gate takes the change of the mean of 16 x 16 pixels, 3 pixels and more from the
 silhouette, relative to that mean or to 0.01, less what a shift of {shift:g} pixels explains: limit
 {block:g}, or {strict:g} for images of one driver with float albedo ({block8:g} of 255 in 8-bit
-images). The **coverage** gate takes the share of the pixels whose coverage passed one half: limit
-{coverage:g}.
+images). The **coverage** gate takes the share of the pixels whose coverage passed one half, or left
+that of its neighbourhood by 0.2: limit {coverage:g}. EGL and OSMesa agree within the strict limits.
 
 All images: Cook-Torrance, exact lobe, default lights, float albedo, 1 sample, {size} x {size} where
 nothing else is said.
