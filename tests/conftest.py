@@ -42,16 +42,15 @@ def node_tool(name: str) -> str:
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
     try:
-        from playwright.sync_api import Error, sync_playwright
-    except ImportError:
-        missing("no playwright: pip install playwright")
-    with sync_playwright() as playwright:
-        try:
-            browser = chromium.launch(playwright)
-        except Error as error:
-            missing(f"no Chromium ({str(error).splitlines()[0]}): apt-get install chromium")
-        yield browser
-        browser.close()
+        from playwright.sync_api import sync_playwright
+
+        playwright = sync_playwright().start()
+        browser = chromium.launch(playwright)
+    except Exception as error:  # as bare ones, where its driver does not start
+        missing(f"no Chromium ({str(error).splitlines()[0]}): apt-get install chromium")
+    yield browser
+    browser.close()
+    playwright.stop()
 
 
 def require_backend(backend: Backend) -> Backend:
