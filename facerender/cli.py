@@ -421,10 +421,10 @@ def _compare(options: argparse.Namespace, caught: list[str]) -> int:
         elif not options.json:
             print(f"{pair.name}: {pair.comparison}")
     _clean_up_on_interrupt()
-    if options.json:
-        print(json.dumps({"same": status == 0, "pairs": results}, indent=2))
     if options.report:
         write_report(options.report, entries)
+    if options.json:
+        print(json.dumps({"same": status == 0, "pairs": results}, indent=2))
     if options.heatmap:
         save_heat_map(options.heatmap, pair)
     return status
