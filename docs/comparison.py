@@ -17,7 +17,7 @@ import facerender as fr
 from facerender.compare import LIMITS, SHIFT, SILHOUETTE, STRICT, Comparison, compare
 from facerender.image import encode_srgb8
 from facerender.measure.tables import markdown_table
-from tests.conftest import TEST_DATA
+from tests.conftest import TEST_DATA, load_scan
 from tests.mutations import (
     BROKEN,
     CAMERAS,
@@ -46,12 +46,7 @@ def scan_folder() -> Path | None:
 def meshes() -> Iterator[tuple[str, fr.Mesh]]:
     yield "head", fr.load_mesh()
     if (scan := scan_folder()) is not None:
-        maps = {
-            "albedo": scan / "Map-COL.jpg",
-            "normal_map": scan / "Infinite-Level_02_Tangent_SmoothUV.jpg",
-            "specular_map": scan / "Map-SPEC.jpg",
-        }
-        yield "scan", fr.load_mesh(scan / "LeePerrySmith.glb", flip_v=True, **maps)
+        yield "scan", load_scan(scan)
 
 
 def gates(result: Comparison) -> str:

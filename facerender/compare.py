@@ -149,24 +149,24 @@ def compare(
     counts = np.ones((height, width), dtype=bool) if mask is None else np.asarray(mask) != 0
     if counts.shape != (height, width):
         raise InputError(f"the mask is {_size(counts)}, the images are {_size(a.pixels)} pixels")
+    if not counts.any():
+        raise InputError("the mask is 0 everywhere: nothing would be compared")
     given = {"point": point, "block": block, "coverage": coverage}
     said = {name: value for name, value in given.items() if value is not None}
     limits = replace(LIMITS[a.encoding], **said)
 
-    if not counts.any():
-        raise InputError("the mask is 0 everywhere: nothing would be compared")
-
-    full = (a.coverage >= FULL) & (b.coverage >= FULL)
+    color_a, color_b, alpha_a, alpha_b = a.color, b.color, a.coverage, b.coverage
+    full = (alpha_a >= FULL) & (alpha_b >= FULL)
     silhouette = _filtered(full, np.maximum) & ~_filtered(full, np.minimum)
-    excess = np.where(counts, _excess(a.color, b.color), np.float32(0.0))
+    excess = np.where(counts, _excess(color_a, color_b), np.float32(0.0))
     relative = np.abs(excess) / np.where(silhouette, np.float32(SILHOUETTE), np.float32(1.0))
     over = relative > limits.point
-    means = _block_means(a.color, b.color, full & counts, a.encoding, SHIFT)
-    faded = np.abs(_excess(a.coverage[..., None], b.coverage[..., None])) > FADED
-    changed = (((a.coverage >= 0.5) != (b.coverage >= 0.5)) | faded) & counts
-    channels = range(a.color.shape[2])
+    means = _block_means(color_a, color_b, full & counts, a.encoding, SHIFT)
+    faded = np.abs(_excess(alpha_a[..., None], alpha_b[..., None])) > FADED
+    changed = (((alpha_a >= 0.5) != (alpha_b >= 0.5)) | faded) & counts
+    channels = range(color_a.shape[2])
     # Channel by channel: NumPy is slow along a short last axis.
-    apart = np.maximum.reduce([np.abs(b.color[..., i] - a.color[..., i]) for i in channels])
+    apart = np.maximum.reduce([np.abs(color_b[..., i] - color_a[..., i]) for i in channels])
     difference = apart[counts]
     row, column = np.unravel_index(relative.argmax(), relative.shape)
     across, down = np.unravel_index(np.abs(np.nan_to_num(means)).argmax(), means.shape)[::-1]
@@ -183,8 +183,8 @@ def compare(
         blocks=int((np.abs(means) > limits.block).sum()),
         blocks_judged=int(np.isfinite(means).sum()),
         coverage=float(changed.mean()),
-        largest=float(difference.max(initial=0.0)),
-        mean=float(difference.mean()) if difference.size else 0.0,
+        largest=float(difference.max()),
+        mean=float(difference.mean()),
     )
     return replace(
         result, reasons=_reasons(result, np.sign(excess) * over, full, silhouette, means)

@@ -28,7 +28,7 @@ class _Loader(Protocol):
     def load(self, name: str) -> int: ...
 
 
-class _ForeignContext:
+class ForeignContext:
     """A context that is current and stays the host's: only its functions are looked up."""
 
     def __init__(self, get_proc_address: Any) -> None:
@@ -44,14 +44,14 @@ class _ForeignContext:
     def release(self) -> None:
         pass
 
-    def __enter__(self) -> _ForeignContext:
+    def __enter__(self) -> ForeignContext:
         return self
 
     def __exit__(self, *exception: object) -> None:
         pass
 
 
-class _OSMesaContext(_ForeignContext):
+class _OSMesaContext(ForeignContext):
     """An off-screen Mesa context of our own, drawing into one pixel of ordinary memory;
     everything real is drawn into framebuffer objects."""
 
@@ -118,7 +118,7 @@ def _current() -> _Loader:
     host = current_context()
     if host is None:
         raise ContextError("no EGL, GLX or OSMesa context is current in this thread")
-    return _ForeignContext(host.get_proc_address)
+    return ForeignContext(host.get_proc_address)
 
 
 @dataclass(frozen=True)

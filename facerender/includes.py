@@ -116,7 +116,7 @@ class Expansion:
                 self._branch(directive, rest, line)
             elif directive in ("elif", "else", "endif"):
                 if len(self._conditionals) == depth:
-                    raise InputError(f"{self._place(path, number)}: #{directive} without #if")
+                    raise self._error(path, number, f"#{directive} without #if")
                 conditional = self._conditionals[-1]
                 if directive == "endif":
                     self._put(line if self._conditionals.pop().stays else None)
@@ -132,11 +132,11 @@ class Expansion:
                     self.lines.append(f"#line {number + 1} {source}")
             elif directive == "version" and not self._numbered:
                 if self.version:
-                    raise InputError(f"{self._place(path, number)}: a second #version")
+                    raise self._error(path, number, "a second #version")
                 self.version = line.strip()
             else:
                 if directive in ("define", "undef"):
-                    self._learn(directive, rest, self._place(path, number))
+                    self._learn(directive, rest, path, number)
                 self.lines.append(line)
         if len(self._conditionals) > depth:
             raise InputError(f"{self._name(path) if path else 'text'}: #if without #endif")
@@ -154,31 +154,36 @@ class Expansion:
     def _place(self, path: Path | None, number: int) -> str:
         return f"{self._name(path)}:{number}" if path else f"line {number}"
 
+    def _error(self, path: Path | None, number: int, what: str) -> InputError:
+        return InputError(f"{self._place(path, number)}: {what}")
+
     def _put(self, line: str | None) -> None:
         """Append a line; None stands for one that is left out."""
         if line is not None or self._numbered:
             self.lines.append(line or "")
 
     def _include(self, rest: str, path: Path | None, number: int) -> None:
-        where = self._place(path, number)
         match = _INCLUDE.fullmatch(rest)
         if match is None:
-            raise InputError(f'{where}: #include {rest}: write #include "FILE" or <FILE>')
+            what = f'#include {rest}: write #include "FILE" or <FILE>'
+            raise self._error(path, number, what)
         name = match[1] or match[2]
         folders = [path.parent] if path and match[1] else []
         folders.append(self._root)
         try:
             found = next((file for folder in folders if (file := folder / name).is_file()), None)
         except OSError as error:
-            raise InputError(f"{where}: cannot read {name}: {reason(error)}") from None
+            raise self._error(path, number, f"cannot read {name}: {reason(error)}") from None
         if found is None:
-            raise InputError(f"{where}: no file {name} in {' or '.join(map(str, folders))}")
+            what = f"no file {name} in {' or '.join(map(str, folders))}"
+            raise self._error(path, number, what)
         key = found.resolve()
         if key in self._chain:
             cycle = [*self._chain[self._chain.index(key) :], key]
-            raise InputError(f"{where}: include cycle {' -> '.join(map(self._name, cycle))}")
+            what = f"include cycle {' -> '.join(map(self._name, cycle))}"
+            raise self._error(path, number, what)
         if len(self._chain) == DEEPEST:
-            raise InputError(f"{where}: more than {DEEPEST} files within each other")
+            raise self._error(path, number, f"more than {DEEPEST} files within each other")
         branches = [conditional.included for conditional in self._conditionals if conditional.open]
         scopes = [self._included, *branches]
         if not any(key in scope for scope in scopes):
@@ -228,10 +233,11 @@ class Expansion:
             word = self._macros.get(word, word)
         return int(word) if re.fullmatch("0|[1-9][0-9]*", word) else None
 
-    def _learn(self, directive: str, rest: str, where: str) -> None:
+    def _learn(self, directive: str, rest: str, path: Path | None, number: int) -> None:
         """Note a macro's value, if the line is sure to be compiled."""
         match = _MACRO.match(rest)
         if match and match[1] in self._chosen:
+            where = self._place(path, number)
             raise InputError(f"{where} defines {match[1]}: leave the line, or that choice, out")
         if match and directive == "undef":
             self._macros.pop(match[1], None)

@@ -79,8 +79,8 @@ def awkward() -> Path:
     return folder
 
 
-@pytest.fixture(scope="session")
-def scan_mesh(scan: Path) -> fr.Mesh:
+def load_scan(scan: Path) -> fr.Mesh:
+    """Return the scan of a folder with its maps."""
     return fr.load_mesh(
         scan / "LeePerrySmith.glb",
         albedo=scan / "Map-COL.jpg",
@@ -88,6 +88,11 @@ def scan_mesh(scan: Path) -> fr.Mesh:
         specular_map=scan / "Map-SPEC.jpg",
         flip_v=True,
     )
+
+
+@pytest.fixture(scope="session")
+def scan_mesh(scan: Path) -> fr.Mesh:
+    return load_scan(scan)
 
 
 @pytest.fixture(scope="session")

@@ -20,7 +20,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.context import Backend, create_context
+from facerender.context import Backend, ForeignContext, create_context
 from facerender.errors import ContextError
 from tests import chromium
 from tests.gpu import WIDTH, Evaluate, Evaluator, Inputs, fragment_shader, texels, vertex_shader
@@ -45,46 +45,25 @@ def _softpipe() -> Evaluator:
     return evaluator
 
 
-class _EsContext:
-    """An OpenGL ES 3.0 context without a surface, current from here on, for moderngl."""
-
-    def __init__(self) -> None:
-        egl = ctypes.CDLL("libEGL.so.1")
-        pointer, integer = ctypes.c_void_p, ctypes.c_int
-        egl.eglGetPlatformDisplay.restype = egl.eglCreateContext.restype = pointer
-        egl.eglGetProcAddress.restype = pointer
-        egl.eglGetProcAddress.argtypes = [ctypes.c_char_p]
-        surfaceless = 0x31DD  # EGL_PLATFORM_SURFACELESS_MESA
-        display = pointer(egl.eglGetPlatformDisplay(surfaceless, None, None))
-        config, count = pointer(), integer()
-        # EGL_RENDERABLE_TYPE: ES 3, EGL_SURFACE_TYPE: a pixel buffer
-        wanted = (integer * 5)(0x3040, 0x40, 0x3033, 1, 0x3038)
-        version = (integer * 5)(0x3098, 3, 0x30FB, 0, 0x3038)
-        context = None
-        if egl.eglInitialize(display, None, None) and egl.eglBindAPI(0x30A0):  # EGL_OPENGL_ES_API
-            egl.eglChooseConfig(display, wanted, ctypes.byref(config), 1, ctypes.byref(count))
-            context = pointer(egl.eglCreateContext(display, config, None, version))
-        if not context or not egl.eglMakeCurrent(display, None, None, context):
-            raise ContextError("libEGL refused an OpenGL ES 3.0 context")
-        self._address = egl.eglGetProcAddress
-
-    def load(self, name: str) -> int:
-        return self._address(name.encode()) or 0
-
-    load_opengl_function = load
-
-    def release(self) -> None:
-        pass
-
-    def __enter__(self) -> _EsContext:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        pass
-
-
 def _es300() -> Evaluator:
-    return Evaluator(moderngl.create_context(require=300, context=_EsContext()), "300 es")
+    """Make an OpenGL ES 3.0 context without a surface current, for good."""
+    egl = ctypes.CDLL("libEGL.so.1")
+    pointer, integer = ctypes.c_void_p, ctypes.c_int
+    egl.eglGetPlatformDisplay.restype = egl.eglCreateContext.restype = pointer
+    surfaceless = 0x31DD  # EGL_PLATFORM_SURFACELESS_MESA
+    display = pointer(egl.eglGetPlatformDisplay(surfaceless, None, None))
+    config, count = pointer(), integer()
+    # EGL_RENDERABLE_TYPE: ES 3, EGL_SURFACE_TYPE: a pixel buffer
+    wanted = (integer * 5)(0x3040, 0x40, 0x3033, 1, 0x3038)
+    version = (integer * 5)(0x3098, 3, 0x30FB, 0, 0x3038)
+    context = None
+    if egl.eglInitialize(display, None, None) and egl.eglBindAPI(0x30A0):  # EGL_OPENGL_ES_API
+        egl.eglChooseConfig(display, wanted, ctypes.byref(config), 1, ctypes.byref(count))
+        context = pointer(egl.eglCreateContext(display, config, None, version))
+    if not context or not egl.eglMakeCurrent(display, None, None, context):
+        raise ContextError("libEGL refused an OpenGL ES 3.0 context")
+    loader = ForeignContext(egl.eglGetProcAddress)
+    return Evaluator(moderngl.create_context(require=300, context=loader), "300 es")
 
 
 class _WebGL:
