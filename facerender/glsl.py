@@ -13,8 +13,8 @@ from facerender import lobes
 from facerender.brdf import K_COOK_TORRANCE, K_WARD
 from facerender.errors import InputError
 from facerender.includes import Expansion
-from facerender.lobes import Lobe
-from facerender.shading import SMALL_SLOPE, lobe_macro
+from facerender.lobes import AnyLobe, GPower
+from facerender.shading import SMALL_SLOPE, Shading, defines, lobe_macros
 
 if TYPE_CHECKING:
     import moderngl
@@ -24,7 +24,7 @@ Target = Literal["330", "es300", "vulkan"]
 TARGETS: dict[Target, str] = {"330": "330 core", "es300": "300 es", "vulkan": "450"}
 
 # The slopes of a file's lobes have one domain.
-_LOBE_FILES: dict[str, Lobe] = {
+_LOBE_FILES: dict[str, AnyLobe] = {
     "facerender/lobe/exact.glsl": "exact",
     "facerender/lobe/cosine.glsl": "cosine",
     "facerender/lobe/g_power.glsl": "d16",
@@ -60,7 +60,7 @@ def library() -> tuple[str, ...]:
 
 
 def shader_source(
-    name: str, target: Target | None = None, *, lobe: Lobe | None = None, m: float | None = None
+    name: str, target: Target | None = None, *, lobe: AnyLobe | None = None, m: float | None = None
 ) -> str:
     """Return one file of the library, or of your own, as flat text: each file that it includes
     once, in order, with a line on licence and origin.
@@ -83,21 +83,41 @@ def shader_source(
     InputError : an unknown name, target or lobe; a slope outside its domain; a file that is
         missing, that includes itself, or that defines a macro which a choice here sets
     """
-    if target is not None and target not in TARGETS:
-        raise InputError(f"unknown target {target!r}; known: {', '.join(TARGETS)}")
-    if lobe is not None and lobe not in lobes.NAMES:
+    if lobe is not None and not isinstance(lobe, GPower) and lobe not in lobes.NAMES:
         raise InputError(f"unknown lobe {lobe!r}; known: {', '.join(lobes.NAMES)}")
-    path = _path(name)
-    macros = {} if lobe is None else {"FR_LOBE": lobe_macro(lobe)}
+    macros = {} if lobe is None else lobe_macros(lobe)
     if lobe == "exact" and m is not None and m >= SMALL_SLOPE:
         macros["FR_SMALL_SLOPE"] = "0"
+    return _flat(name, target, macros, lobe, m)
+
+
+def shading_source(shading: Shading, smallest_m: float, target: Target | None = None) -> str:
+    """Return the file of a shading's model with all its choices made, for m >= smallest_m; target
+    and errors as in :func:`shader_source`."""
+    name = shading.model.replace("-", "_")
+    macros = shading.macros(smallest_m)
+    macros.pop("FR_SLOPE(m)", None)
+    return _flat(name, target, macros, shading.lobe, shading.m)
+
+
+def _flat(
+    name: str,
+    target: Target | None,
+    macros: dict[str, str],
+    lobe: AnyLobe | None,
+    m: float | None,
+) -> str:
+    if target is not None and target not in TARGETS:
+        raise InputError(f"unknown target {target!r}; known: {', '.join(TARGETS)}")
+    path = _path(name)
     constants = {} if m is None else dict.fromkeys(_SLOPE_MACROS, "")
-    expansion = Expansion(shader_dir(), macros | constants)
+    chosen = {macro.split("(")[0]: value for macro, value in macros.items()}
+    expansion = Expansion(shader_dir(), chosen | constants)
     expansion.file(path)
     if lobe is not None and "facerender/lobe.glsl" not in expansion.files:
         raise InputError(f"{name} does not use FR_LOBE: leave lobe {lobe} out")
     if m is not None:
-        macros |= _constant_slope(name, expansion, m)
+        macros = macros | _constant_slope(name, expansion, lobe, m)
 
     version = expansion.version
     if target is not None:
@@ -111,7 +131,7 @@ def shader_source(
         version,
         f"// {origin} {facerender.__version__}{'' if lobe is None else f', lobe {lobe}'}{slope}.",
         "// SPDX-License-Identifier: MIT, (c) 2026 the facerender developers",
-        *(f"#define {macro} {value}" for macro, value in macros.items()),
+        defines(macros).rstrip(),
     ]
     text = "\n".join([*filter(None, head), "", *expansion.lines])
     return re.sub(r"\n{3,}", "\n\n", text).rstrip("\n") + "\n"
@@ -159,20 +179,24 @@ def _path(name: str) -> Path:
     )
 
 
-def _constant_slope(name: str, expansion: Expansion, m: float) -> dict[str, str]:
+def _constant_slope(
+    name: str, expansion: Expansion, lobe: AnyLobe | None, m: float
+) -> dict[str, str]:
     """Return the macros that make m a constant, and with it the fitted lobes' coefficients."""
     files = expansion.files
-    used = {_LOBE_FILES[file] for file in files if file in _LOBE_FILES}
+    used: set[AnyLobe] = {_LOBE_FILES[file] for file in files if file in _LOBE_FILES}
     if not used:
         raise InputError(f"{name} does not use a slope: leave m = {m:g} out")
     if "facerender/lobe.glsl" in files and not expansion.knows("FR_LOBE"):
         raise InputError(f"m = {m:g} without a lobe: say which, since each has its own domain")
     powers = [k for file, k in _MODEL_FILES.items() if file in files] or [K_COOK_TORRANCE, K_WARD]
-    for lobe in sorted(used):
+    for each in [lobe] if isinstance(lobe, GPower) else sorted(used, key=str):
         for k in powers:
-            lobes.check_slope(m, lobe, k)
+            lobes.check_slope(m, each, k)
 
     macros = {"FR_SLOPE(m)": str(float(m))}
+    if isinstance(lobe, GPower):
+        macros["FR_STEEPNESS(m, k)"] = str(float(lobe.factor / m**2 - lobe.offset))
     if "fitted" in used:
         for macro, kind, coefficients in (
             ("FR_FITTED_COEFFICIENTS", "vec3", lobes.fitted_coefficients),

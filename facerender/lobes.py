@@ -57,6 +57,44 @@ class PowerPolynomial:
         return np.maximum(1.0 + p, 0.0) ** self.power
 
 
+@dataclass(frozen=True)
+class GPower:
+    """The g-power with g and steepness free: max(1 - s (1 - cos γ), 0)^g, s = factor/m² - offset.
+
+    Parameters
+    ----------
+    g : in 1 to 31; the paper's lobes have 4, 8, 16, the factor 2/g and the offset k/g
+    factor : > 0
+    offset : the lobe's domain ends where s = 0
+
+    Raises
+    ------
+    InputError : a value outside its domain
+
+    References: Romanyuk et al. (2020); Lyon (1993) for the clamp.
+    """
+
+    g: int
+    factor: float
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        whole = isinstance(self.g, (int, np.integer)) and not isinstance(self.g, bool)
+        if not whole or not 1 <= self.g <= 31:
+            raise InputError(f"g = {self.g} is no whole number in 1 to 31")
+        if not 0.0 < self.factor < math.inf:
+            raise InputError(f"factor = {self.factor:g} of the g-power is not in (0, inf)")
+        if not math.isfinite(self.offset):
+            raise InputError(f"offset = {self.offset:g} of the g-power is not finite")
+
+    def __str__(self) -> str:
+        sign = "-" if self.offset > 0.0 else "+"
+        offset = f" {sign} {abs(self.offset):.5g}" if self.offset else ""
+        return f"g-power {self.g} ({self.factor:.5g}/m^2{offset})"
+
+
+AnyLobe = Lobe | GPower
+
 # The same constants stand in shaders/facerender/lobe/fitted.glsl.
 FITTED: dict[tuple[str, int], PowerPolynomial] = {
     ("fitted", 4): PowerPolynomial(
@@ -104,22 +142,24 @@ FITTED: dict[tuple[str, int], PowerPolynomial] = {
 }
 
 
-def max_slope(name: str, k: int) -> float:
+def max_slope(name: str | GPower, k: int) -> float:
     """Return the upper end of a lobe's domain of m.
 
     It belongs to the domain but for the cosine power and the g-powers in Cook-Torrance, whose
     exponent n = 2/m² - k must be positive.
     """
-    if name not in NAMES:
+    if not isinstance(name, GPower) and name not in NAMES:
         raise InputError(f"unknown lobe {name!r}; known: {', '.join(NAMES)}")
     if k not in _MODELS:
         raise InputError(f"k = {k} is neither 4 (Cook-Torrance) nor 0 (Ward)")
+    if isinstance(name, GPower):
+        return math.sqrt(name.factor / max(name.offset, name.factor / MAX_SLOPE**2))
     if (name, k) in FITTED:
         return FITTED[name, k].max_slope
     return MAX_SLOPE if name == "exact" or k == 0 else math.sqrt(2.0 / k)
 
 
-def in_domain(m: ArrayLike, name: str, k: int) -> NDArray[np.bool_]:
+def in_domain(m: ArrayLike, name: str | GPower, k: int) -> NDArray[np.bool_]:
     """Tell which slopes lie in the lobe's domain, to a millionth at ends that belong to it: a
     G-buffer holds m as float32.
 
@@ -133,7 +173,7 @@ def in_domain(m: ArrayLike, name: str, k: int) -> NDArray[np.bool_]:
     return np.asarray((slope >= MIN_SLOPE * (1.0 - 1e-6)) & below_end)
 
 
-def check_slope(m: ArrayLike, name: str, k: int) -> NDArray[np.float64]:
+def check_slope(m: ArrayLike, name: str | GPower, k: int) -> NDArray[np.float64]:
     """Return m as float64, or raise InputError when a value lies outside the lobe's domain."""
     slope = np.asarray(m, dtype=np.float64)
     inside = in_domain(slope, name, k)
@@ -151,8 +191,8 @@ def check_slope(m: ArrayLike, name: str, k: int) -> NDArray[np.float64]:
     return slope
 
 
-def _end_belongs(name: str, k: int) -> bool:
-    return name == "exact" or k == 0 or (name, k) in FITTED
+def _end_belongs(name: str | GPower, k: int) -> bool:
+    return isinstance(name, GPower) or name == "exact" or k == 0 or (name, k) in FITTED
 
 
 def _check_cosine(c: ArrayLike) -> NDArray[np.float64]:
@@ -258,7 +298,26 @@ def g_power(c: ArrayLike, m: ArrayLike, k: int, g: int) -> NDArray[np.float64]:
     if g not in _POWERS.values():
         raise InputError(f"g = {g} is none of {', '.join(map(str, _POWERS.values()))}")
     n = 2.0 / check_slope(m, f"d{g}", k) ** 2 - k
-    return np.asarray(np.maximum(n / g * (_check_cosine(c) - 1.0) + 1.0, 0.0) ** g)
+    return clamped_power(c, n / g, g)
+
+
+def clamped_power(c: ArrayLike, steepness: ArrayLike, g: int) -> NDArray[np.float64]:
+    """Evaluate max(1 - s (1 - c), 0)^g, which g-powers are made of.
+
+    Parameters
+    ----------
+    c : cosine of the angle between normal and half vector, in [0, 1]; any shape
+    steepness : s, >= 0; broadcasts with c
+    g : in 1 to 31
+
+    Raises
+    ------
+    InputError : c outside its domain
+
+    References: Lyon (1993).
+    """
+    base = 1.0 - np.asarray(steepness, dtype=np.float64) * (1.0 - _check_cosine(c))
+    return np.asarray(np.maximum(base, 0.0) ** g)
 
 
 def fitted(c: ArrayLike, m: ArrayLike, k: int) -> NDArray[np.float64]:
@@ -317,9 +376,11 @@ def _power_polynomial(
     return FITTED[name, k](1.0 - _check_cosine(c), slope)
 
 
-def lobe(name: Lobe, c: ArrayLike, m: ArrayLike, k: int) -> NDArray[np.float64]:
+def lobe(name: AnyLobe, c: ArrayLike, m: ArrayLike, k: int) -> NDArray[np.float64]:
     """Evaluate the named lobe; parameters as in :func:`exact` and the function of that name."""
-    check_slope(m, name, k)
+    slope = check_slope(m, name, k)
+    if isinstance(name, GPower):
+        return clamped_power(c, name.factor / slope**2 - name.offset, name.g)
     if name == "exact":
         return exact(c, m, k)
     if name == "cosine":

@@ -3,6 +3,7 @@ OpenGL here."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -15,8 +16,35 @@ from facerender.shading import Shading
 Lighting = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """Radiance of a G-buffer's pixels, apart: its sum is the image.
+
+    Attributes
+    ----------
+    ambient, diffuse : (H, W, 3) float64
+    specular : (lights, H, W, 3) float64
+    """
+
+    ambient: NDArray[np.float64]
+    diffuse: NDArray[np.float64]
+    specular: NDArray[np.float64]
+
+    def sum(self, shading: Shading) -> NDArray[np.float64]:
+        """Return the image (H, W, 3) of the lights and the ambient term that a shading has."""
+        image = self.diffuse + self.ambient if shading.ambient else self.diffuse.copy()
+        for light, specular in enumerate(self.specular):
+            if shading.shines(light):
+                image += specular
+        return image
+
+
 def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float64]:
     """Shade every covered pixel of a G-buffer as ``shaders/host/shade.frag`` does.
+
+    Parameters
+    ----------
+    gbuffer : as ``Renderer.gbuffer`` draws it with this scene and shading
 
     Returns
     -------
@@ -26,7 +54,15 @@ def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float6
     ------
     InputError : m lies outside the lobe's domain, and the shading asks for an error then
     """
-    radiance = np.zeros(gbuffer.position.shape)
+    return layers(gbuffer, scene, shading).sum(shading)
+
+
+def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
+    """Return the terms that :func:`shade` sums up, the specular one of every light; parameters and
+    errors as there."""
+    scene = shading.simplify(scene)
+    ambient, diffuse = np.zeros((2, *gbuffer.position.shape))
+    specular = np.zeros((len(scene.lights), *gbuffer.position.shape))
     for index, (material, slopes) in enumerate(
         zip(scene.mesh.materials, slope_ranges(scene), strict=True)
     ):
@@ -37,19 +73,19 @@ def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float6
         position = gbuffer.position[covered].astype(np.float64)
         n = gbuffer.normal[covered].astype(np.float64)
         m = gbuffer.m[covered].astype(np.float64)
-        albedo = gbuffer.albedo[covered].astype(np.float64)
+        albedo = material.kd / np.pi * gbuffer.albedo[covered].astype(np.float64)
         weight = gbuffer.specular_weight[covered].astype(np.float64)
         v = _unit(gbuffer.view.eye - position)
 
         occlusion = gbuffer.occlusion[covered].astype(np.float64)
-        diffuse = occlusion[:, None] * np.asarray(scene.ambient)
-        specular = np.zeros_like(diffuse)
-        for l, irradiance in lighting(scene, position):
-            received = irradiance * np.maximum((n * l).sum(axis=-1), 0.0)[:, None]
-            diffuse += received
-            specular += received * chosen.brdf(n, l, v, m, material.f0)[:, None]
-        radiance[covered] = material.kd / np.pi * albedo * diffuse + weight[:, None] * specular
-    return radiance
+        ambient[covered] = albedo * occlusion[:, None] * np.asarray(scene.ambient)
+        for light, (l, irradiance) in enumerate(lighting(scene, position)):
+            received = irradiance * np.maximum(np.einsum("...i,...i", n, l), 0.0)[:, None]
+            diffuse[covered] += albedo * received
+            term = chosen.frontal if light in shading.frontal_lights else chosen
+            value = weight * term.brdf(n, l, v, m, material.f0)
+            specular[light][covered] = received * value[:, None]
+    return Layers(ambient, diffuse, specular)
 
 
 def lighting(scene: Scene, position: NDArray[np.float64]) -> list[Lighting]:
@@ -94,5 +130,5 @@ def data_view(
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    length = np.sqrt(np.einsum("...i,...i", vectors, vectors))[..., None]
     return np.asarray(vectors / np.maximum(length, 1e-300))

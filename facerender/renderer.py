@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender import __version__
-from facerender.brdf import Fresnel
+from facerender.brdf import Fresnel, Masking
 from facerender.context import Backend, create_context
 from facerender.errors import ContextError, InputError
 from facerender.frame import ONLY, Frame, GBuffer, Only
 from facerender.glsl import resolve_includes
-from facerender.lobes import Lobe
+from facerender.lobes import AnyLobe
 from facerender.mesh import Mesh, Part, load_mesh, part_maps, start_maps
 from facerender.reference import data_view
 from facerender.scene import (
@@ -162,11 +162,14 @@ class Renderer:
             error then, an unknown term
         """
         if only in ("normal", "albedo", "depth", "cosines"):
-            linear = data_view(self.gbuffer(scene), scene, only)
+            linear = data_view(self.gbuffer(scene, shading), scene, only)
             metadata = {**self.metadata, "samples": "1"}
             return Frame(linear, only, scene.background is None, metadata)
         if only not in (None, "specular", "diffuse"):
             raise InputError(f"unknown term {only!r}; known: {', '.join(ONLY)}")
+        scene = shading.simplify(scene)
+        lights = _by_kind(scene, shading)
+        scene = replace(scene, lights=tuple(light for kind in lights for light in kind))
         mesh = scene.mesh
         start_maps(mesh, self.albedo_kind)
         ranges = [] if only == "diffuse" else slope_ranges(scene)
@@ -180,7 +183,7 @@ class Renderer:
                 for number, part in enumerate(mesh.parts):
                     material = mesh.materials[number]
                     brdf = specular[number] if specular else ""
-                    defines = _shade_defines(part, material, scene, brdf, only)
+                    defines = _shade_defines(part, material, scene, lights, brdf, only)
                     self._draw(part, material, self._program("shade", defines), view, scene)
             if self.samples > 1:
                 single = self._target("single")
@@ -189,15 +192,19 @@ class Renderer:
             metadata = {
                 **self.metadata,
                 "model": shading.model,
-                "lobe": shading.lobe,
+                "lobe": str(shading.lobe),
                 "fresnel": shading.fresnel,
+                "masking": shading.masking,
             }
+            left_out = {key: str(value) for key, value in shading.as_dict().items()}
+            metadata = left_out | metadata
             if any(choice is not shading for choice in chosen):
-                metadata["lobe of each part"] = ", ".join(choice.lobe for choice in chosen)
+                metadata["lobe of each part"] = ", ".join(str(choice.lobe) for choice in chosen)
             return Frame(self._read(target), only, scene.background is None, metadata)
 
-    def gbuffer(self, scene: Scene) -> GBuffer:
+    def gbuffer(self, scene: Scene, shading: Shading = Shading()) -> GBuffer:
         """Draw what shading reads at each pixel's centre; errors as in :meth:`render`."""
+        scene = shading.simplify(scene)
         mesh = scene.mesh
         start_maps(mesh, self.albedo_kind)
         view = view_of(scene, self.size[0] / self.size[1])
@@ -348,10 +355,13 @@ def _set(program: moderngl.Program, name: str, value: Any) -> None:
     """Set a uniform, unless the compiler found that it does not count."""
     if name not in program:
         return
+    uniform: Any = program[name]
     if isinstance(value, np.ndarray):
-        program[name].write(value.astype(np.float32))  # type: ignore[union-attr]
+        # An array that the program does not read to its end is shorter there.
+        size = uniform.array_length * uniform.element_size
+        uniform.write(value.astype(np.float32).tobytes()[:size])
     else:
-        program[name].value = value  # type: ignore[union-attr]
+        uniform.value = value
 
 
 def _surface_defines(part: Part, material: Material) -> str:
@@ -368,15 +378,34 @@ def _surface_defines(part: Part, material: Material) -> str:
     return "".join(f"#define {name}\n" for name in names)
 
 
+def _by_kind(scene: Scene, shading: Shading) -> tuple[list[Light], list[Light], list[Light]]:
+    """The lights with a whole specular term, with that of frontal light, and without, in the order
+    of shade.frag."""
+    kinds: tuple[list[Light], list[Light], list[Light]] = ([], [], [])
+    for index, light in enumerate(scene.lights):
+        kind = int(index in shading.frontal_lights) if shading.shines(index) else 2
+        kinds[kind].append(light)
+    return kinds
+
+
 def _shade_defines(
-    part: Part, material: Material, scene: Scene, specular: str, only: Only | None
+    part: Part,
+    material: Material,
+    scene: Scene,
+    lights: Sequence[Sequence[Light]],
+    specular: str,
+    only: Only | None,
 ) -> str:
-    points = sum(light.position is not None for light in scene.lights)
-    lines = [
-        _surface_defines(part, material),
-        f"#define DIRECTIONAL_LIGHTS {len(scene.lights) - points}\n",
-        f"#define POINT_LIGHTS {points}\n",
-    ]
+    lines = [_surface_defines(part, material)]
+    for name, points in (("DIRECTIONAL", False), ("POINT", True)):
+        whole, frontal, dull = (
+            sum((light.position is not None) == points for light in kind) for kind in lights
+        )
+        lines += [
+            f"#define {name}_LIGHTS {whole + frontal + dull}\n",
+            f"#define {name}_SPECULAR {whole}\n",
+            f"#define {name}_FRONTAL {frontal}\n",
+        ]
     if any(scene.ambient):  # type: ignore[arg-type]
         lines.append("#define AMBIENT\n")
     if only != "specular" and material.kd > 0.0:
@@ -419,8 +448,9 @@ def render(
     mesh: Mesh | str | os.PathLike[str] | None = None,
     *,
     model: Model = "cook-torrance",
-    lobe: Lobe = "exact",
+    lobe: AnyLobe = "exact",
     fresnel: Fresnel = "schlick",
+    masking: Masking = "v-cavity",
     outside: Outside = "error",
     m: float | None = None,
     size: tuple[int, int] = (1024, 1024),
@@ -437,7 +467,7 @@ def render(
     Parameters
     ----------
     mesh : file, mesh, or None for the built-in head
-    model, lobe, fresnel, outside : see :class:`Shading`
+    model, lobe, fresnel, masking, outside : see :class:`Shading`
     m : rms slope for the whole mesh, in place of its roughness map
     size, samples, backend : see :class:`Renderer`
     camera, lights : see :class:`Scene`
@@ -448,7 +478,7 @@ def render(
     InputError : a file or a value cannot be used
     ContextError : no OpenGL context
     """
-    shading = Shading(model, lobe, fresnel, outside)
+    shading = Shading(model, lobe, fresnel, outside, masking)
     loaded = mesh if isinstance(mesh, Mesh) else load_mesh(mesh)
     if m is not None:
         loaded = loaded.with_material(m=m)

@@ -3,12 +3,12 @@ from TOML files. Angles are in degrees here, lengths in the mesh's units. No Ope
 
 from __future__ import annotations
 
+import json
 import math
-import numbers
 import os
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, reason
+from facerender.errors import InputError, check_range, reason
 from facerender.lobes import MAX_SLOPE, MIN_SLOPE
+from facerender.shading import MAX_WEIGHT, Shading
 from facerender.texture import Texture, pack
 
 if TYPE_CHECKING:
@@ -48,12 +49,6 @@ def _non_negative(name: str, value: Any) -> Vector:
     return vector
 
 
-def _in_range(name: str, value: Any, low: float, high: float) -> None:
-    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not (number and low <= value <= high):
-        raise InputError(f"{name} = {value!r} is outside [{low:g}, {high:g}]")
-
-
 def _direction(azimuth: float, elevation: float) -> NDArray[np.float64]:
     """Unit vector from the subject: azimuth 0 is +z (in front), 90 is +x; elevation 90 is +y."""
     a, e = math.radians(azimuth), math.radians(elevation)
@@ -81,10 +76,10 @@ class Camera:
     position: Vector | None = None
 
     def __post_init__(self) -> None:
-        _in_range("camera azimuth", self.azimuth, -3600, 3600)
-        _in_range("camera elevation", self.elevation, -90, 90)
-        _in_range("camera fov", self.fov, 1, 150)
-        _in_range("camera zoom", self.zoom, 0.01, 1000)
+        ends = {"azimuth": (-3600, 3600), "elevation": (-90, 90), "fov": (1, 150)}
+        for name, (low, high) in (ends | {"zoom": (0.01, 1000)}).items():
+            check_range(f"camera {name}", getattr(self, name), low, high)
+            object.__setattr__(self, name, float(getattr(self, name)))
         for name in ("target", "position"):
             if (value := getattr(self, name)) is not None:
                 object.__setattr__(self, name, _vector(f"camera {name}", value))
@@ -108,8 +103,8 @@ class Light:
     position: Vector | None = None
 
     def __post_init__(self) -> None:
-        _in_range("light azimuth", self.azimuth, -3600, 3600)
-        _in_range("light elevation", self.elevation, -90, 90)
+        check_range("light azimuth", self.azimuth, -3600, 3600)
+        check_range("light elevation", self.elevation, -90, 90)
         irradiance = _non_negative("light irradiance", self.irradiance)
         object.__setattr__(self, "irradiance", irradiance)
         if self.position is not None:
@@ -189,11 +184,11 @@ class Material:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "albedo", _non_negative("albedo", self.albedo))
-        _in_range("m", self.m, MIN_SLOPE, MAX_SLOPE)
-        _in_range("roughness_factor", self.roughness_factor, 0.0, 1.0)
-        _in_range("f0", self.f0, 0.0, 0.999)
-        _in_range("ks", self.ks, 0.0, 1e6)
-        _in_range("kd", self.kd, 0.0, 1e6)
+        check_range("m", self.m, MIN_SLOPE, MAX_SLOPE)
+        check_range("roughness_factor", self.roughness_factor, 0.0, 1.0)
+        check_range("f0", self.f0, 0.0, 0.999)
+        check_range("ks", self.ks, 0.0, MAX_WEIGHT)
+        check_range("kd", self.kd, 0.0, MAX_WEIGHT)
         for name in ("albedo_map", "normal_map", "roughness_map", "specular_map", "occlusion_map"):
             value = getattr(self, name)
             if value is not None and not isinstance(value, Texture):
@@ -244,6 +239,12 @@ class Scene:
         if self.background is not None:
             background = _non_negative("background", self.background)
             object.__setattr__(self, "background", background)
+
+
+def turntable(camera: Camera = Camera(), count: int = 8) -> tuple[Camera, ...]:
+    """Return cameras all around, beginning with this one, at its elevation."""
+    turns = (camera.azimuth + 360.0 * turn / count for turn in range(count))
+    return tuple(replace(camera, azimuth=azimuth, position=None) for azimuth in turns)
 
 
 def slope_ranges(scene: Scene) -> list[tuple[float, float]]:
@@ -347,8 +348,9 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
 
     Returns
     -------
-    dict with any of: camera (Camera), lights (tuple of Light), ambient, background, material
-    (dict of the factors of :class:`Material`)
+    dict with any of: camera (Camera), cameras (tuple of Camera, a path for ``facerender plan``),
+    lights (tuple of Light), ambient, background, material (dict of the factors of
+    :class:`Material`), shading (dict for :meth:`Shading.from_dict`)
 
     Raises
     ------
@@ -374,6 +376,13 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
                     parse_light(item) if isinstance(item, str) else _from_table(Light, key, item)
                     for item in value
                 )
+            elif key == "cameras":
+                if not isinstance(value, list) or not value:
+                    raise InputError(f"cameras = {value!r}: give a list of tables")
+                scene[key] = tuple(_from_table(Camera, key, item) for item in value)
+            elif key == "shading":
+                Shading.from_dict(value)  # validates
+                scene[key] = value
             elif key == "material":
                 _from_table(Material, key, value)  # validates
                 scene[key] = value
@@ -382,11 +391,61 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
                 scene[key] = None if transparent else _vector(key, value)
             else:
                 raise InputError(
-                    f"unknown key {key!r}; known: camera, lights, material, ambient, background"
+                    f"unknown key {key!r}; known: camera, cameras, lights, material, shading, "
+                    "ambient, background"
                 )
         except InputError as error:
             raise InputError(f"{name}: {error}") from None
     return scene
+
+
+def scene_toml(scene: Scene, shading: Shading) -> str:
+    """Return the text of a TOML file that :func:`load_scene` reads: camera, lights, ambient,
+    background, shading, and the factors of the material that all parts share. Mesh and maps are not
+    in it."""
+    background = "none" if scene.background is None else scene.background
+    dark: dict[str, Any] = {} if scene.lights else {"lights": []}
+    tables: list[tuple[str, Mapping[str, Any]]] = [
+        ("", {"ambient": scene.ambient, "background": background} | dark),
+        ("[camera]", _changed(scene.camera)),
+        *(("[[lights]]", _changed(light)) for light in scene.lights),
+        ("[material]", _shared_factors(scene.mesh.materials)),
+        ("[shading]", shading.as_dict()),
+    ]
+    blocks = []
+    for head, table in tables:
+        lines = [f"{key} = {_toml(value)}" for key, value in table.items() if value is not None]
+        blocks.append("\n".join(filter(None, [head, *lines])) + "\n")
+    return "\n".join(blocks)
+
+
+def _changed(value: Camera | Light) -> dict[str, Any]:
+    """The fields that are not the default."""
+    return {
+        each.name: getattr(value, each.name)
+        for each in fields(value)
+        if getattr(value, each.name) != each.default
+    }
+
+
+def _shared_factors(materials: Sequence[Material]) -> dict[str, Any]:
+    names = [each.name for each in fields(Material) if not each.name.endswith("_map")]
+    mapped = any(each.roughness_map is not None for each in materials)
+    names.remove("m" if mapped else "roughness_factor")
+    values = {name: {getattr(each, name) for each in materials} for name in names}
+    return {name: found.pop() for name, found in values.items() if len(found) == 1}
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return json.dumps(value)
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + " }"
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return repr(value.item() if isinstance(value, np.generic) else value)
 
 
 def _from_table(kind: type[Any], key: str, table: Any) -> Any:

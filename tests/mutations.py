@@ -121,8 +121,8 @@ def no_power(studio: Studio) -> Images:
 
 
 def unclamped(studio: Studio) -> Images:
-    old = "max(1.0 - n / float(g) * (1.0 - min(c, 1.0)), 0.0)"
-    new = "1.0 - n / float(g) * (1.0 - c)"
+    old = "max(1.0 - steepness * (1.0 - min(c, 1.0)), 0.0)"
+    new = "1.0 - steepness * (1.0 - c)"
     d16 = fr.Shading(lobe="d16")
     return studio.draw(d16, m=0.2), studio.draw(Patched(lobe="d16", old=old, new=new), m=0.2)
 

@@ -97,6 +97,45 @@ def test_masking():
     assert brdf.masking_v_cavity(1.8, 1.2, 0.1, 0.8) == pytest.approx(2 * 0.9 * 0.1 / 0.6)
 
 
+@given(angles, turns, angles)
+def test_masking_of_kelemen_is_half_to_all_of_that_of_v_cavities(theta_l, phi, theta_v):
+    l, v = direction(theta_l, phi), direction(theta_v, 0.0)
+    h = (l + v) / np.linalg.norm(l + v)
+    ratio = brdf.masking_kelemen(v @ h, l[2], v[2]) / brdf.masking_v_cavity(h[2], v @ h, l[2], v[2])
+    assert 0.5 - 1e-9 < ratio < 1.0 + 1e-9
+
+
+@given(angles, turns, angles)
+def test_masking_terms_within_the_brdf(theta_l, phi, theta_v):
+    l, v = direction(theta_l, phi), direction(theta_v, 0.0)
+    none, kelemen, v_cavity = (
+        brdf.cook_torrance(N, l, v, 0.5, 0.028, masking_term=term)
+        for term in ("none", "kelemen", "v-cavity")
+    )
+    v_dot_h = np.linalg.norm(l + v) / 2.0
+    unmasked = none * l[2] * v[2]
+    assert kelemen == pytest.approx(unmasked / v_dot_h**2, rel=1e-9, abs=1e-300)
+    masked = brdf.masking_v_cavity((l + v)[2] / (2.0 * v_dot_h), v_dot_h, l[2], v[2])
+    assert v_cavity == pytest.approx(none * masked, rel=1e-9, abs=1e-300)
+
+
+def test_kelemens_masking_in_the_mirror_direction():
+    for theta in (0.0, 40.0, 85.0):
+        cosine = np.cos(np.radians(theta))
+        assert brdf.masking_kelemen(cosine, cosine, cosine) == pytest.approx(1.0)
+
+
+def test_constant_fresnel_is_its_reflectance():
+    np.testing.assert_array_equal(brdf.fresnel(0.04, [0.0, 0.5, 1.0], "constant"), [0.04] * 3)
+    l, v = direction(50.0, 180.0), direction(50.0, 0.0)
+    constant, schlick = (
+        brdf.cook_torrance(N, l, v, 0.3, 0.04, fresnel_term=term)
+        for term in ("constant", "schlick")
+    )
+    cosine = np.cos(np.radians(50.0))
+    assert schlick / constant == pytest.approx(brdf.fresnel_schlick(0.04, cosine) / 0.04)
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -106,7 +145,12 @@ def test_masking():
         (lambda: brdf.ward(N, N, N, 3.0), r"m = 3 is outside .* \[0.0001, 2\]"),
         (lambda: brdf.cook_torrance(N, N, N, 0.3, 1.0), r"f0 = 1 is outside \[0, 1\)"),
         (lambda: brdf.cook_torrance(N, N, N, 0.8, 0.04, lobe="d8"), "use the lobe exact"),
-        (lambda: brdf.fresnel(0.04, 0.5, "metal"), "unknown Fresnel term 'metal'"),
+        (lambda: brdf.fresnel(0.04, 0.5, "metal"), "unknown Fresnel term 'metal'; known: schlick"),
+        (lambda: brdf.fresnel(1.0, 0.5, "constant"), r"f0 = 1 is outside \[0, 1\)"),
+        (
+            lambda: brdf.cook_torrance(N, N, N, 0.3, 0.04, masking_term="smith"),
+            "unknown masking term 'smith'; known: v-cavity, kelemen, none",
+        ),
     ],
 )
 def test_values_outside_the_domain_are_refused(call, message):

@@ -35,13 +35,20 @@ CHOICES = {  # FR_K is of this test alone: the argument k
         "FR_LOBE_D16",
         "FR_LOBE_FITTED",
         "FR_LOBE_FITTED_FINE",
+        "FR_LOBE_G_POWER",
     ),
     "FR_SMALL_SLOPE": ("0", "1"),
-    "FR_FRESNEL": ("FR_FRESNEL_SCHLICK", "FR_FRESNEL_DIELECTRIC"),
+    "FR_FRESNEL": ("FR_FRESNEL_SCHLICK", "FR_FRESNEL_DIELECTRIC", "FR_FRESNEL_CONSTANT"),
+    "FR_MASKING": ("FR_MASKING_V_CAVITY", "FR_MASKING_KELEMEN", "FR_MASKING_NONE"),
 }
+FRONTAL = "lit(fr_cook_torrance_terms(n, l, v, m, f0, FR_FRESNEL_CONSTANT, FR_MASKING_NONE))"
 FUNCTIONS = (  # a file, a float of the inputs that SAMPLER draws, the choices on which it depends
     ("cook_torrance", "lit(fr_cook_torrance(n, l, v, m, f0))", "FR_LOBE FR_FRESNEL"),
-    ("cook_torrance", "lit(fr_cook_torrance(n, l, v, m, f0))", "FR_SMALL_SLOPE"),
+    ("cook_torrance", "lit(fr_cook_torrance(n, l, v, m, f0))", "FR_LOBE FR_MASKING"),
+    ("cook_torrance", "lit(fr_cook_torrance(n, l, v, m, f0))", "FR_SMALL_SLOPE FR_MASKING"),
+    ("cook_torrance", FRONTAL, "FR_LOBE"),
+    ("cook_torrance", FRONTAL, "FR_SMALL_SLOPE"),
+    ("cook_torrance", FRONTAL.replace("CONSTANT", "DIELECTRIC").replace("NONE", "KELEMEN"), ""),
     ("ward", "lit(fr_ward(n, l, v, m))", "FR_LOBE"),
     ("ward", "lit(fr_ward(n, l, v, m))", "FR_SMALL_SLOPE"),
     ("ward_printed", "lit(fr_ward_printed(n, l, v, m))", "FR_LOBE"),
@@ -52,6 +59,8 @@ FUNCTIONS = (  # a file, a float of the inputs that SAMPLER draws, the choices o
     ("lobe/exact", "fr_lobe_exact(c, m, FR_K)", "FR_K"),
     ("lobe/exact", "fr_lobe_exact_tan2(tan2, m, FR_K)", "FR_K"),
     ("lobe/cosine", "fr_lobe_cosine(c, m, FR_K)", "FR_K"),
+    ("lobe/g_power", "fr_lobe_clamped_power(c, tan2, 1)", ""),
+    ("lobe/g_power", "fr_lobe_clamped_power(c, tan2, 31)", ""),
     ("lobe/g_power", "fr_lobe_g_power(c, m, FR_K, 4)", "FR_K"),
     ("lobe/g_power", "fr_lobe_g_power(c, m, FR_K, 8)", "FR_K"),
     ("lobe/g_power", "fr_lobe_g_power(c, m, FR_K, 16)", "FR_K"),
@@ -60,9 +69,11 @@ FUNCTIONS = (  # a file, a float of the inputs that SAMPLER draws, the choices o
     ("lobe/fitted", "length(fr_lobe_fitted_coefficients(m, FR_K) * m * m)", "FR_K"),
     ("lobe/fitted", "length(fr_lobe_fitted_fine_coefficients(m, FR_K) * m * m * m)", "FR_K"),
     ("fresnel", "fr_fresnel(f0, c)", "FR_FRESNEL"),
+    *(("fresnel", f"fr_fresnel_of(f0, c, {kind})", "") for kind in CHOICES["FR_FRESNEL"]),
     ("fresnel", "fr_fresnel_schlick(f0, c)", ""),
     ("fresnel", "fr_fresnel_dielectric(f0, c)", ""),
     ("masking", "fr_masking_v_cavity(c, p.x, p.y, p.z)", ""),
+    ("masking", "fr_masking_kelemen(max(p.x, 0.5 * (p.y + p.z)), p.y, p.z)", ""),
 )
 
 SAMPLER = """
@@ -247,7 +258,8 @@ def test_no_function_and_no_choice_is_left_out():
     files = sorted((shader_dir() / "facerender").rglob("*.glsl"))
     library = "".join(path.read_text(encoding="utf-8") for path in files)
     functions = re.findall(r"^\w+ (fr_\w+)\(", library, re.MULTILINE)
-    choices = re.findall(r"^#define ((?:FR_K|FR_LOBE|FR_FRESNEL)_\w+) \d+$", library, re.MULTILINE)
+    names = "FR_K|FR_LOBE|FR_FRESNEL|FR_MASKING"
+    choices = re.findall(rf"^#define ((?:{names})_\w+) \d+$", library, re.MULTILINE)
     called = re.findall(r"\bfr_\w+", " ".join(call for _, call, _ in FUNCTIONS))
     assert set(called) == set(functions)
     assert set(choices) == {

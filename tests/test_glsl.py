@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import moderngl
@@ -16,6 +16,7 @@ import facerender as fr
 from facerender import InputError, brdf, glsl, lobes
 from facerender.catalogue import functions
 from facerender.context import Backend, create_context
+from facerender.lobes import GPower
 from tests.conftest import missing
 from tests.gpu import Evaluator, directions
 
@@ -23,17 +24,26 @@ WITH_A_LOBE = ("cook_torrance", "lobe", "ward", "ward_printed")
 COOK_TORRANCE = {"name": "cook_torrance", "lobe": "d16"}
 ARGUMENTS = {"vec3": "vec3(0.0, 0.6, 0.8)", "float": "0.5", "int": "4"}
 OUTPUT = {"330": "", "es300": "", "vulkan": "layout(location = 0) "}
+LOBES = (*lobes.NAMES, GPower(11, 0.2, 0.5))
 # Every file, open and with its choices made.
-CHOICES: list[tuple[str, lobes.Lobe | None, float | None]] = [
+CHOICES: list[tuple[str, lobes.AnyLobe | None, float | None]] = [
     *((name, None, None) for name in glsl.library()),
-    *((name, lobe, m) for name in WITH_A_LOBE for lobe in lobes.NAMES for m in (None, 0.15, 0.3)),
+    *((name, lobe, m) for name in WITH_A_LOBE for lobe in LOBES for m in (None, 0.15, 0.3)),
     *((f"lobe/{name}", None, 0.3) for name in ("cosine", "exact", "fitted", "g_power")),
 ]
+SHADINGS = (
+    fr.Shading(),
+    fr.Shading(small_slope=False, fresnel="constant", masking="kelemen"),
+    fr.Shading(lobe=GPower(5, 0.5, 0.8), fresnel="dielectric", masking="none"),
+    fr.Shading(lobe=GPower(8, 1, np.float64(0.5)), m=0.3),
+    fr.Shading(lobe="fitted", masking="kelemen", m=0.25),
+    fr.Shading("ward", GPower(31, 0.08)),
+    fr.Shading("ward-printed", m=0.15),
+)
 
 
-def program(name: str, target: glsl.Target, lobe: lobes.Lobe | None, m: float | None) -> str:
-    """A fragment shader of a host that knows of the library its signatures alone."""
-    text = fr.shader_source(name, target, lobe=lobe, m=m)
+def program(name: str, target: glsl.Target, text: str) -> str:
+    """A fragment shader of a host that knows of a file of the library its signatures alone."""
     calls = []
     for function in functions():
         parameters = re.search(r"\((.*)\)", function.signature)[1].split(", ")
@@ -46,10 +56,30 @@ def program(name: str, target: glsl.Target, lobe: lobes.Lobe | None, m: float | 
 
 @pytest.mark.parametrize("target", glsl.TARGETS)
 def test_every_flattened_file_compiles_without_a_warning(target, tmp_path):
+    compile_all(
+        target,
+        tmp_path,
+        (program(name, target, fr.shader_source(name, target, lobe=lobe, m=m))
+         for name, lobe, m in CHOICES),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("target", glsl.TARGETS)
+def test_every_shading_compiles_without_a_warning(target, tmp_path):
+    compile_all(
+        target,
+        tmp_path,
+        (program(shading.model.replace("-", "_"), target, glsl.shading_source(shading, m, target))
+         for shading in SHADINGS for m in (0.1, 0.25)),
+    )  # fmt: skip
+
+
+def compile_all(target: glsl.Target, folder: Path, texts: Iterable[str]) -> None:
+    """Compile, and see no warning."""
     paths = []
-    for number, choice in enumerate(CHOICES):
-        paths.append(tmp_path / f"{number}.frag")
-        paths[-1].write_text(program(choice[0], target, *choice[1:]))
+    for number, text in enumerate(texts):
+        paths.append(folder / f"{number}.frag")
+        paths[-1].write_text(text, encoding="ascii")
     if target != "vulkan":
         run(["glslangValidator", *paths])
         return
@@ -89,6 +119,9 @@ def test_flattened_files_hold_each_file_once(name, lobe, m):
     if lobe:
         assert ("exp2" in text) == (lobe in ("exact", "cosine"))
         assert "FR_LOBE ==" not in text
+        if not isinstance(lobe, GPower):
+            assert "FR_LOBE FR_LOBE_G_POWER" not in text
+        assert ("#ifndef FR_STEEPNESS" in text) != isinstance(lobe, GPower)
     macros = dict(re.findall(r"^#define (FR_[A-Z_]+)(?:\(m.*?\))? (.+)$", text, re.MULTILINE))
     assert (macros["FR_SLOPE"] == "(m)") == (m is None)
 
@@ -100,7 +133,7 @@ def evaluate(egl: Backend) -> Iterator[Evaluator]:
     evaluator.release()
 
 
-@pytest.mark.parametrize("lobe", lobes.NAMES)
+@pytest.mark.parametrize("lobe", LOBES)
 @pytest.mark.parametrize("m", [0.15, 0.3])
 def test_with_a_constant_slope_the_callers_does_not_count(evaluate, lobe, m):
     inputs = directions(np.full(5000, m, np.float32), lowest=0.02)
@@ -112,6 +145,42 @@ def test_with_a_constant_slope_the_callers_does_not_count(evaluate, lobe, m):
     ):  # fmt: skip
         result = evaluate(fr.shader_source(name, lobe=lobe, m=m), call, inputs)
         np.testing.assert_allclose(result, expected, rtol=1e-3, atol=2e-5 / m**2)
+
+
+@pytest.mark.parametrize("shading", SHADINGS, ids=str)
+def test_source_of_a_shading_is_its_brdf(evaluate, shading):
+    m = shading.m or 0.25
+    inputs = directions(np.full(5000, m, np.float32), lowest=0.02)
+    vectors = [inputs[axis].astype(float) for axis in "nlv"]
+    name = shading.model.replace("-", "_")
+    slope = "m" if shading.m is None else "1.7"
+    call = f"fr_{name}(n, l, v, {slope}{', 0.028)' if name == 'cook_torrance' else ') * 0.028'}"
+    result = evaluate(glsl.shading_source(shading, 0.2), call, inputs)
+    expected = shading.brdf(*vectors, inputs["m"], 0.028)
+    np.testing.assert_allclose(result, expected, rtol=1e-3, atol=1e-5 / m**2)
+
+
+def test_source_of_a_shading_makes_every_choice():
+    shading = fr.Shading(lobe=GPower(8, 0.25, 0.5), fresnel="constant", masking="none", m=0.3)
+    lines = glsl.shading_source(shading, 0.3, "es300").split("\n")
+    assert lines[0] == "#version 300 es"
+    assert lines[1].endswith(
+        ", lobe g-power 8 (0.25/m^2 - 0.5), m = 0.3 whatever the caller passes."
+    )
+    assert [line for line in lines[3:] if line][:6] == [
+        "#define FR_LOBE FR_LOBE_G_POWER",
+        "#define FR_G 8",
+        f"#define FR_STEEPNESS(m, k) {0.25 / 0.3**2 - 0.5}",
+        "#define FR_FRESNEL FR_FRESNEL_CONSTANT",
+        "#define FR_MASKING FR_MASKING_NONE",
+        "#define FR_SLOPE(m) 0.3",
+    ]
+    conditions = " ".join(line for line in lines if re.match("#(if|el)", line))
+    assert not re.search(r"FR_(LOBE|G|STEEPNESS|FRESNEL|MASKING|SLOPE)\b", conditions)
+    exact = glsl.shading_source(fr.Shading(), 0.1)
+    assert "#define FR_SMALL_SLOPE 0\n" not in exact
+    assert "#define FR_SMALL_SLOPE 0\n" in glsl.shading_source(fr.Shading(), 0.2)
+    assert "#define FR_SMALL_SLOPE 0\n" not in glsl.shading_source(fr.Shading(m=0.1), 0.3)
 
 
 @pytest.mark.parametrize("k", [4, 0])
@@ -328,6 +397,10 @@ def test_own_files_and_choices(tmp_path):
     assert re.search(r"#define FR_FITTED_COEFFICIENTS\(m, k\) \(\(k\) == 4 \? vec3", text)
     with pytest.raises(InputError, match=r"own.glsl:1 defines FR_LOBE: leave the line, or that"):
         fr.shader_source(str(own), lobe="d16")
+    own.write_text("#define FR_STEEPNESS(m, k) 1.0\n" + both)
+    with pytest.raises(InputError, match=r"own.glsl:1 defines FR_STEEPNESS: leave the line, or"):
+        fr.shader_source(str(own), lobe=GPower(8, 0.25))
+    own.write_text("#define FR_LOBE FR_LOBE_FITTED\n" + both)
     with pytest.raises(InputError, match="m = 0.9 is outside the domain of lobe fitted for Cook"):
         fr.shader_source(str(own), m=0.9)
     own.write_text(f"#ifdef X\n{both}#else\n{both}#endif\n")
@@ -384,6 +457,8 @@ def test_choices_that_cannot_be(tmp_path):
         ("unknown lobe 'd32'; known: exact, ", {"name": "ward", "lobe": "d32"}),
         (r"m = 0.9 is outside .* give m in \[0.0001, 0.7071\)", COOK_TORRANCE | {"m": 0.9}),
         ("m = 0.9 is outside", {"name": "lobe/fitted", "m": 0.9}),
+        (r"m = 0.6 is outside .* g-power 5 \(0.2/m\^2 - 0.8\) .* in \[0.0001, 0.5\]",
+         {"name": "ward", "lobe": GPower(5, 0.2, 0.8), "m": 0.6}),
         ("m = 0.3 without a lobe", {"name": "ward", "m": 0.3}),
         ("fresnel does not use FR_LOBE: leave lobe d16 out", {"name": "fresnel", "lobe": "d16"}),
         ("masking does not use a slope: leave m = 0.3 out", {"name": "masking", "m": 0.3}),

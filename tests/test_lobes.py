@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facerender import InputError, fitting, lobes
+from facerender.lobes import GPower
 
 REFERENCE = np.genfromtxt(Path(__file__).parent / "data/beckmann_reference.csv", delimiter=",")
 C, M, D, W, LOG_D = REFERENCE.T
@@ -61,7 +63,7 @@ def test_stated_errors_of_the_approximations(k, name):
 
 
 @given(
-    name=st.sampled_from(lobes.NAMES),
+    name=st.sampled_from([*lobes.NAMES, GPower(7, 0.3, 0.5)]),
     k=st.sampled_from([0, 4]),
     m=st.floats(1e-4, 0.7),
     c=st.lists(st.floats(0.0, 1.0), min_size=2, max_size=20),
@@ -125,6 +127,34 @@ def test_clamp_keeps_the_power_from_rising_again():
     assert (lobes.g_power(c, 0.2, 4, 16) == 0.0).all()
 
 
+@pytest.mark.parametrize("k", [0, 4])
+@pytest.mark.parametrize("g", [4, 8, 16])
+def test_free_g_power_holds_those_of_the_paper(k, g):
+    c = np.linspace(0.0, 1.0, 1001)
+    own = GPower(g, 2.0 / g, k / g)
+    for m in (1e-4, 0.1, 0.3, 0.7):
+        np.testing.assert_allclose(
+            lobes.lobe(own, c, m, k), lobes.g_power(c, m, k, g), rtol=1e-9, atol=1e-300
+        )
+    assert lobes.max_slope(own, k) == pytest.approx(lobes.max_slope(f"d{g}", k))
+
+
+def test_free_g_power_by_hand():
+    assert lobes.clamped_power(0.75, 2.0, 3) == 0.125
+    assert lobes.clamped_power(0.25, 2.0, 3) == 0.0
+    assert lobes.lobe(GPower(3, 1.0, 2.0), 0.75, 0.5, 4) == 0.125
+
+
+@pytest.mark.parametrize(
+    ("own", "end"),
+    [(GPower(5, 0.5, 2.0), 0.5), (GPower(5, 0.5), 2.0), (GPower(5, 0.5, 0.01), 2.0)],
+)
+def test_domain_of_a_free_g_power_ends_where_its_steepness_is_0(own, end):
+    assert lobes.max_slope(own, 4) == lobes.max_slope(own, 0) == end
+    assert lobes.in_domain([1e-4, end, end * 1.0000002], own, 4).all()
+    assert not lobes.in_domain([0.0, 1.001 * end], own, 4).any()
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -145,6 +175,18 @@ def test_clamp_keeps_the_power_from_rising_again():
         (lambda: lobes.fitted_coefficients(0.3, 3), "k = 3 is neither"),
         (lambda: lobes.in_domain(0.3, "d32", 4), "unknown lobe 'd32'"),
         (lambda: lobes.lobe("d32", 0.5, 0.3, 4), "unknown lobe 'd32'; known: exact, cosine"),
+        (lambda: GPower(0, 0.5), "g = 0 is no whole number in 1 to 31"),
+        (lambda: GPower(32, 0.5), "g = 32 is no whole number in 1 to 31"),
+        (lambda: GPower(4.0, 0.5), "g = 4.0 is no whole number in 1 to 31"),
+        (lambda: GPower(4, 0.0), "factor = 0 of the g-power is not in"),
+        (lambda: GPower(4, math.nan), "factor = nan of the g-power is not in"),
+        (lambda: GPower(4, math.inf), "factor = inf of the g-power is not in"),
+        (lambda: GPower(4, 0.5, math.nan), "offset = nan of the g-power is not finite"),
+        (
+            lambda: lobes.lobe(GPower(4, 0.5, 2.0), 0.5, 0.6, 4),
+            r"g-power 4 .* m in \[0.0001, 0.5\]",
+        ),
+        (lambda: lobes.clamped_power(1.5, 1.0, 4), "cosine 1.5"),
     ],
 )
 def test_values_outside_the_domain_are_refused(call, message):
@@ -162,3 +204,41 @@ def test_domains_reach_their_ends():
             assert not lobes.in_domain([0.0, 0.99e-4, 1.001 * end, np.nan], name, k).any()
             closed = name == "exact" or k == 0 or name.startswith("fitted")
             assert lobes.in_domain(end, name, k) == closed
+
+
+def farthest(lobe, m, k):
+    angles = np.concatenate([np.linspace(0.0, 4.0 * m, 2001), np.linspace(0.0, np.pi / 2, 2001)])
+    c = np.cos(angles[angles <= np.pi / 2]).clip(0.0, 1.0)
+    return np.abs(lobes.lobe(lobe, c, m, k) - lobes.exact(c, m, k)).max()
+
+
+def test_a_good_g_power():
+    assert farthest(fitting.fit_g_power(4, 6, 0.3, 0.3), 0.3, 4) < 0.002
+
+
+@pytest.mark.parametrize("k", [0, 4])
+@pytest.mark.parametrize("g", [4, 8, 16])
+def test_a_fitted_g_power_is_no_worse_than_the_papers(g, k):
+    for m in (1e-4, 1e-3, 0.02, 0.1, 0.2, 0.3, 0.45, 0.6, 0.7):
+        found = fitting.fit_g_power(k, g, m, m)
+        assert found.g == g
+        assert found.offset == 0.0
+        assert farthest(found, m, k) <= farthest(f"d{g}", m, k) * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("k", [0, 4])
+def test_no_other_steepness_is_better(k):
+    for g, m in ((1, 0.4), (3, 0.2), (6, 0.3), (24, 0.5)):
+        found = fitting.fit_g_power(k, g, m, m)
+        best = farthest(found, m, k)
+        for factor in (0.9, 0.97, 0.99, 1.01, 1.03, 1.1):
+            other = farthest(replace(found, factor=found.factor * factor), m, k)
+            assert other > best * (0.995 if abs(factor - 1.0) < 0.02 else 1.0)
+
+
+@pytest.mark.parametrize("k", [0, 4])
+def test_a_g_power_for_a_range_of_slopes(k):
+    found = fitting.fit_g_power(k, 8, 0.2, 0.45)
+    for m in np.linspace(0.2, 0.45, 6):
+        single = fitting.fit_g_power(k, 8, float(m), float(m))
+        assert farthest(found, m, k) <= farthest(single, m, k) + 0.02

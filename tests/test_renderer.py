@@ -16,10 +16,11 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender import reference
+from facerender import reference, texture
 from facerender.compare import block_error, point_error
 from facerender.context import Backend, create_context
 from facerender.host import CAPABILITIES, STATE
+from facerender.lobes import GPower
 from facerender.scene import slope_ranges
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_backend
@@ -30,6 +31,20 @@ SHADINGS = [
     for model in ("cook-torrance", "ward", "ward-printed")
     for lobe in fr.lobes.NAMES
 ] + [fr.Shading(fresnel="dielectric")]
+REDUCED = [  # every choice that leaves something out of a scene of five lights
+    fr.Shading(lobe=GPower(11, 0.2, 0.5), masking="none"),
+    fr.Shading(fresnel="constant", masking="kelemen", m=0.25, small_slope=False),
+    fr.Shading(fresnel="constant", masking="none", m=0.1, small_slope=True, ks=0.6),
+    fr.Shading(lobe=GPower(8, 0.25, 0.5), m=0.3, ks=0.6, normal_map=False),
+    fr.Shading(lobe="fitted", masking="kelemen", ambient=False, specular_lights=(0, 2)),
+    fr.Shading(normal_map=False, ambient=False, specular_lights=[4, 1]),
+    fr.Shading("ward", GPower(4, 0.6), m=0.4, specular_lights=(3,)),
+    fr.Shading("ward", ks=0.5, specular_lights=()),
+    fr.Shading("ward-printed", "d8", normal_map=False, ambient=False, specular_lights=(0,)),
+    fr.Shading(frontal_lights=(3, 1)),
+    fr.Shading(fresnel="dielectric", lobe="d4", frontal_lights=[0, 1, 2, 3, 4]),
+    fr.Shading(masking="kelemen", m=0.3, specular_lights=(4, 0, 2), frontal_lights=(2, 3, 0)),
+]
 
 
 def lit(mesh: fr.Mesh, **changes) -> fr.Scene:
@@ -40,10 +55,17 @@ def lit(mesh: fr.Mesh, **changes) -> fr.Scene:
     return replace(scene, lights=lights, **changes)
 
 
+def mixed(mesh: fr.Mesh) -> fr.Scene:
+    """Point lights first and among the directional ones: 0 and 3 of five."""
+    key, rim, fill, point = lit(mesh).lights
+    other = replace(point, position=tuple(mesh.center + mesh.radius * np.array([1.5, 0.5, 1.0])))
+    return fr.Scene(mesh, SIDE, (point, key, rim, other, fill), background=None)
+
+
 def worst_error(renderer: fr.Renderer, scene: fr.Scene, shading: fr.Shading) -> float:
     """Largest relative error of the GPU image over every covered pixel; the denominator is
     max(reference, 0.01), where 1 is a white diffuse surface under an irradiance of pi."""
-    gbuffer = renderer.gbuffer(scene)
+    gbuffer = renderer.gbuffer(scene, shading)
     frame = renderer.render(scene, shading)
     covered = gbuffer.part >= 0
     np.testing.assert_array_equal(covered, frame.linear[..., 3] > 0)
@@ -70,6 +92,114 @@ def test_every_pixel_of_the_head_agrees_with_float64(transparent, head, shading)
 def test_every_pixel_of_the_scan_agrees_with_float64(transparent, scan_mesh, shading):
     scene = lit(scan_mesh, background=None)
     assert worst_error(transparent, scene, shading) < 1e-4
+
+
+@pytest.mark.parametrize("shading", REDUCED, ids=str)
+def test_every_pixel_of_a_reduced_scene_agrees_with_float64(transparent, head, shading):
+    assert worst_error(transparent, mixed(head), shading) < 1e-4
+
+
+@pytest.mark.parametrize("shading", REDUCED, ids=str)
+def test_every_pixel_of_the_reduced_scan_agrees_with_float64(transparent, scan_mesh, shading):
+    assert worst_error(transparent, mixed(scan_mesh), shading) < 1e-4
+
+
+@pytest.mark.parametrize("light", range(5))
+def test_layers_are_the_specular_terms_of_the_lights(renderer, head, light):
+    scene = mixed(head)
+    shading = fr.Shading(specular_lights=(light,))
+    layers = reference.layers(renderer.gbuffer(scene), scene, fr.Shading())
+    for only, expected in (
+        ("specular", layers.specular[light]),
+        ("diffuse", layers.ambient + layers.diffuse),
+    ):
+        linear = renderer.render(scene, shading, only).linear[..., :3]
+        np.testing.assert_allclose(linear, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_what_a_shading_leaves_out_is_not_compiled(egl, head):
+    scene = mixed(head)
+    surface = fr.Shading(m=0.3, ks=0.5, normal_map=False, ambient=False)
+    reduced = replace(surface, specular_lights=(0, 1, 2), frontal_lights=(1, 3))
+    with fr.Renderer((32, 32), samples=1, backend=egl) as renderer:
+        renderer.render(scene, reduced)
+        (program,) = renderer._programs
+    lines = program.splitlines()
+    for left_out in ("NORMAL_MAP", "OCCLUSION_MAP", "ROUGHNESS_MAP", "SPECULAR_MAP", "AMBIENT"):
+        assert f"#define {left_out}" not in lines
+    assert {
+        *("#define DIRECTIONAL_LIGHTS 3", "#define DIRECTIONAL_SPECULAR 1"),
+        *("#define DIRECTIONAL_FRONTAL 1", "#define POINT_FRONTAL 0"),
+        *("#define POINT_LIGHTS 2", "#define POINT_SPECULAR 1", "#define FR_SLOPE(m) 0.3"),
+    } <= set(lines)
+
+
+def test_simplified_scenes_and_materials(head):
+    scene = lit(head.with_material(specular_map=head.materials[0].roughness_map))
+    reduced = fr.Shading(m=0.3, ks=0.5, normal_map=False, ambient=False).simplify(scene)
+    (before,), (material,) = scene.mesh.materials, reduced.mesh.materials
+    none = dict.fromkeys(("roughness_map", "specular_map", "normal_map", "occlusion_map"))
+    assert None not in [getattr(before, name) for name in none]
+    assert material == replace(before, m=0.3, ks=0.5, **none)
+    assert reduced == replace(scene, mesh=reduced.mesh, ambient=0.0)
+    assert fr.Shading("ward", "d8").simplify(scene) is scene
+
+
+def test_reduced_meshes_and_their_maps_are_kept(egl, monkeypatch):
+    make, made = texture._CHAINS["data"], []
+    monkeypatch.setitem(texture._CHAINS, "data", lambda image: made.append(image) or make(image))
+    scene = fr.Scene(fr.load_mesh(), SIDE)
+    shading = fr.Shading(m=0.3, ks=0.5)
+    with fr.Renderer((64, 64), samples=1, backend=egl) as renderer:
+        first = renderer.render(scene, shading)
+        decoded, uploaded = len(made), list(renderer._textures.values())
+        assert decoded > 0, "occlusion without the roughness is a map of its own"
+        gc.collect()
+        again = renderer.render(scene, replace(shading))
+        assert len(made) == decoded
+        assert [*map(id, renderer._textures.values())] == [*map(id, uploaded)]
+    np.testing.assert_array_equal(again.linear, first.linear)
+    assert shading.simplify(scene).mesh is shading.simplify(scene).mesh
+    assert shading.simplify(scene).mesh is not replace(shading, m=0.2).simplify(scene).mesh
+
+
+def test_data_views_are_of_the_reduced_scene(renderer, head):
+    scene = fr.Scene(head)
+    smooth = fr.Shading(normal_map=False)
+    normal = renderer.render(scene, smooth, "normal").linear[..., :3]
+    np.testing.assert_array_equal(normal, renderer.gbuffer(scene, smooth).normal)
+    assert np.abs(normal - renderer.gbuffer(scene).normal).max() > 0.01
+
+
+@pytest.mark.parametrize("name", ["specular_lights", "frontal_lights"])
+@pytest.mark.parametrize("lights", [(4,), (-1,), (0, 9)])
+def test_lights_that_the_scene_lacks(renderer, head, name, lights):
+    scene = lit(head)
+    shading = fr.Shading(**{name: lights})
+    message = rf"{name} names light {lights[-1]}: the scene has 4, counted from 0"
+    for use in (
+        lambda: renderer.render(scene, shading),
+        lambda: renderer.gbuffer(scene, shading),
+        lambda: reference.shade(renderer.gbuffer(scene), scene, shading),
+    ):
+        with pytest.raises(fr.InputError, match=message):
+            use()
+
+
+def test_slopes_and_weights_of_a_shading_have_domains(renderer, head):
+    for field, value in (("m", 3.0), ("m", "0.3"), ("ks", -1.0)):
+        with pytest.raises(fr.InputError, match=f"^{field} = {value!r} is outside"):
+            fr.Shading(**{field: value})
+    for shading, message in (
+        (fr.Shading(lobe="d8", m=0.8), "m = 0.8 is outside the domain of lobe d8"),
+        (fr.Shading(lobe=GPower(8, 0.25, 1.0), m=0.6), r"lobe g-power 8 .* in \[0.0001, 0.5\]"),
+    ):
+        with pytest.raises(fr.InputError, match=message):
+            renderer.render(fr.Scene(head), shading)
+    outside = fr.Shading(lobe=GPower(8, 0.25, 1.0), m=0.6, outside="exact")
+    frame = renderer.render(fr.Scene(head), outside)
+    assert frame.metadata["lobe of each part"] == "exact"
+    assert frame.metadata["lobe"] == "g-power 8 (0.25/m^2 - 1)"
 
 
 @pytest.mark.parametrize("m", [1e-3, 0.05, 0.15, 0.25, 1.5])
@@ -142,8 +272,8 @@ def test_d16_shows_no_false_highlight_at_grazing_angles(renderer, head, monkeypa
     shutil.copytree(fr.shader_dir(), shaders)
     file = shaders / "facerender/lobe/g_power.glsl"
     text = file.read_text()
-    unclamped = text.replace("max(1.0 - n / float(g) * (1.0 - min(c, 1.0)), 0.0)",
-                             "1.0 - n / float(g) * (1.0 - min(c, 1.0))")  # fmt: skip
+    unclamped = text.replace("max(1.0 - steepness * (1.0 - min(c, 1.0)), 0.0)",
+                             "1.0 - steepness * (1.0 - min(c, 1.0))")  # fmt: skip
     assert unclamped != text
     file.write_text(unclamped)
     monkeypatch.setattr("facerender.glsl.shader_dir", lambda: shaders)
@@ -157,19 +287,29 @@ def test_only_what_the_scene_needs_is_compiled(head):
 
     scene = fr.Scene(head)
     specular = fr.Shading().glsl(0.3)
-    full = renderer._shade_defines(head.parts[0], head.materials[0], scene, specular, None)
+    key, rim, fill = scene.lights
+    point = fr.Light(position=(0.2, 0.3, 0.5))
+    lights = ([key], [rim, point], [fill, point])
+    full = renderer._shade_defines(head.parts[0], head.materials[0], scene, lights, specular, None)
+    counts = {"LIGHTS": (3, 2), "SPECULAR": (1, 0), "FRONTAL": (1, 1)}
+    for name, (directional, points) in counts.items():
+        assert f"#define DIRECTIONAL_{name} {directional}" in full.splitlines()
+        assert f"#define POINT_{name} {points}" in full.splitlines()
     assert {"#define ALBEDO_MAP", "#define NORMAL_MAP", "#define AMBIENT"} <= set(full.splitlines())
     plain = head.with_material(normal_map=None, roughness_map=None, occlusion_map=None, ks=0.0)
     bare = renderer._shade_defines(
         plain.parts[0],
         plain.materials[0],
         replace(scene, mesh=plain, ambient=0.0, lights=()),
+        ([], [], []),
         specular,
         None,
     )
     assert bare.split("\n") == [
         "#define ALBEDO_MAP", "#define UV", "#define DIRECTIONAL_LIGHTS 0",
-        "#define POINT_LIGHTS 0", "#define DIFFUSE", "",
+        "#define DIRECTIONAL_SPECULAR 0", "#define DIRECTIONAL_FRONTAL 0",
+        "#define POINT_LIGHTS 0", "#define POINT_SPECULAR 0", "#define POINT_FRONTAL 0",
+        "#define DIFFUSE", "",
     ]  # fmt: skip
 
 
@@ -472,6 +612,7 @@ def test_a_renderer_does_not_keep_a_mesh_alive(renderer):
     renderer.render(fr.Scene(mesh))
     changed = mesh.with_material(m=0.2)
     renderer.render(fr.Scene(changed))
+    renderer.render(fr.Scene(mesh), fr.Shading(m=0.25, ks=0.5, normal_map=False))
     assert len(renderer._parts) == others + 1, "variants share their geometry"
     dead = weakref.ref(mesh), weakref.ref(changed), weakref.ref(mesh.parts[0])
     del mesh, changed

@@ -95,6 +95,13 @@ def test_unknown_lights_name_the_known_ones(text):
         (lambda: fr.Material(albedo=(0.1, -0.1, 0.1)), "albedo = .* is negative"),
         (lambda: fr.Material(albedo_map="skin.png"), "albedo_map = 'skin.png': give"),
         (lambda: fr.Shading("ward", fresnel="dielectric"), "ward has no Fresnel term"),
+        (lambda: fr.Shading("ward", masking="none"), "ward has no masking term: leave 'none' out"),
+        (lambda: fr.Shading("ward", frontal_lights=[0]), "ward has no other term for frontal_ligh"),
+        (
+            lambda: fr.Shading(masking="smith"),
+            "unknown masking term 'smith'; known: v-cavity, kelemen, none",
+        ),
+        (lambda: fr.Shading(lobe="d5"), "unknown lobe 'd5'"),
         (lambda: fr.Material(albedo=(1.0, 2.0)), "albedo = "),
     ],
 )
@@ -130,7 +137,7 @@ def test_scene_file(tmp_path):
         ("[material]\nm = 9", "m = 9 is outside"),
         ("[material]\nalbedo_map = 'a.png'", "unknown key 'albedo_map' in material"),
         ("background = 'red'", "background = 'red'"),
-        ("colour = 1", "unknown key 'colour'; known: camera, lights"),
+        ("colour = 1", "unknown key 'colour'; known: camera, cameras, lights"),
         ("[camera", "scene.toml is not TOML"),
     ],
 )

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 
 from facerender import InputError, brdf, lobes, shader_dir, shader_source
 from facerender.context import Backend, create_context
+from facerender.lobes import GPower
+from facerender.shading import defines, lobe_macros
 from tests.gpu import Evaluator, directions
 
 ULP = 2.0**-23
@@ -151,6 +153,19 @@ def lobe_g_power(k, g):
     return Case(include("lobe/g_power"), call, inputs, expected, ULP * g, absolute)
 
 
+@case(*range(1, 32))
+def lobe_clamped_power(g):
+    c, steepness = grid(COSINES, [0.0, 0.1, 1.0, 3.0, 30.0, 1e3, 1e8])
+    inputs = {"c": c, "steepness": steepness}
+    c, steepness = c.astype(float), steepness.astype(float)
+    # the base 1 - s u: the product by 0.5 ulp, the differences by 0.5 each
+    error = ULP * steepness * (1.0 - c) + ULP
+    absolute = power_error(1.0 - steepness * (1.0 - c), error, g) + TINY
+    expected = lobes.clamped_power(c, steepness, g)
+    call = f"fr_lobe_clamped_power(c, steepness, {g})"
+    return Case(include("lobe/g_power"), call, inputs, expected, ULP * g, absolute)
+
+
 def fitted_terms(lobe, m):
     """Sums of |constants| of the coefficients, for their rounding."""
     table = np.abs(np.array(lobe.table))
@@ -231,20 +246,61 @@ def masking_v_cavity():
     return Case(include("masking"), call, inputs, expected, 4 * ULP)
 
 
-@case(*((k, name) for k in (0, 4) for name in lobes.NAMES))
+@case()
+def masking_kelemen():
+    axis = [1e-6, 1e-3, *np.linspace(0.01, 1.0, 20)]
+    names = ("v_dot_h", "n_dot_l", "n_dot_v")
+    inputs = dict(zip(names, grid(axis, axis, axis), strict=True))
+    expected = brdf.masking_kelemen(*inputs.values())
+    call = f"fr_masking_kelemen({', '.join(names)})"
+    return Case(include("masking"), call, inputs, expected, 8 * ULP)
+
+
+OWN = GPower(11, 0.2, 0.5)
+STEEP = GPower(5, 1.2, 0.8)
+
+
+@case(*((k, name) for k in (0, 4) for name in (*lobes.NAMES, OWN, STEEP)))
 def lobe(k, name):
     """The choice at compile time; what was chosen is tested above."""
+    return lobe_case(k, name, chosen("lobe", name))
+
+
+@case(*((k, g) for k in (0, 4) for g in (None, 5)))
+def lobe_default_g_power(k, g):
+    """Of the macros of a g-power, one or none: D8, or its steepness with another power."""
+    said = f"#define FR_G {g}\n" if g else ""
+    prelude = f"{said}#define FR_LOBE FR_LOBE_G_POWER\n" + include("lobe")
+    return lobe_case(k, GPower(g, 2.0 / g, k / g) if g else "d8", prelude)
+
+
+def lobe_case(k, name, prelude):
     c = np.float32(np.linspace(0.5, 1.0, 200))
     inputs = {"c": c, "m": np.full_like(c, 0.3)}
     expected = lobes.lobe(name, c, inputs["m"], k)
-    return Case(chosen("lobe", name), f"fr_lobe(c, m, {k})", inputs, expected, 1e-4, 1e-5)
+    return Case(prelude, f"fr_lobe(c, m, {k})", inputs, expected, 1e-4, 1e-5)
 
 
-@case("schlick", "dielectric")
+KINDS = ("schlick", "dielectric", "constant")
+
+
+@case(*KINDS)
 def fresnel(kind):
-    c = np.float32(np.linspace(0.0, 1.0, 101))
     prelude = f"#define FR_FRESNEL FR_FRESNEL_{kind.upper()}\n" + include("fresnel")
-    return Case(prelude, "fr_fresnel(0.1, c)", {"c": c}, brdf.fresnel(0.1, c, kind), 1e-5, 1e-6)
+    return fresnel_case(kind, "fr_fresnel(0.1, c)", prelude)
+
+
+@case(*KINDS)
+def fresnel_of(kind):
+    """Whatever the host chose for fr_fresnel."""
+    other = KINDS[KINDS.index(kind) - 1]
+    prelude = f"#define FR_FRESNEL FR_FRESNEL_{other.upper()}\n" + include("fresnel")
+    return fresnel_case(kind, f"fr_fresnel_of(0.1, c, FR_FRESNEL_{kind.upper()})", prelude)
+
+
+def fresnel_case(kind, call, prelude):
+    c = np.float32(np.linspace(0.0, 1.0, 101))
+    return Case(prelude, call, {"c": c}, brdf.fresnel(0.1, c, kind), 1e-5, 1e-6)
 
 
 @case(*((axis, small_slope) for axis in "xy" for small_slope in (0, 1)))
@@ -271,50 +327,71 @@ def include(name: str) -> str:
     return f'#include "facerender/{name}.glsl"\n'
 
 
-def chosen(name: str, lobe: str, *defines: str) -> str:
+def chosen(name: str, lobe: lobes.AnyLobe, **macros: str) -> str:
     """The file with a lobe, and further macros."""
-    macros = [f"FR_LOBE FR_LOBE_{lobe.upper().replace('-', '_')}", *defines]
-    return "".join(f"#define {macro}\n" for macro in macros) + include(name)
+    return defines(lobe_macros(lobe) | macros) + include(name)
 
 
-BRDFS = {
-    "cook_torrance": ("fr_cook_torrance(n, l, v, m, 0.028)", "schlick"),
-    "cook_torrance dielectric": ("fr_cook_torrance(n, l, v, m, 0.028)", "dielectric"),
-    "ward": ("fr_ward(n, l, v, m)", None),
-    "ward_printed": ("fr_ward_printed(n, l, v, m)", None),
+COOK_TORRANCE = "fr_cook_torrance(n, l, v, m, 0.028)"
+TERMS = "fr_cook_torrance_terms(n, l, v, m, 0.028, FR_FRESNEL_{}, FR_MASKING_{})"
+BRDFS = {  # a call, and the Fresnel and the masking term, where it has them
+    "cook_torrance": (COOK_TORRANCE, "schlick", "v-cavity"),
+    "cook_torrance dielectric": (COOK_TORRANCE, "dielectric", "v-cavity"),
+    "cook_torrance kelemen": (COOK_TORRANCE, "schlick", "kelemen"),
+    "cook_torrance constant none": (COOK_TORRANCE, "constant", "none"),
+    "ward": ("fr_ward(n, l, v, m)", None, None),
+    "ward_printed": ("fr_ward_printed(n, l, v, m)", None, None),
 }
-VARIANTS = [(name, lobe, 1) for name in BRDFS for lobe in lobes.NAMES]
+OF_TERMS = {  # whatever the host chose: nothing, here
+    "cook_torrance_terms constant none": (TERMS.format("CONSTANT", "NONE"), "constant", "none"),
+    "cook_torrance_terms dielectric kelemen": (
+        TERMS.format("DIELECTRIC", "KELEMEN"),
+        *("dielectric", "kelemen"),
+    ),
+}
+VARIANTS = [(name, lobe, 1) for name in BRDFS for lobe in (*lobes.NAMES, OWN, STEEP)]
+VARIANTS += [(name, lobe, 1) for name in OF_TERMS for lobe in ("exact", "fitted", "d8", OWN)]
+BRDFS |= OF_TERMS
 VARIANTS += [(name, "exact", 0) for name in BRDFS]
 
 
 def brdf_case(name, lobe, small_slope, inputs):
     """A BRDF at directions; the bounds are those of its header, relative to what the lobe's peak
     gives in the same directions, and none where it is exactly 0."""
-    call, fresnel = BRDFS[name]
-    file = name.split()[0]
-    defines = [f"FR_SMALL_SLOPE {small_slope}"]
+    call, fresnel, masking = BRDFS[name]
+    file = name.split()[0].removesuffix("_terms")
+    macros = {"FR_SMALL_SLOPE": str(small_slope)}
     n, l, v, m = (inputs[axis].astype(float) for axis in "nlvm")
     n_dot_l, n_dot_v = ((n * x).sum(axis=-1) for x in (l, v))
     above = (n_dot_l > brdf.MIN_COSINE) & (n_dot_v > brdf.MIN_COSINE)
     n_dot_l, n_dot_v = (cosine.clip(brdf.MIN_COSINE) for cosine in (n_dot_l, n_dot_v))
     v_dot_h = 0.5 * np.linalg.norm(l + v, axis=-1).clip(1e-30)
     if fresnel:
-        defines.append(f"FR_FRESNEL FR_FRESNEL_{fresnel.upper()}")
-        expected = brdf.cook_torrance(n, l, v, m, 0.028, lobe=lobe, fresnel_term=fresnel)
+        if call == COOK_TORRANCE:
+            macros["FR_FRESNEL"] = f"FR_FRESNEL_{fresnel.upper()}"
+            macros["FR_MASKING"] = f"FR_MASKING_{masking.upper().replace('-', '_')}"
+        terms = {"lobe": lobe, "fresnel_term": fresnel, "masking_term": masking}
+        expected = brdf.cook_torrance(n, l, v, m, 0.028, **terms)
         n_dot_h = (n_dot_l + n_dot_v) / (2.0 * v_dot_h)
-        peak = brdf.masking_v_cavity(n_dot_h, v_dot_h, n_dot_l, n_dot_v) / (n_dot_l * n_dot_v)
-        peak *= brdf.fresnel(0.028, v_dot_h, fresnel)
+        masked = {
+            "v-cavity": brdf.masking_v_cavity(n_dot_h, v_dot_h, n_dot_l, n_dot_v),
+            "kelemen": brdf.masking_kelemen(v_dot_h, n_dot_l, n_dot_v),
+            "none": 1.0,
+        }
+        peak = masked[masking] / (n_dot_l * n_dot_v) * brdf.fresnel(0.028, v_dot_h, fresnel)
     else:
         expected = getattr(brdf, file)(n, l, v, m, lobe=lobe)
         peak = (n_dot_l * n_dot_v if file == "ward" else n_dot_v + v_dot_h) ** -0.5
     peak /= 4.0 * np.pi * m**2
-    if fresnel:  # above m = 0.7071 the exact lobe is highest off the normal
+    if fresnel and lobe == "exact":  # above m = 0.7071 it is highest off the normal
         w = np.maximum(m**2, 0.5)
         peak *= 4.0 * w**2 * np.exp(1.0 / w - 2.0)
     accurate = lobe == "exact" and small_slope
-    e = 3e-7 * (1.0 + 1.0 / (n_dot_l + n_dot_v)) + 7e-7 * (lobe == "cosine")
+    e = 4e-7 * (1.0 + 1.0 / (n_dot_l + n_dot_v)) + 7e-7 * (lobe == "cosine")
+    if isinstance(lobe, GPower):
+        e *= lobe.factor * lobe.g / 2.0
     bound = 1e-5 + 2e-7 / n_dot_l + 2e-7 / n_dot_v + e / (m if accurate else m**2)
-    prelude = chosen(file, lobe, *defines)
+    prelude = chosen(file, lobe, **macros)
     return Case(prelude, call, inputs, expected, 0.0, np.where(above, peak * bound, 0.0))
 
 
@@ -413,6 +490,15 @@ def test_small_slopes_are_accurate_unless_the_host_says_otherwise(evaluate):
     np.testing.assert_array_equal(unsaid, small)
 
 
+def test_masking_of_an_unsaid_choice_is_that_of_v_cavities(evaluate):
+    inputs = directions(np.full(2000, 0.3, np.float32))
+    unsaid, said = (
+        evaluate(define + include("cook_torrance"), COOK_TORRANCE, inputs)
+        for define in ("", "#define FR_MASKING FR_MASKING_V_CAVITY\n")
+    )
+    np.testing.assert_array_equal(unsaid, said)
+
+
 def test_reflectance_of_unsaid_choices_is_exact_and_schlick(evaluate):
     inputs = {"c": np.float32([0.95])}
     value = evaluate(include("cook_torrance"), "fr_lobe(c, 0.3, 4) + fr_fresnel(0.028, c)", inputs)
@@ -426,7 +512,7 @@ def test_fitted_coefficients_may_come_from_the_host(evaluate, name):
     inputs = {"c": np.float32(np.linspace(0.0, 1.0, 100)), "m": np.full(100, 0.3, np.float32)}
     a = ", ".join(map(str, lobes.FITTED[name, 4].coefficients(0.3)))
     macro = f"FR_{name.upper().replace('-', '_')}_COEFFICIENTS"
-    prelude = chosen("lobe", name, f"{macro}(m, k) vec{3 + name.endswith('fine')}({a})")
+    prelude = chosen("lobe", name, **{f"{macro}(m, k)": f"vec{3 + name.endswith('fine')}({a})"})
     given = evaluate(prelude, "fr_lobe(c, 0.9, 4)", inputs)  # m is not used
     np.testing.assert_allclose(given, lobes.lobe(name, inputs["c"], 0.3, 4), atol=1e-5)
 
@@ -505,7 +591,7 @@ def test_source_is_flat_and_includes_may_stand_in_conditions(evaluate):
         shader_source("ggx")
 
 
-@pytest.mark.parametrize("name", ["FR_LOBE_D32", "6", "0"])
+@pytest.mark.parametrize("name", ["FR_LOBE_D32", "7", "0"])
 def test_unknown_lobe_does_not_compile(evaluate, name):
     prelude = f"#define FR_LOBE {name}\n" + include("ward")
     with pytest.raises(moderngl.Error, match="FR_LOBE is none of"):

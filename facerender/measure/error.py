@@ -4,7 +4,7 @@ against float64."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +13,7 @@ from facerender import lobes
 from facerender.compare import block_error, point_error
 from facerender.context import Backend
 from facerender.image import encode_srgb8
-from facerender.lobes import Lobe
+from facerender.lobes import AnyLobe
 from facerender.reference import shade
 from facerender.renderer import Renderer
 from facerender.scene import Scene
@@ -22,7 +22,7 @@ from facerender.shading import Shading
 Array = NDArray[np.float64]
 
 
-def lobe_error(name: Lobe, m: float, k: int, degrees: Array | None = None) -> Array:
+def lobe_error(name: AnyLobe, m: float, k: int, degrees: Array | None = None) -> Array:
     """Return the lobe minus the exact lobe, in units of its peak, at angles γ of the half vector.
 
     Parameters
@@ -66,7 +66,7 @@ def brdf_error(shading: Shading, m: float, f0: float = 0.028, count: int = 24) -
     l = _direction(theta[:, None, None], phi)
     v = _direction(theta[:, None], np.pi)
     n = np.array([0.0, 0.0, 1.0])
-    exact = Shading(shading.model, "exact", shading.fresnel)
+    exact = replace(shading, lobe="exact")
     values, expected = (s.brdf(n, l, v, m, f0) * l[..., 2] for s in (shading, exact))
     return float(np.abs(values - expected).max() / expected.max())
 
@@ -112,7 +112,7 @@ def image_errors(
 ) -> Comparison:
     """Draw a scene with each shading, one sample a pixel, and compare with float64.
 
-    The reference has the exact lobe and otherwise the model and Fresnel term of the first shading.
+    The reference is the first shading with the exact lobe.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def image_errors(
     InputError : the scene cannot be drawn with a shading
     """
     scene = Scene(scene.mesh, scene.camera, scene.lights, scene.ambient, None)
-    exact = Shading(shadings[0].model, "exact", shadings[0].fresnel)
+    exact = replace(shadings[0], lobe="exact")
     with Renderer(size, samples=1, backend=backend) as renderer:
         gbuffer = renderer.gbuffer(scene)
         reference = shade(gbuffer, scene, exact)

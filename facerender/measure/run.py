@@ -93,8 +93,8 @@ def measure(
                 lobe_terms(model), cost.OF_COSINE, repeats, backend, stage("lobes")
             )
         k = Shading(model).k
-        shadings = [Shading(model, name) for name in lobes.NAMES if lobes.in_domain(m, name, k)]
-        drawn = [shading.lobe for shading in shadings]
+        drawn = [name for name in lobes.NAMES if lobes.in_domain(m, name, k)]
+        shadings = [Shading(model, name) for name in drawn]
         milliseconds = cost.frames(scene, shadings, size, repeats, backend, stage("frames"))
         costs["frame_ms"] = dict(zip(drawn, milliseconds, strict=True))
         comparison = error.image_errors(scene, shadings, size, backend)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from facerender import lobes
 from facerender.lobes import Lobe
-from facerender.shading import Model, Shading, choose_lobe
+from facerender.shading import Model, Shading, defines, lobe_macros
 
 CALLS: dict[Model, str] = {
     "cook-torrance": "fr_cook_torrance(n, l, v, m, f0)",
@@ -18,18 +18,19 @@ _PRINTED_EXACT: dict[Model, str] = {
 }
 
 
-def term(call: str, lobe: Lobe, *defines: str) -> tuple[str, str]:
+def term(call: str, lobe: Lobe, *lines: str) -> tuple[str, str]:
     """Return the prelude and the expression, in 1/sr, of a model's term.
 
     Parameters
     ----------
     call : the expression; its function names the file
     lobe : a name of ``lobes.NAMES``
-    defines : lines of GLSL that stand before the include
+    lines : of GLSL, that stand before the include
     """
     folder = "printed" if "printed_" in call else "facerender"
     file = call.split("(")[0].removeprefix("fr_").removeprefix("printed_")
-    return choose_lobe(lobe) + "\n".join([*defines, f'#include "{folder}/{file}.glsl"']), call
+    chosen = defines(lobe_macros(lobe))
+    return chosen + "\n".join([*lines, f'#include "{folder}/{file}.glsl"']), call
 
 
 def terms(model: Model) -> dict[str, tuple[str, str]]:
@@ -52,6 +53,9 @@ def lobe_terms(model: Model) -> dict[str, tuple[str, str]]:
         "printed, exact": ("", _PRINTED_EXACT[model]),
         "printed, d16": ('#include "printed/g_power.glsl"', power),
     } | {
-        lobe: (f'{choose_lobe(lobe)}#include "facerender/lobe.glsl"', f"fr_lobe(c, m, {k})")
+        lobe: (
+            f'{defines(lobe_macros(lobe))}#include "facerender/lobe.glsl"',
+            f"fr_lobe(c, m, {k})",
+        )
         for lobe in lobes.NAMES
     }

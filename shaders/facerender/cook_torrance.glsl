@@ -1,4 +1,5 @@
-// Cook-Torrance specular BRDF, with V-cavity masking.
+// Cook-Torrance specular BRDF, with the lobe, the Fresnel term (FR_FRESNEL) and the masking term
+// (FR_MASKING) that the host chose.
 //
 //   formula   F G D/(pi (N.L)(N.V)), D = E/(4 m^2 c^4), E = exp(-tan^2(gamma)/m^2)
 //   n, l, v   unit vectors: normal, towards the light, towards the eye
@@ -7,9 +8,9 @@
 //   unit      1/sr, for a specular weight ks = 1; N.L is not included, 1/pi is
 //   result    finite and >= 0; exactly 0 where N.L or N.V is not above FR_MIN_COSINE
 //   error     that of the lobe; float32 adds, of what the lobe's highest value gives in the same
-//             directions, 1e-5 + 2e-7/(N.L) + 2e-7/(N.V) and, with e = 3e-7 (1 + 1/(N.L + N.V)),
+//             directions, 1e-5 + 2e-7/(N.L) + 2e-7/(N.V) and, with e = 4e-7 (1 + 1/(N.L + N.V)),
 //             e/m for the exact lobe, e/m^2 for the others and where FR_SMALL_SLOPE is 0 (the
-//             cosine power: 7e-7/m^2 more, from log2)
+//             cosine power: 7e-7/m^2 more, from log2; FR_STEEPNESS a/m^2 - b: e a g/(2 m^2))
 //   source    Cook and Torrance (1982), in the normalisation used since: Walter et al. (2007),
 //             F G D'/(4 (N.L)(N.V)) with D' = 4 D/pi
 #ifndef FR_COOK_TORRANCE_GLSL
@@ -19,8 +20,14 @@
 #include "facerender/half_vector.glsl"
 #include "facerender/lobe.glsl"
 #include "facerender/fresnel.glsl"
+#include "facerender/masking.glsl"
 
-float fr_cook_torrance(vec3 n, vec3 l, vec3 v, float m, float f0) {
+// Cook-Torrance specular BRDF with terms of its own, for programs that treat lights differently.
+//
+//   fresnel   FR_FRESNEL_SCHLICK, _DIELECTRIC or _CONSTANT, in place of FR_FRESNEL; a constant, which
+//             the compiler folds
+//   masking   FR_MASKING_V_CAVITY, _KELEMEN or _NONE, in place of FR_MASKING; a constant
+float fr_cook_torrance_terms(vec3 n, vec3 l, vec3 v, float m, float f0, int fresnel, int masking) {
     float n_dot_l = dot(n, l);
     float n_dot_v = dot(n, v);
     float product = n_dot_l * n_dot_v;
@@ -28,16 +35,23 @@ float fr_cook_torrance(vec3 n, vec3 l, vec3 v, float m, float f0) {
     float n_dot_h = n_dot_l + n_dot_v;
     float slope = max(FR_SLOPE(m), FR_MIN_SLOPE);
     float m2 = slope * slope;
-
-    // 4 D G/((N.L)(N.V)), where the masking term is G = masked/(h.h); for the exact lobe, whose
-    // 1/c^2 is (h.h)/(N.h)^2, with a single division.
 #if FR_LOBE == FR_LOBE_EXACT
     vec2 squares = fr_half_vector(n, h, n_dot_h);
     float h_dot_h = squares.x;
 #else
     float h_dot_h = dot(h, h);
 #endif
-    float masked = min(h_dot_h, 4.0 * n_dot_h * min(n_dot_l, n_dot_v));
+
+    // G/((N.L)(N.V)) = masked/(product h.h)
+    float masked = h_dot_h;
+    if (masking == FR_MASKING_V_CAVITY) {
+        masked = min(h_dot_h, 4.0 * n_dot_h * min(n_dot_l, n_dot_v));
+    } else if (masking == FR_MASKING_KELEMEN) {
+        product = 1.0;
+        masked = 4.0;
+    }
+
+    // 4 D G/((N.L)(N.V)); for the exact lobe, whose 1/c^2 is (h.h)/(N.h)^2, with a single division.
 #if FR_LOBE == FR_LOBE_EXACT
     float inverse = 1.0 / (product * (n_dot_h * n_dot_h) * m2);
     float sec2 = h_dot_h * m2 * (product * inverse);
@@ -47,9 +61,14 @@ float fr_cook_torrance(vec3 n, vec3 l, vec3 v, float m, float f0) {
     float c = n_dot_h * sqrt(h_dot_h) * (product * inverse);
     float value = fr_lobe(c, slope, FR_K_COOK_TORRANCE) / m2 * (masked * inverse);
 #endif
-    float fresnel = fr_fresnel(f0, 0.5 * sqrt(h_dot_h));
+    float reflectance = fr_fresnel_of(f0, 0.5 * sqrt(h_dot_h), fresnel);
     bool above = n_dot_l > FR_MIN_COSINE && n_dot_v > FR_MIN_COSINE;
-    return above ? fresnel * value * (0.25 / FR_PI) : 0.0;
+    return above ? reflectance * value * (0.25 / FR_PI) : 0.0;
+}
+
+// Cook-Torrance specular BRDF, with the terms that the host chose.
+float fr_cook_torrance(vec3 n, vec3 l, vec3 v, float m, float f0) {
+    return fr_cook_torrance_terms(n, l, v, m, f0, FR_FRESNEL, FR_MASKING);
 }
 
 #endif

@@ -1,11 +1,11 @@
 // Fresnel reflectance of a dielectric in air, for unpolarised light. The host chooses the one that
 // fr_fresnel calls: #define FR_FRESNEL FR_FRESNEL_DIELECTRIC. Default: Schlick.
 //
-//   formula   that of fr_fresnel_schlick or fr_fresnel_dielectric
+//   formula   that of fr_fresnel_schlick or fr_fresnel_dielectric; with FR_FRESNEL_CONSTANT f0
 //   f0        reflectance at normal incidence, in [0, 1); skin: 0.028, index of refraction 1.4
 //   v_dot_h   cosine between the eye (or the light) and the unit half vector, in [0, 1]
 //   unit      none, in [0, 1]
-//   error     of the chosen one
+//   error     of the chosen one; f0 alone is 1 - f0 too low at 90 degrees
 //   source    of the chosen one
 #ifndef FR_FRESNEL_GLSL
 #define FR_FRESNEL_GLSL
@@ -14,6 +14,7 @@
 
 #define FR_FRESNEL_SCHLICK 0
 #define FR_FRESNEL_DIELECTRIC 1
+#define FR_FRESNEL_CONSTANT 2
 
 #ifndef FR_FRESNEL
 #define FR_FRESNEL FR_FRESNEL_SCHLICK
@@ -49,13 +50,18 @@ float fr_fresnel_dielectric(float f0, float v_dot_h) {
     return 0.5 * a * a * (1.0 + b * b);
 }
 
+// Fresnel reflectance, of the kind that the caller names by a constant.
+//
+//   kind      FR_FRESNEL_SCHLICK, FR_FRESNEL_DIELECTRIC or FR_FRESNEL_CONSTANT
+float fr_fresnel_of(float f0, float v_dot_h, int kind) {
+    if (kind == FR_FRESNEL_CONSTANT) return f0;
+    if (kind == FR_FRESNEL_DIELECTRIC) return fr_fresnel_dielectric(f0, v_dot_h);
+    return fr_fresnel_schlick(f0, v_dot_h);
+}
+
 // Fresnel reflectance, as the host chose it: #define FR_FRESNEL FR_FRESNEL_DIELECTRIC.
 float fr_fresnel(float f0, float v_dot_h) {
-#if FR_FRESNEL == FR_FRESNEL_DIELECTRIC
-    return fr_fresnel_dielectric(f0, v_dot_h);
-#else
-    return fr_fresnel_schlick(f0, v_dot_h);
-#endif
+    return fr_fresnel_of(f0, v_dot_h, FR_FRESNEL);
 }
 
 #endif

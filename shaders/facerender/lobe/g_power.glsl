@@ -21,15 +21,32 @@
 
 #include "facerender/constants.glsl"
 
+// Clamped linear factor to a power: what a g-power is made of, with g and the steepness free.
+//
+//   formula    max(1 - steepness (1 - c), 0)^g
+//   steepness  of the linear factor, >= 0; with (2/m^2 - k)/g it is the g-power
+//   g          in 1 to 31, a constant
+//   error      of the formula none; as an approximation of E/c^k it depends on the steepness, which
+//              facerender plan fits to a slope
+//   source     Lyon (1993)
+float fr_lobe_clamped_power(float c, float steepness, int g) {
+    // As 1 - a (1 - c): Mesa multiplies a (c - 1) + 1 out, and loses the digits of a small angle.
+    float p = max(1.0 - steepness * (1.0 - min(c, 1.0)), 0.0);
+    float p2 = p * p;
+    float p4 = p2 * p2;
+    float p8 = p4 * p4;
+    float power = (g & 1) != 0 ? p : 1.0;
+    if ((g & 2) != 0) power *= p2;
+    if ((g & 4) != 0) power *= p4;
+    if ((g & 8) != 0) power *= p8;
+    if ((g & 16) != 0) power *= p8 * p8;
+    return power;
+}
+
+// g-power lobe: D4, D8 and D16.
 float fr_lobe_g_power(float c, float m, int k, int g) {
     float n = 2.0 / (FR_SLOPE(m) * FR_SLOPE(m)) - float(k);
-    // As 1 - a (1 - c): Mesa multiplies a (c - 1) + 1 out, and loses the digits of a small angle.
-    float power = max(1.0 - n / float(g) * (1.0 - min(c, 1.0)), 0.0);
-    power *= power;
-    power *= power;
-    if (g >= 8) power *= power;
-    if (g >= 16) power *= power;
-    return power;
+    return fr_lobe_clamped_power(c, n / float(g), g);
 }
 
 #endif
