@@ -47,7 +47,8 @@ void main() {
     results[i] = result;
 }
 """
-_EMPTY = ("", "dot(l, v) + n.x + m * f0")
+# A term's cost is net of that of this sum of its inputs.
+EMPTY = "dot(l, v) + n.x + m * f0"
 # A wave's inverse throughput is the larger of what its busiest unit takes and of its latency over
 # the waves that hide it. The second, a share of the memory's latency, would rule in a kernel as
 # short as a term. The ballast, dependent operations that cancel in the net, makes the vector ALU
@@ -87,10 +88,8 @@ def statistics(terms: Mapping[str, tuple[str, str]], family: str) -> dict[str, S
     InputError : an unknown family, or a term that is not GLSL
     NotMeasured : a tool is missing; the message says which, and how to get it
     """
-    if family not in FAMILIES:
-        raise InputError(f"unknown family {family!r}; known: {', '.join(FAMILIES)}")
-    modules = [_spirv(*term) for term in (_EMPTY, *terms.values())]
-    (empty, *gross) = _compile(modules, family)[1]
+    kernels = [_kernel(*term) for term in (("", EMPTY), *terms.values())]
+    (empty, *gross) = compile_programs(kernels, family)[1]
     return {
         name: Statistics(
             *(row[key] - empty[key] for key in ("Instructions", "Latency", "Inverse Throughput"))
@@ -106,7 +105,7 @@ def driver() -> str:
     ------
     NotMeasured : a tool is missing; the message says which, and how to get it
     """
-    return _compile([], FAMILIES[0])[0]
+    return compile_programs([], FAMILIES[0])[0]
 
 
 def table() -> dict[str, Any]:
@@ -125,29 +124,72 @@ def table() -> dict[str, Any]:
     }
 
 
+def _kernel(prelude: str, expression: str) -> tuple[bytes, ...]:
+    source = resolve_includes(_KERNEL % (prelude, expression, _BALLAST))
+    try:
+        return spirv(comp=source)
+    except InputError as error:
+        raise InputError(f"{expression} is not GLSL: {error}") from None
+
+
 @cache
-def _spirv(prelude: str, expression: str) -> bytes:
+def spirv(**sources: str) -> tuple[bytes, ...]:
+    """Return the SPIR-V of a program's stages, as :func:`compile_programs` takes them.
+
+    Uniforms without a block become the uniform buffer 0, the textures stand behind it; attributes,
+    and what one stage hands to the next, have locations in the order of their declarations.
+
+    Parameters
+    ----------
+    sources : GLSL without includes, by stage: comp, or vert and frag
+
+    Raises
+    ------
+    InputError : it is not GLSL
+    NotMeasured : glslangValidator is missing; the message says how to get it
+    """
     compiler = shutil.which("glslangValidator")
     if compiler is None:
         raise _not_measured("glslangValidator is not installed", "glslang-tools")
-    source = resolve_includes(_KERNEL % (prelude, expression, _BALLAST))
+    options = "-V -R --target-env vulkan1.1 --auto-map-locations --auto-map-bindings"
     with tempfile.TemporaryDirectory() as folder:
-        module = Path(folder, "kernel.spv")
+        for stage, source in sources.items():
+            Path(folder, f"program.{stage}").write_text(source, encoding="utf-8")
+        files = [f"program.{stage}" for stage in sources]
         run = subprocess.run(
-            [compiler, "-V", "--target-env", "vulkan1.1", "--stdin", "-S", "comp", "-o", module],
-            input=source,
+            [compiler, *options.split(), "--shift-texture-binding", "1", *files],
+            cwd=folder,
             capture_output=True,
             text=True,
         )
         if run.returncode:
             error = next((line for line in run.stdout.splitlines() if "ERROR" in line), run.stderr)
-            raise InputError(f"{expression} is not GLSL: {error.strip()}")
-        return module.read_bytes()
+            raise InputError(error.strip())
+        return tuple(Path(folder, f"{stage}.spv").read_bytes() for stage in sources)
 
 
-def _compile(modules: Sequence[bytes], family: str) -> tuple[str, list[dict[str, int]]]:
+def compile_programs(
+    programs: Sequence[Sequence[bytes]], family: str
+) -> tuple[str, list[dict[str, int]]]:
     """Have RADV compile for the family, in a process of its own, since the driver reads the family
-    when it is loaded."""
+    when it is loaded.
+
+    Parameters
+    ----------
+    programs : each the SPIR-V of a compute program, or of a vertex and a fragment program
+    family : "navi21" (RDNA2) or "vega10" (GCN5)
+
+    Returns
+    -------
+    the driver's name and version, and of each program the statistics of its last stage by name
+
+    Raises
+    ------
+    InputError : an unknown family
+    NotMeasured : a tool is missing; the message says which, and how to get it
+    """
+    if family not in FAMILIES:
+        raise InputError(f"unknown family {family!r}; known: {', '.join(FAMILIES)}")
     manifests = [path for folder in ICD_FOLDERS for path in folder.glob("radeon_icd*.json")]
     if not manifests:
         folders = " or ".join(map(str, ICD_FOLDERS))
@@ -168,7 +210,7 @@ def _compile(modules: Sequence[bytes], family: str) -> tuple[str, list[dict[str,
     }
     run = subprocess.run(
         [sys.executable, Path(__file__).with_name("radv.py")],
-        input=json.dumps([module.hex() for module in modules]),
+        input=json.dumps([[module.hex() for module in modules] for modules in programs]),
         env=environment,
         capture_output=True,
         text=True,

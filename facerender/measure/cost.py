@@ -14,7 +14,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.context import Backend, create_context
+from facerender.context import Backend, Context, create_context
 from facerender.glsl import resolve_includes
 from facerender.renderer import Renderer
 from facerender.scene import Scene
@@ -107,42 +107,61 @@ def by_slope(
             target = gl.framebuffer([gl.renderbuffer(SIZE, 1, dtype="f4")])
             corners = gl.buffer(np.array([-1, -1, 3, -1, -1, 3], dtype=np.float32))
             target.use()
-            kernels = []
-            for prelude, expression in (("", empty), *terms.values()):
+            clock = clock_of(context)
+
+            def run(prelude: str, expression: str) -> Callable[[int], float]:
                 program = gl.program(_VERTEX, resolve_includes(_FRAGMENT % (prelude, expression)))
-                kernels.append(gl.vertex_array(program, [(corners, "2f", "corner")]))
-            clock: Callable[[moderngl.Context], AbstractContextManager[list[float]]] = _gpu_clock
-            if is_software(context.renderer):
-                clock = partial(_cpu_clock, threads=_threads(context.renderer))
+                kernel = gl.vertex_array(program, [(corners, "2f", "corner")])
 
-            def seconds(kernel: moderngl.VertexArray, count: int) -> float:
-                kernel.program["count"] = count
-                with clock(gl) as elapsed:
-                    kernel.render()
-                return elapsed[0]
+                def seconds(count: int) -> float:
+                    program["count"] = count
+                    program["step"] = 0.05 / count  # c and m stay in their domains
+                    with clock(gl) as elapsed:
+                        kernel.render()
+                    return elapsed[0]
 
-            for kernel in kernels:
-                seconds(kernel, 1)  # compiles
-            counts = np.array([8, 24, 40])
-            while seconds(kernels[0], int(counts[-1])) < 2e-3 and counts[-1] < 100_000:
-                counts *= 2
-            for kernel in kernels:
-                kernel.program["step"] = 0.05 / counts[-1]  # c and m stay in their domains
-            times = np.empty((repeats, len(kernels), len(counts)))
-            for turn in range(repeats):
-                for index, kernel in enumerate(kernels):
-                    times[turn, index] = [seconds(kernel, int(count)) for count in counts]
-                progress((turn + 1) / repeats)
+                return seconds
+
+            runs = [run(*term) for term in (("", empty), *terms.values())]
+            net = np.column_stack([np.full(len(terms), -1.0), np.eye(len(terms))])
+            weights = 1e9 / (SIZE[0] * SIZE[1]) * net
+            intervals = slopes(runs, 8, weights, repeats, progress)
     finally:
         context.release()
-    lever = (counts - counts.mean()) / ((counts - counts.mean()) ** 2).sum()
-
-    def net(turns: NDArray[np.int64]) -> NDArray[np.float64]:
-        slopes = np.quantile(times[turns], QUANTILE, axis=0) @ lever
-        return np.asarray(1e9 / (SIZE[0] * SIZE[1]) * (slopes[1:] - slopes[0]))
-
-    intervals = bootstrap(net, repeats)
     return dict(zip(terms, intervals, strict=True))
+
+
+def slopes(
+    runs: Sequence[Callable[[int], float]],
+    first: int,
+    weights: NDArray[np.float64],
+    repeats: int,
+    progress: Callable[[float], object] = lambda done: None,
+) -> list[Interval]:
+    """Return weighted sums of the runs' slopes of seconds over counts; the runs take turns.
+
+    Parameters
+    ----------
+    runs : each draws as often as it is told, and returns the seconds that this took
+    first : the smallest count; as much more as the clock needs
+    weights : of each run's slope (N, runs)
+    repeats : of every measurement
+    progress : called with the share that is done, in [0, 1]
+    """
+    for run in runs:
+        run(1)  # compiles
+    counts = first * np.array([1, 3, 5])
+    while runs[0](int(counts[-1])) < 2e-3 and counts[-1] < 100_000:
+        counts *= 2
+    times = np.empty((repeats, len(runs), len(counts)))
+    for turn in range(repeats):
+        for index, run in enumerate(runs):
+            times[turn, index] = [run(int(count)) for count in counts]
+        progress((turn + 1) / repeats)
+    lever = (counts - counts.mean()) / ((counts - counts.mean()) ** 2).sum()
+    return bootstrap(
+        lambda turns: weights @ (np.quantile(times[turns], QUANTILE, axis=0) @ lever), repeats
+    )
 
 
 def frames(
@@ -186,6 +205,15 @@ def bootstrap(
     low, high = np.percentile([estimate(turns) for turns in draws], [2.5, 97.5], axis=0)
     value = estimate(np.arange(repeats))
     return [Interval(*map(float, row)) for row in zip(value, low, high, strict=True)]
+
+
+def clock_of(
+    context: Context,
+) -> Callable[[moderngl.Context], AbstractContextManager[list[float]]]:
+    """Return what times drawing in a context: its list has the seconds, once it is left."""
+    if is_software(context.renderer):
+        return partial(_cpu_clock, threads=_threads(context.renderer))
+    return _gpu_clock
 
 
 def _threads(renderer: str) -> int:

@@ -1,0 +1,242 @@
+"""What a shading costs a fragment, as a sum: the host's program, its maps and lights
+(``fragment.py``), and the specular term of the first light and of each further one, which shares
+with it what depends on the fragment alone. Kept as a table, or measured when it is asked for.
+
+    python -m facerender.measure.prices     measures the table anew, in a few minutes
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from facerender import lobes
+from facerender.errors import InputError
+from facerender.lobes import AnyLobe, GPower
+from facerender.mesh import Part
+from facerender.planning.candidates import G_POWERS
+from facerender.scene import Material, Scene, slope_ranges
+from facerender.shading import FRESNEL_TERMS, MASKING_TERMS, MODELS, Shading
+
+TABLE = Path(__file__).with_name("prices.json")
+FAMILY_NAMES = {"navi21": "RDNA2 (navi21)", "vega10": "GCN5 (vega10)"}
+HERE = "here"
+COMPILED = {f"radv:{family}": family for family in FAMILY_NAMES}
+
+Terms = Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Prices:
+    """Prices of one target.
+
+    Attributes
+    ----------
+    source : what they are and where they are from, in words
+    unit : of all of them
+    parts : those of ``fragment.PARTS`` apart from specular terms
+    terms : by :func:`term_name`, of a specular term in the first light that has one, and in another
+    """
+
+    source: str
+    unit: str
+    parts: Mapping[str, float]
+    terms: Terms
+
+    def cost(self, scene: Scene, shading: Shading) -> tuple[float, float]:
+        """Return what a fragment of the scene costs, and how much of it is specular; of several
+        parts the mean, weighted by their faces."""
+        simple = shading.simplify(scene)
+        lights = [light for light in range(len(scene.lights)) if shading.shines(light)]
+        lit = [shading.frontal if light in shading.frontal_lights else shading for light in lights]
+        lit.sort(key=lambda each: each is not shading)  # as the program has them
+        points = sum(light.position is not None for light in scene.lights)
+        total = specular = faces = 0.0
+        for part, material, (smallest, _) in zip(
+            simple.mesh.parts, simple.mesh.materials, slope_ranges(simple), strict=True
+        ):
+            shine = 0.0
+            if material.ks:
+                terms = [self.terms[term_name(each, smallest)] for each in lit]
+                shine = sum(first if i == 0 else more for i, (first, more) in enumerate(terms))
+            ambient = material.kd > 0.0 and any(simple.ambient)  # type: ignore[arg-type]
+            sum_ = self.parts["base program"] + shine
+            sum_ += self._maps(part, material, ambient, shine > 0.0)
+            sum_ += self.parts["directional light"] * (len(scene.lights) - points)
+            sum_ += self.parts["point light"] * points
+            sum_ += self.parts["ambient term"] * ambient
+            faces += len(part.faces)
+            total += len(part.faces) * sum_
+            specular += len(part.faces) * shine
+        return total / faces, specular / faces
+
+    def _maps(self, part: Part, material: Material, ambient: bool, shines: bool) -> float:
+        if part.uv is None:
+            return 0.0
+        occlusion = (material.occlusion_map,) * ambient
+        read = (*occlusion, *(material.roughness_map, material.specular_map) * shines)
+        has = {
+            "albedo map": material.albedo_map is not None and material.kd > 0.0,
+            "normal map": material.normal_map is not None,
+            "property map": any(each is not None for each in read),
+        }
+        return sum(self.parts[name] for name, is_there in has.items() if is_there)
+
+
+def load_prices(
+    kind: str, scene: Scene, shadings: Iterable[Shading], software: bool = False
+) -> Prices:
+    """Return the prices of a target, for some shadings of a scene.
+
+    Parameters
+    ----------
+    kind : of the table "llvmpipe", "navi21" (RDNA2) or "vega10" (GCN5); "auto", the table's for
+        llvmpipe where the CPU draws, and for RDNA2 elsewhere; "here" to measure on this machine,
+        "radv:navi21" or "radv:vega10" to compile, both for up to a minute
+    software : whether the CPU draws
+
+    Raises
+    ------
+    InputError : an unknown kind
+    NotMeasured : a tool that compiling needs is missing
+    ContextError : no OpenGL context to measure in
+    """
+    table = json.loads(TABLE.read_text(encoding="utf-8"))
+    if kind == "auto":
+        kind = "llvmpipe" if software else "navi21"
+    if kind in table:
+        return Prices(**table[kind])
+    if kind == HERE or kind in COMPILED:
+        wanted: dict[str, Shading] = {}
+        for shading in shadings:
+            for term in {shading, shading.frontal} if shading.frontal_lights else {shading}:
+                wanted |= _variants(term)
+        return measured(wanted) if kind == HERE else compiled(COMPILED[kind], wanted)
+    raise InputError(f"unknown cost {kind!r}; known: auto, {', '.join([*table, HERE, *COMPILED])}")
+
+
+def term_name(shading: Shading, smallest_m: float) -> str:
+    """Name the specular term of a shading, as far as its cost depends on it."""
+    lobe = f"g{shading.lobe.g}" if isinstance(shading.lobe, GPower) else shading.lobe
+    words = [shading.model, lobe]
+    if shading.model == "cook-torrance":
+        words += [shading.fresnel, shading.masking]
+    if shading.lobe == "exact" and "FR_SMALL_SLOPE" in shading.macros(smallest_m):
+        words.append("plain")
+    if shading.m is not None:
+        words.append("constant")
+    return " ".join(words)
+
+
+def _variants(term: Shading) -> dict[str, Shading]:
+    """A term with a constant slope and without, and of the exact lobe with small slopes and
+    without, by name."""
+    small = (True, False) if term.lobe == "exact" else (None,)
+    slopes = {None, term.m}
+    found = [replace(term, m=m, small_slope=each) for m in slopes for each in small]
+    return {term_name(each, 0.3): each for each in found}
+
+
+def all_terms() -> dict[str, Shading]:
+    """Return every term that a plan may choose, by name."""
+    powers: list[AnyLobe] = [GPower(g, 0.27, 0.1) for g in G_POWERS]
+    found = {}
+    for model, lobe, m in product(MODELS, [*lobes.NAMES, *powers], (None, 0.3)):
+        cook_torrance = model == "cook-torrance"
+        for fresnel, masking in product(
+            FRESNEL_TERMS if cook_torrance else ("schlick",),
+            MASKING_TERMS if cook_torrance else ("v-cavity",),
+        ):
+            for small in (True, False) if lobe == "exact" else (None,):
+                shading = Shading(model, lobe, fresnel, masking=masking, small_slope=small, m=m)
+                found[term_name(shading, 0.3)] = shading
+    return found
+
+
+def compiled(family: str, wanted: Mapping[str, Shading]) -> Prices:
+    """Have RADV compile the host's program with each term, for one light and for two.
+
+    Raises
+    ------
+    NotMeasured : a tool is missing; the message says which, and how to get it
+    """
+    from facerender.measure import amd, fragment
+
+    parts = fragment.by_compiler(family)
+    one = fragment.Program(directional_specular=1)
+    two = fragment.Program(directional_lights=2, directional_specular=2)
+    rows = fragment.cycles(
+        [(program, shading.glsl(0.3)) for shading in wanted.values() for program in (one, two)],
+        family,
+    )
+    dull = [
+        fragment.estimate(program, parts | dict.fromkeys(_SPECULAR, 0.0)) for program in (one, two)
+    ]
+    terms = {}
+    for name, first, both in zip(wanted, rows[::2], rows[1::2], strict=True):
+        terms[name] = (first - dull[0], (both - dull[1]) - (first - dull[0]))
+    source = f"{amd.driver()}'s estimate for {FAMILY_NAMES[family]}"
+    return Prices(source, "cycles of a wave", _without_specular(parts), terms)
+
+
+def measured(wanted: Mapping[str, Shading], repeats: int = 7) -> Prices:
+    """Measure every part and term here, by slope.
+
+    Raises
+    ------
+    ContextError : no OpenGL context
+    """
+    from facerender.context import create_context
+    from facerender.measure import cost, fragment
+
+    parts = {name: each.value for name, each in fragment.by_slope(repeats=repeats).items()}
+    calls = {
+        name: (shading.glsl(0.3), "SPECULAR_BRDF(n, l, v, m, f0)")
+        for name, shading in wanted.items()
+    }
+    times = cost.by_slope(calls, repeats=repeats)
+    terms = {
+        name: (parts[_SPECULAR[0]] + time.value, parts[_SPECULAR[1]] + time.value)
+        for name, time in times.items()
+    }
+    context = create_context()
+    context.release()
+    source = f"measured on {context.renderer}, OpenGL {context.version}"
+    return Prices(source, "ns", _without_specular(parts), terms)
+
+
+_SPECULAR = ("first specular term", "further specular term")
+
+
+def _without_specular(parts: Mapping[str, float]) -> dict[str, float]:
+    return {name: cost for name, cost in parts.items() if name not in _SPECULAR}
+
+
+def main() -> None:
+    from facerender.measure import amd
+
+    terms = all_terms()
+    found = {family: compiled(family, terms) for family in amd.FAMILIES}
+    found["llvmpipe"] = measured(terms, repeats=15)
+    rows = {kind: _rounded(asdict(prices)) for kind, prices in found.items()}
+    text = json.dumps(rows, indent=1)
+    text = re.sub(r"\[\s+(\S+),\s+(\S+)\s+\]", r"[\1, \2]", text)  # a term on a line
+    TABLE.write_text(text + "\n", encoding="utf-8")
+
+
+def _rounded(value: Any) -> Any:
+    """The same with numbers of four digits, which is more than their spread."""
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, tuple):
+        return [_rounded(item) for item in value]
+    return float(f"{value:.4g}") if isinstance(value, float | int) else value
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,227 @@
+"""Prices: the table, what it adds up to, and what RADV and this machine say of it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import facerender as fr
+from facerender.errors import NotMeasured
+from facerender.lobes import GPower
+from facerender.measure import amd, fragment, prices
+from facerender.measure.prices import Prices, all_terms, load_prices, term_name
+from facerender.planning.candidates import Constants, candidates
+from facerender.scene import LIGHTS, slope_ranges
+from facerender.shading import Shading
+from tests.conftest import missing
+from tests.planned import KINDS
+
+KEY = (LIGHTS["key"],)
+POINT = fr.Light(irradiance=3.0, position=(0.2, 0.3, 0.5))
+
+
+@pytest.fixture(scope="module")
+def bare(head):
+    """The head without its normal map."""
+    return head.with_material(normal_map=None)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_candidate_has_a_price(kind, head, bare):
+    for mesh in (bare, head.with_material(m=0.05), bare.with_material(m=0.9)):
+        for full in (Shading(), Shading("ward-printed"), Shading(fresnel="dielectric")):
+            scene = fr.Scene(mesh, lights=(*KEY, POINT))
+            listed = list(candidates(scene, full, Constants(0.3, 1.0, (0, 1), (1, 0))))
+            table = load_prices(kind, scene, listed)
+            for shading in listed:
+                total, specular = table.cost(scene, shading)
+                assert 0.0 <= specular < total < math.inf
+
+
+def test_a_price_adds_up_by_hand(head, bare):
+    parts = {
+        "base program": 1.0,
+        "albedo map": 10.0,
+        "normal map": 100.0,
+        "property map": 1e3,
+        "ambient term": 1e4,
+        "directional light": 1e5,
+        "point light": 1e6,
+    }
+    terms = {
+        "cook-torrance exact schlick v-cavity plain": (1e7, 1e8),
+        "cook-torrance exact schlick v-cavity plain constant": (2e7, 2e8),
+        "cook-torrance exact constant none plain": (4e7, 4e8),
+        "ward d8": (3e7, 3e8),
+    }
+    table = Prices("by hand", "beans", parts, terms)
+    scene = fr.Scene(head, lights=(*KEY, POINT, LIGHTS["rim"]))
+    one = 1.0 + 10.0 + 100.0 + 1e3 + 1e4 + 2e5 + 1e6
+    for shading, total, specular in (
+        (Shading(), one + 2.1e8, 2.1e8),
+        (Shading(specular_lights=(1,)), one + 1e7, 1e7),
+        # one whole light and two frontal ones, whichever stands first
+        (Shading(frontal_lights=(1, 2)), one + 8.1e8, 8.1e8),
+        (Shading(frontal_lights=(0, 1)), one + 8.1e8, 8.1e8),
+        (Shading(frontal_lights=(0, 1, 2)), one + 8.4e8, 8.4e8),
+        (Shading(specular_lights=(0, 1), frontal_lights=(2, 0)), one + 4.1e8, 4.1e8),
+        # of the property map the occlusion is left
+        (Shading(m=0.3), one + 4.2e8, 4.2e8),
+        (Shading(m=0.3, ambient=False), one - 1e4 - 1e3 + 4.2e8, 4.2e8),
+        (Shading("ward", "d8", normal_map=False), one - 100.0 + 6.3e8, 6.3e8),
+        (Shading(ks=0.0), one, 0.0),
+        (Shading(specular_lights=()), one, 0.0),
+        (Shading(specular_lights=(), ambient=False), one - 1e4 - 1e3, 0.0),
+    ):
+        assert table.cost(scene, shading) == pytest.approx((total, specular), rel=1e-12)
+    plain = fr.Scene(bare.with_material(m=0.3, albedo_map=None, occlusion_map=None), lights=KEY)
+    assert table.cost(plain, Shading())[0] == pytest.approx(1.0 + 1e4 + 1e5 + 1e7, rel=1e-12)
+
+
+def test_the_price_of_parts_is_weighted_by_their_faces(head):
+    (part,) = head.parts
+    few = replace(part, faces=part.faces[:100])
+    dull = replace(head.materials[0], ks=0.0)
+    mesh = replace(head, parts=(part, few), materials=(head.materials[0], dull))
+    table = load_prices("navi21", fr.Scene(mesh), [])
+    shining, matt = (
+        table.cost(fr.Scene(replace(head, materials=(each,))), Shading())
+        for each in (head.materials[0], dull)
+    )
+    share = 100 / (100 + len(part.faces))
+    expected = (1 - share) * np.array(shining) + share * np.array(matt)
+    assert table.cost(fr.Scene(mesh), Shading()) == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_table_is_what_the_command_writes(monkeypatch, tmp_path):
+    text = prices.TABLE.read_bytes()
+    table = json.loads(text)
+    assert set(table) == {*amd.FAMILIES, "llvmpipe"}
+    for rows in table.values():
+        assert set(rows) == {"source", "unit", "parts", "terms"}
+        assert set(rows["parts"]) == {part for part in fragment.PARTS if "specular" not in part}
+        assert min(rows["parts"].values()) > 0.0
+        assert set(rows["terms"]) == set(all_terms())
+        assert all(first > 0.0 and further > 0.0 for first, further in rows["terms"].values())
+        rows["terms"] = {name: tuple(both) for name, both in rows["terms"].items()}
+    monkeypatch.setattr(prices, "compiled", lambda family, terms: Prices(**table[family]))
+    monkeypatch.setattr(prices, "measured", lambda terms, repeats: Prices(**table["llvmpipe"]))
+    monkeypatch.setattr(prices, "TABLE", tmp_path / "prices.json")
+    prices.main()
+    assert (tmp_path / "prices.json").read_bytes() == text
+
+
+def test_auto_is_of_who_draws(bare):
+    scene = fr.Scene(bare)
+    assert load_prices("auto", scene, [], software=True) == load_prices("llvmpipe", scene, [])
+    assert load_prices("auto", scene, [], software=False) == load_prices("navi21", scene, [])
+
+
+@pytest.fixture
+def radv():
+    try:
+        amd.spirv(comp="#version 450\nvoid main() {}\n")
+        return amd.driver()
+    except NotMeasured as error:
+        missing(str(error))
+
+
+def test_the_compiler_agrees_with_the_table(radv, bare):
+    scene = fr.Scene(bare.with_material(m=0.3), lights=(*KEY, LIGHTS["rim"]))
+    wanted = [
+        Shading(),
+        Shading(m=0.3, lobe=GPower(6, 0.2), masking="kelemen"),
+        Shading("ward", "d8"),
+        Shading(fresnel="dielectric", lobe="fitted", frontal_lights=(1,)),
+    ]
+    table = load_prices("navi21", scene, wanted)
+    if not table.source.startswith(radv):
+        pytest.skip(f"{radv} is here, and the table is {table.source}")
+    here = load_prices("radv:navi21", scene, wanted)
+    assert set(here.terms) >= {term_name(each, 0.3) for each in (*wanted, wanted[-1].frontal)}
+    for shading in wanted:
+        assert here.cost(scene, shading) == pytest.approx(table.cost(scene, shading), rel=0.05)
+
+
+@pytest.mark.parametrize("family", amd.FAMILIES)
+def test_prices_of_frontal_lights_add_up_to_a_program(radv, family, bare):
+    mesh = bare.with_material(m=0.3, occlusion_map=None)
+    scene = fr.Scene(mesh, lights=(LIGHTS["rim"], *KEY, LIGHTS["fill"]), ambient=0.0)
+    wanted = [
+        replace(shading, frontal_lights=frontal)
+        for frontal in ((1,), (1, 2), (0, 1, 2))
+        for shading in (Shading(), Shading(m=0.3), Shading(fresnel="dielectric", lobe="d8"))
+    ]
+    programs = [
+        fragment.Program(
+            directional_lights=3,
+            directional_specular=3 - len(shading.frontal_lights),
+            directional_frontal=len(shading.frontal_lights),
+        )
+        for shading in wanted
+    ]
+    glsl = [shading.glsl(0.3) for shading in wanted]
+    whole = fragment.cycles(list(zip(programs, glsl, strict=True)), family)
+    table = load_prices(f"radv:{family}", scene, wanted)
+    for shading, compiled in zip(wanted, whole, strict=True):
+        assert table.cost(scene, shading)[0] == pytest.approx(compiled, rel=0.03), shading
+
+
+def test_prices_of_this_machine(egl, bare):
+    scene = fr.Scene(bare.with_material(m=0.3), lights=KEY)
+    wanted = [Shading(), Shading("ward", "d8")]
+    here = load_prices("here", scene, wanted)
+    assert here.unit == "ns"
+    assert here.source.startswith("measured on ")
+    assert set(here.parts) == {part for part in fragment.PARTS if "specular" not in part}
+    for shading in wanted:
+        total, specular = here.cost(scene, shading)
+        assert 0.0 < specular < total < 1e6
+
+
+@pytest.mark.parametrize("cost", ["radv:navi21", "here"])
+def test_compiled_prices_serve_a_whole_plan(cost, egl, bare, tmp_path, monkeypatch):
+    """A constant in place of a map may have lobes in its domain that the map's slopes leave."""
+    wanted_terms = []
+
+    def priced(*arguments):
+        wanted = arguments[-1]
+        wanted_terms.extend(wanted)
+        table = load_prices("navi21", None, [])
+        return replace(table, terms={name: table.terms[name] for name in wanted})
+
+    monkeypatch.setattr(prices, "compiled", priced)
+    monkeypatch.setattr(prices, "measured", priced)
+    Image.fromarray(np.repeat(np.uint8([[20, 250]]), 4, axis=0)).save(tmp_path / "rough.png")
+    rough = fr.Texture.open(tmp_path / "rough.png")
+    scene = fr.Scene(bare.with_material(roughness_map=rough, ks=0.05), lights=KEY)
+    assert slope_ranges(scene)[0][1] > 0.9
+    with fr.Renderer((32, 32), samples=1, backend=egl) as renderer:
+        for budget in ("2/255", "10/255", "20/255", "40/255"):
+            plan = fr.plan(scene, budget, renderer=renderer, cost=cost)
+            assert plan.cost.total <= plan.cost.full_total
+    assert wanted_terms
+
+
+def test_what_is_asked_for_is_priced_as_it_is_compiled(monkeypatch, bare):
+    """Small slopes as such, and what a decision is taken back to."""
+    asked = {}
+
+    def spy(family, wanted):
+        asked.update(wanted)
+        return load_prices(family, None, [])
+
+    monkeypatch.setattr(prices, "compiled", spy)
+    scene = fr.Scene(bare.with_material(m=0.15))
+    load_prices("radv:navi21", scene, [Shading(), Shading(lobe="d16", m=0.3)])
+    assert {name: "FR_SMALL_SLOPE" in each.macros(0.3) for name, each in asked.items()} == {
+        "cook-torrance exact schlick v-cavity": False,
+        "cook-torrance exact schlick v-cavity plain": True,
+        "cook-torrance d16 schlick v-cavity": False,
+        "cook-torrance d16 schlick v-cavity constant": False,
+    }
