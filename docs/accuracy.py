@@ -11,8 +11,11 @@ import numpy as np
 
 from facerender import brdf, lobes
 from facerender.context import create_context
+from facerender.fitting import fit_g_power
+from facerender.lobes import AnyLobe
 from facerender.measure import error
 from facerender.measure.tables import markdown_table
+from facerender.planning.candidates import G_POWERS
 from tests.gpu import Evaluator, directions
 
 OUTPUT = Path(__file__).with_suffix(".md")
@@ -21,7 +24,7 @@ SLOPES = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7, 0.85,
 COUNT = 200_000
 
 
-def lobe_error(name: str, m: float, k: int) -> float:
+def lobe_error(name: AnyLobe, m: float, k: int) -> float:
     """Largest difference from the exact lobe in % of its peak, over 0 to 90 degrees."""
     degrees = np.concatenate(
         [np.linspace(0.0, 90.0, 20001), np.degrees(np.linspace(0, 8 * m, 20001))]
@@ -47,6 +50,26 @@ def lobe_tables() -> str:
     ]
     parts.append("### Domains of m\n\n" + markdown_table(["lobe", *MODELS.values()], domains))
     return "\n\n".join(parts)
+
+
+def fitted_g_powers() -> str:
+    """The best of all g for single slopes, beside the paper's three."""
+    rows = []
+    for m in SLOPES:
+        row = [f"{m:g}"]
+        for k in MODELS:
+            fits = [fit_g_power(k, g, m, m) for g in G_POWERS]
+            errors = {lobe.g: lobe_error(lobe, m, k) for lobe in fits if lobe is not None}
+            g = min(errors, key=errors.__getitem__)
+            paper = [
+                lobe_error(name, m, k)
+                for name in ("d4", "d8", "d16")
+                if lobes.in_domain(m, name, k)
+            ]
+            row += [str(g), f"{errors[g]:.2g}", f"{min(paper):.2g}" if paper else "-"]
+        rows.append(row)
+    head = [f"{model}{what}" for model in MODELS.values() for what in (", g", "", ", d4 to d16")]
+    return markdown_table(["m", *head], rows)
 
 
 def include(name: str, *defines: str) -> str:
@@ -154,6 +177,15 @@ exact lobe with `--outside exact`.
 The end of the domain belongs to it, but for `cosine`, `d4`, `d8` and `d16` in Cook-Torrance, whose
 exponent 2/m^2 - 4 is 0 there. In the shaders a larger m gives a finite number without meaning.
 
+## One slope for all
+
+Where m is one constant, a g-power may have the g and the steepness that suit it
+(`facerender.fitting.fit_g_power`, `lobes.GPower`, `facerender plan`), at the cost of D4 to D16 and
+a small share of their error: the best g of {powers}, with its error in percent
+of the peak, and the best of `d4`, `d8` and `d16`.
+
+{fitted}
+
 ## What float32 adds to the exact terms
 
 Largest relative error of a whole term, from float32 vectors N, L and V to 1/sr, against float64 of
@@ -177,6 +209,8 @@ def main() -> None:
     evaluate = Evaluator(create_context().gl)
     text = TEXT.format(
         lobes=lobe_tables(),
+        fitted=fitted_g_powers(),
+        powers=", ".join(map(str, G_POWERS)),
         gpu=gpu_table(evaluate),
         extremes=extremes_table(evaluate),
         count=COUNT,

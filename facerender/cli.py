@@ -6,12 +6,13 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import os
 import re
 import signal
 import sys
 import textwrap
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TextIO
 
@@ -20,12 +21,12 @@ from facerender.context import BACKENDS, probe
 from facerender.errors import FacerenderError, FacerenderWarning, InputError, reason
 from facerender.frame import ONLY
 from facerender.glsl import TARGETS, shader_dir, shader_source
-from facerender.image import read_image
+from facerender.image import read_image, write_bytes
 from facerender.lobes import NAMES as LOBES
 from facerender.mesh import load_mesh, start_maps
 from facerender.renderer import Renderer
-from facerender.scene import LIGHTS, Camera, Scene, load_scene, parse_light
-from facerender.shading import FRESNEL_TERMS, MODELS, OUTSIDE, Shading
+from facerender.scene import LIGHTS, Camera, Scene, load_scene, parse_light, turntable
+from facerender.shading import FRESNEL_TERMS, MASKING_TERMS, MODELS, OUTSIDE, Shading
 
 CAMERAS = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
 
@@ -87,6 +88,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"facerender {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_render(commands.add_parser("render", help="render a mesh file, or the built-in head"))
+    _add_plan(
+        commands.add_parser("plan", help="the cheapest shading within a budget, with its proof")
+    )
     _add_measure(
         commands.add_parser("measure", help="what each approximation costs and loses, here")
     )
@@ -107,21 +111,95 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_render(render: argparse.ArgumentParser) -> None:
     render.set_defaults(command=_render)
-    render.add_argument(
-        "mesh", nargs="?", help=".glb .gltf .obj .ply .stl; without it the built-in head"
-    )
     render.add_argument("-o", "--output", required=True, metavar="OUT", help=".png or .exr")
-
-    terms = render.add_argument_group("reflectance")
-    terms.add_argument("--model", choices=MODELS, default="cook-torrance")
-    terms.add_argument("--lobe", choices=LOBES, default="exact")
-    terms.add_argument("--fresnel", choices=FRESNEL_TERMS, default="schlick")
+    terms, scene = _add_scene(render)
+    terms.add_argument("--lobe", choices=LOBES, help="(exact)")
     terms.add_argument(
         "--outside",
         choices=OUTSIDE,
-        default="error",
         help="what a material gets whose m leaves the domain of the lobe (error)",
     )
+    terms.add_argument(
+        "--budget",
+        metavar="ERROR",
+        help="plan the cheapest terms within 1/255, 0.5%% or '0.02 flip', and use them",
+    )
+    scene.add_argument("--scene", metavar="FILE.toml", help="camera, lights, material, reflectance")
+    scene.add_argument("--camera", metavar="WHERE", help=_WHERE)
+
+    image = render.add_argument_group("image")
+    image.add_argument("--size", default="1024", help="N or WxH in pixels (1024)")
+    image.add_argument("--samples", type=int, default=4, help="per pixel; 1 for none (4)")
+    image.add_argument("--exposure", type=float, default=0.0, help="of the PNG, in stops (0)")
+    image.add_argument("--only", choices=ONLY, help="one term in place of the whole image")
+    image.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
+    image.add_argument("--json", action="store_true", help="describe the image as JSON")
+
+
+def _add_plan(plan: argparse.ArgumentParser) -> None:
+    plan.set_defaults(command=_plan)
+    plan.description = (
+        "The cheapest shading of a scene whose error at every pixel stays within a budget, against "
+        "the exact lobe with all terms and maps."
+    )
+    plan.add_argument(
+        "--budget", required=True, metavar="ERROR", help="1/255, 0.5%% or '0.02 flip'"
+    )
+    plan.add_argument(
+        "--guarantee", action="store_true", help="bound the error for every camera; looser"
+    )
+    plan.add_argument(
+        "--cost",
+        default="auto",
+        metavar="OF",
+        help="llvmpipe, navi21 (RDNA2) or vega10 (GCN5) from a table; here, to measure; "
+        "radv:navi21 or radv:vega10, to compile (auto: the table of llvmpipe where the CPU draws, "
+        "of RDNA2 elsewhere)",
+    )
+    _, scene = _add_scene(plan)
+    scene.add_argument(
+        "--from", dest="scene", metavar="FILE.toml", help="camera, lights, material, reflectance"
+    )
+    scene.add_argument(
+        "--camera",
+        action="append",
+        metavar="WHERE",
+        help=f"{_WHERE}; turntable, for 8 around; a TOML file with a path of [[cameras]]; repeat "
+        "for several",
+    )
+    images = plan.add_argument_group("where the error is measured")
+    images.add_argument("--size", default="1024", help="N or WxH in pixels (1024)")
+    images.add_argument("--samples", type=int, default=4, help="per pixel; 1 for none (4)")
+    images.add_argument("--exposure", type=float, default=0.0, help="of the display, in stops (0)")
+    images.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
+
+    output = plan.add_argument_group("results")
+    output.add_argument("--json", action="store_true", help="every figure")
+    output.add_argument("--emit", metavar="OUT.glsl", help="the shader, with these choices made")
+    output.add_argument("--target", choices=TARGETS, help="of the shader: begin with its #version")
+    output.add_argument(
+        "--scene",
+        dest="pinned",
+        metavar="OUT.toml",
+        help="the scene with this shading, for facerender render --scene",
+    )
+    output.add_argument("--error-map", metavar="OUT.png", help="of the camera with the largest")
+
+
+_WHERE = f"{', '.join(CAMERAS)}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees"
+
+
+def _add_scene(
+    command: argparse.ArgumentParser,
+) -> tuple[argparse._ArgumentGroup, argparse._ArgumentGroup]:
+    """Add what a scene is made of, and return the groups on reflectance and on the scene."""
+    command.add_argument(
+        "mesh", nargs="?", help=".glb .gltf .obj .ply .stl; without it the built-in head"
+    )
+    terms = command.add_argument_group("reflectance")
+    terms.add_argument("--model", choices=MODELS, help="(cook-torrance)")
+    terms.add_argument("--fresnel", choices=FRESNEL_TERMS, help="(schlick)")
+    terms.add_argument("--masking", choices=MASKING_TERMS, help="(v-cavity)")
     terms.add_argument(
         "--m", type=float, help="rms slope of the microfacets, in place of the file's map (0.3)"
     )
@@ -129,20 +207,14 @@ def _add_render(render: argparse.ArgumentParser) -> None:
     terms.add_argument("--ks", type=float, help="specular weight (1)")
     terms.add_argument("--kd", type=float, help="diffuse weight (1)")
 
-    maps = render.add_argument_group("maps, in place of those of the mesh file")
+    maps = command.add_argument_group("maps, in place of those of the mesh file")
     for name in ("albedo", "normal-map", "specular-map", "roughness-map"):
         maps.add_argument(f"--{name}", metavar="FILE")
     maps.add_argument("--flip-v", action="store_true", help="turn texture coordinates upside down")
     maps.add_argument("--anisotropy", type=float, default=1.0, help="of texture filtering (1)")
     maps.add_argument("--float-albedo", action="store_true", help="albedo as linear float16")
 
-    scene = render.add_argument_group("scene")
-    scene.add_argument("--scene", metavar="FILE.toml", help="camera, lights, material")
-    scene.add_argument(
-        "--camera",
-        metavar="WHERE",
-        help=f"{', '.join(CAMERAS)}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees",
-    )
+    scene = command.add_argument_group("scene")
     scene.add_argument("--fov", type=float, help="vertical angle of view in degrees (25)")
     scene.add_argument(
         "--light",
@@ -153,14 +225,7 @@ def _add_render(render: argparse.ArgumentParser) -> None:
     )
     scene.add_argument("--ambient", metavar="E", help="irradiance from everywhere, E or R,G,B")
     scene.add_argument("--background", metavar="RGB", help="linear R,G,B, or none: transparent")
-
-    image = render.add_argument_group("image")
-    image.add_argument("--size", default="1024", help="N or WxH in pixels (1024)")
-    image.add_argument("--samples", type=int, default=4, help="per pixel; 1 for none (4)")
-    image.add_argument("--exposure", type=float, default=0.0, help="of the PNG, in stops (0)")
-    image.add_argument("--only", choices=ONLY, help="one term in place of the whole image")
-    image.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
-    image.add_argument("--json", action="store_true", help="describe the image as JSON")
+    return terms, scene
 
 
 def _add_measure(measure: argparse.ArgumentParser) -> None:
@@ -223,14 +288,139 @@ def _add_shaders(shaders: argparse.ArgumentParser) -> None:
 
 def _render(options: argparse.Namespace, caught: list[str]) -> int:
     size = _parse_size(options.size)
+    if options.budget is not None and options.only is not None:
+        raise InputError(f"--budget plans the whole image: leave --only {options.only} out")
+    scene, shading = _load(options, [options.camera] if options.camera else [])[:2]
+    found: dict[str, Any] = {}
+    with _renderer(options, size, options.samples) as renderer:
+        if options.budget is not None:
+            from facerender.planning.cache import planned
+
+            found = planned(scene, options.budget, shading, options.exposure, renderer)
+            shading = Shading.from_dict(found["shading"])
+        frame = renderer.render(scene, shading, options.only)
+        backend = renderer.context.backend
+    _clean_up_on_interrupt()
+    frame.save(options.output, options.exposure)
+    if options.json:
+        facts = {
+            "output": options.output,
+            "size": size,
+            "backend": backend,
+            "only": frame.only,
+            **frame.metadata,
+            "warnings": caught,
+        }
+        if found:
+            facts["plan"] = found
+        print(json.dumps(facts, indent=2))
+    else:
+        print(options.output)
+        if found:
+            print(*found["text"].splitlines()[-2:], sep="\n", file=sys.stderr)
+    return 0
+
+
+def _plan(options: argparse.Namespace, caught: list[str]) -> int:
+    from facerender.measure.prices import COMPILED, HERE
+    from facerender.plan import plan
+    from facerender.planning.budget import Budget
+
+    size = _parse_size(options.size)
+    Budget.parse(options.budget, options.exposure)
+    if options.target and not options.emit:
+        raise InputError(f"--target {options.target} is of a shader: say --emit OUT.glsl")
+    if options.guarantee and (options.camera or options.error_map):
+        raise InputError("--guarantee is not measured: leave --camera and --error-map out")
+    _check_outputs(options)
+    _check_pinned(options.pinned)
+    scene, full, cameras = _load(options, options.camera or [])
+    if options.cost == HERE or options.cost in COMPILED:
+        print("facerender: measuring costs takes a minute or two", file=sys.stderr)
+    choices: dict[str, Any] = {"cost": options.cost, "exposure": options.exposure, "full": full}
+    if options.guarantee:
+        found = plan(scene, options.budget, guarantee=True, **choices)
+    else:
+        with _renderer(options, size, options.samples) as renderer:
+            found = plan(scene, options.budget, cameras=cameras, renderer=renderer, **choices)
+    _clean_up_on_interrupt()
+    if options.emit:
+        write_bytes(options.emit, found.shader(options.target).encode())
+    if options.pinned:
+        write_bytes(options.pinned, (_PINNED + found.scene_toml()).encode())
+    if options.error_map:
+        found.save_error_map(options.error_map)
+    print(json.dumps(found.as_dict(), indent=2) if options.json else found.explain())
+    return 0
+
+
+def _check_outputs(options: argparse.Namespace) -> None:
+    """Nothing is planned for results that cannot be written, or that would replace one another or
+    what is read."""
+    read = ("mesh", "scene", "albedo", "normal_map", "specular_map", "roughness_map")
+    taken = {Path(name).resolve() for key in read if (name := getattr(options, key))}
+    for name in filter(None, (options.emit, options.pinned, options.error_map)):
+        path = Path(name).resolve()
+        if path in taken:
+            raise InputError(f"{name} is read, or written twice: give another name")
+        if path.is_dir() or not os.access(path.parent, os.W_OK):
+            raise InputError(f"cannot write {name}: give a file in a writable folder")
+        taken.add(path)
+    if options.error_map and not options.error_map.lower().endswith(".png"):
+        raise InputError(f"--error-map {options.error_map}: give a .png")
+
+
+_PINNED = "# Written by facerender plan.\n"
+
+
+def _check_pinned(name: str | None) -> None:
+    """A scene that somebody wrote is not replaced: --scene names one to read elsewhere."""
+    if name is None or not Path(name).is_file():
+        return
+    try:
+        start = Path(name).read_bytes()[: len(_PINNED)]
+    except OSError as error:
+        raise InputError(f"cannot read {name}: {reason(error)}") from None
+    if start != _PINNED.encode():
+        raise InputError(
+            f"{name} exists, and is not of facerender plan: --from {name} reads a scene; give "
+            "--scene another name"
+        )
+
+
+def _renderer(options: argparse.Namespace, size: tuple[int, int], samples: int) -> Renderer:
+    return Renderer(
+        size,
+        samples=samples,
+        backend=options.backend,
+        anisotropy=options.anisotropy,
+        float_albedo=options.float_albedo,
+    )
+
+
+def _load(
+    options: argparse.Namespace, places: Sequence[str]
+) -> tuple[Scene, Shading, tuple[Camera, ...]]:
+    """Return what options, scene file and mesh say: scene, shading, and the cameras of the places,
+    or else of the file, or else the scene's own."""
     if options.m is not None and options.roughness_map is not None:
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
-    shading = Shading(options.model, options.lobe, options.fresnel, options.outside)
     settings = load_scene(options.scene) if options.scene else {}
+    names = ("model", "lobe", "fresnel", "masking", "outside")
+    terms = {name: value for name in names if (value := getattr(options, name, None)) is not None}
+    pinned = settings.pop("shading", {})
+    _check_unpinned(options, pinned)
+    shading = Shading.from_dict(pinned | terms)
     material = settings.pop("material", {})
     if options.roughness_map is not None:
         material.pop("m", None)
-    settings.update(_scene_settings(options, settings.get("camera", Camera())))
+    path = settings.pop("cameras", ())
+    camera = settings.get("camera", path[0] if path else Camera())
+    if options.fov is not None:
+        camera = dataclasses.replace(camera, fov=options.fov)
+    cameras = tuple(each for place in places for each in _cameras(place, camera)) or path
+    settings["camera"] = cameras[0] if places else camera
+    settings.update(_scene_settings(options))
     material.update(
         (name, value)
         for name in ("m", "f0", "ks", "kd")
@@ -245,32 +435,9 @@ def _render(options: argparse.Namespace, caught: list[str]) -> int:
         roughness_map=options.roughness_map,
         flip_v=options.flip_v,
     ).with_material(**material)
-    scene = Scene(mesh, **settings)
     start_maps(mesh, "linear-color" if options.float_albedo else "color")
-    with Renderer(
-        size,
-        samples=options.samples,
-        backend=options.backend,
-        anisotropy=options.anisotropy,
-        float_albedo=options.float_albedo,
-    ) as renderer:
-        frame = renderer.render(scene, shading, options.only)
-        backend = renderer.context.backend
-    _clean_up_on_interrupt()
-    frame.save(options.output, options.exposure)
-    if options.json:
-        facts = {
-            "output": options.output,
-            "size": size,
-            "backend": backend,
-            "only": frame.only,
-            **frame.metadata,
-            "warnings": caught,
-        }
-        print(json.dumps(facts, indent=2))
-    else:
-        print(options.output)
-    return 0
+    scene = Scene(mesh, **settings)
+    return scene, shading, cameras or (scene.camera,)
 
 
 def _measure(options: argparse.Namespace, caught: list[str]) -> int:
@@ -357,23 +524,47 @@ def _numbers(option: str, text: str, counts: Sequence[int]) -> list[float]:
     return numbers
 
 
-def _scene_settings(options: argparse.Namespace, camera: Camera) -> dict[str, Any]:
-    """The fields of Scene that options set, over those of the scene file."""
-    settings: dict[str, Any] = {}
+def _check_unpinned(options: argparse.Namespace, pinned: Mapping[str, Any]) -> None:
+    """An option of which the scene's shading would take no account is refused."""
+    for key, names in (
+        ("m", ("m", "roughness_map")),
+        ("ks", ("ks", "specular_map")),
+        ("normal_map", ("normal_map",)),
+        ("ambient", ("ambient",)),
+        ("specular_lights", ("light",)),
+        ("frontal_lights", ("light",)),
+    ):
+        for name in names:
+            if key in pinned and getattr(options, name) is not None:
+                raise InputError(
+                    f"{options.scene} pins {key} = {pinned[key]} of the shading: leave "
+                    f"--{name.replace('_', '-')} out, or that line"
+                )
+
+
+def _cameras(place: str, camera: Camera) -> tuple[Camera, ...]:
+    """Return the cameras that a word means, others of their kind as the given one."""
+    if place == "turntable":
+        return turntable(camera)
+    if place.lower().endswith(".toml"):
+        if not (path := load_scene(place).get("cameras")):
+            raise InputError(f"{place} has no [[cameras]]")
+        return tuple(path)
     orbit: dict[str, Any] = {}
-    if options.camera in CAMERAS:
-        orbit = {"azimuth": CAMERAS[options.camera], "elevation": 0.0}
-    elif options.camera is not None:
+    if place in CAMERAS:
+        orbit = {"azimuth": CAMERAS[place], "elevation": 0.0}
+    else:
         try:
-            numbers = _numbers("camera", options.camera, (1, 2, 3))
+            numbers = _numbers("camera", place, (1, 2, 3))
         except InputError as error:
             raise InputError(f"{error}, or {', '.join(CAMERAS)}") from None
         orbit = dict(zip(("azimuth", "elevation", "zoom"), numbers, strict=False))
-    if orbit:
-        camera = dataclasses.replace(camera, position=None, **orbit)
-    if options.fov is not None:
-        camera = dataclasses.replace(camera, fov=options.fov)
-    settings["camera"] = camera
+    return (dataclasses.replace(camera, position=None, **orbit),)
+
+
+def _scene_settings(options: argparse.Namespace) -> dict[str, Any]:
+    """The fields of Scene that options set, over those of the scene file; but for the camera."""
+    settings: dict[str, Any] = {}
     if options.light:
         settings["lights"] = tuple(parse_light(text) for text in options.light)
     if options.ambient is not None:

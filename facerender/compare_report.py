@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from facerender.compare import BLOCK, Comparison, Pair
 from facerender.errors import InputError
-from facerender.image import Encoding, Picture, encode_srgb8, save_png, write_whole
+from facerender.image import Encoding, Picture, encode_srgb8, save_png, write_bytes
 
 VERDICTS = {1: "differs", 2: "error", 0: "same"}  # by status, in the page's order
 INDEX = "\N{SYMBOL FOR UNIT SEPARATOR}"  # in no name
@@ -78,12 +78,8 @@ def write_report(path: str | os.PathLike[str], entries: Sequence[Entry]) -> None
     ------
     InputError : the file cannot be written
     """
-    page = _page(entries).encode(errors="backslashreplace")  # of names that are not UTF-8
-
-    def write(name: str) -> None:
-        Path(name).write_bytes(page)
-
-    write_whole(path, write)
+    # names may be no UTF-8
+    write_bytes(path, _page(entries).encode(errors="backslashreplace"))
 
 
 def _heat_map(a: Bytes, b: Bytes) -> Bytes:

@@ -138,6 +138,15 @@ def write_whole(path: str | os.PathLike[str], write: Callable[[str], None]) -> N
         Path(temporary).unlink(missing_ok=True)
 
 
+def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write a file, whole or not at all; errors as in :func:`write_whole`."""
+
+    def write(name: str) -> None:
+        Path(name).write_bytes(content)
+
+    write_whole(path, write)
+
+
 def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)

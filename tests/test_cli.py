@@ -25,6 +25,7 @@ from facerender import context
 from facerender.cli import CAMERAS, main
 from facerender.frame import ONLY
 from facerender.scene import LIGHTS
+from facerender.shading import MASKING_TERMS
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, mini_head
 
@@ -179,6 +180,7 @@ def test_json(cli: Cli) -> None:
         "model": "ward",
         "lobe": "d8",
         "fresnel": "schlick",
+        "masking": "v-cavity",
         "facerender": fr.__version__,
         "samples": "1",
         "albedo": "SRGB8_ALPHA8",
@@ -299,6 +301,23 @@ def test_material_and_shading(cli: Cli) -> None:
     np.testing.assert_array_equal(image, frame.srgb8())
 
 
+def test_masking(cli: Cli) -> None:
+    view = ("--camera", "profile", "--only", "specular", "--ambient", "0")
+    images = {}
+    for term in MASKING_TERMS:
+        images[term] = cli.render("--masking", term, *view)
+        frame = fr.render(
+            MINI_HEAD, masking=term, only="specular", camera=fr.Camera(90.0), size=(48, 48)
+        )
+        np.testing.assert_array_equal(images[term], frame.srgb8())
+    np.testing.assert_array_equal(images["v-cavity"], cli.render(*view))
+    assert (images["kelemen"] <= images["v-cavity"]).all()
+    assert (images["v-cavity"] <= images["none"]).all()
+    assert len({image.tobytes() for image in images.values()}) == len(MASKING_TERMS)
+    assert cli.describe("--masking", "none")["masking"] == "none"
+    cli.fail_to_render("ward has no masking term", "--model", "ward", "--masking", "none")
+
+
 def test_outside_the_domain(cli: Cli) -> None:
     image = cli.render("--m", "0.9", "--lobe", "fitted", "--outside", "exact")
     np.testing.assert_array_equal(image, cli.render("--m", "0.9"))
@@ -354,7 +373,7 @@ def test_options_count_before_the_scene_file(cli: Cli, write: Callable[..., Path
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("colour = 1", r"scene\.toml: unknown key 'colour'; known: camera, lights"),
+        ("colour = 1", r"scene\.toml: unknown key 'colour'; known: camera, cameras, lights"),
         ("camera = { zom = 1 }", r"scene\.toml: unknown key 'zom' in camera; known: azimuth"),
         ("[[lights]]\nwatt = 3", r"scene\.toml: unknown key 'watt' in lights"),
         ("[material]\nalbedo_map = 'a.png'", r"scene\.toml: unknown key 'albedo_map' in material"),

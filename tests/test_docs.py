@@ -8,7 +8,9 @@ from docs import accuracy, shaders, trade
 
 
 def test_tables_of_the_lobes_are_current():
-    assert accuracy.lobe_tables() in accuracy.OUTPUT.read_text(encoding="utf-8")
+    text = accuracy.OUTPUT.read_text(encoding="utf-8")
+    assert accuracy.lobe_tables() in text
+    assert accuracy.fitted_g_powers() in text
 
 
 def test_trade_is_what_its_measurement_says():

@@ -7,7 +7,6 @@ import json
 from base64 import b64encode
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, reason
-from facerender.image import write_whole
+from facerender.image import write_bytes
 from facerender.measure import plots
 from facerender.measure.pareto import COSTS, EXACT, MODELS, measure_of, pareto, slope
 from facerender.measure.tables import ERRORS, NOT_MEASURED, Table, cost_tables, error_tables
@@ -103,7 +102,7 @@ def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
         why = reason(error)
         raise InputError(f"cannot make {directory}: {why}; give a writable place") from None
     for name, content in files.items():
-        write_whole(directory / name, partial(_put, content))
+        write_bytes(directory / name, content)
     return [directory / name for name in files]
 
 
@@ -116,10 +115,6 @@ def markdown(data: dict[str, Any]) -> str:
     """Return the tables of ``table``, and the errors alone, as Markdown."""
     costs = [table for kind in COSTS for table in cost_tables(data, kind)]
     return "\n\n".join(table.markdown() for table in costs + error_tables(data))
-
-
-def _put(content: bytes, path: str) -> None:
-    Path(path).write_bytes(content)
 
 
 def _trades(data: dict[str, Any]) -> list[Picture]:

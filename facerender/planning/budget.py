@@ -1,0 +1,120 @@
+"""The error that a plan may make: its unit, how it is measured and written. No OpenGL here."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.compare import FLOOR
+from facerender.errors import InputError
+from facerender.image import linear_to_srgb
+
+Unit = Literal["display", "relative", "flip"]
+Float = NDArray[np.float64]
+
+# What float32 and a driver's rounding may add to an error that float64 measured.
+ROUNDING: dict[Unit, float] = {"display": 0.05 / 255.0, "relative": 5e-4, "flip": 1e-3}
+
+_GIVEN = re.compile(r"([-+.\deE]+|nan|inf)\s*(?:/\s*([.\deE+]+)|(%)|(flip))?", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The largest error of a pixel.
+
+    Attributes
+    ----------
+    limit : >= 0; of "display" a share of the range from black to white as sRGB encodes it, before
+        rounding to steps; of "relative" a share of the linear radiance, or of 0.01 where that is
+        more; of "flip" FLIP (Andersson et al. 2020) of the displayed image
+    unit : "display", "relative" or "flip"
+    exposure : of the displayed image, in stops
+    """
+
+    limit: float
+    unit: Unit = "display"
+    exposure: float = 0.0
+
+    @classmethod
+    def parse(cls, given: str | float, exposure: float = 0.0) -> Budget:
+        """Read "1/255", "0.5%" or "0.02 flip"; a number is a share of the display's range.
+
+        Raises
+        ------
+        InputError : no such unit, a negative or infinite budget
+        """
+        if not -100.0 <= exposure <= 100.0:
+            raise InputError(f"exposure = {exposure:g} is outside [-100, 100]")
+        remedy = "give a share of the display's range such as 1/255, 0.5%, or 0.02 flip"
+        match = _GIVEN.fullmatch(str(given).strip())
+        try:
+            if match is None:
+                raise ValueError
+            value, below = float(match[1]), float(match[2] or 1.0)
+            limit = value / below
+        except (ValueError, ZeroDivisionError):
+            raise InputError(f"budget {given!r} has no unit that is known: {remedy}") from None
+        if isinstance(given, str) and value and not any(match.groups()[1:]):
+            raise InputError(f"budget {given!r} has no unit: {remedy}")
+        if not 0.0 <= limit < math.inf:
+            raise InputError(f"budget {given} is negative or not finite: {remedy}")
+        if match[3]:
+            return cls(limit / 100.0, "relative", exposure)
+        return cls(limit, "flip" if match[4] else "display", exposure)
+
+    def errors(self, image: Float, reference: Float) -> Float:
+        """Return the error of each pixel (H, W) of a linear image (H, W, 3), of its worst channel.
+
+        Raises
+        ------
+        InputError : FLIP without its package
+        """
+        if self.unit == "relative":
+            return np.asarray(
+                (np.abs(image - reference) / np.maximum(reference, FLOOR)).max(axis=-1)
+            )
+        shown, expected = self._displayed(image), self._displayed(reference)
+        if self.unit == "display":
+            return np.asarray(np.abs(shown - expected).max(axis=-1))
+        try:
+            from flip_evaluator import evaluate
+        except ImportError:
+            raise InputError("FLIP needs pip install 'facerender[measure]'") from None
+        images = (each.astype(np.float32) for each in (expected, shown))
+        errors = evaluate(*images, "LDR", applyMagma=False, computeMeanError=False)[0]
+        return np.asarray(errors.reshape(errors.shape[:2]), dtype=np.float64)
+
+    def bound(self, radiance: float) -> float:
+        """Return the largest error that a change of the radiance by this much can make: on black,
+        where both the display's curve and a relative error rise most.
+
+        Raises
+        ------
+        InputError : FLIP, which depends on the whole image
+        """
+        if self.unit == "flip":
+            raise InputError(
+                "FLIP has no bound over all views: give a budget such as 1/255 or 0.5%"
+            )
+        if self.unit == "relative":
+            return radiance / FLOOR
+        return float(self._displayed(np.array(radiance)))
+
+    def text(self, error: float) -> str:
+        """Write an error in the budget's unit."""
+        if not math.isfinite(error):
+            return "any amount"
+        scale = {"display": 255.0, "relative": 100.0, "flip": 1.0}[self.unit]
+        value = scale * error
+        digits = "<0.001" if 0.0 < value < 0.001 else f"{value:.3g}"
+        return {"display": f"{digits}/255", "relative": f"{digits} %", "flip": f"FLIP {digits}"}[
+            self.unit
+        ]
+
+    def _displayed(self, linear: Float) -> Float:
+        return linear_to_srgb(linear * 2.0**self.exposure)

@@ -1,0 +1,86 @@
+"""Plans that were made before, kept by everything that they depend on: mesh, maps, lights, camera,
+budget, prices. In $XDG_CACHE_HOME/facerender or ~/.cache/facerender; a place that cannot be
+written is passed over."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from facerender import __version__
+from facerender.errors import InputError
+from facerender.image import write_bytes
+from facerender.measure.prices import TABLE
+from facerender.plan import plan
+from facerender.renderer import Renderer
+from facerender.scene import Scene
+from facerender.shading import Shading
+from facerender.texture import Texture
+
+
+def planned(
+    scene: Scene, budget: str | float, full: Shading, exposure: float, renderer: Renderer
+) -> dict[str, Any]:
+    """Return a plan as :meth:`facerender.plan.Plan.as_dict` has it: the one that was kept, or one
+    that is made now and kept. Parameters and errors as in :func:`facerender.plan`."""
+    path = _folder() / f"{_digest(scene, budget, full, exposure, renderer)}.json"
+    try:
+        kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        Shading.from_dict(kept["shading"]).simplify(scene)
+        if isinstance(kept["text"], str):
+            return kept
+    except (OSError, ValueError, KeyError, TypeError):  # none, or damaged
+        pass
+    found = plan(scene, budget, full=full, exposure=exposure, renderer=renderer).as_dict()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(path, json.dumps(found).encode())
+    except (OSError, InputError):
+        pass
+    return found
+
+
+def _folder() -> Path:
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    home = os.path.expanduser("~/.cache")
+    return Path(base if os.path.isabs(base) else home, "facerender", "plans")
+
+
+def _digest(*parts: Any) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    digest.update(TABLE.read_bytes())
+    for part in (__version__, *parts):
+        for piece in _pieces(part):
+            digest.update(piece)
+    return digest.hexdigest()
+
+
+def _pieces(value: Any) -> Iterator[bytes]:
+    """What a value is made of, in an order that tells it from every other."""
+    yield type(value).__name__.encode()
+    if isinstance(value, np.ndarray):
+        yield repr((value.shape, value.dtype.str)).encode()
+        yield np.ascontiguousarray(value).tobytes()
+    elif isinstance(value, Texture):
+        yield repr(value.rgb().size).encode()
+        yield value.rgb().tobytes()
+    elif isinstance(value, Renderer):
+        names = ("size", "samples", "anisotropy", "albedo_kind")
+        facts = [getattr(value, name) for name in names] + [value.context.renderer]
+        yield repr(facts).encode()
+    elif isinstance(value, tuple):
+        for item in value:
+            yield from _pieces(item)
+        yield b")"
+    elif hasattr(value, "__dataclass_fields__"):
+        for each in fields(value):
+            yield from _pieces(getattr(value, each.name))
+    else:
+        yield repr(value).encode() + b";"

@@ -1,0 +1,134 @@
+"""A plan in words: what each decision adds and saves, or why it could not be made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from facerender.planning.candidates import DECISIONS, TERM, alone, changed, with_decisions
+from facerender.planning.search import Choice
+from facerender.scene import LIGHTS, Scene
+from facerender.shading import Shading
+
+_OF_THE_WHOLE = ("normal map", "ambient")  # what they save is no share of the specular terms
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What was decided about one thing.
+
+    Attributes
+    ----------
+    name : such as "Fresnel"
+    changed : whether it differs from the full shading
+    chosen : in words
+    other : what the full shading has; where nothing was changed, the cheaper one that errs least
+    error : what the change adds, alone; where nothing was changed, the error with the other
+    saving : share of the full program's cost that the change saves, or the other would save
+    text : a line that says it
+    """
+
+    name: str
+    changed: bool
+    chosen: str
+    other: str
+    error: float
+    saving: float
+    text: str
+
+
+def decisions(
+    choice: Choice,
+    shading: Shading,
+    error: Callable[[Shading], float],
+    otherwise: Callable[[Shading], float],
+    might: str,
+) -> Iterator[Decision]:
+    """Tell of each decision of a shading.
+
+    Parameters
+    ----------
+    error, otherwise : give the error of a shading, the second one as far as might says
+    """
+    differs = changed(shading, choice.full)
+    for name in DECISIONS:
+        if name in TERM[1:] and "model" in differs:
+            continue  # told with the model
+        names = TERM if name == "model" and name in differs else (name,)
+        if name in differs:
+            yield _made(choice, shading, name, names, error)
+        elif (kept := _kept(choice, shading, name, otherwise, might)) is not None:
+            yield kept
+
+
+def _made(
+    choice: Choice,
+    shading: Shading,
+    name: str,
+    names: Sequence[str],
+    error: Callable[[Shading], float],
+) -> Decision:
+    chosen, other = (_words(choice.scene, each, names) for each in (shading, choice.full))
+    added = error(alone(shading, choice.full)[name])
+    reverted = with_decisions(shading, choice.full, names)
+    saved = choice.total(reverted) - choice.total(shading)
+    instead = f" instead of {other}" if other != "none" else ""
+    text = f"{chosen}{instead}: alone adds {choice.budget.text(added)}, "
+    text += f"{'saves' if saved >= 0.0 else 'costs'} {_share(choice, name, abs(saved))}"
+    return Decision(name, True, chosen, other, added, saved / choice.total(choice.full), text)
+
+
+def _kept(
+    choice: Choice,
+    shading: Shading,
+    name: str,
+    otherwise: Callable[[Shading], float],
+    might: str,
+) -> Decision | None:
+    own = choice.total(shading)
+    others = [
+        each
+        for each in choice.ordered
+        if changed(each, shading) == [name] and choice.total(each) < own
+    ]
+    if not others:
+        return None
+    errors = [otherwise(each) for each in others]
+    nearest = others[errors.index(min(errors))]
+    chosen, other = (_words(choice.scene, each, (name,)) for each in (shading, nearest))
+    saved = own - choice.total(nearest)
+    text = f"{chosen}: {other} {might} {choice.budget.text(min(errors))}, and save "
+    text += _share(choice, name, saved)
+    return Decision(
+        name, False, chosen, other, min(errors), saved / choice.total(choice.full), text
+    )
+
+
+def _share(choice: Choice, name: str, saved: float) -> str:
+    cost = choice.cost(choice.full)
+    part, of = (cost.total, "cost") if name in _OF_THE_WHOLE else (cost.specular, "specular cost")
+    return f"{100.0 * saved / part if part else 0.0:.0f} % of the {of}"
+
+
+def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:
+    names_of_lights = {light: name for name, light in LIGHTS.items()}
+    lights = [names_of_lights.get(each, f"light {i}") for i, each in enumerate(scene.lights)]
+    lit = [name for i, name in enumerate(lights) if shading.shines(i)]
+    near = [lights[i] for i in shading.frontal_lights]
+    words = {
+        "lights": f"specular of {', '.join(lit) or 'none'}",
+        "frontal": f"{', '.join(near)} with Fresnel f0, not masked" if near else "none",
+        "normal map": "on" if shading.normal_map else "off",
+        "slope": "the material's" if shading.m is None else f"constant {shading.m:.4g}",
+        "specular weight": "the material's" if shading.ks is None else f"constant {shading.ks:.4g}",
+        "ambient": "on" if shading.ambient else "off",
+        "model": shading.model,
+        "lobe": f"lobe {shading.lobe}",
+        "Fresnel": f"Fresnel {shading.fresnel}",
+        "masking": f"masking {shading.masking}",
+        "small slopes": "small slopes " + ("plain" if shading.small_slope is False else "exact"),
+    }
+    told = names if shading.model == "cook-torrance" else names[:2]
+    if len(names) == 1:
+        return words[names[0]].removeprefix(names[0]).strip()
+    return ", ".join(words[name] for name in told if name not in ("small slopes", "frontal"))

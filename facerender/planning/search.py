@@ -1,0 +1,315 @@
+"""The search of a plan: what may be chosen, the cheapest first, and where it is tried.
+
+A shading is tried on few pixels first, those where others failed: one pixel over the budget rules
+it out. What passes there is evaluated in float64 at every pixel of every camera, and drawn where a
+pixel has several samples. As shadings are tried in the order of their costs, the first that passes
+is the cheapest that fits. FLIP looks around each pixel, and cannot be told of a few: there only
+those are tried that no cheaper one excels in the display's error of such pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.frame import GBuffer
+from facerender.measure.prices import load_prices
+from facerender.planning.budget import ROUNDING, Budget
+from facerender.planning.candidates import (
+    DECISIONS,
+    TERM,
+    Constants,
+    alone,
+    candidates,
+    changed,
+)
+from facerender.reference import Layers, layers
+from facerender.renderer import Renderer
+from facerender.scene import Scene, slope_ranges
+from facerender.shading import Shading
+
+Float = NDArray[np.float64]
+
+_SPREAD, _WORST = 256, 64  # pixels of a witness, and those of them with the largest errors
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What shading a fragment costs, by the prices of the plan.
+
+    Attributes
+    ----------
+    total, specular : of the whole fragment program, and of its specular terms
+    full_total, full_specular : of the full shading
+    unit, source : of the prices, and where they are from
+    """
+
+    total: float
+    specular: float
+    full_total: float
+    full_specular: float
+    unit: str
+    source: str
+
+    @property
+    def relative(self) -> float:
+        """The program's cost over that of the full shading."""
+        return self.total / self.full_total
+
+    def __str__(self) -> str:
+        return (
+            f"{self.total:.4g} of {self.full_total:.4g} {self.unit} a fragment, "
+            f"{self.relative:.2f}; {self.source}"
+        )
+
+
+class Choice:
+    """What may be chosen for a scene, the cheapest first, and what each choice costs.
+
+    Attributes
+    ----------
+    ordered : the shadings that cost less than the full one, and the full one
+    limit : of the error in float64, which rounding may raise to the budget
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        full: Shading,
+        budget: Budget,
+        constants: Constants,
+        cost: str,
+        software: bool,
+    ) -> None:
+        self.scene, self.full, self.budget, self.constants = scene, full, budget, constants
+        self.limit = budget.limit - ROUNDING[budget.unit]
+        found = list(candidates(scene, full, constants))
+        self.prices = load_prices(cost, scene, [*found, full], software)
+        self.costs: dict[Shading, float] = {}
+        full_cost = self.total(full)
+        cheaper = [each for each in found if self.total(each) < full_cost]
+        # of the same cost, those with the fewest changes first
+        cheaper.sort(key=lambda each: (self.total(each), len(changed(each, full))))
+        self.ordered = [*cheaper, full]
+
+    def total(self, shading: Shading) -> float:
+        """Return what a fragment costs."""
+        if shading not in self.costs:
+            self.costs[shading] = self.prices.cost(self.scene, shading)[0]
+        return self.costs[shading]
+
+    def cost(self, shading: Shading) -> Cost:
+        """Return what a fragment costs, beside the full shading."""
+        own, full = (self.prices.cost(self.scene, each) for each in (shading, self.full))
+        return Cost(*own, *full, self.prices.unit, self.prices.source)
+
+    def first(self, fits: Callable[[Shading], bool]) -> Shading:
+        """Return the first that fits; nothing but the full one is as near as rounding."""
+        if self.limit < 0.0:
+            return self.full
+        return next(each for each in self.ordered if each is self.full or fits(each))
+
+
+class Witnesses:
+    """Pixels of the views at which shadings were ruled out, those that did so last first.
+
+    Attributes
+    ----------
+    tried : how many shadings were evaluated at every pixel
+    """
+
+    def __init__(self, views: Sequence[Region], choice: Choice, drawn: Drawn | None) -> None:
+        self.views, self.limit, self.drawn, self.tried = views, choice.limit, drawn, 0
+        self.regions = [view.spread() for view in views if view.counted.any()]
+        if choice.budget.unit == "flip":
+            choice.ordered = self._best(choice.ordered)
+
+    def let_pass(self, shading: Shading) -> bool:
+        """Tell whether a shading is within the limit, at every pixel."""
+        if self.drawn is not None and self.drawn.ruled_out(shading):
+            return False
+        for index, region in enumerate(self.regions):
+            if region.budget == self.views[0].budget and not region.worst(shading) <= self.limit:
+                self.regions.insert(0, self.regions.pop(index))
+                return False
+        self.tried += 1
+        for view in self.views:
+            errors = view.errors(shading)
+            if not errors.max() <= self.limit:
+                self.regions.insert(0, view.around(errors))
+                return False
+        return self.drawn is None or self.drawn.let_pass(shading)
+
+    def worst(self, shading: Shading) -> float:
+        """Return the largest error among the witnesses."""
+        return max(region.worst(shading) for region in self.regions)
+
+    def _best(self, ordered: Sequence[Shading]) -> list[Shading]:
+        """Return those that err less than every one before."""
+        best, least = [], np.inf
+        for shading in ordered:
+            if (error := self.worst(shading)) < least:
+                best.append(shading)
+                least = error
+        return best
+
+
+class Drawn:
+    """The views as OpenGL draws them with several samples a pixel: at silhouettes it shades what no
+    pixel's centre sees. A change that fails there by itself is not tried again with others."""
+
+    def __init__(
+        self, renderer: Renderer, scenes: Sequence[Scene], full: Shading, budget: Budget
+    ) -> None:
+        self.renderer, self.scenes, self.full, self.budget = renderer, scenes, full, budget
+        self.exact = [self._draw(scene, full) for scene in scenes]
+        self.failed: list[dict[str, Any]] = []
+
+    def let_pass(self, shading: Shading) -> bool:
+        """Tell whether a shading is within the budget."""
+        if self._within(shading):
+            return True
+        for name, single in alone(shading, self.full).items():
+            if not self._within(single):
+                names = TERM if name == "model" else (name,)
+                fields = [field for each in names for field in DECISIONS[each]]
+                self.failed.append({field: getattr(single, field) for field in fields})
+        return False
+
+    def ruled_out(self, shading: Shading) -> bool:
+        """Tell whether a shading has a change that failed."""
+        return any(
+            all(getattr(shading, field) == value for field, value in failed.items())
+            for failed in self.failed
+        )
+
+    def _within(self, shading: Shading) -> bool:
+        return all(error <= self.budget.limit for error in self.errors(shading))
+
+    def errors(self, shading: Shading) -> Iterator[float]:
+        """Yield the largest error of each view."""
+        for scene, exact in zip(self.scenes, self.exact, strict=True):
+            yield float(self.budget.errors(self._draw(scene, shading), exact).max())
+
+    def _draw(self, scene: Scene, shading: Shading) -> Float:
+        return self.renderer.render(scene, shading).linear[..., :3].astype(np.float64)
+
+
+class Region:
+    """Pixels of one camera, with what the candidates read there, and the full shading of them."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        mapped: GBuffer,
+        plain: GBuffer,
+        counted: NDArray[np.bool_],
+        full: Shading,
+        budget: Budget,
+        known: dict[Shading, Layers] | None = None,
+    ) -> None:
+        """mapped and plain have normals with and without the normal map; of the pixels that are
+        counted errors are told; known keeps what was evaluated."""
+        self.scene, self.mapped, self.plain, self.counted = scene, mapped, plain, counted
+        self.full, self.budget, self.known = full, budget, known
+        self.terms = self.layers(full)
+        self.exact = self.image(full)
+
+    @classmethod
+    def seen(cls, renderer: Renderer, scene: Scene, full: Shading, budget: Budget) -> Region:
+        """Return all pixels of the scene's camera."""
+        mapped = renderer.gbuffer(scene, full)
+        plain = mapped
+        if any(each.normal_map is not None for each in full.simplify(scene).mesh.materials):
+            plain = renderer.gbuffer(scene, replace(full, normal_map=False))
+        return cls(scene, mapped, plain, mapped.part >= 0, full, budget)
+
+    def layers(self, shading: Shading) -> Layers:
+        """Return the terms of a shading, of all lights and the ambient one, none frontal."""
+        whole = replace(shading, ambient=True, specular_lights=None, frontal_lights=())
+        if self.known is not None and whole in self.known:
+            return self.known[whole]
+        gbuffer = self.mapped if whole.normal_map else self.plain
+        if whole.m is not None:
+            gbuffer = replace(gbuffer, m=np.full_like(gbuffer.m, whole.m))
+        if whole.ks is not None:
+            weight = np.full_like(gbuffer.specular_weight, whole.ks)
+            gbuffer = replace(gbuffer, specular_weight=weight)
+        found = layers(gbuffer, self.scene, whole)
+        if self.known is not None:
+            self.known[whole] = found
+        return found
+
+    def image(self, shading: Shading) -> Float:
+        """Return the radiance (H, W, 3), with the background."""
+        terms = self.layers(shading)
+        image = terms.sum(shading)
+        for light in filter(shading.shines, shading.frontal_lights):
+            image += self.layers(shading.frontal).specular[light] - terms.specular[light]
+        if self.scene.background is not None:
+            image[~self.counted] = self.scene.background
+        return image
+
+    def errors(self, shading: Shading) -> Float:
+        """Return the error of each pixel, (H, W); 0 where it does not count."""
+        image = self.image(shading)
+        return np.where(self.counted, self.budget.errors(image, self.exact), 0.0)
+
+    def worst(self, shading: Shading) -> float:
+        """Return the largest error."""
+        return float(self.errors(shading).max())
+
+    def spread(self) -> Region:
+        """Return a few pixels from all over, and the brightest highlights."""
+        shine = self.terms.specular.sum(axis=(0, -1)) * self.counted
+        inside = np.flatnonzero(self.counted)
+        chance = np.random.default_rng(0).permutation(inside)[:_SPREAD]
+        return self._pixels(np.union1d(chance, _highest(shine)))
+
+    def around(self, errors: Float) -> Region:
+        """Return the pixels with the largest errors."""
+        return self._pixels(_highest(errors))
+
+    def _pixels(self, flat: NDArray[np.int64]) -> Region:
+        index = np.unravel_index(flat[None], self.counted.shape)
+        mapped, plain = (_part_of(each, index) for each in (self.mapped, self.plain))
+        budget = self.budget
+        if budget.unit == "flip":
+            budget = Budget(1.0, "display", budget.exposure)
+        return Region(self.scene, mapped, plain, self.counted[index], self.full, budget, {})
+
+
+def _highest(values: Float) -> NDArray[np.int64]:
+    return np.argpartition(values, -min(_WORST, values.size), axis=None)[-_WORST:]
+
+
+def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:
+    arrays = [each.name for each in fields(gbuffer) if each.name != "view"]
+    return replace(gbuffer, **{name: getattr(gbuffer, name)[index] for name in arrays})
+
+
+def constants_seen(scene: Scene, full: Shading, views: Sequence[Region]) -> Constants:
+    """Return what stands for the maps, their means weighted by the highlights, and how bright those
+    of each light are."""
+    ends = {end for slopes in slope_ranges(full.simplify(scene)) for end in slopes}
+    peaks, losses = np.zeros((2, len(scene.lights)))
+    m, ks, light = [], [], []
+    for view in views:
+        specular = view.terms.specular.max(axis=-1)
+        peaks = np.maximum(peaks, specular.max(axis=(1, 2)))
+        if full.model == "cook-torrance":
+            lost = np.abs(view.layers(full.frontal).specular - view.terms.specular)
+            losses = np.maximum(losses, lost.max(axis=(1, 2, 3)))
+        m.append(view.mapped.m[view.counted])
+        ks.append(view.mapped.specular_weight[view.counted])
+        light.append(specular.sum(axis=0)[view.counted] + 1e-9)
+    weights = np.concatenate(light)
+    means = [float(np.average(np.concatenate(each), weights=weights)) for each in (m, ks)]
+    faintest, frontal = (
+        tuple(int(light) for light in np.argsort(each, kind="stable")) for each in (peaks, losses)
+    )
+    return Constants(ends.pop() if len(ends) == 1 else means[0], means[1], faintest, frontal)

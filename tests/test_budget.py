@@ -1,0 +1,180 @@
+"""Budgets: how they are read, what they measure, what bounds that, and how they are written."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from facerender import InputError
+from facerender.planning.budget import Budget
+from tests.conftest import missing
+
+
+@pytest.mark.parametrize(
+    ("given", "limit", "unit"),
+    [
+        ("1/255", 1 / 255, "display"),
+        (" 0.5 / 255 ", 0.5 / 255, "display"),
+        ("4/1e3", 0.004, "display"),
+        (0.25, 0.25, "display"),
+        (1, 1.0, "display"),
+        (np.float32(0.5), 0.5, "display"),
+        (1e-5, 1e-5, "display"),
+        ("0.5%", 0.005, "relative"),
+        ("+2 %", 0.02, "relative"),
+        ("1e-1%", 0.001, "relative"),
+        ("0.02 flip", 0.02, "flip"),
+        ("0.02FLIP", 0.02, "flip"),
+        ("0", 0.0, "display"),
+        (0, 0.0, "display"),
+        ("0/255", 0.0, "display"),
+        ("0%", 0.0, "relative"),
+        ("0 flip", 0.0, "flip"),
+    ],
+)
+def test_forms(given, limit, unit):
+    budget = Budget.parse(given, exposure=1.5)
+    assert budget.limit == pytest.approx(limit, rel=1e-12)
+    assert (budget.unit, budget.exposure) == (unit, 1.5)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        *((given, f"budget {given!r} has no unit that is known: give a share") for given in (
+            "1 dB", "5 %%", "", "  ", "%", "flip", "/255", "1/255 flip", "1/two", "--1/255", "e%",
+            "1,5%", "1/255\n2/255",
+        )),
+        *((given, f"budget {given!r} has no unit: give a share") for given in ("1", "0.004")),
+        *((given, f"budget {given} is negative or not finite") for given in (
+            "-1/255", "-0.5%", "-0.02 flip", "nan%", "inf%", "nan flip", "inf/255", "1e400/255",
+            -1, -0.5, math.nan, math.inf,
+        )),
+        ("1/0", "budget '1/0' "),
+        ("0/0", "budget '0/0' "),
+        ("1/-255", "budget '1/-255' "),
+        ("nan", "budget 'nan' "),
+        ("inf", "budget 'inf' "),
+        (None, "budget None has no unit that is known"),
+        (True, "budget True has no unit that is known"),
+    ],
+)  # fmt: skip
+def test_impossible_ones_are_named_with_the_remedy(given, message):
+    with pytest.raises(InputError) as error:
+        Budget.parse(given)
+    text = str(error.value)
+    assert text.startswith(message)
+    assert "such as 1/255, 0.5%, or 0.02 flip" in text
+    assert "\n" not in text
+
+
+@pytest.mark.parametrize("exposure", [100.5, -101.0, math.nan, math.inf])
+def test_exposure_outside_its_domain(exposure):
+    with pytest.raises(InputError, match=rf"exposure = {exposure:g} is outside \[-100, 100\]"):
+        Budget.parse("1/255", exposure)
+
+
+def shown(linear, exposure):
+    """One value as sRGB encodes it, with a scalar's arithmetic."""
+    x = min(max(linear * 2.0**exposure, 0.0), 1.0)
+    return 12.92 * x if x <= 0.0031308 else 1.055 * math.pow(x, 1 / 2.4) - 0.055
+
+
+def images(seed=0):
+    """Two images, from black to beyond white, and of near and of far values."""
+    random = np.random.default_rng(seed)
+    reference = 10.0 ** random.uniform(-5, 0.5, (24, 32, 3)) * random.integers(0, 2, (24, 32, 1))
+    factor = 1.0 + 10.0 ** random.uniform(-6, 0, (24, 32, 3)) * random.choice([-1, 1], (24, 32, 3))
+    return reference * factor + random.uniform(0, 1e-3, reference.shape), reference
+
+
+@pytest.mark.parametrize("exposure", [0.0, 2.0, -3.0])
+def test_error_in_steps_of_the_display(exposure):
+    image, reference = images()
+    errors = Budget(0.1, "display", exposure).errors(image, reference)
+    assert errors.shape == (24, 32)
+    for y, x in np.ndindex(errors.shape):
+        channels = zip(image[y, x], reference[y, x], strict=True)
+        expected = max(abs(shown(a, exposure) - shown(b, exposure)) for a, b in channels)
+        assert errors[y, x] == pytest.approx(expected, abs=1e-12)
+
+
+def test_relative_error_of_the_linear_radiance():
+    image, reference = images()
+    errors = Budget(0.1, "relative", exposure=3.0).errors(image, reference)
+    for y, x in np.ndindex(errors.shape):
+        channels = zip(image[y, x], reference[y, x], strict=True)
+        expected = max(abs(a - b) / max(b, 0.01) for a, b in channels)
+        assert errors[y, x] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("exposure", [0.0, 1.0])
+def test_flip_of_the_displayed_images(exposure):
+    try:
+        from flip_evaluator import evaluate
+    except ImportError:
+        missing("no flip-evaluator: pip install 'facerender[measure]'")
+    image, reference = (np.clip(each, 0.0, 1.0) for each in images())
+    encoded = [
+        np.vectorize(shown)(each, exposure).astype(np.float32) for each in (reference, image)
+    ]
+    mean = evaluate(*encoded, "LDR")[1]
+    errors = Budget(0.1, "flip", exposure).errors(image, reference)
+    assert errors.shape == (24, 32)
+    assert errors.mean() == pytest.approx(mean, rel=1e-4)
+    assert not Budget(0.1, "flip").errors(image, image).any()
+
+
+def test_flip_without_its_package(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "flip_evaluator", None)
+    with pytest.raises(InputError, match=r"FLIP needs pip install 'facerender\[measure\]'"):
+        Budget(0.1, "flip").errors(*images())
+
+
+@pytest.mark.parametrize("unit", ["display", "relative"])
+@pytest.mark.parametrize("exposure", [0.0, 4.0, -4.0])
+def test_the_bound_is_above_every_error(unit, exposure):
+    budget = Budget(0.1, unit, exposure)
+    for seed in range(5):
+        image, reference = images(seed)
+        errors = budget.errors(image, reference)
+        radiance = np.abs(image - reference).max(axis=-1)
+        for at in np.ndindex(errors.shape):
+            assert errors[at] <= budget.bound(radiance[at]) * (1 + 1e-9) + 1e-9
+
+
+@pytest.mark.parametrize("unit", ["display", "relative"])
+def test_the_bound_is_reached_on_black(unit):
+    budget = Budget(0.1, unit, exposure=1.0)
+    black = np.zeros((1, 1, 3))
+    for radiance in (0.0, 1e-4, 0.003, 0.2, np.inf):
+        assert budget.bound(radiance) == pytest.approx(
+            budget.errors(black + radiance, black).item(), rel=1e-12
+        )
+
+
+def test_flip_has_no_bound():
+    with pytest.raises(InputError, match="FLIP has no bound over all views: give a budget such as"):
+        Budget(0.1, "flip").bound(0.5)
+
+
+@pytest.mark.parametrize(
+    ("unit", "error", "text"),
+    [
+        ("display", 1 / 255, "1/255"),
+        ("display", 0.4564 / 255, "0.456/255"),
+        ("display", 0.0, "0/255"),
+        ("display", 0.0011 / 255, "0.0011/255"),
+        ("display", 0.0009 / 255, "<0.001/255"),
+        ("display", 170.3 / 255, "170/255"),
+        ("relative", 1.234, "123 %"),
+        ("relative", 0.00512, "0.512 %"),
+        ("relative", 1e-9, "<0.001 %"),
+        ("flip", 0.02134, "FLIP 0.0213"),
+        ("flip", 5e-4, "FLIP <0.001"),
+    ],
+)
+def test_text(unit, error, text):
+    assert Budget(1.0, unit).text(error) == text

@@ -1,0 +1,730 @@
+"""Plans: the cheapest shading that fits is found, what it says of itself is true, and what it
+writes works elsewhere. Brute force, and the renderer, are the judges."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import random
+import re
+from dataclasses import asdict, replace
+from itertools import product
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import facerender as fr
+from facerender import lobes, reference
+from facerender.fitting import fit_g_power
+from facerender.frame import GBuffer
+from facerender.lobes import GPower
+from facerender.measure.prices import load_prices
+from facerender.planning import search
+from facerender.planning.bound import bound
+from facerender.planning.budget import ROUNDING, Budget
+from facerender.planning.candidates import (
+    DECISIONS,
+    G_POWERS,
+    TERM,
+    Constants,
+    candidates,
+    changed,
+    with_decisions,
+)
+from facerender.scene import LIGHTS, View, load_scene, scene_toml, turntable
+from facerender.shading import Shading
+from tests.planned import BUDGETS, KINDS, Subject, brute_force, subjects
+from tests.test_glsl import OUTPUT, run
+
+KEY = (LIGHTS["key"],)
+POINT = fr.Light(irradiance=3.0, position=(0.2, 0.3, 0.5))
+CAMERAS = (fr.Camera(10.0, 5.0), fr.Camera(-30.0))  # from behind hardly anything fits
+
+
+@pytest.fixture(scope="module")
+def small(egl):
+    """One sample, 32 x 32."""
+    with fr.Renderer((32, 32), samples=1, backend=egl) as renderer:
+        yield renderer
+
+
+@pytest.fixture(scope="module")
+def medium(egl):
+    with fr.Renderer((64, 64), samples=1, backend=egl) as renderer:
+        yield renderer
+
+
+@pytest.fixture(scope="module")
+def bare(head):
+    """The head without its normal map, which halves the candidates."""
+    return head.with_material(normal_map=None)
+
+
+@pytest.fixture(scope="module")
+def subject(bare):
+    """Make the scene of a name, without ambient light, which halves the candidates again."""
+    varying = bare.with_material(specular_map=bare.materials[0].roughness_map)
+    three = fr.Scene(bare).lights
+    known = {
+        "constant m": (bare.with_material(m=0.3), KEY, Shading()),
+        "m and ks of maps": (varying, KEY, Shading()),
+        "point light": (bare.with_material(m=0.15), (POINT,), Shading()),
+        "frontal": (bare.with_material(m=0.3, ks=0.3), three, Shading()),
+        "frontal, point": (bare, (LIGHTS["rim"], POINT, *KEY), Shading(m=0.25)),
+        "Ward": (bare.with_material(m=0.45), KEY, Shading("ward")),
+        "as printed": (bare, KEY, Shading("ward-printed", m=0.3)),
+        "dielectric": (bare.with_material(m=0.2), KEY, Shading(fresnel="dielectric")),
+    }
+
+    def make(name):
+        mesh, lights, full = known[name]
+        return Subject(name, fr.Scene(mesh, fr.Camera(-20.0), lights, ambient=0.0), full)
+
+    return make
+
+
+# --- the choice ----------------------------------------------------------------------------------
+
+
+def planned(renderer, subject, budgets, kinds=("navi21",), cameras=()):
+    """Plan for all budgets and prices; no candidate that fits may be cheaper."""
+    plans = [
+        fr.plan(subject.scene, budget, full=subject.full, cameras=cameras or None,
+                renderer=renderer, cost=kind)
+        for budget, kind in product(budgets, kinds)
+    ]  # fmt: skip
+    every = list(candidates(subject.scene, subject.full, plans[0].constants))
+    units = {Budget.parse(budget).unit: budget for budget in budgets}
+    errors = {
+        unit: dict(zip(every, brute_force(renderer, subject, every, budget, cameras), strict=True))
+        for unit, budget in units.items()
+    }
+    for plan, (budget, kind) in zip(plans, product(budgets, kinds), strict=True):
+        of, limit = errors[plan.budget.unit], plan.budget.limit - ROUNDING[plan.budget.unit]
+        prices = load_prices(kind, subject.scene, [])
+        fits = [each for each in every if of[each] <= limit]
+        cheapest = min(prices.cost(subject.scene, each)[0] for each in fits)
+        # with FLIP not all are tried
+        assert plan.cost.total == cheapest or plan.budget.unit == "flip", (budget, kind)
+        assert of[plan.shading] <= limit
+        assert plan.error.maximum == pytest.approx(of[plan.shading], rel=1e-9, abs=1e-12)
+    assert any(plan.shading != plan.full for plan in plans)  # or nothing was tested
+    return plans
+
+
+@pytest.mark.parametrize(
+    ("name", "budgets", "kinds"),
+    [
+        ("constant m", ("0.5/255", "1/255", "4/255", "0.5%", "3%"), KINDS),
+        ("m and ks of maps", ("1/255", "4/255"), ["navi21"]),
+        ("point light", ("1/255", "3%"), ["vega10"]),
+        ("frontal", ("0.5/255", "4/255"), ["navi21"]),
+        ("frontal, point", ("1/255",), ["llvmpipe", "navi21"]),
+        ("Ward", ("1/255", "4/255"), ["navi21"]),
+        ("as printed", ("1/255", "0.02 flip"), ["llvmpipe"]),
+        ("dielectric", ("1/255", "4/255", "3%"), ["navi21"]),
+    ],
+)
+def test_no_candidate_that_fits_is_cheaper(name, budgets, kinds, small, subject):
+    if "flip" in budgets[-1]:
+        pytest.importorskip("flip_evaluator")
+    plans = planned(small, subject(name), budgets, kinds)
+    assert any(plan.shading.frontal_lights for plan in plans) == name.startswith("frontal")
+
+
+def test_of_several_cameras_all_count(small, subject, monkeypatch):
+    monkeypatch.setattr(search, "_SPREAD", 1)  # of few pixels next to nothing is ruled out
+    monkeypatch.setattr(search, "_WORST", 1)
+    planned(small, subject("constant m"), BUDGETS, cameras=turntable(count=3))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", range(8))
+def test_no_candidate_that_fits_is_cheaper_in_more_scenes(index, medium, head):
+    each = list(subjects(head, None))[index]
+    planned(medium, each, (*BUDGETS, "0.5%", "3%"), KINDS, turntable(fr.Camera(15.0, 10.0), 2))
+
+
+def test_every_term_is_a_candidate(bare):
+    scene = fr.Scene(bare.with_material(m=0.15), lights=KEY)
+    both = {"cook-torrance", "ward"}
+    for full, models, fresnel in (
+        (Shading(), both, {"schlick", "constant"}),
+        (Shading(fresnel="dielectric"), both, {"schlick", "constant", "dielectric"}),
+        (Shading(fresnel="constant"), both, {"constant"}),
+        (Shading("ward-printed"), {"ward-printed"}, set()),
+    ):
+        found = list(candidates(scene, full, Constants(0.15, 1.0, (0,))))
+        assert {each.model for each in found} == models
+        assert {each.lobe for each in found if isinstance(each.lobe, str)} == set(lobes.NAMES)
+        assert {each.lobe.g for each in found if isinstance(each.lobe, GPower)} == set(G_POWERS)
+        assert {each.small_slope for each in found} == {None, False}
+        assert {each.m for each in found} == {None, 0.15}
+        factors = {(c.fresnel, c.masking) for c in found if c.model == "cook-torrance"}
+        assert factors == set(product(fresnel, ("v-cavity", "kelemen", "none")))
+
+
+def test_candidates_are_distinct_and_the_full_one_is_among_them(head, bare):
+    rough = fr.Scene(head.with_material(m=0.9))
+    constants = Constants(0.3, 0.9, (2, 0, 1), (1, 2, 0))
+    for scene, full in ((fr.Scene(head), Shading()), (rough, Shading("ward", m=0.8, ks=0.5))):
+        found = list(candidates(scene, full, constants))
+        assert len(found) == len(set(found))
+        assert full in found
+        frontal = {(each.specular_lights, each.frontal_lights) for each in found}
+        whole = {(None, ()), ((0, 1), ()), ((1,), ()), ((), ())}
+        near = {(None, (1,)), (None, (1, 2)), ((0, 1), (1,))}
+        assert frontal == whole | near
+    assert {each.m for each in found} == {0.8}  # what is told is left
+    assert {each.ks for each in found} == {0.5}
+    assert {(each.normal_map, each.ambient) for each in found} == set(
+        product([True, False], [True, False])
+    )
+    lean = candidates(fr.Scene(bare, ambient=0.0), Shading(), constants)  # has neither
+    assert all(each.normal_map and each.ambient for each in lean)
+
+
+def test_lights_go_in_the_order_of_what_they_show(small, subject):
+    scene = subject("frontal").scene
+    scene = replace(scene, lights=(*scene.lights, replace(LIGHTS["front"], irradiance=9.0)))
+    constants = fr.plan(scene, "1/255", renderer=small).constants
+    gbuffer = small.gbuffer(scene)
+    whole, near = (
+        reference.layers(gbuffer, scene, each).specular for each in (Shading(), Shading().frontal)
+    )
+    losses = np.abs(near - whole)
+    for order, shown in ((constants.faintest, whole), (constants.frontal, losses)):
+        assert list(order) == sorted(range(4), key=shown.max(axis=(1, 2, 3)).__getitem__)
+    assert constants.faintest != constants.frontal
+
+
+def test_only_what_is_lit_decides(small, subject):
+    scene = subject("constant m").scene
+    scene = replace(scene, lights=(*KEY, fr.Light(irradiance=0.0)))
+    assert fr.plan(scene, "0.5/255", renderer=small).shading.specular_lights == (0,)
+
+
+@pytest.mark.parametrize("budget", ["0", "0/255", "0%", "0 flip", 0, "0.01/255", "1e-9%"])
+def test_a_budget_below_rounding_gives_the_full_shading(budget, small, subject):
+    if "flip" in str(budget):
+        pytest.importorskip("flip_evaluator")
+    dielectric = subject("dielectric")
+    plan = fr.plan(dielectric.scene, budget, full=dielectric.full, renderer=small)
+    assert plan.shading == dielectric.full
+    assert (plan.error.maximum, plan.error.percentile) == (0.0, 0.0)
+    assert plan.cost.relative == 1.0
+    assert re.search(r"^shading +nothing cheaper fits: exact$", plan.explain(), re.MULTILINE)
+
+
+def test_a_huge_budget_drops_every_highlight(small, head):
+    cost = fr.plan(fr.Scene(head), "1e9%", renderer=small).cost
+    assert cost.specular == 0.0
+    assert cost.total <= cost.full_total - cost.full_specular * (1 - 1e-12)
+
+
+def test_of_the_same_cost_what_changes_least_is_chosen(small, bare):
+    matt = fr.Scene(bare.with_material(ks=0.0))
+    assert fr.plan(matt, "1e9%", renderer=small).shading == Shading(ambient=False)
+
+
+def test_what_is_drawn_with_several_samples_counts(subject, monkeypatch):
+    """A change that shows between the pixels' centres alone is ruled out by what is drawn."""
+    draw = search.Drawn._draw
+
+    def with_a_flaw(self, scene, shading):
+        image = draw(self, scene, shading)
+        image[10, 10] += 0.5 * (shading.fresnel == "constant")
+        return image
+
+    at = subject("constant m")
+    with fr.Renderer((64, 64), samples=4) as renderer:
+        sound = fr.plan(at.scene, "2/255", cost="navi21", renderer=renderer)
+        monkeypatch.setattr(search.Drawn, "_draw", with_a_flaw)
+        flawed = fr.plan(at.scene, "2/255", cost="navi21", renderer=renderer)
+        images = [renderer.render(at.scene, each).linear[..., :3].astype(float)
+                  for each in (sound.shading, sound.full)]  # fmt: skip
+    assert sound.error.drawn == pytest.approx(Budget(1.0).errors(*images).max())
+    assert 0.0 < sound.error.drawn <= 2 / 255
+    assert "as drawn" in sound.explain()
+    assert sound.shading.fresnel == "constant" != flawed.shading.fresnel
+    assert sound.cost.total < flawed.cost.total
+    assert flawed.tried < 10  # what failed once is not tried again with others
+
+
+# --- errors --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("budget", "material", "lights", "exposure"),
+    [
+        ("0.5/255", {"m": 0.3}, KEY, 0.0),
+        ("4/255", {"m": 0.3, "ks": 0.3}, (*KEY, LIGHTS["rim"], POINT), 0.0),  # frontal
+        ("3/255", {}, (*KEY, POINT), 1.0),
+        ("2%", {"m": 0.12}, KEY, -1.0),
+        ("30/255", {"m": 0.12}, (*KEY, POINT), 2.0),
+    ],
+)
+def test_errors_are_those_of_the_reference_and_rendered_within_the_budget(
+    budget, material, lights, exposure, medium, head
+):
+    scene = fr.Scene(head.with_material(**material), lights=lights)
+    plan = fr.plan(scene, budget, cameras=CAMERAS, exposure=exposure, renderer=medium)
+    assert 0.0 < plan.error.maximum <= plan.budget.limit
+    maps, covered = [], []
+    for camera in CAMERAS:
+        seen = replace(scene, camera=camera)
+        drawn = [medium.render(seen, each).linear for each in (plan.shading, plan.full)]
+        covered.append(drawn[1][..., 3] > 0.0)
+        errors = plan.budget.errors(*(each[..., :3].astype(float) for each in drawn))
+        assert errors[covered[-1]].max() <= plan.budget.limit
+        shaded = [
+            reference.shade(medium.gbuffer(seen, each), seen, each)
+            for each in (plan.shading, plan.full)
+        ]
+        maps.append(np.where(covered[-1], plan.budget.errors(*shaded), 0.0))
+    error = plan.error
+    assert error.maximum == pytest.approx(np.max(maps), rel=1e-9)
+    seen = np.array(maps)[np.array(covered)]
+    assert error.percentile == pytest.approx(np.quantile(seen, 0.999), rel=1e-9)
+    x, y = error.pixel
+    assert maps[error.camera][y, x] == np.max(maps)
+    np.testing.assert_allclose(plan.error_map, maps[error.camera], rtol=1e-9, atol=1e-12)
+    assert (plan.cameras, plan.size, plan.budget.exposure) == (CAMERAS, (64, 64), exposure)
+
+
+# --- guarantee -----------------------------------------------------------------------------------
+
+
+def every_view(random_state, light, slope, weight, albedo=1.0):
+    """Pixels with any normal before an eye, and some for which light and eye graze the surface, on
+    opposite sides, where a highlight is brightest."""
+    count = 400
+    towards = light.direction
+    eye = random_state.normal(size=3)
+    eye *= 5.0 / np.linalg.norm(eye)
+    position = random_state.normal(size=(1, count, 3)) * 0.3
+    normal = random_state.normal(size=(1, count, 3))
+    v = eye - position
+    v /= np.linalg.norm(v, axis=-1, keepdims=True)
+    half = towards + v
+    normal[:, : count // 2] = half[:, : count // 2] + 0.05 * normal[:, : count // 2]
+    # almost opposite: light and eye rise by the same angle from the surface
+    grazing = slice(count // 2, 3 * count // 4)
+    rise = 10.0 ** random_state.uniform(-4, -1, (count // 4, 1))
+    side = np.cross(towards, random_state.normal(size=(count // 4, 3)))
+    side /= np.linalg.norm(side, axis=-1, keepdims=True)
+    away = -(towards - 2.0 * rise * side)
+    away /= np.linalg.norm(away, axis=-1, keepdims=True)
+    position[0, grazing] = eye - 5.0 * away
+    normal[0, grazing] = towards + away
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    plane = np.ones((1, count))
+    return GBuffer(
+        part=np.zeros((1, count), dtype=np.int64),
+        position=position,
+        normal=normal,
+        albedo=np.full((1, count, 3), albedo),
+        m=plane * slope,
+        specular_weight=plane * weight,
+        occlusion=plane,
+        uv=np.zeros((1, count, 2)),
+        view=View(eye, -eye / 5.0, np.eye(4)),
+    )
+
+
+def worst_of_the_bound(gbuffer, scene, shading, full):
+    """The largest share of the bound that the error of a shading is."""
+    own = gbuffer if shading.m is None else replace(gbuffer, m=0 * gbuffer.m + shading.m)
+    images = [reference.shade(at, scene, each) for at, each in ((own, shading), (gbuffer, full))]
+    worst = 0.0
+    for budget in (Budget(1.0, "display", 1.0), Budget(1.0, "relative")):
+        error = budget.errors(*images)[gbuffer.part >= 0].max()
+        if error > 0.0:
+            worst = max(worst, error / max(bound(scene, shading, full, budget), 1e-300))
+    return worst
+
+
+@pytest.mark.parametrize("full", [Shading(), Shading("ward"), Shading(fresnel="dielectric")])
+def test_the_bound_is_above_every_error(full, bare):
+    choose = random.Random(0)
+    random_state = np.random.default_rng(0)
+    shares = []
+    for m, (ks, irradiance) in product((0.1, 0.3, 0.8), ((1.0, 2.0), (1e-6, 1.0))):
+        light = fr.Light(40.0, 30.0, irradiance)
+        mesh = bare.with_material(m=m, ks=ks, albedo_map=None, albedo=0.5, kd=0.7)
+        scene = fr.Scene(mesh, lights=(light,), ambient=1e-3)
+        listed = list(candidates(scene, full, Constants(0.7 * m, ks, (0,))))
+        listed = [*choose.sample(listed, 60), replace(full, ambient=False)]
+        if full.model == "cook-torrance":
+            listed.append(replace(full, frontal_lights=(0,)))
+        for shading in listed:
+            gbuffer = every_view(random_state, light, m, ks, albedo=0.5)
+            shares.append(worst_of_the_bound(gbuffer, scene, shading, full))
+    assert max(shares) <= 1.0 + 1e-9
+    assert max(shares) > 1e-3  # nor is it so loose that nothing could violate it
+
+
+def test_the_bound_holds_in_what_cameras_see(small, head):
+    scene = fr.Scene(head.with_material(ks=1e-7), lights=(LIGHTS["key"], LIGHTS["fill"]))
+    listed = list(candidates(scene, Shading(), Constants(0.3, 1e-7, (1, 0), (0, 1))))
+    choose = random.Random(1)
+    for shading in choose.sample(listed, 40):
+        scene = replace(scene, camera=fr.Camera(choose.uniform(-180, 180), choose.uniform(-80, 80)))
+        (error,) = brute_force(small, Subject("", scene), [shading])
+        assert error <= bound(scene, shading, Shading(), Budget(1.0)) * (1.0 + 1e-9)
+
+
+def test_the_bound_knows_that_a_rough_lobe_peaks_off_the_normal(bare):
+    m = 1.9
+    full = Shading(masking="none")
+    light = fr.Light(0.0, 0.0, 1.0)  # at +z
+    off = math.acos(1 / math.sqrt(2 * m * m))  # of the peak
+    rise = 1e-4
+    # light, half vector and eye are in one plane with the normal, the eye on the horizon
+    half = (math.pi / 2 - rise) - off
+    normal = np.array([math.sin(half - off), 0.0, math.cos(half - off)])
+    eye = 5.0 * np.array([math.sin(2 * half), 0.0, math.cos(2 * half)])
+    assert normal @ eye / 5.0 == pytest.approx(rise, rel=1e-3)
+    gbuffer = replace(
+        every_view(np.random.default_rng(0), light, m, 1.0),
+        position=np.zeros((1, 400, 3)),
+        normal=np.broadcast_to(normal, (1, 400, 3)),
+        view=View(eye, -eye / 5.0, np.eye(4)),
+    )
+    scene = fr.Scene(bare.with_material(m=m, f0=0.99, kd=0.0), lights=(light,), ambient=0.0)
+    highest = reference.shade(gbuffer, scene, full).max()
+    # a pixel as near to the horizon as the shader has any
+    highest *= rise / 1e-6
+    dull = replace(full, specular_lights=())
+    limit = bound(scene, dull, full, Budget(1.0, "relative")) * 0.01
+    assert 0.8 * limit < highest < limit * 1.001
+
+
+@pytest.fixture
+def no_renderer(monkeypatch):
+    def refuse(*arguments, **options):
+        raise AssertionError("a guarantee needs no OpenGL")
+
+    monkeypatch.setattr(fr.Renderer, "__init__", refuse)
+
+
+@pytest.mark.usefixtures("no_renderer")
+def test_a_guarantee_lets_through_what_changes_nothing(bare):
+    dark = fr.Light(10.0, irradiance=0.0)
+    scene = fr.Scene(bare.with_material(m=0.3), lights=(dark, *KEY), ambient=0.0)
+    plan = fr.plan(scene, "0.5/255", guarantee=True, cost="navi21")
+    assert plan.shading == Shading(m=0.3, specular_lights=(1,))
+    assert (plan.error.maximum, plan.error.pixel, plan.error.camera) == (0.0, None, None)
+    assert (plan.cameras, plan.size, plan.error_map) == ((), None, None)
+    assert plan.cost.relative < 1.0
+    assert "a bound, which holds for every camera" in plan.explain()
+    assert "0/255: nothing changes but rounding" in plan.explain()
+    assert json.loads(json.dumps(plan.as_dict()))["guarantee"] is True
+    with pytest.raises(fr.InputError, match="a guarantee is not measured at any camera"):
+        plan.save_error_map("error.png")
+
+
+@pytest.mark.usefixtures("no_renderer")
+def test_a_guarantee_is_never_above_its_budget(bare):
+    scene = fr.Scene(bare, lights=KEY)
+    for budget in ("1/255", "100/255", "5%", "256/255"):
+        plan = fr.plan(scene, budget, guarantee=True, cost="navi21")
+        assert plan.error.maximum == bound(scene, plan.shading, plan.full, plan.budget)
+        assert plan.error.maximum <= plan.budget.limit
+    assert plan.shading.specular_lights == ()
+
+
+@pytest.mark.usefixtures("no_renderer")
+def test_a_guarantee_spares_what_next_to_nothing_comes_of(bare):
+    scene = fr.Scene(bare.with_material(m=0.3, ks=1e-10), lights=KEY)
+    assert fr.plan(scene, "4/255", guarantee=True).shading.specular_lights == ()
+    assert fr.plan(scene, "0", guarantee=True).shading == Shading()
+
+
+def test_the_bound_sees_the_lobes_of_small_slopes(bare):
+    """They lie between angles that are evenly spaced."""
+    for m in (1e-4, 1.2e-4, 1e-3):
+        scene = fr.Scene(bare.with_material(m=m))
+        for lobe in ("cosine", "d4", fit_g_power(4, 1, m, m)):
+            assert bound(scene, Shading(lobe=lobe), Shading(), Budget(1.0)) > 0.5, (m, lobe)
+
+
+# --- what it refuses -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "message"),
+    [
+        ({"lights": ()}, {}, "the scene has no lights: there is no shading to plan"),
+        ({"lights": ()}, {"guarantee": True}, "the scene has no lights"),
+        ({}, {"full": Shading(lobe="d8")}, "a plan chooses the lobe: leave d8 out"),
+        ({}, {"full": Shading(lobe=GPower(4, 0.3))}, r"leave g-power 4 \(0.3/m\^2\) out"),
+        ({}, {"cost": "voodoo"}, "unknown cost 'voodoo'; known: auto, navi21, .* radv:vega10"),
+        ({}, {"budget": "-1/255"}, "budget -1/255 is negative"),
+        ({}, {"budget": "1 dB"}, "budget '1 dB' has no unit that is known"),
+        ({}, {"exposure": math.nan}, "exposure = nan is outside"),
+        ({}, {"cameras": ()}, "the cameras see nothing of head.glb"),
+        (
+            {"camera": fr.Camera(position=(0, 0, 5), target=(0, 0, 9))},
+            {},
+            "the cameras see nothing of head.glb",
+        ),
+        ({}, {"full": Shading(specular_lights=(0, 7))}, "specular_lights names light 7"),
+        ({}, {"budget": "0.1 flip", "guarantee": True}, "FLIP has no bound over all views"),
+    ],
+)
+def test_what_cannot_be_planned(changes, options, message, small, bare):
+    settings = {"budget": "1/255", "renderer": small, **options}
+    with pytest.raises(fr.InputError, match=message) as error:
+        fr.plan(replace(fr.Scene(bare), **changes), settings.pop("budget"), **settings)
+    assert "\n" not in str(error.value)
+
+
+def test_a_camera_that_sees_nothing_beside_one_that_sees(small, subject):
+    away = fr.Camera(position=(0.0, 0.0, 5.0), target=(0.0, 0.0, 9.0))
+    scene = subject("constant m").scene
+    both, one = (
+        fr.plan(scene, "1/255", cameras=each, renderer=small)
+        for each in ((away, fr.Camera()), (fr.Camera(),))
+    )
+    assert both.shading == one.shading
+    assert both.error == replace(one.error, camera=1)
+
+
+# --- what it says and writes ---------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def plans(small, head, bare, subject):
+    """Plans that chose differently; the last one is a guarantee."""
+    mesh = head.with_material(m=0.3)
+    scenes = (
+        (subject("frontal").scene, "0.5/255"),
+        (fr.Scene(mesh), "8/255"),
+        (subject("constant m").scene, "0.5/255"),
+        (fr.Scene(mesh, lights=KEY), "12/255"),
+        (fr.Scene(bare.with_material(ks=0.3), lights=(LIGHTS["rim"],)), "2/255"),  # constant m
+        (fr.Scene(bare, lights=(POINT, *KEY)), "2/255"),
+        (fr.Scene(bare, lights=KEY), "0"),
+        (fr.Scene(mesh.with_material(ks=0.1), lights=KEY, ambient=0.0), "30%"),
+    )
+    found = [fr.plan(scene, budget, renderer=small) for scene, budget in scenes]
+    found.append(fr.plan(fr.Scene(mesh, lights=KEY), "1/255", guarantee=True))
+    assert len({plan.shading for plan in found}) > 6
+    assert any(isinstance(plan.shading.lobe, GPower) for plan in found)
+    assert any(plan.shading.model == "ward" for plan in found)
+    assert any(plan.shading.frontal_lights for plan in found)
+    assert any(plan.shading == plan.full for plan in found)
+    return found
+
+
+def test_every_decision_has_a_line(plans):
+    for plan in plans:
+        names = [each.name for each in plan.decisions]
+        assert names == [name for name in DECISIONS if name in names]
+        exact = ["shading"] * (plan.shading == plan.full)
+        lines = dict(re.split(" {2,}", line, maxsplit=1) for line in plan.explain().splitlines())
+        shown = names if plan.budget.limit > ROUNDING[plan.budget.unit] else []
+        assert list(lines) == ["budget", "basis", *shown, *exact, "error", "cost"]
+        differs = changed(plan.shading, plan.full)
+        told = set(TERM[1:]) if "model" in differs else set()
+        assert {each.name for each in plan.decisions if each.changed} == set(differs) - told
+        for each in plan.decisions:
+            assert lines.get(each.name, each.text) == each.text
+            assert each.text.startswith(each.chosen)
+            assert each.other == "none" or each.other in each.text
+            assert each.saving > 0.0 or each.changed
+            verb, number = re.search(r"(saves?|costs) (\d+) %", each.text).groups()
+            percent = -int(number) if verb == "costs" else int(number)
+            whole = each.name in ("normal map", "ambient")
+            part = plan.cost.full_total if whole else plan.cost.full_specular
+            assert percent == round(100 * each.saving * plan.cost.full_total / part)
+            assert plan.budget.text(each.error) in each.text
+
+
+def test_what_a_decision_adds_and_saves(plans, small):
+    for plan in plans[:-1]:
+        prices = load_prices("auto", plan.scene, [], software=True)
+        every = list(candidates(plan.scene, plan.full, plan.constants))
+        unit = "1%" if plan.budget.unit == "relative" else "1/255"
+
+        def cost(shading, of=prices, scene=plan.scene):
+            return of.cost(scene, shading)[0]
+
+        def errors(shadings, subject=Subject("", plan.scene), unit=unit):
+            return brute_force(small, subject, shadings, unit)
+
+        assert plan.cost.total == cost(plan.shading)
+        for each in plan.decisions:
+            names = TERM if each.name == "model" and each.changed else (each.name,)
+            if each.changed:
+                base = replace(plan.full, m=plan.shading.m) if "lobe" in names else plan.full
+                expected = errors([with_decisions(base, plan.shading, names)])
+                assert each.error == pytest.approx(expected[0], rel=1e-9, abs=1e-12)
+                saved = cost(with_decisions(plan.shading, plan.full, names)) - plan.cost.total
+                assert each.saving == pytest.approx(saved / plan.cost.full_total)
+            else:  # all that are cheaper are over the budget, by what is said or more
+                others = [
+                    other
+                    for other in every
+                    if changed(other, plan.shading) == [each.name] and cost(other) < plan.cost.total
+                ]
+                limit = plan.budget.limit - ROUNDING[plan.budget.unit]
+                assert limit < each.error <= min(errors(others)) * (1.0 + 1e-9)
+
+
+def test_as_dict_goes_through_json(plans):
+    for plan in plans:
+        found = json.loads(json.dumps(plan.as_dict(), allow_nan=False))
+        assert Shading.from_dict(found["shading"]) == plan.shading
+        assert found["text"] == plan.explain()
+        assert found["budget"] == asdict(plan.budget)
+        assert found["error"]["maximum"] == plan.error.maximum
+        assert found["cost"]["relative"] == plan.cost.total / plan.cost.full_total
+        assert [each["text"] for each in found["decisions"]] == [d.text for d in plan.decisions]
+        assert found["guarantee"] is (plan is plans[-1])
+        assert [fr.Camera(**each) for each in found["cameras"]] == list(plan.cameras)
+        assert 0 <= found["tried"] <= found["candidates"]
+
+
+def test_cameras_of_numpy_numbers_are_written_too(small, bare, tmp_path):
+    camera = fr.Camera(np.arange(0, 90, 30)[1], zoom=np.float32(1.25))
+    light = fr.Light(np.float64(20.0), np.int64(10))
+    scene = fr.Scene(bare.with_material(m=np.float64(0.3)), camera, (light,))
+    plan = fr.plan(scene, "1/255", renderer=small)
+    json.dumps(plan.as_dict())
+    (tmp_path / "scene.toml").write_text(plan.scene_toml())
+    found = load_scene(tmp_path / "scene.toml")
+    assert found["camera"] == camera
+    assert found["lights"] == (light,)
+    assert found["material"]["m"] == 0.3
+
+
+@pytest.mark.parametrize("target", ["330", "es300", "vulkan"])
+def test_its_shader_compiles(target, plans, tmp_path):
+    for number, plan in enumerate(plans):
+        text = plan.shader(target)
+        assert text.isascii()
+        assert text.splitlines()[0].startswith("#version")
+        assert [f"// {line}" for line in plan.explain().splitlines()] == [
+            line for line in text.splitlines()[1:] if line.startswith("// ")
+        ][: len(plan.explain().splitlines())]
+        call = "fr_cook_torrance(n, n, n, 0.9, 0.028)"
+        if plan.shading.model != "cook-torrance":
+            call = f"fr_{plan.shading.model.replace('-', '_')}(n, n, n, 0.9)"
+        if plan.shading.m is not None:
+            assert f"#define FR_SLOPE(m) {plan.shading.m!r}\n" in text
+        path = tmp_path / f"{number}.frag"
+        main = f"void main() {{ vec3 n = vec3(0.0, 0.0, 1.0); result = vec4({call}); }}"
+        path.write_text(f"{text}\n{OUTPUT[target]}out vec4 result;\n{main}\n")
+        options = ["-V", "-o", path.with_suffix(".spv")] if target == "vulkan" else []
+        run(["glslangValidator", *options, path])
+
+
+def test_its_shader_without_a_target_is_to_be_included(plans):
+    text = plans[0].shader()
+    assert "#version" not in text
+    assert text.startswith("// budget ")
+    assert text.isascii()
+    with pytest.raises(fr.InputError, match="unknown target 'metal'"):
+        plans[0].shader("metal")
+
+
+def test_error_map(plans, tmp_path):
+    path = tmp_path / "error.png"
+    for plan in plans[:-1]:
+        plan.save_error_map(path)
+        with Image.open(path) as image:
+            pixels = np.asarray(image).astype(int)
+            comment = image.info["Comment"]
+        assert pixels.shape == (32, 32, 3)
+        assert f"white is {plan.budget.text(plan.budget.limit)}" in comment
+        assert plan.budget.text(plan.error.maximum) in comment
+        x, y = plan.error.pixel
+        brightness = pixels.sum(axis=-1)
+        assert brightness[y, x] == brightness.max()
+        assert not brightness[plan.error_map == 0.0].any()
+        assert (np.diff(brightness.ravel()[np.argsort(plan.error_map, axis=None)]) >= -1).all()
+
+
+# --- scene files ---------------------------------------------------------------------------------
+
+FILES = {
+    "defaults": (fr.Camera(), KEY, {}, Shading()),
+    "everything": (
+        fr.Camera(30.0, -10.0, 40.0, 1.5, (0.01, 0.0, 0.02), (0.3, 0.1, 1.2)),
+        (POINT, fr.Light(10.0, 20.0, (1.0, 0.5, 1e-5)), LIGHTS["rim"]),
+        {"ambient": (0.1, 0.0, 0.2), "background": None},
+        Shading(
+            lobe=GPower(6, 0.27425, -1.5e-5),
+            fresnel="constant",
+            masking="kelemen",
+            m=0.25,
+            ks=0.5,
+            normal_map=False,
+            ambient=False,
+            specular_lights=(2, 0),
+            frontal_lights=(2, 1),
+        ),
+    ),
+    "frontal light": (fr.Camera(), (*KEY, POINT), {}, Shading(frontal_lights=[1])),
+    "small slopes": (fr.Camera(), KEY, {"ambient": 0.0}, Shading("ward", small_slope=False)),
+    "no highlight": (fr.Camera(), KEY, {}, Shading(specular_lights=(), outside="exact")),
+    "named lobe": (fr.Camera(), KEY, {"background": (1, 0, 0.5)}, Shading(lobe="fitted-fine")),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_scene_file_gives_the_same_image(name, small, head, tmp_path):
+    camera, lights, rest, shading = FILES[name]
+    mesh = head.with_material(f0=0.04, kd=0.9)
+    scene = fr.Scene(mesh, camera, lights, **rest)
+    path = tmp_path / "scene.toml"
+    path.write_text(scene_toml(scene, shading), encoding="utf-8")
+    found = load_scene(path)
+    again = Shading.from_dict(found.pop("shading"))
+    assert again == shading
+    material = found.pop("material")
+    assert material["f0"] == 0.04
+    assert material["roughness_factor"] == 1.0
+    assert "m" not in material  # the head's map counts
+    other = fr.Scene(fr.load_mesh().with_material(**material), **found)
+    for field in dataclasses.fields(scene):
+        if field.name != "mesh":
+            assert getattr(other, field.name) == getattr(scene, field.name)
+    np.testing.assert_array_equal(
+        small.render(other, again).linear, small.render(scene, shading).linear
+    )
+
+
+def test_a_plan_pinned_in_a_file(plans, tmp_path):
+    for plan in plans:
+        path = tmp_path / "scene.toml"
+        path.write_text(plan.scene_toml(), encoding="utf-8")
+        found = load_scene(path)
+        assert Shading.from_dict(found["shading"]) == plan.shading
+        assert found["lights"] == plan.scene.lights
+        for line in plan.explain().splitlines():
+            assert f"# {line}\n" in plan.scene_toml()
+
+
+def test_a_factor_that_parts_do_not_share_is_left_to_them(head, tmp_path):
+    (part,) = head.parts
+    mesh = replace(head, parts=(part, part), materials=(
+        replace(head.materials[0], ks=0.1), head.materials[0]))  # fmt: skip
+    path = tmp_path / "scene.toml"
+    path.write_text(scene_toml(fr.Scene(mesh), Shading()))
+    material = load_scene(path)["material"]
+    assert "ks" not in material
+    assert material["f0"] == 0.028
+
+
+def test_turntable():
+    camera = fr.Camera(10.0, 20.0, 30.0, 2.0, (0.0, 0.1, 0.0), position=(1.0, 2.0, 3.0))
+    around = turntable(camera, 5)
+    assert [each.azimuth for each in around] == pytest.approx([10.0, 82.0, 154.0, 226.0, 298.0])
+    for each in around:
+        assert each == replace(camera, azimuth=each.azimuth, position=None)
+    assert len(turntable()) == 8

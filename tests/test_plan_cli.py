@@ -1,0 +1,504 @@
+"""``facerender plan`` and ``facerender render --budget`` as a user meets them, and the plans that
+are kept between commands."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import facerender as fr
+from facerender.cli import main
+from facerender.lobes import GPower
+from facerender.planning import cache as plan_cache
+from facerender.planning.budget import Budget
+from facerender.scene import LIGHTS, load_scene
+from facerender.shading import Shading
+from tests.awkward_files import MINI_HEAD
+from tests.test_cli import Capture, Cli
+from tests.test_glsl import OUTPUT, run
+
+SMALL = ("--size", "48", "--samples", "1", "--light", "key")
+FACE = (MINI_HEAD, *SMALL)
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    return tmp_path / "cache" / "facerender" / "plans"
+
+
+@pytest.fixture
+def cli(tmp_path, capsys: Capture, egl, cache):
+    folder = tmp_path / "out"
+    folder.mkdir()
+    return Cli(folder, capsys)
+
+
+@pytest.fixture
+def plan(cli):
+    """Plan without a complaint, and return what is printed."""
+
+    def plan(*options, mesh=FACE):
+        status, out, err = cli.run("plan", *mesh, *options)
+        assert (status, err) == (0, "")
+        return out
+
+    return plan
+
+
+def expected(budget, camera=fr.Camera(), mesh=None, **options):
+    scene = fr.Scene(mesh or fr.load_mesh(MINI_HEAD), camera, (LIGHTS["key"],))
+    with fr.Renderer((48, 48), samples=1) as renderer:
+        return fr.plan(scene, budget, renderer=renderer, **options)
+
+
+@pytest.fixture(scope="module")
+def found(egl):
+    return expected("2/255")
+
+
+@pytest.fixture
+def planned(monkeypatch, found):
+    """The budgets that were planned for, not read from the cache: what is found is always the
+    same."""
+    seen = []
+
+    def spy(scene, budget, **options):
+        seen.append(budget)
+        return found
+
+    monkeypatch.setattr(plan_cache, "plan", spy)
+    return seen
+
+
+# --- plan ----------------------------------------------------------------------------------------
+
+
+def test_output_for_people(plan):
+    out = plan("--budget", "1/255")
+    assert out == expected("1/255").explain() + "\n"
+    lines = out.splitlines()
+    assert lines[0].startswith("budget ")
+    assert lines[0].endswith(" 1/255, 0.05/255 of it kept for rounding")
+    assert lines[1].endswith(" 1 camera of 48 x 48 pixels; no guarantee for others")
+    assert re.search(r"^error +0\.\d+/255, at pixel \(\d+, \d+\); 99\.9 % of the", lines[-2])
+    assert re.search(r"^cost +[\d.]+ of [\d.]+ .* a fragment, [01]\.\d\d; ", lines[-1])
+
+
+def test_json(plan):
+    found = json.loads(plan("--budget", "0.5%", "--json", "--cost", "vega10"))
+    assert found == json.loads(json.dumps(expected("0.5%", cost="vega10").as_dict()))
+    assert found["budget"] == {"limit": 0.005, "unit": "relative", "exposure": 0.0}
+    assert "GCN5 (vega10)" in found["cost"]["source"]
+
+
+@pytest.mark.parametrize("target", ["330", "es300", "vulkan"])
+def test_emit(target, plan, cli, found):
+    path = cli.folder / "lean.glsl"
+    plan("--budget", "2/255", "--emit", path, "--target", target)
+    text = path.read_bytes()
+    assert text.decode("ascii") == found.shader(target)
+    assert cli.written == ["lean.glsl"]
+    call = "fr_cook_torrance(vec3(0.0), vec3(1.0), vec3(1.0), 0.3, 0.028)"
+    assert found.shading.model == "cook-torrance"
+    shader = path.with_suffix(".frag")
+    main = f"{OUTPUT[target]}out vec4 result;\nvoid main() {{ result = vec4({call}); }}\n"
+    shader.write_bytes(text + main.encode())
+    options = ["-V", "-o", path.with_suffix(".spv")] if target == "vulkan" else []
+    run(["glslangValidator", *options, shader])
+
+
+def test_emit_without_a_target(plan, cli, found):
+    plan("--budget", "2/255", "--emit", cli.folder / "lean.glsl")
+    assert (cli.folder / "lean.glsl").read_text() == found.shader()
+
+
+@pytest.mark.parametrize("budget", ["1/255", "40/255", "0"])
+def test_a_pinned_scene_renders_as_its_shading_does(budget, plan, cli):
+    pinned = cli.folder / "pinned.toml"
+    options = ("--m", "0.25", "--camera", "20,10,1.1", "--ambient", "0.2", "--background", "none")
+    found = json.loads(plan("--budget", budget, "--scene", pinned, "--json", *options))
+    shading = Shading.from_dict(found["shading"])
+    with fr.Renderer((48, 48)) as renderer:
+        camera = fr.Camera(20.0, 10.0, zoom=1.1)
+        mesh = fr.load_mesh(MINI_HEAD).with_material(m=0.25)
+        scene = fr.Scene(mesh, camera, (LIGHTS["key"],), ambient=0.2, background=None)
+        image = renderer.render(scene, shading).srgb8()
+    np.testing.assert_array_equal(cli.render("--scene", pinned), image)
+    assert pinned.read_text().startswith("# Written by facerender plan.\n")
+    plan("--budget", "3/255", "--scene", pinned)  # its own may be replaced
+    assert load_scene(pinned)["shading"] == expected("3/255").shading.as_dict()
+
+
+def test_a_pinned_scene_holds_a_g_power(plan, cli):
+    pinned = cli.folder / "pinned.toml"
+    plan("--budget", "1/255", "--m", "0.3", "--scene", pinned)
+    shading = Shading.from_dict(load_scene(pinned)["shading"])
+    assert isinstance(shading.lobe, GPower)
+    assert cli.describe("--scene", pinned)["lobe"] == str(shading.lobe)
+
+
+def test_from_a_scene_file(plan, cli, tmp_path):
+    (tmp_path / "scene.toml").write_text(
+        "lights = ['key']\n[camera]\nazimuth = 35\n[material]\nm = 0.2\n"
+        "[shading]\nfresnel = 'dielectric'\n"
+    )
+    arguments = (MINI_HEAD, *SMALL[:4], "--from", tmp_path / "scene.toml")
+    out = plan("--budget", "2/255", mesh=arguments)
+    mesh = fr.load_mesh(MINI_HEAD).with_material(m=0.2)
+    full = Shading(fresnel="dielectric")
+    assert out == expected("2/255", fr.Camera(35.0), mesh, full=full).explain() + "\n"
+    out = plan("--budget", "2/255", "--fresnel", "constant", "--camera", "front", mesh=arguments)
+    full = Shading(fresnel="constant")
+    assert out == expected("2/255", mesh=mesh, full=full).explain() + "\n"
+
+
+def test_cameras(plan, tmp_path):
+    path = tmp_path / "path.toml"
+    path.write_text("[[cameras]]\nazimuth = 5\n[[cameras]]\nazimuth = 60\nelevation = 10\n")
+    for options, cameras in (
+        (("--camera", "profile"), [fr.Camera(90.0)]),
+        (("--camera", "10", "--camera", "-30,20"), [fr.Camera(10.0), fr.Camera(-30.0, 20.0)]),
+        (("--camera", path), [fr.Camera(5.0), fr.Camera(60.0, 10.0)]),
+        (("--from", path), [fr.Camera(5.0), fr.Camera(60.0, 10.0)]),
+        (("--camera", "turntable"), list(fr.turntable())),
+        (("--camera", "turntable", "--camera", "0,80", "--fov", "40"),
+         [*fr.turntable(fr.Camera(fov=40.0)), fr.Camera(0.0, 80.0, 40.0)]),
+    ):  # fmt: skip
+        found = json.loads(plan("--budget", "30/255", "--json", *options))
+        assert [fr.Camera(**each) for each in found["cameras"]] == cameras
+        count = "1 camera" if len(cameras) == 1 else f"{len(cameras)} cameras"
+        assert f" {count} of 48 x 48 pixels" in found["text"]
+
+
+def test_size(plan):
+    found = json.loads(plan("--budget", "30/255", "--json", mesh=(MINI_HEAD, "--size", "40x32")))
+    assert found["size"] == [40, 32]
+
+
+def test_error_map(plan, cli):
+    plan("--budget", "2/255", "--error-map", cli.folder / "error.png", "--camera", "30")
+    found = expected("2/255", fr.Camera(30.0))
+    with Image.open(cli.folder / "error.png") as image:
+        pixels = np.asarray(image).sum(axis=-1, dtype=int)
+        assert found.budget.text(found.error.maximum) in image.info["Comment"]
+    assert pixels.shape == (48, 48)
+    x, y = found.error.pixel
+    assert pixels[y, x] == pixels.max() > 0
+
+
+def test_guarantee(plan, cli):
+    path = cli.folder / "sure.toml"
+    out = plan("--budget", "1/255", "--guarantee", "--m", "0.3", "--scene", path)
+    assert "a bound, which holds for every camera" in out
+    assert re.search(r"^error +0/255: nothing changes but rounding$", out, re.MULTILINE)
+    assert "no guarantee" not in out
+    np.testing.assert_allclose(
+        cli.render("--scene", path).astype(int), cli.render("--light", "key", "--m", "0.3"), atol=1
+    )
+
+
+def test_exposure_counts(plan):
+    normal, bright = (
+        json.loads(plan("--budget", "2/255", "--json", "--exposure", stops)) for stops in "04"
+    )
+    assert normal["error"] != bright["error"]
+
+
+# --- errors --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ((), r"arguments are required: --budget; see facerender plan --help"),
+        (("--budget", "1"), r"budget '1' has no unit: give a share .* 1/255, 0\.5%, or 0\.02 flip"),
+        (("--budget", "2 dB"), r"budget '2 dB' has no unit that is known"),
+        (("--budget", "-1/255"), r"budget -1/255 is negative"),
+        (("--budget", "nan%"), r"budget nan% is negative or not finite"),
+        (("--budget", "1/0"), r"budget '1/0'"),
+        (("--budget", "1/255", "--target", "330"), r"--target 330 .* say --emit OUT\.glsl"),
+        (("--budget", "1/255", "--emit", "x", "--target", "metal"), r"invalid choice: 'metal'"),
+        (("--budget", "1/255", "--guarantee", "--camera", "0"), r"leave --camera and --error-map"),
+        (("--budget", "1/255", "--guarantee", "--error-map", "a.png"), r"--guarantee is not mea"),
+        (("--budget", "0.1 flip", "--guarantee"), r"FLIP has no bound over all views"),
+        (("--budget", "1/255", "--cost", "voodoo"), r"unknown cost 'voodoo'; known: auto, "),
+        (("--budget", "1/255", "--camera", "top"), r"--camera 'top': give .*, or front"),
+        (("--budget", "1/255", "--camera", "gone.toml"), r"cannot read gone\.toml: no such file"),
+        (("--budget", "1/255", "--from", "gone.toml"), r"cannot read gone\.toml: no such file"),
+        (("--budget", "1/255", "--size", "big"), r"size 'big': give N or WxH"),
+        (("--budget", "1/255", "--exposure", "nan"), r"exposure = nan is outside"),
+        (("--budget", "1/255", "--lobe", "d8"), r"unrecognized arguments: --lobe d8"),
+        (("--budget", "1/255", "--model", "ward", "--fresnel", "dielectric"), r"ward has no Fres"),
+    ],
+)
+def test_bad_option(options, message, cli):
+    cli.fail(message, "plan", *FACE, *options)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("lights = []", r"the scene has no lights: there is no shading to plan"),
+        ("cameras = []", r"scene\.toml: cameras = \[\]: give a list of tables"),
+        ("cameras = 3", r"scene\.toml: cameras = 3: give a list of tables"),
+        ("[[cameras]]\nroll = 3", r"scene\.toml: unknown key 'roll' in cameras"),
+        ("[shading]\nlobe = 'd8'", r"a plan chooses the lobe: leave d8 out"),
+        ("[shading]\nlobe = 'd5'", r"scene\.toml: unknown lobe 'd5'"),
+        ("[shading]\ngloss = 1", r"scene\.toml: unknown key 'gloss' in shading; known: model"),
+        ("[shading]\nlobe = {g = 4}", r"scene\.toml: lobe = .*: give a name, or g, factor, offset"),
+        ("[shading]\nlobe = {g = 4, factor = 'x'}", r"scene\.toml: .*factor"),
+        ("[shading]\nlobe = {g = 4, factor = -1}", r"scene\.toml: factor = -1"),
+        ("[shading]\nlobe = 3", r"scene\.toml: unknown lobe 3"),
+        ("shading = 'exact'", r"scene\.toml: shading = 'exact': give a table"),
+        ("shading = 3", r"scene\.toml: shading = 3: give a table"),
+        ("[shading]\nspecular_lights = 3", r"scene\.toml: specular_lights = 3: give a list"),
+        ("[shading]\nfrontal_lights = 3", r"scene\.toml: frontal_lights = 3: give a list"),
+        ("[shading]\nfrontal_lights = [true]", r"frontal_lights = \[True\]: give a list"),
+        ("[shading]\nspecular_lights = [0, 0]", r"specular_lights = \[0, 0\]: .* each once"),
+        ("[shading]\nsmall_slope = 'no'", r"small_slope = 'no': give true or false"),
+        ("[shading]\nm = -1", r"scene\.toml: m = -1 is outside"),
+        ("[shading]\nspecular_lights = ['key']", r"scene\.toml: specular_lights = \['key'\]: "),
+        ("[shading]\nspecular_lights = [9]", r"specular_lights names light 9: the scene has 3"),
+        ("[shading]\nm = 'rough'", r"m = 'rough' is outside"),
+        ("[shading]\nks = -1", r"ks = -1 is outside"),
+        ("[camera]\nposition = [0, 0, 5]\ntarget = [0, 0, 9]", r"cameras see nothing of mini_head"),
+    ],
+)
+def test_bad_scene_file(text, message, cli, tmp_path):
+    (tmp_path / "scene.toml").write_text(text)
+    options = ("--budget", "1/255", "--from", tmp_path / "scene.toml", "--size", "48")
+    cli.fail(message, "plan", MINI_HEAD, *options)
+
+
+def test_a_camera_path_without_cameras(cli, tmp_path):
+    (tmp_path / "path.toml").write_text("ambient = 1\n")
+    options = ("--budget", "1/255", "--camera", tmp_path / "path.toml")
+    cli.fail(r"path\.toml has no \[\[cameras\]\]", "plan", *FACE, *options)
+
+
+def test_a_scene_that_somebody_wrote_is_not_replaced(cli):
+    path = cli.folder / "mine.toml"
+    path.write_text("ambient = 1\n")
+    message = r"mine\.toml exists, and is not of facerender plan: --from .* reads a scene"
+    cli.fail(message, "plan", *FACE, "--budget", "1/255", "--scene", path)
+    assert path.read_text() == "ambient = 1\n"
+
+
+@pytest.mark.parametrize("option", ["--emit", "--scene", "--error-map"])
+def test_places_that_cannot_be_written(option, cli):
+    place = cli.folder / "missing" / "out.png"
+    others = {"--emit": "a.glsl", "--scene": "b.toml", "--error-map": "c.png"}
+    del others[option]
+    written = [word for name, file in others.items() for word in (name, cli.folder / file)]
+    options = ("--budget", "1/255", *written, option, place)
+    cli.fail(r"cannot write .*: give a file in a writable folder", "plan", *FACE, *options)
+    cli.fail(
+        r"cannot write .*: give a file", "plan", *FACE, "--budget", "1/255", option, cli.folder
+    )
+
+
+def test_results_replace_neither_one_another_nor_what_is_read(cli, tmp_path):
+    image = tmp_path / "rough.png"
+    Image.new("L", (4, 4), 90).save(image)
+    before = image.read_bytes()
+    for options in (
+        ("--emit", tmp_path / "a.txt", "--scene", tmp_path / "a.txt"),
+        ("--roughness-map", image, "--error-map", image),
+    ):
+        cli.fail(r"is read, or written twice", "plan", *FACE, "--budget", "1/255", *options)
+    assert image.read_bytes() == before
+    cli.fail(r"give a \.png", "plan", *FACE, "--budget", "1/255", "--error-map", tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize(
+    ("line", "options"),
+    [
+        ("m = 0.3", ("--m", "0.4")),
+        ("m = 0.3", ("--roughness-map", "a.png")),
+        ("ks = 0.3", ("--ks", "0.4")),
+        ("ambient = false", ("--ambient", "0.4")),
+        ("normal_map = false", ("--normal-map", "a.png")),
+        ("specular_lights = [0]", ("--light", "rim")),
+        ("frontal_lights = [0]", ("--light", "rim")),
+    ],
+)
+def test_options_against_a_pinned_shading_are_refused(line, options, cli, tmp_path):
+    scene = tmp_path / "pinned.toml"
+    scene.write_text(f"[shading]\n{line}\n")
+    message = rf"pins {line.split()[0]} = .* of the shading: leave {options[0]} out"
+    cli.fail_to_render(message, "--scene", scene, *options)
+
+
+def test_a_pinned_scene_is_planned_again(plan, cli):
+    path = cli.folder / "again.toml"
+    path.write_text("[shading]\nfrontal_lights = [0]\n")
+    again = plan("--budget", "4/255", "--from", path, mesh=(MINI_HEAD, "--size", "48"))
+    assert "cost" in again
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--budget", "2 dB"),
+        ("--budget", "-1/255"),
+        ("--budget", "1/255", "--lobe", "d8"),
+        ("--budget", "1/255", "--exposure", "nan"),
+        ("--budget", "1/255", "--camera", "turntable", "--camera", "top"),
+        ("--budget", "1/255", "--camera", "top"),
+        ("--budget", "1/255", "--only", "specular"),
+    ],
+)
+def test_render_with_a_bad_budget(options, cli, cache):
+    cli.fail_to_render(r"budget|a plan chooses the lobe|exposure|--camera", *options)
+    assert not cache.exists()
+
+
+# --- render --budget -----------------------------------------------------------------------------
+
+
+def test_render_within_a_budget(cli, found):
+    status, out, err = cli.run("render", *FACE, "-o", cli.png, "--budget", "2/255", "--samples", 1)
+    assert (status, out) == (0, f"{cli.png}\n")
+    assert err.splitlines() == found.explain().splitlines()[-2:]
+    with fr.Renderer((48, 48), samples=1) as renderer:
+        image, full = (
+            renderer.render(found.scene, shading) for shading in (found.shading, Shading())
+        )
+    np.testing.assert_array_equal(np.asarray(Image.open(cli.png)), image.srgb8())
+    difference = Budget(1.0).errors(
+        image.linear[..., :3].astype(float), full.linear[..., :3].astype(float)
+    )
+    assert 0.0 < difference.max() <= 2 / 255
+    assert cli.written == ["head.png"]
+
+
+def test_render_within_a_budget_as_json(cli, found):
+    options = ("--light", "key", "--budget", "2/255", "--samples", "1")
+    facts = cli.describe(*options)
+    assert facts["plan"] == json.loads(json.dumps(found.as_dict()))
+    assert facts["lobe"] == str(Shading.from_dict(facts["plan"]["shading"]).lobe)
+    assert "plan" not in cli.describe("--light", "key")
+
+
+def shoot(cli, *options, mesh=MINI_HEAD):
+    """Render within a budget, and return the image and what is said."""
+    arguments = ["--size", "48", "--light", "key", "--samples", 1, "--budget", "2/255", *options]
+    status, _, err = cli.run("render", mesh, "-o", cli.png, *arguments)
+    assert status == 0, err
+    with Image.open(cli.png) as image:
+        return np.asarray(image), err
+
+
+def test_a_plan_is_kept(cli, planned, found, cache):
+    first, said = shoot(cli)
+    again, said_again = shoot(cli)
+    assert planned == ["2/255"]
+    assert said == said_again
+    np.testing.assert_array_equal(first, again)
+    assert len(list(cache.iterdir())) == 1
+    with fr.Renderer((48, 48), samples=1) as renderer:
+        np.testing.assert_array_equal(again, renderer.render(found.scene, found.shading).srgb8())
+
+
+def test_what_changes_the_plan_makes_a_new_one(cli, planned, tmp_path):
+    shoot(cli)
+    shoot(cli, mesh=shutil.copy(MINI_HEAD, tmp_path / "other.glb"))
+    # its name may count, and nothing else
+    assert planned in (["2/255"], ["2/255"] * 2)
+    for number, level in enumerate((40, 90)):
+        Image.new("L", (4, 4), level).save(tmp_path / f"rough{number}.png")
+        Image.new("RGB", (4, 4), (level, 60, 60)).save(tmp_path / f"albedo{number}.png")
+    for options in (
+        *(("--budget", "3/255"), ("--budget", "2%"), ("--exposure", "1"), ("--size", "40")),
+        *(("--m", "0.2"), ("--ks", "0.5"), ("--kd", "0.5"), ("--ambient", "0.1")),
+        *(("--light", "front"), ("--light", "rim"), ("--camera", "10"), ("--fov", "30")),
+        *(("--fresnel", "dielectric"), ("--masking", "kelemen"), ("--model", "ward")),
+        *(("--anisotropy", "2"), ("--float-albedo",), ("--flip-v",)),
+        *((name, tmp_path / f"{file}{number}.png") for number in (0, 1)
+          for name, file in (("--roughness-map", "rough"), ("--albedo", "albedo"))),
+    ):  # fmt: skip
+        planned.clear()
+        shoot(cli, *options)
+        assert len(planned) == 1, options
+
+
+def test_what_does_not_change_the_plan_does_not_plan(cli, planned):
+    shoot(cli)
+    shoot(cli, "--json")
+    assert len(planned) == 1
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\xff\x00",
+        b"{",
+        b"[]",
+        b"null",
+        b"3",
+        b"{}",
+        b'{"shading": null, "text": "x"}',
+        b'{"shading": {}}',
+        b'{"shading": {"lobe": "d5"}, "text": "x"}',
+        b'{"shading": {"lobe": {"g": 3}}, "text": "x"}',
+        b'{"shading": {"specular_lights": 3}, "text": "x"}',
+        b'{"shading": {"gloss": 3}, "text": "x"}',
+    ],
+)
+def test_a_damaged_plan_is_made_anew(content, cli, planned, cache):
+    image, said = shoot(cli)
+    (kept,) = cache.iterdir()
+    good = kept.read_bytes()
+    kept.write_bytes(content)
+    again, said_again = shoot(cli)
+    assert len(planned) == 2
+    assert said == said_again
+    np.testing.assert_array_equal(image, again)
+    assert kept.read_bytes() == good
+
+
+def test_a_cache_that_cannot_be_written_is_passed_over(cli, planned, tmp_path, monkeypatch):
+    image, said = shoot(cli)
+    (tmp_path / "file").write_text("")
+    for place in (tmp_path / "file", "/dev/null"):
+        monkeypatch.setenv("XDG_CACHE_HOME", str(place))
+        again, said_again = shoot(cli)
+        assert said == said_again
+        np.testing.assert_array_equal(image, again)
+    assert len(planned) == 3
+
+
+def test_a_kept_plan_that_is_a_folder_is_passed_over(cli, planned, cache):
+    shoot(cli)
+    (kept,) = cache.iterdir()
+    kept.unlink()
+    kept.mkdir()
+    shoot(cli)
+    assert len(planned) == 2
+
+
+def test_without_a_place_in_the_environment_it_is_in_the_home(cli, planned, tmp_path, monkeypatch):
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    shoot(cli)
+    assert len(list((tmp_path / "home/.cache/facerender/plans").iterdir())) == 1
+
+
+def test_nothing_is_kept_of_a_plan_command(plan, cache):
+    plan("--budget", "2/255")
+    assert not cache.exists()
+
+
+def test_help_names_the_units(capsys):
+    with pytest.raises(SystemExit):
+        main(["plan", "--help"])
+    out = " ".join(capsys.readouterr().out.split())
+    for word in ("1/255, 0.5% or '0.02 flip'", "turntable", "--guarantee", "OUT.toml"):
+        assert word in out
