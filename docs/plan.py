@@ -57,7 +57,6 @@ At eight cameras all around. Some of them always look against a light, where all
 {around_tables}
 
 - A slope that is the same everywhere becomes a constant, which changes nothing and always saves.
-  A slope from a map leaves little to save.
 - Lights on the eye's side need no Fresnel and no masking term; on GPUs these are what costs. A rim
   light needs all terms.
 - Another lobe hardly pays on RDNA2, where exp2 is cheap. On llvmpipe it does, and there it is a
@@ -76,7 +75,7 @@ constants.
 All plans above, drawn with {samples} samples and compared with the full shading drawn: cameras
 whose largest error is over the budget; and the largest error of all, over its budget. The
 {unplanned} others look from all around, from elevations of -30 to 40 degrees, with zooms of 0.8 to
-2.5.
+2.5. A plan for one camera is for that camera: where others look against the light, it fails.
 
 {rates}
 
@@ -148,8 +147,8 @@ def short(found: Plan) -> str:
     if not differs:
         return "exact: nothing saved"
     words = {
-        "lights": f"specular of lights {shading.specular_lights}",
-        "frontal": f"lights {shading.frontal_lights} without F and G",
+        "lights": f"specular of {listed(shading.specular_lights or ())}",
+        "frontal": f"{listed(shading.frontal_lights)} without F and G",
         "normal map": "no normal map",
         "slope": "m constant",
         "specular weight": "ks constant",
@@ -163,6 +162,11 @@ def short(found: Plan) -> str:
     if "model" in differs:
         differs = [name for name in differs if name not in ("Fresnel", "masking")]
     return ", ".join(words[name] for name in DECISIONS if name in differs)
+
+
+def listed(lights: Sequence[int]) -> str:
+    names = ("key", "rim", "fill")  # where there are several
+    return " and ".join(names[light] for light in lights) or "no light"
 
 
 def cost_tables(results: Results, names: Iterable[str], budgets: Sequence[str]) -> str:
