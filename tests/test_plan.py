@@ -110,7 +110,6 @@ def planned(renderer, subject, budgets, kinds=("navi21",), cameras=()):
         assert plan.cost.total == cheapest or plan.budget.unit == "flip", (budget, kind)
         assert of[plan.shading] <= limit
         assert plan.error.maximum == pytest.approx(of[plan.shading], rel=1e-9, abs=1e-12)
-    assert any(plan.shading != plan.full for plan in plans)  # or nothing was tested
     return plans
 
 
@@ -131,6 +130,7 @@ def test_no_candidate_that_fits_is_cheaper(name, budgets, kinds, small, subject)
     if "flip" in budgets[-1]:
         pytest.importorskip("flip_evaluator")
     plans = planned(small, subject(name), budgets, kinds)
+    assert any(plan.shading != plan.full for plan in plans)  # or nothing was tested
     assert any(plan.shading.frontal_lights for plan in plans) == name.startswith("frontal")
 
 
