@@ -229,7 +229,7 @@ def test_of_the_same_cost_what_changes_least_is_chosen(small, bare):
     assert fr.plan(matt, "1e9%", renderer=small).shading == Shading(ambient=False)
 
 
-def test_what_is_drawn_with_several_samples_counts(subject, monkeypatch):
+def test_what_is_drawn_with_several_samples_counts(egl, subject, monkeypatch):
     """A change that shows between the pixels' centres alone is ruled out by what is drawn."""
     draw = search.Drawn._draw
 
@@ -239,7 +239,7 @@ def test_what_is_drawn_with_several_samples_counts(subject, monkeypatch):
         return image
 
     at = subject("constant m")
-    with fr.Renderer((64, 64), samples=4) as renderer:
+    with fr.Renderer((64, 64), samples=4, backend=egl) as renderer:
         sound = fr.plan(at.scene, "2/255", cost="navi21", renderer=renderer)
         monkeypatch.setattr(search.Drawn, "_draw", with_a_flaw)
         flawed = fr.plan(at.scene, "2/255", cost="navi21", renderer=renderer)
