@@ -95,9 +95,7 @@ def shading_source(shading: Shading, smallest_m: float, target: Target | None = 
     """Return the file of a shading's model with all its choices made, for m >= smallest_m; target
     and errors as in :func:`shader_source`."""
     name = shading.model.replace("-", "_")
-    macros = shading.macros(smallest_m)
-    macros.pop("FR_SLOPE(m)", None)
-    return _flat(name, target, macros, shading.lobe, shading.m)
+    return _flat(name, target, shading.macros(smallest_m), shading.lobe, shading.m)
 
 
 def _flat(

@@ -314,7 +314,7 @@ def _plan(
         cameras,
         None if error_map is None else (error_map.shape[1], error_map.shape[0]),
         choice.constants,
-        len(choice.ordered) - 1,
+        choice.count,
         tried,
         error_map,
     )

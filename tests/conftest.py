@@ -3,11 +3,13 @@ fail where FACERENDER_REQUIRE_ALL is set, as in CI."""
 
 from __future__ import annotations
 
+import importlib
 import os
 import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, NoReturn
 
 import pytest
@@ -31,6 +33,14 @@ def missing(what: str) -> NoReturn:
     if os.environ.get("FACERENDER_REQUIRE_ALL"):
         pytest.fail(f"{what}, and FACERENDER_REQUIRE_ALL is set")
     pytest.skip(what)
+
+
+def require_module(name: str) -> ModuleType:
+    """Import a module of an extra."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        missing(f"no {name}: pip install -e '.[dev]'")
 
 
 def node_tool(name: str) -> str:

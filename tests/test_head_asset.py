@@ -16,6 +16,8 @@ import trimesh
 from PIL import Image
 from scipy.spatial import cKDTree
 
+from tests.conftest import require_module
+
 ROOT = Path(__file__).parents[1]
 HEAD = ROOT / "assets" / "head.glb"
 
@@ -169,7 +171,7 @@ def one_sided_distance(points: np.ndarray, others: np.ndarray) -> float:
 @pytest.mark.slow
 def test_generator_still_makes_the_committed_head(head: Head, tmp_path: Path):
     """With textures of 512 texels, which take seconds; the mesh does not depend on their size."""
-    pytest.importorskip("skimage", reason="the generator needs scikit-image: install '.[head]'")
+    require_module("skimage")
     path = tmp_path / "head.glb"
     command = [sys.executable, "-m", "assets.head_generator", "--texture-size", "512", "-o", path]
     subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=300)

@@ -35,6 +35,7 @@ from facerender.planning.candidates import (
 )
 from facerender.scene import LIGHTS, View, load_scene, scene_toml, turntable
 from facerender.shading import Shading
+from tests.conftest import require_module
 from tests.planned import BUDGETS, KINDS, Subject, brute_force, subjects
 from tests.test_glsl import OUTPUT, run
 
@@ -128,7 +129,7 @@ def planned(renderer, subject, budgets, kinds=("navi21",), cameras=()):
 )
 def test_no_candidate_that_fits_is_cheaper(name, budgets, kinds, small, subject):
     if "flip" in budgets[-1]:
-        pytest.importorskip("flip_evaluator")
+        require_module("flip_evaluator")
     plans = planned(small, subject(name), budgets, kinds)
     assert any(plan.shading != plan.full for plan in plans)  # or nothing was tested
     assert any(plan.shading.frontal_lights for plan in plans) == name.startswith("frontal")
@@ -209,7 +210,7 @@ def test_only_what_is_lit_decides(small, subject):
 @pytest.mark.parametrize("budget", ["0", "0/255", "0%", "0 flip", 0, "0.01/255", "1e-9%"])
 def test_a_budget_below_rounding_gives_the_full_shading(budget, small, subject):
     if "flip" in str(budget):
-        pytest.importorskip("flip_evaluator")
+        require_module("flip_evaluator")
     dielectric = subject("dielectric")
     plan = fr.plan(dielectric.scene, budget, full=dielectric.full, renderer=small)
     assert plan.shading == dielectric.full
@@ -573,6 +574,23 @@ def test_what_a_decision_adds_and_saves(plans, small):
                 ]
                 limit = plan.budget.limit - ROUNDING[plan.budget.unit]
                 assert limit < each.error <= min(errors(others)) * (1.0 + 1e-9)
+
+
+def test_what_was_not_chosen_is_told_in_flip(small, subject):
+    require_module("flip_evaluator")
+    at = subject("frontal")
+    plan = fr.plan(at.scene, "0.1 flip", cost="navi21", renderer=small)
+    kept = [each for each in plan.decisions if not each.changed]
+    assert kept
+    for each in kept:
+        others = [
+            other
+            for other in candidates(at.scene, plan.full, plan.constants)
+            if changed(other, plan.shading) == [each.name]
+        ]
+        errors = brute_force(small, at, others, "0.1 flip")
+        assert min(abs(error - each.error) for error in errors) < 1e-6, each.text
+        assert each.error > 0.1 - ROUNDING["flip"]
 
 
 def test_as_dict_goes_through_json(plans):

@@ -137,24 +137,21 @@ def _variants(term: Shading) -> dict[str, Shading]:
     """A term with a constant slope and without, and of the exact lobe with small slopes and
     without, by name."""
     small = (True, False) if term.lobe == "exact" else (None,)
-    slopes = {None, term.m}
-    found = [replace(term, m=m, small_slope=each) for m in slopes for each in small]
+    found = [replace(term, m=m, small_slope=each) for m in (None, term.m) for each in small]
     return {term_name(each, 0.3): each for each in found}
 
 
 def all_terms() -> dict[str, Shading]:
     """Return every term that a plan may choose, by name."""
     powers: list[AnyLobe] = [GPower(g, 0.27, 0.1) for g in G_POWERS]
-    found = {}
-    for model, lobe, m in product(MODELS, [*lobes.NAMES, *powers], (None, 0.3)):
+    found: dict[str, Shading] = {}
+    for model, lobe in product(MODELS, [*lobes.NAMES, *powers]):
         cook_torrance = model == "cook-torrance"
         for fresnel, masking in product(
             FRESNEL_TERMS if cook_torrance else ("schlick",),
             MASKING_TERMS if cook_torrance else ("v-cavity",),
         ):
-            for small in (True, False) if lobe == "exact" else (None,):
-                shading = Shading(model, lobe, fresnel, masking=masking, small_slope=small, m=m)
-                found[term_name(shading, 0.3)] = shading
+            found |= _variants(Shading(model, lobe, fresnel, masking=masking, m=0.3))
     return found
 
 

@@ -42,9 +42,15 @@ def bound(scene: Scene, shading: Shading, full: Shading, budget: Budget) -> floa
             radiance = material.kd / np.pi * max(material.albedo) * np.max(scene.ambient)
         if shading.normal_map != full.normal_map and material.normal_map is not None:
             radiance = np.inf
-        changed = _specular(material, slopes, chosen, shading, full)
         weight = max(_weight(material, each) for each in (shading, full))
-        ceiling = _ceiling((min(*slopes, *chosen), max(*slopes, *chosen))) * weight
+        ceiling = weight * _ceiling((min(*slopes, *chosen), max(*slopes, *chosen)))
+        changed = ceiling  # radiance is not negative: two differ by the larger one at most
+        if (
+            slopes == chosen
+            and shading.model == full.model
+            and _same_weight(material, shading, full)
+        ):
+            changed = weight * _specular(material, slopes, shading, full)
         for light, source in enumerate(scene.lights):
             same = (light in shading.frontal_lights) == (light in full.frontal_lights)
             share = changed if shading.shines(light) and same else ceiling
@@ -56,23 +62,21 @@ def bound(scene: Scene, shading: Shading, full: Shading, budget: Budget) -> floa
     return budget.bound(worst)
 
 
-def _specular(
-    material: Material, slopes: Range, chosen: Range, shading: Shading, full: Shading
-) -> float:
-    """Bound the change of the specular radiance for an irradiance of 1. Radiance is not negative:
-    two differ by the larger one at most."""
-    weight = max(_weight(material, each) for each in (shading, full))
+def _same_weight(material: Material, shading: Shading, full: Shading) -> bool:
     mapped = material.specular_map is not None and (shading.ks is None or full.ks is None)
-    if shading.ks != full.ks and (mapped or _weight(material, shading) != _weight(material, full)):
-        return _ceiling(slopes) * weight
-    if shading.model != full.model or slopes != chosen:
-        return _ceiling((min(*slopes, *chosen), max(*slopes, *chosen))) * weight
+    same = _weight(material, shading) == _weight(material, full)
+    return shading.ks == full.ks or (same and not mapped)
+
+
+def _specular(material: Material, slopes: Range, shading: Shading, full: Shading) -> float:
+    """Bound the change of the specular radiance for an irradiance of 1 and a weight of 1, by other
+    terms of one model."""
     lobe = _lobe_error(shading.lobe, full.lobe, slopes, full.k)
     factors = 0.0
     if full.model == "cook-torrance":
         terms = [brdf.fresnel(material.f0, _COSINES, each.fresnel) for each in (shading, full)]
         factors = float(np.abs(np.subtract(*terms)).max()) + (shading.masking != full.masking)
-    return weight * (_scale(slopes) * lobe + min(factors, 1.0) * _ceiling(slopes))
+    return _scale(slopes) * lobe + min(factors, 1.0) * _ceiling(slopes)
 
 
 @lru_cache(maxsize=4096)

@@ -148,22 +148,27 @@ def changed(shading: Shading, full: Shading) -> list[str]:
     ]
 
 
+def groups(shading: Shading, full: Shading) -> dict[str, tuple[str, ...]]:
+    """Return the decisions in which two shadings differ, each with those that go with it: the whole
+    term with the model."""
+    differs = changed(shading, full)
+    if "model" not in differs:
+        return {name: (name,) for name in differs}
+    return {name: (name,) for name in differs if name not in TERM} | {"model": TERM}
+
+
+def values(shading: Shading, names: Sequence[str]) -> dict[str, Any]:
+    """Return the fields of some decisions."""
+    return {field: getattr(shading, field) for name in names for field in DECISIONS[name]}
+
+
 def with_decisions(shading: Shading, other: Shading, names: Sequence[str]) -> Shading:
     """Return a shading with some of the decisions of another."""
-    fields = [field for name in names for field in DECISIONS[name]]
-    changes: dict[str, Any] = {field: getattr(other, field) for field in fields}
-    return replace(shading, **changes)
+    return replace(shading, **values(other, names))
 
 
-def alone(shading: Shading, full: Shading) -> dict[str, Shading]:
-    """Return the full shading with each of the changes of another by itself, by decision."""
-    differs = changed(shading, full)
-    if "model" in differs:
-        differs = [name for name in differs if name not in TERM[1:]]
-    result = {}
-    for name in differs:
-        names = TERM if name == "model" else (name,)
-        # a g-power is fitted to the slope that was chosen, and means nothing at another
-        base = replace(full, m=shading.m) if "lobe" in names else full
-        result[name] = with_decisions(base, shading, names)
-    return result
+def alone(shading: Shading, full: Shading, names: Sequence[str]) -> Shading:
+    """Return the full shading with some decisions of another by themselves."""
+    # a g-power is fitted to the slope that was chosen, and means nothing at another
+    base = replace(full, m=shading.m) if "lobe" in names else full
+    return with_decisions(base, shading, names)

@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from facerender.planning.candidates import DECISIONS, TERM, alone, changed, with_decisions
+from facerender.planning.candidates import (
+    DECISIONS,
+    TERM,
+    alone,
+    changed,
+    groups,
+    with_decisions,
+)
 from facerender.planning.search import Choice
 from facerender.scene import LIGHTS, Scene
 from facerender.shading import Shading
@@ -50,13 +57,12 @@ def decisions(
     ----------
     error, otherwise : give the error of a shading, the second one as far as might says
     """
-    differs = changed(shading, choice.full)
+    made = groups(shading, choice.full)
     for name in DECISIONS:
-        if name in TERM[1:] and "model" in differs:
+        if name in made:
+            yield _made(choice, shading, name, made[name], error)
+        elif name in TERM and "model" in made:
             continue  # told with the model
-        names = TERM if name == "model" and name in differs else (name,)
-        if name in differs:
-            yield _made(choice, shading, name, names, error)
         elif (kept := _kept(choice, shading, name, otherwise, might)) is not None:
             yield kept
 
@@ -69,7 +75,7 @@ def _made(
     error: Callable[[Shading], float],
 ) -> Decision:
     chosen, other = (_words(choice.scene, each, names) for each in (shading, choice.full))
-    added = error(alone(shading, choice.full)[name])
+    added = error(alone(shading, choice.full, names))
     reverted = with_decisions(shading, choice.full, names)
     saved = choice.total(reverted) - choice.total(shading)
     instead = f" instead of {other}" if other != "none" else ""

@@ -20,12 +20,12 @@ from facerender.frame import GBuffer
 from facerender.measure.prices import load_prices
 from facerender.planning.budget import ROUNDING, Budget
 from facerender.planning.candidates import (
-    DECISIONS,
-    TERM,
     Constants,
     alone,
     candidates,
     changed,
+    groups,
+    values,
 )
 from facerender.reference import Layers, layers
 from facerender.renderer import Renderer
@@ -73,6 +73,7 @@ class Choice:
     Attributes
     ----------
     ordered : the shadings that cost less than the full one, and the full one
+    count : how many cost less
     limit : of the error in float64, which rounding may raise to the budget
     """
 
@@ -95,6 +96,7 @@ class Choice:
         # of the same cost, those with the fewest changes first
         cheaper.sort(key=lambda each: (self.total(each), len(changed(each, full))))
         self.ordered = [*cheaper, full]
+        self.count = len(cheaper)
 
     def total(self, shading: Shading) -> float:
         """Return what a fragment costs."""
@@ -119,6 +121,7 @@ class Witnesses:
 
     Attributes
     ----------
+    regions : the pixels of each view; none with FLIP
     tried : how many shadings were evaluated at every pixel
     """
 
@@ -127,26 +130,28 @@ class Witnesses:
         self.regions = [view.spread() for view in views if view.counted.any()]
         if choice.budget.unit == "flip":
             choice.ordered = self._best(choice.ordered)
+            self.regions = []
 
     def let_pass(self, shading: Shading) -> bool:
         """Tell whether a shading is within the limit, at every pixel."""
         if self.drawn is not None and self.drawn.ruled_out(shading):
             return False
         for index, region in enumerate(self.regions):
-            if region.budget == self.views[0].budget and not region.worst(shading) <= self.limit:
+            if not region.worst(shading) <= self.limit:
                 self.regions.insert(0, self.regions.pop(index))
                 return False
         self.tried += 1
         for view in self.views:
             errors = view.errors(shading)
             if not errors.max() <= self.limit:
-                self.regions.insert(0, view.around(errors))
+                if self.regions:
+                    self.regions.insert(0, view.around(errors))
                 return False
         return self.drawn is None or self.drawn.let_pass(shading)
 
     def worst(self, shading: Shading) -> float:
-        """Return the largest error among the witnesses."""
-        return max(region.worst(shading) for region in self.regions)
+        """Return the largest error among the witnesses; with FLIP, of all pixels."""
+        return max(region.worst(shading) for region in self.regions or self.views)
 
     def _best(self, ordered: Sequence[Shading]) -> list[Shading]:
         """Return those that err less than every one before."""
@@ -173,11 +178,9 @@ class Drawn:
         """Tell whether a shading is within the budget."""
         if self._within(shading):
             return True
-        for name, single in alone(shading, self.full).items():
-            if not self._within(single):
-                names = TERM if name == "model" else (name,)
-                fields = [field for each in names for field in DECISIONS[each]]
-                self.failed.append({field: getattr(single, field) for field in fields})
+        for names in groups(shading, self.full).values():
+            if not self._within(alone(shading, self.full, names)):
+                self.failed.append(values(shading, names))
         return False
 
     def ruled_out(self, shading: Shading) -> bool:
@@ -210,12 +213,13 @@ class Region:
         counted: NDArray[np.bool_],
         full: Shading,
         budget: Budget,
-        known: dict[Shading, Layers] | None = None,
+        keep: bool = False,
     ) -> None:
         """mapped and plain have normals with and without the normal map; of the pixels that are
-        counted errors are told; known keeps what was evaluated."""
+        counted errors are told; keep has all that is evaluated kept, beside the full shading."""
         self.scene, self.mapped, self.plain, self.counted = scene, mapped, plain, counted
-        self.full, self.budget, self.known = full, budget, known
+        self.full, self.budget, self.keep = full, budget, keep
+        self.known: dict[Shading, Layers] = {}
         self.terms = self.layers(full)
         self.exact = self.image(full)
 
@@ -231,7 +235,7 @@ class Region:
     def layers(self, shading: Shading) -> Layers:
         """Return the terms of a shading, of all lights and the ambient one, none frontal."""
         whole = replace(shading, ambient=True, specular_lights=None, frontal_lights=())
-        if self.known is not None and whole in self.known:
+        if whole in self.known:
             return self.known[whole]
         gbuffer = self.mapped if whole.normal_map else self.plain
         if whole.m is not None:
@@ -240,7 +244,7 @@ class Region:
             weight = np.full_like(gbuffer.specular_weight, whole.ks)
             gbuffer = replace(gbuffer, specular_weight=weight)
         found = layers(gbuffer, self.scene, whole)
-        if self.known is not None:
+        if self.keep or not self.known:
             self.known[whole] = found
         return found
 
@@ -248,8 +252,10 @@ class Region:
         """Return the radiance (H, W, 3), with the background."""
         terms = self.layers(shading)
         image = terms.sum(shading)
-        for light in filter(shading.shines, shading.frontal_lights):
-            image += self.layers(shading.frontal).specular[light] - terms.specular[light]
+        if shading.frontal_lights:
+            frontal = self.layers(shading.frontal)
+            for light in filter(shading.shines, shading.frontal_lights):
+                image += frontal.specular[light] - terms.specular[light]
         if self.scene.background is not None:
             image[~self.counted] = self.scene.background
         return image
@@ -280,7 +286,7 @@ class Region:
         budget = self.budget
         if budget.unit == "flip":
             budget = Budget(1.0, "display", budget.exposure)
-        return Region(self.scene, mapped, plain, self.counted[index], self.full, budget, {})
+        return Region(self.scene, mapped, plain, self.counted[index], self.full, budget, keep=True)
 
 
 def _highest(values: Float) -> NDArray[np.int64]:
