@@ -11,7 +11,7 @@ VENV = .venv/bin
 
 PREFIX ?= /usr/local
 SHARE = $(DESTDIR)$(PREFIX)/share
-VERSION = $(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' facerender/__init__.py)
+VERSION = $(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' facerender/_version.py)
 
 .PHONY: render test slow head npm install-shaders system test-system
 

@@ -22,7 +22,7 @@ import pytest
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from facerender.compare import Comparable
+    from facerender.comparison.gates import Comparable
 
 LONGEST = 180  # characters of a file's name; most systems take 255 bytes
 UNUSED = ("ignore", "list", "fail")
@@ -116,7 +116,7 @@ class Snapshot:
         """
         __tracebackhide__ = True
         from facerender import InputError
-        from facerender.goldens import Updates, check
+        from facerender.comparison.goldens import Updates, check
         from facerender.image import save_exr
 
         node, config = self._request.node, self._request.config
@@ -150,7 +150,7 @@ class Snapshot:
         node.stash.setdefault(_CHECKS, []).append(record)
         report = _setting(config, "report")
         if report:
-            from facerender.compare_report import entry
+            from facerender.comparison.report import entry
 
             handle, record["entry"] = tempfile.mkstemp(".json", dir=report)
             with open(handle, "w", encoding="utf-8") as file:
@@ -269,7 +269,7 @@ class _Session:
         )
 
     def _write_report(self, paths: list[Path]) -> None:
-        from facerender.compare_report import Entry, write_report
+        from facerender.comparison.report import Entry, write_report
 
         entries = {}  # of a test that was run again, the last
         for path in paths:

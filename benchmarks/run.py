@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 import facerender as fr
-from facerender.glsl import data_dir
+from facerender.data import data_dir
 
 HERE = Path(__file__).parent
 HEAD = data_dir("assets") / "head.glb"

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from facerender import brdf, lobes
-from facerender.context import create_context
-from facerender.fitting import fit_g_power
+from facerender.drawing.context import create_context
 from facerender.lobes import AnyLobe
 from facerender.measure import error
 from facerender.measure.tables import markdown_table
 from facerender.planning.candidates import G_POWERS
+from facerender.terms.fitting import fit_g_power
 from tests.gpu import Evaluator, directions
 
 OUTPUT = Path(__file__).with_suffix(".md")
@@ -168,9 +168,9 @@ code; the suite holds every bound that a shader's header states.
 Largest difference from the exact lobe E/c^k, E = exp(-tan^2(gamma)/m^2), over 0 to 90 degrees, in
 percent of the lobe's peak. `cosine`, `d4`, `d8` and `d16` are those of Romanyuk et al. (2020),
 clamped; `fitted` is a cubic to the power 5, `fitted-fine` a quartic to the power 8. Their
-coefficients are polynomials in m^2 (`facerender/fitting.py`): a slope from a map loses no more than
-one for the whole mesh. "-" is outside the lobe's domain: there the package refuses, or takes the
-exact lobe with `--outside exact`.
+coefficients are polynomials in m^2 (`facerender/terms/fitting.py`): a slope from a map loses no
+more than one for the whole mesh. "-" is outside the lobe's domain: there the package refuses, or
+takes the exact lobe with `--outside exact`.
 
 {lobes}
 
@@ -180,8 +180,8 @@ exponent 2/m^2 - 4 is 0 there. In the shaders a larger m gives a finite number w
 ## One slope for all
 
 Where m is one constant, a g-power may have the g and the steepness that suit it
-(`facerender.fitting.fit_g_power`, `lobes.GPower`, `facerender plan`), at the cost of D4 to D16 and
-a small share of their error: the best g of {powers}, with its error in percent
+(`facerender.terms.fitting.fit_g_power`, `lobes.GPower`, `facerender plan`), at the cost of D4 to
+D16 and a small share of their error: the best g of {powers}, with its error in percent
 of the peak, and the best of `d4`, `d8` and `d16`.
 
 {fitted}

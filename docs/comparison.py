@@ -14,7 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 import facerender as fr
-from facerender.compare import LIMITS, SHIFT, SILHOUETTE, STRICT, Comparison, compare
+from facerender.comparison.gates import LIMITS, SHIFT, SILHOUETTE, STRICT, Comparison, compare
 from facerender.image import encode_srgb8
 from facerender.measure.tables import markdown_table
 from tests.conftest import TEST_DATA, load_scan

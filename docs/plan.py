@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 
 import facerender as fr
-from facerender.measure import amd, fragment
-from facerender.measure.prices import load_prices
 from facerender.measure.tables import markdown_table
-from facerender.plan import Plan, plan
 from facerender.planning.budget import ROUNDING, Budget
 from facerender.planning.candidates import DECISIONS, candidates, changed
-from facerender.scene import slope_ranges
+from facerender.planning.plan import Plan, plan
+from facerender.pricing import amd, fragment
+from facerender.pricing.table import load_prices
+from facerender.scenes.scene import slope_ranges
 from tests.conftest import TEST_DATA, load_scan
 from tests.planned import BUDGETS, KINDS, Subject, brute_force, subjects
 
@@ -46,7 +46,7 @@ pixel, at 512 x 512: of float64 at the pixels' centres, and as drawn with {sampl
 Cost of a fragment's whole program, and in brackets of its specular terms, relative to the full
 shading; and what was chosen. Each column has plans of its own. The costs are sums of parts:
 nanoseconds measured on llvmpipe, and cycles that Mesa's compiler for AMD's GPUs estimates
-(`python -m facerender.measure.prices`).
+(`python -m facerender.pricing.table`).
 
 At the scene's camera, 35 degrees to the side of the face:
 

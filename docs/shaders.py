@@ -8,7 +8,7 @@ from __future__ import annotations
 from itertools import groupby
 from pathlib import Path
 
-from facerender.catalogue import Function, functions
+from facerender.glsl.catalogue import Function, functions
 from facerender.measure.tables import markdown_table
 
 OUTPUT = Path(__file__).with_suffix(".md")

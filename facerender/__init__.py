@@ -17,28 +17,23 @@ shader_source   one file of the GLSL library, flat, for a target; shader_dir: th
 """
 
 from facerender import brdf, lobes
-
-__version__ = "0.1.0"
-
-from facerender.compare import compare
+from facerender._version import __version__
+from facerender.comparison.gates import compare
+from facerender.drawing.frame import Frame, GBuffer
+from facerender.drawing.renderer import Renderer, render
 from facerender.errors import ContextError, FacerenderError, FacerenderWarning, InputError
-from facerender.frame import Frame, GBuffer
-from facerender.glsl import moderngl_includes, resolve_includes, shader_dir, shader_source
-from facerender.mesh import Mesh, load_mesh
-from facerender.plan import Plan, plan
-from facerender.renderer import Renderer, render
-from facerender.scene import (
-    Camera,
-    Light,
-    Material,
-    Scene,
-    View,
-    load_scene,
-    turntable,
-    view_of,
-)
+from facerender.glsl.library import moderngl_includes, resolve_includes, shader_dir, shader_source
+from facerender.loading import load_mesh
+from facerender.planning.plan import Plan, plan
+from facerender.scenes.camera import Camera, turntable
+from facerender.scenes.file import load_scene
+from facerender.scenes.light import Light
+from facerender.scenes.material import Material
+from facerender.scenes.mesh import Mesh
+from facerender.scenes.scene import Scene
+from facerender.scenes.texture import Texture
+from facerender.scenes.view import View, view_of
 from facerender.shading import Shading
-from facerender.texture import Texture
 
 __all__ = [
     "Camera",
@@ -57,6 +52,7 @@ __all__ = [
     "Shading",
     "Texture",
     "View",
+    "__version__",
     "brdf",
     "compare",
     "load_mesh",

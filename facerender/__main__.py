@@ -1,5 +1,5 @@
 """``python -m facerender`` is the command ``facerender``."""
 
-from facerender.cli import console
+from facerender.commands import console
 
 console()

@@ -4,6 +4,7 @@ that names the thing, the value and the remedy."""
 from __future__ import annotations
 
 import numbers
+import warnings
 from typing import Any
 
 
@@ -25,6 +26,11 @@ class NotMeasured(FacerenderError, RuntimeError):
 
 class FacerenderWarning(UserWarning):
     """Something in the input was missing or mended, and the result can still be used."""
+
+
+def warn(message: str) -> None:
+    """Warn of something that was missing or mended."""
+    warnings.warn(message, FacerenderWarning, stacklevel=3)
 
 
 def reason(error: OSError) -> str:

@@ -19,8 +19,8 @@ from facerender.errors import InputError, check_range
 from facerender.lobes import AnyLobe, GPower
 
 if TYPE_CHECKING:
-    from facerender.mesh import Mesh
-    from facerender.scene import Scene
+    from facerender.scenes.mesh import Mesh
+    from facerender.scenes.scene import Scene
 
 Model = Literal["cook-torrance", "ward", "ward-printed"]
 Outside = Literal["error", "exact"]

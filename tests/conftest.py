@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NoReturn
 import pytest
 
 import facerender as fr
-from facerender.context import Backend, create_context
+from facerender.drawing.context import Backend, create_context
 from tests import chromium
 
 if TYPE_CHECKING:

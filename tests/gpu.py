@@ -10,7 +10,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.glsl import resolve_includes
+from facerender.glsl.library import resolve_includes
 
 Inputs = Mapping[str, NDArray[np.float32]]
 Glsl = Literal["330 core", "450 core", "300 es"]

@@ -18,10 +18,10 @@ from PIL import Image, ImageOps
 from scipy import ndimage
 
 import facerender as fr
-from facerender.glsl import resolve_includes
+from facerender.glsl.library import resolve_includes
 from facerender.image import srgb_to_linear
-from facerender.scene import view_of
-from facerender.texture import Texture
+from facerender.scenes.texture import Texture
+from facerender.scenes.view import view_of
 
 Pixels = NDArray[np.float32] | NDArray[np.uint8]
 Images = tuple[Pixels, Pixels]

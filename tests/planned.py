@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import facerender as fr
+from facerender.drawing.reference import shade
 from facerender.planning.budget import Budget
-from facerender.reference import shade
-from facerender.scene import LIGHTS
+from facerender.scenes.light import LIGHTS
 
 BUDGETS = ("0.5/255", "1/255", "4/255")
 KINDS = ("llvmpipe", "navi21", "vega10")

@@ -20,7 +20,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.context import Backend, ForeignContext, create_context
+from facerender.drawing.context import Backend, ForeignContext, create_context
 from facerender.errors import ContextError
 from tests import chromium
 from tests.gpu import WIDTH, Evaluate, Evaluator, Inputs, fragment_shader, texels, vertex_shader

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from facerender.errors import InputError, NotMeasured
-from facerender.measure import amd
+from facerender.pricing import amd
 from tests.conftest import missing
 
 COMMITTED = Path(__file__).parents[1] / "docs" / "measurements" / "amd.json"
-REWRITE = "python -m facerender.measure.amd -o docs/measurements/amd.json writes the table anew"
+REWRITE = "python -m facerender.pricing.amd -o docs/measurements/amd.json writes the table anew"
 
 
 @pytest.fixture(scope="module")

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender import context
-from facerender.cli import CAMERAS, main
-from facerender.frame import ONLY
-from facerender.scene import LIGHTS
+from facerender.commands import CAMERAS, main
+from facerender.drawing import context
+from facerender.drawing.frame import ONLY
+from facerender.scenes.light import LIGHTS
 from facerender.shading import MASKING_TERMS
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, mini_head

@@ -19,7 +19,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.compare import STRICT, Limits, Pair, compare, pairs_of
+from facerender.comparison.gates import STRICT, Limits, Pair, compare, pairs_of
 from facerender.image import encode_srgb8, read_image, save_exr
 from tests import mutations
 from tests.conftest import missing, require_backend

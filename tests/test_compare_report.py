@@ -14,8 +14,8 @@ import pytest
 from PIL import Image
 
 from facerender import InputError
-from facerender.compare import Pair
-from facerender.compare_report import entry, save_heat_map, write_report
+from facerender.comparison.gates import Pair
+from facerender.comparison.report import entry, save_heat_map, write_report
 from facerender.image import Picture
 
 SIZE = (40, 48)  # height, width

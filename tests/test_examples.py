@@ -16,8 +16,9 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from facerender import __version__, brdf
-from facerender.context import Backend
+from facerender import brdf
+from facerender._version import __version__
+from facerender.drawing.context import Backend
 from facerender.image import linear_to_srgb, srgb_to_linear
 from tests.conftest import missing
 

@@ -18,7 +18,7 @@ import pytest
 from numpy.typing import NDArray
 
 from facerender import shader_dir
-from facerender.context import Backend, create_context
+from facerender.drawing.context import Backend, create_context
 from tests.gpu import Evaluator
 
 SIZE = (512, 512)

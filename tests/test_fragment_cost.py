@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from facerender.errors import InputError, NotMeasured
-from facerender.measure import amd, fragment
-from facerender.measure.fragment import PARTS, PROGRAMS, Program
-from facerender.measure.variants import terms
+from facerender.pricing import amd, fragment
+from facerender.pricing.fragment import PARTS, PROGRAMS, Program
+from facerender.pricing.variants import terms
 from facerender.shading import Model, Shading
 from tests.conftest import missing
 

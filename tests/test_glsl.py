@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender import InputError, brdf, glsl, lobes
-from facerender.catalogue import functions
-from facerender.context import Backend, create_context
+from facerender import InputError, brdf, lobes
+from facerender.drawing.context import Backend, create_context
+from facerender.glsl import library as glsl
+from facerender.glsl.catalogue import functions
 from facerender.lobes import GPower
 from tests.conftest import missing
 from tests.gpu import Evaluator, directions

@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.compare import STRICT, Limits
-from facerender.context import Backend
-from facerender.frame import ONLY, Only
-from facerender.scene import LIGHTS
+from facerender.comparison.gates import STRICT, Limits
+from facerender.drawing.context import Backend
+from facerender.drawing.frame import ONLY, Only
+from facerender.scenes.light import LIGHTS
 from tests import awkward_files as files
 from tests.conftest import missing, require_backend
 from tests.test_renderer import SHADINGS

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.cli import main
+from facerender.commands import main
 from facerender.errors import NotMeasured
-from facerender.measure import amd, cost, error, run
-from facerender.measure.variants import lobe_terms, terms
+from facerender.measure import error, run
+from facerender.pricing import amd, cost
+from facerender.pricing.variants import lobe_terms, terms
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing
 

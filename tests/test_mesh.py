@@ -20,8 +20,8 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 import facerender as fr
-from facerender.mesh import start_maps
-from facerender.scene import SKIN_ALBEDO
+from facerender.drawing.prepare import start_maps
+from facerender.scenes.material import SKIN_ALBEDO
 from tests import awkward_files as files
 from tests.awkward_files import Head, mini_head
 from tests.conftest import missing

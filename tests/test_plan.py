@@ -16,11 +16,10 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender import lobes, reference
-from facerender.fitting import fit_g_power
-from facerender.frame import GBuffer
+from facerender import lobes
+from facerender.drawing import reference
+from facerender.drawing.frame import GBuffer
 from facerender.lobes import GPower
-from facerender.measure.prices import load_prices
 from facerender.planning import search
 from facerender.planning.bound import bound
 from facerender.planning.budget import ROUNDING, Budget
@@ -33,8 +32,13 @@ from facerender.planning.candidates import (
     changed,
     with_decisions,
 )
-from facerender.scene import LIGHTS, View, load_scene, scene_toml, turntable
+from facerender.pricing.table import load_prices
+from facerender.scenes.camera import turntable
+from facerender.scenes.file import load_scene, scene_toml
+from facerender.scenes.light import LIGHTS
+from facerender.scenes.view import View
 from facerender.shading import Shading
+from facerender.terms.fitting import fit_g_power
 from tests.conftest import require_module
 from tests.planned import BUDGETS, KINDS, Subject, brute_force, subjects
 from tests.test_glsl import OUTPUT, run

@@ -12,11 +12,12 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.cli import main
+from facerender.commands import main
 from facerender.lobes import GPower
 from facerender.planning import cache as plan_cache
 from facerender.planning.budget import Budget
-from facerender.scene import LIGHTS, load_scene
+from facerender.scenes.file import load_scene
+from facerender.scenes.light import LIGHTS
 from facerender.shading import Shading
 from tests.awkward_files import MINI_HEAD
 from tests.test_cli import Capture, Cli

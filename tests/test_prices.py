@@ -13,10 +13,12 @@ from PIL import Image
 import facerender as fr
 from facerender.errors import NotMeasured
 from facerender.lobes import GPower
-from facerender.measure import amd, fragment, prices
-from facerender.measure.prices import Prices, all_terms, load_prices, term_name
 from facerender.planning.candidates import Constants, candidates
-from facerender.scene import LIGHTS, slope_ranges
+from facerender.pricing import amd, fragment
+from facerender.pricing import table as prices
+from facerender.pricing.table import Prices, all_terms, load_prices, term_name
+from facerender.scenes.light import LIGHTS
+from facerender.scenes.scene import slope_ranges
 from facerender.shading import Shading
 from tests.conftest import missing
 from tests.planned import KINDS

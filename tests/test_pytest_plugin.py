@@ -10,8 +10,8 @@ import OpenEXR
 import pytest
 
 import facerender as fr
-from facerender import compare_report  # noqa: F401  (here, not anew in every suite)
-from facerender.goldens import renderer_name
+from facerender.comparison import report  # noqa: F401  (here, not anew in every suite)
+from facerender.comparison.goldens import renderer_name
 from facerender.image import read_image, save_exr
 
 PLUGIN = ("-p", "pytest_facerender", "-p", "xdist")

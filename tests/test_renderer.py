@@ -16,12 +16,13 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender import reference, texture
-from facerender.compare import block_error, point_error
-from facerender.context import Backend, create_context
-from facerender.host import CAPABILITIES, STATE
+from facerender.comparison.gates import block_error, point_error
+from facerender.drawing import reference
+from facerender.drawing.context import Backend, create_context
+from facerender.drawing.host import CAPABILITIES, STATE
 from facerender.lobes import GPower
-from facerender.scene import slope_ranges
+from facerender.scenes import texture
+from facerender.scenes.scene import slope_ranges
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_backend
 
@@ -276,14 +277,14 @@ def test_d16_shows_no_false_highlight_at_grazing_angles(renderer, head, monkeypa
                              "1.0 - steepness * (1.0 - min(c, 1.0))")  # fmt: skip
     assert unclamped != text
     file.write_text(unclamped)
-    monkeypatch.setattr("facerender.glsl.shader_dir", lambda: shaders)
+    monkeypatch.setattr("facerender.glsl.library.shader_dir", lambda: shaders)
     with fr.Renderer((256, 256), samples=1) as broken:
         linear = broken.render(scene, d16, "specular").linear[..., :3]
     assert false_highlights(linear, exact) > 1.0
 
 
 def test_only_what_the_scene_needs_is_compiled(head):
-    from facerender import renderer
+    from facerender.drawing import renderer
 
     scene = fr.Scene(head)
     specular = fr.Shading().glsl(0.3)

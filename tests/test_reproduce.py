@@ -14,11 +14,11 @@ from PIL import Image
 
 from docs import reproduction
 from facerender import lobes
-from facerender.cli import main
+from facerender.commands import main
 from facerender.errors import InputError, NotMeasured
 from facerender.measure import reproduce as measured
-from facerender.measure.cost import Interval
 from facerender.measure.reproduce import FLAGS, Reproduction, reproduce
+from facerender.pricing.cost import Interval
 from tests.conftest import missing
 
 FIGURES = [f"fig{number}.png" for number in range(1, 6)]

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.scene import LIGHTS, load_scene, parse_light, view_of
+from facerender.scenes.file import load_scene
+from facerender.scenes.light import LIGHTS, parse_light
+from facerender.scenes.view import view_of
 
 
 def project(scene: fr.Scene, point, aspect=1.0):

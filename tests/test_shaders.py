@@ -18,7 +18,7 @@ import pytest
 from numpy.typing import NDArray
 
 from facerender import InputError, brdf, lobes, shader_dir, shader_source
-from facerender.context import Backend, create_context
+from facerender.drawing.context import Backend, create_context
 from facerender.lobes import GPower
 from facerender.shading import defines, lobe_macros
 from tests.gpu import Evaluator, directions

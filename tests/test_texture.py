@@ -8,7 +8,7 @@ from PIL import Image
 
 from facerender import InputError
 from facerender.image import srgb_to_linear
-from facerender.texture import Texture, pack
+from facerender.scenes.texture import Texture, pack
 
 
 def texture(pixels: np.ndarray, name: str = "map.png") -> Texture:

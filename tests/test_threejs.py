@@ -19,7 +19,7 @@ from PIL import Image
 
 import facerender as fr
 from facerender.image import linear_to_srgb
-from facerender.scene import LIGHTS
+from facerender.scenes.light import LIGHTS
 from tests.conftest import missing, node_tool
 
 ROOT = Path(__file__).parents[1]

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender import lobes
-from facerender.compare import block_error, point_error
-from facerender.context import Backend
+from facerender.comparison.gates import block_error, point_error
+from facerender.drawing.context import Backend
+from facerender.drawing.reference import shade
+from facerender.drawing.renderer import Renderer
 from facerender.image import encode_srgb8
 from facerender.lobes import AnyLobe
-from facerender.reference import shade
-from facerender.renderer import Renderer
-from facerender.scene import Scene
+from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
 Array = NDArray[np.float64]

@@ -23,20 +23,23 @@ from numpy.typing import NDArray
 
 from facerender import lobes
 from facerender.brdf import K_COOK_TORRANCE
-from facerender.context import Backend
+from facerender.drawing.context import Backend
+from facerender.drawing.renderer import Renderer
 from facerender.errors import NotMeasured
 from facerender.image import encode_srgb8
+from facerender.loading import load_mesh
 from facerender.lobes import Lobe
-from facerender.measure import amd, plots
-from facerender.measure.cost import OF_COSINE, OF_VECTORS, QUANTILE, Interval, bootstrap, by_slope
+from facerender.measure import plots
 from facerender.measure.error import lobe_error, printed_error, printed_lobe
 from facerender.measure.report import write_files
 from facerender.measure.run import environment
 from facerender.measure.tables import markdown_table
-from facerender.measure.variants import lobe_terms, terms
-from facerender.mesh import load_mesh
-from facerender.renderer import Renderer
-from facerender.scene import Camera, Light, Scene
+from facerender.pricing import amd
+from facerender.pricing.cost import OF_COSINE, OF_VECTORS, QUANTILE, Interval, bootstrap, by_slope
+from facerender.pricing.variants import lobe_terms, terms
+from facerender.scenes.camera import Camera
+from facerender.scenes.light import Light
+from facerender.scenes.scene import Scene
 from facerender.shading import Model, Shading
 
 Array = NDArray[np.float64]

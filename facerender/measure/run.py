@@ -16,15 +16,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender import __version__, lobes
-from facerender.context import Backend, create_context
+from facerender import lobes
+from facerender._version import __version__
+from facerender.drawing.context import Backend, create_context
+from facerender.drawing.prepare import start_maps
 from facerender.errors import NotMeasured
 from facerender.image import encode_srgb8
 from facerender.lobes import Lobe
-from facerender.measure import amd, cost, error
-from facerender.measure.variants import CALLS, lobe_terms, terms
-from facerender.mesh import Mesh, start_maps
-from facerender.scene import Camera, Scene
+from facerender.measure import error
+from facerender.pricing import amd, cost
+from facerender.pricing.variants import CALLS, lobe_terms, terms
+from facerender.scenes.camera import Camera
+from facerender.scenes.mesh import Mesh
+from facerender.scenes.scene import Scene
 from facerender.shading import SMALL_SLOPE, Model, Shading
 
 SCHEMA = "facerender.measure/1"

@@ -15,7 +15,8 @@ import numpy as np
 from facerender import brdf, lobes
 from facerender.lobes import AnyLobe
 from facerender.planning.budget import Budget
-from facerender.scene import Material, Scene, slope_ranges
+from facerender.scenes.material import Material
+from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
 
 Range = tuple[float, float]

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.compare import FLOOR
+from facerender.comparison.gates import FLOOR
 from facerender.errors import InputError
 from facerender.image import linear_to_srgb
 

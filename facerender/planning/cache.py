@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from facerender import __version__
+from facerender._version import __version__
+from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.image import write_bytes
-from facerender.measure.prices import TABLE
-from facerender.plan import plan
-from facerender.renderer import Renderer
-from facerender.scene import Scene
+from facerender.planning.plan import plan
+from facerender.pricing.table import TABLE
+from facerender.scenes.scene import Scene
+from facerender.scenes.texture import Texture
 from facerender.shading import Shading
-from facerender.texture import Texture
 
 
 def planned(

@@ -10,10 +10,10 @@ from typing import Any
 
 from facerender import lobes
 from facerender.brdf import Fresnel
-from facerender.fitting import fit_g_power
 from facerender.lobes import AnyLobe
-from facerender.scene import Scene, slope_ranges
+from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import FRESNEL_TERMS, MASKING_TERMS, SMALL_SLOPE, Model, Shading
+from facerender.terms.fitting import fit_g_power
 
 G_POWERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 24)  # few products each
 # Without FR_SMALL_SLOPE float32 errs by 3e-7/m² of the peak: from here on less than is seen.

@@ -14,7 +14,8 @@ from facerender.planning.candidates import (
     with_decisions,
 )
 from facerender.planning.search import Choice
-from facerender.scene import LIGHTS, Scene
+from facerender.scenes.light import LIGHTS
+from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
 _OF_THE_WHOLE = ("normal map", "ambient")  # what they save is no share of the specular terms

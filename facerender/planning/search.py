@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.frame import GBuffer
-from facerender.measure.prices import load_prices
+from facerender.drawing.frame import GBuffer
+from facerender.drawing.reference import Layers, layers
+from facerender.drawing.renderer import Renderer
 from facerender.planning.budget import ROUNDING, Budget
 from facerender.planning.candidates import (
     Constants,
@@ -27,9 +28,8 @@ from facerender.planning.candidates import (
     groups,
     values,
 )
-from facerender.reference import Layers, layers
-from facerender.renderer import Renderer
-from facerender.scene import Scene, slope_ranges
+from facerender.pricing.table import load_prices
+from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
 
 Float = NDArray[np.float64]

@@ -15,27 +15,24 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender import __version__
+from facerender._version import __version__
 from facerender.brdf import Fresnel, Masking
-from facerender.context import Backend, create_context
+from facerender.drawing.context import Backend, create_context
+from facerender.drawing.frame import ONLY, Frame, GBuffer, Only
+from facerender.drawing.prepare import part_maps, start_maps
+from facerender.drawing.reference import data_view
 from facerender.errors import ContextError, InputError
-from facerender.frame import ONLY, Frame, GBuffer, Only
-from facerender.glsl import resolve_includes
+from facerender.glsl.library import resolve_includes
+from facerender.loading import load_mesh
 from facerender.lobes import AnyLobe
-from facerender.mesh import Mesh, Part, load_mesh, part_maps, start_maps
-from facerender.reference import data_view
-from facerender.scene import (
-    Camera,
-    Light,
-    Material,
-    Scene,
-    View,
-    point_lights,
-    slope_ranges,
-    view_of,
-)
+from facerender.scenes.camera import Camera
+from facerender.scenes.light import Light
+from facerender.scenes.material import Material
+from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.scene import Scene, point_lights, slope_ranges
+from facerender.scenes.texture import Kind, Texture
+from facerender.scenes.view import View, view_of
 from facerender.shading import Model, Outside, Shading
-from facerender.texture import Kind, Texture
 
 MAX_SIZE = 16384
 

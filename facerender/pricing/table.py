@@ -2,7 +2,7 @@
 (``fragment.py``), and the specular term of the first light and of each further one, which shares
 with it what depends on the fragment alone. Kept as a table, or measured when it is asked for.
 
-    python -m facerender.measure.prices     measures the table anew, in a few minutes
+    python -m facerender.pricing.table     measures the table anew, in a few minutes
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from typing import Any
 from facerender import lobes
 from facerender.errors import InputError
 from facerender.lobes import AnyLobe, GPower
-from facerender.mesh import Part
 from facerender.planning.candidates import G_POWERS
-from facerender.scene import Material, Scene, slope_ranges
+from facerender.scenes.material import Material
+from facerender.scenes.mesh import Part
+from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import FRESNEL_TERMS, MASKING_TERMS, MODELS, Shading
 
 TABLE = Path(__file__).with_name("prices.json")
@@ -162,7 +163,7 @@ def compiled(family: str, wanted: Mapping[str, Shading]) -> Prices:
     ------
     NotMeasured : a tool is missing; the message says which, and how to get it
     """
-    from facerender.measure import amd, fragment
+    from facerender.pricing import amd, fragment
 
     parts = fragment.by_compiler(family)
     one = fragment.Program(directional_specular=1)
@@ -188,8 +189,8 @@ def measured(wanted: Mapping[str, Shading], repeats: int = 7) -> Prices:
     ------
     ContextError : no OpenGL context
     """
-    from facerender.context import create_context
-    from facerender.measure import cost, fragment
+    from facerender.drawing.context import create_context
+    from facerender.pricing import cost, fragment
 
     parts = {name: each.value for name, each in fragment.by_slope(repeats=repeats).items()}
     calls = {
@@ -215,7 +216,7 @@ def _without_specular(parts: Mapping[str, float]) -> dict[str, float]:
 
 
 def main() -> None:
-    from facerender.measure import amd
+    from facerender.pricing import amd
 
     terms = all_terms()
     found = {family: compiled(family, terms) for family in amd.FAMILIES}

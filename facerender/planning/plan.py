@@ -13,17 +13,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
-from facerender.glsl import Target, shading_source
+from facerender.glsl.library import Target, shading_source
 from facerender.image import save_png
-from facerender.measure.cost import is_software
 from facerender.planning.bound import bound
 from facerender.planning.budget import ROUNDING, Budget
 from facerender.planning.candidates import Constants
 from facerender.planning.decisions import Decision, decisions
 from facerender.planning.search import Choice, Cost, Drawn, Region, Witnesses, constants_seen
-from facerender.renderer import Renderer
-from facerender.scene import Camera, Scene, scene_toml, slope_ranges
+from facerender.pricing.cost import is_software
+from facerender.scenes.camera import Camera
+from facerender.scenes.file import scene_toml
+from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
 
 # Of an error map: where on the way to the budget, and which colour there.
@@ -219,7 +221,7 @@ def plan(
         :func:`facerender.turntable`
     guarantee : bound the error over all views in place of measuring it
     cost : whose: "auto", "llvmpipe", "navi21" (RDNA2) or "vega10" (GCN5) from the table, "here", or
-        "radv:navi21"; see :func:`facerender.measure.prices.load_prices`. With a guarantee, "auto"
+        "radv:navi21"; see :func:`facerender.pricing.table.load_prices`. With a guarantee, "auto"
         is RDNA2's
     exposure : of the displayed image, in stops
     renderer : draws; of its size are the images that are measured, and what it shades with several

@@ -14,10 +14,10 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.context import Backend, Context, create_context
-from facerender.glsl import resolve_includes
-from facerender.renderer import Renderer
-from facerender.scene import Scene
+from facerender.drawing.context import Backend, Context, create_context
+from facerender.drawing.renderer import Renderer
+from facerender.glsl.library import resolve_includes
+from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
 SIZE = (512, 256)

@@ -12,8 +12,8 @@ from typing import Any, Literal, Protocol
 import glcontext
 import moderngl
 
+from facerender.drawing.host import HostContext, bind_osmesa, current_context, put_aside_state
 from facerender.errors import ContextError, InputError
-from facerender.host import HostContext, bind_osmesa, current_context, put_aside_state
 
 Backend = Literal["auto", "egl", "osmesa", "current"]
 

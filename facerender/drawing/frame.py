@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError
 from facerender.image import encode_srgb8, save_exr, save_png
-from facerender.scene import View
+from facerender.scenes.view import View
 
 Only = Literal["specular", "diffuse", "albedo", "normal", "depth", "cosines"]
 

@@ -8,7 +8,7 @@ import re
 from dataclasses import dataclass
 from functools import cache
 
-from facerender.glsl import library, shader_dir
+from facerender.glsl.library import library, shader_dir
 
 _FUNCTION = re.compile(r"((?:^//.*\n)*)^(\w+) (fr_\w+)\((.*)\) \{", re.MULTILINE)
 _KEYED = re.compile(r"^   (\w+(?:, \w+)*) +(\S.*(?:\n {5,}\S.*)*)", re.MULTILINE)

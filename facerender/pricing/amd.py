@@ -1,7 +1,7 @@
 """Cost of GLSL expressions on AMD's GPUs as their compiler in Mesa, RADV, estimates it. No GPU is
 needed and nothing runs.
 
-    python -m facerender.measure.amd -o docs/measurements/amd.json
+    python -m facerender.pricing.amd -o docs/measurements/amd.json
 
 Needs the Debian packages glslang-tools, mesa-vulkan-drivers and libvulkan1, and the extra
 facerender[measure].
@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Any
 
 from facerender.errors import FacerenderError, InputError, NotMeasured
-from facerender.glsl import resolve_includes
-from facerender.measure import variants
+from facerender.glsl.library import resolve_includes
+from facerender.pricing import variants
 from facerender.shading import Model
 
 FAMILIES = ("navi21", "vega10")  # RDNA2, GCN5

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender.drawing.frame import Frame
 from facerender.errors import InputError
-from facerender.frame import Frame
 from facerender.image import SUFFIXES, Encoding, Picture, picture_of, read_image
 
 BLOCK = 16

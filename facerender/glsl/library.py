@@ -8,11 +8,12 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import facerender
 from facerender import lobes
+from facerender._version import __version__
 from facerender.brdf import K_COOK_TORRANCE, K_WARD
+from facerender.data import data_dir
 from facerender.errors import InputError
-from facerender.includes import Expansion
+from facerender.glsl.includes import Expansion
 from facerender.lobes import AnyLobe, GPower
 from facerender.shading import SMALL_SLOPE, Shading, defines, lobe_macros
 
@@ -35,12 +36,6 @@ _MODEL_FILES = {
     "facerender/ward.glsl": K_WARD,
 }
 _SLOPE_MACROS = ("FR_SLOPE", "FR_FITTED_COEFFICIENTS", "FR_FITTED_FINE_COEFFICIENTS")
-
-
-def data_dir(name: str) -> Path:
-    """Return the folder ``name`` of the package's data: in the wheel, or in the checkout."""
-    installed = Path(__file__).parent / name
-    return installed if installed.is_dir() else Path(__file__).parents[1] / name
 
 
 @cache
@@ -127,7 +122,7 @@ def _flat(
     slope = "" if m is None else f", m = {m:g} whatever the caller passes"
     head = [
         version,
-        f"// {origin} {facerender.__version__}{'' if lobe is None else f', lobe {lobe}'}{slope}.",
+        f"// {origin} {__version__}{'' if lobe is None else f', lobe {lobe}'}{slope}.",
         "// SPDX-License-Identifier: MIT, (c) 2026 the facerender developers",
         defines(macros).rstrip(),
     ]

@@ -16,16 +16,20 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TextIO
 
-from facerender import __version__
-from facerender.context import BACKENDS, probe
+from facerender._version import __version__
+from facerender.drawing.context import BACKENDS, probe
+from facerender.drawing.frame import ONLY
+from facerender.drawing.prepare import start_maps
+from facerender.drawing.renderer import Renderer
 from facerender.errors import FacerenderError, FacerenderWarning, InputError, reason
-from facerender.frame import ONLY
-from facerender.glsl import TARGETS, shader_dir, shader_source
+from facerender.glsl.library import TARGETS, shader_dir, shader_source
 from facerender.image import read_image, write_bytes
+from facerender.loading import load_mesh
 from facerender.lobes import NAMES as LOBES
-from facerender.mesh import load_mesh, start_maps
-from facerender.renderer import Renderer
-from facerender.scene import LIGHTS, Camera, Scene, load_scene, parse_light, turntable
+from facerender.scenes.camera import Camera, turntable
+from facerender.scenes.file import load_scene
+from facerender.scenes.light import LIGHTS, parse_light
+from facerender.scenes.scene import Scene
 from facerender.shading import FRESNEL_TERMS, MASKING_TERMS, MODELS, OUTSIDE, Shading
 
 CAMERAS = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
@@ -322,9 +326,9 @@ def _render(options: argparse.Namespace, caught: list[str]) -> int:
 
 
 def _plan(options: argparse.Namespace, caught: list[str]) -> int:
-    from facerender.measure.prices import COMPILED, HERE
-    from facerender.plan import plan
     from facerender.planning.budget import Budget
+    from facerender.planning.plan import plan
+    from facerender.pricing.table import COMPILED, HERE
 
     size = _parse_size(options.size)
     Budget.parse(options.budget, options.exposure)
@@ -592,8 +596,8 @@ def _reproduce(options: argparse.Namespace, caught: list[str]) -> int:
 
 
 def _compare(options: argparse.Namespace, caught: list[str]) -> int:
-    from facerender.compare import Pair, pairs_of
-    from facerender.compare_report import entry, save_heat_map, write_report
+    from facerender.comparison.gates import Pair, pairs_of
+    from facerender.comparison.report import entry, save_heat_map, write_report
 
     limits = {name: getattr(options, name) for name in ("point", "block", "coverage")}
     mask = read_image(options.mask).color.max(axis=-1) if options.mask else None
@@ -622,7 +626,7 @@ def _compare(options: argparse.Namespace, caught: list[str]) -> int:
 
 
 def _list_shaders(options: argparse.Namespace, caught: list[str]) -> int:
-    from facerender.catalogue import functions
+    from facerender.glsl.catalogue import functions
 
     if options.json:
         print(json.dumps([dataclasses.asdict(function) for function in functions()], indent=2))

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.frame import GBuffer
-from facerender.scene import Scene, point_lights, slope_ranges
+from facerender.drawing.frame import GBuffer
+from facerender.scenes.scene import Scene, point_lights, slope_ranges
 from facerender.shading import Shading
 
 Lighting = tuple[NDArray[np.float64], NDArray[np.float64]]

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.compare import BLOCK, Comparison, Pair
+from facerender.comparison.gates import BLOCK, Comparison, Pair
 from facerender.errors import InputError
 from facerender.image import Encoding, Picture, encode_srgb8, save_png, write_bytes
 

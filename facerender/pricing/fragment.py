@@ -1,7 +1,7 @@
 """What the parts of the host's fragment program cost, apart from specular terms, in the units in
 which ``amd.statistics`` and ``cost.by_slope`` price those.
 
-    python -m facerender.measure.fragment
+    python -m facerender.pricing.fragment
 
 Needs what ``amd`` needs, and OpenGL; what is missing is not measured.
 """
@@ -18,11 +18,11 @@ import moderngl
 import numpy as np
 from numpy.typing import ArrayLike
 
-from facerender.context import Backend, create_context
+from facerender.drawing.context import Backend, create_context
 from facerender.errors import FacerenderError
-from facerender.glsl import resolve_includes
-from facerender.measure import amd
-from facerender.measure.cost import Interval, clock_of, slopes
+from facerender.glsl.library import resolve_includes
+from facerender.pricing import amd
+from facerender.pricing.cost import Interval, clock_of, slopes
 
 SIZE = (512, 256)
 # In place of a specular term: what ``amd`` takes off a term's cost, so that both add up. It keeps

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from facerender import __version__
-from facerender.compare import Comparable, Pair, as_picture, compare
+from facerender._version import __version__
+from facerender.comparison.gates import Comparable, Pair, as_picture, compare
 from facerender.errors import InputError, reason
 from facerender.image import Picture, save_exr
 

@@ -1,0 +1,1 @@
+"""Whether images are the same: gates, goldens, and pages to look at."""

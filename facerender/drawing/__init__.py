@@ -1,0 +1,1 @@
+"""Scene and shading to pixels: by OpenGL, and in float64."""

@@ -1,0 +1,1 @@
+"""The GLSL library as text: includes, files flat for a target, what its headers say."""

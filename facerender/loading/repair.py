@@ -1,0 +1,234 @@
+"""Mesh geometry mended where that is safe: bad faces, normals, winding; and parts put together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError, warn
+from facerender.scenes.material import Material
+from facerender.scenes.mesh import Mesh, Part
+
+_HUGE = 1e100  # coordinates beyond it overflow when they are squared
+
+
+@dataclass
+class Piece:
+    """A part on its way: normals may be absent, faces may be bad."""
+
+    positions: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    normals: NDArray[np.float64] | None
+    uv: NDArray[np.float64] | None
+    colors: NDArray[np.float64] | None
+    material: Material
+
+
+def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
+    """Drop what cannot be drawn, complete the normals, and turn the faces outwards."""
+    _drop_bad_faces(pieces, name)
+    pieces = [piece for piece in pieces if len(piece.faces)]
+    if not pieces:
+        raise InputError(f"no face of {name} has a finite, non-zero area; export the mesh again")
+    _complete_normals(pieces, name)
+
+    corners = np.concatenate([piece.positions[piece.faces] for piece in pieces])
+    if _outwardness(corners) < -0.5:
+        warn(f"the faces of {name} are inside out: turned")
+        for piece in pieces:
+            piece.faces = piece.faces[:, ::-1]
+            piece.normals = -_present(piece.normals)
+    return pieces
+
+
+def assemble(pieces: Sequence[Piece], name: str) -> Mesh:
+    used = np.concatenate([piece.positions[np.unique(piece.faces)] for piece in pieces])
+    bounds = np.array([used.min(axis=0), used.max(axis=0)])
+    offsets = used - bounds.mean(axis=0)
+    radius = float(np.linalg.norm(offsets, axis=1).max())
+    return Mesh(
+        name,
+        tuple(
+            Part(
+                piece.positions,
+                _present(piece.normals),
+                np.ascontiguousarray(piece.faces, dtype=np.uint32),
+                piece.uv,
+                piece.colors,
+            )
+            for piece in pieces
+        ),
+        tuple(piece.material for piece in pieces),
+        bounds,
+        radius,
+        _profile(offsets / radius),
+    )
+
+
+def _profile(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The widest vertex in each of 512 slices of the height."""
+    widths, heights = np.hypot(positions[:, 0], positions[:, 2]), positions[:, 1]
+    slices = np.round(heights * 255.0).astype(np.int64)
+    order = np.lexsort((widths, slices))
+    widest = order[np.diff(slices[order], append=slices.max() + 1) > 0]
+    return np.stack([widths[widest], heights[widest]], axis=1)
+
+
+def _present(normals: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    assert normals is not None
+    return normals
+
+
+def _face_normals(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Twice the area times the unit normal of triangles (F, 3, 3)."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def _outwardness(corners: NDArray[np.float64]) -> float:
+    """Mean cosine between the faces' normals and the directions from the centre, by area: near 1
+    for a closed head or an open mask, near -1 when they are inside out."""
+    normals = _face_normals(corners)
+    areas = np.linalg.norm(normals, axis=1)
+    middles = corners.mean(axis=1)
+    outward = middles - np.average(middles, axis=0, weights=areas)
+    return float((normals * outward).sum() / (areas * np.linalg.norm(outward, axis=1)).sum())
+
+
+def _drop_bad_faces(pieces: Sequence[Piece], name: str) -> None:
+    bad_vertices = bad_faces = flat_faces = 0
+    for piece in pieces:
+        finite = np.asarray((np.abs(piece.positions) < _HUGE).all(axis=1))
+        if not finite.all():
+            keep = finite[piece.faces].all(axis=1)
+            bad_vertices += int((~finite).sum())
+            bad_faces += int((~keep).sum())
+            piece.faces = piece.faces[keep]
+        keep = _face_normals(piece.positions[piece.faces]).any(axis=1)
+        flat_faces += int((~keep).sum())
+        piece.faces = piece.faces[keep]
+    if bad_vertices:
+        warn(f"{name} has {bad_vertices} non-finite vertices: {bad_faces} faces dropped")
+    if flat_faces:
+        warn(f"{name} has {flat_faces} degenerate faces: dropped")
+
+
+def _complete_normals(pieces: Sequence[Piece], name: str) -> None:
+    """Unit normals for every piece: the file's own where they are good, computed otherwise."""
+    without = []
+    for piece in pieces:
+        if piece.normals is not None:
+            length = np.linalg.norm(piece.normals, axis=1)
+            good: NDArray[np.bool_] = np.isfinite(length) & (length > 0.0)
+            if good[piece.faces].all():
+                piece.normals = piece.normals / np.where(good, length, 1.0)[:, None]
+                _wind_by_normals(piece)
+                continue
+            warn(f"{name} has {int((~good).sum())} normals of zero length: all computed anew")
+        without.append(piece)
+    if without:
+        _compute_normals(without, name)
+
+
+def _wind_by_normals(piece: Piece) -> None:
+    """Turn the faces whose winding contradicts their vertices' normals."""
+    normals = _present(piece.normals)
+    face_normals = _face_normals(piece.positions[piece.faces])
+    agreement = (face_normals * normals[piece.faces].sum(axis=1)).sum(axis=1)
+    piece.faces = np.where((agreement < 0.0)[:, None], piece.faces[:, ::-1], piece.faces)
+
+
+def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
+    """Smooth normals over vertices welded by position, across seams and materials.
+
+    Face normals are weighted by the angle at the vertex (Thuermer and Wuethrich, 1998), so that
+    the result does not depend on how flat polygons are cut into triangles.
+    """
+    starts = np.cumsum([0] + [len(piece.positions) for piece in pieces])
+    positions = np.concatenate([piece.positions for piece in pieces])
+    faces = np.concatenate(
+        [piece.faces + start for piece, start in zip(pieces, starts, strict=False)]
+    )
+    used = np.zeros(len(positions), dtype=bool)
+    used[faces] = True
+    welded = np.zeros(len(positions), dtype=np.int64)
+    welded[used] = _weld(positions[used])
+    faces = _wind_consistently(faces, welded[faces], positions, name)
+
+    corners = positions[faces]
+    unit = _face_normals(corners)
+    unit /= np.linalg.norm(unit, axis=1)[:, None]
+    normals = np.zeros((welded.max() + 1, 3))
+    for corner in range(3):
+        a = corners[:, (corner + 1) % 3] - corners[:, corner]
+        b = corners[:, (corner + 2) % 3] - corners[:, corner]
+        angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
+        for axis in range(3):
+            normals[:, axis] += np.bincount(
+                welded[faces[:, corner]], angle * unit[:, axis], len(normals)
+            )
+    length = np.linalg.norm(normals, axis=1)
+    # Where opposite faces cancel out any direction is as good, as long as it is a unit vector.
+    normals = np.where((length > 0.0)[:, None], normals, (0.0, 0.0, 1.0))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+
+    ends = np.cumsum([len(piece.faces) for piece in pieces])
+    for piece, start, each in zip(pieces, starts, np.split(faces, ends[:-1]), strict=False):
+        piece.faces = each - start
+        piece.normals = normals[welded[start : start + len(piece.positions)]]
+
+
+def _weld(positions: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Number the positions so that equal ones, to 2^-21 of the extent, share a number."""
+    low = positions.min(axis=0)
+    extent = float((positions.max(axis=0) - low).max()) or 1.0
+    # An even number of cells: the plane of symmetry lies inside one, not between two.
+    cells = np.round((positions - low) * ((2**21 - 2) / extent)).astype(np.int64)
+    keys = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
+    return np.unique(keys, return_inverse=True)[1].reshape(-1)
+
+
+def _wind_consistently(
+    faces: NDArray[np.int64],
+    welded: NDArray[np.int64],
+    positions: NDArray[np.float64],
+    name: str,
+) -> NDArray[np.int64]:
+    """Return the faces wound alike within each connected surface, and outwards.
+
+    Consistent neighbours run along their common edge in opposite directions, so a directed edge
+    that occurs twice reveals a contradiction. Then each face gets two nodes, kept and turned;
+    neighbours join the nodes that agree, and a connected component is one choice for a surface.
+    """
+    first, second = welded[:, [0, 1, 2]].ravel(), welded[:, [1, 2, 0]].ravel()
+    count = int(welded.max()) + 1
+    directed = first * count + second
+    if len(np.unique(directed)) == len(directed):
+        return faces
+
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    edge = np.minimum(first, second) * count + np.maximum(first, second)
+    order = np.argsort(edge, kind="stable")
+    _, start, uses = np.unique(edge[order], return_index=True, return_counts=True)
+    start = start[uses == 2]  # at an edge of three faces nothing can be told
+    a, b = order[start], order[start + 1]
+    disagree = (first[a] == first[b]).astype(np.int64)
+    face_a, face_b, n = a // 3, b // 3, len(faces)
+    rows = np.concatenate([face_a, face_a + n])
+    columns = np.concatenate([face_b + n * disagree, face_b + n * (1 - disagree)])
+    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(2 * n, 2 * n))
+    components, label = connected_components(graph, directed=False)
+
+    corners = positions[faces]
+    middle = corners.mean(axis=1)
+    outward = (_face_normals(corners) * (middle - middle.mean(axis=0))).sum(axis=1)
+    score = np.bincount(label, np.concatenate([outward, -outward]), components)
+    turn = score[label[n:]] > score[label[:n]]
+    if not turn.any():
+        return faces
+    warn(f"{name} has faces wound both ways: {int(turn.sum())} of {n} turned")
+    return np.where(turn[:, None], faces[:, ::-1], faces)

@@ -1,0 +1,1 @@
+"""What is rendered, as values: mesh, material, textures, camera, lights. No OpenGL."""

@@ -1,0 +1,134 @@
+"""Scenes as TOML files. Mesh and maps are not in them."""
+
+from __future__ import annotations
+
+import json
+import os
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from facerender.errors import InputError, reason
+from facerender.scenes.camera import Camera
+from facerender.scenes.light import Light, parse_light
+from facerender.scenes.material import Material
+from facerender.scenes.scene import Scene
+from facerender.scenes.vectors import vector
+from facerender.shading import Shading
+
+
+def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read camera, lights, ambient, background and material from a TOML file.
+
+    Returns
+    -------
+    dict with any of: camera (Camera), cameras (tuple of Camera, a path for ``facerender plan``),
+    lights (tuple of Light), ambient, background, material (dict of the factors of
+    :class:`Material`), shading (dict for :meth:`Shading.from_dict`)
+
+    Raises
+    ------
+    InputError : the file cannot be read, or has an unknown key or a value outside its domain
+    """
+    name = Path(path).name
+    try:
+        tables = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {reason(error)}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{name} is not TOML: {error}") from None
+
+    scene: dict[str, Any] = {}
+    for key, value in tables.items():
+        try:
+            if key == "camera":
+                scene[key] = _from_table(Camera, key, value)
+            elif key == "lights":
+                if not isinstance(value, list):
+                    raise InputError(f"lights = {value!r}: give a list of names or tables")
+                scene[key] = tuple(
+                    parse_light(item) if isinstance(item, str) else _from_table(Light, key, item)
+                    for item in value
+                )
+            elif key == "cameras":
+                if not isinstance(value, list) or not value:
+                    raise InputError(f"cameras = {value!r}: give a list of tables")
+                scene[key] = tuple(_from_table(Camera, key, item) for item in value)
+            elif key == "shading":
+                Shading.from_dict(value)  # validates
+                scene[key] = value
+            elif key == "material":
+                _from_table(Material, key, value)  # validates
+                scene[key] = value
+            elif key in ("ambient", "background"):
+                transparent = key == "background" and value == "none"
+                scene[key] = None if transparent else vector(key, value)
+            else:
+                raise InputError(
+                    f"unknown key {key!r}; known: camera, cameras, lights, material, shading, "
+                    "ambient, background"
+                )
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from None
+    return scene
+
+
+def scene_toml(scene: Scene, shading: Shading) -> str:
+    """Return the text of a TOML file that :func:`load_scene` reads: camera, lights, ambient,
+    background, shading, and the factors of the material that all parts share. Mesh and maps are not
+    in it."""
+    background = "none" if scene.background is None else scene.background
+    dark: dict[str, Any] = {} if scene.lights else {"lights": []}
+    tables: list[tuple[str, Mapping[str, Any]]] = [
+        ("", {"ambient": scene.ambient, "background": background} | dark),
+        ("[camera]", _changed(scene.camera)),
+        *(("[[lights]]", _changed(light)) for light in scene.lights),
+        ("[material]", _shared_factors(scene.mesh.materials)),
+        ("[shading]", shading.as_dict()),
+    ]
+    blocks = []
+    for head, table in tables:
+        lines = [f"{key} = {_toml(value)}" for key, value in table.items() if value is not None]
+        blocks.append("\n".join(filter(None, [head, *lines])) + "\n")
+    return "\n".join(blocks)
+
+
+def _changed(value: Camera | Light) -> dict[str, Any]:
+    """The fields that are not the default."""
+    return {
+        each.name: getattr(value, each.name)
+        for each in fields(value)
+        if getattr(value, each.name) != each.default
+    }
+
+
+def _shared_factors(materials: Sequence[Material]) -> dict[str, Any]:
+    names = [each.name for each in fields(Material) if not each.name.endswith("_map")]
+    mapped = any(each.roughness_map is not None for each in materials)
+    names.remove("m" if mapped else "roughness_factor")
+    values = {name: {getattr(each, name) for each in materials} for name in names}
+    return {name: found.pop() for name, found in values.items() if len(found) == 1}
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return json.dumps(value)
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + " }"
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return repr(value.item() if isinstance(value, np.generic) else value)
+
+
+def _from_table(kind: type[Any], key: str, table: Any) -> Any:
+    known = [each.name for each in fields(kind) if not each.name.endswith("_map")]
+    if not isinstance(table, dict) or (unknown := set(table) - set(known)):
+        what = f"key {sorted(unknown)[0]!r}" if isinstance(table, dict) else f"value {table!r}"
+        raise InputError(f"unknown {what} in {key}; known: {', '.join(known)}")
+    return kind(**table)

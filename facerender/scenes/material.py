@@ -1,0 +1,79 @@
+"""Reflectance of a part of a mesh: factors, and the maps that they multiply."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from facerender.errors import InputError, check_range
+from facerender.lobes import MAX_SLOPE, MIN_SLOPE
+from facerender.scenes.texture import Texture, pack
+from facerender.scenes.vectors import Vector, non_negative
+
+MAX_WEIGHT = 1e6
+
+
+SKIN_ALBEDO: Vector = (0.48, 0.28, 0.21)  # linear; where a mesh brings no colour of its own
+
+
+@dataclass(frozen=True)
+class Material:
+    """Reflectance of a part: factors, and the maps that they multiply.
+
+    Parameters
+    ----------
+    albedo : linear RGB
+    m : rms slope of the microfacets, in [1e-4, 2], where there is no roughness map
+    roughness_factor : in [0, 1], of the roughness map: m is (factor times texel)^2, as in glTF
+    f0 : Fresnel reflectance at normal incidence, in [0, 1)
+    ks, kd : specular and diffuse weights, >= 0. 1 is a bare dielectric; 0.18, from GPU Gems 3
+        chapter 14, suits powdered skin
+    albedo_map, normal_map, roughness_map, specular_map, occlusion_map : textures or None; only the
+        albedo is sRGB-encoded; green of the normal map points up; occlusion dims ambient light
+    """
+
+    albedo: Vector = SKIN_ALBEDO
+    m: float = 0.3
+    roughness_factor: float = 1.0
+    f0: float = 0.028
+    ks: float = 1.0
+    kd: float = 1.0
+    albedo_map: Texture | None = None
+    normal_map: Texture | None = None
+    roughness_map: Texture | None = None
+    specular_map: Texture | None = None
+    occlusion_map: Texture | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "albedo", non_negative("albedo", self.albedo))
+        check_range("m", self.m, MIN_SLOPE, MAX_SLOPE)
+        check_range("roughness_factor", self.roughness_factor, 0.0, 1.0)
+        check_range("f0", self.f0, 0.0, 0.999)
+        check_range("ks", self.ks, 0.0, MAX_WEIGHT)
+        check_range("kd", self.kd, 0.0, MAX_WEIGHT)
+        for name in ("albedo_map", "normal_map", "roughness_map", "specular_map", "occlusion_map"):
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, Texture):
+                raise InputError(f"{name} = {value!r}: give facerender.Texture.open(FILE) or None")
+
+    @cached_property
+    def slopes(self) -> tuple[float, float]:
+        """The smallest and largest m, of the roughness map if there is one, which is then
+        decoded."""
+        if self.roughness_map is None or self.property_map is None:
+            return self.m, self.m
+        roughness = self.property_map.levels("data").result()[0][..., 1]
+        ends = (
+            self.roughness_factor * float(end) / 255.0
+            for end in (np.min(roughness), np.max(roughness))
+        )
+        low, high = (max(end**2, MIN_SLOPE) for end in ends)
+        return low, high
+
+    @cached_property
+    def property_map(self) -> Texture | None:
+        """Occlusion, roughness and specular weight as one texture, so that one fetch serves."""
+        maps = (self.occlusion_map, self.roughness_map, self.specular_map)
+        return pack(*maps) if any(maps) else None

@@ -1,0 +1,83 @@
+"""Meshes: triangles with their materials. Files are read in ``loading``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from facerender.scenes.material import Material
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Triangles of one material, in the mesh's space.
+
+    Attributes
+    ----------
+    positions : (N, 3) float64
+    normals : (N, 3) float64, unit vectors
+    faces : (F, 3) uint32, counter-clockwise seen from outside
+    uv : (N, 2) float64 with v upwards, or None
+    colors : (N, 3) linear RGB, or None
+    """
+
+    positions: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    faces: NDArray[np.uint32]
+    uv: NDArray[np.float64] | None = None
+    colors: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """What a mesh file holds.
+
+    Attributes
+    ----------
+    name : the file's name, for messages
+    parts : at least one
+    materials : one for each part
+    bounds : (2, 3) float64, the lowest and the highest corner of what the faces use
+    radius : the largest distance of a vertex from the centre of the bounds
+    profile : (K, 2) float64, the outline that the mesh has when it turns about the vertical axis
+        through its centre: distance from the axis and height, in the renderer's space
+    """
+
+    name: str
+    parts: tuple[Part, ...]
+    materials: tuple[Material, ...]
+    bounds: NDArray[np.float64]
+    radius: float
+    profile: NDArray[np.float64]
+
+    @property
+    def center(self) -> NDArray[np.float64]:
+        """(3,) float64: the middle of the bounds."""
+        return np.asarray(self.bounds.mean(axis=0))
+
+    def normalised(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Map points, (..., 3), to the renderer's space: centre at the origin, radius 1.
+
+        In float64, so that millimetres, micrometres and large offsets survive the step to float32.
+        """
+        return np.asarray((np.asarray(points, dtype=np.float64) - self.center) / self.radius)
+
+    def denormalised(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Map points, (..., 3), of the renderer's space back to the mesh's."""
+        return np.asarray(np.asarray(points, dtype=np.float64) * self.radius + self.center)
+
+    def with_material(self, **changes: Any) -> Mesh:
+        """Return the mesh with fields of every material replaced; geometry and maps are shared.
+
+        A new ``m`` takes the place of a roughness map.
+
+        Raises
+        ------
+        InputError : a value outside its domain
+        """
+        if "m" in changes:
+            changes = {"roughness_map": None, **changes}
+        return replace(self, materials=tuple(replace(each, **changes) for each in self.materials))

@@ -1,0 +1,81 @@
+"""Where a scene's camera stands in the renderer's space, and what it projects."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError
+from facerender.scenes.mesh import Mesh
+from facerender.scenes.scene import Scene
+from facerender.scenes.vectors import direction_to
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera in the renderer's space, where the mesh's bounding sphere is the unit sphere.
+
+    Attributes
+    ----------
+    eye : (3,) float64
+    forward : (3,) float64, unit vector of the viewing direction
+    matrix : (4, 4) float64, view times projection for row vectors, as pyrr has it; image row 0 is
+        on top, that is at clip y = -1, so that a framebuffer is read in the order of image rows
+    """
+
+    eye: NDArray[np.float64]
+    forward: NDArray[np.float64]
+    matrix: NDArray[np.float64]
+
+
+def view_of(scene: Scene, aspect: float) -> View:
+    """Place the camera of a scene for images of the given aspect ratio, width over height.
+
+    Raises
+    ------
+    InputError : the eye stands at the target
+    """
+    from pyrr import matrix44
+
+    mesh, camera = scene.mesh, scene.camera
+    target = np.zeros(3)
+    if camera.target is not None:
+        target = mesh.normalised(camera.target)
+    if camera.position is None:
+        distance = _framing_distance(mesh, camera.elevation, camera.fov, aspect) / camera.zoom
+        eye = target + distance * direction_to(camera.azimuth, camera.elevation)
+    else:
+        eye = mesh.normalised(camera.position)
+    gaze = target - eye
+    distance = float(np.linalg.norm(gaze))
+    if distance < 1e-6:
+        raise InputError(f"camera position {camera.position} is at its target; move one of them")
+    forward = gaze / distance
+    up = np.array([0.0, 1.0, 0.0])
+    if abs(forward[1]) > 0.9999:  # seen from above, the back of the head is on top
+        up = -direction_to(camera.azimuth, 0.0) * np.sign(-forward[1])
+    depth = float(eye @ -forward)  # of the mesh's centre
+    far = max(depth + 1.0, 0.02)
+    near = max(depth - 1.0, far * 1e-3)
+    projection = matrix44.create_perspective_projection(camera.fov, aspect, near, far)
+    projection[:, 1] *= -1.0
+    return View(eye, forward, matrix44.create_look_at(eye, target, up) @ projection)
+
+
+def _framing_distance(mesh: Mesh, elevation: float, fov: float, aspect: float) -> float:
+    """Distance at which every vertex, turned to any azimuth, lies inside the view, with a margin.
+
+    A vertex at height y and distance r from the axis runs through a circle; each bound below is
+    the largest value on that circle of what must stay under the distance.
+    """
+    r, y = mesh.profile.T
+    sine, cosine = math.sin(math.radians(elevation)), math.cos(math.radians(elevation))
+    vertical = math.tan(math.radians(fov) / 2.0)
+    horizontal = vertical * aspect
+    top = y * (sine + cosine / vertical) + r * abs(cosine - sine / vertical)
+    bottom = y * (sine - cosine / vertical) + r * abs(cosine + sine / vertical)
+    side = y * sine + r * math.hypot(1.0 / horizontal, cosine)
+    return 1.04 * float(max(top.max(), bottom.max(), side.max()))
