@@ -25,12 +25,12 @@ from facerender.errors import FacerenderError, FacerenderWarning, InputError, re
 from facerender.glsl.library import TARGETS, shader_dir, shader_source
 from facerender.image import read_image, write_bytes
 from facerender.loading import load_mesh
-from facerender.lobes import NAMES as LOBES
 from facerender.scenes.camera import Camera, turntable
 from facerender.scenes.file import load_scene
 from facerender.scenes.light import LIGHTS, parse_light
 from facerender.scenes.scene import Scene
-from facerender.shading import FRESNEL_TERMS, MASKING_TERMS, MODELS, OUTSIDE, Shading
+from facerender.shading import OUTSIDE, Shading
+from facerender.terms import FRESNEL, LOBES, MASKING, MODELS
 
 CAMERAS = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
 
@@ -117,7 +117,7 @@ def _add_render(render: argparse.ArgumentParser) -> None:
     render.set_defaults(command=_render)
     render.add_argument("-o", "--output", required=True, metavar="OUT", help=".png or .exr")
     terms, scene = _add_scene(render)
-    terms.add_argument("--lobe", choices=LOBES, help="(exact)")
+    terms.add_argument("--lobe", choices=tuple(LOBES), help="(exact)")
     terms.add_argument(
         "--outside",
         choices=OUTSIDE,
@@ -201,9 +201,9 @@ def _add_scene(
         "mesh", nargs="?", help=".glb .gltf .obj .ply .stl; without it the built-in head"
     )
     terms = command.add_argument_group("reflectance")
-    terms.add_argument("--model", choices=MODELS, help="(cook-torrance)")
-    terms.add_argument("--fresnel", choices=FRESNEL_TERMS, help="(schlick)")
-    terms.add_argument("--masking", choices=MASKING_TERMS, help="(v-cavity)")
+    terms.add_argument("--model", choices=tuple(MODELS), help="(cook-torrance)")
+    terms.add_argument("--fresnel", choices=tuple(FRESNEL), help="(schlick)")
+    terms.add_argument("--masking", choices=tuple(MASKING), help="(v-cavity)")
     terms.add_argument(
         "--m", type=float, help="rms slope of the microfacets, in place of the file's map (0.3)"
     )
@@ -285,7 +285,7 @@ def _add_shaders(shaders: argparse.ArgumentParser) -> None:
         choices=TARGETS,
         help="begin with this #version; without it: text to include, for all targets",
     )
-    flatten.add_argument("--lobe", choices=LOBES, help="leave the others out")
+    flatten.add_argument("--lobe", choices=tuple(LOBES), help="leave the others out")
     flatten.add_argument("--m", type=float, help="rms slope, as a constant")
     flatten.set_defaults(command=_flatten)
 

@@ -4,7 +4,7 @@ against float64."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -66,8 +66,8 @@ def brdf_error(shading: Shading, m: float, f0: float = 0.028, count: int = 24) -
     l = _direction(theta[:, None, None], phi)
     v = _direction(theta[:, None], np.pi)
     n = np.array([0.0, 0.0, 1.0])
-    exact = replace(shading, lobe="exact")
-    values, expected = (s.brdf(n, l, v, m, f0) * l[..., 2] for s in (shading, exact))
+    exact = shading.replace(lobe="exact")
+    values, expected = (s.term.brdf(n, l, v, m, f0) * l[..., 2] for s in (shading, exact))
     return float(np.abs(values - expected).max() / expected.max())
 
 
@@ -120,7 +120,7 @@ def image_errors(
     InputError : the scene cannot be drawn with a shading
     """
     scene = Scene(scene.mesh, scene.camera, scene.lights, scene.ambient, None)
-    exact = replace(shadings[0], lobe="exact")
+    exact = shadings[0].replace(lobe="exact")
     with Renderer(size, samples=1, backend=backend) as renderer:
         gbuffer = renderer.gbuffer(scene)
         reference = shade(gbuffer, scene, exact)

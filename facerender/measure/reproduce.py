@@ -28,7 +28,6 @@ from facerender.drawing.renderer import Renderer
 from facerender.errors import NotMeasured
 from facerender.image import encode_srgb8
 from facerender.loading import load_mesh
-from facerender.lobes import Lobe
 from facerender.measure import plots
 from facerender.measure.error import lobe_error, printed_error, printed_lobe
 from facerender.measure.report import write_files
@@ -40,7 +39,7 @@ from facerender.pricing.variants import lobe_terms, terms
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light
 from facerender.scenes.scene import Scene
-from facerender.shading import Model, Shading
+from facerender.shading import Shading
 
 Array = NDArray[np.float64]
 Verdict = Literal["holds", "fails", "undecided", "not measured", "for comparison"]
@@ -68,7 +67,7 @@ CAPTIONS = {
 }
 
 _DPI = 110
-_FACES: tuple[Lobe, Lobe] = ("exact", "d16")
+_FACES: tuple[str, str] = ("exact", "d16")
 _DEGREES = np.linspace(0.0, 90.0, 9001)
 _COSINES = np.cos(np.radians(_DEGREES)).clip(0.0, 1.0)
 
@@ -237,7 +236,7 @@ def reproduce(
 # --- errors --------------------------------------------------------------------------------------
 
 
-def relative_error(name: Lobe, m: float, down_to: float) -> float:
+def relative_error(name: str, m: float, down_to: float) -> float:
     """Return the largest |lobe - exact|/exact in percent for Cook-Torrance, from the peak down to
     the share ``down_to`` of it.
 
@@ -379,7 +378,7 @@ def _amd_claims() -> list[Claim]:
     """Hold "more than twice" against what AMD's compiler says of whole terms."""
     claims = []
     paper = f"more than {WHOLE_SPEED:g} times as fast"
-    models: dict[str, Model] = {"Cook-Torrance": "cook-torrance", "Ward": "ward"}
+    models: dict[str, str] = {"Cook-Torrance": "cook-torrance", "Ward": "ward"}
     for name, model in models.items():
         title = f"{name}, whole term: D16 against exact, as printed"
         for family in amd.FAMILIES:
@@ -473,7 +472,7 @@ def _lobes_figure(powers: Sequence[int]) -> bytes:
     return _png(figure, colors=64)
 
 
-def _errors_figure(name: Lobe) -> bytes:
+def _errors_figure(name: str) -> bytes:
     """The relative error of a lobe over the angle, a curve for each slope."""
     figure = _figure(8.0, 4.4)
     axes = figure.subplots()
@@ -495,7 +494,7 @@ def _errors_figure(name: Lobe) -> bytes:
 
 def _faces_figure(size: tuple[int, int], backend: Backend) -> bytes:
     """The head with both models."""
-    models: dict[str, Model] = {"Cook-Torrance": "cook-torrance", "Ward": "ward"}
+    models: dict[str, str] = {"Cook-Torrance": "cook-torrance", "Ward": "ward"}
     lights = (Light(120.0, 48.0, 6.5), Light(-60.0, 5.0, 0.9))
     head = load_mesh().with_material(m=FACE_SLOPE)
     scene = Scene(head, Camera(-15.0, zoom=1.2), lights)

@@ -22,14 +22,14 @@ from facerender.drawing.context import Backend, create_context
 from facerender.drawing.prepare import start_maps
 from facerender.errors import NotMeasured
 from facerender.image import encode_srgb8
-from facerender.lobes import Lobe
 from facerender.measure import error
 from facerender.pricing import amd, cost
 from facerender.pricing.variants import CALLS, lobe_terms, terms
 from facerender.scenes.camera import Camera
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
-from facerender.shading import SMALL_SLOPE, Model, Shading
+from facerender.shading import SMALL_SLOPE, Shading
+from facerender.terms import MODELS as MODELS_
 
 SCHEMA = "facerender.measure/1"
 MODELS = tuple(CALLS)
@@ -73,7 +73,7 @@ def measure(
     slopes = tuple(sorted({*SLOPES, m}))
     not_measured: list[str] = []
 
-    statistics: dict[str, dict[Model, dict[str, amd.Statistics]]] = {}
+    statistics: dict[str, dict[str, dict[str, amd.Statistics]]] = {}
     for number, family in enumerate(amd.FAMILIES):
         progress("compiler statistics", number / len(amd.FAMILIES))
         try:
@@ -85,7 +85,7 @@ def measure(
     images: Images = {}
     for model in MODELS:
 
-        def stage(what: str, model: Model = model) -> Callable[[float], object]:
+        def stage(what: str, model: str = model) -> Callable[[float], object]:
             return lambda done: progress(f"{model}: {what}", done)
 
         costs: dict[str, dict[str, cost.Interval]] = {"lobe_ns": {}}
@@ -96,7 +96,7 @@ def measure(
             costs["lobe_ns"] = cost.by_slope(
                 lobe_terms(model), cost.OF_COSINE, repeats, backend, stage("lobes")
             )
-        k = Shading(model).k
+        k = MODELS_[model].k
         drawn = [name for name in lobes.NAMES if lobes.in_domain(m, name, k)]
         shadings = [Shading(model, name) for name in drawn]
         milliseconds = cost.frames(scene, shadings, size, repeats, backend, stage("frames"))
@@ -156,7 +156,7 @@ def _processor() -> str:
     return next(names, platform.machine())
 
 
-def lobe_of(variant: str) -> Lobe:
+def lobe_of(variant: str) -> str:
     """Return the lobe of a variant's name, such as "printed, d16" or "exact, m >= 0.2"."""
     return next(name for name in reversed(lobes.NAMES) if name in variant.split(", "))
 
@@ -165,14 +165,12 @@ def _row(measured: Any) -> dict[str, Any] | None:
     return None if measured is None else asdict(measured)
 
 
-def _errors(
-    model: Model, name: str, slopes: tuple[float, ...]
-) -> dict[str, dict[str, float | None]]:
+def _errors(model: str, name: str, slopes: tuple[float, ...]) -> dict[str, dict[str, float | None]]:
     """Errors of a variant's lobe and BRDF by slope, in percent; None outside its domain."""
     lobe = lobe_of(name)
     if name.startswith("printed") and lobe != "exact":
         unclamped: dict[str, float | None] = {
-            f"{m:g}": 100.0 * float(np.abs(error.printed_error(m, Shading(model).k, 16)).max())
+            f"{m:g}": 100.0 * float(np.abs(error.printed_error(m, MODELS_[model].k, 16)).max())
             for m in slopes
         }
         return {"lobe": unclamped, "brdf": dict.fromkeys(unclamped, None)}
@@ -185,16 +183,16 @@ def _errors(
 
 
 @cache
-def _of_lobe(model: Model, lobe: Lobe, m: float) -> tuple[float, float] | tuple[None, None]:
+def _of_lobe(model: str, lobe: str, m: float) -> tuple[float, float] | tuple[None, None]:
     shading = Shading(model, lobe)
-    if not lobes.in_domain(m, lobe, shading.k):
+    if not lobes.in_domain(m, lobe, shading.term.entry.k):
         return None, None
-    of_lobe = float(np.abs(error.lobe_error(lobe, m, shading.k)).max())
+    of_lobe = float(np.abs(error.lobe_error(lobe, m, shading.term.entry.k)).max())
     return 100.0 * of_lobe, 100.0 * error.brdf_error(shading, m)
 
 
-def _curves(model: Model, slopes: tuple[float, ...]) -> dict[str, dict[str, list[float]]]:
-    k = Shading(model).k
+def _curves(model: str, slopes: tuple[float, ...]) -> dict[str, dict[str, list[float]]]:
+    k = MODELS_[model].k
     return {
         name: {
             f"{m:g}": np.round(100.0 * error.lobe_error(name, m, k, DEGREES), 5).tolist()
@@ -206,7 +204,7 @@ def _curves(model: Model, slopes: tuple[float, ...]) -> dict[str, dict[str, list
     }
 
 
-def _triptychs(model: Model, comparison: error.Comparison, drawn: list[Lobe]) -> Images:
+def _triptychs(model: str, comparison: error.Comparison, drawn: list[str]) -> Images:
     reference = comparison.reference.astype(np.float32)
     images = {f"{model} exact": encode_srgb8(reference)}
     for lobe, image in zip(drawn, comparison.images, strict=True):

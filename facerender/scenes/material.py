@@ -8,12 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from facerender.errors import InputError, check_range
-from facerender.lobes import MAX_SLOPE, MIN_SLOPE
 from facerender.scenes.texture import Texture, pack
 from facerender.scenes.vectors import Vector, non_negative
-
-MAX_WEIGHT = 1e6
-
+from facerender.shading import MAX_WEIGHT
+from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
 
 SKIN_ALBEDO: Vector = (0.48, 0.28, 0.21)  # linear; where a mesh brings no colour of its own
 
