@@ -1,8 +1,4 @@
-"""Pictures of a comparison: a heat map, and a page to look at.
-
-Every picture is 8-bit sRGB, linear radiance 1 being white, over black where the coverage ends;
-values that are not finite are magenta.
-"""
+"""The page of a comparison: its pairs, their figures beside the limits, and pictures to look at."""
 
 from __future__ import annotations
 
@@ -11,43 +7,19 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from io import BytesIO
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from facerender.comparison import pictures
 from facerender.comparison.gates import BLOCK, Comparison, Pair
 from facerender.errors import InputError
-from facerender.image import Encoding, Picture, encode_srgb8, save_png, write_bytes
+from facerender.image import Encoding, Picture, write_bytes
 from facerender.page.document import document, image_source, row, table
 
 VERDICTS = {1: "differs", 2: "error", 0: "same"}  # by status, in the page's order
 INDEX = "\N{SYMBOL FOR UNIT SEPARATOR}"  # in no name
 THUMBNAIL = 160  # pixels a side
-LEVELS = 32  # of the difference, either way
-DARKER, BRIGHTER, UNCOVERED = (74, 163, 255), (255, 148, 41), (190, 70, 255)
-NOT_FINITE = (255, 0, 255)
-FLOORS: dict[Encoding, float] = {"linear": 1e-3, "srgb8": 1.0}  # of the difference's scale
 MODES = ("side by side", "blink", "slider", "difference")
-
-Bytes = NDArray[np.uint8]
-
-
-def save_heat_map(path: str | os.PathLike[str], pair: Pair) -> None:
-    """Write the heat map of FLIP (Andersson et al. 2020) as PNG.
-
-    Raises
-    ------
-    InputError : flip-evaluator is missing, an image could not be read, the sizes differ, or the
-        file is no .png or cannot be written
-    """
-    if Path(path).suffix.lower() != ".png":
-        raise InputError(f"the heat map {path}: give a .png")
-    a, b = pair.reference, pair.image
-    if a is None or b is None or a.pixels.shape[:2] != b.pixels.shape[:2]:
-        raise InputError(f"no heat map: {pair.error}")
-    save_png(path, _heat_map(_shown(a), _shown(b)), {})
 
 
 @dataclass(frozen=True)
@@ -82,61 +54,6 @@ def write_report(path: str | os.PathLike[str], entries: Sequence[Entry]) -> None
     write_bytes(path, _page(entries).encode(errors="backslashreplace"))
 
 
-def _heat_map(a: Bytes, b: Bytes) -> Bytes:
-    try:
-        import flip_evaluator
-    except ImportError:
-        raise InputError(
-            "a heat map needs the package flip-evaluator; pip install 'facerender[measure]'"
-        ) from None
-    images = (image.astype(np.float32) / 255.0 for image in (a, b))
-    heat, _, _ = flip_evaluator.evaluate(*images, "LDR", computeMeanError=False)
-    return np.asarray(np.round(255.0 * heat.clip(0.0, 1.0)), dtype=np.uint8)
-
-
-def _shown(picture: Picture) -> Bytes:
-    """Return (H, W, 3) to look at."""
-    linear, color = picture.encoding == "linear", picture.color
-    shown = encode_srgb8(color) if linear else np.round(color).astype(np.uint8)
-    if shown.shape[2] == 1:
-        shown = np.repeat(shown, 3, axis=-1)
-    shown[~np.isfinite(picture.pixels).all(axis=-1)] = NOT_FINITE
-    return shown
-
-
-def _difference(a: Picture, b: Picture) -> tuple[Bytes, float]:
-    """Return (H, W, 3), the signed difference in the worst channel, linear below the floor and
-    logarithmic above; and the largest difference, which has the full colour."""
-    floor = FLOORS[a.encoding]
-    signed = np.subtract(b.color, a.color, dtype=np.float64)
-    worst = np.abs(signed).argmax(axis=-1)[..., None]
-    signed = np.take_along_axis(signed, worst, axis=-1)[..., 0]
-    largest = max(float(np.abs(signed).max()), floor)
-    level = np.log1p(np.abs(signed) / floor) / np.log1p(largest / floor)
-    level = np.round(level * LEVELS).astype(int)
-    ramp = np.linspace(0.0, 1.0, LEVELS + 1)[:, None]
-    colors = np.round([ramp * DARKER, ramp * BRIGHTER]).astype(np.uint8)
-    shown = colors[(signed > 0.0).astype(int), level]
-    shown[((a.coverage >= 0.5) != (b.coverage >= 0.5)) & (level == 0)] = UNCOVERED
-    return shown, largest
-
-
-def _png(pixels: Bytes) -> bytes:
-    from PIL import Image
-
-    buffer = BytesIO()
-    Image.fromarray(pixels).save(buffer, "PNG")
-    return buffer.getvalue()
-
-
-def _thumbnail(picture: Picture) -> str:
-    from PIL import Image
-
-    image = Image.fromarray(_shown(picture))
-    image.thumbnail((THUMBNAIL, THUMBNAIL))
-    return f'<img class="thumbnail" src="{image_source(_png(np.asarray(image)))}" alt="the image">'
-
-
 _NOTES = """
 <section>
 <h2>How to read this</h2>
@@ -151,6 +68,8 @@ silhouette the limit is four times as wide.</dd>
 weight that changed; noise averages out.</dd>
 <dt>coverage</dt>
 <dd>The share of the pixels whose coverage, the alpha channel, changed.</dd>
+<dt>heat map</dt>
+<dd>FLIP: what the eye sees when the images alternate, from black for nothing to pale yellow.</dd>
 <dt>pictures</dt>
 <dd>Linear radiance 1 is white; black lies behind transparency; magenta is not finite. A click on a
 picture enlarges a place, the arrow keys move it, another click shows the whole.</dd>
@@ -187,9 +106,10 @@ def _section(pair: Pair) -> str:
     gates = _gate_table(pair.comparison) if pair.comparison else ""
     tables = f'<div class="tables">{gates}{_facts(pair)}</div>'
     if pair.status == 0 and pair.reference:
+        source = _source(pictures.thumbnail(pair.reference, THUMBNAIL))
         return (
-            f'<details class="same"><summary>{title}</summary>'
-            f'<div id="pair-{INDEX}">{_thumbnail(pair.reference)}{tables}</div></details>'
+            f'<details class="same"><summary>{title}</summary><div id="pair-{INDEX}">'
+            f'<img class="thumbnail" src="{source}" alt="the image">{tables}</div></details>'
         )
     reasons = pair.comparison.reasons if pair.comparison else (pair.error,)
     said = "".join(f"<li>{escape(reason)}</li>" for reason in reasons)
@@ -258,8 +178,8 @@ def _gate_table(result: Comparison) -> str:
 
 def _facts(pair: Pair) -> str:
     """Lay out what the images are and what drew them, rows that differ marked."""
-    pictures = {"A": pair.reference, "B": pair.image}
-    facts = {name: _fact(picture) for name, picture in pictures.items() if picture}
+    images = {"A": pair.reference, "B": pair.image}
+    facts = {name: _fact(image) for name, image in images.items() if image}
     rows = []
     for key in dict.fromkeys(key for fact in facts.values() for key in fact):
         values = [fact.get(key, "") for fact in facts.values()]
@@ -279,21 +199,24 @@ def _fact(picture: Picture) -> dict[str, str]:
 def _viewer(pair: Pair) -> str:
     """Show the images there are, and how they differ if they could be compared."""
     places = _places(pair)
-    pictures = {"a": pair.reference, "b": pair.image}
-    shown = {kind: _shown(picture) for kind, picture in pictures.items() if picture}
-    captions = {"a": "<b>A</b> reference", "b": "<b>B</b> image"}
-    figures = [_figure(kind, captions[kind], shown[kind], places) for kind in shown]
+    a, b = pair.reference, pair.image
+    both = (("a", "<b>A</b> reference", a), ("b", "<b>B</b> image", b))
+    figures = [
+        _figure(kind, caption, pictures.shown(picture), places)
+        for kind, caption, picture in both
+        if picture
+    ]
     if not figures:
         return ""
     controls = ""
-    if pair.reference and pair.image and pair.comparison:
+    if a and b and pair.comparison:
         controls = _choices("view", {mode: mode for mode in MODES})
         try:
-            caption = "<b>heat map</b> FLIP: what the eye sees when the images alternate"
-            figures.append(_figure("heat", caption, _heat_map(**shown), places))
+            heat = pictures.heat_map(a, b)
+            figures.append(_figure("heat", "<b>heat map</b> of FLIP", heat, places))
         except InputError as error:
             figures.append(f'<p class="heat note">{escape(str(error))}</p>')
-        difference, largest = _difference(pair.reference, pair.image)
+        difference, largest = pictures.difference(a, b)
         caption = _legend(largest, pair.comparison.encoding)
         figures.append(_figure("difference", caption, difference, places))
     centres = {name: f"{x + side // 2},{y + side // 2}" for name, (x, y, side) in places.items()}
@@ -322,16 +245,16 @@ def _places(pair: Pair) -> dict[str, tuple[int, int, int]]:
         return places
     for letter, picture in (("A", pair.reference), ("B", pair.image)):
         if picture is not None and not np.isfinite(picture.pixels).all():
-            row, column, _ = np.argwhere(~np.isfinite(picture.pixels))[0].tolist()
-            places[f"not finite in {letter}"] = (column, row, 1)
+            y, x, _ = np.argwhere(~np.isfinite(picture.pixels))[0].tolist()
+            places[f"not finite in {letter}"] = (x, y, 1)
     return places
 
 
 def _figure(
-    kind: str, caption: str, pixels: Bytes, places: Mapping[str, tuple[int, int, int]]
+    kind: str, caption: str, pixels: pictures.Bytes, places: Mapping[str, tuple[int, int, int]]
 ) -> str:
     height, width = pixels.shape[:2]
-    source, marks = image_source(_png(pixels)), ""
+    marks = ""
     for x, y, side in places.values():
         middle = 0.5 if side == 1 else 0.0
         at = f"left:{100 * (x + middle) / width:.3f}%;top:{100 * (y + middle) / height:.3f}%"
@@ -341,17 +264,21 @@ def _figure(
     return (
         f'<figure class="{kind}" style="--w:{width};--h:{height}">'
         f'<figcaption>{caption}</figcaption><div class="view"><div class="layer">'
-        f'<img src="{source}" alt="{kind}" draggable="false">{marks}</div></div></figure>'
+        f'<img src="{_source(pixels)}" alt="{kind}" draggable="false">{marks}</div></div></figure>'
     )
+
+
+def _source(pixels: pictures.Bytes) -> str:
+    return image_source(pictures.png(pixels))
 
 
 def _legend(largest: float, encoding: Encoding) -> str:
     """Name the colours of the difference."""
-    dark, bright = (f"rgb{color}" for color in (DARKER, BRIGHTER))
+    dark, bright = (f"rgb{color}" for color in (pictures.DARKER, pictures.BRIGHTER))
     end = f"{_number(largest)}{'' if encoding == 'linear' else ' of 255'}"
     return (
         "<b>difference</b> in the worst channel, B less A; the scale is linear below"
-        f" {FLOORS[encoding]:g} and logarithmic above; violet where coverage alone changed"
+        f" {pictures.FLOORS[encoding]:g} and logarithmic above; violet where coverage alone changed"
         f'<span class="legend" style="background:linear-gradient(90deg,{dark},#000,{bright})">'
         f'</span><span class="ends"><span>-{end}</span><span>0</span><span>+{end}</span></span>'
     )
