@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from facerender._version import __version__
 from facerender.drawing.context import Backend, create_context
-from facerender.drawing.frame import ONLY, Frame, GBuffer, Only
+from facerender.drawing.frame import Frame, GBuffer
 from facerender.drawing.passes import Pass, Target
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.surface import surface_pass
@@ -19,11 +19,12 @@ from facerender.drawing.prepare import simplify, start_maps
 from facerender.drawing.reference import data_view
 from facerender.drawing.resources import Resources, read
 from facerender.errors import ContextError, InputError
+from facerender.job import Job
 from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light
 from facerender.scenes.mesh import Mesh
-from facerender.scenes.scene import Scene, slope_ranges
+from facerender.scenes.scene import ONLY, Only, Scene, slope_ranges
 from facerender.scenes.texture import Kind
 from facerender.scenes.view import view_of
 from facerender.shading import Shading
@@ -80,6 +81,17 @@ class Renderer:
         except ContextError:
             self.release()
             raise
+
+    @classmethod
+    def of(cls, job: Job, backend: Backend = "auto") -> Renderer:
+        """Return a renderer for the images of a job; errors as of the class."""
+        return cls(
+            job.size,
+            samples=job.samples,
+            backend=backend,
+            anisotropy=job.anisotropy,
+            float_albedo=job.float_albedo,
+        )
 
     def __enter__(self) -> Renderer:
         return self

@@ -281,6 +281,7 @@ def _measured(
 
 
 def _guaranteed(scene: Scene, full: Shading, budget: Budget, cost: str) -> Plan:
+    bound(scene, full, full, budget)  # refuses at once what it cannot bound
     ends = [end for slopes in slope_ranges(simplify(scene, full)) for end in slopes]
     brightest = [float(np.max(light.irradiance)) for light in scene.lights]
     faintest = tuple(int(light) for light in np.argsort(brightest, kind="stable"))

@@ -30,7 +30,7 @@ from facerender.planning.candidates import (
     values,
     with_lights,
 )
-from facerender.pricing.table import load_prices
+from facerender.pricing.table import NoPrice, load_prices
 from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
 
@@ -94,11 +94,18 @@ class Choice:
         self.prices = load_prices(cost, scene, [*found, full], software)
         self.costs: dict[Shading, float] = {}
         full_cost = self.total(full)
-        cheaper = [each for each in found if self.total(each) < full_cost]
+        cheaper = [each for each in found if self._is_priced(each) and self.total(each) < full_cost]
         # of the same cost, those with the fewest changes first
         cheaper.sort(key=lambda each: (self.total(each), len(changed(each, full))))
         self.ordered = [*cheaper, full]
         self.count = len(cheaper)
+
+    def _is_priced(self, shading: Shading) -> bool:
+        try:
+            self.total(shading)
+        except NoPrice:
+            return False
+        return True
 
     def total(self, shading: Shading) -> float:
         """Return what a fragment costs."""

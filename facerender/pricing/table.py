@@ -36,6 +36,10 @@ COMPILED = {f"radv:{family}": family for family in FAMILY_NAMES}
 Terms = Mapping[str, tuple[float, float]]
 
 
+class NoPrice(InputError):
+    """A term that the table of prices does not have."""
+
+
 @dataclass(frozen=True)
 class Prices:
     """Prices of one target.
@@ -55,7 +59,12 @@ class Prices:
 
     def cost(self, scene: Scene, shading: Shading) -> tuple[float, float]:
         """Return what a fragment of the scene costs, and how much of it is specular; of several
-        parts the mean, weighted by their faces."""
+        parts the mean, weighted by their faces.
+
+        Raises
+        ------
+        NoPrice : a term that is not priced
+        """
         simple = simplify(scene, shading)
         lighting = Lighting.of(simple, shading)
         lit = [
@@ -72,7 +81,7 @@ class Prices:
         ):
             shine = 0.0
             if material.ks:
-                terms = [self.terms[term_name(each, smallest)] for each in lit]
+                terms = [self._price(each, smallest) for each in lit]
                 shine = sum(first if i == 0 else more for i, (first, more) in enumerate(terms))
             ambient = material.kd > 0.0 and any(simple.ambient)  # type: ignore[arg-type]
             sum_ = self.parts["base program"] + shine + lights
@@ -83,9 +92,14 @@ class Prices:
             specular += len(part.faces) * shine
         return total / faces, specular / faces
 
-    def knows(self, term: Term, smallest_m: float) -> bool:
-        """Tell whether there is a price of a term."""
-        return term_name(term, smallest_m) in self.terms
+    def _price(self, term: Term, smallest_m: float) -> tuple[float, float]:
+        name = term_name(term, smallest_m)
+        if name not in self.terms:
+            raise NoPrice(
+                f"no price of {name} among {self.source}: measure it, with --cost here, or write "
+                "the table anew: python -m facerender.pricing.table"
+            )
+        return self.terms[name]
 
     def _maps(self, part: Part, material: Material, ambient: bool, shines: bool) -> float:
         if part.uv is None:

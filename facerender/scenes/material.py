@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -55,6 +56,10 @@ class Material:
             value = getattr(self, name)
             if value is not None and not isinstance(value, Texture):
                 raise InputError(f"{name} = {value!r}: give facerender.Texture.open(FILE) or None")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickles no more than the parameters."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @cached_property
     def slopes(self) -> tuple[float, float]:

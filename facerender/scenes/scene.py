@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import LIGHTS, Light
 from facerender.scenes.mesh import Mesh, slope_range
 from facerender.scenes.vectors import Vector, non_negative
+
+Only = Literal["specular", "diffuse", "albedo", "normal", "depth", "cosines"]
+
+# What an image may show in place of a whole scene.
+ONLY: tuple[Only, ...] = ("specular", "diffuse", "albedo", "normal", "depth", "cosines")
 
 
 @dataclass(frozen=True)

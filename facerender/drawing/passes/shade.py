@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from facerender.drawing.frame import Only
 from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.program import Lighting, part_uniforms, scene_uniforms, shade_program
 from facerender.scenes.mesh import slope_range
-from facerender.scenes.scene import Scene
+from facerender.scenes.scene import Only, Scene
 from facerender.scenes.view import View
 from facerender.shading import Shading
 
