@@ -13,7 +13,7 @@ from tests.conftest import require_backend
 
 ROOT = Path(__file__).parents[1]
 
-# What may be imported without OpenGL; see the arrows in the README.
+# What may be imported without OpenGL; see the arrows in CONTRIBUTING.md.
 WITHOUT_GL = [
     *("errors", "data", "image", "lobes", "brdf", "shading", "loading"),
     *("glsl.library", "glsl.catalogue", "glsl.includes"),
