@@ -5,23 +5,28 @@ python -m docs.accuracy        from the repository's root; needs an OpenGL conte
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from facerender import brdf, lobes
+from docs.template import missing
+from facerender import brdf, lobes, resolve_includes
 from facerender.drawing.context import create_context
+from facerender.drawing.evaluate import Evaluator
 from facerender.lobes import AnyLobe
 from facerender.measure import error
 from facerender.measure.tables import markdown_table
 from facerender.planning.candidates import G_POWERS
 from facerender.terms.fitting import fit_g_power
-from tests.gpu import Evaluator, directions
+from trials.cases import directions
 
 OUTPUT = Path(__file__).with_suffix(".md")
 MODELS = {4: "Cook-Torrance", 0: "Ward"}
 SLOPES = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7, 0.85, 1.0)
 COUNT = 200_000
+GPU_HEAD = ("m", "Cook-Torrance", "FR_SMALL_SLOPE 0", "Ward", "FR_SMALL_SLOPE 0")
+EXTREMES_HEAD = ("input", "as printed", "facerender")
 
 
 def lobe_error(name: AnyLobe, m: float, k: int) -> float:
@@ -73,7 +78,8 @@ def fitted_g_powers() -> str:
 
 
 def include(name: str, *defines: str) -> str:
-    return "".join(f"#define {text}\n" for text in defines) + f'#include "{name}.glsl"\n'
+    lines = [*(f"#define {text}" for text in defines), f'#include "{name}.glsl"', ""]
+    return resolve_includes("\n".join(lines))
 
 
 def gpu_table(evaluate: Evaluator) -> str:
@@ -95,8 +101,7 @@ def gpu_table(evaluate: Evaluator) -> str:
                 off = np.abs(result - expected)[shown] / expected[shown]
                 cells.append(f"{off.max():.1e}")
         rows.append(cells)
-    head = ["m", "Cook-Torrance", "FR_SMALL_SLOPE 0", "Ward", "FR_SMALL_SLOPE 0"]
-    return markdown_table(head, rows)
+    return markdown_table(GPU_HEAD, rows)
 
 
 UP, LEFT, RIGHT = [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]
@@ -155,12 +160,12 @@ def extremes_table(evaluate: Evaluator) -> str:
             evaluate(include(file), ours, inputs),
         )
         rows.append([what, *(f"{result[0]:.4g}" for result in results)])
-    return markdown_table(["input", "as printed", "facerender"], rows)
+    return markdown_table(EXTREMES_HEAD, rows)
 
 
 TEXT = """# Accuracy
 
-Written by `python -m docs.accuracy`. `tests/test_docs.py` holds the tables of the lobes to the
+Written by `python -m docs.accuracy`. `python -m docs --check` holds the tables of the lobes to the
 code; the suite holds every bound that a shader's header states.
 
 ## What an approximation loses
@@ -203,6 +208,16 @@ is said.
 
 The last two tables: {renderer}, OpenGL {version}.
 """
+
+
+def stale() -> Iterator[str]:
+    """Tell what the document has otherwise, as far as it needs no OpenGL."""
+    yield from missing(OUTPUT, TEXT, (GPU_HEAD, EXTREMES_HEAD))
+    text = OUTPUT.read_text(encoding="utf-8")
+    if lobe_tables() not in text:
+        yield "other tables of the lobes"
+    if fitted_g_powers() not in text:
+        yield "another table of one slope for all"
 
 
 def main() -> None:

@@ -14,11 +14,11 @@ import numpy as np
 from scipy import ndimage
 
 import facerender as fr
+from docs.template import missing
 from facerender.comparison.gates import LIMITS, SHIFT, SILHOUETTE, STRICT, Comparison, compare
 from facerender.image import encode_srgb8
 from facerender.measure.tables import markdown_table
-from tests.conftest import TEST_DATA, load_scan
-from tests.mutations import (
+from trials.mutations import (
     BROKEN,
     CAMERAS,
     HARMLESS,
@@ -30,17 +30,15 @@ from tests.mutations import (
     rougher,
     weaker,
 )
+from trials.scan import load_scan, scan_folder
 
 OUTPUT = Path(__file__).with_suffix(".md")
-HEAD = ["change", "point, pixels", "block, blocks", "coverage", "gates", "looks like"]
+HEAD = ("change", "point, pixels", "block, blocks", "coverage", "gates", "looks like")
+DRIVERS_HEAD = ("image", *HEAD[1:])
+THRESHOLDS_HEAD = ("image", "change", "point", "block", "strict", "8-bit")
 
 Change = Callable[[float], Images]
 Sees = Callable[[Images], bool]
-
-
-def scan_folder() -> Path | None:
-    folder = TEST_DATA / "faces" / "LeePerrySmith"
-    return folder if folder.is_dir() else None
 
 
 def meshes() -> Iterator[tuple[str, fr.Mesh]]:
@@ -94,7 +92,7 @@ def driver_table() -> str:
                         for driver in ("llvmpipe", "softpipe")
                     )
                     rows.append([f"{name}, {camera}, {size}", *row(compare(a, b))])
-    return markdown_table(["image", *HEAD[1:]], rows)
+    return markdown_table(DRIVERS_HEAD, rows)
 
 
 def smallest(change: Change, sees: Sees, most: float) -> str:
@@ -219,6 +217,11 @@ or taken off; "> x": not seen up to x.
 """
 
 
+def stale() -> Iterator[str]:
+    """Tell what the document lacks of what is not measured."""
+    return missing(OUTPUT, TEXT, (HEAD, DRIVERS_HEAD, THRESHOLDS_HEAD))
+
+
 def main() -> None:
     mutations, thresholds = [], []
     for name, mesh in meshes():
@@ -228,12 +231,11 @@ def main() -> None:
                 mutations.append(f"### {name}, {camera}\n\n{mutation_table(studio)}")
                 thresholds += threshold_rows(f"{name}, {camera}", studio)
             context = renderer.context
-    head = ["image", "change", "point", "block", "strict", "8-bit"]
     linear, steps = LIMITS["linear"], LIMITS["srgb8"]
     text = TEXT.format(
         mutations="\n\n".join(mutations),
         drivers=driver_table(),
-        thresholds=markdown_table(head, thresholds),
+        thresholds=markdown_table(THRESHOLDS_HEAD, thresholds),
         size=SIZE,
         point=linear.point,
         times=SILHOUETTE,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import facerender as fr
+from docs.template import missing
 from facerender.measure.tables import markdown_table
 from facerender.planning.budget import ROUNDING, Budget
 from facerender.planning.candidates import DECISIONS, candidates, changed
@@ -23,13 +24,15 @@ from facerender.planning.plan import Plan, plan
 from facerender.pricing import amd, fragment
 from facerender.pricing.table import load_prices
 from facerender.scenes.scene import slope_ranges
-from tests.conftest import TEST_DATA, load_scan
-from tests.planned import BUDGETS, KINDS, Subject, brute_force, subjects
+from trials.scan import load_scan, scan_folder
+from trials.subjects import BUDGETS, KINDS, Subject, brute_force, subjects
 
 OUTPUT = Path(__file__).with_suffix(".md")
 SIZE = (512, 512)
 SMALL = (64, 64)
 TURNTABLE = 8
+RATES_HEAD = ("planned for", "budget", "its cameras", "50 others")
+CHECKS_HEAD = ("", "largest difference", "median")
 
 PAGE = """# Plans: what ten scenes need
 
@@ -169,6 +172,10 @@ def listed(lights: Sequence[int]) -> str:
     return " and ".join(names[light] for light in lights) or "no light"
 
 
+def cost_head(budget: str) -> list[str]:
+    return [f"within {budget}", *(NAMES[kind] for kind in KINDS)]
+
+
 def cost_tables(results: Results, names: Iterable[str], budgets: Sequence[str]) -> str:
     """For each budget, the scenes over the kinds of cost."""
     tables = []
@@ -181,8 +188,7 @@ def cost_tables(results: Results, names: Iterable[str], budgets: Sequence[str]) 
                 specular = found.cost.specular / found.cost.full_specular
                 cells.append(f"{found.cost.relative:.2f} ({specular:.2f}): {short(found)}")
             rows.append([name, *cells])
-        head = [f"within {budget}", *(NAMES[kind] for kind in KINDS)]
-        tables.append(markdown_table(head, rows))
+        tables.append(markdown_table(cost_head(budget), rows))
     return "\n\n".join(tables)
 
 
@@ -252,9 +258,14 @@ def brute(subject: Subject, renderer: fr.Renderer) -> tuple[int, int]:
     return len(every), dearer
 
 
+def stale() -> Iterator[str]:
+    """Tell what the document lacks of what is not measured."""
+    return missing(OUTPUT, PAGE, (RATES_HEAD, CHECKS_HEAD, *map(cost_head, BUDGETS)))
+
+
 def main() -> None:
-    folder = TEST_DATA / "faces" / "LeePerrySmith"
-    scan = load_scan(folder) if folder.is_dir() else None
+    folder = scan_folder()
+    scan = load_scan(folder) if folder else None
     modes: dict[str, Results] = {"one camera": {}, "eight cameras": {}, "guaranteed": {}}
     counts: dict[str, tuple[int, int]] = {}
     with fr.Renderer(SIZE) as renderer, fr.Renderer(SMALL, samples=1) as small:
@@ -301,8 +312,8 @@ def page(
         one_tables=cost_tables(one, counts, BUDGETS),
         around_tables=cost_tables(around, counts, BUDGETS),
         guarantee=cost_tables(guaranteed, counts, BUDGETS[-1:]),
-        rates=markdown_table(["planned for", "budget", "its cameras", "50 others"], rates),
-        checks=markdown_table(["", "largest difference", "median"], checks),
+        rates=markdown_table(RATES_HEAD, rates),
+        checks=markdown_table(CHECKS_HEAD, checks),
         shadings=f"{min(numbers)} to {max(numbers)}",
         dearer=sum(dearer for _, dearer in counts.values()),
         comparisons=len(counts) * len(BUDGETS) * len(KINDS),

@@ -5,8 +5,10 @@ python -m docs.reproduction        from the repository's root; needs an OpenGL c
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
+from docs.template import missing
 from facerender.measure.reproduce import PAPER, reproduce
 
 OUTPUT = Path(__file__).with_suffix(".md")
@@ -22,6 +24,11 @@ formulas (`shaders/printed`), "our exact" is what `shaders/facerender` does. A r
 reaches the paper's number.
 
 {measured}"""
+
+
+def stale() -> Iterator[str]:
+    """Tell what the document lacks of what is not measured."""
+    return missing(OUTPUT, TEXT)
 
 
 def main() -> None:

@@ -5,6 +5,7 @@ python -m docs.shaders
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 
@@ -124,5 +125,15 @@ def reference() -> str:
     return "\n".join([HOSTS, LEGEND, *(section(function) for function in functions())])
 
 
-if __name__ == "__main__":
+def stale() -> Iterator[str]:
+    """Tell whether the document is another."""
+    if OUTPUT.read_text(encoding="utf-8") != reference():
+        yield "not what the headers say"
+
+
+def main() -> None:
     OUTPUT.write_text(reference(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

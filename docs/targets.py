@@ -6,18 +6,20 @@ python -m docs.targets        from the repository's root; what is missing here i
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
+from docs.template import missing
 from facerender.measure.tables import markdown_table
-from tests.targets import TARGETS, Remote
-from tests.test_shaders import CASES
+from trials.cases import FUNCTIONS, cases_of, evaluated
+from trials.targets import TARGETS, Remote
 
 OUTPUT = Path(__file__).with_suffix(".md")
 TEXT = """# Targets
 
 Written by `python -m docs.targets`. Every function of the library runs on every target, on the same
 grids of inputs, into float pixels, which are held against float64 with the same bounds
-(`tests/test_shaders.py`): those of the headers, and of the precision that Vulkan asks of drivers.
+(`trials/cases.py`): those of the headers, and of the precision that Vulkan asks of drivers.
 The last two columns tell how much of its bound the worst sample of the worst case uses.
 
 {table}
@@ -39,23 +41,28 @@ HEAD = (
 def row(target: str) -> list[str]:
     """Walk all cases on a target."""
     functions, samples, shares = set(), 0, {}
-    with Remote(target) as evaluate:
-        for name, make in CASES.items():
-            case = make()
-            result = evaluate(case.include, case.expression, case.inputs)
-            functions.update(re.findall(r"fr_\w+", case.expression))
-            samples += len(result)
-            shares[name] = case.share(result).max()
+    with Remote(target) as remote:
+        for function in FUNCTIONS:
+            cases = cases_of(function)
+            for name, result in evaluated(cases, remote).items():
+                functions.update(re.findall(r"fr_\w+", cases[name].expression))
+                samples += len(result)
+                shares[name] = cases[name].share(result).max()
         worst = max(shares, key=shares.__getitem__)
         return [
             target,
-            evaluate.renderer,
-            evaluate.version,
+            remote.renderer,
+            remote.version,
             str(len(functions)),
             f"{samples:,}",
             f"{100.0 * shares[worst]:.0f}",
             worst,
         ]
+
+
+def stale() -> Iterator[str]:
+    """Tell what the document lacks of what is not measured."""
+    return missing(OUTPUT, TEXT, (HEAD,))
 
 
 def main() -> None:

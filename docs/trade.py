@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +70,15 @@ def trade(data: dict[str, Any]) -> str:
     environment = data["environment"]
     gpu = "No GPU has been measured." if environment["software"] else ""
     return HEAD.format_map(environment | {"gpu": gpu}) + report.markdown(data)
+
+
+def stale() -> Iterator[str]:
+    """Tell whether the document, or the README's table, is another."""
+    data = json.loads(MEASUREMENT.read_text(encoding="utf-8"))
+    if TRADE.read_text(encoding="utf-8") != trade(data):
+        yield "not what its measurement says"
+    if MARKED.findall(README.read_text(encoding="utf-8")) != [headline(data)]:
+        yield "README.md has not what its measurement says"
 
 
 def main() -> None:

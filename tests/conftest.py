@@ -16,16 +16,13 @@ import pytest
 
 import facerender as fr
 from facerender.drawing.context import Backend, create_context
-from tests import chromium
+from trials import chromium
+from trials.scan import TEST_DATA, load_scan, scan_folder
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 pytest_plugins = ["pytester"]
-
-TEST_DATA = Path(
-    os.environ.get("FACERENDER_TEST_DATA", Path(__file__).parents[2] / "shared" / "data")
-)
 
 
 def missing(what: str) -> NoReturn:
@@ -74,10 +71,9 @@ def require_backend(backend: Backend) -> Backend:
 @pytest.fixture(scope="session")
 def scan() -> Path:
     """Folder of the LeePerrySmith head scan (Lee Perry-Smith, triplegangers.com, CC BY 3.0)."""
-    folder = TEST_DATA / "faces" / "LeePerrySmith"
-    if not folder.is_dir():
-        missing(f"no LeePerrySmith scan in {TEST_DATA}: set FACERENDER_TEST_DATA")
-    return folder
+    return scan_folder() or missing(
+        f"no LeePerrySmith scan in {TEST_DATA}: set FACERENDER_TEST_DATA"
+    )
 
 
 @pytest.fixture(scope="session")
@@ -87,17 +83,6 @@ def awkward() -> Path:
     if not folder.is_dir():
         missing(f"no awkward files in {TEST_DATA}: set FACERENDER_TEST_DATA")
     return folder
-
-
-def load_scan(scan: Path) -> fr.Mesh:
-    """Return the scan of a folder with its maps."""
-    return fr.load_mesh(
-        scan / "LeePerrySmith.glb",
-        albedo=scan / "Map-COL.jpg",
-        normal_map=scan / "Infinite-Level_02_Tangent_SmoothUV.jpg",
-        specular_map=scan / "Map-SPEC.jpg",
-        flip_v=True,
-    )
 
 
 @pytest.fixture(scope="session")

@@ -21,10 +21,10 @@ from PIL import Image
 import facerender as fr
 from facerender.comparison.gates import STRICT, Limits, Pair, compare, pairs_of
 from facerender.image import encode_srgb8, read_image, save_exr
-from tests import mutations
 from tests.conftest import missing, require_backend
-from tests.mutations import BROKEN, CAMERAS, HARMLESS, SIZE, Studio, bright, draw_with, set_pixels
 from tests.test_cli import Capture, Cli, process
+from trials import mutations
+from trials.mutations import BROKEN, CAMERAS, HARMLESS, SIZE, Studio, bright, draw_with, set_pixels
 
 STUDIOS = [
     ("head", "three-quarter", 1),

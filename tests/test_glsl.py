@@ -15,11 +15,12 @@ import pytest
 import facerender as fr
 from facerender import InputError, brdf, lobes
 from facerender.drawing.context import Backend, create_context
+from facerender.drawing.evaluate import Evaluator
 from facerender.glsl import library as glsl
 from facerender.glsl.catalogue import functions
 from facerender.lobes import GPower
 from tests.conftest import missing
-from tests.gpu import Evaluator, directions
+from trials.cases import directions
 
 WITH_A_LOBE = ("cook_torrance", "lobe", "ward", "ward_printed")
 COOK_TORRANCE = {"name": "cook_torrance", "lobe": "d16"}

@@ -40,8 +40,8 @@ from facerender.scenes.view import View
 from facerender.shading import Shading
 from facerender.terms.fitting import fit_g_power
 from tests.conftest import require_module
-from tests.planned import BUDGETS, KINDS, Subject, brute_force, subjects
 from tests.test_glsl import OUTPUT, run
+from trials.subjects import BUDGETS, KINDS, Subject, brute_force, subjects
 
 KEY = (LIGHTS["key"],)
 POINT = fr.Light(irradiance=3.0, position=(0.2, 0.3, 0.5))

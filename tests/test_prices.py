@@ -21,7 +21,7 @@ from facerender.scenes.light import LIGHTS
 from facerender.scenes.scene import slope_ranges
 from facerender.shading import Shading
 from tests.conftest import missing
-from tests.planned import KINDS
+from trials.subjects import KINDS
 
 KEY = (LIGHTS["key"],)
 POINT = fr.Light(irradiance=3.0, position=(0.2, 0.3, 0.5))

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from docs import reproduction
 from facerender import lobes
 from facerender.commands import main
 from facerender.errors import InputError, NotMeasured
@@ -21,6 +20,7 @@ from facerender.measure.reproduce import FLAGS, Reproduction, reproduce
 from facerender.pricing.cost import Interval
 from tests.conftest import missing
 
+DOCS = Path(__file__).parents[1] / "docs"
 FIGURES = [f"fig{number}.png" for number in range(1, 6)]
 
 
@@ -156,10 +156,10 @@ def test_without_matplotlib_the_command_says_how_to_get_it(monkeypatch, capsys, 
 
 
 def test_the_document_holds_the_errors_and_its_figures_are_small(result):
-    document = reproduction.OUTPUT.read_text(encoding="utf-8")
+    document = (DOCS / "reproduction.md").read_text(encoding="utf-8")
     for claim in result.claims[:3]:
         assert claim.measured in document
         assert claim.where in document
-    sizes = [path.stat().st_size for path in reproduction.OUTPUT.with_suffix("").glob("*.png")]
+    sizes = [path.stat().st_size for path in (DOCS / "reproduction").glob("*.png")]
     assert len(sizes) == 5
     assert sum(sizes) < 400_000

@@ -1,19 +1,21 @@
-"""Every public function of the shader library on every target, within the bounds of
-``test_shaders.py``."""
+"""Every public function of the shader library on every target, within the bounds of its cases
+(``trials/cases.py``)."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 import pytest
 
 from tests.conftest import missing
-from tests.targets import TARGETS, Remote
-from tests.test_shaders import CASES, check
+from tests.test_shaders import FILES, functions
+from trials.cases import FUNCTIONS, cases_of, evaluated
+from trials.targets import TARGETS, Remote
 
 
 @pytest.fixture(scope="module", params=TARGETS)
-def evaluate(request: pytest.FixtureRequest) -> Iterator[Remote]:
+def target(request: pytest.FixtureRequest) -> Iterator[Remote]:
     try:
         remote = Remote(request.param)
     except Exception as error:  # glcontext raises bare Exception
@@ -22,7 +24,18 @@ def evaluate(request: pytest.FixtureRequest) -> Iterator[Remote]:
         yield remote
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_function_agrees_with_float64(evaluate, name):
-    case = CASES[name]()
-    check(evaluate(case.include, case.expression, case.inputs), case)
+@pytest.mark.parametrize("function", FUNCTIONS)
+def test_function_agrees_with_float64(target, function):
+    cases = cases_of(function)
+    results = evaluated(cases, target)
+    faults = {name: case.fault(results[name]) for name, case in cases.items()}
+    told = [f"{name}: {fault}" for name, fault in faults.items() if fault]
+    if told:
+        pytest.fail("\n".join(told), pytrace=False)
+
+
+def test_every_function_is_walked():
+    defined = {name for path in FILES for name in functions(path.read_text())}
+    expressions = [case.expression for name in FUNCTIONS for case in cases_of(name).values()]
+    called = {name for call in expressions for name in re.findall(r"fr_\w+", call)}
+    assert called == defined

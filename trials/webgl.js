@@ -1,6 +1,7 @@
 // Runs in a page: opens a WebGL 2 context, and gives the page the function evaluate(), which draws
-// one fragment for each texel of its inputs and returns the red of each, as base64 of float32. The
-// inputs come as a file, one after the other: several megabytes pass quickest that way.
+// one fragment for each texel of its inputs with each of its fragment shaders, and returns all
+// pixels, as base64 of float32. The inputs come as a file, one after the other: several megabytes
+// pass quickest that way.
 () => {
     const gl = document.createElement("canvas").getContext("webgl2");
     if (!gl?.getExtension("EXT_color_buffer_float")) throw new Error("no WebGL 2 with float targets");
@@ -45,13 +46,11 @@
     gl.vertexAttribPointer(0, 2, gl.FLOAT, false, 0, 0);
     gl.bindFramebuffer(gl.FRAMEBUFFER, gl.createFramebuffer());
 
-    window.evaluate = async ({vertex, fragment, inputs, width, height}) => {
+    window.evaluate = async ({vertex, fragments, inputs, width, height}) => {
         const data = new Float32Array(await file.files[0].arrayBuffer());
         let read = 0;
-        const used = program(vertex, fragment);
         const textures = Object.entries(inputs).map(([name, components], unit) => {
             gl.activeTexture(gl.TEXTURE0 + unit);
-            gl.uniform1i(gl.getUniformLocation(used, name), unit);
             const start = read;
             read += components * width * height;
             return texture(components, width, height, data.subarray(start, read));
@@ -61,16 +60,20 @@
         gl.framebufferTexture2D(
             gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, textures.at(-1), 0);
         gl.viewport(0, 0, width, height);
-        gl.drawArrays(gl.TRIANGLES, 0, 3);
-        const rgba = new Float32Array(4 * width * height);
-        gl.readPixels(0, 0, width, height, gl.RGBA, gl.FLOAT, rgba);
+        const pixels = new Float32Array(fragments.length * 4 * width * height);
+        fragments.forEach((fragment, i) => {
+            const used = program(vertex, fragment);
+            Object.keys(inputs).forEach((name, unit) =>
+                gl.uniform1i(gl.getUniformLocation(used, name), unit));
+            gl.drawArrays(gl.TRIANGLES, 0, 3);
+            gl.readPixels(
+                0, 0, width, height, gl.RGBA, gl.FLOAT, pixels, i * 4 * width * height);
+            gl.deleteProgram(used);
+        });
         const error = gl.getError();
         if (error) throw new Error(`WebGL error ${error}`);
         textures.forEach(texture => gl.deleteTexture(texture));
-        gl.deleteProgram(used);
-        const red = new Float32Array(width * height);
-        for (let i = 0; i < red.length; ++i) red[i] = rgba[4 * i];
-        return new Uint8Array(red.buffer).toBase64();
+        return new Uint8Array(pixels.buffer).toBase64();
     };
 
     const names = gl.getExtension("WEBGL_debug_renderer_info");

@@ -10,20 +10,42 @@ import base64
 import ctypes
 import multiprocessing
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any, Protocol
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.context import Backend, ForeignContext, create_context
+from facerender.drawing.evaluate import (
+    EACH,
+    WIDTH,
+    Evaluator,
+    Inputs,
+    fragment_shaders,
+    texels,
+    vertex_shader,
+)
 from facerender.errors import ContextError
-from tests import chromium
-from tests.gpu import WIDTH, Evaluate, Evaluator, Inputs, fragment_shader, texels, vertex_shader
+from trials import chromium
+
+
+class Evaluate(Protocol):
+    """Evaluates float expressions of the inputs, as :class:`Evaluator` does."""
+
+    renderer: str
+    version: str
+
+    def each(
+        self, prelude: str, expressions: Sequence[str], inputs: Inputs
+    ) -> NDArray[np.float32]: ...
+
+    def release(self) -> None: ...
 
 
 def _desktop(backend: Backend) -> Evaluator:
@@ -31,10 +53,8 @@ def _desktop(backend: Backend) -> Evaluator:
 
 
 def _desktop_450() -> Evaluator:
-    gl = moderngl.create_context(
-        require=450, standalone=True, backend="egl", libegl="libEGL.so.1", libgl="libGL.so.1"
-    )
-    return Evaluator(gl, "450 core")
+    egl: Any = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "libGL.so.1"}
+    return Evaluator(moderngl.create_context(require=450, standalone=True, **egl), "450 core")
 
 
 def _softpipe() -> Evaluator:
@@ -62,7 +82,7 @@ def _es300() -> Evaluator:
         context = pointer(egl.eglCreateContext(display, config, None, version))
     if not context or not egl.eglMakeCurrent(display, None, None, context):
         raise ContextError("libEGL refused an OpenGL ES 3.0 context")
-    loader = ForeignContext(egl.eglGetProcAddress)
+    loader: Any = ForeignContext(egl.eglGetProcAddress)
     return Evaluator(moderngl.create_context(require=300, context=loader), "300 es")
 
 
@@ -85,19 +105,21 @@ class _WebGL:
         self._playwright.stop()
         self._folder.cleanup()
 
-    def __call__(self, prelude: str, expression: str, inputs: Inputs) -> NDArray[np.float32]:
+    def each(self, prelude: str, expressions: Sequence[str], inputs: Inputs) -> NDArray[np.float32]:
         images = {f"{name}_texels": texels(values) for name, values in inputs.items()}
         self._file.write_bytes(b"".join(image.tobytes() for image in images.values()))
         self._page.set_input_files("input", self._file)
         call = {
             "vertex": vertex_shader("300 es"),
-            "fragment": fragment_shader("300 es", prelude, expression, inputs),
+            "fragments": list(fragment_shaders("300 es", prelude, expressions, inputs)),
             "inputs": {name: image.shape[-1] for name, image in images.items()},
             "width": WIDTH,
             "height": next(iter(images.values())).shape[0],
         }
         data = base64.b64decode(self._page.evaluate("call => window.evaluate(call)", call))
-        return np.frombuffer(data, np.float32)[: len(next(iter(inputs.values())))]
+        count = len(next(iter(inputs.values())))
+        pixels = np.frombuffer(data, np.float32).reshape(len(call["fragments"]), -1, EACH)
+        return np.concatenate(pixels[:, :count].transpose(0, 2, 1))[: len(expressions)]
 
 
 TARGETS: dict[str, Callable[[], Evaluate]] = {
@@ -118,8 +140,8 @@ def _open(target: str) -> tuple[str, str]:
     return _here.renderer, _here.version
 
 
-def _evaluate(prelude: str, expression: str, inputs: Inputs) -> NDArray[np.float32]:
-    return _here(prelude, expression, inputs)
+def _each(prelude: str, expressions: Sequence[str], inputs: Inputs) -> NDArray[np.float32]:
+    return _here.each(prelude, expressions, inputs)
 
 
 def _release() -> None:
@@ -137,8 +159,8 @@ class Remote:
             self._pool.shutdown()
             raise
 
-    def __call__(self, prelude: str, expression: str, inputs: Inputs) -> NDArray[np.float32]:
-        return self._pool.submit(_evaluate, prelude, expression, inputs).result()
+    def each(self, prelude: str, expressions: Sequence[str], inputs: Inputs) -> NDArray[np.float32]:
+        return self._pool.submit(_each, prelude, expressions, inputs).result()
 
     def __enter__(self) -> Remote:
         return self

@@ -1,0 +1,147 @@
+"""Evaluates GLSL expressions on arrays, in an unclamped float target, where a NaN shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Literal
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+Inputs = Mapping[str, NDArray[np.float32]]
+Glsl = Literal["330 core", "450 core", "300 es"]
+
+WIDTH = 1024  # of the target, one pixel for each sample
+EACH = 4  # expressions that one fragment evaluates: the components of a pixel
+CORNERS = np.array([-1, -1, 3, -1, -1, 3], dtype=np.float32)  # of a triangle that covers it
+
+
+def vertex_shader(glsl: Glsl) -> str:
+    """Return the shader that covers the target."""
+    return f"""#version {glsl}
+in vec2 corner;
+void main() {{ gl_Position = vec4(corner, 0.0, 1.0); }}
+"""
+
+
+def fragment_shaders(
+    glsl: Glsl, prelude: str, expressions: Sequence[str], inputs: Inputs
+) -> Iterator[str]:
+    """Yield shaders that evaluate expressions, EACH at a time, for texels of the inputs in
+    ``NAME_texels``.
+
+    The host's own precision is low, and everything of the host's that must not be says so: what the
+    library needs is the library's to declare. Without ES the words mean nothing.
+    """
+    samplers, fetches = [], []
+    for name, values in inputs.items():
+        kind, fields = ("vec3", "xyz") if values.ndim == 2 else ("float", "x")
+        samplers.append(f"uniform highp sampler2D {name}_texels;")
+        fetches.append(f"highp {kind} {name} = texelFetch({name}_texels, at, 0).{fields};")
+    for first in range(0, len(expressions), EACH):
+        few = expressions[first : first + EACH]
+        yield "\n".join(
+            [
+                f"#version {glsl}",
+                "precision mediump float;",
+                prelude,
+                *samplers,
+                "out highp vec4 result;",
+                "void main() { ivec2 at = ivec2(gl_FragCoord.xy);",
+                *fetches,
+                f"result = vec4({', '.join([*few, *['0.0'] * (EACH - len(few))])}); }}",
+            ]
+        )
+
+
+def texels(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the values as an image of WIDTH, filled up with 0: (height, WIDTH, 1 or 3)."""
+    count = len(values)
+    padded = np.zeros((-(-count // WIDTH) * WIDTH, values.size // count), dtype=np.float32)
+    padded[:count] = values.reshape(count, -1)
+    return padded.reshape(-1, WIDTH, padded.shape[1])
+
+
+class Evaluator:
+    """A context that stays open between evaluations.
+
+    Attributes
+    ----------
+    renderer, version : of OpenGL, as the driver names itself
+    """
+
+    def __init__(self, gl: moderngl.Context, glsl: Glsl = "330 core") -> None:
+        """gl : becomes the evaluator's; glsl : what its shaders begin with"""
+        self.gl, self.glsl = gl, glsl
+        gl.gc_mode = "context_gc"
+        with gl:
+            self.renderer, self.version = gl.info["GL_RENDERER"], gl.info["GL_VERSION"]
+
+    def release(self) -> None:
+        self.gl.release()
+
+    def __call__(self, prelude: str, expression: str, inputs: Inputs) -> NDArray[np.float32]:
+        """Evaluate one expression, to (N,); see :meth:`each`."""
+        values: NDArray[np.float32] = self.each(prelude, [expression], inputs)[0]
+        return values
+
+    def each(self, prelude: str, expressions: Sequence[str], inputs: Inputs) -> NDArray[np.float32]:
+        """Evaluate expressions of the same inputs, to (len(expressions), N).
+
+        Parameters
+        ----------
+        prelude : GLSL that defines what the expressions call, without ``#include``
+        expressions : floats, of the inputs by their names
+        inputs : (N,), a float each, or (N, 3), a vec3
+
+        Raises
+        ------
+        moderngl.Error : what does not compile, with the compiler's message
+        """
+        results = []
+        with self.gl as gl:
+            gl.gc()  # what the call before left
+            images = {f"{name}_texels": texels(values) for name, values in inputs.items()}
+            textures = []
+            for unit, image in enumerate(images.values()):
+                height, width, components = image.shape
+                textures.append(gl.texture((width, height), components, image, dtype="f4"))
+                textures[-1].filter = moderngl.NEAREST, moderngl.NEAREST
+                textures[-1].use(unit)
+            for fragment in fragment_shaders(self.glsl, prelude, expressions, inputs):
+                program = gl.program(vertex_shader(self.glsl), fragment)
+                for unit, name in enumerate(images):
+                    if name in program:
+                        program[name] = unit
+                target, triangle = _canvas(gl, program, (width, height))
+                triangle.render()
+                results.append(np.frombuffer(target.read(components=EACH, dtype="f4"), np.float32))
+        count = len(next(iter(inputs.values())))
+        return np.concatenate([flat.reshape(-1, EACH)[:count].T for flat in results])[
+            : len(expressions)
+        ]
+
+    def draws(
+        self, fragment: str, size: tuple[int, int], seeds: Iterable[int]
+    ) -> Iterator[NDArray[np.float32]]:
+        """Yield what a fragment shader draws, (height, width, 4), for each value of its
+        ``uniform uint seed``."""
+        with self.gl as gl:
+            gl.gc()  # what the call before left
+            program = gl.program(vertex_shader(self.glsl), fragment)
+            target, triangle = _canvas(gl, program, size)
+            for seed in seeds:
+                program["seed"] = seed
+                triangle.render()
+                data = np.frombuffer(target.read(components=4, dtype="f4"), np.float32)
+                yield data.reshape(*size[::-1], 4)
+
+
+def _canvas(
+    gl: moderngl.Context, program: moderngl.Program, size: tuple[int, int]
+) -> tuple[moderngl.Framebuffer, moderngl.VertexArray]:
+    """Return an unclamped float target, in use, and a triangle that covers it."""
+    target = gl.framebuffer([gl.renderbuffer(size, 4, dtype="f4")])
+    target.use()
+    return target, gl.vertex_array(program, [(gl.buffer(CORNERS), "2f", "corner")])
