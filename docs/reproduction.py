@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from facerender.measure.reproduce import PAPER, reproduce
+from facerender.measure.reproduce import reproduce
+from facerender.measure.reproduce.page import PAPER
 
 OUTPUT = Path(__file__).with_suffix(".md")
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 from docs import accuracy, shaders, trade
 
 
@@ -14,9 +12,10 @@ def test_tables_of_the_lobes_are_current():
 
 
 def test_trade_is_what_its_measurement_says():
-    data = json.loads(trade.MEASUREMENT.read_text(encoding="utf-8"))
-    assert trade.TRADE.read_text(encoding="utf-8") == trade.trade(data)
-    assert trade.MARKED.findall(trade.README.read_text(encoding="utf-8")) == [trade.headline(data)]
+    measured = trade.committed()
+    assert trade.TRADE.read_text(encoding="utf-8") == trade.trade(measured)
+    readme = trade.README.read_text(encoding="utf-8")
+    assert trade.MARKED.findall(readme) == [trade.headline(measured)]
 
 
 def test_reference_of_the_shaders_is_what_their_headers_say():

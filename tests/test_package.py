@@ -20,7 +20,8 @@ WITHOUT_GL = [
     *("scenes.scene", "scenes.file", "scenes.view", "scenes.texture"),
     *("drawing.frame", "drawing.reference", "drawing.prepare"),
     *("comparison.gates", "comparison.goldens", "comparison.report"),
-    *("pricing.amd", "pricing.variants"),
+    *("pricing.amd", "pricing.interval", "pricing.variants"),
+    *("measure.measurement", "measure.pareto", "measure.tables", "measure.plots", "measure.report"),
 ]
 
 

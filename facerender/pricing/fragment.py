@@ -22,7 +22,8 @@ from facerender.drawing.context import Backend, create_context
 from facerender.errors import FacerenderError
 from facerender.glsl.library import resolve_includes
 from facerender.pricing import amd
-from facerender.pricing.cost import Interval, clock_of, slopes
+from facerender.pricing.cost import clock_of, slopes
+from facerender.pricing.interval import Interval
 
 SIZE = (512, 256)
 # In place of a specular term: what ``amd`` takes off a term's cost, so that both add up. It keeps
