@@ -21,7 +21,8 @@ WITHOUT_GL = [
     *("drawing.frame", "drawing.reference", "drawing.prepare"),
     *("comparison.gates", "comparison.flip", "comparison.pictures"),
     *("comparison.goldens", "comparison.report", "page.document"),
-    *("pricing.amd", "pricing.variants"),
+    *("pricing.amd", "pricing.interval", "pricing.variants"),
+    *("measure.measurement", "measure.pareto", "measure.tables", "measure.plots", "measure.report"),
 ]
 
 

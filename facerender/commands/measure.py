@@ -36,12 +36,13 @@ def run(options: argparse.Namespace) -> int:
     import_trimesh()
     mesh = load_mesh(options.mesh)
     with Progress() as progress:
-        data, images = measure(mesh, options.m, options.quick, options.backend, progress)
+        measurement, triptychs = measure(mesh, options.m, options.quick, options.backend, progress)
         progress("report", 0.0)
         clean_up_on_interrupt()
-        paths = report.write(data, images, folder)
-    print(json.dumps(data, indent=2) if options.json else report.table(data))
-    for line in data["not_measured"]:
+        paths = report.write(measurement, triptychs, folder)
+    content = measurement.as_dict()
+    print(json.dumps(content, indent=2) if options.json else report.table(measurement))
+    for line in measurement.not_measured:
         print(f"facerender: not measured: {line}", file=sys.stderr)
     print(*paths, sep="\n", file=sys.stderr)
     return 0

@@ -34,7 +34,8 @@ from facerender.drawing.program import (
 from facerender.drawing.resources import Resources, set_uniforms
 from facerender.errors import FacerenderError
 from facerender.pricing import amd
-from facerender.pricing.cost import Interval, clock_of, slopes
+from facerender.pricing.cost import clock_of, slopes
+from facerender.pricing.interval import Interval
 from facerender.pricing.variants import SLOPE
 from facerender.scenes.light import LIGHT_KINDS, Light
 from facerender.scenes.material import Material
