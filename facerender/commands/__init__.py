@@ -598,7 +598,8 @@ def _reproduce(options: argparse.Namespace, caught: list[str]) -> int:
 
 def _compare(options: argparse.Namespace, caught: list[str]) -> int:
     from facerender.comparison.gates import Pair, pairs_of
-    from facerender.comparison.report import entry, save_heat_map, write_report
+    from facerender.comparison.pictures import save_heat_map
+    from facerender.comparison.report import entry, write_report
 
     limits = {name: getattr(options, name) for name in ("point", "block", "coverage")}
     mask = read_image(options.mask).color.max(axis=-1) if options.mask else None
