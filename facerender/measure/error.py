@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender import lobes
+from facerender.comparison import flip
 from facerender.comparison.gates import block_error, point_error
 from facerender.drawing.context import Backend
 from facerender.drawing.reference import shade
 from facerender.drawing.renderer import Renderer
+from facerender.errors import InputError
 from facerender.image import encode_srgb8
 from facerender.lobes import AnyLobe
 from facerender.measure.measurement import ImageError
@@ -131,8 +133,6 @@ def image_error(
 
 def _flip(shown: NDArray[np.uint8], expected: NDArray[np.uint8]) -> float | None:
     try:
-        import flip_evaluator
-    except ImportError:
+        return float(flip.errors(expected / 255.0, shown / 255.0).mean())
+    except InputError:
         return None
-    images = (image.astype(np.float32) / 255.0 for image in (expected, shown))
-    return float(flip_evaluator.evaluate(*images, "LDR")[1])

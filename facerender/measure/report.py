@@ -4,7 +4,6 @@ in ``tables.py``, plots drawn in ``plots.py``."""
 from __future__ import annotations
 
 import json
-from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -16,6 +15,8 @@ from facerender.measure import plots
 from facerender.measure.measurement import MAGNIFIED, MODELS, Measurement, Triptych
 from facerender.measure.pareto import EXACT, KINDS, measure_of, pareto
 from facerender.measure.tables import ERRORS, NOT_MEASURED, Table, cost_tables, error_tables
+from facerender.page.document import document, figure, row
+from facerender.page.document import table as page_table
 
 _ACO = (
     "Cycles for which a wave of 64 keeps the vector ALU busy, less those of a kernel without the"
@@ -72,7 +73,7 @@ def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Pa
     strips = [_strip(triptych, measurement.settings.slope) for triptych in triptychs]
     files = {
         "measure.json": content.encode(),
-        **{figure.file: figure.png for figure in (*trades, *curves, *strips)},
+        **{drawn.file: drawn.png for drawn in (*trades, *curves, *strips)},
         "index.html": _page(measurement, trades, curves, strips).encode(),
     }
     return write_files(directory, files)
@@ -146,77 +147,6 @@ def _strip(triptych: Triptych, slope: str) -> Figure:
     return Figure(f"images-{triptych.model}-{triptych.lobe}.png", png, caption)
 
 
-_PAGE = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>What specular terms cost and lose</title>
-<style>
-:root {{ color-scheme: light dark; font: 1rem/1.5 system-ui, sans-serif; }}
-body {{ max-width: 84rem; margin: 0 auto; padding: 0 1rem 3rem; }}
-h1 {{ line-height: 1.2; }}
-h2 {{ margin-top: 2.5rem; }}
-p, dd, li, figcaption {{ max-width: 44rem; }}
-dt {{ font-weight: bold; }}
-dd {{ margin: 0 0 0.8rem; }}
-.pair {{ display: grid; gap: 0 2rem;
-  grid-template-columns: repeat(auto-fit, minmax(min(100%, 34rem), 1fr)); }}
-.pair > * {{ min-width: 0; }}
-.wide {{ overflow-x: auto; }}
-table {{ border-collapse: collapse; margin: 0 0 1.5rem; }}
-caption {{ text-align: left; font-weight: bold; }}
-caption span, caption small {{ display: block; max-width: calc(100vw - 2rem); }}
-caption small {{ font-weight: normal; }}
-th, td {{ padding: 0.2rem 0.5rem; font-size: 0.85rem; text-align: right;
-  border-bottom: 1px solid color-mix(in srgb, CanvasText 20%, Canvas); }}
-thead th {{ vertical-align: bottom; }}
-tbody th {{ font-weight: normal; }}
-td {{ font-family: ui-monospace, monospace; }}
-th:first-child, .facts td, .costs :nth-child(2) {{ text-align: left; }}
-td + td {{ white-space: nowrap; }}
-.facts td {{ overflow-wrap: anywhere; }}
-.dominated {{ color: color-mix(in srgb, CanvasText 60%, Canvas); }}
-figure {{ margin: 0 0 1.5rem; font-size: 0.9rem; }}
-img {{ display: block; width: 100%; max-width: 60rem; height: auto; }}
-@media (max-width: 40rem) {{ th, td {{ padding: 0.2rem 0.25rem; font-size: 0.75rem; }} }}
-</style>
-</head>
-<body>
-<h1>What specular terms cost and lose</h1>
-<table class="facts">
-<caption>Measured on, and with</caption>
-<tbody>
-{facts}
-</tbody>
-</table>
-<h2>Cost beside error</h2>
-<p>{dominated}</p>
-{costs}
-<div class="pair">
-{trades}
-</div>
-<h2>Error over the angle</h2>
-<div class="pair">
-{curves}
-</div>
-<h2>Errors</h2>
-{errors}
-<h2>Images</h2>
-{strips}
-<h2>Not measured</h2>
-<ul>
-{missing}
-</ul>
-<h2>Where the figures come from</h2>
-<dl>
-{methods}
-</dl>
-</body>
-</html>
-"""
-
-
 def _page(
     measurement: Measurement,
     trades: Iterable[Figure],
@@ -226,25 +156,29 @@ def _page(
     """Everything in one file of HTML that fetches nothing."""
     content, settings = measurement.as_dict(), measurement.settings
     size = {"size": "{} x {}".format(*settings.size)}
-    facts = content["environment"] | content["settings"] | size
-    return _PAGE.format(
-        facts="\n".join(
-            f'<tr><th scope="row">{escape(key)}</th><td>{escape(_fact(value))}</td></tr>'
-            for key, value in facts.items()
-        ),
-        dominated=escape(DOMINATED),
-        costs="\n".join(_html(table, "costs") for table in cost_tables(measurement)),
-        trades="\n".join(map(_figure, trades)),
-        curves="\n".join(map(_figure, curves)) or f"<p>{NOT_MEASURED}.</p>",
-        errors="\n".join(_html(table, "errors") for table in error_tables(measurement)),
-        strips="\n".join(map(_figure, strips)) or f"<p>{NOT_MEASURED}.</p>",
-        missing="\n".join(
-            f"<li>{escape(what)}</li>" for what in measurement.not_measured or ["nothing"]
-        ),
-        methods="\n".join(
-            f"<dt>{escape(what)}</dt><dd>{escape(how)}</dd>" for what, how in METHODS.items()
-        ),
-    )
+    facts = (content["environment"] | content["settings"] | size).items()
+    fact_rows = [row(escape(name), [escape(_fact(value))]) for name, value in facts]
+    missing = measurement.not_measured or ["nothing"]
+    body = [
+        page_table("facts", (), fact_rows, "Measured on, and with"),
+        "<h2>Cost beside error</h2>",
+        f"<p>{escape(DOMINATED)}</p>",
+        *(_html(table, "numbers costs") for table in cost_tables(measurement)),
+        f'<div class="pair">{_figures(trades)}</div>',
+        "<h2>Error over the angle</h2>",
+        f'<div class="pair">{_figures(curves)}</div>',
+        "<h2>Errors</h2>",
+        *(_html(table, "numbers") for table in error_tables(measurement)),
+        "<h2>Images</h2>",
+        _figures(strips),
+        "<h2>Not measured</h2>",
+        f"<ul>{''.join(f'<li>{escape(what)}</li>' for what in missing)}</ul>",
+        "<h2>Where the figures come from</h2>",
+        "<dl>",
+        *(f"<dt>{escape(what)}</dt><dd>{escape(how)}</dd>" for what, how in METHODS.items()),
+        "</dl>",
+    ]
+    return document("What specular terms cost and lose", "\n".join(body))
 
 
 def _fact(value: object) -> str:
@@ -253,31 +187,17 @@ def _fact(value: object) -> str:
     return "none" if value is None else str(value)
 
 
-def _figure(figure: Figure) -> str:
-    source = "data:image/png;base64," + b64encode(figure.png).decode()
-    caption = escape(figure.caption)
-    return (
-        f'<figure><img src="{source}" alt="{caption}"><figcaption>{caption}</figcaption></figure>'
-    )
+def _figures(figures: Iterable[Figure]) -> str:
+    return "\n".join(figure(drawn.png, drawn.caption) for drawn in figures)
 
 
 def _html(table: Table, kind: str) -> str:
     """Lay a table out, rows that are dominated in grey."""
     if not table.rows:
         return f"<p>{escape(table.title)}: {NOT_MEASURED}.</p>"
-    head = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in table.head)
-    rows = []
-    for name, *cells in table.rows:
-        grey = ' class="dominated"' if name in table.dominated else ""
-        values = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
-        rows.append(f'<tr{grey}><th scope="row">{escape(name)}</th>{values}</tr>')
-    return "\n".join(
-        [
-            f'<div class="wide"><table class="{kind}">',
-            f"<caption><span>{escape(table.title)}</span><small>{escape(table.note)}</small></caption>",
-            f"<thead><tr>{head}</tr></thead>",
-            "<tbody>",
-            *rows,
-            "</tbody></table></div>",
-        ]
-    )
+    rows = [
+        row(escape(name), map(escape, cells), "dominated" if name in table.dominated else "")
+        for name, *cells in table.rows
+    ]
+    caption = f"<span>{escape(table.title)}</span><small>{escape(table.note)}</small>"
+    return page_table(kind, map(escape, table.head), rows, caption)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import platform
 from collections.abc import Callable, Sequence
@@ -106,7 +105,7 @@ def measure(
             )
             errors = _errors(variant, slopes, images.get(variant))
             measured.append(MeasuredVariant(variant, costs, errors))
-    if importlib.util.find_spec("flip_evaluator") is None:
+    if any(row.error.image and row.error.image.flip is None for row in measured):
         not_measured.append("FLIP needs flip-evaluator: pip install 'facerender[measure]'")
     measurement = Measurement(
         environment(backend),

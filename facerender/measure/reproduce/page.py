@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import base64
-import html
 import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from facerender.measure.report import write_files
 from facerender.measure.reproduce.claims import Claim
 from facerender.measure.reproduce.figures import CAPTIONS
 from facerender.measure.tables import markdown_table
+from facerender.page.document import document, figure, row, table
 from facerender.pricing.interval import Interval
 
 SCHEMA = "facerender.reproduce/1"
@@ -22,6 +22,7 @@ PAPER = (
     "S. O. Romanyuk et al., Modification of existing methods of visualization of offset face skin "
     "structure, Proc. SPIE 11456, 114560E (2020), doi 10.1117/12.2569770"
 )
+_HEAD = ("claim", "the paper", "measured", "verdict", "conditions")
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,38 +65,36 @@ class Reproduction:
 
     def html(self) -> str:
         """Return one page with the figures inside it."""
-        figures = [
-            f'<figure><img alt="{html.escape(CAPTIONS[name])}" '
-            f'src="data:image/png;base64,{base64.b64encode(data).decode()}">'
-            f"<figcaption>{html.escape(CAPTIONS[name])}</figcaption></figure>"
-            for name, data in self.figures.items()
+        facts = [row(escape(name), [escape(str(fact))]) for name, fact in self.environment.items()]
+        body = [
+            f"<p>{escape(PAPER)}</p>",
+            "<h2>Claims</h2>",
+            table("claims", _HEAD, map(_row, self.claims)),
+            "<h2>Figures</h2>",
+            *(figure(png, CAPTIONS[name]) for name, png in self.figures.items()),
+            "<h2>Where this was measured</h2>",
+            table("facts", (), facts),
         ]
-        facts = [
-            f"<dt>{name}</dt><dd>{html.escape(str(fact))}</dd>"
-            for name, fact in self.environment.items()
-        ]
-        head, *rows = ([html.escape(cell) for cell in row] for row in _rows(self.claims))
-        table = ["<tr>" + "".join(f"<th>{cell}</th>" for cell in head) + "</tr>"]
-        for row, claim in zip(rows, self.claims, strict=True):
-            cells = "".join(f"<td>{cell}</td>" for cell in row)
-            table.append(f'<tr class="{claim.verdict.replace(" ", "-")}">{cells}</tr>')
-        return _PAGE % (
-            html.escape(PAPER),
-            "\n".join(table),
-            "\n".join(figures),
-            "\n".join(facts),
-        )
+        return document("The paper's figures and claims, measured", "\n".join(body))
 
     def markdown(self, folder: str) -> str:
         """Return the table and the figures, which lie in a folder beside the document."""
-        head, *rows = _rows(self.claims)
-        table = markdown_table(head, rows)
+        rows = [
+            [
+                claim.claim,
+                claim.paper,
+                claim.measured,
+                claim.verdict + _where(claim),
+                claim.conditions,
+            ]
+            for claim in self.claims
+        ]
         figures = "\n\n".join(
             f"![{caption.split('.')[0]}]({folder}/{name})\n\n{caption}"
             for name, caption in CAPTIONS.items()
         )
         facts = "\n".join(f"- {name}: {value}" for name, value in self.environment.items())
-        return f"{table}\n\n{figures}\n\n{facts}\n"
+        return f"{markdown_table(_HEAD, rows)}\n\n{figures}\n\n{facts}\n"
 
     def write(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write the figures, reproduction.json and index.html, each whole or not at all.
@@ -109,50 +108,12 @@ class Reproduction:
         return write_files(Path(folder), {**self.figures, **encoded})
 
 
-def _rows(claims: Sequence[Claim]) -> list[list[str]]:
-    """The table for a reader, its head first."""
-    head = ["claim", "the paper", "measured", "verdict", "conditions"]
-    return [head] + [
-        [
-            claim.claim,
-            claim.paper,
-            claim.measured,
-            f"{claim.verdict}: {claim.where}" if claim.where else claim.verdict,
-            claim.conditions,
-        ]
-        for claim in claims
-    ]
+def _row(claim: Claim) -> str:
+    kind = "verdict" if claim.paper else "note"
+    verdict = f'<span class="{kind}">{claim.verdict}</span>{escape(_where(claim))}'
+    cells = [escape(claim.paper), escape(claim.measured), verdict, escape(claim.conditions)]
+    return row(escape(claim.claim), cells, claim.verdict.replace(" ", "-"))
 
 
-_PAGE = """<!DOCTYPE html>
-<html lang="en">
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>The paper's figures and claims, measured</title>
-<style>
-body { max-width: 72rem; margin: 2rem auto; padding: 0 1rem; font: 1rem/1.5 system-ui, sans-serif;
-       color: #222; background: #fff; }
-h1, h2 { line-height: 1.2; }
-table { border-collapse: collapse; font-size: 0.9rem; }
-th, td { padding: 0.4rem 0.6rem; border-bottom: 1px solid #ddd; text-align: left;
-         vertical-align: top; }
-tr.holds td:nth-child(4) { background: #dff2df; }
-tr.fails td:nth-child(4) { background: #f9dfdc; }
-figure { margin: 2rem 0; }
-img { max-width: 100%%; height: auto; }
-figcaption, dl { font-size: 0.9rem; color: #555; }
-dt { float: left; clear: left; width: 8rem; }
-dd { margin-left: 8.5rem; }
-</style>
-<h1>The paper's figures and claims, measured</h1>
-<p>%s</p>
-<h2>Claims</h2>
-<table>
-%s
-</table>
-<h2>Figures</h2>
-%s
-<h2>Where this was measured</h2>
-<dl>%s</dl>
-</html>
-"""
+def _where(claim: Claim) -> str:
+    return f": {claim.where}" if claim.where else ""
