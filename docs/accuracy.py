@@ -17,8 +17,7 @@ from facerender.drawing.evaluate import Evaluator
 from facerender.lobes import AnyLobe
 from facerender.measure import error
 from facerender.measure.tables import markdown_table
-from facerender.planning.candidates import G_POWERS
-from facerender.terms.fitting import fit_g_power
+from facerender.terms.fitting import G_POWERS, fit_g_power
 from trials.cases import directions
 
 OUTPUT = Path(__file__).with_suffix(".md")

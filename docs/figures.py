@@ -1,4 +1,4 @@
-"""Renders the pictures of the README: ``python docs/figures.py``."""
+"""Renders the pictures of the README and docs/lobes.md: ``python docs/figures.py``."""
 
 from pathlib import Path
 

@@ -17,13 +17,16 @@ import numpy as np
 
 import facerender as fr
 from docs.template import missing
+from facerender.drawing.passes.shade import shade_pass
+from facerender.drawing.prepare import simplify
+from facerender.drawing.program import Program
 from facerender.measure.tables import markdown_table
 from facerender.planning.budget import ROUNDING, Budget
 from facerender.planning.candidates import DECISIONS, candidates, changed
 from facerender.planning.plan import Plan, plan
 from facerender.pricing import amd, fragment
 from facerender.pricing.table import load_prices
-from facerender.scenes.scene import slope_ranges
+from facerender.scenes.view import view_of
 from trials.scan import load_scan, scan_folder
 from trials.subjects import BUDGETS, KINDS, Subject, brute_force, subjects
 
@@ -156,10 +159,10 @@ def short(found: Plan) -> str:
         "slope": "m constant",
         "specular weight": "ks constant",
         "ambient": "no ambient",
-        "model": shading.model,
-        "lobe": str(shading.lobe).split(" (")[0],
-        "Fresnel": f"Fresnel {shading.fresnel}",
-        "masking": f"masking {shading.masking}",
+        "model": shading.term.model,
+        "lobe": str(shading.term.lobe).split(" (")[0],
+        "Fresnel": f"Fresnel {shading.term.fresnel}",
+        "masking": f"masking {shading.term.masking}",
         "small slopes": "small slopes plain",
     }
     if "model" in differs:
@@ -207,23 +210,10 @@ def violations(results: Iterable[Result], unplanned: bool) -> str:
 def compiled(found: Plan, family: str) -> float:
     """The cost of the plan's whole fragment program over the full one's, as RADV compiles them."""
 
-    def program(shading: fr.Shading) -> tuple[fragment.Program, str]:
-        simple = shading.simplify(found.scene)
-        material = simple.mesh.materials[0]
-        lit = sum(shading.shines(light) for light in range(len(simple.lights)))
-        read = (
-            material.occlusion_map,
-            *(material.roughness_map, material.specular_map) * (lit > 0),
-        )
-        return fragment.Program(
-            albedo_map=material.albedo_map is not None,
-            normal_map=material.normal_map is not None,
-            property_map=any(read),
-            ambient=any(simple.ambient),
-            directional_lights=len(simple.lights),
-            directional_specular=lit - len(shading.frontal_lights),
-            directional_frontal=len(shading.frontal_lights),
-        ), shading.glsl(slope_ranges(simple)[0][0])
+    def program(shading: fr.Shading) -> Program:
+        simple = simplify(found.scene, shading)
+        (draw,) = shade_pass(simple, view_of(simple, 1.0), shading, 1).draws
+        return draw.program
 
     own, full = fragment.cycles([program(found.shading), program(found.full)], family)
     return own / full

@@ -9,7 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from docs.template import missing
-from facerender.measure.reproduce import PAPER, reproduce
+from facerender.measure.reproduce import reproduce
+from facerender.measure.reproduce.page import PAPER
 
 OUTPUT = Path(__file__).with_suffix(".md")
 

@@ -10,9 +10,9 @@ import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from facerender.measure import report
+from facerender.measure.measurement import MODELS, Measurement
 from facerender.measure.tables import markdown_table
 
 HERE = Path(__file__).parent
@@ -32,44 +32,40 @@ GPUs, which nothing ran on, the estimates of {amd_driver}'s compiler. {gpu}
 """
 
 
-def headline(data: dict[str, Any]) -> str:
+def headline(measurement: Measurement) -> str:
     """Return the README's table: costs of both models side by side, relative to the printed form,
     and the error of the lobe."""
-    m = f"{data['settings']['m']:g}"
+    head = [""]
     rows: dict[str, list[str]] = {}
-    for model in ("cook-torrance", "ward"):
-        variants = [v for v in data["variants"] if v["model"] == model]
-        base = variants[0]["cost"]
-        for variant in variants:
-            cost, error = variant["cost"], variant["error"]["lobe"][m]
-            name = variant["name"]
-            nanoseconds, cycles = cost["term_ns"]["value"], cost["navi21"]
-            cells = rows.setdefault(f"**{name}**" if name.startswith("exact") else name, [])
-            cells += [
-                f"{nanoseconds:.2f}, {nanoseconds / base['term_ns']['value']:.2f}",
-                "-"
-                if cycles is None
-                else f"{cycles['inverse_throughput']}, "
-                f"{cycles['inverse_throughput'] / base['navi21']['inverse_throughput']:.2f}",
-                "-" if error is None else f"{error:.2f}",
-            ]
-    head = [
-        "",
-        "Cook-Torrance, ns",
-        "RDNA2, cycles",
-        "error, %",
-        "Ward, ns",
-        "RDNA2, cycles",
-        "error, %",
-    ]
+    for model, title in MODELS.items():
+        head += [f"{title}, ns", "RDNA2, cycles", "error, %"]
+        variants = measurement.of_model(model)
+        base = variants[0].cost
+        for row in variants:
+            variant, cost = row.variant, row.cost
+            exact = variant.lobe == "exact" and not variant.printed
+            cells = rows.setdefault(f"**{variant.name}**" if exact else variant.name, [])
+            cells.append(f"{cost.term_ns.value:.2f}, {cost.term_ns.value / base.term_ns.value:.2f}")
+            if cost.navi21 and base.navi21:
+                cycles = cost.navi21.inverse_throughput
+                cells.append(f"{cycles}, {cycles / base.navi21.inverse_throughput:.2f}")
+            else:
+                cells.append("-")
+            error = row.error.lobe[measurement.settings.slope]
+            cells.append("-" if error is None else f"{error:.2f}")
     return markdown_table(head, [[name, *cells] for name, cells in rows.items()]) + "\n"
 
 
-def trade(data: dict[str, Any]) -> str:
+def trade(measurement: Measurement) -> str:
     """Return docs/trade.md."""
-    environment = data["environment"]
-    gpu = "No GPU has been measured." if environment["software"] else ""
-    return HEAD.format_map(environment | {"gpu": gpu}) + report.markdown(data)
+    facts = measurement.as_dict()["environment"]
+    gpu = "No GPU has been measured." if measurement.environment.software else ""
+    return HEAD.format(**facts, gpu=gpu) + report.markdown(measurement)
+
+
+def committed() -> Measurement:
+    """Return what docs/measurements holds."""
+    return Measurement.from_dict(json.loads(MEASUREMENT.read_text(encoding="utf-8")))
 
 
 def stale() -> Iterator[str]:
@@ -82,10 +78,10 @@ def stale() -> Iterator[str]:
 
 
 def main() -> None:
-    data = json.loads(MEASUREMENT.read_text(encoding="utf-8"))
-    TRADE.write_text(trade(data), encoding="utf-8")
+    measured = committed()
+    TRADE.write_text(trade(measured), encoding="utf-8")
     readme = README.read_text(encoding="utf-8")
-    README.write_text(MARKED.sub(lambda match: headline(data), readme), encoding="utf-8")
+    README.write_text(MARKED.sub(lambda match: headline(measured), readme), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,8 @@
 render          one image in one call; Renderer keeps what it uploads, for several
 load_mesh       a mesh file with its materials; Mesh.with_material changes them
 Scene           mesh, Camera, Light, ambient, background
-Shading         model, lobe, Fresnel and masking terms, what is left out
+Shading         the specular Term of each light, what is left out
+Job             what to render as plain data, for files and other machines
 Frame, GBuffer  what a renderer returns
 compare         whether two images are the same, and why not
 plan            the cheapest Shading of a scene within an error budget; turntable: cameras for it
@@ -23,6 +24,7 @@ from facerender.drawing.frame import Frame, GBuffer
 from facerender.drawing.renderer import Renderer, render
 from facerender.errors import ContextError, FacerenderError, FacerenderWarning, InputError
 from facerender.glsl.library import moderngl_includes, resolve_includes, shader_dir, shader_source
+from facerender.job import Job, MeshFile, Output
 from facerender.loading import load_mesh
 from facerender.planning.plan import Plan, plan
 from facerender.scenes.camera import Camera, turntable
@@ -33,7 +35,7 @@ from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import View, view_of
-from facerender.shading import Shading
+from facerender.shading import Shading, Term
 
 __all__ = [
     "Camera",
@@ -43,13 +45,17 @@ __all__ = [
     "Frame",
     "GBuffer",
     "InputError",
+    "Job",
     "Light",
     "Material",
     "Mesh",
+    "MeshFile",
+    "Output",
     "Plan",
     "Renderer",
     "Scene",
     "Shading",
+    "Term",
     "Texture",
     "View",
     "__version__",

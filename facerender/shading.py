@@ -1,171 +1,269 @@
-"""What a program is compiled with: the reflectance model, its lobe, Fresnel and masking terms, what
-it leaves out, and the GLSL that selects them. Nothing here needs OpenGL; lights and maps are the
-renderer's."""
+"""Which specular term each light has, and what is left out of a scene: values, and their forms in
+TOML and JSON. How they become GLSL is told in ``glsl/code.py``; nothing here needs OpenGL."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from operator import index
-from typing import TYPE_CHECKING, Any, Literal
-from weakref import WeakKeyDictionary
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender import brdf, lobes
-from facerender.brdf import Fresnel, Masking
 from facerender.errors import InputError, check_range
-from facerender.lobes import AnyLobe, GPower
+from facerender.terms import FRESNEL, MASKING, MODELS, AnyLobe, GPower, Model, lobe_entry
+from facerender.terms.entry import named
+from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
 
-if TYPE_CHECKING:
-    from facerender.scenes.mesh import Mesh
-    from facerender.scenes.scene import Scene
+Changes = tuple[tuple[str, Any], ...]  # of a term's fields
 
-Model = Literal["cook-torrance", "ward", "ward-printed"]
-Outside = Literal["error", "exact"]
-
-MODELS: tuple[Model, ...] = ("cook-torrance", "ward", "ward-printed")
-FRESNEL_TERMS: tuple[Fresnel, ...] = ("schlick", "dielectric", "constant")
-MASKING_TERMS: tuple[Masking, ...] = ("v-cavity", "kelemen", "none")
-MAX_WEIGHT = 1e6
+OUTSIDE = ("error", "exact")
 SMALL_SLOPE = 0.2  # from here on the exact lobe is accurate without FR_SMALL_SLOPE
-OUTSIDE: tuple[Outside, ...] = ("error", "exact")
-
-_MOST_SIMPLIFIED = 64  # of one mesh
-_simplified: WeakKeyDictionary[Mesh, dict[tuple[Any, ...], Mesh]] = WeakKeyDictionary()
-
-
-def lobe_macros(lobe: AnyLobe) -> dict[str, str]:
-    """Return the macros that make ``fr_lobe`` this lobe."""
-    if isinstance(lobe, GPower):
-        offset = f" - {float(lobe.offset)}" if lobe.offset else ""
-        return {
-            "FR_LOBE": "FR_LOBE_G_POWER",
-            "FR_G": str(lobe.g),
-            "FR_STEEPNESS(m, k)": f"({float(lobe.factor)} / ((m) * (m)){offset})",
-        }
-    return {"FR_LOBE": f"FR_LOBE_{lobe.upper().replace('-', '_')}"}
-
-
-def defines(macros: dict[str, str]) -> str:
-    """Return the lines of GLSL that define macros."""
-    return "".join(f"#define {name} {value}\n" for name, value in macros.items())
-
-
-def _indices(name: str, lights: Any) -> tuple[int, ...]:
-    try:
-        found = [index(light) for light in lights if not isinstance(light, bool)]
-        if len(set(found)) < len(lights):
-            raise TypeError
-    except TypeError:
-        raise InputError(f"{name} = {lights!r}: give a list of whole numbers, each once") from None
-    return tuple(found)
+MAX_WEIGHT = 1e6
+FRONTAL: Changes = (("fresnel", "constant"), ("masking", "none"))
 
 
 @dataclass(frozen=True)
-class Shading:
-    """Choice of specular terms, and of what is left out of a scene.
+class Term:
+    """A specular term.
 
     Parameters
     ----------
-    model : "cook-torrance", "ward", or "ward-printed" (as Romanyuk et al. 2020 print it)
-    lobe : "exact", "fitted", "fitted-fine", "cosine", "d4", "d8", "d16", or a
-        :class:`facerender.lobes.GPower`
-    fresnel : "schlick", "dielectric" or "constant" (f0 alone); Cook-Torrance only, since Ward has
-        no Fresnel term
-    masking : "v-cavity", "kelemen" or "none"; Cook-Torrance only as well
-    outside : what a material gets whose m leaves the domain of the lobe: "error", or "exact" for
-        the exact lobe in its place
+    model, lobe, fresnel, masking : names of the registry, such as "cook-torrance", "exact",
+        "schlick", "v-cavity"; the lobe may be a :class:`facerender.lobes.GPower`. Only
+        Cook-Torrance has a Fresnel and a masking term
+    m : one rms slope, as a constant of the program; None for the materials' own
     small_slope : keep the digits of small angles in the exact lobe; None for as m needs it
-    m : one rms slope for the whole mesh in place of its own and of roughness maps, as a constant of
-        the program; None for the materials' own
-    ks : one specular weight in place of the materials' and of specular maps
-    normal_map, ambient : whether they count
-    specular_lights : indices in the scene of the lights that have a specular term; None for all
-    frontal_lights : indices of those among them that stand on the eye's side, where Fresnel is f0
-        and nothing is masked: their term has neither; Cook-Torrance only
 
     Raises
     ------
-    InputError : an unknown name
+    InputError : an unknown name, m outside its domain
     """
 
-    model: Model = "cook-torrance"
+    model: str = "cook-torrance"
     lobe: AnyLobe = "exact"
-    fresnel: Fresnel = "schlick"
-    outside: Outside = "error"
-    masking: Masking = "v-cavity"
-    small_slope: bool | None = None
+    fresnel: str = "schlick"
+    masking: str = "v-cavity"
     m: float | None = None
-    ks: float | None = None
-    normal_map: bool = True
-    ambient: bool = True
-    specular_lights: tuple[int, ...] | None = None
-    frontal_lights: tuple[int, ...] = ()
+    small_slope: bool | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.lobe, GPower) and self.lobe not in lobes.NAMES:
-            raise InputError(f"unknown lobe {self.lobe!r}; known: {', '.join(lobes.NAMES)}")
-        for kind, value, known in (
-            ("model", self.model, MODELS),
-            ("Fresnel term", self.fresnel, FRESNEL_TERMS),
-            ("masking term", self.masking, MASKING_TERMS),
-            ("choice outside the domain", self.outside, OUTSIDE),
-        ):
-            if value not in known:
-                raise InputError(f"unknown {kind} {value!r}; known: {', '.join(known)}")
-        if self.model != "cook-torrance" and self.fresnel != "schlick":
+        lobe_entry(self.lobe)
+        model = named("model", MODELS, self.model)
+        named("Fresnel term", FRESNEL, self.fresnel)
+        named("masking term", MASKING, self.masking)
+        if not model.factors and self.fresnel != Term.fresnel:
             raise InputError(f"{self.model} has no Fresnel term: leave {self.fresnel!r} out")
-        if self.model != "cook-torrance" and self.masking != "v-cavity":
+        if not model.factors and self.masking != Term.masking:
             raise InputError(f"{self.model} has no masking term: leave {self.masking!r} out")
-        if self.model != "cook-torrance" and self.frontal_lights:
-            raise InputError(f"{self.model} has no other term for frontal_lights: leave them out")
-        for name in ("normal_map", "ambient", "small_slope"):
-            value = getattr(self, name)
-            if not isinstance(value, bool) and (name != "small_slope" or value is not None):
-                raise InputError(f"{name} = {value!r}: give true or false")
-        for name in ("specular_lights", "frontal_lights"):
-            if (lights := getattr(self, name)) is not None:
-                object.__setattr__(self, name, _indices(name, lights))
+        if self.small_slope is not None:
+            _check_switch("small_slope", self.small_slope)
         if self.m is not None:
-            check_range("m", self.m, lobes.MIN_SLOPE, lobes.MAX_SLOPE)
-        if self.ks is not None:
-            check_range("ks", self.ks, 0.0, MAX_WEIGHT)
+            check_range("m", self.m, MIN_SLOPE, MAX_SLOPE)
 
     @property
-    def k(self) -> int:
-        """The power of 1/cos γ in the model's lobe."""
-        return brdf.K_COOK_TORRANCE if self.model == "cook-torrance" else brdf.K_WARD
+    def entry(self) -> Model:
+        """The model's entry in the registry."""
+        return MODELS[self.model]
 
-    def for_slopes(self, smallest: float, largest: float) -> Shading:
-        """Return the choice for a material with these slopes: this one, or with the exact lobe.
+    @property
+    def frontal(self) -> Term:
+        """The term for lights on the eye's side, where Fresnel is f0 and nothing is masked."""
+        return replace(self, **dict(FRONTAL)) if self.entry.factors else self
+
+    def for_slopes(self, smallest: float, largest: float, outside: str = "error") -> Term:
+        """Return the term for a material with these slopes: this one, or with the exact lobe.
+
+        Parameters
+        ----------
+        outside : what it gets where m leaves the domain of the lobe: "error", or "exact"
 
         Raises
         ------
-        InputError : m leaves the domain of the lobe, and ``outside`` is "error"
+        InputError : m leaves the domain, and ``outside`` is "error"
         """
-        slopes = (smallest, largest)
-        if lobes.in_domain(slopes, self.lobe, self.k).all():
+        slopes = (smallest, largest) if self.m is None else (self.m, self.m)
+        lobe = lobe_entry(self.lobe)
+        if lobe.belongs(slopes, self.entry.k).all():
             return self
-        if self.outside == "exact" and self.lobe != "exact":
+        if outside == "exact" and self.lobe != "exact":
             return replace(self, lobe="exact").for_slopes(smallest, largest)
-        lobes.check_slope(slopes, self.lobe, self.k)
+        lobe.check(slopes, self.entry.k)
         return self
 
+    def keeps_small_slopes(self, smallest_m: float) -> bool:
+        """Tell whether small angles keep their digits, for m >= smallest_m where it has none of its
+        own."""
+        if self.small_slope is not None:
+            return self.small_slope
+        return (smallest_m if self.m is None else self.m) < SMALL_SLOPE
+
+    def brdf(
+        self, n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike, f0: float
+    ) -> NDArray[np.float64]:
+        """Evaluate in float64 what the term is in GLSL, in 1/sr; see ``terms/model.py``. A constant
+        slope takes the place of m.
+
+        Raises
+        ------
+        InputError : a vector that is no unit vector, or a value outside its domain
+        """
+        return self.entry.evaluate(
+            n,
+            l,
+            v,
+            m if self.m is None else self.m,
+            f0,
+            lobe=self.lobe,
+            fresnel_term=self.fresnel,
+            masking_term=self.masking,
+        )
+
+
+_TERM_FIELDS = tuple(field.name for field in fields(Term))
+
+
+@dataclass(frozen=True, init=False)
+class Shading:
+    """The specular terms of the lights, and what is left out of a scene.
+
+    Parameters
+    ----------
+    model, lobe, fresnel, masking, m, small_slope : of :class:`Term`, in place of ``term``'s
+    term : of every light that has none of its own
+    lights : by index in the scene, what the terms of some lights have different, such as
+        ``{1: {"lobe": "d16"}, 2: None}``; None for a light without a specular term
+    others : whether lights that ``lights`` does not name have a specular term
+    specular_lights : indices of the lights that have one; None for all
+    frontal_lights : indices of those among them that stand on the eye's side: see
+        :attr:`Term.frontal`
+    outside : what a material gets whose m leaves the domain of the lobe: "error", or "exact" for
+        the exact lobe in its place
+    ks : one specular weight in place of the materials' and of specular maps
+    normal_map, ambient : whether they count
+
+    Raises
+    ------
+    InputError : an unknown name, a value outside its domain, two different g-powers
+    """
+
+    term: Term
+    lights: tuple[tuple[int, Changes | None], ...]
+    others: bool
+    outside: str
+    ks: float | None
+    normal_map: bool
+    ambient: bool
+
+    def __init__(
+        self,
+        model: str | None = None,
+        lobe: AnyLobe | None = None,
+        fresnel: str | None = None,
+        outside: str = "error",
+        masking: str | None = None,
+        *,
+        m: float | None = None,
+        small_slope: bool | None = None,
+        term: Term = Term(),
+        lights: Mapping[int, Mapping[str, Any] | None] | Sequence[tuple[int, Any]] = (),
+        others: bool = True,
+        specular_lights: Sequence[int] | None = None,
+        frontal_lights: Sequence[int] = (),
+        ks: float | None = None,
+        normal_map: bool = True,
+        ambient: bool = True,
+    ) -> None:
+        given = (model, lobe, fresnel, masking, m, small_slope)
+        words: dict[str, Any] = dict(zip(_TERM_FIELDS, given, strict=True))
+        term = replace(term, **{name: value for name, value in words.items() if value is not None})
+        changes = {light: _changes(change) for light, change in dict(lights).items()}
+        if specular_lights is not None:
+            listed = _indices("specular_lights", specular_lights)
+            changes, others = {light: changes.get(light) or () for light in listed}, False
+        for light in _indices("frontal_lights", frontal_lights):
+            if not term.entry.factors:
+                raise InputError(
+                    f"{term.model} has no other term for frontal_lights: leave them out"
+                )
+            if changes.get(light, () if others else None) is not None:
+                changes[light] = FRONTAL
+        for name, value in (
+            ("term", term),
+            ("lights", tuple(sorted(changes.items()))),
+            ("others", others),
+            ("outside", outside),
+            ("ks", ks),
+            ("normal_map", normal_map),
+            ("ambient", ambient),
+        ):
+            object.__setattr__(self, name, value)
+        if outside not in OUTSIDE:
+            known = ", ".join(OUTSIDE)
+            raise InputError(f"unknown choice outside the domain {outside!r}; known: {known}")
+        for name in ("normal_map", "ambient"):
+            _check_switch(name, getattr(self, name))
+        if ks is not None:
+            check_range("ks", ks, 0.0, MAX_WEIGHT)
+        own = [self.of(light) for light, _ in self.lights]
+        powers = {each.lobe for each in (term, *own) if each and isinstance(each.lobe, GPower)}
+        if len(powers) > 1:
+            raise InputError(
+                f"{' and '.join(map(str, powers))} in one shading: a program has one g-power; give "
+                "other lights a lobe with a name"
+            )
+
+    def replace(self, **changes: Any) -> Shading:
+        """Return the shading with other parameters; those of a term are of every light's."""
+        return Shading(
+            **{field.name: getattr(self, field.name) for field in fields(self)} | changes
+        )
+
+    def of(self, light: int) -> Term | None:
+        """Return the specular term of the light of this index, None where it has none."""
+        changes = dict(self.lights).get(light, () if self.others else None)
+        return None if changes is None else replace(self.term, **dict(changes))
+
+    @property
+    def specular_lights(self) -> tuple[int, ...] | None:
+        """Indices of the only lights that have a specular term; None where all others have."""
+        if self.others:
+            return None
+        return tuple(light for light, changes in self.lights if changes is not None)
+
+    @property
+    def frontal_lights(self) -> tuple[int, ...]:
+        """Indices of the lights that have the term of frontal light."""
+        return tuple(light for light, changes in self.lights if changes == FRONTAL)
+
+    def check_lights(self, count: int) -> None:
+        """Raise InputError where a light is named that a scene of so many lights does not have."""
+        for light, changes in self.lights:
+            if not 0 <= light < count:
+                name = "specular_lights" if not self.others else "lights"
+                name = "frontal_lights" if changes == FRONTAL else name
+                raise InputError(
+                    f"{name} names light {light}: the scene has {count}, counted from 0"
+                )
+
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields that are not the default, as TOML and JSON hold them."""
-        kept = {
-            each.name: getattr(self, each.name)
-            for each in fields(self)
-            if getattr(self, each.name) != each.default
+        """Return what is not the default, as TOML and JSON hold it."""
+        told = (FRONTAL,) if self.others else (FRONTAL, ())
+        values = asdict(self.term) | {
+            "outside": self.outside,
+            "ks": self.ks,
+            "normal_map": self.normal_map,
+            "ambient": self.ambient,
+            "specular_lights": None if self.others else list(self.specular_lights or ()),
+            "frontal_lights": list(self.frontal_lights),
+            "lights": {
+                str(light): changes is not None and _told(changes)
+                for light, changes in self.lights
+                if changes not in told
+            },
         }
-        if isinstance(self.lobe, GPower):
-            kept["lobe"] = asdict(self.lobe)
-        for name in ("specular_lights", "frontal_lights"):
-            if name in kept:
-                kept[name] = list(kept[name])
-        return kept
+        return {key: values[key] for key in _KEYS if values[key] != _DEFAULTS[key]}
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Shading:
@@ -177,122 +275,81 @@ class Shading:
         """
         if not isinstance(table, Mapping):
             raise InputError(f"shading = {table!r}: give a table")
-        known = [each.name for each in fields(cls)]
-        if unknown := sorted(set(table) - set(known)):
-            raise InputError(f"unknown key {unknown[0]!r} in shading; known: {', '.join(known)}")
+        if unknown := sorted(set(table) - set(_KEYS)):
+            raise InputError(f"unknown key {unknown[0]!r} in shading; known: {', '.join(_KEYS)}")
         values = dict(table)
-        if isinstance(lobe := values.get("lobe"), dict):
-            try:
-                values["lobe"] = GPower(**lobe)
-            except TypeError:
-                raise InputError(f"lobe = {lobe!r}: give a name, or g, factor, offset") from None
+        if "lobe" in values:
+            values["lobe"] = _lobe(values["lobe"])
+        if "lights" in values:
+            values["lights"] = _lights(values["lights"])
         return cls(**values)
 
-    def shines(self, light: int) -> bool:
-        """Tell whether the light of this index has a specular term."""
-        return self.specular_lights is None or light in self.specular_lights
 
-    @property
-    def frontal(self) -> Shading:
-        """The choice with the terms of ``frontal_lights`` for all lights."""
-        return replace(self, fresnel="constant", masking="none", frontal_lights=())
+# As TOML and JSON name what a shading is made of, and what it is where nothing is said.
+_KEYS = (
+    *("model", "lobe", "fresnel", "outside", "masking", "small_slope", "m", "ks"),
+    *("normal_map", "ambient", "specular_lights", "frontal_lights", "lights"),
+)
+_DEFAULTS = asdict(Term()) | {
+    "outside": "error",
+    "ks": None,
+    "normal_map": True,
+    "ambient": True,
+    "specular_lights": None,
+    "frontal_lights": [],
+    "lights": {},
+}
 
-    def simplify(self, scene: Scene) -> Scene:
-        """Return the scene without the maps and the ambient light that this choice leaves out.
 
-        The same mesh gives the same simplified mesh again, so that a renderer keeps its maps.
+def _check_switch(name: str, value: Any) -> None:
+    if not isinstance(value, bool):
+        raise InputError(f"{name} = {value!r}: give true or false")
 
-        Raises
-        ------
-        InputError : m or ks outside its domain, a light that the scene does not have
-        """
-        for name in ("specular_lights", "frontal_lights"):
-            for light in getattr(self, name) or ():
-                if not 0 <= light < len(scene.lights):
-                    raise InputError(
-                        f"{name} names light {light}: the scene has {len(scene.lights)}, counted "
-                        "from 0"
-                    )
-        changes: dict[str, Any] = {}
-        if self.m is not None:
-            changes["m"] = self.m
-        if self.ks is not None:
-            changes |= {"ks": self.ks, "specular_map": None}
-        if not self.normal_map:
-            changes["normal_map"] = None
-        if not self.ambient:
-            scene = replace(scene, ambient=0.0)
-            changes["occlusion_map"] = None
-        if not changes:
-            return scene
-        known = _simplified.setdefault(scene.mesh, {})
-        key = tuple(changes.items())
-        if key not in known:
-            if len(known) >= _MOST_SIMPLIFIED:
-                del known[next(iter(known))]
-            known[key] = scene.mesh.with_material(**changes)
-        return replace(scene, mesh=known[key])
 
-    def brdf(
-        self, n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike, f0: float
-    ) -> NDArray[np.float64]:
-        """Evaluate in float64 what ``SPECULAR_BRDF`` is in GLSL, in 1/sr; see ``brdf.py``.
+def _indices(name: str, lights: Any) -> tuple[int, ...]:
+    try:
+        indices = [index(light) for light in lights if not isinstance(light, bool)]
+        if len(set(indices)) < len(lights):
+            raise TypeError
+    except TypeError:
+        raise InputError(f"{name} = {lights!r}: give a list of whole numbers, each once") from None
+    return tuple(indices)
 
-        Ward has no Fresnel term: its reflectance is f0, so that both models agree where
-        normal, light and eye coincide. m is the caller's, also where the choice has one of its own,
-        which GLSL and the G-buffer take in its place.
 
-        Raises
-        ------
-        InputError : a vector that is no unit vector, or a value outside its domain
-        """
-        if self.model == "cook-torrance":
-            return brdf.cook_torrance(
-                n,
-                l,
-                v,
-                m,
-                f0,
-                lobe=self.lobe,
-                fresnel_term=self.fresnel,
-                masking_term=self.masking,
-            )
-        ward = brdf.ward if self.model == "ward" else brdf.ward_printed
-        return f0 * ward(n, l, v, m, lobe=self.lobe)
+def _changes(given: Mapping[str, Any] | Iterable[tuple[str, Any]] | None) -> Changes | None:
+    if given is None:
+        return None
+    changes = dict(given)
+    if unknown := sorted(set(changes) - set(_TERM_FIELDS)):
+        known = ", ".join(_TERM_FIELDS)
+        raise InputError(f"unknown key {unknown[0]!r} in the term of a light; known: {known}")
+    return tuple((name, changes[name]) for name in _TERM_FIELDS if name in changes)
 
-    def macros(self, smallest_m: float) -> dict[str, str]:
-        """Return the macros of the library that make this choice, for m >= smallest_m where it has
-        none of its own."""
-        macros = lobe_macros(self.lobe)
-        if self.lobe == "exact":
-            small = self.small_slope
-            if small is None:
-                small = (smallest_m if self.m is None else self.m) < SMALL_SLOPE
-            if not small:
-                macros["FR_SMALL_SLOPE"] = "0"
-        if self.model == "cook-torrance":
-            macros["FR_FRESNEL"] = f"FR_FRESNEL_{self.fresnel.upper()}"
-            macros["FR_MASKING"] = f"FR_MASKING_{self.masking.upper().replace('-', '_')}"
-        if self.m is not None:
-            macros["FR_SLOPE(m)"] = repr(float(self.m))
-        return macros
 
-    @property
-    def calls(self) -> tuple[str, str]:
-        """GLSL of the specular term and of that of frontal lights, in 1/sr, of n, l, v, m, f0."""
-        name = f"fr_{self.model.replace('-', '_')}"
-        if self.model != "cook-torrance":
-            return (f"(f0 * {name}(n, l, v, m))",) * 2
-        frontal = f"{name}_terms(n, l, v, m, f0, FR_FRESNEL_CONSTANT, FR_MASKING_NONE)"
-        return f"{name}(n, l, v, m, f0)", frontal
+def _told(changes: Changes) -> dict[str, Any]:
+    return {name: asdict(value) if isinstance(value, GPower) else value for name, value in changes}
 
-    def glsl(self, smallest_m: float) -> str:
-        """Return what makes ``SPECULAR_BRDF(n, l, v, m, f0)`` this choice, for m >= smallest_m, and
-        ``FRONTAL_BRDF`` that of frontal lights."""
-        specular, frontal = self.calls
-        return (
-            f"{defines(self.macros(smallest_m))}"
-            f'#include "facerender/{self.model.replace("-", "_")}.glsl"\n'
-            f"#define SPECULAR_BRDF(n, l, v, m, f0) {specular}\n"
-            f"#define FRONTAL_BRDF(n, l, v, m, f0) {frontal}\n"
-        )
+
+def _lobe(given: Any) -> Any:
+    if not isinstance(given, Mapping):
+        return given
+    try:
+        return GPower(**given)
+    except TypeError:
+        raise InputError(f"lobe = {given!r}: give a name, or g, factor, offset") from None
+
+
+def _lights(given: Any) -> dict[int, Mapping[str, Any] | None]:
+    """Read a table of changes by index, which TOML and JSON have as text; false for no term."""
+    remedy = 'give a table such as { 1 = { lobe = "d16" }, 2 = false }'
+    if not isinstance(given, Mapping) or not all(str(light).isdecimal() for light in given):
+        raise InputError(f"lights = {given!r} of the shading: {remedy}")
+    lights: dict[int, Mapping[str, Any] | None] = {}
+    for light, changes in given.items():
+        if changes is not False and not isinstance(changes, Mapping):
+            raise InputError(f"lights.{light} = {changes!r} of the shading: {remedy}")
+        lights[int(light)] = None
+        if changes is not False:
+            own = {"lobe": _lobe(changes["lobe"])} if "lobe" in changes else {}
+            lights[int(light)] = {**changes, **own}
+    return lights

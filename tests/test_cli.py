@@ -21,11 +21,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.commands import CAMERAS, main
+from facerender.commands import main
+from facerender.commands.scene import CAMERAS
 from facerender.drawing import context
-from facerender.drawing.frame import ONLY
 from facerender.scenes.light import LIGHTS
-from facerender.shading import MASKING_TERMS
+from facerender.scenes.scene import ONLY
+from facerender.terms import MASKING
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, mini_head
 
@@ -304,7 +305,7 @@ def test_material_and_shading(cli: Cli) -> None:
 def test_masking(cli: Cli) -> None:
     view = ("--camera", "profile", "--only", "specular", "--ambient", "0")
     images = {}
-    for term in MASKING_TERMS:
+    for term in MASKING:
         images[term] = cli.render("--masking", term, *view)
         frame = fr.render(
             MINI_HEAD, masking=term, only="specular", camera=fr.Camera(90.0), size=(48, 48)
@@ -313,7 +314,7 @@ def test_masking(cli: Cli) -> None:
     np.testing.assert_array_equal(images["v-cavity"], cli.render(*view))
     assert (images["kelemen"] <= images["v-cavity"]).all()
     assert (images["v-cavity"] <= images["none"]).all()
-    assert len({image.tobytes() for image in images.values()}) == len(MASKING_TERMS)
+    assert len({image.tobytes() for image in images.values()}) == len(MASKING)
     assert cli.describe("--masking", "none")["masking"] == "none"
     cli.fail_to_render("ward has no masking term", "--model", "ward", "--masking", "none")
 

@@ -15,7 +15,8 @@ from PIL import Image
 
 from facerender import InputError
 from facerender.comparison.gates import Pair
-from facerender.comparison.report import entry, save_heat_map, write_report
+from facerender.comparison.pictures import save_heat_map
+from facerender.comparison.report import entry, write_report
 from facerender.image import Picture
 
 SIZE = (40, 48)  # height, width

@@ -71,7 +71,7 @@ def test_every_shading_compiles_without_a_warning(target, tmp_path):
     compile_all(
         target,
         tmp_path,
-        (program(shading.model.replace("-", "_"), target, glsl.shading_source(shading, m, target))
+        (program(shading.term.entry.file, target, glsl.term_source(shading.term, m, target))
          for shading in SHADINGS for m in (0.1, 0.25)),
     )  # fmt: skip
 
@@ -151,20 +151,20 @@ def test_with_a_constant_slope_the_callers_does_not_count(evaluate, lobe, m):
 
 @pytest.mark.parametrize("shading", SHADINGS, ids=str)
 def test_source_of_a_shading_is_its_brdf(evaluate, shading):
-    m = shading.m or 0.25
+    m = shading.term.m or 0.25
     inputs = directions(np.full(5000, m, np.float32), lowest=0.02)
     vectors = [inputs[axis].astype(float) for axis in "nlv"]
-    name = shading.model.replace("-", "_")
-    slope = "m" if shading.m is None else "1.7"
+    name = shading.term.model.replace("-", "_")
+    slope = "m" if shading.term.m is None else "1.7"
     call = f"fr_{name}(n, l, v, {slope}{', 0.028)' if name == 'cook_torrance' else ') * 0.028'}"
-    result = evaluate(glsl.shading_source(shading, 0.2), call, inputs)
-    expected = shading.brdf(*vectors, inputs["m"], 0.028)
+    result = evaluate(glsl.term_source(shading.term, 0.2), call, inputs)
+    expected = shading.term.brdf(*vectors, inputs["m"], 0.028)
     np.testing.assert_allclose(result, expected, rtol=1e-3, atol=1e-5 / m**2)
 
 
 def test_source_of_a_shading_makes_every_choice():
-    shading = fr.Shading(lobe=GPower(8, 0.25, 0.5), fresnel="constant", masking="none", m=0.3)
-    lines = glsl.shading_source(shading, 0.3, "es300").split("\n")
+    term = fr.Term(lobe=GPower(8, 0.25, 0.5), fresnel="constant", masking="none", m=0.3)
+    lines = glsl.term_source(term, 0.3, "es300").split("\n")
     assert lines[0] == "#version 300 es"
     assert lines[1].endswith(
         ", lobe g-power 8 (0.25/m^2 - 0.5), m = 0.3 whatever the caller passes."
@@ -179,10 +179,10 @@ def test_source_of_a_shading_makes_every_choice():
     ]
     conditions = " ".join(line for line in lines if re.match("#(if|el)", line))
     assert not re.search(r"FR_(LOBE|G|STEEPNESS|FRESNEL|MASKING|SLOPE)\b", conditions)
-    exact = glsl.shading_source(fr.Shading(), 0.1)
+    exact = glsl.term_source(fr.Term(), 0.1)
     assert "#define FR_SMALL_SLOPE 0\n" not in exact
-    assert "#define FR_SMALL_SLOPE 0\n" in glsl.shading_source(fr.Shading(), 0.2)
-    assert "#define FR_SMALL_SLOPE 0\n" not in glsl.shading_source(fr.Shading(m=0.1), 0.3)
+    assert "#define FR_SMALL_SLOPE 0\n" in glsl.term_source(fr.Term(), 0.2)
+    assert "#define FR_SMALL_SLOPE 0\n" not in glsl.term_source(fr.Term(m=0.1), 0.3)
 
 
 @pytest.mark.parametrize("k", [4, 0])

@@ -19,11 +19,11 @@ import pytest
 import facerender as fr
 from facerender.comparison.gates import STRICT, Limits
 from facerender.drawing.context import Backend
-from facerender.drawing.frame import ONLY, Only
 from facerender.scenes.light import LIGHTS
+from facerender.scenes.scene import ONLY, Only
 from tests import awkward_files as files
 from tests.conftest import missing, require_backend
-from tests.test_renderer import SHADINGS
+from tests.test_renderer import SHADINGS, told
 
 SIZE = (128, 128)
 CLOSE = fr.Camera(azimuth=-30.0, elevation=5.0, zoom=1.25)
@@ -71,10 +71,10 @@ def agrees(facerender_snapshot) -> Compare:
     return check
 
 
-@pytest.mark.parametrize("shading", SHADINGS, ids=lambda s: f"{s.model}-{s.lobe}-{s.fresnel}")
+@pytest.mark.parametrize("shading", SHADINGS, ids=told)
 def test_shadings(small, meshes, agrees, shading):
     frame = small.render(fr.Scene(meshes["bare"], CLOSE), shading, "specular")
-    agrees(frame, f"bare-{shading.model}-{shading.lobe}-{shading.fresnel}")
+    agrees(frame, f"bare-{told(shading)}")
 
 
 @pytest.mark.parametrize("model", ["cook-torrance", "ward"])

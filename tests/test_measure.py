@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import json
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import facerender as fr
 from facerender.commands import main
-from facerender.errors import NotMeasured
+from facerender.errors import InputError, NotMeasured
 from facerender.measure import error, run
+from facerender.measure.measurement import MODELS, SCHEMA, ImageError, Measurement
 from facerender.pricing import amd, cost
-from facerender.pricing.variants import lobe_terms, terms
+from facerender.pricing.interval import Interval, bootstrap
+from facerender.pricing.variants import Variant, lobe_terms, of_model, terms
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing
+
+MEASUREMENT = Path(__file__).parents[1] / "docs" / "measurements" / "llvmpipe.json"
 
 
 def powers(count):
@@ -37,9 +42,9 @@ def test_slope_sees_what_costs_more(egl):
 
 def test_interval_covers_the_spread_of_the_repeats():
     times = np.array([5.0, 1.0, 1.1, 0.9, 1.05, 0.95, 9.0, 1.0])
-    (found,) = cost.bootstrap(lambda turns: np.quantile(times[turns], [0.25], axis=0), 8)
-    assert found.value == pytest.approx(0.9875)
-    assert 0.9 <= found.low <= found.value <= found.high < 5.0
+    (interval,) = bootstrap(lambda turns: np.quantile(times[turns], [0.25], axis=0), 8)
+    assert interval.value == pytest.approx(0.9875)
+    assert 0.9 <= interval.low <= interval.value <= interval.high < 5.0
 
 
 def test_frames_are_timed_for_each_shading(egl, head):
@@ -100,14 +105,39 @@ def test_image_errors_are_those_of_the_shadings(egl, head):
     assert exact.steps <= 1 < d16.steps
 
 
-@pytest.mark.parametrize("model", run.MODELS)
+@pytest.mark.parametrize("model", MODELS)
 def test_every_lobe_is_measured(model):
-    assert set(fr.lobes.NAMES) < set(terms(model))
+    variants = of_model(model)
+    names = [variant.name for variant in variants]
+    assert len(set(names)) == len(names)
+    assert list(terms(model)) == names
+    assert set(fr.lobes.NAMES) < set(names)
     assert set(fr.lobes.NAMES) < set(lobe_terms(model))
-    names = {name: run.lobe_of(name) for name in terms(model)}
-    assert names["printed, d16"] == "d16"
-    assert names["exact, m >= 0.2"] == "exact"
-    assert names["fitted-fine"] == "fitted-fine"
+    lobe = {variant.name: variant.lobe for variant in variants}
+    assert lobe["printed, d16"] == "d16"
+    assert lobe["exact, m >= 0.2"] == "exact"
+    assert lobe["fitted-fine"] == "fitted-fine"
+
+
+def test_json_of_a_measurement_is_read_and_written_unchanged():
+    text = MEASUREMENT.read_text(encoding="utf-8")
+    measurement = Measurement.from_dict(json.loads(text))
+    assert json.dumps(measurement.as_dict(), indent=1) + "\n" == text
+    assert Measurement.from_dict(measurement.as_dict()) == measurement
+    d16 = next(row for row in measurement.of_model("ward") if row.variant.name == "d16")
+    assert d16.variant == Variant("ward", "d16")
+    assert isinstance(d16.cost.term_ns, Interval)
+    assert isinstance(d16.cost.navi21, amd.Statistics)
+    assert isinstance(d16.error.image, ImageError)
+
+
+def test_json_that_is_no_measurement_of_this_version_is_refused():
+    with pytest.raises(InputError, match=r"schema is 'facerender.measure/9', not .*; measure anew"):
+        Measurement.from_dict({"schema": "facerender.measure/9"})
+    content = json.loads(MEASUREMENT.read_text(encoding="utf-8"))
+    content["variants"][0]["name"] = "blinn"
+    with pytest.raises(InputError, match=r"unknown variant, 'blinn' of 'cook-torrance'; measure"):
+        Measurement.from_dict(content)
 
 
 def test_what_is_missing_is_said_and_the_rest_measured(egl, head, monkeypatch):
@@ -115,35 +145,36 @@ def test_what_is_missing_is_said_and_the_rest_measured(egl, head, monkeypatch):
         raise NotMeasured("no RADV: apt-get install mesa-vulkan-drivers")
 
     monkeypatch.setattr(amd, "statistics", none)
-    one = cost.Interval(1.0, 0.9, 1.1)
+    one = Interval(1.0, 0.9, 1.1)
     monkeypatch.setattr(cost, "by_slope", lambda terms, *rest: dict.fromkeys(terms, one))
     stages = []
-    data, images = run.measure(
+    measurement, triptychs = run.measure(
         head, 0.65, quick=True, backend=egl, progress=lambda what, done: stages.append(what)
     )
-    assert data["not_measured"] == [
+    assert measurement.not_measured == [
         f"{family}: no RADV: apt-get install mesa-vulkan-drivers" for family in amd.FAMILIES
     ]
-    assert data["environment"]["amd_driver"] is None
+    assert measurement.amd_driver is None
     assert "ward: frames" in stages
-    rows = {(row["model"], row["name"]): row for row in data["variants"]}
-    assert len(rows) == 2 * len(terms("ward"))
+    rows = {row.variant: row for row in measurement.variants}
+    assert len(rows) == len(measurement.variants) == 2 * len(terms("ward"))
     for row in rows.values():
-        assert row["cost"]["navi21"] is None
-        assert row["cost"]["term_ns"] == {"value": 1.0, "low": 0.9, "high": 1.1}
-    d16 = rows["cook-torrance", "d16"]
-    assert d16["error"]["lobe"]["0.4"] == pytest.approx(9.50, abs=0.01)
-    assert d16["error"]["image"]["largest"] > 0.1
-    printed = rows["cook-torrance", "printed, d16"]["error"]
-    assert printed["image"] is None
-    assert printed["lobe"]["0.2"] == pytest.approx(2.33e6, rel=0.01)  # it has no clamp
-    assert rows["ward", "exact, m >= 0.2"]["error"]["lobe"] | {"0.1": 0.0} == dict.fromkeys(
-        printed["lobe"], 0.0
-    )
-    assert images["ward exact"].shape == (256, 256, 3)
+        assert row.cost.navi21 is None
+        assert row.cost.term_ns == one
+    d16 = rows[Variant("cook-torrance", "d16")].error
+    assert d16.lobe["0.4"] == pytest.approx(9.50, abs=0.01)
+    assert d16.image.largest > 0.1
+    printed = rows[Variant("cook-torrance", "d16", printed=True)].error
+    assert printed.image is None
+    assert printed.lobe["0.2"] == pytest.approx(2.33e6, rel=0.01)  # it has no clamp
+    plain = rows[Variant("ward", "exact", plain=True)].error
+    assert plain.lobe["0.1"] is None
+    assert {**plain.lobe, "0.1": 0.0} == dict.fromkeys(printed.lobe, 0.0)
+    drawn = {(triptych.model, triptych.lobe): triptych for triptych in triptychs}
+    assert drawn["ward", "d16"].exact.shape == (256, 256, 3)
     assert (
-        images["cook-torrance d16 difference x8"].max()
-        > images["cook-torrance fitted difference x8"].max()
+        drawn["cook-torrance", "d16"].difference.max()
+        > drawn["cook-torrance", "fitted"].difference.max()
     )
 
 
@@ -156,7 +187,7 @@ def test_command_writes_everything(egl, tmp_path, capsys):
     assert "dominated" in printed.out
     assert printed.err.splitlines()[-1] == str(folder / "index.html")
     data = json.loads((folder / "measure.json").read_text(encoding="utf-8"))
-    assert data["schema"] == run.SCHEMA
+    assert data["schema"] == SCHEMA
     assert data["settings"]["mesh"] == MINI_HEAD.name
     assert all(x["cost"]["term_ns"]["value"] > 0.0 for x in data["variants"])
     if data["not_measured"]:

@@ -13,14 +13,16 @@ from tests.conftest import require_backend
 
 ROOT = Path(__file__).parents[1]
 
-# What may be imported without OpenGL; see the arrows in the README.
+# What may be imported without OpenGL; see the arrows in CONTRIBUTING.md.
 WITHOUT_GL = [
     *("errors", "data", "image", "lobes", "brdf", "shading", "loading"),
     *("glsl.library", "glsl.catalogue", "glsl.includes"),
     *("scenes.scene", "scenes.file", "scenes.view", "scenes.texture"),
     *("drawing.frame", "drawing.reference", "drawing.prepare"),
-    *("comparison.gates", "comparison.goldens", "comparison.report"),
-    *("pricing.amd", "pricing.variants"),
+    *("comparison.gates", "comparison.flip", "comparison.pictures"),
+    *("comparison.goldens", "comparison.report", "page.document"),
+    *("pricing.amd", "pricing.interval", "pricing.variants"),
+    *("measure.measurement", "measure.pareto", "measure.tables", "measure.plots", "measure.report"),
 ]
 
 
@@ -57,10 +59,15 @@ def test_wheel_renders_away_from_the_checkout(tmp_path):
         "import facerender, sys; from facerender.commands import main\n"
         f"assert facerender.__file__.startswith({str(site)!r})\n"
         f"assert str(facerender.shader_dir()).startswith({str(site)!r})\n"
-        "sys.exit(main(['render', '-o', 'head.png', '--size', '64']))"
+        "assert main(['render', '-o', 'head.png', '--size', '64']) == 0\n"
+        "sys.exit(main(['compare', 'head.png', 'head.png', '--report', 'report.html']))"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path, env=environment)
     assert (tmp_path / "head.png").stat().st_size > 1000
+    report = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for name in ("page.css", "viewer.js"):
+        assert (ROOT / "facerender" / "page" / name).read_text(encoding="utf-8") in report
+    assert (site / "facerender" / "measure" / "reproduce" / "scalar.c").is_file()
     command = [sys.executable, "-m", "pytest", "--facerender-unused=fail"]  # it knows the plugin
     result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True)
     assert result.returncode == pytest.ExitCode.NO_TESTS_COLLECTED

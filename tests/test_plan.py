@@ -162,12 +162,18 @@ def test_every_term_is_a_candidate(bare):
         (Shading("ward-printed"), {"ward-printed"}, set()),
     ):
         found = list(candidates(scene, full, Constants(0.15, 1.0, (0,))))
-        assert {each.model for each in found} == models
-        assert {each.lobe for each in found if isinstance(each.lobe, str)} == set(lobes.NAMES)
-        assert {each.lobe.g for each in found if isinstance(each.lobe, GPower)} == set(G_POWERS)
-        assert {each.small_slope for each in found} == {None, False}
-        assert {each.m for each in found} == {None, 0.15}
-        factors = {(c.fresnel, c.masking) for c in found if c.model == "cook-torrance"}
+        assert {each.term.model for each in found} == models
+        assert {each.term.lobe for each in found if isinstance(each.term.lobe, str)} == set(
+            lobes.NAMES
+        )
+        assert {each.term.lobe.g for each in found if isinstance(each.term.lobe, GPower)} == set(
+            G_POWERS
+        )
+        assert {each.term.small_slope for each in found} == {None, False}
+        assert {each.term.m for each in found} == {None, 0.15}
+        factors = {
+            (c.term.fresnel, c.term.masking) for c in found if c.term.model == "cook-torrance"
+        }
         assert factors == set(product(fresnel, ("v-cavity", "kelemen", "none")))
 
 
@@ -182,7 +188,7 @@ def test_candidates_are_distinct_and_the_full_one_is_among_them(head, bare):
         whole = {(None, ()), ((0, 1), ()), ((1,), ()), ((), ())}
         near = {(None, (1,)), (None, (1, 2)), ((0, 1), (1,))}
         assert frontal == whole | near
-    assert {each.m for each in found} == {0.8}  # what is told is left
+    assert {each.term.m for each in found} == {0.8}  # what is told is left
     assert {each.ks for each in found} == {0.5}
     assert {(each.normal_map, each.ambient) for each in found} == set(
         product([True, False], [True, False])
@@ -197,7 +203,8 @@ def test_lights_go_in_the_order_of_what_they_show(small, subject):
     constants = fr.plan(scene, "1/255", renderer=small).constants
     gbuffer = small.gbuffer(scene)
     whole, near = (
-        reference.layers(gbuffer, scene, each).specular for each in (Shading(), Shading().frontal)
+        reference.layers(gbuffer, scene, each).specular
+        for each in (Shading(), Shading(term=fr.Term().frontal))
     )
     losses = np.abs(near - whole)
     for order, shown in ((constants.faintest, whole), (constants.frontal, losses)):
@@ -240,7 +247,7 @@ def test_what_is_drawn_with_several_samples_counts(egl, subject, monkeypatch):
 
     def with_a_flaw(self, scene, shading):
         image = draw(self, scene, shading)
-        image[10, 10] += 0.5 * (shading.fresnel == "constant")
+        image[10, 10] += 0.5 * (shading.term.fresnel == "constant")
         return image
 
     at = subject("constant m")
@@ -253,7 +260,7 @@ def test_what_is_drawn_with_several_samples_counts(egl, subject, monkeypatch):
     assert sound.error.drawn == pytest.approx(Budget(1.0).errors(*images).max())
     assert 0.0 < sound.error.drawn <= 2 / 255
     assert "as drawn" in sound.explain()
-    assert sound.shading.fresnel == "constant" != flawed.shading.fresnel
+    assert sound.shading.term.fresnel == "constant" != flawed.shading.term.fresnel
     assert sound.cost.total < flawed.cost.total
     assert flawed.tried < 10  # what failed once is not tried again with others
 
@@ -341,7 +348,7 @@ def every_view(random_state, light, slope, weight, albedo=1.0):
 
 def worst_of_the_bound(gbuffer, scene, shading, full):
     """The largest share of the bound that the error of a shading is."""
-    own = gbuffer if shading.m is None else replace(gbuffer, m=0 * gbuffer.m + shading.m)
+    own = gbuffer if shading.term.m is None else replace(gbuffer, m=0 * gbuffer.m + shading.term.m)
     images = [reference.shade(at, scene, each) for at, each in ((own, shading), (gbuffer, full))]
     worst = 0.0
     for budget in (Budget(1.0, "display", 1.0), Budget(1.0, "relative")):
@@ -518,8 +525,8 @@ def plans(small, head, bare, subject):
     found = [fr.plan(scene, budget, renderer=small) for scene, budget in scenes]
     found.append(fr.plan(fr.Scene(mesh, lights=KEY), "1/255", guarantee=True))
     assert len({plan.shading for plan in found}) > 6
-    assert any(isinstance(plan.shading.lobe, GPower) for plan in found)
-    assert any(plan.shading.model == "ward" for plan in found)
+    assert any(isinstance(plan.shading.term.lobe, GPower) for plan in found)
+    assert any(plan.shading.term.model == "ward" for plan in found)
     assert any(plan.shading.frontal_lights for plan in found)
     assert any(plan.shading == plan.full for plan in found)
     return found
@@ -565,7 +572,7 @@ def test_what_a_decision_adds_and_saves(plans, small):
         for each in plan.decisions:
             names = TERM if each.name == "model" and each.changed else (each.name,)
             if each.changed:
-                base = replace(plan.full, m=plan.shading.m) if "lobe" in names else plan.full
+                base = plan.full.replace(m=plan.shading.term.m) if "lobe" in names else plan.full
                 expected = errors([with_decisions(base, plan.shading, names)])
                 assert each.error == pytest.approx(expected[0], rel=1e-9, abs=1e-12)
                 saved = cost(with_decisions(plan.shading, plan.full, names)) - plan.cost.total
@@ -634,10 +641,10 @@ def test_its_shader_compiles(target, plans, tmp_path):
             line for line in text.splitlines()[1:] if line.startswith("// ")
         ][: len(plan.explain().splitlines())]
         call = "fr_cook_torrance(n, n, n, 0.9, 0.028)"
-        if plan.shading.model != "cook-torrance":
-            call = f"fr_{plan.shading.model.replace('-', '_')}(n, n, n, 0.9)"
-        if plan.shading.m is not None:
-            assert f"#define FR_SLOPE(m) {plan.shading.m!r}\n" in text
+        if plan.shading.term.model != "cook-torrance":
+            call = f"fr_{plan.shading.term.model.replace('-', '_')}(n, n, n, 0.9)"
+        if plan.shading.term.m is not None:
+            assert f"#define FR_SLOPE(m) {plan.shading.term.m!r}\n" in text
         path = tmp_path / f"{number}.frag"
         main = f"void main() {{ vec3 n = vec3(0.0, 0.0, 1.0); result = vec4({call}); }}"
         path.write_text(f"{text}\n{OUTPUT[target]}out vec4 result;\n{main}\n")

@@ -107,7 +107,7 @@ def test_emit(target, plan, cli, found):
     assert text.decode("ascii") == found.shader(target)
     assert cli.written == ["lean.glsl"]
     call = "fr_cook_torrance(vec3(0.0), vec3(1.0), vec3(1.0), 0.3, 0.028)"
-    assert found.shading.model == "cook-torrance"
+    assert found.shading.term.model == "cook-torrance"
     shader = path.with_suffix(".frag")
     main = f"{OUTPUT[target]}out vec4 result;\nvoid main() {{ result = vec4({call}); }}\n"
     shader.write_bytes(text + main.encode())
@@ -141,8 +141,8 @@ def test_a_pinned_scene_holds_a_g_power(plan, cli):
     pinned = cli.folder / "pinned.toml"
     plan("--budget", "1/255", "--m", "0.3", "--scene", pinned)
     shading = Shading.from_dict(load_scene(pinned)["shading"])
-    assert isinstance(shading.lobe, GPower)
-    assert cli.describe("--scene", pinned)["lobe"] == str(shading.lobe)
+    assert isinstance(shading.term.lobe, GPower)
+    assert cli.describe("--scene", pinned)["lobe"] == str(shading.term.lobe)
 
 
 def test_from_a_scene_file(plan, cli, tmp_path):
@@ -384,7 +384,7 @@ def test_render_within_a_budget_as_json(cli, found):
     options = ("--light", "key", "--budget", "2/255", "--samples", "1")
     facts = cli.describe(*options)
     assert facts["plan"] == json.loads(json.dumps(found.as_dict()))
-    assert facts["lobe"] == str(Shading.from_dict(facts["plan"]["shading"]).lobe)
+    assert facts["lobe"] == str(Shading.from_dict(facts["plan"]["shading"]).term.lobe)
     assert "plan" not in cli.describe("--light", "key")
 
 

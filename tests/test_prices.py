@@ -12,6 +12,7 @@ from PIL import Image
 
 import facerender as fr
 from facerender.errors import NotMeasured
+from facerender.glsl.code import term_macros
 from facerender.lobes import GPower
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing import amd, fragment
@@ -145,7 +146,8 @@ def test_the_compiler_agrees_with_the_table(radv, bare):
     if not table.source.startswith(radv):
         missing(f"{radv} is here, and the table is {table.source}")
     here = load_prices("radv:navi21", scene, wanted)
-    assert set(here.terms) >= {term_name(each, 0.3) for each in (*wanted, wanted[-1].frontal)}
+    terms = [*(each.term for each in wanted), wanted[-1].term.frontal]
+    assert set(here.terms) >= {term_name(each, 0.3) for each in terms}
     for shading in wanted:
         assert here.cost(scene, shading) == pytest.approx(table.cost(scene, shading), rel=0.05)
 
@@ -155,20 +157,12 @@ def test_prices_of_frontal_lights_add_up_to_a_program(radv, family, bare):
     mesh = bare.with_material(m=0.3, occlusion_map=None)
     scene = fr.Scene(mesh, lights=(LIGHTS["rim"], *KEY, LIGHTS["fill"]), ambient=0.0)
     wanted = [
-        replace(shading, frontal_lights=frontal)
+        shading.replace(frontal_lights=frontal)
         for frontal in ((1,), (1, 2), (0, 1, 2))
         for shading in (Shading(), Shading(m=0.3), Shading(fresnel="dielectric", lobe="d8"))
     ]
-    programs = [
-        fragment.Program(
-            directional_lights=3,
-            directional_specular=3 - len(shading.frontal_lights),
-            directional_frontal=len(shading.frontal_lights),
-        )
-        for shading in wanted
-    ]
-    glsl = [shading.glsl(0.3) for shading in wanted]
-    whole = fragment.cycles(list(zip(programs, glsl, strict=True)), family)
+    lit = fragment.scene_with(directional=3)
+    whole = fragment.cycles([fragment.program_of(lit, shading) for shading in wanted], family)
     table = load_prices(f"radv:{family}", scene, wanted)
     for shading, compiled in zip(wanted, whole, strict=True):
         assert table.cost(scene, shading)[0] == pytest.approx(compiled, rel=0.03), shading
@@ -221,7 +215,7 @@ def test_what_is_asked_for_is_priced_as_it_is_compiled(monkeypatch, bare):
     monkeypatch.setattr(prices, "compiled", spy)
     scene = fr.Scene(bare.with_material(m=0.15))
     load_prices("radv:navi21", scene, [Shading(), Shading(lobe="d16", m=0.3)])
-    assert {name: "FR_SMALL_SLOPE" in each.macros(0.3) for name, each in asked.items()} == {
+    assert {name: "FR_SMALL_SLOPE" in term_macros(each, 0.3) for name, each in asked.items()} == {
         "cook-torrance exact schlick v-cavity": False,
         "cook-torrance exact schlick v-cavity plain": True,
         "cook-torrance d16 schlick v-cavity": False,

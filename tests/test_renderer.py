@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import json
 import resource
 import shutil
 import weakref
@@ -20,11 +21,23 @@ from facerender.comparison.gates import block_error, point_error
 from facerender.drawing import reference
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.host import CAPABILITIES, STATE
+from facerender.drawing.passes.shade import shade_pass
+from facerender.drawing.prepare import simplify
+from facerender.drawing.program import LightGroup, Program
+from facerender.glsl.code import prelude
 from facerender.lobes import GPower
 from facerender.scenes import texture
 from facerender.scenes.scene import slope_ranges
+from facerender.scenes.view import view_of
+from facerender.terms import MODELS, Model
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_backend
+
+
+def told(shading: fr.Shading) -> str:
+    term = shading.term
+    return f"{term.model}-{term.lobe}-{term.fresnel}"
+
 
 SIDE = fr.Camera(azimuth=35.0, elevation=8.0)
 SHADINGS = [
@@ -83,13 +96,13 @@ def transparent(backend: Backend) -> Iterator[fr.Renderer]:
         yield renderer
 
 
-@pytest.mark.parametrize("shading", SHADINGS, ids=lambda s: f"{s.model}-{s.lobe}-{s.fresnel}")
+@pytest.mark.parametrize("shading", SHADINGS, ids=told)
 def test_every_pixel_of_the_head_agrees_with_float64(transparent, head, shading):
     scene = lit(head, background=None)
     assert worst_error(transparent, scene, shading) < 1e-4
 
 
-@pytest.mark.parametrize("shading", SHADINGS, ids=lambda s: f"{s.model}-{s.lobe}-{s.fresnel}")
+@pytest.mark.parametrize("shading", SHADINGS, ids=told)
 def test_every_pixel_of_the_scan_agrees_with_float64(transparent, scan_mesh, shading):
     scene = lit(scan_mesh, background=None)
     assert worst_error(transparent, scene, shading) < 1e-4
@@ -118,32 +131,42 @@ def test_layers_are_the_specular_terms_of_the_lights(renderer, head, light):
         np.testing.assert_allclose(linear, expected, rtol=1e-4, atol=1e-6)
 
 
-def test_what_a_shading_leaves_out_is_not_compiled(egl, head):
+def programs_of(scene: fr.Scene, shading: fr.Shading) -> list[Program]:
+    """What the renderer would compile."""
+    scene = simplify(scene, shading)
+    return [draw.program for draw in shade_pass(scene, view_of(scene, 1.0), shading, 1).draws]
+
+
+def test_what_a_shading_leaves_out_is_not_compiled(head):
     scene = mixed(head)
     surface = fr.Shading(m=0.3, ks=0.5, normal_map=False, ambient=False)
-    reduced = replace(surface, specular_lights=(0, 1, 2), frontal_lights=(1, 3))
-    with fr.Renderer((32, 32), samples=1, backend=egl) as renderer:
-        renderer.render(scene, reduced)
-        (program,) = renderer._programs
-    lines = program.splitlines()
-    for left_out in ("NORMAL_MAP", "OCCLUSION_MAP", "ROUGHNESS_MAP", "SPECULAR_MAP", "AMBIENT"):
-        assert f"#define {left_out}" not in lines
-    assert {
-        *("#define DIRECTIONAL_LIGHTS 3", "#define DIRECTIONAL_SPECULAR 1"),
-        *("#define DIRECTIONAL_FRONTAL 1", "#define POINT_FRONTAL 0"),
-        *("#define POINT_LIGHTS 2", "#define POINT_SPECULAR 1", "#define FR_SLOPE(m) 0.3"),
-    } <= set(lines)
+    (program,) = programs_of(
+        scene, surface.replace(specular_lights=(0, 1, 2), frontal_lights=(1, 3))
+    )
+    left_out = {"NORMAL_MAP", "OCCLUSION_MAP", "ROUGHNESS_MAP", "SPECULAR_MAP", "AMBIENT"}
+    assert not left_out & set(program.features)
+    assert program.lights == (
+        *(LightGroup("directional", 0, 1), LightGroup("directional", 1, 1)),
+        *(LightGroup("directional", -1, 1), LightGroup("point", 0, 1)),
+        LightGroup("point", -1, 1),
+    )
+    whole, frontal = program.calls
+    assert whole == (
+        "fr_cook_torrance_terms(n, l, v, 0.3, f0, FR_LOBE_EXACT, FR_FRESNEL_SCHLICK, "
+        "FR_MASKING_V_CAVITY)"
+    )
+    assert frontal == whole.replace("SCHLICK", "CONSTANT").replace("V_CAVITY", "NONE")
 
 
 def test_simplified_scenes_and_materials(head):
     scene = lit(head.with_material(specular_map=head.materials[0].roughness_map))
-    reduced = fr.Shading(m=0.3, ks=0.5, normal_map=False, ambient=False).simplify(scene)
+    reduced = simplify(scene, fr.Shading(m=0.3, ks=0.5, normal_map=False, ambient=False))
     (before,), (material,) = scene.mesh.materials, reduced.mesh.materials
     none = dict.fromkeys(("roughness_map", "specular_map", "normal_map", "occlusion_map"))
     assert None not in [getattr(before, name) for name in none]
     assert material == replace(before, m=0.3, ks=0.5, **none)
     assert reduced == replace(scene, mesh=reduced.mesh, ambient=0.0)
-    assert fr.Shading("ward", "d8").simplify(scene) is scene
+    assert simplify(scene, fr.Shading("ward", "d8")) is scene
 
 
 def test_reduced_meshes_and_their_maps_are_kept(egl, monkeypatch):
@@ -153,15 +176,16 @@ def test_reduced_meshes_and_their_maps_are_kept(egl, monkeypatch):
     shading = fr.Shading(m=0.3, ks=0.5)
     with fr.Renderer((64, 64), samples=1, backend=egl) as renderer:
         first = renderer.render(scene, shading)
-        decoded, uploaded = len(made), list(renderer._textures.values())
+        decoded, uploaded = len(made), list(renderer._resources.textures.values())
         assert decoded > 0, "occlusion without the roughness is a map of its own"
         gc.collect()
         again = renderer.render(scene, replace(shading))
         assert len(made) == decoded
-        assert [*map(id, renderer._textures.values())] == [*map(id, uploaded)]
+        assert [*map(id, renderer._resources.textures.values())] == [*map(id, uploaded)]
     np.testing.assert_array_equal(again.linear, first.linear)
-    assert shading.simplify(scene).mesh is shading.simplify(scene).mesh
-    assert shading.simplify(scene).mesh is not replace(shading, m=0.2).simplify(scene).mesh
+    assert simplify(scene, shading).mesh is simplify(scene, shading).mesh
+    other = shading.replace(m=0.2)
+    assert simplify(scene, shading).mesh is not simplify(scene, other).mesh
 
 
 def test_data_views_are_of_the_reduced_scene(renderer, head):
@@ -284,34 +308,79 @@ def test_d16_shows_no_false_highlight_at_grazing_angles(renderer, head, monkeypa
 
 
 def test_only_what_the_scene_needs_is_compiled(head):
-    from facerender.drawing import renderer
-
     scene = fr.Scene(head)
-    specular = fr.Shading().glsl(0.3)
-    key, rim, fill = scene.lights
-    point = fr.Light(position=(0.2, 0.3, 0.5))
-    lights = ([key], [rim, point], [fill, point])
-    full = renderer._shade_defines(head.parts[0], head.materials[0], scene, lights, specular, None)
-    counts = {"LIGHTS": (3, 2), "SPECULAR": (1, 0), "FRONTAL": (1, 1)}
-    for name, (directional, points) in counts.items():
-        assert f"#define DIRECTIONAL_{name} {directional}" in full.splitlines()
-        assert f"#define POINT_{name} {points}" in full.splitlines()
-    assert {"#define ALBEDO_MAP", "#define NORMAL_MAP", "#define AMBIENT"} <= set(full.splitlines())
+    (full,) = programs_of(scene, fr.Shading())
+    assert {"ALBEDO_MAP", "NORMAL_MAP", "AMBIENT", "DIFFUSE"} <= set(full.features)
+    assert full.lights == (LightGroup("directional", 0, 3),)
     plain = head.with_material(normal_map=None, roughness_map=None, occlusion_map=None, ks=0.0)
-    bare = renderer._shade_defines(
-        plain.parts[0],
-        plain.materials[0],
-        replace(scene, mesh=plain, ambient=0.0, lights=()),
-        ([], [], []),
-        specular,
-        None,
+    dark = replace(scene, mesh=plain, ambient=0.0, lights=())
+    assert programs_of(dark, fr.Shading()) == [
+        Program("shade.frag", features=("ALBEDO_MAP", "UV", "DIFFUSE"), lights=())
+    ]
+
+
+def test_a_program_does_not_depend_on_how_bright_a_light_is(head):
+    scene = fr.Scene(head)
+    brighter = tuple(replace(light, irradiance=9.0, azimuth=5.0) for light in scene.lights)
+    assert programs_of(scene, fr.Shading()) == programs_of(
+        replace(scene, lights=brighter), fr.Shading()
     )
-    assert bare.split("\n") == [
-        "#define ALBEDO_MAP", "#define UV", "#define DIRECTIONAL_LIGHTS 0",
-        "#define DIRECTIONAL_SPECULAR 0", "#define DIRECTIONAL_FRONTAL 0",
-        "#define POINT_LIGHTS 0", "#define POINT_SPECULAR 0", "#define POINT_FRONTAL 0",
-        "#define DIFFUSE", "",
-    ]  # fmt: skip
+
+
+LIGHTS_OF_THEIR_OWN = [  # of five; several lobes and slopes in one program
+    fr.Shading(lights={1: {"lobe": "d16"}, 3: {"lobe": "fitted", "masking": "kelemen"}, 4: None}),
+    fr.Shading(lights={0: {"model": "ward", "m": 0.15}, 2: {"lobe": GPower(6, 0.3)}}),
+    fr.Shading("ward", lights={1: {"m": 0.45, "lobe": "cosine"}}, others=False),
+    fr.Shading(m=0.3, lights={1: {"m": 0.1, "small_slope": True}, 3: {"model": "ward"}}),
+]
+
+
+@pytest.mark.parametrize("shading", LIGHTS_OF_THEIR_OWN, ids=str)
+def test_lights_with_terms_of_their_own_agree_with_float64(transparent, head, shading):
+    assert worst_error(transparent, mixed(head), shading) < 1e-4
+    again = fr.Shading.from_dict(json.loads(json.dumps(shading.as_dict())))
+    assert again == shading
+
+
+def test_two_g_powers_in_one_program_are_refused():
+    with pytest.raises(fr.InputError, match="g-power . .* and g-power . .* in one shading"):
+        fr.Shading(lobe=GPower(4, 0.5), lights={1: {"lobe": GPower(6, 0.3)}})
+
+
+def test_a_model_may_call_a_term_twice(egl, head, monkeypatch, tmp_path):
+    """Two lobes, as skin has them: of the slope, and of half of it."""
+    shaders = tmp_path / "shaders"
+    shutil.copytree(fr.shader_dir(), shaders)
+    (shaders / "facerender/two_lobes.glsl").write_text(
+        '#include "facerender/cook_torrance.glsl"\n'
+        "float two_lobes(vec3 n, vec3 l, vec3 v, float m, float f0, int lobe, int f, int g) {\n"
+        "    return 0.7 * fr_cook_torrance_terms(n, l, v, m, f0, lobe, f, g)\n"
+        "        + 0.3 * fr_cook_torrance_terms(n, l, v, 0.5 * m, f0, lobe, f, g);\n"
+        "}\n"
+    )
+
+    def two_lobes(n, l, v, m, f0, /, **terms):
+        one, other = (fr.brdf.cook_torrance(n, l, v, x, f0, **terms) for x in (m, 0.5 * m))
+        return 0.7 * one + 0.3 * other
+
+    entry = Model(
+        name="two-lobes",
+        title="Two lobes",
+        file="two_lobes",
+        call="two_lobes(n, l, v, {m}, f0, {lobe}, {fresnel}, {masking})",
+        k=4,
+        evaluate=two_lobes,
+        factors=True,
+        family="physical",
+    )
+    monkeypatch.setitem(MODELS, "two-lobes", entry)
+    monkeypatch.setattr("facerender.glsl.library.shader_dir", lambda: shaders)
+    with fr.Renderer((256, 256), samples=1, backend=egl) as renderer:
+        for chosen in ({}, {"lobe": "d16", "frontal_lights": (0,)}):
+            shading = fr.Shading("two-lobes", small_slope=True, **chosen)
+            assert worst_error(renderer, mixed(head), shading) < 1e-4
+    with pytest.raises(fr.InputError, match="how large the model two-lobes may become"):
+        fr.plan(fr.Scene(head), "1/255", full=fr.Shading("two-lobes"), guarantee=True)
 
 
 def test_specular_and_diffuse_add_up_to_the_image(renderer, head):
@@ -608,13 +677,13 @@ def test_no_context_is_current():
 
 
 def test_a_renderer_does_not_keep_a_mesh_alive(renderer):
-    others = len(renderer._parts)
+    others = len(renderer._resources.geometries)
     mesh = fr.load_mesh(MINI_HEAD)
     renderer.render(fr.Scene(mesh))
     changed = mesh.with_material(m=0.2)
     renderer.render(fr.Scene(changed))
     renderer.render(fr.Scene(mesh), fr.Shading(m=0.25, ks=0.5, normal_map=False))
-    assert len(renderer._parts) == others + 1, "variants share their geometry"
+    assert len(renderer._resources.geometries) == others + 1, "variants share their geometry"
     dead = weakref.ref(mesh), weakref.ref(changed), weakref.ref(mesh.parts[0])
     del mesh, changed
     gc.collect()
@@ -727,23 +796,23 @@ def test_each_part_gets_the_lobe_that_its_slopes_allow(transparent, pair):
 def test_slope_range_chooses_the_form_of_the_half_vector(pair):
     ranges = slope_ranges(fr.Scene(pair))
     assert ranges[0] == (0.75, 0.75)
-    texts = [fr.Shading().for_slopes(*ends).glsl(ends[0]) for ends in ranges]
+    texts = [prelude([fr.Term().for_slopes(*ends)], ends[0]) for ends in ranges]
     assert ["FR_SMALL_SLOPE 0" in text for text in texts] == [True, False]
-    assert "FR_SMALL_SLOPE" not in fr.Shading(lobe="d16").glsl(0.5)
+    assert "FR_SMALL_SLOPE" not in prelude([fr.Term(lobe="d16")], 0.5)
     for smallest, plain in ((0.19, False), (0.2, True)):
-        assert ("FR_SMALL_SLOPE 0" in fr.Shading().glsl(smallest)) == plain
+        assert ("FR_SMALL_SLOPE 0" in prelude([fr.Term()], smallest)) == plain
 
 
-def test_shading_looks_at_both_ends_of_the_slopes():
-    shading = fr.Shading(lobe="d16", outside="exact")
-    assert shading.for_slopes(0.1, 0.7) is shading
-    assert shading.for_slopes(0.1, 0.8).lobe == "exact"
-    assert shading.for_slopes(1e-5 + 1e-4, 0.8).lobe == "exact"
+def test_a_term_looks_at_both_ends_of_the_slopes():
+    term = fr.Term(lobe="d16")
+    assert term.for_slopes(0.1, 0.7, "exact") is term
+    assert term.for_slopes(0.1, 0.8, "exact").lobe == "exact"
+    assert term.for_slopes(1e-5 + 1e-4, 0.8, "exact").lobe == "exact"
     for ends in ((1e-5, 0.3), (0.3, 5.0)):
         with pytest.raises(fr.InputError, match="outside the domain of lobe exact"):
-            shading.for_slopes(*ends)
+            term.for_slopes(*ends, "exact")
     with pytest.raises(fr.InputError, match="or use the lobe exact .facerender render: --outside"):
-        fr.Shading(lobe="d16").for_slopes(0.1, 0.8)
+        term.for_slopes(0.1, 0.8)
     with pytest.raises(fr.InputError, match="unknown choice outside the domain 'clamp'"):
         fr.Shading(outside="clamp")
 

@@ -11,7 +11,8 @@ import pytest
 
 from facerender import InputError
 from facerender.measure import plots, report
-from facerender.measure.pareto import measure_of, pareto
+from facerender.measure.measurement import Measurement, Triptych
+from facerender.measure.pareto import FRAME, TERM, measure_of, pareto
 
 COSTS = {  # ns, and largest error of the image as a fraction
     "printed, exact": (0.4, None),
@@ -52,7 +53,18 @@ def variant(name, cost, largest):
 def data():
     return {
         "schema": "facerender.measure/1",
-        "environment": {"GL_RENDERER": "<llvm> & pipe", "software": True, "cores": 1},
+        "environment": {
+            "date": "2026-01-31",
+            "facerender": "0.1.0",
+            "GL_RENDERER": "<llvm> & pipe",
+            "GL_VERSION": "4.5",
+            "software": True,
+            "processor": "x86",
+            "cores": 1,
+            "python": "3.11",
+            "numpy": "2.0",
+            "amd_driver": None,
+        },
         "settings": {"mesh": "head", "m": 0.3, "size": [8, 8], "repeats": 3, "quick": True},
         "variants": [variant(name, *values) for name, values in COSTS.items()],
         "curves": {"degrees": [0.0, 45.0, 90.0], "cook-torrance": {"d4": {"0.3": [0, -2.5, 0]}}},
@@ -61,13 +73,20 @@ def data():
 
 
 @pytest.fixture
-def images():
-    names = ("exact", "d16", "d16 difference x8")
-    return {f"cook-torrance {name}": np.zeros((8, 8, 3), np.uint8) for name in names}
+def triptychs():
+    return [Triptych("cook-torrance", "d16", *(np.zeros((8, 8, 3), np.uint8) for _ in range(3)))]
 
 
-def states(data, kind="term_ns"):
-    return {row.variant["name"]: row.dominated for row in pareto(data, "cook-torrance", kind)}
+def rows(data, kind=TERM):
+    return pareto(Measurement.from_dict(data), "cook-torrance", kind)
+
+
+def states(data):
+    return {row.variant.name: row.dominated for row in rows(data)}
+
+
+def compared(data):
+    return measure_of(Measurement.from_dict(data), "cook-torrance")
 
 
 def test_dominated(data):
@@ -84,7 +103,7 @@ def test_dominated(data):
 
 
 def test_costs_whose_intervals_overlap_count_as_equal(data):
-    costs = {each["name"]: each["cost"]["term_ns"] for each in data["variants"]}
+    costs = {variant["name"]: variant["cost"]["term_ns"] for variant in data["variants"]}
     costs["d4"] |= {"value": 0.69, "low": 0.68, "high": 0.72}
     assert states(data)["d4"]  # "exact, m >= 0.2" at 0.7 is as cheap for all we know
     costs["d8"]["low"] = costs["d16"]["low"] = costs["cosine"]["low"] = 0.5
@@ -93,33 +112,34 @@ def test_costs_whose_intervals_overlap_count_as_equal(data):
 
 
 def test_rows_are_ordered_by_cost_and_the_unmeasured_come_last(data):
-    costs = [row.cost for row in pareto(data, "cook-torrance", "term_ns")]
+    costs = [row.cost for row in rows(data)]
     assert costs == sorted(costs)
-    frames = pareto(data, "cook-torrance", "frame_ms")
-    assert [row.variant["name"] for row in frames].index("exact") == 0
+    frames = rows(data, FRAME)
+    assert [row.variant.name for row in frames].index("exact") == 0
     assert not any(row.dominated for row in frames)
 
 
 def test_the_lobe_stands_in_where_an_image_is_missing(data):
-    assert measure_of(data, "cook-torrance") == "image"
+    assert compared(data) == "image"
     data["variants"][3]["error"]["image"] = None
-    assert measure_of(data, "cook-torrance") == "lobe"
+    assert compared(data) == "lobe"
     assert states(data)["d4"]
-    assert {row.error for row in pareto(data, "cook-torrance", "term_ns")} == {0.0, 2.5}
+    assert {row.error for row in rows(data)} == {0.0, 2.5}
 
 
 def test_outside_the_domain_nothing_is_compared(data):
     data["settings"]["m"] = 0.8
-    assert measure_of(data, "cook-torrance") == "image"
-    for each in data["variants"]:
-        each["error"]["image"] = None
+    assert compared(data) == "image"
+    for variant in data["variants"]:
+        variant["error"]["image"] = None
     assert not any(states(data).values())
-    assert "outside the domain" in report.table(data)
+    assert "outside the domain" in report.table(Measurement.from_dict(data))
 
 
 @pytest.mark.parametrize("write", [report.table, report.markdown])
 def test_tables_mark_rows_and_say_what_is_missing(data, write):
-    lines = write(data).splitlines()
+    text = write(Measurement.from_dict(data))
+    lines = text.splitlines()
     d4 = next(line for line in lines if "d4" in line and "0.700" in line)
     assert "dominated" in d4
     assert "20.0" in d4  # percent
@@ -127,7 +147,7 @@ def test_tables_mark_rows_and_say_what_is_missing(data, write):
     printed = next(line for line in lines if "printed, exact" in line)
     assert "as printed" in printed
     assert "dominated" not in printed
-    assert "not measured" in write(data).split("AMD Vega 10")[1].lower()
+    assert "not measured" in text.split("AMD Vega 10")[1].lower()
 
 
 class Page(HTMLParser):
@@ -157,8 +177,8 @@ class Page(HTMLParser):
         self.texts.append(text)
 
 
-def test_files(data, images, tmp_path):
-    paths = report.write(data, images, tmp_path / "new" / "report")
+def test_files(data, triptychs, tmp_path):
+    paths = report.write(Measurement.from_dict(data), triptychs, tmp_path / "new" / "report")
     assert {path.name for path in paths} == {
         "measure.json",
         "trade-term-ns.png",
@@ -183,31 +203,31 @@ def test_files(data, images, tmp_path):
     assert ("tr", {"class": "dominated"}) in page.tags
 
 
-def test_nothing_is_written_when_a_plot_fails(data, images, tmp_path, monkeypatch):
+def test_nothing_is_written_when_a_plot_fails(data, triptychs, tmp_path, monkeypatch):
     def fail(*arguments):
         raise MemoryError
 
     monkeypatch.setattr(plots, "strip", fail)
     with pytest.raises(MemoryError):
-        report.write(data, images, tmp_path / "report")
+        report.write(Measurement.from_dict(data), triptychs, tmp_path / "report")
     assert not list(tmp_path.iterdir())
 
 
-def test_what_is_no_number_in_json_is_refused(data, images, tmp_path):
+def test_what_is_no_number_in_json_is_refused(data, triptychs, tmp_path):
     data["variants"][1]["cost"]["term_ns"]["high"] = float("nan")
     with pytest.raises(ValueError, match="not JSON compliant"):
-        report.write(data, images, tmp_path)
+        report.write(Measurement.from_dict(data), triptychs, tmp_path)
     assert not list(tmp_path.iterdir())
 
 
-def test_without_matplotlib(data, images, tmp_path, monkeypatch):
+def test_without_matplotlib(data, triptychs, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(InputError, match=r"the report needs matplotlib: pip install 'facerender\["):
-        report.write(data, images, tmp_path)
-    assert "not measured" in report.table(data)
+        report.write(Measurement.from_dict(data), triptychs, tmp_path)
+    assert "not measured" in report.table(Measurement.from_dict(data))
 
 
-def test_a_directory_that_cannot_be_made(data, images, tmp_path):
+def test_a_directory_that_cannot_be_made(data, triptychs, tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="cannot make .*file/report: not a directory"):
-        report.write(data, images, tmp_path / "file" / "report")
+        report.write(Measurement.from_dict(data), triptychs, tmp_path / "file" / "report")

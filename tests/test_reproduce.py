@@ -15,9 +15,9 @@ from PIL import Image
 from facerender import lobes
 from facerender.commands import main
 from facerender.errors import InputError, NotMeasured
-from facerender.measure import reproduce as measured
-from facerender.measure.reproduce import FLAGS, Reproduction, reproduce
-from facerender.pricing.cost import Interval
+from facerender.measure.reproduce import claims, reproduce
+from facerender.measure.reproduce.page import Reproduction
+from facerender.pricing.interval import Interval
 from tests.conftest import missing
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -93,9 +93,11 @@ def test_a_place_that_cannot_be_written_is_one_line(result, tmp_path):
 def test_scalar_code_computes_the_lobes(tmp_path):
     if not shutil.which("cc"):
         missing("no C compiler")
-    source = Path(measured.__file__).with_name("scalar.c")
+    source = Path(claims.__file__).with_name("scalar.c")
     strict = ("-Wall", "-Wextra", "-Werror", "-std=c11")
-    subprocess.run(["cc", *FLAGS, *strict, source, "-o", tmp_path / "scalar", "-lm"], check=True)
+    subprocess.run(
+        ["cc", *claims.FLAGS, *strict, source, "-o", tmp_path / "scalar", "-lm"], check=True
+    )
     output = subprocess.run(
         [tmp_path / "scalar", "1"], check=True, capture_output=True, text=True
     ).stdout.splitlines()
@@ -121,8 +123,8 @@ def test_scalar_code_computes_the_lobes(tmp_path):
 def test_without_a_compiler_scalar_cost_is_not_measured(monkeypatch):
     monkeypatch.setenv("PATH", "")
     with pytest.raises(NotMeasured, match="needs the apt packages gcc and libc6-dev") as caught:
-        measured.scalar_cost(2)
-    (claim,) = measured._scalar_claims({}, str(caught.value))
+        claims.scalar_cost(2)
+    (claim,) = claims.scalar_claims({}, str(caught.value))
     assert claim.verdict == "not measured"
     assert claim.where == str(caught.value)
 
@@ -133,11 +135,13 @@ def test_without_a_compiler_scalar_cost_is_not_measured(monkeypatch):
 def test_a_claim_of_speed_holds_with_its_whole_interval(low, high, verdict):
     one = Interval(1.0, 1.0, 1.0)
     slow = Interval((low + high) / 2.0, low, high)
-    assert measured._speed_claim("", slow, one, "", "twice", 2.0).verdict == verdict
+    assert claims.speed_claim("", slow, one, "", "twice", 2.0).verdict == verdict
 
 
 def test_the_command_writes_and_names_its_files(monkeypatch, capsys, tmp_path, result):
-    monkeypatch.setattr(measured, "reproduce", lambda progress: progress("figures") or result)
+    monkeypatch.setattr(
+        "facerender.measure.reproduce.reproduce", lambda progress: progress("figures") or result
+    )
     assert main(["reproduce", "-o", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr()
     assert printed.out.splitlines()[0] == str(tmp_path / "out" / "fig1.png")

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender import brdf, lobes, resolve_includes
 from facerender.drawing.evaluate import Inputs
+from facerender.glsl.code import defines, lobe_macros
 from facerender.lobes import AnyLobe, GPower
-from facerender.shading import defines, lobe_macros
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]

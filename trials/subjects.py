@@ -66,7 +66,7 @@ def brute_force(
     gbuffers: dict[tuple[object, ...], list[fr.GBuffer]] = {}
 
     def images(shading: fr.Shading) -> list[np.ndarray]:
-        key = (shading.normal_map, shading.ambient, shading.m, shading.ks)
+        key = (shading.normal_map, shading.ambient, shading.term.m, shading.ks)
         if key not in gbuffers:
             gbuffers[key] = [renderer.gbuffer(scene, shading) for scene in scenes]
         shaded = [shade(each, at, shading) for each, at in zip(gbuffers[key], scenes, strict=True)]

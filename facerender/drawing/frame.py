@@ -5,18 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError
 from facerender.image import encode_srgb8, save_exr, save_png
+from facerender.scenes.scene import Only
 from facerender.scenes.view import View
-
-Only = Literal["specular", "diffuse", "albedo", "normal", "depth", "cosines"]
-
-ONLY: tuple[Only, ...] = ("specular", "diffuse", "albedo", "normal", "depth", "cosines")
 
 
 @dataclass(frozen=True, eq=False)

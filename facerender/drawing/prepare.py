@@ -1,10 +1,52 @@
-"""What a mesh is drawn with: its maps, started ahead. No OpenGL here."""
+"""What is drawn of a scene: without what a shading leaves out, and with which maps, started ahead.
+No OpenGL here."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+from weakref import WeakKeyDictionary
+
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.scene import Scene
 from facerender.scenes.texture import Kind, Texture
+from facerender.shading import Shading
+
+_MOST_SIMPLIFIED = 64  # of one mesh
+_simplified: WeakKeyDictionary[Mesh, dict[tuple[Any, ...], Mesh]] = WeakKeyDictionary()
+
+
+def simplify(scene: Scene, shading: Shading) -> Scene:
+    """Return the scene without the maps and the ambient light that a shading leaves out.
+
+    The same mesh gives the same simplified mesh again, so that a renderer keeps its maps.
+
+    Raises
+    ------
+    InputError : m or ks outside its domain, a light that the scene does not have
+    """
+    shading.check_lights(len(scene.lights))
+    changes: dict[str, Any] = {}
+    own = [shading.of(light) for light in range(len(scene.lights))]
+    if shading.term.m is not None and all(term is None or term.m is not None for term in own):
+        changes["m"] = shading.term.m
+    if shading.ks is not None:
+        changes |= {"ks": shading.ks, "specular_map": None}
+    if not shading.normal_map:
+        changes["normal_map"] = None
+    if not shading.ambient:
+        scene = replace(scene, ambient=0.0)
+        changes["occlusion_map"] = None
+    if not changes:
+        return scene
+    known = _simplified.setdefault(scene.mesh, {})
+    key = tuple(changes.items())
+    if key not in known:
+        if len(known) >= _MOST_SIMPLIFIED:
+            del known[next(iter(known))]
+        known[key] = scene.mesh.with_material(**changes)
+    return replace(scene, mesh=known[key])
 
 
 def part_maps(part: Part, material: Material, albedo: Kind) -> list[tuple[str, Texture, Kind]]:

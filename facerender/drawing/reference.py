@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.frame import GBuffer
-from facerender.scenes.scene import Scene, point_lights, slope_ranges
+from facerender.drawing.prepare import simplify
+from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
-
-Lighting = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +33,7 @@ class Layers:
         """Return the image (H, W, 3) of the lights and the ambient term that a shading has."""
         image = self.diffuse + self.ambient if shading.ambient else self.diffuse.copy()
         for light, specular in enumerate(self.specular):
-            if shading.shines(light):
+            if shading.of(light) is not None:
                 image += specular
         return image
 
@@ -60,13 +59,14 @@ def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float6
 def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
     """Return the terms that :func:`shade` sums up, the specular one of every light; parameters and
     errors as there."""
-    scene = shading.simplify(scene)
+    scene = simplify(scene, shading)
     ambient, diffuse = np.zeros((2, *gbuffer.position.shape))
     specular = np.zeros((len(scene.lights), *gbuffer.position.shape))
+    terms = [shading.of(light) or shading.term for light in range(len(scene.lights))]
     for index, (material, slopes) in enumerate(
         zip(scene.mesh.materials, slope_ranges(scene), strict=True)
     ):
-        chosen = shading.for_slopes(*slopes)
+        own = [term.for_slopes(*slopes, shading.outside) for term in terms]
         covered = gbuffer.part == index
         if not covered.any():
             continue
@@ -75,32 +75,17 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
         m = gbuffer.m[covered].astype(np.float64)
         albedo = material.kd / np.pi * gbuffer.albedo[covered].astype(np.float64)
         weight = gbuffer.specular_weight[covered].astype(np.float64)
-        v = _unit(gbuffer.view.eye - position)
+        v = _normalised(gbuffer.view.eye - position)
 
         occlusion = gbuffer.occlusion[covered].astype(np.float64)
         ambient[covered] = albedo * occlusion[:, None] * np.asarray(scene.ambient)
-        for light, (l, irradiance) in enumerate(lighting(scene, position)):
+        for light, (source, term) in enumerate(zip(scene.lights, own, strict=True)):
+            l, irradiance = source.kind.lighting(source, scene.mesh, position)
             received = irradiance * np.maximum(np.einsum("...i,...i", n, l), 0.0)[:, None]
             diffuse[covered] += albedo * received
-            term = chosen.frontal if light in shading.frontal_lights else chosen
             value = weight * term.brdf(n, l, v, m, material.f0)
             specular[light][covered] = received * value[:, None]
     return Layers(ambient, diffuse, specular)
-
-
-def lighting(scene: Scene, position: NDArray[np.float64]) -> list[Lighting]:
-    """Direction to each light and its irradiance at positions (N, 3) of the renderer's space."""
-    result: list[Lighting] = []
-    points = iter(point_lights(scene))
-    for light in scene.lights:
-        if light.position is None:
-            result.append((light.direction, np.asarray(light.irradiance)))
-            continue
-        source, intensity = next(points)
-        to_light = source - position
-        distance2 = (to_light**2).sum(axis=-1, keepdims=True)
-        result.append((to_light / np.sqrt(distance2), intensity / distance2))
-    return result
 
 
 def data_view(
@@ -121,14 +106,17 @@ def data_view(
         depth = -(to_eye @ gbuffer.view.forward) * scene.mesh.radius
         values = np.repeat(depth[:, None], 3, axis=1)
     else:
-        v = _unit(to_eye)
-        l = lighting(scene, position)[0][0] if scene.lights else v
-        h = _unit(l + v)
+        v = _normalised(to_eye)
+        l = v
+        if scene.lights:
+            key = scene.lights[0]
+            l, _ = key.kind.lighting(key, scene.mesh, position)
+        h = _normalised(l + v)
         values = np.stack([(normal * direction).sum(axis=-1) for direction in (l, v, h)], axis=-1)
     view[covered, :3] = values
     return view
 
 
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normalised(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     length = np.sqrt(np.einsum("...i,...i", vectors, vectors))[..., None]
     return np.asarray(vectors / np.maximum(length, 1e-300))

@@ -8,14 +8,15 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from facerender import lobes
 from facerender._version import __version__
-from facerender.brdf import K_COOK_TORRANCE, K_WARD
 from facerender.data import data_dir
 from facerender.errors import InputError
+from facerender.glsl.code import defines, lobe_macros, term_macros
 from facerender.glsl.includes import Expansion
-from facerender.lobes import AnyLobe, GPower
-from facerender.shading import SMALL_SLOPE, Shading, defines, lobe_macros
+from facerender.shading import SMALL_SLOPE, Term
+from facerender.terms import LOBES, MODELS, AnyLobe, GPower, lobe_entry
+from facerender.terms.entry import Entry
+from facerender.terms.lobe import TITLES
 
 if TYPE_CHECKING:
     import moderngl
@@ -23,19 +24,6 @@ if TYPE_CHECKING:
 Target = Literal["330", "es300", "vulkan"]
 
 TARGETS: dict[Target, str] = {"330": "330 core", "es300": "300 es", "vulkan": "450"}
-
-# The slopes of a file's lobes have one domain.
-_LOBE_FILES: dict[str, AnyLobe] = {
-    "facerender/lobe/exact.glsl": "exact",
-    "facerender/lobe/cosine.glsl": "cosine",
-    "facerender/lobe/g_power.glsl": "d16",
-    "facerender/lobe/fitted.glsl": "fitted",
-}
-_MODEL_FILES = {
-    "facerender/cook_torrance.glsl": K_COOK_TORRANCE,
-    "facerender/ward.glsl": K_WARD,
-}
-_SLOPE_MACROS = ("FR_SLOPE", "FR_FITTED_COEFFICIENTS", "FR_FITTED_FINE_COEFFICIENTS")
 
 
 @cache
@@ -78,19 +66,16 @@ def shader_source(
     InputError : an unknown name, target or lobe; a slope outside its domain; a file that is
         missing, that includes itself, or that defines a macro which a choice here sets
     """
-    if lobe is not None and not isinstance(lobe, GPower) and lobe not in lobes.NAMES:
-        raise InputError(f"unknown lobe {lobe!r}; known: {', '.join(lobes.NAMES)}")
     macros = {} if lobe is None else lobe_macros(lobe)
     if lobe == "exact" and m is not None and m >= SMALL_SLOPE:
         macros["FR_SMALL_SLOPE"] = "0"
     return _flat(name, target, macros, lobe, m)
 
 
-def shading_source(shading: Shading, smallest_m: float, target: Target | None = None) -> str:
-    """Return the file of a shading's model with all its choices made, for m >= smallest_m; target
-    and errors as in :func:`shader_source`."""
-    name = shading.model.replace("-", "_")
-    return _flat(name, target, shading.macros(smallest_m), shading.lobe, shading.m)
+def term_source(term: Term, smallest_m: float, target: Target | None = None) -> str:
+    """Return the file of a term's model with all its choices made, for m >= smallest_m; target and
+    errors as in :func:`shader_source`."""
+    return _flat(term.entry.file, target, term_macros(term, smallest_m), term.lobe, term.m)
 
 
 def _flat(
@@ -103,9 +88,11 @@ def _flat(
     if target is not None and target not in TARGETS:
         raise InputError(f"unknown target {target!r}; known: {', '.join(TARGETS)}")
     path = _path(name)
-    constants = {} if m is None else dict.fromkeys(_SLOPE_MACROS, "")
     chosen = {macro.split("(")[0]: value for macro, value in macros.items()}
-    expansion = Expansion(shader_dir(), chosen | constants)
+    if m is not None:
+        coefficients = [lobe.constants[0] for lobe in LOBES.values() if lobe.constants]
+        chosen |= dict.fromkeys(["FR_SLOPE", *coefficients], "")
+    expansion = Expansion(shader_dir(), chosen)
     expansion.file(path)
     if lobe is not None and "facerender/lobe.glsl" not in expansion.files:
         raise InputError(f"{name} does not use FR_LOBE: leave lobe {lobe} out")
@@ -175,32 +162,28 @@ def _path(name: str) -> Path:
 def _constant_slope(
     name: str, expansion: Expansion, lobe: AnyLobe | None, m: float
 ) -> dict[str, str]:
-    """Return the macros that make m a constant, and with it the fitted lobes' coefficients."""
-    files = expansion.files
-    used: set[AnyLobe] = {_LOBE_FILES[file] for file in files if file in _LOBE_FILES}
+    """Return the macros that make m a constant, and with it the coefficients of lobes."""
+
+    def has(entry: Entry) -> bool:
+        return f"facerender/{entry.file}.glsl" in expansion.files
+
+    used = sorted(filter(has, LOBES.values()), key=lambda each: each.name)
     if not used:
         raise InputError(f"{name} does not use a slope: leave m = {m:g} out")
-    if "facerender/lobe.glsl" in files and not expansion.knows("FR_LOBE"):
+    if "facerender/lobe.glsl" in expansion.files and not expansion.knows("FR_LOBE"):
         raise InputError(f"m = {m:g} without a lobe: say which, since each has its own domain")
-    powers = [k for file, k in _MODEL_FILES.items() if file in files] or [K_COOK_TORRANCE, K_WARD]
-    for each in [lobe] if isinstance(lobe, GPower) else sorted(used, key=str):
+    powers = list(dict.fromkeys(model.k for model in MODELS.values() if has(model)))
+    powers = powers or list(TITLES)
+    for each in [lobe_entry(lobe)] if isinstance(lobe, GPower) else used:
         for k in powers:
-            lobes.check_slope(m, each, k)
+            each.check(m, k)
 
     macros = {"FR_SLOPE(m)": str(float(m))}
     if isinstance(lobe, GPower):
         macros["FR_STEEPNESS(m, k)"] = str(float(lobe.factor / m**2 - lobe.offset))
-    if "fitted" in used:
-        for macro, kind, coefficients in (
-            ("FR_FITTED_COEFFICIENTS", "vec3", lobes.fitted_coefficients),
-            ("FR_FITTED_FINE_COEFFICIENTS", "vec4", lobes.fitted_fine_coefficients),
-        ):
-            vectors = [
-                f"{kind}({', '.join(f'{a:#.9g}' for a in coefficients(m, k))})" for k in powers
-            ]
-            macros[f"{macro}(m, k)"] = (
-                vectors[0]
-                if len(vectors) == 1
-                else f"((k) == {powers[0]} ? {vectors[0]} : {vectors[1]})"
-            )
+    for macro, coefficients in filter(None, (each.constants for each in used)):
+        vectors = [coefficients(m, k) for k in powers]
+        texts = [f"vec{len(a)}({', '.join(f'{x:#.9g}' for x in a)})" for a in vectors]
+        choice = f"((k) == {powers[0]} ? {texts[0]} : {texts[-1]})"
+        macros[f"{macro}(m, k)"] = choice if len(powers) > 1 else texts[0]
     return macros

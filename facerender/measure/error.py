@@ -4,18 +4,21 @@ against float64."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender import lobes
+from facerender.comparison import flip
 from facerender.comparison.gates import block_error, point_error
 from facerender.drawing.context import Backend
 from facerender.drawing.reference import shade
 from facerender.drawing.renderer import Renderer
+from facerender.errors import InputError
 from facerender.image import encode_srgb8
 from facerender.lobes import AnyLobe
+from facerender.measure.measurement import ImageError
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
@@ -63,43 +66,22 @@ def brdf_error(shading: Shading, m: float, f0: float = 0.028, count: int = 24) -
     """
     theta = np.radians(np.linspace(0.0, 89.0, count))
     phi = np.linspace(0.0, np.pi, 2 * count)
-    l = _direction(theta[:, None, None], phi)
-    v = _direction(theta[:, None], np.pi)
+    l = _from_angles(theta[:, None, None], phi)
+    v = _from_angles(theta[:, None], np.pi)
     n = np.array([0.0, 0.0, 1.0])
-    exact = replace(shading, lobe="exact")
-    values, expected = (s.brdf(n, l, v, m, f0) * l[..., 2] for s in (shading, exact))
+    exact = shading.replace(lobe="exact")
+    values, expected = (s.term.brdf(n, l, v, m, f0) * l[..., 2] for s in (shading, exact))
     return float(np.abs(values - expected).max() / expected.max())
 
 
-def _direction(theta: Array, phi: Array | float) -> Array:
+def _from_angles(theta: Array, phi: Array | float) -> Array:
     sine = np.sin(theta)
     x, y, z = np.broadcast_arrays(sine * np.cos(phi), sine * np.sin(phi), np.cos(theta))
     return np.stack([x, y, z], axis=-1)
 
 
-@dataclass(frozen=True)
-class ImageError:
-    """How far an image is from float64 exact shading of the same G-buffer.
-
-    Attributes
-    ----------
-    point, block : of the linear image; see ``facerender.compare``
-    largest, percentile : relative to max(reference, 0.01), the second exceeded by 1 pixel in 1000
-    steps, steps_percentile : the same of the displayed image, in steps of 1/255
-    flip : mean of FLIP (Andersson et al. 2020) over the image, or None without flip-evaluator
-    """
-
-    point: float
-    block: float
-    largest: float
-    percentile: float
-    steps: int
-    steps_percentile: float
-    flip: float | None
-
-
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Renderings:
     """Images of one scene: float64 with the exact lobe, and what OpenGL draws with each shading."""
 
     reference: Array
@@ -109,7 +91,7 @@ class Comparison:
 
 def image_errors(
     scene: Scene, shadings: Sequence[Shading], size: tuple[int, int], backend: Backend = "auto"
-) -> Comparison:
+) -> Renderings:
     """Draw a scene with each shading, one sample a pixel, and compare with float64.
 
     The reference is the first shading with the exact lobe.
@@ -120,13 +102,13 @@ def image_errors(
     InputError : the scene cannot be drawn with a shading
     """
     scene = Scene(scene.mesh, scene.camera, scene.lights, scene.ambient, None)
-    exact = replace(shadings[0], lobe="exact")
+    exact = shadings[0].replace(lobe="exact")
     with Renderer(size, samples=1, backend=backend) as renderer:
         gbuffer = renderer.gbuffer(scene)
         reference = shade(gbuffer, scene, exact)
         images = [renderer.render(scene, shading).linear[..., :3] for shading in shadings]
     covered = gbuffer.part >= 0
-    return Comparison(
+    return Renderings(
         reference, images, [image_error(image, reference, covered) for image in images]
     )
 
@@ -151,8 +133,6 @@ def image_error(
 
 def _flip(shown: NDArray[np.uint8], expected: NDArray[np.uint8]) -> float | None:
     try:
-        import flip_evaluator
-    except ImportError:
+        return float(flip.errors(expected / 255.0, shown / 255.0).mean())
+    except InputError:
         return None
-    images = (image.astype(np.float32) / 255.0 for image in (expected, shown))
-    return float(flip_evaluator.evaluate(*images, "LDR")[1])

@@ -13,20 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError
+from facerender.measure.measurement import Curves
 from facerender.measure.pareto import EXACT, Row
+from facerender.terms import LOBES
 
 WIDTH = 6.4  # inches, at 110 dots an inch: the letters stay legible on a phone
 DPI = 110
-# After Okabe and Ito (2008), which the colour-blind can tell apart; darker, to write in them.
-COLOURS = {
-    "exact": "#000000",
-    "cosine": "#767676",
-    "d4": "#2b8cbe",
-    "d8": "#08457e",
-    "d16": "#b3568f",
-    "fitted": "#00805d",
-    "fitted-fine": "#c44e00",
-}
+COLOURS = {name: lobe.colour for name, lobe in LOBES.items()}
 MARKERS: dict[str, dict[str, Any]] = {
     "not dominated": {"marker": "o", "color": "#444444"},
     "dominated": {"marker": "o", "color": "#444444", "mfc": "white"},
@@ -70,15 +63,13 @@ def trade(panels: Mapping[str, tuple[Sequence[Row], str]], cost: str) -> bytes:
         return _png(figure)
 
 
-def angles(
-    degrees: Sequence[float], curves: Mapping[str, Mapping[str, Sequence[float]]], title: str
-) -> bytes:
+def angles(degrees: Sequence[float], curves: Curves, title: str) -> bytes:
     """Draw the error of lobes over the angle, a panel for each m.
 
     Parameters
     ----------
     degrees : γ
-    curves : by lobe and m, errors in percent of the peak, one for each angle
+    curves : errors in percent of the peak, one for each angle
     """
     slopes = sorted({m for errors in curves.values() for m in errors}, key=float)
     with _figure(1.9 * len(slopes) + 1.0) as figure:
@@ -141,16 +132,17 @@ def _points(axes: Any, rows: Sequence[Row]) -> list[tuple[float, float, Row]]:
         for row in rows
         if row.cost is not None and row.error is not None
     ]
-    frontier = [(x, y) for x, y, row in points if not (row.dominated or row.printed)]
+    frontier = [(x, y) for x, y, row in points if not (row.dominated or row.variant.printed)]
     for (x, y), (dearer, less) in pairwise(frontier):
         axes.plot((x, dearer), (y, y), color="#999999", lw=1, zorder=1)
         axes.plot((dearer, dearer), (y, less), color="#999999", lw=1, zorder=1)
     for x, y, row in points:
-        state = "as printed" if row.printed else "dominated" if row.dominated else "not dominated"
-        style = MARKERS[state] | {"color": COLOURS[row.variant["lobe"]]}
-        axes.plot(row.interval or (x, x), (y, y), color=style["color"], lw=1, zorder=2)
+        state = "dominated" if row.dominated else "not dominated"
+        state = "as printed" if row.variant.printed else state
+        style = MARKERS[state] | {"color": COLOURS[row.variant.lobe]}
+        axes.plot(row.span, (y, y), color=style["color"], lw=1, zorder=2)
         axes.plot(x, y, ls="", zorder=3, **style)
-    low, high = np.percentile([row.interval or (x, x) for x, _, row in points], [0, 100])
+    low, high = np.percentile([row.span for _, _, row in points], [0, 100])
     half = 0.6 * max(high - low, 0.1 * high)  # differences of a few percent shall look small
     axes.set_xlim(max(0.0, (low + high) / 2.0 - half), (low + high) / 2.0 + half)
     axes.set_ylim(EXACT / 3.0, 3.0 * max(1.0, *(y for _, y, _ in points)))
@@ -167,10 +159,10 @@ def _label(axes: Any, points: Sequence[tuple[float, float, Row]]) -> None:
     taken = [line.get_window_extent() for line in axes.lines]
     places = list(product(_DISTANCES, _DIRECTIONS))
     for x, y, row in points:
-        colour = COLOURS[row.variant["lobe"]]
+        colour = COLOURS[row.variant.lobe]
         for distance, (right, up) in places:
             note = axes.annotate(
-                row.variant["name"],
+                row.variant.name,
                 (x, y),
                 (distance * right, distance * up),
                 textcoords="offset points",

@@ -1,24 +1,22 @@
-"""Turns a measurement into files: ``measure.json``, plots as PNG, ``index.html``. The data is that
-of docs/measure.schema.md; tables are made in ``tables.py``, plots drawn in ``plots.py``."""
+"""Turns a measurement into files: ``measure.json``, plots as PNG, ``index.html``. Tables are made
+in ``tables.py``, plots drawn in ``plots.py``."""
 
 from __future__ import annotations
 
 import json
-from base64 import b64encode
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from facerender.errors import InputError, reason
 from facerender.image import write_bytes
 from facerender.measure import plots
-from facerender.measure.pareto import COSTS, EXACT, MODELS, measure_of, pareto, slope
+from facerender.measure.measurement import MAGNIFIED, MODELS, Measurement, Triptych
+from facerender.measure.pareto import EXACT, KINDS, measure_of, pareto
 from facerender.measure.tables import ERRORS, NOT_MEASURED, Table, cost_tables, error_tables
+from facerender.page.document import document, figure, row
+from facerender.page.document import table as page_table
 
 _ACO = (
     "Cycles for which a wave of 64 keeps the vector ALU busy, less those of a kernel without the"
@@ -51,7 +49,7 @@ DOMINATED = (
 
 
 @dataclass(frozen=True)
-class Picture:
+class Figure:
     """A PNG file, and what is said under it."""
 
     file: str
@@ -59,31 +57,24 @@ class Picture:
     caption: str
 
 
-def write(
-    data: dict[str, Any], images: Mapping[str, NDArray[np.uint8]], directory: Path
-) -> list[Path]:
+def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Path) -> list[Path]:
     """Write measure.json, plots and index.html, each whole or not at all, and return their paths.
 
-    Everything is drawn before the first file is written.
-
-    Parameters
-    ----------
-    data : see docs/measure.schema.md
-    images : sRGB (H, W, 3), named "MODEL exact", "MODEL LOBE" and "MODEL LOBE difference xFACTOR"
-    directory : made where it is missing
+    Everything is drawn before the first file is written. The directory is made where it is missing.
 
     Raises
     ------
     InputError : matplotlib is missing, or the directory cannot be written
-    ValueError : NaN or infinity in the data, which JSON does not know
+    ValueError : NaN or infinity in the measurement, which JSON does not know
     """
     plots.check()
-    measured = json.dumps(data, indent=1, allow_nan=False) + "\n"
-    trades, curves, strips = _trades(data), _curves(data), _strips(data, images)
+    content = json.dumps(measurement.as_dict(), indent=1, allow_nan=False) + "\n"
+    trades, curves = _trades(measurement), _curves(measurement)
+    strips = [_strip(triptych, measurement.settings.slope) for triptych in triptychs]
     files = {
-        "measure.json": measured.encode(),
-        **{picture.file: picture.png for picture in (*trades, *curves, *strips)},
-        "index.html": _page(data, trades, curves, strips).encode(),
+        "measure.json": content.encode(),
+        **{drawn.file: drawn.png for drawn in (*trades, *curves, *strips)},
+        "index.html": _page(measurement, trades, curves, strips).encode(),
     }
     return write_files(directory, files)
 
@@ -106,162 +97,88 @@ def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
     return [directory / name for name in files]
 
 
-def table(data: dict[str, Any]) -> str:
+def table(measurement: Measurement) -> str:
     """Return cost beside error for a terminal: a table for each kind of cost and each model."""
-    return "\n\n".join(table.text() for kind in COSTS for table in cost_tables(data, kind))
+    return "\n\n".join(table.text() for table in cost_tables(measurement))
 
 
-def markdown(data: dict[str, Any]) -> str:
+def markdown(measurement: Measurement) -> str:
     """Return the tables of ``table``, and the errors alone, as Markdown."""
-    costs = [table for kind in COSTS for table in cost_tables(data, kind)]
-    return "\n\n".join(table.markdown() for table in costs + error_tables(data))
+    tables = cost_tables(measurement) + error_tables(measurement)
+    return "\n\n".join(table.markdown() for table in tables)
 
 
-def _trades(data: dict[str, Any]) -> list[Picture]:
+def _trades(measurement: Measurement) -> list[Figure]:
     """Error over cost, for each kind of cost that was measured."""
-    pictures = []
-    for kind, cost in COSTS.items():
+    figures = []
+    for kind in KINDS:
         panels = {}
         for model, name in MODELS.items():
-            rows = pareto(data, model, kind)
+            rows = pareto(measurement, model, kind)
             if any(row.cost is not None and row.error is not None for row in rows):
-                title = f"{name}, m = {slope(data)}: {cost.title}"
-                panels[title] = (rows, ERRORS[measure_of(data, model)])
+                title = f"{name}, m = {measurement.settings.slope}: {kind.title}"
+                panels[title] = (rows, ERRORS[measure_of(measurement, model)])
         if panels:
-            png = plots.trade(panels, f"cost, {cost.unit}")
-            caption = f"Error over cost, {cost.title}. The line joins what nothing dominates."
-            pictures.append(Picture(f"trade-{kind.replace('_', '-')}.png", png, caption))
-    return pictures
+            png = plots.trade(panels, f"cost, {kind.unit}")
+            caption = f"Error over cost, {kind.title}. The line joins what nothing dominates."
+            figures.append(Figure(f"trade-{kind.field.replace('_', '-')}.png", png, caption))
+    return figures
 
 
-def _curves(data: dict[str, Any]) -> list[Picture]:
-    pictures = []
-    for model, name in MODELS.items():
-        if curves := data["curves"].get(model):
-            png = plots.angles(data["curves"]["degrees"], curves, name)
-            caption = (
-                f"{name}: each lobe less the exact one, over the angle of the half vector. The"
-                " scale is linear around 0 and becomes logarithmic at 0.1 %."
-            )
-            pictures.append(Picture(f"angles-{model}.png", png, caption))
-    return pictures
+def _curves(measurement: Measurement) -> list[Figure]:
+    figures = []
+    for model, curves in measurement.curves.items():
+        png = plots.angles(measurement.degrees, curves, MODELS[model])
+        caption = (
+            f"{MODELS[model]}: each lobe less the exact one, over the angle of the half vector. The"
+            " scale is linear around 0 and becomes logarithmic at 0.1 %."
+        )
+        figures.append(Figure(f"angles-{model}.png", png, caption))
+    return figures
 
 
-def _strips(data: dict[str, Any], images: Mapping[str, NDArray[np.uint8]]) -> list[Picture]:
-    """Exact, approximated, and their difference, for each difference there is."""
-    pictures = []
-    for key in images:
-        drawn, found, factor = key.partition(" difference x")
-        if found:
-            model, _, lobe = drawn.partition(" ")
-            png = plots.strip([images[f"{model} exact"], images[drawn], images[key]])
-            caption = (
-                f"{MODELS[model]}, m = {slope(data)}: left exact, middle {lobe}, right {factor}"
-                " times their difference."
-            )
-            pictures.append(Picture(f"images-{model}-{lobe}.png", png, caption))
-    return pictures
-
-
-_PAGE = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>What specular terms cost and lose</title>
-<style>
-:root {{ color-scheme: light dark; font: 1rem/1.5 system-ui, sans-serif; }}
-body {{ max-width: 84rem; margin: 0 auto; padding: 0 1rem 3rem; }}
-h1 {{ line-height: 1.2; }}
-h2 {{ margin-top: 2.5rem; }}
-p, dd, li, figcaption {{ max-width: 44rem; }}
-dt {{ font-weight: bold; }}
-dd {{ margin: 0 0 0.8rem; }}
-.pair {{ display: grid; gap: 0 2rem;
-  grid-template-columns: repeat(auto-fit, minmax(min(100%, 34rem), 1fr)); }}
-.pair > * {{ min-width: 0; }}
-.wide {{ overflow-x: auto; }}
-table {{ border-collapse: collapse; margin: 0 0 1.5rem; }}
-caption {{ text-align: left; font-weight: bold; }}
-caption span, caption small {{ display: block; max-width: calc(100vw - 2rem); }}
-caption small {{ font-weight: normal; }}
-th, td {{ padding: 0.2rem 0.5rem; font-size: 0.85rem; text-align: right;
-  border-bottom: 1px solid color-mix(in srgb, CanvasText 20%, Canvas); }}
-thead th {{ vertical-align: bottom; }}
-tbody th {{ font-weight: normal; }}
-td {{ font-family: ui-monospace, monospace; }}
-th:first-child, .facts td, .costs :nth-child(2) {{ text-align: left; }}
-td + td {{ white-space: nowrap; }}
-.facts td {{ overflow-wrap: anywhere; }}
-.dominated {{ color: color-mix(in srgb, CanvasText 60%, Canvas); }}
-figure {{ margin: 0 0 1.5rem; font-size: 0.9rem; }}
-img {{ display: block; width: 100%; max-width: 60rem; height: auto; }}
-@media (max-width: 40rem) {{ th, td {{ padding: 0.2rem 0.25rem; font-size: 0.75rem; }} }}
-</style>
-</head>
-<body>
-<h1>What specular terms cost and lose</h1>
-<table class="facts">
-<caption>Measured on, and with</caption>
-<tbody>
-{facts}
-</tbody>
-</table>
-<h2>Cost beside error</h2>
-<p>{dominated}</p>
-{costs}
-<div class="pair">
-{trades}
-</div>
-<h2>Error over the angle</h2>
-<div class="pair">
-{curves}
-</div>
-<h2>Errors</h2>
-{errors}
-<h2>Images</h2>
-{strips}
-<h2>Not measured</h2>
-<ul>
-{missing}
-</ul>
-<h2>Where the figures come from</h2>
-<dl>
-{methods}
-</dl>
-</body>
-</html>
-"""
+def _strip(triptych: Triptych, slope: str) -> Figure:
+    """Exact, approximated, and their difference."""
+    png = plots.strip([triptych.exact, triptych.image, triptych.difference])
+    caption = (
+        f"{MODELS[triptych.model]}, m = {slope}: left exact, middle {triptych.lobe}, right"
+        f" {MAGNIFIED} times their difference."
+    )
+    return Figure(f"images-{triptych.model}-{triptych.lobe}.png", png, caption)
 
 
 def _page(
-    data: dict[str, Any],
-    trades: Iterable[Picture],
-    curves: Iterable[Picture],
-    strips: Iterable[Picture],
+    measurement: Measurement,
+    trades: Iterable[Figure],
+    curves: Iterable[Figure],
+    strips: Iterable[Figure],
 ) -> str:
     """Everything in one file of HTML that fetches nothing."""
-    settings = data["settings"]
-    facts = data["environment"] | settings | {"size": "{} x {}".format(*settings["size"])}
-    costs = [table for kind in COSTS for table in cost_tables(data, kind)]
-    return _PAGE.format(
-        facts="\n".join(
-            f'<tr><th scope="row">{escape(key)}</th><td>{escape(_fact(value))}</td></tr>'
-            for key, value in facts.items()
-        ),
-        dominated=escape(DOMINATED),
-        costs="\n".join(_html(table, "costs") for table in costs),
-        trades="\n".join(map(_figure, trades)),
-        curves="\n".join(map(_figure, curves)) or f"<p>{NOT_MEASURED}.</p>",
-        errors="\n".join(_html(table, "errors") for table in error_tables(data)),
-        strips="\n".join(map(_figure, strips)) or f"<p>{NOT_MEASURED}.</p>",
-        missing="\n".join(
-            f"<li>{escape(what)}</li>" for what in data["not_measured"] or ["nothing"]
-        ),
-        methods="\n".join(
-            f"<dt>{escape(what)}</dt><dd>{escape(how)}</dd>" for what, how in METHODS.items()
-        ),
-    )
+    content, settings = measurement.as_dict(), measurement.settings
+    size = {"size": "{} x {}".format(*settings.size)}
+    facts = (content["environment"] | content["settings"] | size).items()
+    fact_rows = [row(escape(name), [escape(_fact(value))]) for name, value in facts]
+    missing = measurement.not_measured or ["nothing"]
+    body = [
+        page_table("facts", (), fact_rows, "Measured on, and with"),
+        "<h2>Cost beside error</h2>",
+        f"<p>{escape(DOMINATED)}</p>",
+        *(_html(table, "numbers costs") for table in cost_tables(measurement)),
+        f'<div class="pair">{_figures(trades)}</div>',
+        "<h2>Error over the angle</h2>",
+        f'<div class="pair">{_figures(curves)}</div>',
+        "<h2>Errors</h2>",
+        *(_html(table, "numbers") for table in error_tables(measurement)),
+        "<h2>Images</h2>",
+        _figures(strips),
+        "<h2>Not measured</h2>",
+        f"<ul>{''.join(f'<li>{escape(what)}</li>' for what in missing)}</ul>",
+        "<h2>Where the figures come from</h2>",
+        "<dl>",
+        *(f"<dt>{escape(what)}</dt><dd>{escape(how)}</dd>" for what, how in METHODS.items()),
+        "</dl>",
+    ]
+    return document("What specular terms cost and lose", "\n".join(body))
 
 
 def _fact(value: object) -> str:
@@ -270,31 +187,17 @@ def _fact(value: object) -> str:
     return "none" if value is None else str(value)
 
 
-def _figure(picture: Picture) -> str:
-    source = "data:image/png;base64," + b64encode(picture.png).decode()
-    caption = escape(picture.caption)
-    return (
-        f'<figure><img src="{source}" alt="{caption}"><figcaption>{caption}</figcaption></figure>'
-    )
+def _figures(figures: Iterable[Figure]) -> str:
+    return "\n".join(figure(drawn.png, drawn.caption) for drawn in figures)
 
 
 def _html(table: Table, kind: str) -> str:
     """Lay a table out, rows that are dominated in grey."""
     if not table.rows:
         return f"<p>{escape(table.title)}: {NOT_MEASURED}.</p>"
-    head = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in table.head)
-    rows = []
-    for name, *cells in table.rows:
-        grey = ' class="dominated"' if "dominated" in cells[0] else ""
-        values = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
-        rows.append(f'<tr{grey}><th scope="row">{escape(name)}</th>{values}</tr>')
-    return "\n".join(
-        [
-            f'<div class="wide"><table class="{kind}">',
-            f"<caption><span>{escape(table.title)}</span><small>{escape(table.note)}</small></caption>",
-            f"<thead><tr>{head}</tr></thead>",
-            "<tbody>",
-            *rows,
-            "</tbody></table></div>",
-        ]
-    )
+    rows = [
+        row(escape(name), map(escape, cells), "dominated" if name in table.dominated else "")
+        for name, *cells in table.rows
+    ]
+    caption = f"<span>{escape(table.title)}</span><small>{escape(table.note)}</small>"
+    return page_table(kind, map(escape, table.head), rows, caption)

@@ -1,43 +1,49 @@
-"""What ``facerender measure`` measures, as one dictionary; ``report.py`` writes it, and
-docs/measure.schema.md describes it."""
+"""What ``facerender measure`` measures. The records are in ``measurement.py``, files are written by
+``report.py``."""
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import platform
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from facerender import lobes
 from facerender._version import __version__
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.prepare import start_maps
 from facerender.errors import NotMeasured
 from facerender.image import encode_srgb8
-from facerender.lobes import Lobe
 from facerender.measure import error
+from facerender.measure.measurement import (
+    MAGNIFIED,
+    MODELS,
+    Costs,
+    Curves,
+    Environment,
+    Errors,
+    ImageError,
+    MeasuredVariant,
+    Measurement,
+    Settings,
+    Triptych,
+)
 from facerender.pricing import amd, cost
-from facerender.pricing.variants import CALLS, lobe_terms, terms
+from facerender.pricing.interval import Interval
+from facerender.pricing.variants import Variant, lobe_terms, of_model, terms
 from facerender.scenes.camera import Camera
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
-from facerender.shading import SMALL_SLOPE, Model, Shading
+from facerender.shading import SMALL_SLOPE, Shading
+from facerender.terms import LOBES
 
-SCHEMA = "facerender.measure/1"
-MODELS = tuple(CALLS)
 SLOPES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 DEGREES = np.linspace(0.0, 90.0, 91)
-MAGNIFIED = 8
 
-Images = dict[str, NDArray[np.uint8]]
+Progress = Callable[[str, float], object]
 
 
 def measure(
@@ -45,8 +51,8 @@ def measure(
     m: float = 0.3,
     quick: bool = False,
     backend: Backend = "auto",
-    progress: Callable[[str, float], object] = lambda what, done: None,
-) -> tuple[dict[str, Any], Images]:
+    progress: Progress = lambda what, done: None,
+) -> tuple[Measurement, list[Triptych]]:
     """Measure what every form and lobe of both models costs and loses, on this machine.
 
     Parameters
@@ -56,95 +62,98 @@ def measure(
     quick : smaller images, fewer repeats, no lobes alone
     progress : called with what is measured and the share of it that is done
 
-    Returns
-    -------
-    the data, as docs/measure.schema.md describes it, and images by caption, (H, W, 3) sRGB
-
     Raises
     ------
     ContextError : no OpenGL context
     InputError : m outside [1e-4, 2], or a damaged map
     """
-    size = (256, 256) if quick else (512, 512)
-    repeats = 7 if quick else 21
+    size, repeats = ((256, 256), 7) if quick else ((512, 512), 21)
     plain = mesh.with_material(m=m, roughness_map=None)
     start_maps(plain)
     scene = Scene(plain, Camera(azimuth=-35.0, elevation=4.0))
-    slopes = tuple(sorted({*SLOPES, m}))
-    not_measured: list[str] = []
+    slopes = sorted({*SLOPES, m})
+    statistics, not_measured = _statistics(progress)
+    measured: list[MeasuredVariant] = []
+    triptychs: list[Triptych] = []
+    for model in MODELS:
 
-    statistics: dict[str, dict[Model, dict[str, amd.Statistics]]] = {}
+        def stage(what: str, model: str = model) -> Callable[[float], object]:
+            return lambda done: progress(f"{model}: {what}", done)
+
+        term_ns = cost.by_slope(terms(model), cost.OF_VECTORS, repeats, backend, stage("terms"))
+        lobe_ns: dict[str, Interval] = {}
+        if not quick:
+            lobe_ns = cost.by_slope(
+                lobe_terms(model), cost.OF_COSINE, repeats, backend, stage("lobes")
+            )
+        drawn = [variant for variant in _drawn(model) if _inside(variant, m)]
+        shadings = [variant.shading for variant in drawn]
+        frames = cost.frames(scene, shadings, size, repeats, backend, stage("frames"))
+        frame_ms = dict(zip(drawn, frames, strict=True))
+        renderings = error.image_errors(scene, shadings, size, backend)
+        images = dict(zip(drawn, renderings.errors, strict=True))
+        triptychs += _triptychs(drawn, renderings)
+        for variant in of_model(model):
+            if variant.plain and m < SMALL_SLOPE:
+                continue
+            costs = Costs(
+                lobe_ns.get(variant.name),
+                term_ns[variant.name],
+                frame_ms.get(variant),
+                statistics["navi21"].get(variant),
+                statistics["vega10"].get(variant),
+            )
+            errors = _errors(variant, slopes, images.get(variant))
+            measured.append(MeasuredVariant(variant, costs, errors))
+    if any(row.error.image and row.error.image.flip is None for row in measured):
+        not_measured.append("FLIP needs flip-evaluator: pip install 'facerender[measure]'")
+    measurement = Measurement(
+        environment(backend),
+        amd.driver() if any(statistics.values()) else None,
+        Settings(mesh.name, m, size, repeats, quick),
+        measured,
+        DEGREES.tolist(),
+        {model: _curves(model, slopes) for model in MODELS},
+        not_measured,
+    )
+    return measurement, triptychs
+
+
+def _statistics(
+    progress: Progress,
+) -> tuple[dict[str, dict[Variant, amd.Statistics]], list[str]]:
+    """What AMD's compiler says by family, and why it does not."""
+    statistics: dict[str, dict[Variant, amd.Statistics]] = {family: {} for family in amd.FAMILIES}
+    not_measured = []
     for number, family in enumerate(amd.FAMILIES):
         progress("compiler statistics", number / len(amd.FAMILIES))
         try:
-            statistics[family] = {model: amd.statistics(terms(model), family) for model in MODELS}
+            rows = {model: amd.statistics(terms(model), family) for model in MODELS}
         except NotMeasured as why:
             not_measured.append(f"{family}: {why}")
-
-    variants: list[dict[str, Any]] = []
-    images: Images = {}
-    for model in MODELS:
-
-        def stage(what: str, model: Model = model) -> Callable[[float], object]:
-            return lambda done: progress(f"{model}: {what}", done)
-
-        costs: dict[str, dict[str, cost.Interval]] = {"lobe_ns": {}}
-        costs["term_ns"] = cost.by_slope(
-            terms(model), cost.OF_VECTORS, repeats, backend, stage("terms")
-        )
-        if not quick:
-            costs["lobe_ns"] = cost.by_slope(
-                lobe_terms(model), cost.OF_COSINE, repeats, backend, stage("lobes")
-            )
-        k = Shading(model).k
-        drawn = [name for name in lobes.NAMES if lobes.in_domain(m, name, k)]
-        shadings = [Shading(model, name) for name in drawn]
-        milliseconds = cost.frames(scene, shadings, size, repeats, backend, stage("frames"))
-        costs["frame_ms"] = dict(zip(drawn, milliseconds, strict=True))
-        comparison = error.image_errors(scene, shadings, size, backend)
-        image_errors: dict[str, error.ImageError] = dict(zip(drawn, comparison.errors, strict=True))
-        images |= _triptychs(model, comparison, drawn)
-        for name in terms(model):
-            if m < SMALL_SLOPE and name == f"exact, m >= {SMALL_SLOPE:g}":
-                continue
-            lobe = lobe_of(name)
-            entry: dict[str, Any] = {"model": model, "name": name, "lobe": lobe}
-            entry["cost"] = {kind: _row(rows.get(name)) for kind, rows in costs.items()} | {
-                family: _row(statistics[family][model][name] if family in statistics else None)
-                for family in amd.FAMILIES
-            }
-            entry["error"] = _errors(model, name, slopes) | {"image": _row(image_errors.get(name))}
-            variants.append(entry)
-    if importlib.util.find_spec("flip_evaluator") is None:
-        not_measured.append("FLIP needs flip-evaluator: pip install 'facerender[measure]'")
-    data = {
-        "schema": SCHEMA,
-        "environment": environment(backend) | {"amd_driver": amd.driver() if statistics else None},
-        "settings": {"mesh": mesh.name, "m": m, "size": size, "repeats": repeats, "quick": quick},
-        "variants": variants,
-        "curves": {"degrees": DEGREES.tolist()}
-        | {model: _curves(model, slopes) for model in MODELS},
-        "not_measured": not_measured,
-    }
-    return data, images
+            continue
+        statistics[family] = {
+            variant: rows[model][variant.name] for model in MODELS for variant in of_model(model)
+        }
+    return statistics, not_measured
 
 
-def environment(backend: Backend = "auto") -> dict[str, Any]:
+def environment(backend: Backend = "auto") -> Environment:
     """Say where figures come from: OpenGL driver, processor, versions, date."""
     context = create_context(backend)
     renderer, version = context.renderer, context.version
     context.release()
-    return {
-        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
-        "facerender": __version__,
-        "GL_RENDERER": renderer,
-        "GL_VERSION": version,
-        "software": cost.is_software(renderer),
-        "processor": _processor(),
-        "cores": len(os.sched_getaffinity(0)),
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-    }
+    return Environment(
+        date=datetime.now(UTC).strftime("%Y-%m-%d"),
+        facerender=__version__,
+        GL_RENDERER=renderer,
+        GL_VERSION=version,
+        software=cost.is_software(renderer),
+        processor=_processor(),
+        cores=len(os.sched_getaffinity(0)),
+        python=platform.python_version(),
+        numpy=np.__version__,
+    )
 
 
 def _processor() -> str:
@@ -156,62 +165,64 @@ def _processor() -> str:
     return next(names, platform.machine())
 
 
-def lobe_of(variant: str) -> Lobe:
-    """Return the lobe of a variant's name, such as "printed, d16" or "exact, m >= 0.2"."""
-    return next(name for name in reversed(lobes.NAMES) if name in variant.split(", "))
+def _drawn(model: str) -> list[Variant]:
+    return [variant for variant in of_model(model) if variant.standard]
 
 
-def _row(measured: Any) -> dict[str, Any] | None:
-    return None if measured is None else asdict(measured)
+def _inside(variant: Variant, m: float) -> bool:
+    """Whether m lies in the domain of the lobe."""
+    return bool(LOBES[variant.lobe].belongs(m, variant.k).all())
 
 
-def _errors(
-    model: Model, name: str, slopes: tuple[float, ...]
-) -> dict[str, dict[str, float | None]]:
-    """Errors of a variant's lobe and BRDF by slope, in percent; None outside its domain."""
-    lobe = lobe_of(name)
-    if name.startswith("printed") and lobe != "exact":
-        unclamped: dict[str, float | None] = {
-            f"{m:g}": 100.0 * float(np.abs(error.printed_error(m, Shading(model).k, 16)).max())
-            for m in slopes
-        }
-        return {"lobe": unclamped, "brdf": dict.fromkeys(unclamped, None)}
-    least = SMALL_SLOPE if name.endswith(f">= {SMALL_SLOPE:g}") else 0.0
-    by_slope = {f"{m:g}": _of_lobe(model, lobe, m) if m >= least else (None, None) for m in slopes}
-    return {
-        "lobe": {m: pair[0] for m, pair in by_slope.items()},
-        "brdf": {m: pair[1] for m, pair in by_slope.items()},
-    }
+def _errors(variant: Variant, slopes: Sequence[float], image: ImageError | None) -> Errors:
+    errors = {f"{m:g}": _errors_at(variant, m) for m in slopes}
+    lobe = {m: of_lobe for m, (of_lobe, _) in errors.items()}
+    return Errors(lobe, {m: of_brdf for m, (_, of_brdf) in errors.items()}, image)
+
+
+def _errors_at(variant: Variant, m: float) -> tuple[float | None, float | None]:
+    """Largest error of lobe and BRDF in percent; None outside the domain."""
+    if variant.unclamped:
+        return _percent(error.printed_error(m, variant.k, 16)), None
+    if (variant.plain and m < SMALL_SLOPE) or not _inside(variant, m):
+        return None, None
+    return _errors_of(variant.shading, m)
 
 
 @cache
-def _of_lobe(model: Model, lobe: Lobe, m: float) -> tuple[float, float] | tuple[None, None]:
-    shading = Shading(model, lobe)
-    if not lobes.in_domain(m, lobe, shading.k):
-        return None, None
-    of_lobe = float(np.abs(error.lobe_error(lobe, m, shading.k)).max())
-    return 100.0 * of_lobe, 100.0 * error.brdf_error(shading, m)
+def _errors_of(shading: Shading, m: float) -> tuple[float, float]:
+    lobe = _percent(error.lobe_error(shading.term.lobe, m, shading.term.entry.k))
+    return lobe, 100.0 * error.brdf_error(shading, m)
 
 
-def _curves(model: Model, slopes: tuple[float, ...]) -> dict[str, dict[str, list[float]]]:
-    k = Shading(model).k
+def _percent(errors: error.Array) -> float:
+    return 100.0 * float(np.abs(errors).max())
+
+
+def _curves(model: str, slopes: Sequence[float]) -> Curves:
     return {
-        name: {
-            f"{m:g}": np.round(100.0 * error.lobe_error(name, m, k, DEGREES), 5).tolist()
+        variant.lobe: {
+            f"{m:g}": np.round(
+                100.0 * error.lobe_error(variant.lobe, m, variant.k, DEGREES), 5
+            ).tolist()
             for m in slopes
-            if lobes.in_domain(m, name, k)
+            if _inside(variant, m)
         }
-        for name in lobes.NAMES
-        if name != "exact"
+        for variant in _drawn(model)
+        if variant.lobe != "exact"
     }
 
 
-def _triptychs(model: Model, comparison: error.Comparison, drawn: list[Lobe]) -> Images:
-    reference = comparison.reference.astype(np.float32)
-    images = {f"{model} exact": encode_srgb8(reference)}
-    for lobe, image in zip(drawn, comparison.images, strict=True):
-        if lobe != "exact":
-            images[f"{model} {lobe}"] = encode_srgb8(image)
-            difference = MAGNIFIED * np.abs(image - reference)
-            images[f"{model} {lobe} difference x{MAGNIFIED}"] = encode_srgb8(difference)
-    return images
+def _triptychs(drawn: Sequence[Variant], renderings: error.Renderings) -> list[Triptych]:
+    reference = renderings.reference.astype(np.float32)
+    return [
+        Triptych(
+            variant.model,
+            variant.lobe,
+            encode_srgb8(reference),
+            encode_srgb8(image),
+            encode_srgb8(MAGNIFIED * np.abs(image - reference)),
+        )
+        for variant, image in zip(drawn, renderings.images, strict=True)
+        if variant.lobe != "exact"
+    ]

@@ -1,13 +1,16 @@
 """A measurement as tables of text: cost beside error, and errors alone. Which variants dominate is
-decided in ``pareto.py``; the data is that of docs/measure.schema.md."""
+decided in ``pareto.py``."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from facerender.measure.pareto import COSTS, MODELS, Row, measure_of, pareto, slope
+from facerender.measure.measurement import MODELS, BySlope, ImageError, Measurement
+from facerender.measure.pareto import KINDS, TERM, CostKind, Row, measure_of, pareto
+from facerender.pricing.amd import Statistics
+from facerender.pricing.interval import Interval
+from facerender.pricing.variants import Variant
 
 ERRORS = {
     "image": "largest error of the image, % of max(reference, 0.01)",
@@ -35,12 +38,14 @@ _IMAGE_HEAD = (
 
 @dataclass(frozen=True)
 class Table:
-    """Cells as text. The first of a row is its name; without rows, nothing was measured."""
+    """Cells as text. The first of a row is its name; without rows, nothing was measured.
+    ``dominated`` are the names of rows that another dominates."""
 
     title: str
     note: str = ""
     head: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = ()
+    dominated: Collection[str] = ()
 
     def text(self) -> str:
         """Lay it out for a terminal."""
@@ -68,82 +73,93 @@ def markdown_table(
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
-def cost_tables(data: dict[str, Any], kind: str) -> list[Table]:
-    """Return one for each model, cheapest first; one without rows where the kind was not
-    measured at all."""
-    cost = COSTS[kind]
-    head = ["variant", "remark", cost.unit, "of exact", "error, %", *_EXTRA[kind]]
+def cost_tables(measurement: Measurement) -> list[Table]:
+    """Return one for each kind of cost and each model, cheapest first; one without rows for a kind
+    that was not measured at all."""
+    return [table for kind in KINDS for table in _cost_tables(measurement, kind)]
+
+
+def _cost_tables(measurement: Measurement, kind: CostKind) -> list[Table]:
     tables = []
-    for model, name in MODELS.items():
-        rows = pareto(data, model, kind)
+    for model, title in MODELS.items():
+        rows = pareto(measurement, model, kind)
         if any(row.cost is not None for row in rows):
-            exact = next((row.cost for row in rows if row.variant["name"] == "exact"), None)
+            exact = next((row.cost for row in rows if row.variant == Variant(model, "exact")), None)
             tables.append(
                 Table(
-                    f"{name}, m = {slope(data)}: {cost.title}",
-                    f"Error: {ERRORS[measure_of(data, model)]}.",
-                    head,
+                    f"{title}, m = {measurement.settings.slope}: {kind.title}",
+                    f"Error: {ERRORS[measure_of(measurement, model)]}.",
+                    ["variant", "remark", kind.unit, "of exact", "error, %", *_EXTRA[kind.field]],
                     [_cost_cells(row, kind, exact) for row in rows],
+                    [row.variant.name for row in rows if row.dominated],
                 )
             )
-    return tables or [Table(cost.title[0].upper() + cost.title[1:])]
+    return tables or [Table(kind.title[0].upper() + kind.title[1:])]
 
 
-def _cost_cells(row: Row, kind: str, exact: float | None) -> list[str]:
-    cost = row.variant["cost"][kind]
-    if cost is None:
-        extra = [""] * len(_EXTRA[kind])
-    elif row.interval:
-        extra = [" to ".join(map(_number, row.interval))]
-    else:
-        extra = [_number(cost["instructions"]), _number(cost["latency"])]
-    if kind == "term_ns":
-        lobe = row.variant["cost"]["lobe_ns"]
-        extra = [extra[0], _number(lobe and lobe["value"])]
+def _cost_cells(row: Row, kind: CostKind, exact: float | None) -> list[str]:
+    match row.figure:
+        case Interval(_, low, high):
+            extra = [f"{_number(low)} to {_number(high)}"]
+            if kind is TERM:
+                lobe = row.measured.cost.lobe_ns
+                extra.append(_number(lobe.value if lobe else None))
+        case Statistics(instructions, latency):
+            extra = [_number(instructions), _number(latency)]
+        case None:
+            extra = [""] * len(_EXTRA[kind.field])
     ratio = f"{row.cost / exact:.2f}" if row.cost is not None and exact else ""
-    remarks = ["as printed"] * row.printed + ["dominated"] * row.dominated
-    error = _number(row.error, NOT_MEASURED if row.printed else "outside the domain")
-    return [row.variant["name"], ", ".join(remarks), _number(row.cost), ratio, error, *extra]
+    remarks = ["as printed"] * row.variant.printed + ["dominated"] * row.dominated
+    error = _number(row.error, NOT_MEASURED if row.variant.printed else "outside the domain")
+    return [row.variant.name, ", ".join(remarks), _number(row.cost), ratio, error, *extra]
 
 
-def error_tables(data: dict[str, Any]) -> list[Table]:
+def error_tables(measurement: Measurement) -> list[Table]:
     """Return, for each model, the errors of an image at one m, and of lobe and BRDF over m."""
     tables = []
-    for model, name in MODELS.items():
-        lobes = {
-            variant["lobe"]: variant["error"]
-            for variant in data["variants"]
-            if variant["model"] == model and variant["name"] == variant["lobe"]
+    for model, title in MODELS.items():
+        errors = {
+            row.variant.lobe: row.error
+            for row in measurement.of_model(model)
+            if row.variant.standard
         }
-        if not lobes:
+        if not errors:
             continue
-        tables.append(
+        tables += [
             Table(
-                f"{name}, m = {slope(data)}: error of the image",
+                f"{title}, m = {measurement.settings.slope}: error of the image",
                 "Relative to max(reference, 0.01) where nothing else is said.",
                 _IMAGE_HEAD,
-                [[lobe, *_image_cells(error["image"])] for lobe, error in lobes.items()],
-            )
-        )
-        for part, title, note in (
-            ("lobe", "error of the lobe", "Largest over 0 to 90 degrees, % of the lobe's peak."),
-            ("brdf", "error of the BRDF", "Largest of f N.L, % of the largest exact one."),
-        ):
-            slopes = list(next(iter(lobes.values()))[part])
-            rows = [
-                [lobe, *(_number(error[part][m], "outside") for m in slopes)]
-                for lobe, error in lobes.items()
-            ]
-            head = ["lobe", *(f"m = {m}" for m in slopes)]
-            tables.append(Table(f"{name}: {title}", note, head, rows))
+                [[lobe, *_image_cells(error.image)] for lobe, error in errors.items()],
+            ),
+            _slope_table(
+                f"{title}: error of the lobe",
+                "Largest over 0 to 90 degrees, % of the lobe's peak.",
+                {lobe: error.lobe for lobe, error in errors.items()},
+            ),
+            _slope_table(
+                f"{title}: error of the BRDF",
+                "Largest of f N.L, % of the largest exact one.",
+                {lobe: error.brdf for lobe, error in errors.items()},
+            ),
+        ]
     return tables
 
 
-def _image_cells(error: dict[str, Any] | None) -> list[str]:
+def _slope_table(title: str, note: str, errors: Mapping[str, BySlope]) -> Table:
+    slopes = list(next(iter(errors.values())))
+    rows = [
+        [lobe, *(_number(by_slope[m], "outside") for m in slopes)]
+        for lobe, by_slope in errors.items()
+    ]
+    return Table(title, note, ["lobe", *(f"m = {m}" for m in slopes)], rows)
+
+
+def _image_cells(error: ImageError | None) -> list[str]:
     if error is None:
         return [NOT_MEASURED] * (len(_IMAGE_HEAD) - 1)
-    percent = [100.0 * error[key] for key in ("largest", "percentile", "block")]
-    others = [error[key] for key in ("point", "steps", "steps_percentile", "flip")]
+    percent = [100.0 * share for share in (error.largest, error.percentile, error.block)]
+    others = (error.point, error.steps, error.steps_percentile, error.flip)
     return [_number(value) for value in (*percent, *others)]
 
 

@@ -8,16 +8,19 @@ constants in place of values that are the same everywhere, or what contributes n
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
 
-from facerender import brdf, lobes
-from facerender.lobes import AnyLobe
+from facerender.errors import InputError
 from facerender.planning.budget import Budget
+from facerender.scenes.light import Light
 from facerender.scenes.material import Material
 from facerender.scenes.scene import Scene, slope_ranges
-from facerender.shading import Shading
+from facerender.shading import Shading, Term
+from facerender.terms import FRESNEL, MASKING, AnyLobe, lobe_entry
+from facerender.terms.model import MIN_COSINE
 
 Range = tuple[float, float]
 
@@ -29,38 +32,42 @@ def bound(scene: Scene, shading: Shading, full: Shading, budget: Budget) -> floa
 
     Raises
     ------
-    InputError : a budget in FLIP, which has no such bound
+    InputError : a budget in FLIP, which has no such bound; a term or a kind of light of which
+        nobody has told what it is at most
     """
+    lit = [(light, shading.of(i), full.of(i)) for i, light in enumerate(scene.lights)]
+    for light, *both in lit:
+        _check_known(light, [term for term in both if term])
     worst = 0.0
-    for material, slopes, chosen in zip(
-        scene.mesh.materials,
-        slope_ranges(full.simplify(scene)),
-        slope_ranges(shading.simplify(scene)),
-        strict=True,
-    ):
+    for material, slopes in zip(scene.mesh.materials, slope_ranges(scene), strict=True):
         radiance = 0.0
         if shading.ambient != full.ambient:
             radiance = material.kd / np.pi * max(material.albedo) * np.max(scene.ambient)
         if shading.normal_map != full.normal_map and material.normal_map is not None:
             radiance = np.inf
         weight = max(_weight(material, each) for each in (shading, full))
-        ceiling = weight * _ceiling((min(*slopes, *chosen), max(*slopes, *chosen)))
-        changed = ceiling  # radiance is not negative: two differ by the larger one at most
-        if (
-            slopes == chosen
-            and shading.model == full.model
-            and _same_weight(material, shading, full)
-        ):
-            changed = weight * _specular(material, slopes, shading, full)
-        for light, source in enumerate(scene.lights):
-            same = (light in shading.frontal_lights) == (light in full.frontal_lights)
-            share = changed if shading.shines(light) and same else ceiling
-            # a point light may be as near as one likes
-            irradiance = np.inf if source.position else np.max(source.irradiance)
-            if full.shines(light) and share and irradiance:
+        same_weight = _same_weight(material, shading, full)
+        for light, own, other in lit:
+            terms = {term: _slopes(term, slopes) for term in (own, other) if term is not None}
+            irradiance = _highest(light)
+            if not terms or not irradiance:
+                continue
+            # radiance is not negative: two differ by the larger one at most
+            share = weight * max(_ceiling(term, ends) for term, ends in terms.items())
+            if own and other and _alike(own, other, terms) and same_weight:
+                share = weight * _specular(material, terms[own], own, other)
+            if share:
                 radiance += irradiance * share
         worst = max(worst, float(radiance))
     return budget.bound(worst)
+
+
+def _slopes(term: Term, slopes: Range) -> Range:
+    return slopes if term.m is None else (term.m, term.m)
+
+
+def _alike(term: Term, other: Term, slopes: Mapping[Term, Range]) -> bool:
+    return term.model == other.model and slopes[term] == slopes[other]
 
 
 def _same_weight(material: Material, shading: Shading, full: Shading) -> bool:
@@ -69,15 +76,16 @@ def _same_weight(material: Material, shading: Shading, full: Shading) -> bool:
     return shading.ks == full.ks or (same and not mapped)
 
 
-def _specular(material: Material, slopes: Range, shading: Shading, full: Shading) -> float:
+def _specular(material: Material, slopes: Range, term: Term, other: Term) -> float:
     """Bound the change of the specular radiance for an irradiance of 1 and a weight of 1, by other
     terms of one model."""
-    lobe = _lobe_error(shading.lobe, full.lobe, slopes, full.k)
+    model = term.entry
+    lobe = _lobe_error(term.lobe, other.lobe, slopes, model.k)
     factors = 0.0
-    if full.model == "cook-torrance":
-        terms = [brdf.fresnel(material.f0, _COSINES, each.fresnel) for each in (shading, full)]
-        factors = float(np.abs(np.subtract(*terms)).max()) + (shading.masking != full.masking)
-    return _scale(slopes) * lobe + min(factors, 1.0) * _ceiling(slopes)
+    if model.factors:
+        fresnel = [FRESNEL[each.fresnel].evaluate(material.f0, _COSINES) for each in (term, other)]
+        factors = float(np.abs(np.subtract(*fresnel)).max()) + (term.masking != other.masking)
+    return _scale(term, slopes) * lobe + min(factors, 1.0) * _ceiling(other, slopes)
 
 
 @lru_cache(maxsize=4096)
@@ -85,7 +93,7 @@ def _lobe_error(lobe: AnyLobe, other: AnyLobe, slopes: Range, k: int) -> float:
     m = np.linspace(*slopes, 9)[:, None]
     near = np.cos(np.arctan(m * np.linspace(0.0, 8.0, 2001)))  # where a small slope's lobe is
     c = np.concatenate([near, np.broadcast_to(_COSINES, near.shape)], axis=-1)
-    values = [lobes.lobe(each, c, m, k) for each in (lobe, other)]
+    values = [lobe_entry(each).evaluate(c, m, k) for each in (lobe, other)]
     return float(np.abs(np.subtract(*values)).max())
 
 
@@ -93,14 +101,40 @@ def _weight(material: Material, shading: Shading) -> float:
     return material.ks if shading.ks is None else shading.ks
 
 
-def _scale(slopes: Range) -> float:
-    """What a lobe of height 1 can make of an irradiance of 1: N.L G/((N.L)(N.V)) is at most 1/N.V
-    with every masking term here, and sqrt(N.L/N.V) of Ward less."""
-    return 1.0 / (4.0 * np.pi * slopes[0] ** 2 * brdf.MIN_COSINE)
+def _scale(term: Term, slopes: Range) -> float:
+    """What a lobe of height 1 can make of an irradiance of 1, at N.V >= MIN_COSINE."""
+    model = term.entry
+    assert model.at_most is not None
+    return model.at_most(slopes[0]) / MIN_COSINE
 
 
-def _ceiling(slopes: Range) -> float:
-    """The largest specular radiance for an irradiance of 1 and a weight of 1. Above m = 0.7071 the
-    exact lobe is highest off the normal, and below it at 1, as all others."""
-    w = max(slopes[1] ** 2, 0.5)
-    return _scale(slopes) * 4.0 * w**2 * float(np.exp(1.0 / w - 2.0))
+def _ceiling(term: Term, slopes: Range) -> float:
+    """The largest specular radiance for an irradiance of 1 and a weight of 1."""
+    lobe = lobe_entry(term.lobe)
+    assert lobe.highest is not None
+    return _scale(term, slopes) * lobe.highest(slopes[1], term.entry.k)
+
+
+def _highest(light: Light) -> float:
+    kind = light.kind
+    assert kind.highest is not None
+    return kind.highest(light)
+
+
+def _check_known(light: Light, terms: Sequence[Term]) -> None:
+    """A bound of what nobody has bounded would be silently wrong."""
+    known = {f"{light.kind.name} lights": light.kind.highest is not None}
+    for term in terms:
+        lobe = lobe_entry(term.lobe)
+        known |= {
+            f"the model {term.model}": term.entry.at_most is not None,
+            f"the lobe {lobe.name}": lobe.highest is not None,
+            f"the Fresnel term {term.fresnel}": FRESNEL[term.fresnel].at_most_1,
+            f"the masking term {term.masking}": MASKING[term.masking].at_most_1,
+        }
+    for name, is_known in known.items():
+        if not is_known:
+            raise InputError(
+                f"nothing is known of how large {name} may become: a guarantee needs it; leave "
+                "the guarantee out, and the error is measured at cameras"
+            )

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender.comparison import flip
 from facerender.comparison.gates import FLOOR
 from facerender.errors import InputError
 from facerender.image import linear_to_srgb
@@ -81,13 +82,7 @@ class Budget:
         shown, expected = self._displayed(image), self._displayed(reference)
         if self.unit == "display":
             return np.asarray(np.abs(shown - expected).max(axis=-1))
-        try:
-            from flip_evaluator import evaluate
-        except ImportError:
-            raise InputError("FLIP needs pip install 'facerender[measure]'") from None
-        images = (each.astype(np.float32) for each in (expected, shown))
-        errors = evaluate(*images, "LDR", applyMagma=False, computeMeanError=False)[0]
-        return np.asarray(errors.reshape(errors.shape[:2]), dtype=np.float64)
+        return flip.errors(expected, shown)
 
     def bound(self, radiance: float) -> float:
         """Return the largest error that a change of the radiance by this much can make: on black,

@@ -33,7 +33,7 @@ def planned(
     path = _folder() / f"{_digest(scene, budget, full, exposure, renderer)}.json"
     try:
         kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        Shading.from_dict(kept["shading"]).simplify(scene)
+        Shading.from_dict(kept["shading"]).check_lights(len(scene.lights))
         if isinstance(kept["text"], str):
             return kept
     except (OSError, ValueError, KeyError, TypeError):  # none, or damaged

@@ -4,23 +4,21 @@ No OpenGL here, and nothing of what they cost or lose."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import Any
 
-from facerender import lobes
-from facerender.brdf import Fresnel
-from facerender.lobes import AnyLobe
+from facerender.drawing.prepare import simplify
 from facerender.scenes.scene import Scene, slope_ranges
-from facerender.shading import FRESNEL_TERMS, MASKING_TERMS, SMALL_SLOPE, Model, Shading
-from facerender.terms.fitting import fit_g_power
+from facerender.shading import SMALL_SLOPE, Shading, Term
+from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe
+from facerender.terms.fitting import G_POWERS, fit_g_power
 
-G_POWERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 24)  # few products each
 # Without FR_SMALL_SLOPE float32 errs by 3e-7/m² of the peak: from here on less than is seen.
 SMALLEST_PLAIN_SLOPE = 0.1
 
-# The fields of Shading that a decision is about, and its name; those of a term are decided together
-# where the model changes.
+# What of a shading, or of its term, a decision is about, and its name; those of a term are decided
+# together where the model changes.
 DECISIONS: dict[str, tuple[str, ...]] = {
     "lights": ("specular_lights",),
     "frontal": ("frontal_lights",),
@@ -34,6 +32,7 @@ DECISIONS: dict[str, tuple[str, ...]] = {
     "masking": ("masking",),
     "small slopes": ("small_slope",),
 }
+_OF_TERM = {field.name for field in fields(Term)}
 TERM = ("model", "lobe", "Fresnel", "masking", "small slopes", "frontal")
 
 
@@ -66,14 +65,14 @@ def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Sh
         name: any(getattr(each, name) is not None for each in materials)
         for name in ("normal_map", "specular_map")
     }
-    slopes: list[float | None] = [full.m]
-    if full.m is None:
+    slopes: list[float | None] = [full.term.m]
+    if full.term.m is None:
         slopes.append(constants.m)
     weights: list[float | None] = [full.ks]
     if full.ks is None and textured["specular_map"]:
         weights.append(constants.ks)
     kinds: list[tuple[int, ...] | None] = [full.specular_lights]
-    kept = [light for light in constants.faintest if full.shines(light)]
+    kept = [light for light in constants.faintest if full.of(light)]
     kinds += [tuple(sorted(kept[gone:])) for gone in range(1, len(kept) + 1)]
     for m, ks, normal_map, ambient in product(
         slopes,
@@ -81,62 +80,62 @@ def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Sh
         {full.normal_map, full.normal_map and not textured["normal_map"]},
         {full.ambient, full.ambient and not any(scene.ambient)},  # type: ignore[arg-type]
     ):
-        surface = replace(full, m=m, ks=ks, normal_map=normal_map, ambient=ambient)
+        term = replace(full.term, m=m)
+        surface = replace(full, term=term, ks=ks, normal_map=normal_map, ambient=ambient)
         for shading in _terms(scene, surface):
             for lights in kinds:
                 if lights == () and shading != surface:
                     continue
-                lit = replace(shading, specular_lights=lights)
+                lit = with_lights(shading, lights, shading.frontal_lights)
                 yield lit
-                if shading.model == "cook-torrance" and shading != shading.frontal:
+                if shading.term != shading.term.frontal:
                     near = set(full.frontal_lights)
-                    order = [at for at in constants.frontal if lit.shines(at) and at not in near]
+                    order = [at for at in constants.frontal if lit.of(at) and at not in near]
                     for count in range(1, len(order)):
-                        yield replace(lit, frontal_lights=tuple(sorted(near.union(order[:count]))))
+                        yield with_lights(lit, lights, sorted(near.union(order[:count])))
+
+
+def with_lights(
+    shading: Shading, specular: Sequence[int] | None, frontal: Sequence[int]
+) -> Shading:
+    """Return a shading with other lights that have a specular term, and that have that of frontal
+    light."""
+    return shading.replace(lights=(), others=True, specular_lights=specular, frontal_lights=frontal)
 
 
 def _terms(scene: Scene, full: Shading) -> Iterator[Shading]:
-    ranges = slope_ranges(full.simplify(scene))
+    ranges = slope_ranges(simplify(scene, full))
     smallest, largest = min(low for low, _ in ranges), max(high for _, high in ranges)
-    for model in _models(full):
-        base = replace(
-            full,
-            model=model,
-            fresnel="schlick",
-            masking="v-cavity",
-            small_slope=None,
-            frontal_lights=full.frontal_lights if model == "cook-torrance" else (),
-        )
-        for lobe in _lobes(base.k, smallest, largest):
-            for shading in _factors(replace(base, lobe=lobe), full):
-                yield shading
+    family = full.term.entry.family
+    for model in [model for model in MODELS.values() if model.family == family]:
+        plain = full if model.factors else with_lights(full, full.specular_lights, ())
+        for lobe in _lobes(model.k, smallest, largest):
+            for term in _factors(Term(model.name, lobe, m=full.term.m), full.term):
+                yield replace(plain, term=term)
                 if lobe == "exact" and SMALLEST_PLAIN_SLOPE <= smallest < SMALL_SLOPE:
-                    yield replace(shading, small_slope=False)
-
-
-def _models(full: Shading) -> Sequence[Model]:
-    return ("ward-printed",) if full.model == "ward-printed" else ("cook-torrance", "ward")
+                    yield replace(plain, term=replace(term, small_slope=False))
 
 
 def _lobes(k: int, smallest: float, largest: float) -> list[AnyLobe]:
     ends = (smallest, largest)
-    named: list[AnyLobe] = [name for name in lobes.NAMES if lobes.in_domain(ends, name, k).all()]
-    fitted = [fit_g_power(k, g, *ends) for g in G_POWERS]
+    first, *others = [name for name, lobe in LOBES.items() if lobe.belongs(ends, k).all()]
+    fits = [fit_g_power(k, g, *ends) for g in G_POWERS]
     # of the same cost the first is taken: exact, then what is fitted
-    return [named[0], *(lobe for lobe in fitted if lobe is not None), *named[1:]]
+    return [first, *(lobe for lobe in fits if lobe is not None), *others]
 
 
-def _factors(shading: Shading, full: Shading) -> Iterator[Shading]:
-    if shading.model != "cook-torrance":
-        yield shading
+def _factors(term: Term, full: Term) -> Iterator[Term]:
+    if not term.entry.factors:
+        yield term
         return
-    terms: dict[str, Sequence[Fresnel]] = {
-        "dielectric": FRESNEL_TERMS,
-        "schlick": ("schlick", "constant"),
-        "constant": ("constant",),
-    }
-    for fresnel, masking in product(terms[full.fresnel], MASKING_TERMS):
-        yield replace(shading, fresnel=fresnel, masking=masking)
+    exactness = FRESNEL[full.fresnel].exactness
+    allowed = [name for name, fresnel in FRESNEL.items() if fresnel.exactness <= exactness]
+    for fresnel, masking in product(allowed, MASKING):
+        yield replace(term, fresnel=fresnel, masking=masking)
+
+
+def _value(shading: Shading, field: str) -> Any:
+    return getattr(shading.term if field in _OF_TERM else shading, field)
 
 
 def changed(shading: Shading, full: Shading) -> list[str]:
@@ -144,7 +143,7 @@ def changed(shading: Shading, full: Shading) -> list[str]:
     return [
         name
         for name, fields in DECISIONS.items()
-        if any(getattr(shading, field) != getattr(full, field) for field in fields)
+        if any(_value(shading, field) != _value(full, field) for field in fields)
     ]
 
 
@@ -158,17 +157,23 @@ def groups(shading: Shading, full: Shading) -> dict[str, tuple[str, ...]]:
 
 
 def values(shading: Shading, names: Sequence[str]) -> dict[str, Any]:
-    """Return the fields of some decisions."""
-    return {field: getattr(shading, field) for name in names for field in DECISIONS[name]}
+    """Return what was decided, by what it is about."""
+    return {field: _value(shading, field) for name in names for field in DECISIONS[name]}
 
 
 def with_decisions(shading: Shading, other: Shading, names: Sequence[str]) -> Shading:
     """Return a shading with some of the decisions of another."""
-    return replace(shading, **values(other, names))
+    decided = values(other, names)
+    specular = decided.pop("specular_lights", shading.specular_lights)
+    frontal = decided.pop("frontal_lights", shading.frontal_lights)
+    of_term = {field: decided.pop(field) for field in _OF_TERM & decided.keys()}
+    term = replace(shading.term, **of_term)
+    bare = with_lights(shading, None, ())
+    return with_lights(replace(bare, term=term, **decided), specular, frontal)
 
 
 def alone(shading: Shading, full: Shading, names: Sequence[str]) -> Shading:
     """Return the full shading with some decisions of another by themselves."""
     # a g-power is fitted to the slope that was chosen, and means nothing at another
-    base = replace(full, m=shading.m) if "lobe" in names else full
+    base = with_decisions(full, shading, ("slope",)) if "lobe" in names else full
     return with_decisions(base, shading, names)

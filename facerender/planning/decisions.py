@@ -118,24 +118,25 @@ def _share(choice: Choice, name: str, saved: float) -> str:
 
 
 def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:
+    term = shading.term
     names_of_lights = {light: name for name, light in LIGHTS.items()}
     lights = [names_of_lights.get(each, f"light {i}") for i, each in enumerate(scene.lights)]
-    lit = [name for i, name in enumerate(lights) if shading.shines(i)]
+    lit = [name for i, name in enumerate(lights) if shading.of(i)]
     near = [lights[i] for i in shading.frontal_lights]
     words = {
         "lights": f"specular of {', '.join(lit) or 'none'}",
         "frontal": f"{', '.join(near)} with Fresnel f0, not masked" if near else "none",
         "normal map": "on" if shading.normal_map else "off",
-        "slope": "the material's" if shading.m is None else f"constant {shading.m:.4g}",
+        "slope": "the material's" if term.m is None else f"constant {term.m:.4g}",
         "specular weight": "the material's" if shading.ks is None else f"constant {shading.ks:.4g}",
         "ambient": "on" if shading.ambient else "off",
-        "model": shading.model,
-        "lobe": f"lobe {shading.lobe}",
-        "Fresnel": f"Fresnel {shading.fresnel}",
-        "masking": f"masking {shading.masking}",
-        "small slopes": "small slopes " + ("plain" if shading.small_slope is False else "exact"),
+        "model": term.model,
+        "lobe": f"lobe {term.lobe}",
+        "Fresnel": f"Fresnel {term.fresnel}",
+        "masking": f"masking {term.masking}",
+        "small slopes": "small slopes " + ("plain" if term.small_slope is False else "exact"),
     }
-    told = names if shading.model == "cook-torrance" else names[:2]
+    told = names if term.entry.factors else names[:2]
     if len(names) == 1:
         return words[names[0]].removeprefix(names[0]).strip()
     return ", ".join(words[name] for name in told if name not in ("small slopes", "frontal"))

@@ -13,13 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender.drawing.prepare import simplify
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
-from facerender.glsl.library import Target, shading_source
+from facerender.glsl.code import call
+from facerender.glsl.library import Target, term_source
 from facerender.image import save_png
 from facerender.planning.bound import bound
 from facerender.planning.budget import ROUNDING, Budget
-from facerender.planning.candidates import Constants
+from facerender.planning.candidates import Constants, with_lights
 from facerender.planning.decisions import Decision, decisions
 from facerender.planning.search import Choice, Cost, Drawn, Region, Witnesses, constants_seen
 from facerender.pricing.cost import is_software
@@ -110,17 +112,12 @@ class Plan:
         ------
         InputError : an unknown target
         """
-        smallest = min(low for low, _ in slope_ranges(self.shading.simplify(self.scene)))
-        flat = shading_source(self.shading, smallest, target)
+        smallest = min(low for low, _ in slope_ranges(simplify(self.scene, self.shading)))
+        flat = term_source(self.shading.term, smallest, target)
         version, _, rest = flat.partition("\n") if flat.startswith("#") else ("", "", flat)
-        specular, frontal = self.shading.calls
-        calls = [
-            "none"
-            if not self.shading.shines(light)
-            else (frontal if light in self.shading.frontal_lights else specular)
-            for light in range(len(self.scene.lights))
-        ]
-        lines = [f"BRDF of light {light}: {call}" for light, call in enumerate(calls)]
+        terms = [self.shading.of(light) for light in range(len(self.scene.lights))]
+        calls = [call(replace(term, m=None)) if term else "none" for term in terms]
+        lines = [f"BRDF of light {light}: {text}" for light, text in enumerate(calls)]
         notes = [f"// {line}" for line in [*self.explain().splitlines(), *lines]]
         return "\n".join(filter(None, [version, *notes, rest]))
 
@@ -234,11 +231,13 @@ def plan(
     ContextError : no OpenGL context
     """
     allowed = Budget.parse(budget, exposure)
-    if full.lobe != "exact":
-        raise InputError(f"a plan chooses the lobe: leave {full.lobe} out")
+    if full.term.lobe != "exact":
+        raise InputError(f"a plan chooses the lobe: leave {full.term.lobe} out")
+    if full != with_lights(full, full.specular_lights, full.frontal_lights):
+        raise InputError("a plan chooses the lights' terms: leave lights out of the shading")
     if not scene.lights:
         raise InputError("the scene has no lights: there is no shading to plan")
-    full = replace(full, small_slope=None)  # as the slopes need it
+    full = replace(full, term=replace(full.term, small_slope=None))  # as the slopes need it
     if guarantee:
         if cameras is not None:
             raise InputError("a guarantee holds for every camera: leave cameras out")
@@ -282,7 +281,8 @@ def _measured(
 
 
 def _guaranteed(scene: Scene, full: Shading, budget: Budget, cost: str) -> Plan:
-    ends = [end for slopes in slope_ranges(full.simplify(scene)) for end in slopes]
+    bound(scene, full, full, budget)  # refuses at once what it cannot bound
+    ends = [end for slopes in slope_ranges(simplify(scene, full)) for end in slopes]
     brightest = [float(np.max(light.irradiance)) for light in scene.lights]
     faintest = tuple(int(light) for light in np.argsort(brightest, kind="stable"))
     constants = Constants(max(ends), max(each.ks for each in scene.mesh.materials), faintest)

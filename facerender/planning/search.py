@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.frame import GBuffer
+from facerender.drawing.prepare import simplify
 from facerender.drawing.reference import Layers, layers
 from facerender.drawing.renderer import Renderer
 from facerender.planning.budget import ROUNDING, Budget
@@ -27,8 +28,9 @@ from facerender.planning.candidates import (
     changed,
     groups,
     values,
+    with_lights,
 )
-from facerender.pricing.table import load_prices
+from facerender.pricing.table import NoPrice, load_prices
 from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
 
@@ -92,11 +94,18 @@ class Choice:
         self.prices = load_prices(cost, scene, [*found, full], software)
         self.costs: dict[Shading, float] = {}
         full_cost = self.total(full)
-        cheaper = [each for each in found if self.total(each) < full_cost]
+        cheaper = [each for each in found if self._is_priced(each) and self.total(each) < full_cost]
         # of the same cost, those with the fewest changes first
         cheaper.sort(key=lambda each: (self.total(each), len(changed(each, full))))
         self.ordered = [*cheaper, full]
         self.count = len(cheaper)
+
+    def _is_priced(self, shading: Shading) -> bool:
+        try:
+            self.total(shading)
+        except NoPrice:
+            return False
+        return True
 
     def total(self, shading: Shading) -> float:
         """Return what a fragment costs."""
@@ -172,7 +181,7 @@ class Drawn:
     ) -> None:
         self.renderer, self.scenes, self.full, self.budget = renderer, scenes, full, budget
         self.exact = [self._draw(scene, full) for scene in scenes]
-        self.failed: list[dict[str, Any]] = []
+        self.failed: list[tuple[Sequence[str], dict[str, Any]]] = []
 
     def let_pass(self, shading: Shading) -> bool:
         """Tell whether a shading is within the budget."""
@@ -180,15 +189,12 @@ class Drawn:
             return True
         for names in groups(shading, self.full).values():
             if not self._within(alone(shading, self.full, names)):
-                self.failed.append(values(shading, names))
+                self.failed.append((names, values(shading, names)))
         return False
 
     def ruled_out(self, shading: Shading) -> bool:
         """Tell whether a shading has a change that failed."""
-        return any(
-            all(getattr(shading, field) == value for field, value in failed.items())
-            for failed in self.failed
-        )
+        return any(values(shading, names) == failed for names, failed in self.failed)
 
     def _within(self, shading: Shading) -> bool:
         return all(error <= self.budget.limit for error in self.errors(shading))
@@ -228,18 +234,16 @@ class Region:
         """Return all pixels of the scene's camera."""
         mapped = renderer.gbuffer(scene, full)
         plain = mapped
-        if any(each.normal_map is not None for each in full.simplify(scene).mesh.materials):
+        if any(each.normal_map is not None for each in simplify(scene, full).mesh.materials):
             plain = renderer.gbuffer(scene, replace(full, normal_map=False))
         return cls(scene, mapped, plain, mapped.part >= 0, full, budget)
 
     def layers(self, shading: Shading) -> Layers:
         """Return the terms of a shading, of all lights and the ambient one, none frontal."""
-        whole = replace(shading, ambient=True, specular_lights=None, frontal_lights=())
+        whole = with_lights(replace(shading, ambient=True), None, ())
         if whole in self.known:
             return self.known[whole]
         gbuffer = self.mapped if whole.normal_map else self.plain
-        if whole.m is not None:
-            gbuffer = replace(gbuffer, m=np.full_like(gbuffer.m, whole.m))
         if whole.ks is not None:
             weight = np.full_like(gbuffer.specular_weight, whole.ks)
             gbuffer = replace(gbuffer, specular_weight=weight)
@@ -253,8 +257,8 @@ class Region:
         terms = self.layers(shading)
         image = terms.sum(shading)
         if shading.frontal_lights:
-            frontal = self.layers(shading.frontal)
-            for light in filter(shading.shines, shading.frontal_lights):
+            frontal = self.layers(replace(shading, term=shading.term.frontal))
+            for light in shading.frontal_lights:
                 image += frontal.specular[light] - terms.specular[light]
         if self.scene.background is not None:
             image[~self.counted] = self.scene.background
@@ -301,14 +305,15 @@ def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:
 def constants_seen(scene: Scene, full: Shading, views: Sequence[Region]) -> Constants:
     """Return what stands for the maps, their means weighted by the highlights, and how bright those
     of each light are."""
-    ends = {end for slopes in slope_ranges(full.simplify(scene)) for end in slopes}
+    ends = {end for slopes in slope_ranges(simplify(scene, full)) for end in slopes}
     peaks, losses = np.zeros((2, len(scene.lights)))
     m, ks, light = [], [], []
     for view in views:
         specular = view.terms.specular.max(axis=-1)
         peaks = np.maximum(peaks, specular.max(axis=(1, 2)))
-        if full.model == "cook-torrance":
-            lost = np.abs(view.layers(full.frontal).specular - view.terms.specular)
+        if full.term != full.term.frontal:
+            near = replace(full, term=full.term.frontal)
+            lost = np.abs(view.layers(near).specular - view.terms.specular)
             losses = np.maximum(losses, lost.max(axis=(1, 2, 3)))
         m.append(view.mapped.m[view.counted])
         ks.append(view.mapped.specular_weight[view.counted])

@@ -26,7 +26,6 @@ from typing import Any
 from facerender.errors import FacerenderError, InputError, NotMeasured
 from facerender.glsl.library import resolve_includes
 from facerender.pricing import variants
-from facerender.shading import Model
 
 FAMILIES = ("navi21", "vega10")  # RDNA2, GCN5
 ICD_FOLDERS = (Path("/usr/share/vulkan/icd.d"), Path("/etc/vulkan/icd.d"))
@@ -112,14 +111,15 @@ def table() -> dict[str, Any]:
     """Return the driver, and the statistics by family, model and term; errors as in
     :func:`statistics`."""
 
-    def rows(model: Model, family: str) -> dict[str, dict[str, int]]:
+    def rows(model: str, family: str) -> dict[str, dict[str, int]]:
         found = statistics(variants.terms(model), family)
         return {name: asdict(row) for name, row in found.items()}
 
     return {
         "driver": driver(),
         "statistics": {
-            family: {model: rows(model, family) for model in variants.CALLS} for family in FAMILIES
+            family: {model: rows(model, family) for model in variants.PRINTED}
+            for family in FAMILIES
         },
     }
 
@@ -169,7 +169,7 @@ def spirv(**sources: str) -> tuple[bytes, ...]:
 
 
 def compile_programs(
-    programs: Sequence[Sequence[bytes]], family: str
+    programs: Sequence[Sequence[bytes]], family: str, attributes: Sequence[int] = ()
 ) -> tuple[str, list[dict[str, int]]]:
     """Have RADV compile for the family, in a process of its own, since the driver reads the family
     when it is loaded.
@@ -178,6 +178,7 @@ def compile_programs(
     ----------
     programs : each the SPIR-V of a compute program, or of a vertex and a fragment program
     family : "navi21" (RDNA2) or "vega10" (GCN5)
+    attributes : components of a vertex program's, in the order of their declarations
 
     Returns
     -------
@@ -210,7 +211,12 @@ def compile_programs(
     }
     run = subprocess.run(
         [sys.executable, Path(__file__).with_name("radv.py")],
-        input=json.dumps([[module.hex() for module in modules] for modules in programs]),
+        input=json.dumps(
+            {
+                "attributes": attributes,
+                "programs": [[module.hex() for module in modules] for modules in programs],
+            }
+        ),
         env=environment,
         capture_output=True,
         text=True,

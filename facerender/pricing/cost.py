@@ -7,7 +7,6 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
 from functools import partial
 
 import moderngl
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.renderer import Renderer
 from facerender.glsl.library import resolve_includes
+from facerender.pricing.interval import Interval, bootstrap
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
@@ -59,15 +59,6 @@ void main() {
 # What of a turn is not the term's: expressions that use the same inputs.
 OF_VECTORS = "(l.x + v.y) * m + f0"
 OF_COSINE = "c + m"
-
-
-@dataclass(frozen=True)
-class Interval:
-    """An estimate and its 95 % interval, by bootstrap over the repeats."""
-
-    value: float
-    low: float
-    high: float
 
 
 def by_slope(
@@ -195,16 +186,6 @@ def frames(
 def is_software(renderer: str) -> bool:
     """Tell from GL_RENDERER whether the CPU draws."""
     return any(name in renderer.lower() for name in SOFTWARE)
-
-
-def bootstrap(
-    estimate: Callable[[NDArray[np.int64]], NDArray[np.float64]], repeats: int
-) -> list[Interval]:
-    """Return an estimate (N,) of all turns, with its 95 % interval over resampled turns."""
-    draws = np.random.default_rng(0).integers(repeats, size=(500, repeats))
-    low, high = np.percentile([estimate(turns) for turns in draws], [2.5, 97.5], axis=0)
-    value = estimate(np.arange(repeats))
-    return [Interval(*map(float, row)) for row in zip(value, low, high, strict=True)]
 
 
 def clock_of(

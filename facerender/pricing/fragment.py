@@ -9,146 +9,167 @@ Needs what ``amd`` needs, and OpenGL; what is missing is not measured.
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import replace
+from functools import cache, partial
+from typing import Any
 
 import moderngl
 import numpy as np
-from numpy.typing import ArrayLike
+from PIL import Image
 
 from facerender.drawing.context import Backend, create_context
+from facerender.drawing.passes import Draw, Target
+from facerender.drawing.program import (
+    ATTRIBUTES,
+    PROPERTY_MAPS,
+    Lighting,
+    Program,
+    part_uniforms,
+    scene_uniforms,
+    shade_program,
+)
+from facerender.drawing.resources import Resources, set_uniforms
 from facerender.errors import FacerenderError
-from facerender.glsl.library import resolve_includes
 from facerender.pricing import amd
-from facerender.pricing.cost import Interval, clock_of, slopes
+from facerender.pricing.cost import clock_of, slopes
+from facerender.pricing.interval import Interval
+from facerender.pricing.variants import SLOPE
+from facerender.scenes.light import LIGHT_KINDS, Light
+from facerender.scenes.material import Material
+from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.scene import Scene
+from facerender.scenes.texture import Texture
+from facerender.scenes.view import View
+from facerender.shading import Shading
 
 SIZE = (512, 256)
-# In place of a specular term: what ``amd`` takes off a term's cost, so that both add up. It keeps
-# alive what only a specular term reads.
-STUB = "".join(
-    f"#define {name}_BRDF(n, l, v, m, f0) ({amd.EMPTY})\n" for name in ("SPECULAR", "FRONTAL")
+Timed = Callable[[int], float]  # draws as often as it is told, and returns the seconds
+
+# A triangle that fills the target with a patch of a curved surface, clockwise, as the host draws
+# its front; a texel and a half to a pixel.
+_PATCH = Part(
+    positions=np.array([(-1.0, -1.0, 0.1), (-1.0, 3.0, -0.2), (3.0, -1.0, 0.2)]),
+    normals=np.array([(-0.5, -0.4, 1.0), (-0.4, 0.6, 1.0), (0.7, -0.3, 1.0)]),
+    faces=np.arange(3, dtype=np.uint32)[None],
+    uv=np.array([(0.0, 0.0), (0.0, 3 * SIZE[1] / 1024), (3 * SIZE[0] / 1024, 0.0)]),
 )
+_LIGHTS = {
+    "directional": Light(30.0, 35.0, (2.0, 1.9, 1.8)),
+    "point": Light(irradiance=(2.0, 1.9, 1.8), position=(1.0, 2.0, 3.0)),
+}
+_EMPTY = "#version 330 core\nout vec4 radiance;\nvoid main() { radiance = vec4(0.5); }\n"
+_VIEW = View(np.array([0.2, 0.1, 3.0]), np.array([0.0, 0.0, -1.0]), np.eye(4))
 
 
-@dataclass(frozen=True)
-class Program:
-    """A fragment program of the host, as far as its cost depends on it. It has diffuse light and
-    texture coordinates.
+def scene_with(
+    maps: Sequence[str] = ("albedo_map",), ambient: bool = False, **lights: int
+) -> Scene:
+    """Return a patch with some of a material's maps, of 1024 x 1024 texels.
 
     Parameters
     ----------
-    property_map : all three of its channels
-    ambient : the ambient term
-    directional_lights, point_lights : how many there are
-    directional_specular, point_specular : how many of them have a specular term
-    directional_frontal : how many have that of frontal light; no part prices it
+    ambient : whether there is ambient light
+    lights : by kind, how many there are; one directional light where nothing is said
     """
-
-    albedo_map: bool = True
-    normal_map: bool = False
-    property_map: bool = False
-    ambient: bool = False
-    directional_lights: int = 1
-    point_lights: int = 0
-    directional_specular: int = 0
-    point_specular: int = 0
-    directional_frontal: int = 0
-
-    @property
-    def parts(self) -> dict[str, int]:
-        """How many of each part it has. Terms after the first share with it what depends on the
-        fragment alone."""
-        specular = self.directional_specular + self.point_specular
-        return {
-            "base program": 1,
-            "albedo map": int(self.albedo_map),
-            "normal map": int(self.normal_map),
-            "property map": int(self.property_map),
-            "ambient term": int(self.ambient),
-            "directional light": self.directional_lights,
-            "point light": self.point_lights,
-            "first specular term": min(specular, 1),
-            "further specular term": max(specular - 1, 0),
-        }
-
-    def defines(self, brdf: str = STUB) -> str:
-        """Return what stands before host/shade.frag.
-
-        Parameters
-        ----------
-        brdf : GLSL that defines SPECULAR_BRDF, as :meth:`Shading.glsl` returns it
-        """
-        names = ["UV", "DIFFUSE"]
-        names += ["ALBEDO_MAP"] * self.albedo_map + ["NORMAL_MAP"] * self.normal_map
-        names += ["AMBIENT"] * self.ambient
-        if self.property_map:
-            names += ["PROPERTY_MAP", "OCCLUSION_MAP", "ROUGHNESS_MAP", "SPECULAR_MAP"]
-        names += [
-            f"DIRECTIONAL_LIGHTS {self.directional_lights}",
-            f"POINT_LIGHTS {self.point_lights}",
-            f"DIRECTIONAL_SPECULAR {self.directional_specular}",
-            f"POINT_SPECULAR {self.point_specular}",
-            f"DIRECTIONAL_FRONTAL {self.directional_frontal}",
-            "POINT_FRONTAL 0",
-        ]
-        specular = self.directional_specular + self.point_specular + self.directional_frontal
-        return "".join(f"#define {name}\n" for name in names) + (brdf if specular else "")
+    textures: dict[str, Any] = {name: _texture(name) for name in maps}
+    material = Material((1.0, 1.0, 1.0), 0.4, ks=0.3, kd=0.7, **textures)
+    corners = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
+    mesh = Mesh("patch", (_PATCH,), (material,), corners, 1.0, np.ones((1, 2)))
+    counts = lights or {"directional": 1}
+    sources = [_LIGHTS[kind] for kind, count in counts.items() for _ in range(count)]
+    return Scene(mesh, lights=tuple(sources), ambient=(0.2, 0.3, 0.4) if ambient else 0.0)
 
 
-PARTS = tuple(Program().parts)
-# As many programs as parts, so that the costs of these give the costs of those. A part is measured
-# where it counts: the property map under a specular and an ambient term, which read it; other maps
-# beside an albedo map, which has paid for the interpolation of the texture coordinates.
-PROGRAMS = (
-    Program(),
-    Program(directional_lights=2),
-    Program(point_lights=1),
-    Program(directional_specular=1),
-    Program(directional_lights=2, directional_specular=2),
-    Program(albedo_map=False, directional_specular=1),
-    Program(normal_map=True, directional_specular=1),
-    Program(ambient=True, directional_specular=1),
-    Program(ambient=True, property_map=True, directional_specular=1),
-)
-_TO_PARTS = np.linalg.inv([list(program.parts.values()) for program in PROGRAMS])
+def program_of(scene: Scene, shading: Shading | None = None, stub: str = "") -> Program:
+    """Return the host's program of a scene's first part, for m >= SLOPE.
 
-_EMPTY = "#version 330 core\nout vec4 radiance;\nvoid main() { radiance = vec4(0.5); }\n"
-_SRGB8_ALPHA8 = 0x8C43
-_ATTRIBUTES = {"in_position": 3, "in_normal": 3, "in_uv": 2}
-# A triangle that fills the target with a patch of a curved surface, clockwise, as the host draws
-# its front; a texel and a half to a pixel.
-_VERTICES = np.array(
-    [
-        [-1, -1, 0.1, -0.5, -0.4, 1, 0, 0],
-        [-1, 3, -0.2, -0.4, 0.6, 1, 0, 3 * SIZE[1] / 1024],
-        [3, -1, 0.2, 0.7, -0.3, 1, 3 * SIZE[0] / 1024, 0],
-    ],
-    dtype=np.float32,
-)
-_UNIFORMS: dict[str, ArrayLike] = {
-    "view_projection": np.eye(4),
-    "eye": (0.2, 0.1, 3.0),
-    "slope": 0.4,
-    "specular_weight": 0.3,
-    "diffuse_weight": 0.7,
-    "f0": 0.028,
-    "ambient": (0.2, 0.3, 0.4),
-    "light_direction": (0.48, 0.6, 0.64),
-    "light_irradiance": (2.0, 1.9, 1.8),
-    "light_position": (1.0, 2.0, 3.0),
-    "light_intensity": (5.0, 4.9, 4.8),
-}
+    Parameters
+    ----------
+    shading : of the scene; with None every light has the stub
+    stub : GLSL in place of specular terms; "" for a program without where there is no shading
+    """
+    lighting = Lighting.of(scene, shading or Shading())
+    terms = lighting.terms if shading else ()
+    (part, *_), (material, *_) = scene.mesh.parts, scene.mesh.materials
+    program = shade_program(part, material, scene, lighting, terms, SLOPE)
+    return replace(program, calls=(stub,)) if stub else program
+
+
+@cache
+def _texture(name: str) -> Texture:
+    texels = np.random.default_rng(len(name)).integers(100, 156, (1024, 1024, 3), dtype=np.uint8)
+    return Texture(lambda: Image.fromarray(texels), name)
+
+
+def parts_of(program: Program) -> dict[str, int]:
+    """Return how many of each part a program has. Terms after the first share with it what depends
+    on the fragment alone."""
+    groups = program.lights or ()
+    specular = sum(group.count for group in groups if group.term >= 0) if program.calls else 0
+    counts: Counter[str] = Counter()
+    for group in groups:
+        counts[group.kind] += group.count
+    maps = ("albedo map", "normal map", "property map")
+    return {
+        "base program": 1,
+        **{name: int(name.upper().replace(" ", "_") in program.features) for name in maps},
+        "ambient term": int("AMBIENT" in program.features),
+        **{kind.price: counts[name] for name, kind in sorted(LIGHT_KINDS.items())},
+        "first specular term": min(specular, 1),
+        "further specular term": max(specular - 1, 0),
+    }
+
+
+def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
+    """Return as many scenes and programs as there are parts, so that the costs of these give the
+    costs of those.
+
+    A part is measured where it counts: the property map under a specular and an ambient term, which
+    read it; other maps beside an albedo map, which has paid for the interpolation of the texture
+    coordinates.
+
+    Parameters
+    ----------
+    shading : whose specular terms the programs have. With None ``amd.EMPTY`` is in their place,
+        which keeps alive what only a specular term reads, and which ``amd`` takes off a term's
+        cost: the cost of a specular part is what the program spends besides the term, whose own
+        cost comes on top; that overrates several terms by what they share
+    """
+    albedo = ("albedo_map",)
+    others: list[dict[str, Any]] = [{kind: 1} for kind in LIGHT_KINDS if kind != "directional"]
+    dull = [
+        scene_with(),
+        scene_with(directional=2),
+        *(scene_with(directional=1, **other) for other in others),
+    ]
+    specular = [
+        scene_with(),
+        scene_with(directional=2),
+        scene_with(()),
+        scene_with((*albedo, "normal_map")),
+        scene_with(ambient=True),
+        scene_with((*albedo, *PROPERTY_MAPS), ambient=True),
+    ]
+    stub = "" if shading else amd.EMPTY
+    return [(scene, program_of(scene)) for scene in dull] + [
+        (scene, program_of(scene, shading, stub)) for scene in specular
+    ]
+
+
+PARTS = tuple(parts_of(program_of(scene_with())))
+_TO_PARTS = np.linalg.inv([list(parts_of(program).values()) for _, program in samples()])
 
 
 def estimate(program: Program, parts: Mapping[str, float]) -> float:
-    """Return a program's cost from the costs of the parts; where those are of STUB, each specular
-    term's own cost comes on top."""
-    return sum(number * parts[name] for name, number in program.parts.items())
+    """Return a program's cost from the costs of the parts; where those are without a shading, each
+    specular term's own cost comes on top."""
+    return sum(count * parts[name] for name, count in parts_of(program).items())
 
 
-def by_compiler(family: str, brdf: str = STUB) -> dict[str, float]:
+def by_compiler(family: str, shading: Shading | None = None) -> dict[str, float]:
     """Return the cost of each part on a family of AMD's GPUs, as RADV estimates it.
 
     A map costs what the vector ALU does for it: the compiler knows neither the filter's rate nor
@@ -157,9 +178,7 @@ def by_compiler(family: str, brdf: str = STUB) -> dict[str, float]:
     Parameters
     ----------
     family : "navi21" (RDNA2) or "vega10" (GCN5)
-    brdf : GLSL that defines SPECULAR_BRDF. With STUB, the cost of a specular part is what the
-        program spends besides the term, whose own cost comes on top; that overrates several terms
-        by what they share. With a term, its cost is in the part.
+    shading : see :func:`samples`
 
     Returns
     -------
@@ -167,19 +186,19 @@ def by_compiler(family: str, brdf: str = STUB) -> dict[str, float]:
 
     Raises
     ------
-    InputError : an unknown family, or a BRDF that is not GLSL
+    InputError : an unknown family
     NotMeasured : a tool is missing; the message says which, and how to get it
     """
-    found = cycles([(program, brdf) for program in PROGRAMS], family)
-    return dict(zip(PARTS, map(float, _TO_PARTS @ found), strict=True))
+    estimates = cycles([program for _, program in samples(shading)], family)
+    return dict(zip(PARTS, map(float, _TO_PARTS @ estimates), strict=True))
 
 
-def cycles(programs: Sequence[tuple[Program, str]], family: str) -> list[int]:
-    """Return RADV's estimate of whole programs, each with the GLSL of its BRDF; unit and errors as
-    in :func:`by_compiler`."""
+def cycles(programs: Sequence[Program], family: str) -> list[int]:
+    """Return RADV's estimate of whole programs; unit and errors as in :func:`by_compiler`."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        modules = list(pool.map(lambda program: amd.spirv(**_sources("450", *program)), programs))
-    rows = amd.compile_programs(modules, family)[1]
+        modules = list(pool.map(lambda program: amd.spirv(**program.sources("450")), programs))
+    attributes = list(ATTRIBUTES.values())[:3]  # of a part without vertex colours
+    rows = amd.compile_programs(modules, family, attributes)[1]
     return [row["Inverse Throughput"] for row in rows]
 
 
@@ -187,7 +206,7 @@ def by_slope(
     backend: Backend = "auto",
     repeats: int = 15,
     progress: Callable[[float], object] = lambda done: None,
-    brdf: str = STUB,
+    shading: Shading | None = None,
 ) -> dict[str, Interval]:
     """Measure the parts here, by the slope of time over the number of fragments.
 
@@ -199,7 +218,7 @@ def by_slope(
     ----------
     repeats : of every measurement
     progress : called with the share that is done, in [0, 1]
-    brdf : as in :func:`by_compiler`
+    shading : see :func:`samples`
 
     Returns
     -------
@@ -208,79 +227,41 @@ def by_slope(
     Raises
     ------
     ContextError : no OpenGL context
-    moderngl.Error : a BRDF that is not GLSL
     """
-    sources = [_sources("330 core", program, brdf) for program in PROGRAMS]
-    sources.append({**sources[0], "frag": _EMPTY})
     net = np.column_stack([_TO_PARTS, -_TO_PARTS.sum(axis=1)])
     context = create_context(backend)
     try:
         with context.drawing() as gl:
-            target = gl.framebuffer([gl.renderbuffer(SIZE, 4, dtype="f4")])
-            vertices = gl.buffer(_VERTICES)
-            textures = _textures(gl)
+            resources = Resources(context, SIZE)
             clock = clock_of(context)
 
-            def run(source: Mapping[str, str]) -> Callable[[int], float]:
-                program = gl.program(source["vert"], source["frag"])
-                _set_uniforms(program)
-                for unit, name in enumerate(textures):
-                    if name in program:
-                        program[name] = unit
-                layout = " ".join(
-                    f"{width}f" if name in program else f"{width}x4"
-                    for name, width in _ATTRIBUTES.items()
-                )
-                used = [name for name in _ATTRIBUTES if name in program]
-                array = gl.vertex_array(program, [(vertices, layout, *used)])
+            def run(scene: Scene, source: Program, own: moderngl.Program) -> Timed:
+                (part,), (material,) = scene.mesh.parts, scene.mesh.materials
+                lighting = Lighting.of(scene, Shading())
+                set_uniforms(own, scene_uniforms(scene, _VIEW, lighting))
+                set_uniforms(own, part_uniforms(part, material))
+                draw = Draw(source, {}, part, material)
+                array = resources.geometry(part, scene.mesh).array(gl, own)
 
                 def seconds(count: int) -> float:
+                    resources.bind(own, draw, {})
                     with clock(gl) as elapsed:
                         array.render(instances=count)
                     return elapsed[0]
 
                 return seconds
 
-            units = tuple((texture, unit) for unit, texture in enumerate(textures.values()))
-            with gl.scope(target, enable_only=moderngl.BLEND, textures=units):
+            with gl.scope(resources.target(Target()), enable_only=moderngl.BLEND):
                 gl.blend_func = moderngl.ONE, moderngl.ONE
-                runs = [run(source) for source in sources]
+                pairs = samples(shading)
+                runs = [run(scene, source, resources.program(source)) for scene, source in pairs]
+                vertex = pairs[0][1].sources("330 core")["vert"]
+                runs.append(run(*pairs[0], gl.program(vertex, _EMPTY)))
                 intervals = slopes(runs, 2, 1e9 / (SIZE[0] * SIZE[1]) * net, repeats, progress)
+            resources.release()
     finally:
         context.release()
     return dict(zip(PARTS, intervals, strict=True))
-
-
-def _sources(version: str, program: Program, brdf: str) -> dict[str, str]:
-    """Return the host's GLSL by stage."""
-    head = f"#version {version}\n{program.defines(brdf)}"
-    files = {"vert": "host/surface.vert", "frag": "host/shade.frag"}
-    return {s: resolve_includes(f'{head}#include "{file}"\n') for s, file in files.items()}
-
-
-def _set_uniforms(program: moderngl.Program) -> None:
-    for name, value in _UNIFORMS.items():
-        if name in program:
-            uniform = program[name]
-            size = uniform.array_length * uniform.dimension  # type: ignore[union-attr]
-            uniform.write(np.resize(value, size).astype(np.float32))  # type: ignore[union-attr]
-
-
-def _textures(gl: moderngl.Context) -> dict[str, moderngl.Texture]:
-    """Upload maps of 1024 x 1024 texels in the formats, and with the filters, of the renderer."""
-    random = np.random.default_rng(0)
-    result = {}
-    for name, components, internal, smaller in (
-        ("albedo_map", 4, _SRGB8_ALPHA8, moderngl.LINEAR_MIPMAP_LINEAR),
-        ("normal_map", 3, None, moderngl.LINEAR_MIPMAP_LINEAR),
-        ("property_map", 3, None, moderngl.LINEAR_MIPMAP_NEAREST),
-    ):
-        texels = random.integers(100, 156, (1024, 1024, components), dtype=np.uint8)
-        texture = gl.texture((1024, 1024), components, texels, internal_format=internal)
-        texture.build_mipmaps()
-        texture.filter = smaller, moderngl.LINEAR
-        result[name] = texture
-    return result
 
 
 def main() -> None:

@@ -1,11 +1,11 @@
 """Compiles programs with Mesa's RADV for a GPU that is not there. ``amd`` runs this file as a
 process of its own, with RADV_FORCE_FAMILY set; nothing here knows GLSL.
 
-Reads a JSON list of programs, each a list of SPIR-V modules in hexadecimal with the entry point
-main. One module is a compute program with the storage buffers 0 and 1; two are a vertex program,
-with the attributes of ``ATTRIBUTES``, and a fragment program that draws one float32 colour, both
-with the uniform buffer 0 and the textures 1 to 3. Writes, as one line of JSON, the driver and the
-statistics of each program, of its last stage, by name.
+Reads JSON: "attributes", how many components those of vertex programs have, and "programs", each a
+list of SPIR-V modules in hexadecimal with the entry point main. One module is a compute program
+with the storage buffers 0 and 1; two are a vertex and a fragment program, which draws one float32
+colour, both with the uniform buffer 0 and the textures 1 to 3. Writes, as one line of JSON, the
+driver and the statistics of each program, of its last stage, by name.
 """
 
 from __future__ import annotations
@@ -17,8 +17,6 @@ from typing import Any
 
 import vulkan as vk
 
-ATTRIBUTES = (3, 3, 2)  # components at the locations 0, 1 and 2
-
 _STATISTICS = "VK_KHR_pipeline_executable_properties"
 _FLAGS = vk.VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR
 _FLOATS = {
@@ -28,7 +26,9 @@ _FLOATS = {
 }
 
 
-def compile_programs(programs: Sequence[Sequence[bytes]]) -> tuple[str, list[dict[str, int]]]:
+def compile_programs(
+    programs: Sequence[Sequence[bytes]], attributes: Sequence[int]
+) -> tuple[str, list[dict[str, int]]]:
     """Return the driver's name and version, and the integer statistics of each program."""
     application = vk.VkApplicationInfo(apiVersion=vk.VK_MAKE_VERSION(1, 2, 0))
     instance = vk.vkCreateInstance(vk.VkInstanceCreateInfo(pApplicationInfo=application), None)
@@ -48,7 +48,7 @@ def compile_programs(programs: Sequence[Sequence[bytes]]) -> tuple[str, list[dic
         ),
         None,
     )
-    pipelines = {1: _Compute(device).pipeline, 2: _Graphics(device).pipeline}
+    pipelines = {1: _Compute(device).pipeline, 2: _Graphics(device, attributes).pipeline}
     result = [_statistics(device, pipelines[len(each)](each)) for each in programs]
     name, version = (
         vk.ffi.string(text).decode() for text in (driver.driverName, driver.driverInfo)
@@ -72,8 +72,8 @@ class _Compute:
 class _Graphics:
     """Makes pipelines of vertex and fragment programs."""
 
-    def __init__(self, device: Any) -> None:
-        self.device = device
+    def __init__(self, device: Any, attributes: Sequence[int]) -> None:
+        self.device, self.attributes = device, attributes
         textures = 3 * [vk.VK_DESCRIPTOR_TYPE_COMBINED_IMAGE_SAMPLER]
         self.layout = _layout(device, [vk.VK_DESCRIPTOR_TYPE_UNIFORM_BUFFER, *textures])
         color = vk.VkAttachmentDescription(
@@ -98,11 +98,11 @@ class _Graphics:
         )
         bindings = [
             vk.VkVertexInputBindingDescription(binding=location, stride=4 * components)
-            for location, components in enumerate(ATTRIBUTES)
+            for location, components in enumerate(self.attributes)
         ]
         attributes = [
             vk.VkVertexInputAttributeDescription(location, location, _FLOATS[components], 0)
-            for location, components in enumerate(ATTRIBUTES)
+            for location, components in enumerate(self.attributes)
         ]
         area = vk.VkRect2D(vk.VkOffset2D(0, 0), vk.VkExtent2D(64, 64))
         create_info = vk.VkGraphicsPipelineCreateInfo(
@@ -169,5 +169,6 @@ def _statistics(device: Any, pipeline: Any) -> dict[str, int]:
 
 
 if __name__ == "__main__":
-    given = [[bytes.fromhex(text) for text in modules] for modules in json.load(sys.stdin)]
-    print(json.dumps(compile_programs(given)))
+    given = json.load(sys.stdin)
+    programs = [[bytes.fromhex(text) for text in modules] for modules in given["programs"]]
+    print(json.dumps(compile_programs(programs, given["attributes"])))

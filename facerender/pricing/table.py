@@ -15,14 +15,18 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from facerender import lobes
+from facerender.drawing.prepare import simplify
+from facerender.drawing.program import Lighting
 from facerender.errors import InputError
-from facerender.lobes import AnyLobe, GPower
-from facerender.planning.candidates import G_POWERS
+from facerender.glsl.code import call, prelude
+from facerender.pricing.variants import SLOPE
+from facerender.scenes.light import LIGHT_KINDS
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
 from facerender.scenes.scene import Scene, slope_ranges
-from facerender.shading import FRESNEL_TERMS, MASKING_TERMS, MODELS, Shading
+from facerender.shading import Shading, Term
+from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower, lobe_entry
+from facerender.terms.fitting import G_POWERS
 
 TABLE = Path(__file__).with_name("prices.json")
 FAMILY_NAMES = {"navi21": "RDNA2 (navi21)", "vega10": "GCN5 (vega10)"}
@@ -30,6 +34,10 @@ HERE = "here"
 COMPILED = {f"radv:{family}": family for family in FAMILY_NAMES}
 
 Terms = Mapping[str, tuple[float, float]]
+
+
+class NoPrice(InputError):
+    """A term that the table of prices does not have."""
 
 
 @dataclass(frozen=True)
@@ -51,30 +59,47 @@ class Prices:
 
     def cost(self, scene: Scene, shading: Shading) -> tuple[float, float]:
         """Return what a fragment of the scene costs, and how much of it is specular; of several
-        parts the mean, weighted by their faces."""
-        simple = shading.simplify(scene)
-        lights = [light for light in range(len(scene.lights)) if shading.shines(light)]
-        lit = [shading.frontal if light in shading.frontal_lights else shading for light in lights]
-        lit.sort(key=lambda each: each is not shading)  # as the program has them
-        points = sum(light.position is not None for light in scene.lights)
+        parts the mean, weighted by their faces.
+
+        Raises
+        ------
+        NoPrice : a term that is not priced
+        """
+        simple = simplify(scene, shading)
+        lighting = Lighting.of(simple, shading)
+        lit = [
+            lighting.terms[group.term]
+            for group in sorted(lighting.groups, key=lambda group: group.term)
+            for _ in range(group.count if group.term >= 0 else 0)
+        ]
+        lights = sum(
+            group.count * self.parts[LIGHT_KINDS[group.kind].price] for group in lighting.groups
+        )
         total = specular = faces = 0.0
         for part, material, (smallest, _) in zip(
             simple.mesh.parts, simple.mesh.materials, slope_ranges(simple), strict=True
         ):
             shine = 0.0
             if material.ks:
-                terms = [self.terms[term_name(each, smallest)] for each in lit]
+                terms = [self._price(each, smallest) for each in lit]
                 shine = sum(first if i == 0 else more for i, (first, more) in enumerate(terms))
             ambient = material.kd > 0.0 and any(simple.ambient)  # type: ignore[arg-type]
-            sum_ = self.parts["base program"] + shine
+            sum_ = self.parts["base program"] + shine + lights
             sum_ += self._maps(part, material, ambient, shine > 0.0)
-            sum_ += self.parts["directional light"] * (len(scene.lights) - points)
-            sum_ += self.parts["point light"] * points
             sum_ += self.parts["ambient term"] * ambient
             faces += len(part.faces)
             total += len(part.faces) * sum_
             specular += len(part.faces) * shine
         return total / faces, specular / faces
+
+    def _price(self, term: Term, smallest_m: float) -> tuple[float, float]:
+        name = term_name(term, smallest_m)
+        if name not in self.terms:
+            raise NoPrice(
+                f"no price of {name} among {self.source}: measure it, with --cost here, or write "
+                "the table anew: python -m facerender.pricing.table"
+            )
+        return self.terms[name]
 
     def _maps(self, part: Part, material: Material, ambient: bool, shines: bool) -> float:
         if part.uv is None:
@@ -113,50 +138,47 @@ def load_prices(
     if kind in table:
         return Prices(**table[kind])
     if kind == HERE or kind in COMPILED:
-        wanted: dict[str, Shading] = {}
+        wanted: dict[str, Term] = {}
         for shading in shadings:
-            for term in {shading, shading.frontal} if shading.frontal_lights else {shading}:
+            for term in Lighting.of(scene, shading).terms:
                 wanted |= _variants(term)
         return measured(wanted) if kind == HERE else compiled(COMPILED[kind], wanted)
     raise InputError(f"unknown cost {kind!r}; known: auto, {', '.join([*table, HERE, *COMPILED])}")
 
 
-def term_name(shading: Shading, smallest_m: float) -> str:
-    """Name the specular term of a shading, as far as its cost depends on it."""
-    lobe = f"g{shading.lobe.g}" if isinstance(shading.lobe, GPower) else shading.lobe
-    words = [shading.model, lobe]
-    if shading.model == "cook-torrance":
-        words += [shading.fresnel, shading.masking]
-    if shading.lobe == "exact" and "FR_SMALL_SLOPE" in shading.macros(smallest_m):
+def term_name(term: Term, smallest_m: float) -> str:
+    """Name a specular term, as far as its cost depends on it."""
+    lobe = lobe_entry(term.lobe)
+    words = [term.model, lobe.price]
+    if term.entry.factors:
+        words += [term.fresnel, term.masking]
+    if lobe.of_tan2 and not term.keeps_small_slopes(smallest_m):
         words.append("plain")
-    if shading.m is not None:
+    if term.m is not None:
         words.append("constant")
     return " ".join(words)
 
 
-def _variants(term: Shading) -> dict[str, Shading]:
+def _variants(term: Term) -> dict[str, Term]:
     """A term with a constant slope and without, and of the exact lobe with small slopes and
     without, by name."""
-    small = (True, False) if term.lobe == "exact" else (None,)
-    found = [replace(term, m=m, small_slope=each) for m in (None, term.m) for each in small]
-    return {term_name(each, 0.3): each for each in found}
+    small = (True, False) if lobe_entry(term.lobe).of_tan2 else (None,)
+    variants = [replace(term, m=m, small_slope=each) for m in (None, term.m) for each in small]
+    return {term_name(each, SLOPE): each for each in variants}
 
 
-def all_terms() -> dict[str, Shading]:
+def all_terms() -> dict[str, Term]:
     """Return every term that a plan may choose, by name."""
     powers: list[AnyLobe] = [GPower(g, 0.27, 0.1) for g in G_POWERS]
-    found: dict[str, Shading] = {}
-    for model, lobe in product(MODELS, [*lobes.NAMES, *powers]):
-        cook_torrance = model == "cook-torrance"
-        for fresnel, masking in product(
-            FRESNEL_TERMS if cook_torrance else ("schlick",),
-            MASKING_TERMS if cook_torrance else ("v-cavity",),
-        ):
-            found |= _variants(Shading(model, lobe, fresnel, masking=masking, m=0.3))
-    return found
+    terms: dict[str, Term] = {}
+    for model, lobe in product(MODELS.values(), [*LOBES, *powers]):
+        factors = product(FRESNEL, MASKING) if model.factors else [(Term.fresnel, Term.masking)]
+        for fresnel, masking in factors:
+            terms |= _variants(Term(model.name, lobe, fresnel, masking, SLOPE))
+    return terms
 
 
-def compiled(family: str, wanted: Mapping[str, Shading]) -> Prices:
+def compiled(family: str, wanted: Mapping[str, Term]) -> Prices:
     """Have RADV compile the host's program with each term, for one light and for two.
 
     Raises
@@ -166,15 +188,16 @@ def compiled(family: str, wanted: Mapping[str, Shading]) -> Prices:
     from facerender.pricing import amd, fragment
 
     parts = fragment.by_compiler(family)
-    one = fragment.Program(directional_specular=1)
-    two = fragment.Program(directional_lights=2, directional_specular=2)
+    scenes = [fragment.scene_with(), fragment.scene_with(directional=2)]
     rows = fragment.cycles(
-        [(program, shading.glsl(0.3)) for shading in wanted.values() for program in (one, two)],
+        [
+            fragment.program_of(scene, Shading(term=term))
+            for term in wanted.values()
+            for scene in scenes
+        ],
         family,
     )
-    dull = [
-        fragment.estimate(program, parts | dict.fromkeys(_SPECULAR, 0.0)) for program in (one, two)
-    ]
+    dull = [fragment.estimate(fragment.program_of(scene), parts) for scene in scenes]
     terms = {}
     for name, first, both in zip(wanted, rows[::2], rows[1::2], strict=True):
         terms[name] = (first - dull[0], (both - dull[1]) - (first - dull[0]))
@@ -182,7 +205,7 @@ def compiled(family: str, wanted: Mapping[str, Shading]) -> Prices:
     return Prices(source, "cycles of a wave", _without_specular(parts), terms)
 
 
-def measured(wanted: Mapping[str, Shading], repeats: int = 7) -> Prices:
+def measured(wanted: Mapping[str, Term], repeats: int = 7) -> Prices:
     """Measure every part and term here, by slope.
 
     Raises
@@ -193,10 +216,7 @@ def measured(wanted: Mapping[str, Shading], repeats: int = 7) -> Prices:
     from facerender.pricing import cost, fragment
 
     parts = {name: each.value for name, each in fragment.by_slope(repeats=repeats).items()}
-    calls = {
-        name: (shading.glsl(0.3), "SPECULAR_BRDF(n, l, v, m, f0)")
-        for name, shading in wanted.items()
-    }
+    calls = {name: (prelude([term], SLOPE), call(term)) for name, term in wanted.items()}
     times = cost.by_slope(calls, repeats=repeats)
     terms = {
         name: (parts[_SPECULAR[0]] + time.value, parts[_SPECULAR[1]] + time.value)

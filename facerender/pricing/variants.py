@@ -3,59 +3,108 @@
 
 from __future__ import annotations
 
-from facerender import lobes
-from facerender.lobes import Lobe
-from facerender.shading import Model, Shading, defines, lobe_macros
+from dataclasses import dataclass
 
-CALLS: dict[Model, str] = {
-    "cook-torrance": "fr_cook_torrance(n, l, v, m, f0)",
-    "ward": "fr_ward(n, l, v, m)",
-}
+from facerender.glsl.code import defines, lobe_macros
+from facerender.shading import SMALL_SLOPE, Shading
+from facerender.terms import LOBES, MODELS
+
+SLOPE = 0.3  # of the terms that are priced
+
+# The models that the paper prints, and what texts call them.
+PRINTED = {model.name: model.title for model in MODELS.values() if model.printed}
 # Their lobes alone: E/c^4, and E from the angle.
-_PRINTED_EXACT: dict[Model, str] = {
+_PRINTED_EXACT = {
     "cook-torrance": "exp((c * c - 1.0) / (m * m * c * c)) / (c * c * c * c)",
     "ward": "exp(-tan(acos(c)) * tan(acos(c)) / (m * m))",
 }
+_PRINTED_LOBES = ("exact", "d16")
 
 
-def term(call: str, lobe: Lobe, *lines: str) -> tuple[str, str]:
-    """Return the prelude and the expression, in 1/sr, of a model's term.
+@dataclass(frozen=True)
+class Variant:
+    """A form of a model's specular term.
 
-    Parameters
+    Attributes
     ----------
-    call : the expression; its function names the file
-    lobe : a name of ``lobes.NAMES``
-    lines : of GLSL, that stand before the include
+    model, lobe : names
+    printed : as the paper prints it, not as the library has it
+    plain : without the digits of small angles, which the exact lobe can do without from
+        m = SMALL_SLOPE on
     """
-    folder = "printed" if "printed_" in call else "facerender"
-    file = call.split("(")[0].removeprefix("fr_").removeprefix("printed_")
-    chosen = defines(lobe_macros(lobe))
-    return chosen + "\n".join([*lines, f'#include "{folder}/{file}.glsl"']), call
 
+    model: str
+    lobe: str
+    printed: bool = False
+    plain: bool = False
 
-def terms(model: Model) -> dict[str, tuple[str, str]]:
-    """Return prelude and expression of each whole term by name, the printed forms first."""
-    call = CALLS[model]
-    printed = call.replace("fr_", "fr_printed_")
-    result = {f"printed, {lobe}": term(printed, lobe) for lobe in ("exact", "d16")}
-    for lobe in lobes.NAMES:
-        result[lobe] = term(call, lobe)
-        if lobe == "exact":
-            result["exact, m >= 0.2"] = term(call, lobe, "#define FR_SMALL_SLOPE 0")
-    return result
+    @property
+    def name(self) -> str:
+        """The label, which no other variant of the model has."""
+        if self.printed:
+            return f"printed, {self.lobe}"
+        return f"{self.lobe}, m >= {SMALL_SLOPE:g}" if self.plain else self.lobe
 
+    @property
+    def standard(self) -> bool:
+        """Whether it is what a renderer draws with its shading."""
+        return not (self.printed or self.plain)
 
-def lobe_terms(model: Model) -> dict[str, tuple[str, str]]:
-    """Return prelude and expression of each lobe alone, of float c and m, without a unit."""
-    k = Shading(model).k
-    power = f"fr_printed_g_power(c, 2.0 / (m * m) - {k}.0, 16)"
-    return {
-        "printed, exact": ("", _PRINTED_EXACT[model]),
-        "printed, d16": ('#include "printed/g_power.glsl"', power),
-    } | {
-        lobe: (
-            f'{defines(lobe_macros(lobe))}#include "facerender/lobe.glsl"',
-            f"fr_lobe(c, m, {k})",
+    @property
+    def unclamped(self) -> bool:
+        """Whether it is a power that lacks the clamp: the paper prints none."""
+        return self.printed and self.lobe != "exact"
+
+    @property
+    def k(self) -> int:
+        """The power of 1/cos γ in the model's lobe."""
+        return MODELS[self.model].k
+
+    @property
+    def shading(self) -> Shading:
+        """The choice of its model and lobe."""
+        return Shading(self.model, self.lobe)
+
+    @property
+    def term(self) -> tuple[str, str]:
+        """Prelude and expression of the whole term, in 1/sr."""
+        model = MODELS[self.model]
+        call = model.printed if self.printed else model.printed.replace("printed_", "")
+        folder = "printed" if self.printed else "facerender"
+        small = "#define FR_SMALL_SLOPE 0\n" if self.plain else ""
+        return (
+            f'{defines(lobe_macros(self.lobe))}{small}#include "{folder}/{model.file}.glsl"',
+            call,
         )
-        for lobe in lobes.NAMES
-    }
+
+    @property
+    def lobe_term(self) -> tuple[str, str]:
+        """Prelude and expression of the lobe alone, of float c and m, without a unit."""
+        if self.unclamped:
+            power = f"fr_printed_g_power(c, 2.0 / (m * m) - {self.k}.0, 16)"
+            return '#include "printed/g_power.glsl"', power
+        if self.printed:
+            return "", _PRINTED_EXACT[self.model]
+        prelude = f'{defines(lobe_macros(self.lobe))}#include "facerender/lobe.glsl"'
+        return prelude, f"fr_lobe(c, m, {self.k})"
+
+
+def of_model(model: str) -> tuple[Variant, ...]:
+    """Return the variants of a model, the printed ones first."""
+    printed = [Variant(model, lobe, printed=True) for lobe in _PRINTED_LOBES]
+    library = [
+        Variant(model, lobe, plain=plain)
+        for lobe in LOBES
+        for plain in ((False, True) if lobe == "exact" else (False,))
+    ]
+    return *printed, *library
+
+
+def terms(model: str) -> dict[str, tuple[str, str]]:
+    """Return prelude and expression of each whole term by the variant's name."""
+    return {variant.name: variant.term for variant in of_model(model)}
+
+
+def lobe_terms(model: str) -> dict[str, tuple[str, str]]:
+    """Return prelude and expression of each lobe alone by the variant's name."""
+    return {variant.name: variant.lobe_term for variant in of_model(model) if not variant.plain}

@@ -20,6 +20,8 @@ from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import vector
 from facerender.shading import Shading
 
+KEYS = ("camera", "cameras", "lights", "material", "shading", "ambient", "background")
+
 
 def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read camera, lights, ambient, background and material from a TOML file.
@@ -41,40 +43,43 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise InputError(f"cannot read {path}: {reason(error)}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{name} is not TOML: {error}") from None
+    try:
+        return {key: scene_value(key, value) for key, value in tables.items()}
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
 
-    scene: dict[str, Any] = {}
-    for key, value in tables.items():
-        try:
-            if key == "camera":
-                scene[key] = _from_table(Camera, key, value)
-            elif key == "lights":
-                if not isinstance(value, list):
-                    raise InputError(f"lights = {value!r}: give a list of names or tables")
-                scene[key] = tuple(
-                    parse_light(item) if isinstance(item, str) else _from_table(Light, key, item)
-                    for item in value
-                )
-            elif key == "cameras":
-                if not isinstance(value, list) or not value:
-                    raise InputError(f"cameras = {value!r}: give a list of tables")
-                scene[key] = tuple(_from_table(Camera, key, item) for item in value)
-            elif key == "shading":
-                Shading.from_dict(value)  # validates
-                scene[key] = value
-            elif key == "material":
-                _from_table(Material, key, value)  # validates
-                scene[key] = value
-            elif key in ("ambient", "background"):
-                transparent = key == "background" and value == "none"
-                scene[key] = None if transparent else vector(key, value)
-            else:
-                raise InputError(
-                    f"unknown key {key!r}; known: camera, cameras, lights, material, shading, "
-                    "ambient, background"
-                )
-        except InputError as error:
-            raise InputError(f"{name}: {error}") from None
-    return scene
+
+def scene_value(key: str, value: Any) -> Any:
+    """Return what a key of a scene means, of plain data.
+
+    Raises
+    ------
+    InputError : an unknown key or a value outside its domain
+    """
+    if key == "camera":
+        return from_table(Camera, key, value)
+    if key == "lights":
+        if not isinstance(value, list):
+            raise InputError(f"lights = {value!r}: give a list of names or tables")
+        return tuple(
+            parse_light(item) if isinstance(item, str) else from_table(Light, key, item)
+            for item in value
+        )
+    if key == "cameras":
+        if not isinstance(value, list) or not value:
+            raise InputError(f"cameras = {value!r}: give a list of tables")
+        return tuple(from_table(Camera, key, item) for item in value)
+    if key == "shading":
+        Shading.from_dict(value)  # validates
+        return value
+    if key == "material":
+        from_table(Material, key, value)  # validates
+        return value
+    if key == "background" and value == "none":
+        return None
+    if key in ("ambient", "background"):
+        return vector(key, value)
+    raise InputError(f"unknown key {key!r}; known: {', '.join(KEYS)}")
 
 
 def scene_toml(scene: Scene, shading: Shading) -> str:
@@ -85,11 +90,16 @@ def scene_toml(scene: Scene, shading: Shading) -> str:
     dark: dict[str, Any] = {} if scene.lights else {"lights": []}
     tables: list[tuple[str, Mapping[str, Any]]] = [
         ("", {"ambient": scene.ambient, "background": background} | dark),
-        ("[camera]", _changed(scene.camera)),
-        *(("[[lights]]", _changed(light)) for light in scene.lights),
+        ("[camera]", _changes(scene.camera)),
+        *(("[[lights]]", _changes(light)) for light in scene.lights),
         ("[material]", _shared_factors(scene.mesh.materials)),
         ("[shading]", shading.as_dict()),
     ]
+    return toml_text(tables)
+
+
+def toml_text(tables: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
+    """Return TOML: of each table its head and what is not None."""
     blocks = []
     for head, table in tables:
         lines = [f"{key} = {_toml(value)}" for key, value in table.items() if value is not None]
@@ -97,7 +107,7 @@ def scene_toml(scene: Scene, shading: Shading) -> str:
     return "\n".join(blocks)
 
 
-def _changed(value: Camera | Light) -> dict[str, Any]:
+def _changes(value: Camera | Light) -> dict[str, Any]:
     """The fields that are not the default."""
     return {
         each.name: getattr(value, each.name)
@@ -126,9 +136,15 @@ def _toml(value: Any) -> str:
     return repr(value.item() if isinstance(value, np.generic) else value)
 
 
-def _from_table(kind: type[Any], key: str, table: Any) -> Any:
+def from_table(kind: type[Any], key: str, table: Any) -> Any:
+    """Return a dataclass of a table; maps are no keys.
+
+    Raises
+    ------
+    InputError : no table, an unknown key or a value outside its domain
+    """
     known = [each.name for each in fields(kind) if not each.name.endswith("_map")]
-    if not isinstance(table, dict) or (unknown := set(table) - set(known)):
-        what = f"key {sorted(unknown)[0]!r}" if isinstance(table, dict) else f"value {table!r}"
+    if not isinstance(table, Mapping) or (unknown := set(table) - set(known)):
+        what = f"key {sorted(unknown)[0]!r}" if isinstance(table, Mapping) else f"value {table!r}"
         raise InputError(f"unknown {what} in {key}; known: {', '.join(known)}")
     return kind(**table)

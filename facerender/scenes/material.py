@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from facerender.errors import InputError, check_range
-from facerender.lobes import MAX_SLOPE, MIN_SLOPE
 from facerender.scenes.texture import Texture, pack
 from facerender.scenes.vectors import Vector, non_negative
-
-MAX_WEIGHT = 1e6
-
+from facerender.shading import MAX_WEIGHT
+from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
 
 SKIN_ALBEDO: Vector = (0.48, 0.28, 0.21)  # linear; where a mesh brings no colour of its own
 
@@ -57,6 +56,10 @@ class Material:
             value = getattr(self, name)
             if value is not None and not isinstance(value, Texture):
                 raise InputError(f"{name} = {value!r}: give facerender.Texture.open(FILE) or None")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickles no more than the parameters."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @cached_property
     def slopes(self) -> tuple[float, float]:

@@ -81,3 +81,8 @@ class Mesh:
         if "m" in changes:
             changes = {"roughness_map": None, **changes}
         return replace(self, materials=tuple(replace(each, **changes) for each in self.materials))
+
+
+def slope_range(part: Part, material: Material) -> tuple[float, float]:
+    """Return the smallest and the largest m; without texture coordinates no map counts."""
+    return (material.m, material.m) if part.uv is None else material.slopes

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-from facerender.errors import InputError
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import LIGHTS, Light
-from facerender.scenes.mesh import Mesh
+from facerender.scenes.mesh import Mesh, slope_range
 from facerender.scenes.vectors import Vector, non_negative
+
+Only = Literal["specular", "diffuse", "albedo", "normal", "depth", "cosines"]
+
+# What an image may show in place of a whole scene.
+ONLY: tuple[Only, ...] = ("specular", "diffuse", "albedo", "normal", "depth", "cosines")
 
 
 @dataclass(frozen=True)
@@ -41,29 +43,5 @@ class Scene:
 
 
 def slope_ranges(scene: Scene) -> list[tuple[float, float]]:
-    """Return the smallest and the largest m of each part; without texture coordinates no map
-    counts."""
-    parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
-    return [(at.m, at.m) if part.uv is None else at.slopes for part, at in parts]
-
-
-def point_lights(scene: Scene) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return positions and intensities of the point lights in the renderer's space, (3,) each.
-
-    The intensity is the irradiance that the light gives at the mesh's centre, times the square of
-    its distance from there.
-
-    Raises
-    ------
-    InputError : a light stands at the centre itself
-    """
-    result = []
-    for light in scene.lights:
-        if light.position is None:
-            continue
-        position = scene.mesh.normalised(light.position)
-        distance2 = float(position @ position)
-        if distance2 < 1e-12:
-            raise InputError(f"point light {light.position} is at the mesh's centre; move it")
-        result.append((position, np.asarray(light.irradiance) * distance2))
-    return result
+    """Return the smallest and the largest m of each part."""
+    return [slope_range(*each) for each in zip(scene.mesh.parts, scene.mesh.materials, strict=True)]

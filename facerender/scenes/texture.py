@@ -46,6 +46,15 @@ class Texture:
         self._rgb: Image | None = None
         self._levels: dict[Kind, Future[Levels]] = {}
 
+    def __getstate__(self) -> tuple[str, Image]:
+        """Pickles the decoded image, whatever it is decoded from."""
+        return self.name, self.rgb()
+
+    def __setstate__(self, state: tuple[str, Image]) -> None:
+        name, image = state
+        self.__init__(lambda: image, name)  # type: ignore[misc]
+        self._rgb = image
+
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Texture:
         """Read an image file; it is decoded later.

@@ -11,11 +11,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender import lobes
 from facerender.errors import InputError
-from facerender.lobes import GPower, PowerPolynomial
+from facerender.terms import lobe as lobes
+from facerender.terms.lobe import GPower, PowerPolynomial
 
 Array = NDArray[np.float64]
+
+G_POWERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 24)  # few products each
 
 
 def fit(

@@ -22,45 +22,43 @@
 #include "facerender/fresnel.glsl"
 #include "facerender/masking.glsl"
 
-// Cook-Torrance specular BRDF with terms of its own, for programs that treat lights differently.
+// Cook-Torrance specular BRDF with terms of its own, for programs that treat lights differently, or
+// have two lobes.
 //
-//   fresnel   FR_FRESNEL_SCHLICK, _DIELECTRIC or _CONSTANT, in place of FR_FRESNEL; a constant, which
-//             the compiler folds
+//   lobe      FR_LOBE_EXACT or another macro of lobe.glsl, in place of FR_LOBE; all are there with
+//             #define FR_LOBE FR_LOBE_EVERY; a constant, which the compiler folds
+//   fresnel   FR_FRESNEL_SCHLICK, _DIELECTRIC or _CONSTANT, in place of FR_FRESNEL; a constant
 //   masking   FR_MASKING_V_CAVITY, _KELEMEN or _NONE, in place of FR_MASKING; a constant
-float fr_cook_torrance_terms(vec3 n, vec3 l, vec3 v, float m, float f0, int fresnel, int masking) {
+float fr_cook_torrance_terms(
+    vec3 n, vec3 l, vec3 v, float m, float f0, int lobe, int fresnel, int masking
+) {
     float n_dot_l = dot(n, l);
     float n_dot_v = dot(n, v);
-    float product = n_dot_l * n_dot_v;
     vec3 h = l + v;  // keeps its length: V.H = |h|/2
     float n_dot_h = n_dot_l + n_dot_v;
     float slope = max(FR_SLOPE(m), FR_MIN_SLOPE);
     float m2 = slope * slope;
-#if FR_LOBE == FR_LOBE_EXACT
-    vec2 squares = fr_half_vector(n, h, n_dot_h);
-    float h_dot_h = squares.x;
-#else
-    float h_dot_h = dot(h, h);
+    vec2 squares = vec2(dot(h, h), 0.0);
+#if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
+    if (lobe == FR_LOBE_EXACT) squares = fr_half_vector(n, h, n_dot_h);
 #endif
-
-    // G/((N.L)(N.V)) = masked/(product h.h)
-    float masked = h_dot_h;
-    if (masking == FR_MASKING_V_CAVITY) {
-        masked = min(h_dot_h, 4.0 * n_dot_h * min(n_dot_l, n_dot_v));
-    } else if (masking == FR_MASKING_KELEMEN) {
-        product = 1.0;
-        masked = 4.0;
-    }
+    float h_dot_h = squares.x;
+    vec2 masked = fr_masking_of(n_dot_h, h_dot_h, n_dot_l, n_dot_v, masking);
 
     // 4 D G/((N.L)(N.V)); for the exact lobe, whose 1/c^2 is (h.h)/(N.h)^2, with a single division.
-#if FR_LOBE == FR_LOBE_EXACT
-    float inverse = 1.0 / (product * (n_dot_h * n_dot_h) * m2);
-    float sec2 = h_dot_h * m2 * (product * inverse);
-    float value = fr_slope_factor(squares.y * (product * inverse)) * sec2 * (masked * inverse);
-#else
-    float inverse = 1.0 / (product * h_dot_h);
-    float c = n_dot_h * sqrt(h_dot_h) * (product * inverse);
-    float value = fr_lobe(c, slope, FR_K_COOK_TORRANCE) / m2 * (masked * inverse);
+    float value;
+#if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
+    if (lobe == FR_LOBE_EXACT) {
+        float inverse = 1.0 / (masked.y * (n_dot_h * n_dot_h) * m2);
+        float sec2 = h_dot_h * m2 * (masked.y * inverse);
+        value = fr_slope_factor(squares.y * (masked.y * inverse)) * sec2 * (masked.x * inverse);
+    } else
 #endif
+    {
+        float inverse = 1.0 / (masked.y * h_dot_h);
+        float c = n_dot_h * sqrt(h_dot_h) * (masked.y * inverse);
+        value = fr_lobe_of(c, slope, FR_K_COOK_TORRANCE, lobe) / m2 * (masked.x * inverse);
+    }
     float reflectance = fr_fresnel_of(f0, 0.5 * sqrt(h_dot_h), fresnel);
     bool above = n_dot_l > FR_MIN_COSINE && n_dot_v > FR_MIN_COSINE;
     return above ? reflectance * value * (0.25 / FR_PI) : 0.0;
@@ -68,7 +66,7 @@ float fr_cook_torrance_terms(vec3 n, vec3 l, vec3 v, float m, float f0, int fres
 
 // Cook-Torrance specular BRDF, with the terms that the host chose.
 float fr_cook_torrance(vec3 n, vec3 l, vec3 v, float m, float f0) {
-    return fr_cook_torrance_terms(n, l, v, m, f0, FR_FRESNEL, FR_MASKING);
+    return fr_cook_torrance_terms(n, l, v, m, f0, FR_DEFAULT_LOBE, FR_FRESNEL, FR_MASKING);
 }
 
 #endif

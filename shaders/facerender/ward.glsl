@@ -17,22 +17,35 @@
 #include "facerender/half_vector.glsl"
 #include "facerender/lobe.glsl"
 
-float fr_ward(vec3 n, vec3 l, vec3 v, float m) {
+// Ward's isotropic specular BRDF with a lobe of its own, for programs that treat lights differently.
+//
+//   lobe      FR_LOBE_EXACT or another macro of lobe.glsl, in place of FR_LOBE; all are there with
+//             #define FR_LOBE FR_LOBE_EVERY; a constant, which the compiler folds
+float fr_ward_terms(vec3 n, vec3 l, vec3 v, float m, int lobe) {
     float n_dot_l = dot(n, l);
     float n_dot_v = dot(n, v);
     vec3 h = l + v;  // keeps its length
     float n_dot_h = n_dot_l + n_dot_v;
     float slope = max(FR_SLOPE(m), FR_MIN_SLOPE);
     float m2 = slope * slope;
-#if FR_LOBE == FR_LOBE_EXACT
-    float across2 = fr_half_vector(n, h, n_dot_h).y;
-    float lobe = fr_slope_factor(across2 / (n_dot_h * n_dot_h * m2));
-#else
-    float lobe = fr_lobe(n_dot_h * inversesqrt(dot(h, h)), slope, FR_K_WARD);
+    float value;
+#if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
+    if (lobe == FR_LOBE_EXACT) {
+        float across2 = fr_half_vector(n, h, n_dot_h).y;
+        value = fr_slope_factor(across2 / (n_dot_h * n_dot_h * m2));
+    } else
 #endif
+    {
+        value = fr_lobe_of(n_dot_h * inversesqrt(dot(h, h)), slope, FR_K_WARD, lobe);
+    }
     float scale = 4.0 * FR_PI * m2;
     bool above = n_dot_l > FR_MIN_COSINE && n_dot_v > FR_MIN_COSINE;
-    return above ? lobe * inversesqrt(scale * scale * (n_dot_l * n_dot_v)) : 0.0;
+    return above ? value * inversesqrt(scale * scale * (n_dot_l * n_dot_v)) : 0.0;
+}
+
+// Ward's isotropic specular BRDF, with the lobe that the host chose.
+float fr_ward(vec3 n, vec3 l, vec3 v, float m) {
+    return fr_ward_terms(n, l, v, m, FR_DEFAULT_LOBE);
 }
 
 #endif

@@ -14,11 +14,19 @@
 #include "facerender/constants.glsl"
 #include "facerender/ward.glsl"
 
-float fr_ward_printed(vec3 n, vec3 l, vec3 v, float m) {
+// Ward's specular BRDF as printed, with a lobe of its own.
+//
+//   lobe      as for fr_ward_terms
+float fr_ward_printed_terms(vec3 n, vec3 l, vec3 v, float m, int lobe) {
     float n_dot_l = max(dot(n, l), FR_MIN_COSINE);
     float n_dot_v = max(dot(n, v), FR_MIN_COSINE);
     float l_dot_h = 0.5 * length(l + v);
-    return fr_ward(n, l, v, m) * sqrt(n_dot_l * n_dot_v / (n_dot_v + l_dot_h));
+    return fr_ward_terms(n, l, v, m, lobe) * sqrt(n_dot_l * n_dot_v / (n_dot_v + l_dot_h));
+}
+
+// Ward's specular BRDF as printed, with the lobe that the host chose.
+float fr_ward_printed(vec3 n, vec3 l, vec3 v, float m) {
+    return fr_ward_printed_terms(n, l, v, m, FR_DEFAULT_LOBE);
 }
 
 #endif

@@ -1,0 +1,139 @@
+"""``facerender plan``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from facerender.commands.common import clean_up_on_interrupt
+from facerender.commands.scene import WHERE, add_scene, job_of, load
+from facerender.drawing.context import BACKENDS
+from facerender.drawing.renderer import Renderer
+from facerender.errors import InputError, reason
+from facerender.glsl.library import TARGETS
+from facerender.image import write_bytes
+
+
+def add(plan: argparse.ArgumentParser) -> None:
+    plan.set_defaults(command=run)
+    plan.description = (
+        "The cheapest shading of a scene whose error at every pixel stays within a budget, against "
+        "the exact lobe with all terms and maps."
+    )
+    plan.add_argument(
+        "--budget", required=True, metavar="ERROR", help="1/255, 0.5%% or '0.02 flip'"
+    )
+    plan.add_argument(
+        "--guarantee", action="store_true", help="bound the error for every camera; looser"
+    )
+    plan.add_argument(
+        "--cost",
+        default="auto",
+        metavar="OF",
+        help="llvmpipe, navi21 (RDNA2) or vega10 (GCN5) from a table; here, to measure; "
+        "radv:navi21 or radv:vega10, to compile (auto: the table of llvmpipe where the CPU draws, "
+        "of RDNA2 elsewhere)",
+    )
+    _, scene = add_scene(plan)
+    scene.add_argument(
+        "--from", dest="scene", metavar="FILE.toml", help="camera, lights, material, reflectance"
+    )
+    scene.add_argument(
+        "--camera",
+        action="append",
+        metavar="WHERE",
+        help=f"{WHERE}; turntable, for 8 around; a TOML file with a path of [[cameras]]; repeat "
+        "for several",
+    )
+    images = plan.add_argument_group("where the error is measured")
+    images.add_argument("--size", default="1024", help="N or WxH in pixels (1024)")
+    images.add_argument("--samples", type=int, default=4, help="per pixel; 1 for none (4)")
+    images.add_argument("--exposure", type=float, default=0.0, help="of the display, in stops (0)")
+    images.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
+
+    output = plan.add_argument_group("results")
+    output.add_argument("--json", action="store_true", help="every figure")
+    output.add_argument("--emit", metavar="OUT.glsl", help="the shader, with these choices made")
+    output.add_argument("--target", choices=TARGETS, help="of the shader: begin with its #version")
+    output.add_argument(
+        "--scene",
+        dest="pinned",
+        metavar="OUT.toml",
+        help="the scene with this shading, for facerender render --scene",
+    )
+    output.add_argument("--error-map", metavar="OUT.png", help="of the camera with the largest")
+
+
+def run(options: argparse.Namespace) -> int:
+    from facerender.planning.budget import Budget
+    from facerender.planning.plan import plan
+    from facerender.pricing.table import COMPILED, HERE
+
+    Budget.parse(options.budget, options.exposure)
+    if options.target and not options.emit:
+        raise InputError(f"--target {options.target} is of a shader: say --emit OUT.glsl")
+    if options.guarantee and (options.camera or options.error_map):
+        raise InputError("--guarantee is not measured: leave --camera and --error-map out")
+    _check_outputs(options)
+    _check_pinned(options.pinned)
+    job, cameras = job_of(options, options.camera or [])
+    scene = load(job)
+    if options.cost == HERE or options.cost in COMPILED:
+        print("facerender: measuring costs takes a minute or two", file=sys.stderr)
+    choices: dict[str, Any] = {
+        "cost": options.cost,
+        "exposure": options.exposure,
+        "full": job.shading,
+    }
+    if options.guarantee:
+        found = plan(scene, options.budget, guarantee=True, **choices)
+    else:
+        with Renderer.of(job, options.backend) as renderer:
+            found = plan(scene, options.budget, cameras=cameras, renderer=renderer, **choices)
+    clean_up_on_interrupt()
+    if options.emit:
+        write_bytes(options.emit, found.shader(options.target).encode())
+    if options.pinned:
+        write_bytes(options.pinned, (_PINNED + found.scene_toml()).encode())
+    if options.error_map:
+        found.save_error_map(options.error_map)
+    print(json.dumps(found.as_dict(), indent=2) if options.json else found.explain())
+    return 0
+
+
+def _check_outputs(options: argparse.Namespace) -> None:
+    """Nothing is planned for results that cannot be written, or that would replace one another or
+    what is read."""
+    read = ("mesh", "scene", "albedo", "normal_map", "specular_map", "roughness_map")
+    taken = {Path(name).resolve() for key in read if (name := getattr(options, key))}
+    for name in filter(None, (options.emit, options.pinned, options.error_map)):
+        path = Path(name).resolve()
+        if path in taken:
+            raise InputError(f"{name} is read, or written twice: give another name")
+        if path.is_dir() or not os.access(path.parent, os.W_OK):
+            raise InputError(f"cannot write {name}: give a file in a writable folder")
+        taken.add(path)
+    if options.error_map and not options.error_map.lower().endswith(".png"):
+        raise InputError(f"--error-map {options.error_map}: give a .png")
+
+
+_PINNED = "# Written by facerender plan.\n"
+
+
+def _check_pinned(name: str | None) -> None:
+    """A scene that somebody wrote is not replaced: --scene names one to read elsewhere."""
+    if name is None or not Path(name).is_file():
+        return
+    try:
+        start = Path(name).read_bytes()[: len(_PINNED)]
+    except OSError as error:
+        raise InputError(f"cannot read {name}: {reason(error)}") from None
+    if start != _PINNED.encode():
+        raise InputError(
+            f"{name} exists, and is not of facerender plan: --from {name} reads a scene; give "
+            "--scene another name"
+        )

@@ -1,0 +1,79 @@
+"""``facerender render``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from typing import Any
+
+from facerender.commands.common import clean_up_on_interrupt
+from facerender.commands.scene import WHERE, add_scene, job_of, load
+from facerender.drawing.context import BACKENDS
+from facerender.drawing.renderer import Renderer
+from facerender.errors import InputError
+from facerender.scenes.scene import ONLY
+from facerender.shading import OUTSIDE, Shading
+from facerender.terms import LOBES
+
+
+def add(render: argparse.ArgumentParser) -> None:
+    render.set_defaults(command=run)
+    render.add_argument("-o", "--output", required=True, metavar="OUT", help=".png or .exr")
+    terms, scene = add_scene(render)
+    terms.add_argument("--lobe", choices=tuple(LOBES), help="(exact)")
+    terms.add_argument(
+        "--outside",
+        choices=OUTSIDE,
+        help="what a material gets whose m leaves the domain of the lobe (error)",
+    )
+    terms.add_argument(
+        "--budget",
+        metavar="ERROR",
+        help="plan the cheapest terms within 1/255, 0.5%% or '0.02 flip', and use them",
+    )
+    scene.add_argument("--scene", metavar="FILE.toml", help="camera, lights, material, reflectance")
+    scene.add_argument("--camera", metavar="WHERE", help=WHERE)
+
+    image = render.add_argument_group("image")
+    image.add_argument("--size", default="1024", help="N or WxH in pixels (1024)")
+    image.add_argument("--samples", type=int, default=4, help="per pixel; 1 for none (4)")
+    image.add_argument("--exposure", type=float, default=0.0, help="of the PNG, in stops (0)")
+    image.add_argument("--only", choices=ONLY, help="one term in place of the whole image")
+    image.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
+    image.add_argument("--json", action="store_true", help="describe the image as JSON")
+
+
+def run(options: argparse.Namespace) -> int:
+    if options.budget is not None and options.only is not None:
+        raise InputError(f"--budget plans the whole image: leave --only {options.only} out")
+    job, _ = job_of(options, [options.camera] if options.camera else [])
+    scene, shading = load(job), job.shading
+    plan: dict[str, Any] = {}
+    with Renderer.of(job, options.backend) as renderer:
+        if options.budget is not None:
+            from facerender.planning.cache import planned
+
+            plan = planned(scene, options.budget, shading, options.exposure, renderer)
+            shading = Shading.from_dict(plan["shading"])
+        frame = renderer.render(scene, shading, options.only)
+        backend = renderer.context.backend
+    clean_up_on_interrupt()
+    frame.save(options.output, options.exposure)
+    if options.json:
+        facts = {
+            "output": options.output,
+            "size": job.size,
+            "backend": backend,
+            "only": frame.only,
+            **frame.metadata,
+            "warnings": options.warnings,
+        }
+        if plan:
+            facts["plan"] = plan
+        print(json.dumps(facts, indent=2))
+    else:
+        print(options.output)
+        if plan:
+            print(*plan["text"].splitlines()[-2:], sep="\n", file=sys.stderr)
+    return 0

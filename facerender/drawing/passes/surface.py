@@ -1,0 +1,29 @@
+"""What shading reads at each pixel's centre, drawn by ``shaders/host/gbuffer.frag``."""
+
+from __future__ import annotations
+
+from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.program import (
+    Program,
+    part_uniforms,
+    scene_uniforms,
+    surface_features,
+)
+from facerender.scenes.scene import Scene
+from facerender.scenes.view import View
+
+
+def surface_pass(scene: Scene, view: View) -> Pass:
+    """Return the pass that draws position and part, normal and m, albedo and specular weight,
+    texture coordinates and occlusion of a simplified scene."""
+    parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
+    draws = [
+        Draw(
+            Program("gbuffer.frag", features=surface_features(part, material)),
+            {**part_uniforms(part, material), "part": number},
+            part,
+            material,
+        )
+        for number, (part, material) in enumerate(parts, 1)
+    ]
+    return Pass("surface", Target(colors=4), tuple(draws), uniforms=scene_uniforms(scene, view))

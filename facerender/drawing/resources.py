@@ -1,0 +1,230 @@
+"""What is on the GPU: programs, targets, geometry, textures, kept for the next frame; and how a
+pass is drawn with them."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.drawing.context import Context
+from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.prepare import part_maps
+from facerender.drawing.program import Program, part_columns
+from facerender.errors import ContextError, InputError
+from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.texture import Kind, Texture
+
+_TEXTURE_2D = 0x0DE1
+_SRGB8_ALPHA8 = 0x8C43
+_RGB8 = 0x8051
+_RGBA16F = 0x881A
+_RGB, _RGBA = 0x1907, 0x1908
+_UNSIGNED_BYTE, _HALF_FLOAT = 0x1401, 0x140B
+# kind of mip chain: (internal format, components, format, type, moderngl's name of the type)
+_FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
+    "color": (_SRGB8_ALPHA8, 4, _RGBA, _UNSIGNED_BYTE, "f1"),
+    "linear-color": (_RGBA16F, 4, _RGBA, _HALF_FLOAT, "f2"),
+    "data": (_RGB8, 3, _RGB, _UNSIGNED_BYTE, "f1"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """A part on the GPU: attributes, interleaved, the width of each, and indices."""
+
+    vertices: moderngl.Buffer
+    widths: Mapping[str, int]
+    indices: moderngl.Buffer
+    arrays: dict[moderngl.Program, moderngl.VertexArray]
+
+    def array(self, gl: moderngl.Context, program: moderngl.Program) -> moderngl.VertexArray:
+        """Return the attributes as a program reads them."""
+        if program not in self.arrays:
+            layout = " ".join(
+                f"{width}f" if name in program else f"{width}x4"
+                for name, width in self.widths.items()
+            )
+            used = [name for name in self.widths if name in program]
+            buffers = [(self.vertices, layout, *used)]
+            self.arrays[program] = gl.vertex_array(program, buffers, self.indices)
+        return self.arrays[program]
+
+
+class Resources:
+    """What is on the GPU of one context, for frames of one size.
+
+    Attributes
+    ----------
+    context, size : see :class:`facerender.Renderer`
+    anisotropy : of texture filtering
+    albedo_kind : of albedo maps: "color" or "linear-color"
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        size: tuple[int, int],
+        anisotropy: float = 1.0,
+        albedo_kind: Kind = "color",
+    ) -> None:
+        self.context, self.size = context, size
+        self.anisotropy, self.albedo_kind = anisotropy, albedo_kind
+        self.geometries: WeakKeyDictionary[Part, Geometry] = WeakKeyDictionary()
+        self.textures: WeakKeyDictionary[Texture, moderngl.Texture] = WeakKeyDictionary()
+        self.programs: dict[Program, moderngl.Program] = {}
+        self.targets: dict[Target, moderngl.Framebuffer] = {}
+
+    def release(self) -> None:
+        """Free everything on the GPU; the context is current."""
+        for cache in (self.geometries, self.textures, self.programs, self.targets):
+            cache.clear()
+        self.context.gl.gc()
+
+    def draw(
+        self, step: Pass, mesh: Mesh, drawn: Mapping[str, moderngl.Texture]
+    ) -> moderngl.Framebuffer:
+        """Draw a pass into its target, and return that.
+
+        Parameters
+        ----------
+        drawn : by the uniform's name, textures of the scene, such as what earlier passes drew
+
+        Raises
+        ------
+        InputError : a map is damaged or too large
+        ContextError : the driver refuses a target or a program
+        """
+        gl = self.context.gl
+        target = self.target(step.target)
+        with gl.scope(target, enable_only=moderngl.DEPTH_TEST):
+            target.clear(*step.clear)
+            for draw in step.draws:
+                self._draw(draw, step, mesh, drawn)
+        return target
+
+    def _draw(
+        self, draw: Draw, step: Pass, mesh: Mesh, drawn: Mapping[str, moderngl.Texture]
+    ) -> None:
+        program = self.program(draw.program)
+        set_uniforms(program, {**step.uniforms, **draw.uniforms})
+        self.bind(program, draw, drawn)
+        if draw.part is None:
+            self.context.gl.vertex_array(program, []).render(vertices=3)
+        else:
+            self.geometry(draw.part, mesh).array(self.context.gl, program).render()
+
+    def bind(
+        self, program: moderngl.Program, draw: Draw, drawn: Mapping[str, moderngl.Texture]
+    ) -> None:
+        """Bind a material's maps, and textures of the scene, to their uniforms."""
+        textures = dict(drawn)
+        if draw.part is not None and draw.material is not None:
+            for name, source, kind in part_maps(draw.part, draw.material, self.albedo_kind):
+                textures[name] = self.texture(name, source, kind)  # before binding: it uses unit 0
+        for unit, (name, texture) in enumerate(textures.items()):
+            texture.use(unit)
+            set_uniforms(program, {name: unit})
+
+    def target(self, kind: Target) -> moderngl.Framebuffer:
+        """Return a framebuffer, made once for each kind."""
+        if kind not in self.targets:
+            gl, size = self.context.gl, kind.size or self.size
+            samples = kind.samples if kind.samples > 1 else 0
+            try:
+                if kind.sampled:
+                    colors: list[Any] = [gl.texture(size, 4, dtype="f4")]
+                else:
+                    colors = [
+                        gl.renderbuffer(size, 4, samples, dtype="f4") for _ in range(kind.colors)
+                    ]
+                depth = gl.depth_renderbuffer(size, samples=samples)
+                self.targets[kind] = gl.framebuffer(colors, depth)
+            except moderngl.Error as error:
+                raise ContextError(
+                    f"{self.context.renderer} cannot draw {size[0]} x {size[1]} pixels with "
+                    f"{kind.samples} samples ({error}); lower one of them"
+                ) from None
+        return self.targets[kind]
+
+    def program(self, source: Program) -> moderngl.Program:
+        """Compile a program, once."""
+        if source not in self.programs:
+            stages = source.sources("330 core")
+            try:
+                self.programs[source] = self.context.gl.program(
+                    vertex_shader=stages["vert"], fragment_shader=stages["frag"]
+                )
+            except moderngl.Error as error:
+                raise ContextError(f"{self.context.renderer} refused a program: {error}") from None
+        return self.programs[source]
+
+    def geometry(self, part: Part, mesh: Mesh) -> Geometry:
+        """Upload a part, once."""
+        if part not in self.geometries:
+            gl = self.context.gl
+            gl.gc()
+            columns = part_columns(part, mesh)
+            vertices = np.hstack(list(columns.values()), dtype=np.float32, casting="same_kind")
+            widths = {name: values.shape[1] for name, values in columns.items()}
+            self.geometries[part] = Geometry(gl.buffer(vertices), widths, gl.buffer(part.faces), {})
+        return self.geometries[part]
+
+    def texture(self, name: str, source: Texture, kind: Kind) -> moderngl.Texture:
+        """Upload a mip chain. moderngl uploads level 0; its build_mipmaps would take 65 ms for
+        2048 x 2048 texels on a software driver, the chain from texture.py is there already."""
+        if source in self.textures:
+            return self.textures[source]
+        levels = source.levels(kind).result()
+        gl = self.context.gl
+        internal, components, layout, data_type, dtype = _FORMATS[kind]
+        height, width = levels[0].shape[:2]
+        limit = gl.info["GL_MAX_TEXTURE_SIZE"]
+        if max(width, height) > limit:
+            raise InputError(f"{source.name} is {width} x {height} texels: at most {limit} here")
+        size = (width, height)
+        texture = gl.texture(size, components, levels[0], 0, 1, dtype, internal_format=internal)
+        upload = self.context.function(
+            "glTexImage2D", *[ctypes.c_int] * 6, ctypes.c_uint, ctypes.c_uint, ctypes.c_void_p
+        )
+        texture.use(0)  # level 0 went up with an alignment of 1, which stays
+        for number, level in enumerate(levels[1:], start=1):
+            texels = np.ascontiguousarray(level)
+            extent = level.shape[1], level.shape[0], 0
+            texel_format = layout, data_type
+            upload(_TEXTURE_2D, number, internal, *extent, *texel_format, texels.ctypes.data)
+        # Properties vary slowly: between two levels nothing is seen of a step, and the second
+        # level would take 5 % of a frame on a software driver.
+        step = name == "property_map"
+        smaller = moderngl.LINEAR_MIPMAP_NEAREST if step else moderngl.LINEAR_MIPMAP_LINEAR
+        texture.filter = smaller, moderngl.LINEAR
+        texture.anisotropy = self.anisotropy
+        self.textures[source] = texture
+        return texture
+
+
+def read(target: moderngl.Framebuffer, attachment: int = 0) -> NDArray[np.float32]:
+    """Return the pixels of a target without multisampling, (H, W, 4)."""
+    pixels = np.empty((target.height, target.width, 4), dtype=np.float32)
+    target.read_into(pixels, components=4, attachment=attachment, dtype="f4")
+    return pixels
+
+
+def set_uniforms(program: moderngl.Program, values: Mapping[str, Any]) -> None:
+    """Set uniforms, unless the compiler found that they do not count."""
+    for name, value in values.items():
+        if name not in program:
+            continue
+        uniform: Any = program[name]
+        if isinstance(value, np.ndarray):
+            # An array that the program does not read to its end is shorter there.
+            size = uniform.array_length * uniform.element_size
+            uniform.write(value.astype(np.float32).tobytes()[:size])
+        else:
+            uniform.value = value

@@ -1,0 +1,62 @@
+"""Specular terms as GLSL: the macros and includes that they need, and their calls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from facerender.shading import Term
+from facerender.terms import FRESNEL, MASKING, AnyLobe, lobe_entry
+
+
+def defines(macros: Mapping[str, str]) -> str:
+    """Return the lines of GLSL that define macros."""
+    return "".join(f"#define {name} {value}\n" for name, value in macros.items())
+
+
+def lobe_macros(lobe: AnyLobe) -> dict[str, str]:
+    """Return the macros that make ``fr_lobe`` this lobe."""
+    entry = lobe_entry(lobe)
+    return {"FR_LOBE": entry.macro, **entry.macros}
+
+
+def term_macros(term: Term, smallest_m: float) -> dict[str, str]:
+    """Return the macros that make the model's function of few arguments, such as
+    ``fr_cook_torrance``, this term, for m >= smallest_m where it has none of its own."""
+    macros = _shared_macros([term], smallest_m)
+    if term.entry.factors:
+        macros["FR_FRESNEL"] = FRESNEL[term.fresnel].macro
+        macros["FR_MASKING"] = MASKING[term.masking].macro
+    if term.m is not None:
+        macros["FR_SLOPE(m)"] = repr(float(term.m))
+    return macros
+
+
+def prelude(terms: Sequence[Term], smallest_m: float) -> str:
+    """Return what stands before the calls of terms in one program, for m >= smallest_m."""
+    files = dict.fromkeys(term.entry.file for term in terms)
+    includes = "".join(f'#include "facerender/{file}.glsl"\n' for file in files)
+    return defines(_shared_macros(terms, smallest_m)) + includes
+
+
+def call(term: Term) -> str:
+    """Return the GLSL of a term, in 1/sr, of vec3 n, l, v and float m, f0."""
+    return term.entry.call.format(
+        m="m" if term.m is None else repr(float(term.m)),
+        lobe=lobe_entry(term.lobe).macro,
+        fresnel=FRESNEL[term.fresnel].macro,
+        masking=MASKING[term.masking].macro,
+    )
+
+
+def _shared_macros(terms: Sequence[Term], smallest_m: float) -> dict[str, str]:
+    """Return those that a program has once: the lobe, or every one, the parameters of its g-power,
+    and whether small angles keep their digits, which they do if one term needs it."""
+    lobes = {term: lobe_entry(term.lobe) for term in terms}
+    names = {lobe.macro for lobe in lobes.values()}
+    macros = {"FR_LOBE": names.pop() if len(names) == 1 else "FR_LOBE_EVERY"} if names else {}
+    for lobe in lobes.values():
+        macros |= lobe.macros
+    by_angle = [term for term, lobe in lobes.items() if lobe.of_tan2]
+    if by_angle and not any(term.keeps_small_slopes(smallest_m) for term in by_angle):
+        macros["FR_SMALL_SLOPE"] = "0"
+    return macros

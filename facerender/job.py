@@ -1,0 +1,190 @@
+"""What to render, as plain data: it pickles, and is TOML and JSON. Command line, scene files, plans
+and batches make one; the renderer draws its scene. No OpenGL here."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from facerender.errors import InputError, check_range
+from facerender.loading import load_mesh
+from facerender.scenes.camera import Camera
+from facerender.scenes.file import from_table, scene_value, toml_text
+from facerender.scenes.light import Light
+from facerender.scenes.mesh import Mesh
+from facerender.scenes.scene import ONLY, Only, Scene
+from facerender.scenes.vectors import Vector
+from facerender.shading import Shading
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """A mesh by its files; parameters as of :func:`facerender.load_mesh`, paths as text."""
+
+    path: str | None = None
+    albedo: str | None = None
+    normal_map: str | None = None
+    specular_map: str | None = None
+    roughness_map: str | None = None
+    flip_v: bool = False
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if isinstance(value, os.PathLike):
+                object.__setattr__(self, each.name, os.fspath(value))
+            elif each.name != "flip_v" and not isinstance(value, str | None):
+                raise InputError(f"mesh {each.name} = {value!r}: give a path as text")
+        if not isinstance(self.flip_v, bool):
+            raise InputError(f"mesh flip_v = {self.flip_v!r}: give true or false")
+
+    def load(self) -> Mesh:
+        """Read the files; errors and warnings as of :func:`facerender.load_mesh`."""
+        return load_mesh(**asdict(self))
+
+
+@dataclass(frozen=True)
+class Output:
+    """An image file.
+
+    Parameters
+    ----------
+    path : .png or .exr
+    only : one term in place of the whole image, see :meth:`facerender.Renderer.render`
+    exposure : of a .png, in stops
+    """
+
+    path: str
+    only: Only | None = None
+    exposure: float = 0.0
+
+    def __post_init__(self) -> None:
+        if Path(self.path).suffix.lower() not in (".png", ".exr"):
+            suffix = Path(self.path).suffix
+            raise InputError(f"{self.path}: unknown image format {suffix!r}; give .png or .exr")
+        if self.only is not None and self.only not in ONLY:
+            raise InputError(f"unknown term {self.only!r}; known: {', '.join(ONLY)}")
+        check_range("exposure", self.exposure, -100.0, 100.0)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A mesh, what changes in its materials, camera, lights, shading, and the images to make.
+
+    Parameters
+    ----------
+    mesh : the files
+    material : factors of :class:`facerender.Material` for all parts, in place of the file's
+    camera, lights, ambient, background : of :class:`facerender.Scene`
+    shading : see there
+    size, samples, anisotropy, float_albedo : of :class:`facerender.Renderer`
+    outputs : the images
+
+    Raises
+    ------
+    InputError : a value outside its domain
+    """
+
+    mesh: MeshFile = MeshFile()
+    material: Mapping[str, Any] = field(default_factory=dict)
+    camera: Camera = Camera()
+    lights: tuple[Light, ...] = Scene.lights
+    ambient: float | Vector = Scene.ambient
+    background: Vector | None = Scene.background
+    shading: Shading = Shading()
+    size: tuple[int, int] = (1024, 1024)
+    samples: int = 4
+    anisotropy: float = 1.0
+    float_albedo: bool = False
+    outputs: tuple[Output, ...] = ()
+
+    def scene(self, mesh: Mesh | None = None) -> Scene:
+        """Return the scene.
+
+        Parameters
+        ----------
+        mesh : what ``self.mesh.load()`` gave, where several jobs share it; None to load it
+
+        Raises
+        ------
+        InputError : a file that cannot be used; warnings as of :func:`facerender.load_mesh`
+        """
+        loaded = self.mesh.load() if mesh is None else mesh
+        return Scene(
+            loaded.with_material(**self.material) if self.material else loaded,
+            self.camera,
+            self.lights,
+            self.ambient,
+            self.background,
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data, for JSON or TOML; see :meth:`from_dict`."""
+        return {
+            "mesh": _told(self.mesh),
+            "material": dict(self.material),
+            "camera": _told(self.camera),
+            "lights": [_told(light) for light in self.lights],
+            "ambient": self.ambient,
+            "background": "none" if self.background is None else self.background,
+            "shading": self.shading.as_dict(),
+            "image": {name: getattr(self, name) for name in _IMAGE},
+            "outputs": [_told(output) for output in self.outputs],
+        }
+
+    @classmethod
+    def from_dict(cls, tables: Mapping[str, Any]) -> Job:
+        """Return the job that :meth:`as_dict` gave; what is missing has its default.
+
+        Parameters
+        ----------
+        tables : keys of a scene file (see :func:`facerender.load_scene`) except cameras, and mesh,
+            image, outputs
+
+        Raises
+        ------
+        InputError : an unknown key or a value outside its domain
+        """
+        values: dict[str, Any] = {}
+        for key, value in tables.items():
+            if key == "mesh":
+                values[key] = from_table(MeshFile, key, value)
+            elif key == "outputs":
+                values[key] = tuple(from_table(Output, key, each) for each in value)
+            elif key == "image":
+                if unknown := sorted(set(value) - set(_IMAGE)):
+                    known = ", ".join(_IMAGE)
+                    raise InputError(f"unknown key {unknown[0]!r} in image; known: {known}")
+                values |= value
+            elif key == "shading":
+                values[key] = Shading.from_dict(value)
+            else:
+                values[key] = scene_value(key, value)
+        if "size" in values:
+            width, height = values["size"]
+            values["size"] = (width, height)
+        return cls(**values)
+
+    def toml(self) -> str:
+        """Return the text of a TOML file with what :meth:`as_dict` has."""
+        tables = self.as_dict()
+        head = {key: tables.pop(key) for key in ("ambient", "background")}
+        blocks: list[tuple[str, Mapping[str, Any]]] = [("", head)]
+        for key, table in tables.items():
+            if isinstance(table, list):
+                blocks += [(f"[[{key}]]", each) for each in table]
+            else:
+                blocks.append((f"[{key}]", table))
+        if not self.lights:
+            head["lights"] = []
+        return toml_text(blocks)
+
+
+_IMAGE = ("size", "samples", "anisotropy", "float_albedo")
+
+
+def _told(value: Any) -> dict[str, Any]:
+    return {name: each for name, each in asdict(value).items() if each is not None}

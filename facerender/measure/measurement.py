@@ -1,0 +1,212 @@
+"""What ``facerender measure`` measured, as records, and their JSON, which docs/measure.schema.md
+describes. Nothing is measured here, and nothing needs OpenGL."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError
+from facerender.pricing.amd import Statistics
+from facerender.pricing.interval import Interval
+from facerender.pricing.variants import PRINTED, Variant, of_model
+
+SCHEMA = "facerender.measure/1"
+MODELS = PRINTED
+MAGNIFIED = 8
+
+BySlope = Mapping[str, float | None]  # the slope as text, "%g" % m
+Curves = Mapping[str, Mapping[str, Sequence[float]]]
+
+
+@dataclass(frozen=True)
+class Environment:
+    """Where figures come from: date and versions, OpenGL driver, processor; ``software`` where the
+    CPU draws, ``cores`` that the process may use."""
+
+    date: str
+    facerender: str
+    GL_RENDERER: str
+    GL_VERSION: str
+    software: bool
+    processor: str
+    cores: int
+    python: str
+    numpy: str
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What was asked for: m of the whole mesh, the size of frame and image in pixels, the repeats
+    of every measurement of time, and whether less was measured to save time."""
+
+    mesh: str
+    m: float
+    size: tuple[int, int]
+    repeats: int
+    quick: bool
+
+    @property
+    def slope(self) -> str:
+        """The key of m among the errors of lobe and BRDF."""
+        return f"{self.m:g}"
+
+
+@dataclass(frozen=True)
+class ImageError:
+    """How far an image is from float64 exact shading of the same G-buffer.
+
+    Attributes
+    ----------
+    point, block : of the linear image; see ``facerender.compare``
+    largest, percentile : relative to max(reference, 0.01), the second exceeded by 1 pixel in 1000
+    steps, steps_percentile : the same of the displayed image, in steps of 1/255
+    flip : mean of FLIP (Andersson et al. 2020) over the image, or None without flip-evaluator
+    """
+
+    point: float
+    block: float
+    largest: float
+    percentile: float
+    steps: int
+    steps_percentile: float
+    flip: float | None
+
+
+@dataclass(frozen=True)
+class Costs:
+    """What a variant costs: the lobe alone and the whole term in nanoseconds an evaluation, a frame
+    in milliseconds, the term on AMD's GPUs as their compiler estimates it; None where it was not
+    measured."""
+
+    lobe_ns: Interval | None
+    term_ns: Interval
+    frame_ms: Interval | None
+    navi21: Statistics | None
+    vega10: Statistics | None
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What a variant loses: of lobe and BRDF the largest error in percent by slope, None outside
+    the domain; of the image at the slope of the settings, None where none was drawn."""
+
+    lobe: BySlope
+    brdf: BySlope
+    image: ImageError | None
+
+
+@dataclass(frozen=True)
+class MeasuredVariant:
+    """A variant with its cost and its error."""
+
+    variant: Variant
+    cost: Costs
+    error: Errors
+
+
+@dataclass(frozen=True, eq=False)
+class Triptych:
+    """What is drawn with the exact lobe in float64, what OpenGL draws with this one, and their
+    difference ``MAGNIFIED``: 8-bit sRGB (H, W, 3)."""
+
+    model: str
+    lobe: str
+    exact: NDArray[np.uint8]
+    image: NDArray[np.uint8]
+    difference: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """All of it but the images.
+
+    Attributes
+    ----------
+    amd_driver : what compiled for AMD's GPUs, or None
+    degrees : angles γ of the half vector
+    curves : by model, lobe and slope, the lobe less the exact one in percent of the peak, one for
+        each angle; a slope outside the domain is left out
+    not_measured : what is missing, and why
+    """
+
+    environment: Environment
+    amd_driver: str | None
+    settings: Settings
+    variants: Sequence[MeasuredVariant]
+    degrees: Sequence[float]
+    curves: Mapping[str, Curves]
+    not_measured: Sequence[str]
+
+    def of_model(self, model: str) -> list[MeasuredVariant]:
+        """Return the variants of a model."""
+        return [measured for measured in self.variants if measured.variant.model == model]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the content of measure.json."""
+        return {
+            "schema": SCHEMA,
+            "environment": asdict(self.environment) | {"amd_driver": self.amd_driver},
+            "settings": asdict(self.settings) | {"size": list(self.settings.size)},
+            "variants": [
+                {
+                    "model": measured.variant.model,
+                    "name": measured.variant.name,
+                    "lobe": measured.variant.lobe,
+                    "cost": asdict(measured.cost),
+                    "error": asdict(measured.error),
+                }
+                for measured in self.variants
+            ],
+            "curves": {"degrees": list(self.degrees), **self.curves},
+            "not_measured": list(self.not_measured),
+        }
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> Measurement:
+        """Return the measurement that :meth:`as_dict` gave.
+
+        Raises
+        ------
+        InputError : another schema, or a variant that this version does not know
+        """
+        if content["schema"] != SCHEMA:
+            raise InputError(
+                f"the measurement's schema is {content['schema']!r}, not {SCHEMA!r}; measure anew"
+            )
+        environment, curves = dict(content["environment"]), dict(content["curves"])
+        return cls(
+            amd_driver=environment.pop("amd_driver"),
+            environment=Environment(**environment),
+            settings=Settings(**content["settings"] | {"size": tuple(content["settings"]["size"])}),
+            variants=[_measured_variant(row) for row in content["variants"]],
+            degrees=curves.pop("degrees"),
+            curves=curves,
+            not_measured=content["not_measured"],
+        )
+
+
+def _measured_variant(row: Mapping[str, Any]) -> MeasuredVariant:
+    cost, error = row["cost"], row["error"]
+    return MeasuredVariant(
+        _variant(row["model"], row["name"]),
+        Costs(
+            lobe_ns=cost["lobe_ns"] and Interval(**cost["lobe_ns"]),
+            term_ns=Interval(**cost["term_ns"]),
+            frame_ms=cost["frame_ms"] and Interval(**cost["frame_ms"]),
+            navi21=cost["navi21"] and Statistics(**cost["navi21"]),
+            vega10=cost["vega10"] and Statistics(**cost["vega10"]),
+        ),
+        Errors(error["lobe"], error["brdf"], error["image"] and ImageError(**error["image"])),
+    )
+
+
+def _variant(model: str, name: str) -> Variant:
+    for variant in (variant for known in MODELS for variant in of_model(known)):
+        if (variant.model, variant.name) == (model, name):
+            return variant
+    raise InputError(f"the measurement has an unknown variant, {name!r} of {model!r}; measure anew")

@@ -1,0 +1,123 @@
+"""Fresnel terms: an entry for each, with its float64 twin beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from facerender.errors import InputError
+from facerender.terms.entry import Entry, named, registry
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Fresnel(Entry):
+    """A Fresnel term; its call is of float f0 and v_dot_h, its macro FR_FRESNEL_NAME.
+
+    Attributes
+    ----------
+    number : of its macro, unlike every other's
+    evaluate : the same in float64; checks its domain
+    exactness : a plan may put terms of the same or a smaller one in its place
+    at_most_1 : whether it is so everywhere, as a guarantee needs; refused where nobody knows
+    """
+
+    number: int
+    evaluate: Callable[[ArrayLike, ArrayLike], Float]
+    exactness: int
+    at_most_1: bool = False
+
+    @property
+    def macro(self) -> str:
+        return f"FR_FRESNEL_{self.word}"
+
+
+def _check_f0(f0: ArrayLike) -> Float:
+    value = np.asarray(f0, dtype=np.float64)
+    inside = (value >= 0.0) & (value < 1.0)
+    if not inside.all():
+        raise InputError(f"f0 = {value[~inside].flat[0]:g} is outside [0, 1); skin: 0.028")
+    return value
+
+
+def fresnel_schlick(f0: ArrayLike, v_dot_h: ArrayLike) -> Float:
+    """Approximate Fresnel reflectance, f0 + (1 - f0)(1 - V.H)^5, in [0, 1].
+
+    Parameters
+    ----------
+    f0 : reflectance at normal incidence, in [0, 1)
+    v_dot_h : cosine between eye and unit half vector, clamped to [0, 1]
+
+    Raises
+    ------
+    InputError : f0 outside its domain
+
+    References: Schlick (1994), eq. 15.
+    """
+    base = _check_f0(f0)
+    u = np.clip(1.0 - np.asarray(v_dot_h, dtype=np.float64), 0.0, 1.0)
+    return np.asarray(base + (1.0 - base) * u**5)
+
+
+def fresnel_dielectric(f0: ArrayLike, v_dot_h: ArrayLike) -> Float:
+    """Exact Fresnel reflectance of a dielectric in air for unpolarised light, in [0, 1].
+
+    Parameters and errors as in :func:`fresnel_schlick`; the index of refraction is
+    (1 + sqrt(f0)) / (1 - sqrt(f0)).
+
+    References: Cook and Torrance (1982).
+    """
+    root = np.sqrt(_check_f0(f0))
+    q = 4.0 * root / (1.0 - root) ** 2  # eta^2 - 1
+    c = np.clip(np.asarray(v_dot_h, dtype=np.float64), 0.0, 1.0)
+    g = np.sqrt(q + c**2)  # eta times the cosine of the refracted ray
+    # (c - g)/(c + g) and (eta^2 c - g)/(eta^2 c + g), with c - g = -q/(c + g): nothing cancels. At
+    # c = 0 and f0 = 0 both are 0/0; the limit from c > 0 is no reflection.
+    total = np.maximum(c + g, 1e-300)
+    s = q / total / total
+    p = q * (c - 1.0 / total) / np.maximum((1.0 + q) * c + g, 1e-300)
+    return np.asarray(np.where(c + g > 0.0, 0.5 * (s**2 + p**2), 0.0))
+
+
+def _constant(f0: ArrayLike, v_dot_h: ArrayLike) -> Float:
+    return np.broadcast_to(_check_f0(f0), np.broadcast(f0, v_dot_h).shape)
+
+
+FRESNEL: dict[str, Fresnel] = registry(
+    Fresnel(
+        name="schlick",
+        number=0,
+        file="fresnel/schlick",
+        call="fr_fresnel_schlick(f0, v_dot_h)",
+        evaluate=fresnel_schlick,
+        exactness=1,
+        at_most_1=True,
+    ),
+    Fresnel(
+        name="dielectric",
+        number=1,
+        file="fresnel/dielectric",
+        call="fr_fresnel_dielectric(f0, v_dot_h)",
+        evaluate=fresnel_dielectric,
+        exactness=2,
+        at_most_1=True,
+    ),
+    Fresnel(
+        name="constant",
+        number=2,
+        file="constants",
+        call="f0",
+        evaluate=_constant,
+        exactness=0,
+        at_most_1=True,
+    ),
+)
+
+
+def fresnel(f0: ArrayLike, v_dot_h: ArrayLike, kind: str = "schlick") -> Float:
+    """Evaluate the named Fresnel term; "constant" is f0 itself."""
+    return named("Fresnel term", FRESNEL, kind).evaluate(f0, v_dot_h)

@@ -1,0 +1,617 @@
+"""The one-dimensional lobe E/c^k and its approximations: an entry for each, with its float64 twin
+beside it. BRDFs are in ``model.py``; nothing here knows vectors or OpenGL.
+
+All models need the same function, the slope factor E = exp(-tan² γ / m²) over a power of
+c = cos γ: k = 4 in Cook-Torrance, k = 0 in Ward. Every function here has its peak, 1, at c = 1;
+the model multiplies by its scale. ``lobes.f`` is ``fr_lobe_f`` in GLSL.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from facerender.errors import InputError
+from facerender.terms.entry import Entry, named, registry
+
+Float = NDArray[np.float64]
+Float64Lobe = Callable[[ArrayLike, ArrayLike, int], Float]
+Rounding = Callable[[Float, Float, int], tuple[Float | float, Float | float]]
+
+MIN_SLOPE = 1e-4
+MAX_SLOPE = 2.0
+ULP = 2.0**-23  # of float32
+TINY = 1.2e-38  # where float32's full precision ends; drivers may flush what is smaller to zero
+TITLES = {4: "Cook-Torrance", 0: "Ward"}  # of models, by k
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Lobe(Entry):
+    """A lobe; its call is of float c, m and int k, its macro FR_LOBE_NAME.
+
+    Attributes
+    ----------
+    number : of its macro, unlike every other's
+    evaluate : the same in float64; checks its domain
+    ends : upper end of the domain of m, by k; the lower one is MIN_SLOPE
+    open_ends : the k whose end does not belong to the domain
+    errors : largest difference from the exact lobe in percent of the peak, by k: at m = 0.1, 0.2,
+        ... 0.6, or one number for every slope; None where nothing is stated
+    rounding : of c, m, k, how far float32 may be from ``evaluate``: relative to it, and absolute
+    amplified : what a relative error of 1/m² (1 - c) becomes in the lobe, in units of its peak
+    highest : of m and k, the largest value over c; None where nobody knows: a guarantee then
+        refuses the lobe
+    colour : in plots
+    macro, macros : the macro that stands for it, and further ones that its GLSL needs
+    price : what tables of prices call it; its name, or several lobes' that cost the same
+    constants : the macro that gives its GLSL coefficients where m is a constant, and their float64
+        function of m and k
+    of_tan2 : evaluates from tan² γ, k and m in place of c, where that keeps digits
+    """
+
+    number: int
+    evaluate: Float64Lobe
+    ends: Mapping[int, float]
+    open_ends: tuple[int, ...] = ()
+    errors: Mapping[int, tuple[float, ...]] | None = None
+    rounding: Rounding
+    amplified: Callable[[Float], Float] = lambda error: error
+    highest: Callable[[float, int], float] | None = None
+    colour: str
+    macro: str = ""
+    macros: Mapping[str, str] = field(default_factory=dict)
+    price: str = ""
+    constants: tuple[str, Callable[[float, int], Float]] | None = None
+    of_tan2: Float64Lobe | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "macro", self.macro or f"FR_LOBE_{self.word}")
+        object.__setattr__(self, "price", self.price or self.name)
+
+    def belongs(self, m: ArrayLike, k: int) -> NDArray[np.bool_]:
+        """Tell which slopes lie in the domain, to a millionth at ends that belong to it: a G-buffer
+        holds m as float32."""
+        slope = np.asarray(m, dtype=np.float64)
+        end = self.end(k)
+        below_end = slope < end if k in self.open_ends else slope <= end * (1.0 + 1e-6)
+        return np.asarray((slope >= MIN_SLOPE * (1.0 - 1e-6)) & below_end)
+
+    def end(self, k: int) -> float:
+        """Return the upper end of the domain of m.
+
+        Raises
+        ------
+        InputError : no model has this k
+        """
+        if k not in self.ends:
+            raise InputError(f"k = {k} is neither 4 (Cook-Torrance) nor 0 (Ward)")
+        return self.ends[k]
+
+    def check(self, m: ArrayLike, k: int) -> Float:
+        """Return m as float64, or raise InputError where a value lies outside the domain."""
+        slope = np.asarray(m, dtype=np.float64)
+        inside = self.belongs(slope, k)
+        if not inside.all():
+            end, bracket = self.end(k), ")" if k in self.open_ends else "]"
+            remedy = ", or use the lobe exact (facerender render: --outside exact)"
+            raise InputError(
+                f"m = {slope[~inside].flat[0]:g} is outside the domain of lobe {self.name} for "
+                f"{TITLES[k]}: give m in [{MIN_SLOPE:g}, {end:.4g}{bracket}"
+                f"{'' if end == MAX_SLOPE else remedy}"
+            )
+        return slope
+
+
+@dataclass(frozen=True)
+class PowerPolynomial:
+    """The lobe max(P(u), 0)^power with P = 1 + a₁ u + a₂ u² + ..., u = 1 - cos γ.
+
+    Attributes
+    ----------
+    power : of the clamped polynomial
+    max_slope : upper end of the domain of m
+    table : row j holds the factors of m^(2j) in a₁ m², a₂ m⁴, a₃ m⁶, ...
+    """
+
+    power: int
+    max_slope: float
+    table: tuple[tuple[float, ...], ...]
+
+    def coefficients(self, m: ArrayLike) -> Float:
+        """Return a₁, a₂, ... at slopes m of shape (...), as (..., degree)."""
+        w = np.asarray(m, dtype=np.float64)[..., None] ** 2
+        table = np.array(self.table)
+        scaled = sum(row * w**j for j, row in enumerate(table))
+        return np.asarray(scaled / w ** np.arange(1, table.shape[1] + 1))
+
+    def magnitudes(self, m: ArrayLike) -> Float:
+        """Return the sums of |constants| in a₁ m², a₂ m⁴, ..., of which rounding is a share."""
+        w = np.asarray(m, dtype=np.float64)[..., None] ** 2
+        return np.asarray(sum(np.abs(row) * w**j for j, row in enumerate(self.table)))
+
+    def __call__(self, u: ArrayLike, m: ArrayLike) -> Float:
+        """Evaluate at u and m, which broadcast; no check of their domains."""
+        x = np.asarray(u, dtype=np.float64)
+        p = np.zeros(np.broadcast(x, m).shape)
+        for a in np.moveaxis(self.coefficients(m), -1, 0)[::-1]:
+            p = (p + a) * x
+        return np.maximum(1.0 + p, 0.0) ** self.power
+
+
+@dataclass(frozen=True)
+class GPower:
+    """The g-power with g and steepness free: max(1 - s (1 - cos γ), 0)^g, s = factor/m² - offset.
+
+    Parameters
+    ----------
+    g : in 1 to 31; the paper's lobes have 4, 8, 16, the factor 2/g and the offset k/g
+    factor : > 0
+    offset : the lobe's domain ends where s = 0
+
+    Raises
+    ------
+    InputError : a value outside its domain
+
+    References: Romanyuk et al. (2020); Lyon (1993) for the clamp.
+    """
+
+    g: int
+    factor: float
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        whole = isinstance(self.g, (int, np.integer)) and not isinstance(self.g, bool)
+        if not whole or not 1 <= self.g <= 31:
+            raise InputError(f"g = {self.g} is no whole number in 1 to 31")
+        if not 0.0 < self.factor < math.inf:
+            raise InputError(f"factor = {self.factor:g} of the g-power is not in (0, inf)")
+        if not math.isfinite(self.offset):
+            raise InputError(f"offset = {self.offset:g} of the g-power is not finite")
+
+    def __str__(self) -> str:
+        sign = "-" if self.offset > 0.0 else "+"
+        offset = f" {sign} {abs(self.offset):.5g}" if self.offset else ""
+        return f"g-power {self.g} ({self.factor:.5g}/m^2{offset})"
+
+
+# The same constants stand in shaders/facerender/lobe/fitted.glsl.
+FITTED: dict[tuple[str, int], PowerPolynomial] = {
+    ("fitted", 4): PowerPolynomial(
+        5,
+        0.7,
+        (
+            (-0.39700398, 0.07498738, -0.0060935954),
+            (0.6738297, -0.58629695, 0.0026217349),
+            (0.71936623, -1.6754473, 1.1615276),
+            (-1.0351326, 4.1195317, -5.0082767),
+        ),
+    ),
+    ("fitted", 0): PowerPolynomial(
+        5,
+        1.0,
+        (
+            (-0.40198098, 0.083526049, -0.010091574),
+            (-0.020725706, -0.49894731, 0.08771378),
+            (0.077372606, -0.42975123, 0.18764888),
+            (-0.067503089, 0.51304211, -1.5410764),
+        ),
+    ),
+    ("fitted-fine", 4): PowerPolynomial(
+        8,
+        0.7,
+        (
+            (-0.24963107, 0.030319915, -0.0020734921, 0.0),
+            (0.50360702, -0.52566283, 0.15216287, -0.017956779),
+            (-0.013824908, 0.50565452, -0.92452698, 0.030042244),
+            (-0.081719136, 0.47515006, -1.4199605, 1.6944034),
+            (0.19363848, -1.434821, 4.5145226, -5.6548034),
+        ),
+    ),
+    ("fitted-fine", 0): PowerPolynomial(
+        8,
+        1.0,
+        (
+            (-0.24950537, 0.029811221, -0.0017648837, 0.0),
+            (0.0018034024, -0.38853178, 0.14142554, -0.024093986),
+            (-0.0076809275, 0.078399249, -0.74785186, 0.058197197),
+            (-0.0071770924, 0.063575568, -0.40797551, 1.0990611),
+            (0.015975844, -0.20239128, 1.087785, -2.6305629),
+        ),
+    ),
+}
+
+
+def _check_cosine(c: ArrayLike) -> Float:
+    cosine = np.asarray(c, dtype=np.float64)
+    inside = (cosine >= 0.0) & (cosine <= 1.0)
+    if not inside.all():
+        raise InputError(f"cosine {cosine[~inside].flat[0]:g} is outside [0, 1]")
+    return cosine
+
+
+def _exact(tan2: NDArray[np.floating], m: Float, k: int) -> Float:
+    # A relative error e of the exponent x becomes e x in the result, and x reaches 690 before
+    # the result leaves float64: extended precision, where the platform has it, keeps 1e-13.
+    exponent = tan2 / np.asarray(m, dtype=np.longdouble) ** 2
+    exponent = np.minimum(exponent, 1e4)  # exp(-1e4) is 0, and infinity - infinity is not
+    head = exponent.astype(np.float64)
+    tail = (exponent - head).astype(np.float64)
+    slope_factor = np.exp(-head) * np.exp(-tail)
+    sec2 = 1.0 + np.minimum(tan2, 1e100).astype(np.float64)  # E is 0 long before
+    return np.asarray(slope_factor * sec2 ** (k // 2), dtype=np.float64)
+
+
+def exact_tan2(tan2: ArrayLike, m: ArrayLike, k: int) -> Float:
+    """Evaluate E/c^k from the squared tangent of the angle between normal and half vector.
+
+    Parameters
+    ----------
+    tan2 : tan² γ, >= 0, infinity allowed; any shape
+    m : rms slope of the microfacets, in [1e-4, 2]; broadcasts with tan2
+    k : 4 for Cook-Torrance, 0 for Ward
+
+    Raises
+    ------
+    InputError : tan2 or m outside its domain
+
+    References: Beckmann and Spizzichino (1963); Cook and Torrance (1982); Ward (1992), eq. 4.
+    """
+    slope = LOBES["exact"].check(m, k)
+    t = np.asarray(tan2, dtype=np.float64)
+    if not (t >= 0.0).all():
+        raise InputError(f"tan2 = {t[~(t >= 0.0)].flat[0]:g} is negative or not a number")
+    return _exact(t.astype(np.longdouble), slope, k)
+
+
+def exact(c: ArrayLike, m: ArrayLike, k: int) -> Float:
+    """Evaluate E/c^k from the cosine of the angle between normal and half vector.
+
+    Relative error at most 1e-13 where the result is above 1e-300 and ``numpy.longdouble`` has 64
+    bits of mantissa or more; 5e-13 elsewhere.
+
+    Parameters
+    ----------
+    c : cos γ, in [0, 1]; any shape
+    m : rms slope of the microfacets, in [1e-4, 2]; broadcasts with c
+    k : 4 for Cook-Torrance, 0 for Ward
+
+    Raises
+    ------
+    InputError : c or m outside its domain
+    """
+    slope = LOBES["exact"].check(m, k)
+    x = _check_cosine(c).astype(np.longdouble)
+    with np.errstate(divide="ignore"):
+        tan2 = (1.0 - x) * (1.0 + x) / (x * x)
+    return _exact(tan2, slope, k)
+
+
+def cosine(c: ArrayLike, m: ArrayLike, k: int) -> Float:
+    """Approximate E/c^k by c^n, n = 2/m² - k.
+
+    Parameters
+    ----------
+    c : cosine of the angle between normal and half vector, in [0, 1]; any shape
+    m : rms slope, in [1e-4, sqrt(2/k)), at most 2; broadcasts with c
+    k : 4 for Cook-Torrance, 0 for Ward
+
+    Raises
+    ------
+    InputError : c or m outside its domain
+
+    References: Romanyuk et al. (2020), section 3.
+    """
+    slope = LOBES["cosine"].check(m, k)
+    return np.asarray(_check_cosine(c) ** (2.0 / slope**2 - k), dtype=np.float64)
+
+
+def g_power(c: ArrayLike, m: ArrayLike, k: int, g: int) -> Float:
+    """Approximate E/c^k by one clamped linear factor to the power g, max((n/g)(c - 1) + 1, 0)^g.
+
+    Parameters
+    ----------
+    c : cosine of the angle between normal and half vector, in [0, 1]; any shape
+    m : rms slope, in [1e-4, sqrt(2/k)), at most 2; broadcasts with c
+    k : 4 for Cook-Torrance, 0 for Ward
+    g : 4, 8 or 16
+
+    Raises
+    ------
+    InputError : c, m or g outside its domain
+
+    References: Romanyuk et al. (2020), D4, D8, D16; Lyon (1993) for the clamp.
+    """
+    if g not in (4, 8, 16):
+        raise InputError(f"g = {g} is none of 4, 8, 16")
+    n = 2.0 / LOBES[f"d{g}"].check(m, k) ** 2 - k
+    return clamped_power(c, n / g, g)
+
+
+def clamped_power(c: ArrayLike, steepness: ArrayLike, g: int) -> Float:
+    """Evaluate max(1 - s (1 - c), 0)^g, which g-powers are made of.
+
+    Parameters
+    ----------
+    c : cosine of the angle between normal and half vector, in [0, 1]; any shape
+    steepness : s, >= 0; broadcasts with c
+    g : in 1 to 31
+
+    Raises
+    ------
+    InputError : c outside its domain
+
+    References: Lyon (1993).
+    """
+    base = 1.0 - np.asarray(steepness, dtype=np.float64) * (1.0 - _check_cosine(c))
+    return np.asarray(np.maximum(base, 0.0) ** g)
+
+
+def fitted(c: ArrayLike, m: ArrayLike, k: int) -> Float:
+    """Approximate E/c^k by a cubic to the power 5: at most 0.19 % of the peak off for
+    Cook-Torrance, 0.13 % for Ward, at every angle and slope.
+
+    Parameters
+    ----------
+    c : cosine of the angle between normal and half vector, in [0, 1]; any shape
+    m : rms slope, in [1e-4, 0.7] for Cook-Torrance, to 1 for Ward; broadcasts with c
+    k : 4 for Cook-Torrance, 0 for Ward
+
+    Raises
+    ------
+    InputError : c or m outside its domain
+
+    References: Lyon (1993) for the clamped power; the constants are ``fitting.py``'s.
+    """
+    slope = LOBES["fitted"].check(m, k)
+    return FITTED["fitted", k](1.0 - _check_cosine(c), slope)
+
+
+def fitted_fine(c: ArrayLike, m: ArrayLike, k: int) -> Float:
+    """Approximate E/c^k by a quartic to the power 8: at most 0.04 % of the peak off.
+
+    Parameters, errors and references as in :func:`fitted`.
+    """
+    slope = LOBES["fitted-fine"].check(m, k)
+    return FITTED["fitted-fine", k](1.0 - _check_cosine(c), slope)
+
+
+def fitted_coefficients(m: ArrayLike, k: int) -> Float:
+    """Return the factors (..., 3) of u, u², u³, with u = 1 - c, in the cubic of :func:`fitted`.
+
+    Raises
+    ------
+    InputError : m outside the domain of :func:`fitted`
+    """
+    slope = LOBES["fitted"].check(m, k)
+    return FITTED["fitted", k].coefficients(slope)
+
+
+def fitted_fine_coefficients(m: ArrayLike, k: int) -> Float:
+    """Return the factors (..., 4) of u to u⁴ in the quartic of :func:`fitted_fine`.
+
+    Raises
+    ------
+    InputError : m outside the domain of :func:`fitted_fine`
+    """
+    slope = LOBES["fitted-fine"].check(m, k)
+    return FITTED["fitted-fine", k].coefficients(slope)
+
+
+def _exact_rounding(c: Float, m: Float, k: int) -> tuple[Float, Float]:
+    x = c.clip(1e-3)
+    exponent = np.minimum((1.0 / x**2 - 1.0) / m**2, 100.0)
+    # m² and the division: 3 ulp of the exponent; exp2: 3 + 2 x; 1/c⁴: 2; tan²: five operations
+    return ULP * (10.0 + 9.0 * exponent), TINY / np.maximum(x, 0.03) ** 4
+
+
+def _cosine_rounding(c: Float, m: Float, k: int) -> tuple[Float, float]:
+    n = 2.0 / m**2 - k
+    x = c.clip(1e-30)
+    power = np.minimum(n * -np.log2(x), 130.0)
+    n_error = ULP * (3.0 * 2.0 / m**2 + k) / n  # 4 ulp, more where 2/m² - k cancels
+    log_error = np.where(x >= 0.5, 2.0**-21, 3.0 * ULP * -np.log2(x))
+    exponent_error = np.log(2.0) * (power * n_error + n * log_error)
+    return np.expm1(np.minimum(exponent_error, 80.0)) + ULP * (3.0 + 3.0 * power), TINY
+
+
+def power_error(base: Float, base_error: Float, power: int) -> Float:
+    """Return what an error of the base makes of max(base, 0)^power."""
+    return np.asarray(power * np.maximum(base + base_error, 0.0) ** (power - 1) * base_error)
+
+
+def _g_power_rounding(
+    c: Float, m: Float, k: int, g: int, factor: float, offset: float
+) -> tuple[float, Float]:
+    steepness = factor / m**2 - offset
+    # the base 1 - s u: s by 4 ulp of its terms, the product by 3.5 more, the sum by 0.5
+    error = 4.0 * ULP * (factor / m**2 + np.abs(steepness)) * (1.0 - c) + ULP
+    return ULP * g, power_error(1.0 - steepness * (1.0 - c), error, g) + TINY
+
+
+def _fitted_rounding(c: Float, m: Float, k: int, name: str) -> tuple[float, Float]:
+    lobe = FITTED[name, k]
+    powers = np.arange(1, len(lobe.table[0]) + 1)
+    # a coefficient: 4 products and sums of its constants, 1/m² and its powers, times a power of u
+    sums = lobe.magnitudes(m) * ((1.0 - c) / m**2)[:, None] ** powers
+    error = 20.0 * ULP * sums.sum(axis=-1) + ULP
+    base = 1.0 + (lobe.coefficients(m) * (1.0 - c)[:, None] ** powers).sum(axis=-1)
+    return ULP * lobe.power, power_error(base, error, lobe.power) + TINY
+
+
+def _peak(m: float, k: int) -> float:
+    return 1.0
+
+
+def _exact_peak(m: float, k: int) -> float:
+    """In Cook-Torrance, above m = 0.7071, the exact lobe is highest off the normal."""
+    w = max(m**2, 0.5) if k else 0.5
+    return 4.0 * w**2 * math.exp(1.0 / w - 2.0)
+
+
+def _g_power(g: int, number: int, colour: str, errors: Mapping[int, tuple[float, ...]]) -> Lobe:
+    return Lobe(
+        name=f"d{g}",
+        number=number,
+        file="lobe/g_power",
+        call=f"fr_lobe_g_power(c, m, k, {g})",
+        evaluate=lambda c, m, k: g_power(c, m, k, g),
+        ends={4: math.sqrt(0.5), 0: MAX_SLOPE},
+        open_ends=(4,),
+        errors=errors,
+        rounding=lambda c, m, k: _g_power_rounding(c, m, k, g, 2.0 / g, k / g),
+        highest=_peak,
+        colour=colour,
+    )
+
+
+# Colours after Okabe and Ito (2008), which the colour-blind can tell apart; darker, to write in.
+LOBES: dict[str, Lobe] = registry(
+    Lobe(
+        name="exact",
+        number=1,
+        file="lobe/exact",
+        call="fr_lobe_exact(c, m, k)",
+        evaluate=exact,
+        ends={4: MAX_SLOPE, 0: MAX_SLOPE},
+        errors={4: (0.0,), 0: (0.0,)},
+        rounding=_exact_rounding,
+        highest=_exact_peak,
+        colour="#000000",
+        of_tan2=exact_tan2,
+    ),
+    Lobe(
+        name="cosine",
+        number=2,
+        file="lobe/cosine",
+        call="fr_lobe_cosine(c, m, k)",
+        evaluate=cosine,
+        ends={4: math.sqrt(0.5), 0: MAX_SLOPE},
+        open_ends=(4,),
+        errors={
+            4: (0.28, 1.26, 3.42, 8.00, 17.8, 39.7),
+            0: (0.27, 1.07, 2.37, 4.11, 6.25, 8.70),
+        },
+        rounding=_cosine_rounding,
+        amplified=lambda error: error + 7e-7,  # log2
+        highest=_peak,
+        colour="#767676",
+    ),
+    _g_power(
+        4,
+        4,
+        "#2b8cbe",
+        {4: (6.96, 5.54, 2.46, 4.18, 17.8, 45.4), 0: (6.98, 5.78, 3.79, 1.12, 2.55, 6.64)},
+    ),
+    _g_power(
+        8,
+        8,
+        "#08457e",
+        {4: (3.11, 1.68, 1.43, 7.79, 20.9, 46.9), 0: (3.13, 1.92, 0.12, 2.83, 6.25, 10.25)},
+    ),
+    _g_power(
+        16,
+        16,
+        "#b3568f",
+        {4: (1.31, 0.13, 3.21, 9.50, 22.3, 47.6), 0: (1.32, 0.12, 1.88, 4.60, 7.99, 11.9)},
+    ),
+    Lobe(
+        name="fitted",
+        number=3,
+        file="lobe/fitted",
+        call="fr_lobe_fitted(c, m, k)",
+        evaluate=fitted,
+        ends={k: FITTED["fitted", k].max_slope for k in TITLES},
+        errors={4: (0.19,), 0: (0.13,)},
+        rounding=partial(_fitted_rounding, name="fitted"),
+        highest=_peak,
+        colour="#00805d",
+        constants=("FR_FITTED_COEFFICIENTS", fitted_coefficients),
+    ),
+    Lobe(
+        name="fitted-fine",
+        number=5,
+        file="lobe/fitted",
+        call="fr_lobe_fitted_fine(c, m, k)",
+        evaluate=fitted_fine,
+        ends={k: FITTED["fitted-fine", k].max_slope for k in TITLES},
+        errors={4: (0.04,), 0: (0.04,)},
+        rounding=partial(_fitted_rounding, name="fitted-fine"),
+        highest=_peak,
+        colour="#c44e00",
+        constants=("FR_FITTED_FINE_COEFFICIENTS", fitted_fine_coefficients),
+    ),
+)
+
+AnyLobe = str | GPower
+
+
+def lobe_entry(lobe: AnyLobe) -> Lobe:
+    """Return the entry of a name, or one for a g-power.
+
+    Raises
+    ------
+    InputError : an unknown name
+    """
+    return _of_g_power(lobe) if isinstance(lobe, GPower) else named("lobe", LOBES, lobe)
+
+
+@lru_cache(maxsize=4096)
+def _of_g_power(lobe: GPower) -> Lobe:
+    g, factor, offset = lobe.g, float(lobe.factor), float(lobe.offset)
+    end = math.sqrt(factor / max(offset, factor / MAX_SLOPE**2))
+    less = f" - {offset}" if offset else ""
+
+    def evaluate(c: ArrayLike, m: ArrayLike, k: int) -> Float:
+        slope = entry.check(m, k)
+        return clamped_power(c, factor / slope**2 - offset, g)
+
+    entry = Lobe(
+        name=str(lobe),
+        number=6,
+        file="lobe/g_power",
+        call="fr_lobe_clamped_power(c, FR_STEEPNESS(FR_SLOPE(m), k), FR_G)",
+        evaluate=evaluate,
+        ends=dict.fromkeys(TITLES, end),
+        rounding=lambda c, m, k: _g_power_rounding(c, m, k, g, factor, offset),
+        amplified=lambda error: error * factor * g / 2.0,
+        highest=_peak,
+        colour="#444444",
+        macro="FR_LOBE_G_POWER",
+        macros={"FR_G": str(g), "FR_STEEPNESS(m, k)": f"({factor} / ((m) * (m)){less})"},
+        price=f"g{g}",
+    )
+    return entry
+
+
+def lobe(name: AnyLobe, c: ArrayLike, m: ArrayLike, k: int) -> Float:
+    """Evaluate the named lobe; parameters as in :func:`exact` and the function of that name."""
+    return lobe_entry(name).evaluate(c, m, k)
+
+
+def max_slope(name: AnyLobe, k: int) -> float:
+    """Return the upper end of a lobe's domain of m.
+
+    It belongs to the domain but for the cosine power and the g-powers in Cook-Torrance, whose
+    exponent n = 2/m² - k must be positive.
+    """
+    return lobe_entry(name).end(k)
+
+
+def in_domain(m: ArrayLike, name: AnyLobe, k: int) -> NDArray[np.bool_]:
+    """Tell which slopes lie in the lobe's domain; see :meth:`Lobe.belongs`.
+
+    Raises
+    ------
+    InputError : an unknown lobe, or k neither 4 nor 0
+    """
+    return lobe_entry(name).belongs(m, k)
+
+
+def check_slope(m: ArrayLike, name: AnyLobe, k: int) -> Float:
+    """Return m as float64, or raise InputError when a value lies outside the lobe's domain."""
+    return lobe_entry(name).check(m, k)

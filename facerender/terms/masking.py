@@ -1,0 +1,96 @@
+"""Masking and shadowing of microfacets: an entry for each term, with its float64 twin beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from facerender.terms.entry import Entry, registry
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Masking(Entry):
+    """A masking term; its macro is FR_MASKING_NAME, its call a vec2 of float n_dot_h, h_dot_h,
+    n_dot_l, n_dot_v, for h = l + v of any length: G/((N.L)(N.V)) is x/(y h_dot_h).
+
+    Attributes
+    ----------
+    number : of its macro, unlike every other's
+    evaluate : G in float64, of n_dot_h, v_dot_h, n_dot_l, n_dot_v, with a unit half vector
+    at_most_1 : whether G is so everywhere, as a guarantee needs; refused where nobody knows
+    """
+
+    number: int
+    evaluate: Callable[[Float, Float, Float, Float], Float]
+    at_most_1: bool = False
+
+    @property
+    def macro(self) -> str:
+        return f"FR_MASKING_{self.word}"
+
+
+def masking_v_cavity(
+    n_dot_h: ArrayLike, v_dot_h: ArrayLike, n_dot_l: ArrayLike, n_dot_v: ArrayLike
+) -> Float:
+    """Masking and shadowing by V-shaped cavities, min(1, 2 N.H N.V/V.H, 2 N.H N.L/V.H), in [0, 1].
+
+    Parameters
+    ----------
+    n_dot_h, v_dot_h : cosines with the half vector (of any length), v_dot_h > 0
+    n_dot_l, n_dot_v : cosines of light and eye, in (0, 1]
+
+    References: Torrance and Sparrow (1967); Cook and Torrance (1982).
+    """
+    ratio = 2.0 * np.asarray(n_dot_h, dtype=np.float64) / np.asarray(v_dot_h, dtype=np.float64)
+    return np.asarray(np.minimum(1.0, ratio * np.minimum(n_dot_l, n_dot_v)))
+
+
+def masking_kelemen(v_dot_h: ArrayLike, n_dot_l: ArrayLike, n_dot_v: ArrayLike) -> Float:
+    """Approximate masking and shadowing by (N.L)(N.V)/(V.H)², which cancels the BRDF's divisor;
+    from half of :func:`masking_v_cavity` to all of it.
+
+    Parameters
+    ----------
+    v_dot_h : cosine of eye and unit half vector, at least (N.L + N.V)/2 as of any directions
+    n_dot_l, n_dot_v : cosines of light and eye, in (0, 1]
+
+    References: Kelemen and Szirmay-Kalos (2001); for skin: d'Eon and Luebke (2007), GPU Gems 3,
+    chapter 14.
+    """
+    product = np.multiply(n_dot_l, n_dot_v, dtype=np.float64)
+    return np.asarray(product / np.asarray(v_dot_h, dtype=np.float64) ** 2)
+
+
+MASKING: dict[str, Masking] = registry(
+    Masking(
+        name="v-cavity",
+        number=0,
+        file="masking/v_cavity",
+        call="fr_masking_v_cavity_ratio(n_dot_h, h_dot_h, n_dot_l, n_dot_v)",
+        evaluate=masking_v_cavity,
+        at_most_1=True,
+    ),
+    Masking(
+        name="kelemen",
+        number=1,
+        file="masking/kelemen",
+        call="vec2(4.0, 1.0)",
+        evaluate=lambda n_dot_h, v_dot_h, n_dot_l, n_dot_v: masking_kelemen(
+            v_dot_h, n_dot_l, n_dot_v
+        ),
+        at_most_1=True,
+    ),
+    Masking(
+        name="none",
+        number=2,
+        file="constants",
+        call="vec2(h_dot_h, n_dot_l * n_dot_v)",
+        evaluate=lambda n_dot_h, v_dot_h, n_dot_l, n_dot_v: np.ones_like(n_dot_h),
+        at_most_1=True,
+    ),
+)

@@ -1,0 +1,255 @@
+"""Specular BRDFs: an entry for each model, with its float64 twin beside it: the reference for the
+BRDFs of ``shaders/facerender``. ``brdf.f`` is ``fr_f`` in GLSL, with the same arguments in the same
+order.
+
+Directions are arrays of shape (..., 3) that broadcast against one another: ``n`` the normal, ``l``
+towards the light, ``v`` towards the eye, unit vectors. BRDFs are in 1/sr, without N.L, for a
+specular weight of 1, and exactly 0 where N.L or N.V is not above 1e-6, as in the shaders.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from facerender.errors import InputError
+from facerender.terms.entry import Entry, named, registry
+from facerender.terms.fresnel import fresnel
+from facerender.terms.lobe import AnyLobe, lobe_entry
+from facerender.terms.masking import MASKING
+
+Float = NDArray[np.float64]
+
+K_COOK_TORRANCE = 4
+K_WARD = 0
+MIN_COSINE = 1e-6  # FR_MIN_COSINE of shaders/facerender/constants.glsl
+
+
+class Float64Model(Protocol):
+    """A specular term in 1/sr at vectors n, l, v, slopes m and a reflectance f0; a model without a
+    Fresnel or masking term leaves those names out of account."""
+
+    def __call__(
+        self,
+        n: ArrayLike,
+        l: ArrayLike,
+        v: ArrayLike,
+        m: ArrayLike,
+        f0: float,
+        /,
+        *,
+        lobe: AnyLobe,
+        fresnel_term: str,
+        masking_term: str,
+    ) -> Float: ...
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Model(Entry):
+    """A model; its call is of vec3 n, l, v, float f0, of ``{m}``, the slope, and of ``{lobe}``,
+    ``{fresnel}``, ``{masking}``, for which the macros of terms stand.
+
+    Attributes
+    ----------
+    title : as texts write it
+    k : power of 1/cos γ in its lobe
+    evaluate : the same in float64; checks its domain
+    factors : whether it has a Fresnel and a masking term
+    family : models of one stand for each other in a plan; they agree where normal, light and eye
+        coincide
+    printed : call of the paper's literal form of it, where it is another
+    at_most : of m, the largest f N.L N.V for a lobe and terms that are at most 1; None where nobody
+        knows: a guarantee then refuses the model
+    """
+
+    title: str
+    k: int
+    evaluate: Float64Model
+    factors: bool = False
+    family: str
+    printed: str = ""
+    at_most: Callable[[float], float] | None = None
+
+
+def _checked_unit(name: str, vectors: ArrayLike) -> Float:
+    array = np.asarray(vectors, dtype=np.float64)
+    if array.ndim == 0 or array.shape[-1] != 3:
+        raise InputError(f"{name} has shape {array.shape}: its last axis must hold x, y, z")
+    length = np.sqrt(_dot(array, array))
+    if not (np.abs(length - 1.0) <= 1e-5).all():
+        worst = length.flat[np.argmax(np.abs(length - 1.0))]
+        raise InputError(f"{name} holds a vector of length {worst:g}: give unit vectors")
+    return array
+
+
+def _dot(a: Float, b: Float) -> Float:
+    return np.asarray(np.einsum("...i,...i", a, b))  # six times as fast as a sum
+
+
+class _Geometry:
+    """The cosines that the BRDFs share; placeholders of 1 where the result is 0."""
+
+    def __init__(self, n: ArrayLike, l: ArrayLike, v: ArrayLike) -> None:
+        normal, light, eye = _checked_unit("n", n), _checked_unit("l", l), _checked_unit("v", v)
+        half = light + eye
+        n_dot_l, n_dot_v, n_dot_h = _dot(normal, light), _dot(normal, eye), _dot(normal, half)
+        self.above = (n_dot_l > MIN_COSINE) & (n_dot_v > MIN_COSINE)
+        length = np.where(self.above, np.sqrt(_dot(half, half)), 1.0)
+        self.n_dot_l = np.where(self.above, n_dot_l, 1.0)
+        self.n_dot_v = np.where(self.above, n_dot_v, 1.0)
+        self.n_dot_h = np.minimum(np.where(self.above, n_dot_h / length, 1.0), 1.0)
+        self.v_dot_h = np.where(self.above, 0.5 * length, 1.0)  # |l + v| = 2 V.H
+        # From the cross product: 1 - c^2 would lose the digits of a small angle.
+        cross = np.cross(normal, half)
+        self.tan2 = np.where(self.above, _dot(cross, cross), 0.0) / (self.n_dot_h * length) ** 2
+
+    def masking(self, name: str) -> Float:
+        term = named("masking term", MASKING, name)
+        return term.evaluate(self.n_dot_h, self.v_dot_h, self.n_dot_l, self.n_dot_v)
+
+    def lobe(self, lobe: AnyLobe, m: ArrayLike, k: int) -> Float:
+        entry = lobe_entry(lobe)
+        if entry.of_tan2 is not None:
+            return entry.of_tan2(self.tan2, m, k)
+        return entry.evaluate(self.n_dot_h, m, k)
+
+
+def cook_torrance(
+    n: ArrayLike,
+    l: ArrayLike,
+    v: ArrayLike,
+    m: ArrayLike,
+    f0: ArrayLike,
+    *,
+    lobe: AnyLobe = "exact",
+    fresnel_term: str = "schlick",
+    masking_term: str = "v-cavity",
+) -> Float:
+    """Cook-Torrance specular BRDF F G D/(π (N.L)(N.V)), D = E/(4 m² c⁴), in 1/sr.
+
+    Parameters
+    ----------
+    n, l, v : unit vectors (..., 3): normal, towards the light, towards the eye
+    m : rms slope, in the domain of the lobe; broadcasts with the directions' leading axes
+    f0 : Fresnel reflectance at normal incidence, in [0, 1); skin: 0.028
+    lobe : name of the lobe, or a GPower
+    fresnel_term : "schlick", "dielectric", or "constant": f0
+    masking_term : "v-cavity", "kelemen", or "none": 1, with which it grows as 1/(N.V)
+
+    Raises
+    ------
+    InputError : a vector that is no unit vector, or a value outside its domain
+
+    References: Cook and Torrance (1982); Walter et al. (2007) for the normalisation.
+    """
+    at = _Geometry(n, l, v)
+    f = fresnel(f0, at.v_dot_h, fresnel_term)
+    g = at.masking(masking_term)
+    d = at.lobe(lobe, m, K_COOK_TORRANCE) / (4.0 * np.asarray(m, dtype=np.float64) ** 2)
+    return np.where(at.above, f * g * d / (np.pi * at.n_dot_l * at.n_dot_v), 0.0)
+
+
+def ward(
+    n: ArrayLike,
+    l: ArrayLike,
+    v: ArrayLike,
+    m: ArrayLike,
+    *,
+    lobe: AnyLobe = "exact",
+) -> Float:
+    """Ward's isotropic specular BRDF E/(4 π m² sqrt((N.L)(N.V))), in 1/sr.
+
+    Parameters and errors as in :func:`cook_torrance`; m is Ward's alpha.
+
+    References: Ward (1992), eq. 4.
+    """
+    at = _Geometry(n, l, v)
+    scale = 4.0 * np.pi * np.asarray(m, dtype=np.float64) ** 2
+    value = at.lobe(lobe, m, K_WARD) / (scale * np.sqrt(at.n_dot_l * at.n_dot_v))
+    return np.where(at.above, value, 0.0)
+
+
+def ward_printed(
+    n: ArrayLike,
+    l: ArrayLike,
+    v: ArrayLike,
+    m: ArrayLike,
+    *,
+    lobe: AnyLobe = "exact",
+) -> Float:
+    """Ward as Romanyuk et al. (2020) print it, E/(4 π m² sqrt(N.V + L.H)), in 1/sr.
+
+    Not reciprocal, and 0.707 times Ward at normal incidence: it serves to reproduce the paper.
+    Parameters and errors as in :func:`cook_torrance`.
+    """
+    at = _Geometry(n, l, v)
+    scale = 4.0 * np.pi * np.asarray(m, dtype=np.float64) ** 2
+    value = at.lobe(lobe, m, K_WARD) / (scale * np.sqrt(at.n_dot_v + at.v_dot_h))
+    return np.where(at.above, value, 0.0)
+
+
+def _at_most(m: float) -> float:
+    """N.L G/((N.L)(N.V)) is at most 1/N.V with masking at most 1, and Ward's sqrt(N.L/N.V) less."""
+    return 1.0 / (4.0 * np.pi * m**2)
+
+
+def _without_factors(brdf: Callable[..., Float]) -> Float64Model:
+    """Give a BRDF without a Fresnel term the reflectance f0, so that all models agree where normal,
+    light and eye coincide."""
+
+    def evaluate(
+        n: ArrayLike,
+        l: ArrayLike,
+        v: ArrayLike,
+        m: ArrayLike,
+        f0: float,
+        /,
+        *,
+        lobe: AnyLobe,
+        fresnel_term: str,
+        masking_term: str,
+    ) -> Float:
+        return f0 * brdf(n, l, v, m, lobe=lobe)
+
+    return evaluate
+
+
+MODELS: dict[str, Model] = registry(
+    Model(
+        name="cook-torrance",
+        title="Cook-Torrance",
+        file="cook_torrance",
+        call="fr_cook_torrance_terms(n, l, v, {m}, f0, {lobe}, {fresnel}, {masking})",
+        k=K_COOK_TORRANCE,
+        evaluate=cook_torrance,
+        factors=True,
+        family="physical",
+        printed="fr_printed_cook_torrance(n, l, v, m, f0)",
+        at_most=_at_most,
+    ),
+    Model(
+        name="ward",
+        title="Ward",
+        file="ward",
+        call="f0 * fr_ward_terms(n, l, v, {m}, {lobe})",
+        k=K_WARD,
+        evaluate=_without_factors(ward),
+        family="physical",
+        printed="fr_printed_ward(n, l, v, m)",
+        at_most=_at_most,
+    ),
+    Model(
+        name="ward-printed",
+        title="Ward as printed",
+        file="ward_printed",
+        call="f0 * fr_ward_printed_terms(n, l, v, {m}, {lobe})",
+        k=K_WARD,
+        evaluate=_without_factors(ward_printed),
+        family="printed",
+        at_most=_at_most,
+    ),
+)
