@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facerender import InputError, fitting, lobes
+from facerender import InputError, lobes
 from facerender.lobes import GPower
+from facerender.terms import fitting
 
 REFERENCE = np.genfromtxt(Path(__file__).parent / "data/beckmann_reference.csv", delimiter=",")
 C, M, D, W, LOG_D = REFERENCE.T
