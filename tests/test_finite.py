@@ -19,59 +19,52 @@ from numpy.typing import NDArray
 from facerender import resolve_includes, shader_dir
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.evaluate import Evaluator, Inputs
+from facerender.terms import FRESNEL, LOBES, MASKING
 
 FEW, MANY = 2**18, 2**20  # samples of one draw
 MANY_DRAWS = -(-(10**8) // MANY)
 
-CHOICES = {  # macros, but for FR_K, the argument k
+CHOICES = {  # FR_K is of this test alone: the argument k
     "FR_K": ("FR_K_COOK_TORRANCE", "FR_K_WARD"),
-    "FR_LOBE": (
-        "FR_LOBE_EXACT",
-        "FR_LOBE_COSINE",
-        "FR_LOBE_D4",
-        "FR_LOBE_D8",
-        "FR_LOBE_D16",
-        "FR_LOBE_FITTED",
-        "FR_LOBE_FITTED_FINE",
-        "FR_LOBE_G_POWER",
-    ),
+    "FR_LOBE": (*(lobe.macro for lobe in LOBES.values()), "FR_LOBE_G_POWER"),
     "FR_SMALL_SLOPE": ("0", "1"),
-    "FR_FRESNEL": ("FR_FRESNEL_SCHLICK", "FR_FRESNEL_DIELECTRIC", "FR_FRESNEL_CONSTANT"),
-    "FR_MASKING": ("FR_MASKING_V_CAVITY", "FR_MASKING_KELEMEN", "FR_MASKING_NONE"),
+    "FR_FRESNEL": tuple(term.macro for term in FRESNEL.values()),
+    "FR_MASKING": tuple(term.macro for term in MASKING.values()),
 }
-FRONTAL = "fr_cook_torrance_terms(n, l, v, m, f0, FR_FRESNEL_CONSTANT, FR_MASKING_NONE)"
+COOK_TORRANCE = "fr_cook_torrance(n, l, v, m, f0)"
+FRONTAL = "fr_cook_torrance_terms(n, l, v, m, f0, FR_LOBE, FR_FRESNEL_CONSTANT, FR_MASKING_NONE)"
+OTHER = FRONTAL.replace("CONSTANT", "DIELECTRIC").replace("NONE", "KELEMEN")
+LAID = "p.y + p.z, 1.0, p.y, p.z"  # n_dot_h, h_dot_h, n_dot_l, n_dot_v
 FUNCTIONS = (  # a file, a float of the inputs below, the choices on which it depends
-    ("cook_torrance", "fr_cook_torrance(n, l, v, m, f0)", "FR_LOBE FR_FRESNEL"),
-    ("cook_torrance", "fr_cook_torrance(n, l, v, m, f0)", "FR_LOBE FR_MASKING"),
-    ("cook_torrance", "fr_cook_torrance(n, l, v, m, f0)", "FR_SMALL_SLOPE FR_MASKING"),
+    ("cook_torrance", COOK_TORRANCE, "FR_LOBE FR_FRESNEL"),
+    ("cook_torrance", COOK_TORRANCE, "FR_LOBE FR_MASKING"),
+    ("cook_torrance", COOK_TORRANCE, "FR_SMALL_SLOPE FR_MASKING"),
     ("cook_torrance", FRONTAL, "FR_LOBE"),
-    ("cook_torrance", FRONTAL, "FR_SMALL_SLOPE"),
-    ("cook_torrance", FRONTAL.replace("CONSTANT", "DIELECTRIC").replace("NONE", "KELEMEN"), ""),
+    ("cook_torrance", FRONTAL.replace("FR_LOBE", "FR_DEFAULT_LOBE"), "FR_SMALL_SLOPE"),
+    ("cook_torrance", OTHER.replace("FR_LOBE", "FR_DEFAULT_LOBE"), ""),
     ("ward", "fr_ward(n, l, v, m)", "FR_LOBE"),
     ("ward", "fr_ward(n, l, v, m)", "FR_SMALL_SLOPE"),
+    ("ward", "fr_ward_terms(n, l, v, m, FR_LOBE)", "FR_LOBE"),
     ("ward_printed", "fr_ward_printed(n, l, v, m)", "FR_LOBE"),
+    ("ward_printed", "fr_ward_printed_terms(n, l, v, m, FR_LOBE)", "FR_LOBE"),
     ("half_vector", "fr_half_vector(n, l + v, dot(n, l) + dot(n, v)).x", "FR_SMALL_SLOPE"),
     ("half_vector", "fr_half_vector(n, l + v, dot(n, l) + dot(n, v)).y", "FR_SMALL_SLOPE"),
     ("lobe", "fr_lobe(c, m, FR_K)", "FR_LOBE FR_K"),
+    ("lobe", "fr_lobe_of(c, m, FR_K, FR_LOBE)", "FR_LOBE FR_K"),
     ("lobe/exact", "fr_slope_factor(tan2)", ""),
-    ("lobe/exact", "fr_lobe_exact(c, m, FR_K)", "FR_K"),
     ("lobe/exact", "fr_lobe_exact_tan2(tan2, m, FR_K)", "FR_K"),
-    ("lobe/cosine", "fr_lobe_cosine(c, m, FR_K)", "FR_K"),
     ("lobe/g_power", "fr_lobe_clamped_power(c, tan2, 1)", ""),
     ("lobe/g_power", "fr_lobe_clamped_power(c, tan2, 31)", ""),
-    ("lobe/g_power", "fr_lobe_g_power(c, m, FR_K, 4)", "FR_K"),
-    ("lobe/g_power", "fr_lobe_g_power(c, m, FR_K, 8)", "FR_K"),
-    ("lobe/g_power", "fr_lobe_g_power(c, m, FR_K, 16)", "FR_K"),
-    ("lobe/fitted", "fr_lobe_fitted(c, m, FR_K)", "FR_K"),
-    ("lobe/fitted", "fr_lobe_fitted_fine(c, m, FR_K)", "FR_K"),
+    *((lobe.file, re.sub(r"\bk\b", "FR_K", lobe.call), "FR_K") for lobe in LOBES.values()),
     ("lobe/fitted", "length(fr_lobe_fitted_coefficients(m, FR_K) * m * m)", "FR_K"),
     ("lobe/fitted", "length(fr_lobe_fitted_fine_coefficients(m, FR_K) * m * m * m)", "FR_K"),
     ("fresnel", "fr_fresnel(f0, c)", "FR_FRESNEL"),
-    *(("fresnel", f"fr_fresnel_of(f0, c, {kind})", "") for kind in CHOICES["FR_FRESNEL"]),
-    ("fresnel", "fr_fresnel_schlick(f0, c)", ""),
-    ("fresnel", "fr_fresnel_dielectric(f0, c)", ""),
+    *(("fresnel", f"fr_fresnel_of(f0, c, {term.macro})", "") for term in FRESNEL.values()),
+    *(("fresnel", term.call.replace("v_dot_h", "c"), "") for term in FRESNEL.values()),
     ("masking", "fr_masking_v_cavity(c, p.x, p.y, p.z)", ""),
     ("masking", "fr_masking_kelemen(max(p.x, 0.5 * (p.y + p.z)), p.y, p.z)", ""),
+    *(("masking", f"fr_masking_of({LAID}, {term.macro}).x", "") for term in MASKING.values()),
+    ("masking", f"fr_masking_v_cavity_ratio({LAID}).y", ""),
 )
 
 BRDF = re.compile(r"\bfr_\w+\(n, l, v, m\b")
@@ -252,6 +245,7 @@ def test_no_function_and_no_choice_is_left_out():
     choices = re.findall(rf"^#define ((?:{names})_\w+) \d+$", library, re.MULTILINE)
     called = re.findall(r"\bfr_\w+", " ".join(call for _, call, _ in FUNCTIONS))
     assert set(called) == set(functions)
+    choices = [name for name in choices if name not in ("FR_LOBE_OWN", "FR_LOBE_EVERY")]
     assert set(choices) == {
         value for values in CHOICES.values() for value in values if not value.isdigit()
     }

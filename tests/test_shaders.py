@@ -14,7 +14,9 @@ import pytest
 from facerender import InputError, brdf, lobes, resolve_includes, shader_dir, shader_source
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.evaluate import Evaluator
-from trials.cases import COOK_TORRANCE, brdf_case, chosen, directions, include
+from facerender.glsl.dispatch import dispatch
+from facerender.terms import FRESNEL, LOBES, MASKING, MODELS
+from trials.cases import Brdf, brdf_case, chosen, directions, include
 
 FILES = sorted((shader_dir() / "facerender").rglob("*.glsl"))
 
@@ -26,12 +28,12 @@ def evaluate(backend: Backend) -> Iterator[Evaluator]:
     evaluator.release()
 
 
-@pytest.mark.parametrize("name", ["cook_torrance", "ward"])
-def test_exact_term_is_accurate_where_it_shows(evaluate, name):
+@pytest.mark.parametrize("model", ["cook-torrance", "ward"])
+def test_exact_term_is_accurate_where_it_shows(evaluate, model):
     """Relative error at most 1e-4 wherever the lobe is above a thousandth of its peak."""
     m = np.resize(np.float32(np.linspace(0.05, 1.0, 20)), 200000)
     inputs = directions(m, lowest=0.02)
-    case = brdf_case(name, "exact", 1, inputs)
+    case = brdf_case(Brdf(model), "exact", 1, inputs)
     result = evaluate(case.prelude, case.expression, inputs)
     half = inputs["l"].astype(float) + inputs["v"]
     c = (half * inputs["n"]).sum(axis=-1) / np.linalg.norm(half, axis=-1)
@@ -71,7 +73,7 @@ def test_small_slopes_are_accurate_unless_the_host_says_otherwise(evaluate):
 def test_masking_of_an_unsaid_choice_is_that_of_v_cavities(evaluate):
     inputs = directions(np.full(2000, 0.3, np.float32))
     unsaid, said = (
-        evaluate(define + include("cook_torrance"), COOK_TORRANCE, inputs)
+        evaluate(define + include("cook_torrance"), "fr_cook_torrance(n, l, v, m, 0.028)", inputs)
         for define in ("", "#define FR_MASKING FR_MASKING_V_CAVITY\n")
     )
     np.testing.assert_array_equal(unsaid, said)
@@ -95,15 +97,16 @@ def test_fitted_coefficients_may_come_from_the_host(evaluate, name):
     np.testing.assert_allclose(given, lobes.lobe(name, inputs["c"], 0.3, 4), atol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["cook_torrance", "ward"])
+@pytest.mark.parametrize("name", ["cook-torrance", "ward"])
 @pytest.mark.parametrize("lobe", ["exact", "d4", "d8", "d16"])
 def test_printed_forms_agree_where_they_are_sound(evaluate, name, lobe):
     inputs = directions(np.full(5000, 0.3, np.float32), lowest=0.2)
-    model = "ward_printed" if name == "ward" else name
-    case = brdf_case(model, lobe, 1, inputs)
-    printed = resolve_includes(f'#include "printed/{name}.glsl"\n')
-    prelude = case.prelude.replace(include(model), printed)
-    call = case.expression.replace(f"fr_{model}", f"fr_printed_{name}")
+    model = "ward-printed" if name == "ward" else name
+    case = brdf_case(Brdf(model), lobe, 1, inputs)
+    printed, ours = MODELS[name].file, MODELS[model].file
+    text = resolve_includes(f'#include "printed/{printed}.glsl"\n')
+    prelude = case.prelude.replace(include(ours), text)
+    call = case.expression.replace(f"fr_{ours}", f"fr_printed_{printed}")
     result = evaluate(prelude, call, inputs)
     # Where the clamp acts, the printed power rises again; where V.H or N.H rounds to more than 1,
     # pow of a negative base and acos are NaN.
@@ -172,3 +175,26 @@ def test_unknown_lobe_does_not_compile(evaluate, name):
     prelude = f"#define FR_LOBE {name}\n" + include("ward")
     with pytest.raises(moderngl.Error, match="FR_LOBE is none of"):
         evaluate(prelude, "fr_lobe(1.0, m, 0)", {"m": np.float32([0.3])})
+
+
+@pytest.mark.parametrize(("file", "text"), dispatch().items())
+def test_the_dispatch_is_what_the_registry_gives(file, text):
+    """python -m facerender.glsl.dispatch writes it anew."""
+    assert (shader_dir() / f"facerender/{file}.glsl").read_text(encoding="utf-8") == text
+
+
+def test_macros_of_terms_have_numbers_of_their_own():
+    for kind in (LOBES, FRESNEL, MASKING):
+        assert len({entry.number for entry in kind.values()}) == len(kind)
+
+
+def test_a_lobe_that_is_not_there_gives_no_lobe(evaluate):
+    prelude = "#define FR_LOBE FR_LOBE_D8\n" + include("lobe")
+    inputs = {"c": np.float32([0.9])}
+    assert evaluate(prelude, "fr_lobe_of(c, 0.3, 4, FR_LOBE_EXACT)", inputs) == -1.0
+
+
+def test_a_hosts_lobe_needs_its_function(evaluate):
+    prelude = "#define FR_LOBE FR_LOBE_OWN\n" + include("lobe")
+    with pytest.raises(moderngl.Error, match="FR_LOBE_FUNCTION names"):
+        evaluate(prelude, "fr_lobe(c, 0.3, 4)", {"c": np.float32([0.9])})

@@ -8,6 +8,7 @@ and products 0.5.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
@@ -19,13 +20,14 @@ from numpy.typing import ArrayLike, NDArray
 from facerender import brdf, lobes, resolve_includes
 from facerender.drawing.evaluate import Inputs
 from facerender.glsl.code import defines, lobe_macros
-from facerender.lobes import AnyLobe, GPower
+from facerender.lobes import GPower
+from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, Fresnel, Masking, lobe_entry
+from facerender.terms.entry import ULP
+from facerender.terms.lobe import TINY, TITLES, power_error
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-ULP = 2.0**-23
-TINY = 1.2e-38  # where float32's full precision ends; drivers may flush what is smaller to zero
 DIRECTIONS = 20_000  # for each BRDF
 
 
@@ -122,6 +124,11 @@ def chosen(name: str, lobe: AnyLobe, **macros: str) -> str:
     return defines(lobe_macros(lobe) | macros) + include(name)
 
 
+def every(name: str, **macros: str) -> str:
+    """Return a file with every lobe, and further macros."""
+    return defines({"FR_LOBE": "FR_LOBE_EVERY"} | macros) + include(name)
+
+
 def grid(*axes: ArrayLike) -> list[Singles]:
     return [axis.ravel() for axis in np.meshgrid(*map(singles, axes), indexing="ij")]
 
@@ -171,49 +178,19 @@ def lobe_exact_tan2(k: int) -> Case:
     return Case(include("lobe/exact"), call, inputs, expected, relative, smallest)
 
 
-@case(0, 4)
-def lobe_exact(k: int) -> Case:
-    inputs, c, m = of_the_cosine("exact", k)
-    x = c.clip(1e-3)
-    exponent = np.minimum((1.0 / x**2 - 1.0) / m**2, 100.0)
-    relative = ULP * (10.0 + 9.0 * exponent)  # as above, and five operations more for tan2
-    smallest = TINY / np.maximum(x, 0.03) ** 4
-    expected = lobes.exact(c, m, k)
-    call = f"fr_lobe_exact(c, m, {k})"
-    return Case(include("lobe/exact"), call, inputs, expected, relative, smallest)
+def lobe_function(k: int, name: str) -> Case:
+    """The function of a lobe of the registry, over its whole domain."""
+    entry = LOBES[name]
+    inputs, c, m = of_the_cosine(name, k)
+    call = re.sub(r"\bk\b", str(k), entry.call)
+    expected = entry.evaluate(c, m, k)
+    return Case(include(entry.file), call, inputs, expected, *entry.rounding(c, m, k))
 
 
-@case(0, 4)
-def lobe_cosine(k: int) -> Case:
-    inputs, c, m = of_the_cosine("cosine", k)
-    n = 2.0 / m**2 - k
-    x = c.clip(1e-30)
-    power = np.minimum(n * -np.log2(x), 130.0)
-    # n: 4 ulp, more where 2/m^2 - k cancels
-    n_error = ULP * (3.0 * 2.0 / m**2 + k) / n
-    log_error = np.where(x >= 0.5, 2.0**-21, 3.0 * ULP * -np.log2(x))
-    exponent_error = np.log(2.0) * (power * n_error + n * log_error)
-    relative = np.expm1(np.minimum(exponent_error, 80.0)) + ULP * (3.0 + 3.0 * power)
-    expected = lobes.cosine(c, m, k)
-    call = f"fr_lobe_cosine(c, m, {k})"
-    return Case(include("lobe/cosine"), call, inputs, expected, relative, TINY)
-
-
-def power_error(base: Floats, base_error: Floats, power: int) -> Floats:
-    """What an error of the base makes of max(base, 0)^power."""
-    return np.asarray(power * np.maximum(base + base_error, 0.0) ** (power - 1) * base_error)
-
-
-@case(*((k, g) for k in (0, 4) for g in (4, 8, 16)))
-def lobe_g_power(k: int, g: int) -> Case:
-    inputs, c, m = of_the_cosine("d16", k)
-    n = 2.0 / m**2 - k
-    # the base 1 - (n/g) u: n by 4 ulp, n/g and the product by 3.5 more, the sum by 0.5
-    error = ULP * (4.0 * 2.0 / m**2 + 4.0 * n) / g * (1.0 - c) + ULP
-    absolute = power_error(1.0 - n / g * (1.0 - c), error, g) + TINY
-    expected = lobes.g_power(c, m, k, g)
-    call = f"fr_lobe_g_power(c, m, {k}, {g})"
-    return Case(include("lobe/g_power"), call, inputs, expected, ULP * g, absolute)
+for _entry in LOBES.values():
+    for _k in TITLES:
+        _name = f"{_entry.call.split('(')[0]} {_k} {_entry.name}"
+        CASES[_name] = partial(lobe_function, _k, _entry.name)
 
 
 @cache
@@ -234,27 +211,6 @@ def lobe_clamped_power(g: int) -> Case:
     return Case(include("lobe/g_power"), call, inputs, expected, ULP * g, absolute)
 
 
-def fitted_terms(lobe: lobes.PowerPolynomial, m: Floats) -> Floats:
-    """Sums of |constants| of the coefficients, for their rounding."""
-    table = np.abs(np.array(lobe.table))
-    return np.stack([np.polynomial.polynomial.polyval(m**2, row) for row in table.T], axis=-1)
-
-
-@case(*((k, name) for k in (0, 4) for name in ("fitted", "fitted-fine")))
-def lobe_fitted(k: int, name: lobes.Lobe) -> Case:
-    inputs, c, m = of_the_cosine(name, k)
-    lobe = lobes.FITTED[name, k]
-    powers = np.arange(1, len(lobe.table[0]) + 1)
-    v = ((1.0 - c) / m**2)[:, None] ** powers
-    # a coefficient: 4 products and sums of its constants, 1/m^2 and its powers, times a power of u
-    error = 20.0 * ULP * (fitted_terms(lobe, m) * v).sum(axis=-1) + ULP
-    p = 1.0 + (lobe.coefficients(m) * (1.0 - c)[:, None] ** powers).sum(axis=-1)
-    expected = lobes.lobe(name, c, m, k)
-    call = f"fr_lobe_{name.replace('-', '_')}(c, m, {k})"
-    absolute = power_error(p, error, lobe.power) + TINY
-    return Case(include("lobe/fitted"), call, inputs, expected, ULP * lobe.power, absolute)
-
-
 @cache
 def slopes_alone(end: float) -> dict[str, Singles]:
     return {"m": slopes(end)}
@@ -265,7 +221,7 @@ COEFFICIENTS += [(k, "fitted-fine", i) for k in (0, 4) for i in range(4)]
 
 
 @case(*COEFFICIENTS)
-def lobe_fitted_coefficients(k: int, name: lobes.Lobe, i: int) -> Case:
+def lobe_fitted_coefficients(k: int, name: str, i: int) -> Case:
     lobe = lobes.FITTED[name, k]
     inputs = slopes_alone(lobe.max_slope)
     m = inputs["m"].astype(float)
@@ -273,7 +229,7 @@ def lobe_fitted_coefficients(k: int, name: lobes.Lobe, i: int) -> Case:
     function = f"fr_lobe_{name.replace('-', '_')}_coefficients"
     # scaled back by the same powers of m^2, in an order that cannot overflow
     call = f"3.0 + {function}(m, {k})[{i}]" + " * (m * m)" * (i + 1)
-    absolute = 16.0 * ULP * (3.0 + fitted_terms(lobe, m)[:, i])
+    absolute = 16.0 * ULP * (3.0 + lobe.magnitudes(m)[:, i])
     return Case(include("lobe/fitted"), call, inputs, 3.0 + expected, 0.0, absolute)
 
 
@@ -283,21 +239,36 @@ def reflectances_and_cosines() -> dict[str, Singles]:
     return dict(zip(("f0", "c"), grid(f0, [*np.linspace(0, 1, 501), 1e-9, 1e-20]), strict=True))
 
 
-@case()
-def fresnel_schlick() -> Case:
+def fresnel_function(entry: Fresnel) -> Case:
+    """The function of a Fresnel term of the registry."""
     inputs = reflectances_and_cosines()
-    expected = brdf.fresnel_schlick(*inputs.values())
-    return Case(include("fresnel"), "fr_fresnel_schlick(f0, c)", inputs, expected, 8 * ULP, 8 * ULP)
+    f0, c = (values.astype(float) for values in inputs.values())
+    call = entry.call.replace("v_dot_h", "c")
+    return Case(include("fresnel"), call, inputs, entry.evaluate(f0, c), *entry.rounding(f0, c))
 
 
-@case()
-def fresnel_dielectric() -> Case:
-    inputs = reflectances_and_cosines()
-    expected = brdf.fresnel_dielectric(*inputs.values())
-    # square root, division, square: 10 ulp; b is a difference, and its loss is absolute
-    absolute = 16 * ULP * inputs["f0"].astype(float)
-    call = "fr_fresnel_dielectric(f0, c)"
-    return Case(include("fresnel"), call, inputs, expected, 16 * ULP, absolute)
+def masking_ratio(entry: Masking, call: str) -> Case:
+    """G/((N.L)(N.V)) of a masking term of the registry."""
+    axes = grid([1e-6, 1e-3, *np.linspace(0.01, 1.0, 20)], [1e-6, *np.linspace(0.01, 1.0, 20)],
+                [1.0, 1.001, 1.1, 2.0])  # fmt: skip
+    n_dot_l, n_dot_v, longer = axes
+    h_dot_h = singles((n_dot_l + n_dot_v) ** 2 * longer)
+    inputs = {"n_dot_l": n_dot_l, "n_dot_v": n_dot_v, "h_dot_h": h_dot_h}
+    nl, nv, hh = (values.astype(float) for values in inputs.values())
+    expected = entry.evaluate((nl + nv) / np.sqrt(hh), 0.5 * np.sqrt(hh), nl, nv) / (nl * nv)
+    ratio = call.replace("n_dot_h", "n_dot_l + n_dot_v")
+    expression = f"{ratio}.x / ({ratio}.y * h_dot_h)"
+    return Case(include("masking"), expression, inputs, expected, 12 * ULP)
+
+
+for _fresnel in FRESNEL.values():
+    if _fresnel.call.startswith("fr_"):
+        CASES[_fresnel.call.split("(")[0]] = partial(fresnel_function, _fresnel)
+for _masking in MASKING.values():
+    _of = f"fr_masking_of(n_dot_h, h_dot_h, n_dot_l, n_dot_v, {_masking.macro})"
+    CASES[f"fr_masking_of {_masking.name}"] = partial(masking_ratio, _masking, _of)
+    if _masking.call.startswith("fr_"):
+        CASES[_masking.call.split("(")[0]] = partial(masking_ratio, _masking, _masking.call)
 
 
 @case()
@@ -324,7 +295,7 @@ OWN = GPower(11, 0.2, 0.5)
 STEEP = GPower(5, 1.2, 0.8)
 
 
-@case(*((k, name) for k in (0, 4) for name in (*lobes.NAMES, OWN, STEEP)))
+@case(*((k, name) for k in (0, 4) for name in (*LOBES, OWN, STEEP)))
 def lobe(k: int, name: AnyLobe) -> Case:
     """The choice at compile time; what was chosen is tested above."""
     return lobe_case(k, name, chosen("lobe", name))
@@ -338,36 +309,58 @@ def lobe_default_g_power(k: int, g: int | None) -> Case:
     return lobe_case(k, GPower(g, 2.0 / g, k / g) if g else "d8", prelude)
 
 
+@case(*((k, name) for k in (0, 4) for name in (*LOBES, OWN)))
+def lobe_of(k: int, name: AnyLobe) -> Case:
+    """The choice by a constant, where every lobe is there."""
+    entry = lobe_entry(name)
+    call = f"fr_lobe_of(c, m, {k}, {entry.macro})"
+    return lobe_case(k, name, every("lobe", **entry.macros), call)
+
+
+@case(*((k, lobe) for k in (0, 4) for lobe in ("", "FR_LOBE_OWN", "FR_LOBE_EVERY")))
+def lobe_of_the_host(k: int, lobe: str) -> Case:
+    """A function that the host names; with every lobe there it is called by its constant."""
+    said = f"#define FR_LOBE {lobe}\n" if lobe else ""
+    prelude = (
+        "highp float own(highp float c, highp float m, int k) { return c * m + float(k); }\n"
+        f"#define FR_LOBE_FUNCTION own\n{said}{include('lobe')}"
+    )
+    inputs = cosines_at_one_slope()
+    expected = inputs["c"].astype(float) * inputs["m"] + k
+    call = f"fr_lobe_of(c, m, {k}, FR_LOBE_OWN)" if "EVERY" in lobe else f"fr_lobe(c, m, {k})"
+    return Case(prelude, call, inputs, expected, 4 * ULP)
+
+
 @cache
 def cosines_at_one_slope() -> dict[str, Singles]:
     c = singles(np.linspace(0.5, 1.0, 200))
     return {"c": c, "m": np.full_like(c, 0.3)}
 
 
-def lobe_case(k: int, name: AnyLobe, prelude: str) -> Case:
+def lobe_case(k: int, name: AnyLobe, prelude: str, call: str = "") -> Case:
     inputs = cosines_at_one_slope()
     expected = lobes.lobe(name, inputs["c"], inputs["m"], k)
-    return Case(prelude, f"fr_lobe(c, m, {k})", inputs, expected, 1e-4, 1e-5)
+    return Case(prelude, call or f"fr_lobe(c, m, {k})", inputs, expected, 1e-4, 1e-5)
 
 
-KINDS: tuple[brdf.Fresnel, ...] = ("schlick", "dielectric", "constant")
+KINDS = tuple(FRESNEL)
 
 
 @case(*KINDS)
-def fresnel(kind: brdf.Fresnel) -> Case:
-    prelude = f"#define FR_FRESNEL FR_FRESNEL_{kind.upper()}\n" + include("fresnel")
+def fresnel(kind: str) -> Case:
+    prelude = f"#define FR_FRESNEL {FRESNEL[kind].macro}\n" + include("fresnel")
     return fresnel_case(kind, "fr_fresnel(0.1, c)", prelude)
 
 
 @case(*KINDS)
-def fresnel_of(kind: brdf.Fresnel) -> Case:
+def fresnel_of(kind: str) -> Case:
     """Whatever the host chose for fr_fresnel."""
     other = KINDS[KINDS.index(kind) - 1]
-    prelude = f"#define FR_FRESNEL FR_FRESNEL_{other.upper()}\n" + include("fresnel")
-    return fresnel_case(kind, f"fr_fresnel_of(0.1, c, FR_FRESNEL_{kind.upper()})", prelude)
+    prelude = f"#define FR_FRESNEL {FRESNEL[other].macro}\n" + include("fresnel")
+    return fresnel_case(kind, f"fr_fresnel_of(0.1, c, {FRESNEL[kind].macro})", prelude)
 
 
-def fresnel_case(kind: brdf.Fresnel, call: str, prelude: str) -> Case:
+def fresnel_case(kind: str, call: str, prelude: str) -> Case:
     c = singles(np.linspace(0.0, 1.0, 101))
     return Case(prelude, call, {"c": c}, brdf.fresnel(0.1, c, kind), 1e-5, 1e-6)
 
@@ -421,64 +414,78 @@ def half_vector(axis: str, small_slope: int) -> Case:
     return Case(prelude, call, inputs, expected, 0.0, absolute)
 
 
-COOK_TORRANCE = "fr_cook_torrance(n, l, v, m, 0.028)"
-TERMS = "fr_cook_torrance_terms(n, l, v, m, 0.028, FR_FRESNEL_{}, FR_MASKING_{})"
-BRDFS: dict[str, tuple[str, brdf.Fresnel | None, brdf.Masking | None]] = {
-    # a call, and the Fresnel and the masking term, where it has them
-    "cook_torrance": (COOK_TORRANCE, "schlick", "v-cavity"),
-    "cook_torrance dielectric": (COOK_TORRANCE, "dielectric", "v-cavity"),
-    "cook_torrance kelemen": (COOK_TORRANCE, "schlick", "kelemen"),
-    "cook_torrance constant none": (COOK_TORRANCE, "constant", "none"),
-    "ward": ("fr_ward(n, l, v, m)", None, None),
-    "ward_printed": ("fr_ward_printed(n, l, v, m)", None, None),
-    # whatever the host chose: nothing, here
-    "cook_torrance_terms constant none": (TERMS.format("CONSTANT", "NONE"), "constant", "none"),
-    "cook_torrance_terms dielectric kelemen": (
-        TERMS.format("DIELECTRIC", "KELEMEN"),
-        *("dielectric", "kelemen"),
-    ),
-}
+@dataclass(frozen=True)
+class Brdf:
+    """A function of a model.
+
+    Attributes
+    ----------
+    model, fresnel, masking : names of the registry
+    by_call : the terms are arguments, with every lobe there; they are macros elsewhere
+    """
+
+    model: str
+    fresnel: str = "schlick"
+    masking: str = "v-cavity"
+    by_call: bool = False
+
+    def __str__(self) -> str:
+        terms = f" {self.fresnel} {self.masking}" if MODELS[self.model].factors else ""
+        return f"fr_{MODELS[self.model].file}{'_terms' * self.by_call}{terms}"
+
+    def glsl(self, lobe: AnyLobe, small_slope: int) -> tuple[str, str]:
+        """Return prelude and call, of n, l, v, m; a model without a Fresnel term has f0 = 1."""
+        model, macros = MODELS[self.model], {"FR_SMALL_SLOPE": str(small_slope)}
+        fresnel, masking = FRESNEL[self.fresnel].macro, MASKING[self.masking].macro
+        entry = lobe_entry(lobe)
+        if self.by_call:
+            call = model.call.format(m="m", lobe=entry.macro, fresnel=fresnel, masking=masking)
+            call = call.replace("f0 * ", "").replace("f0", "0.028")
+            return every(model.file, **(entry.macros | macros)), call
+        if model.factors:
+            macros |= {"FR_FRESNEL": fresnel, "FR_MASKING": masking}
+        arguments = "n, l, v, m, 0.028" if model.factors else "n, l, v, m"
+        return chosen(model.file, lobe, **macros), f"fr_{model.file}({arguments})"
 
 
-def brdf_case(name: str, lobe: AnyLobe, small_slope: int, inputs: Inputs) -> Case:
+BRDFS = (
+    Brdf("cook-torrance"),
+    *(Brdf("cook-torrance", fresnel) for fresnel in FRESNEL if fresnel != "schlick"),
+    *(Brdf("cook-torrance", masking=masking) for masking in MASKING if masking != "v-cavity"),
+    *(Brdf(model.name) for model in MODELS.values() if not model.factors),
+    Brdf("cook-torrance", "constant", "none", by_call=True),
+    Brdf("cook-torrance", "dielectric", "kelemen", by_call=True),
+    *(Brdf(model.name, by_call=True) for model in MODELS.values()),
+)
+
+
+def brdf_case(of: Brdf, lobe: AnyLobe, small_slope: int, inputs: Inputs) -> Case:
     """A BRDF at directions; the bounds are those of its header, relative to what the lobe's peak
     gives in the same directions, and none where it is exactly 0."""
-    call, fresnel, masking = BRDFS[name]
-    file = name.split()[0].removesuffix("_terms")
-    macros = {"FR_SMALL_SLOPE": str(small_slope)}
+    model, entry = MODELS[of.model], lobe_entry(lobe)
     n, l, v, m = (inputs[axis].astype(float) for axis in "nlvm")
     n_dot_l, n_dot_v = ((n * x).sum(axis=-1) for x in (l, v))
     above = (n_dot_l > brdf.MIN_COSINE) & (n_dot_v > brdf.MIN_COSINE)
     n_dot_l, n_dot_v = (cosine.clip(brdf.MIN_COSINE) for cosine in (n_dot_l, n_dot_v))
     v_dot_h = 0.5 * np.linalg.norm(l + v, axis=-1).clip(1e-30)
-    if fresnel and masking:
-        if call == COOK_TORRANCE:
-            macros["FR_FRESNEL"] = f"FR_FRESNEL_{fresnel.upper()}"
-            macros["FR_MASKING"] = f"FR_MASKING_{masking.upper().replace('-', '_')}"
-        expected = brdf.cook_torrance(
-            *(n, l, v, m, 0.028), lobe=lobe, fresnel_term=fresnel, masking_term=masking
-        )
+    f0 = 0.028 if model.factors else 1.0
+    expected = model.evaluate(
+        *(n, l, v, m, f0), lobe=lobe, fresnel_term=of.fresnel, masking_term=of.masking
+    )
+    if model.factors:
         n_dot_h = (n_dot_l + n_dot_v) / (2.0 * v_dot_h)
-        masked = {
-            "v-cavity": brdf.masking_v_cavity(n_dot_h, v_dot_h, n_dot_l, n_dot_v),
-            "kelemen": brdf.masking_kelemen(v_dot_h, n_dot_l, n_dot_v),
-            "none": 1.0,
-        }
-        peak = masked[masking] / (n_dot_l * n_dot_v) * brdf.fresnel(0.028, v_dot_h, fresnel)
+        masked = MASKING[of.masking].evaluate(n_dot_h, v_dot_h, n_dot_l, n_dot_v)
+        peak = masked / (n_dot_l * n_dot_v) * FRESNEL[of.fresnel].evaluate(f0, v_dot_h)
     else:
-        expected = getattr(brdf, file)(n, l, v, m, lobe=lobe)
-        peak = (n_dot_l * n_dot_v if file == "ward" else n_dot_v + v_dot_h) ** -0.5
+        peak = (n_dot_v + v_dot_h if "printed" in of.model else n_dot_l * n_dot_v) ** -0.5
     peak /= 4.0 * np.pi * m**2
-    if fresnel and lobe == "exact":  # above m = 0.7071 it is highest off the normal
-        w = np.maximum(m**2, 0.5)
-        peak *= 4.0 * w**2 * np.exp(1.0 / w - 2.0)
-    accurate = lobe == "exact" and small_slope
-    e = 4e-7 * (1.0 + 1.0 / (n_dot_l + n_dot_v)) + 7e-7 * (lobe == "cosine")
-    if isinstance(lobe, GPower):
-        e *= lobe.factor * lobe.g / 2.0
+    if entry.highest is not None:
+        peak *= np.vectorize(entry.highest)(m, model.k)
+    accurate = entry.of_tan2 is not None and small_slope
+    e = entry.amplified(4e-7 * (1.0 + 1.0 / (n_dot_l + n_dot_v)))
     bound = 1e-5 + 2e-7 / n_dot_l + 2e-7 / n_dot_v + e / (m if accurate else m**2)
-    prelude = chosen(file, lobe, **macros)
-    return Case(prelude, call, inputs, expected, 0.0, np.where(above, peak * bound, 0.0))
+    absolute = np.where(above, peak * bound, 0.0)
+    return Case(*of.glsl(lobe, small_slope), inputs, expected, 0.0, absolute)
 
 
 EXTREMES = {
@@ -514,16 +521,13 @@ def directions_and_extremes(end: float) -> dict[str, Singles]:
     return {axis: np.concatenate([part[axis] for part in parts]) for axis in "nlvm"}
 
 
-def brdf_in_domain(name: str, lobe: AnyLobe, small_slope: int) -> Case:
-    end = lobes.max_slope(lobe, brdf.K_COOK_TORRANCE if "cook" in name else brdf.K_WARD)
-    return brdf_case(name, lobe, small_slope, directions_and_extremes(end))
+def brdf_in_domain(of: Brdf, lobe: AnyLobe, small_slope: int) -> Case:
+    end = lobe_entry(lobe).end(MODELS[of.model].k)
+    return brdf_case(of, lobe, small_slope, directions_and_extremes(end))
 
 
-for _name in BRDFS:
-    _lobes = ("exact", "fitted", "d8", OWN) if "_terms" in _name else (*lobes.NAMES, OWN, STEEP)
-    for _lobe, _small_slope in [*((lobe, 1) for lobe in _lobes), ("exact", 0)]:
-        CASES[f"fr_{_name} {_lobe} {_small_slope}"] = partial(
-            brdf_in_domain, _name, _lobe, _small_slope
-        )
+for _brdf in BRDFS:
+    for _lobe, _small in [*((lobe, 1) for lobe in (*LOBES, OWN, STEEP)), ("exact", 0)]:
+        CASES[f"{_brdf} {_lobe} {_small}"] = partial(brdf_in_domain, _brdf, _lobe, _small)
 
 FUNCTIONS = tuple(dict.fromkeys(name.split()[0] for name in CASES))
