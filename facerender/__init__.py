@@ -24,7 +24,7 @@ from facerender.drawing.frame import Frame, GBuffer
 from facerender.drawing.renderer import Renderer, render
 from facerender.errors import ContextError, FacerenderError, FacerenderWarning, InputError
 from facerender.glsl.library import moderngl_includes, resolve_includes, shader_dir, shader_source
-from facerender.job import Job, MeshFile, Output
+from facerender.job import ImageSettings, Job, MeshFile, Output
 from facerender.loading import load_mesh
 from facerender.planning.plan import Plan, plan
 from facerender.scenes.camera import Camera, turntable
@@ -44,6 +44,7 @@ __all__ = [
     "FacerenderWarning",
     "Frame",
     "GBuffer",
+    "ImageSettings",
     "InputError",
     "Job",
     "Light",

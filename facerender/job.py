@@ -6,13 +6,14 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
+from operator import index
 from pathlib import Path
 from typing import Any
 
 from facerender.errors import InputError, check_range
 from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera
-from facerender.scenes.file import from_table, scene_value, toml_text
+from facerender.scenes.file import KEYS, from_table, scene_value, toml_text
 from facerender.scenes.light import Light
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import ONLY, Only, Scene
@@ -47,6 +48,30 @@ class MeshFile:
 
 
 @dataclass(frozen=True)
+class ImageSettings:
+    """How images are drawn; parameters as of :class:`facerender.Renderer`, which tells whether it
+    can."""
+
+    size: tuple[int, int] = (1024, 1024)
+    samples: int = 4
+    anisotropy: float = 1.0
+    float_albedo: bool = False
+
+    def __post_init__(self) -> None:
+        try:
+            width, height = map(index, self.size)
+        except (TypeError, ValueError):
+            raise InputError(f"image size = {self.size!r}: give width and height") from None
+        object.__setattr__(self, "size", (width, height))
+        if not isinstance(self.samples, int) or isinstance(self.samples, bool):
+            raise InputError(f"image samples = {self.samples!r}: give a whole number")
+        if not isinstance(self.anisotropy, int | float):
+            raise InputError(f"image anisotropy = {self.anisotropy!r}: give a number")
+        if not isinstance(self.float_albedo, bool):
+            raise InputError(f"image float_albedo = {self.float_albedo!r}: give true or false")
+
+
+@dataclass(frozen=True)
 class Output:
     """An image file.
 
@@ -62,6 +87,7 @@ class Output:
     exposure: float = 0.0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "path", os.fspath(self.path))
         if Path(self.path).suffix.lower() not in (".png", ".exr"):
             suffix = Path(self.path).suffix
             raise InputError(f"{self.path}: unknown image format {suffix!r}; give .png or .exr")
@@ -80,7 +106,7 @@ class Job:
     material : factors of :class:`facerender.Material` for all parts, in place of the file's
     camera, lights, ambient, background : of :class:`facerender.Scene`
     shading : see there
-    size, samples, anisotropy, float_albedo : of :class:`facerender.Renderer`
+    image : how the images are drawn
     outputs : the images
 
     Raises
@@ -95,10 +121,7 @@ class Job:
     ambient: float | Vector = Scene.ambient
     background: Vector | None = Scene.background
     shading: Shading = Shading()
-    size: tuple[int, int] = (1024, 1024)
-    samples: int = 4
-    anisotropy: float = 1.0
-    float_albedo: bool = False
+    image: ImageSettings = ImageSettings()
     outputs: tuple[Output, ...] = ()
 
     def scene(self, mesh: Mesh | None = None) -> Scene:
@@ -131,7 +154,7 @@ class Job:
             "ambient": self.ambient,
             "background": "none" if self.background is None else self.background,
             "shading": self.shading.as_dict(),
-            "image": {name: getattr(self, name) for name in _IMAGE},
+            "image": _told(self.image),
             "outputs": [_told(output) for output in self.outputs],
         }
 
@@ -153,19 +176,18 @@ class Job:
             if key == "mesh":
                 values[key] = from_table(MeshFile, key, value)
             elif key == "outputs":
+                if not isinstance(value, list):
+                    raise InputError(f"outputs = {value!r}: give a list of tables")
                 values[key] = tuple(from_table(Output, key, each) for each in value)
             elif key == "image":
-                if unknown := sorted(set(value) - set(_IMAGE)):
-                    known = ", ".join(_IMAGE)
-                    raise InputError(f"unknown key {unknown[0]!r} in image; known: {known}")
-                values |= value
+                values[key] = from_table(ImageSettings, key, value)
             elif key == "shading":
                 values[key] = Shading.from_dict(value)
-            else:
+            elif key in KEYS and key != "cameras":
                 values[key] = scene_value(key, value)
-        if "size" in values:
-            width, height = values["size"]
-            values["size"] = (width, height)
+            else:
+                known = [*(each for each in KEYS if each != "cameras"), "mesh", "image", "outputs"]
+                raise InputError(f"unknown key {key!r}; known: {', '.join(known)}")
         return cls(**values)
 
     def toml(self) -> str:
@@ -181,9 +203,6 @@ class Job:
         if not self.lights:
             head["lights"] = []
         return toml_text(blocks)
-
-
-_IMAGE = ("size", "samples", "anisotropy", "float_albedo")
 
 
 def _told(value: Any) -> dict[str, Any]:

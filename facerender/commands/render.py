@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         facts = {
             "output": options.output,
-            "size": job.size,
+            "size": job.image.size,
             "backend": backend,
             "only": frame.only,
             **frame.metadata,

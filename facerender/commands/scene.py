@@ -10,7 +10,7 @@ from typing import Any
 from facerender.commands.common import import_trimesh, numbers_of, parse_size
 from facerender.drawing.prepare import start_maps
 from facerender.errors import InputError
-from facerender.job import Job, MeshFile
+from facerender.job import ImageSettings, Job, MeshFile
 from facerender.scenes.camera import Camera, turntable
 from facerender.scenes.file import load_scene
 from facerender.scenes.light import LIGHTS, parse_light
@@ -99,10 +99,7 @@ def job_of(options: argparse.Namespace, places: Sequence[str]) -> tuple[Job, tup
         mesh,
         material,
         shading=Shading.from_dict(pinned | terms),
-        size=size,
-        samples=options.samples,
-        anisotropy=options.anisotropy,
-        float_albedo=options.float_albedo,
+        image=ImageSettings(size, options.samples, options.anisotropy, options.float_albedo),
         **settings,
     )
     return job, cameras or (job.camera,)
@@ -112,7 +109,7 @@ def load(job: Job) -> Scene:
     """Return the scene of a job, whose maps are being decoded."""
     import_trimesh()
     scene = job.scene()
-    start_maps(scene.mesh, "linear-color" if job.float_albedo else "color")
+    start_maps(scene.mesh, "linear-color" if job.image.float_albedo else "color")
     return scene
 
 

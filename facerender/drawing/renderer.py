@@ -86,11 +86,11 @@ class Renderer:
     def of(cls, job: Job, backend: Backend = "auto") -> Renderer:
         """Return a renderer for the images of a job; errors as of the class."""
         return cls(
-            job.size,
-            samples=job.samples,
+            job.image.size,
+            samples=job.image.samples,
             backend=backend,
-            anisotropy=job.anisotropy,
-            float_albedo=job.float_albedo,
+            anisotropy=job.image.anisotropy,
+            float_albedo=job.image.float_albedo,
         )
 
     def __enter__(self) -> Renderer:

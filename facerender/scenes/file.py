@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import os
 import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from facerender.errors import InputError, reason
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light, parse_light
-from facerender.scenes.material import Material
+from facerender.scenes.material import MAPS, Material
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import vector
 from facerender.shading import Shading
@@ -73,7 +73,7 @@ def scene_value(key: str, value: Any) -> Any:
         Shading.from_dict(value)  # validates
         return value
     if key == "material":
-        from_table(Material, key, value)  # validates
+        from_table(Material, key, value, without=MAPS)  # validates
         return value
     if key == "background" and value == "none":
         return None
@@ -117,7 +117,7 @@ def _changes(value: Camera | Light) -> dict[str, Any]:
 
 
 def _shared_factors(materials: Sequence[Material]) -> dict[str, Any]:
-    names = [each.name for each in fields(Material) if not each.name.endswith("_map")]
+    names = [each.name for each in fields(Material) if each.name not in MAPS]
     mapped = any(each.roughness_map is not None for each in materials)
     names.remove("m" if mapped else "roughness_factor")
     values = {name: {getattr(each, name) for each in materials} for name in names}
@@ -136,15 +136,22 @@ def _toml(value: Any) -> str:
     return repr(value.item() if isinstance(value, np.generic) else value)
 
 
-def from_table(kind: type[Any], key: str, table: Any) -> Any:
-    """Return a dataclass of a table; maps are no keys.
+def from_table(kind: type[Any], key: str, table: Any, without: Collection[str] = ()) -> Any:
+    """Return a dataclass of a table.
+
+    Parameters
+    ----------
+    without : fields that are no keys
 
     Raises
     ------
-    InputError : no table, an unknown key or a value outside its domain
+    InputError : no table, an unknown or a missing key, a value outside its domain
     """
-    known = [each.name for each in fields(kind) if not each.name.endswith("_map")]
+    known = [each.name for each in fields(kind) if each.name not in without]
     if not isinstance(table, Mapping) or (unknown := set(table) - set(known)):
         what = f"key {sorted(unknown)[0]!r}" if isinstance(table, Mapping) else f"value {table!r}"
         raise InputError(f"unknown {what} in {key}; known: {', '.join(known)}")
+    needed = [each.name for each in fields(kind) if each.default is MISSING]
+    if lacking := [name for name in needed if name not in table]:
+        raise InputError(f"{key} {dict(table)} lacks {lacking[0]}")
     return kind(**table)

@@ -17,6 +17,9 @@ from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
 SKIN_ALBEDO: Vector = (0.48, 0.28, 0.21)  # linear; where a mesh brings no colour of its own
 
 
+MAPS = ("albedo_map", "normal_map", "roughness_map", "specular_map", "occlusion_map")
+
+
 @dataclass(frozen=True)
 class Material:
     """Reflectance of a part: factors, and the maps that they multiply.
@@ -52,7 +55,7 @@ class Material:
         check_range("f0", self.f0, 0.0, 0.999)
         check_range("ks", self.ks, 0.0, MAX_WEIGHT)
         check_range("kd", self.kd, 0.0, MAX_WEIGHT)
-        for name in ("albedo_map", "normal_map", "roughness_map", "specular_map", "occlusion_map"):
+        for name in MAPS:
             value = getattr(self, name)
             if value is not None and not isinstance(value, Texture):
                 raise InputError(f"{name} = {value!r}: give facerender.Texture.open(FILE) or None")

@@ -1,0 +1,129 @@
+"""Jobs and scenes as data that travels: JSON, TOML, pickles."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import facerender as fr
+from facerender.lobes import GPower
+from facerender.scenes.light import LIGHTS
+from tests import awkward_files as files
+
+POINT = fr.Light(irradiance=(1.0, 0.5, 0.2), position=(0.2, 0.3, 0.5))
+JOBS = {
+    "defaults": fr.Job(),
+    "everything": fr.Job(
+        fr.MeshFile(str(files.MINI_HEAD), flip_v=True),
+        {"m": 0.25, "ks": 0.5, "albedo": [0.5, 0.4, 0.3]},
+        fr.Camera(20.0, 5.0, zoom=1.5, target=(0.0, 0.01, 0.0)),
+        (LIGHTS["key"], POINT),
+        ambient=(0.1, 0.2, 0.3),
+        background=None,
+        shading=fr.Shading(
+            lobe=GPower(6, 0.3, 0.1),
+            ks=0.4,
+            normal_map=False,
+            lights={0: {"fresnel": "dielectric"}, 1: None},
+        ),
+        image=fr.ImageSettings((48, 32), 1, float_albedo=True),
+        outputs=(fr.Output("a.png", exposure=1.0), fr.Output("b.exr", "specular")),
+    ),
+    "dark": fr.Job(lights=(), shading=fr.Shading(specular_lights=())),
+}
+WAYS = {
+    "JSON": lambda job: fr.Job.from_dict(json.loads(json.dumps(job.as_dict()))),
+    "TOML": lambda job: fr.Job.from_dict(tomllib.loads(job.toml())),
+    "pickle": lambda job: pickle.loads(pickle.dumps(job)),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("name", JOBS)
+def test_a_job_comes_back_as_it_was(name, way):
+    sent = WAYS[way](JOBS[name])
+    assert sent.scene(None if name == "everything" else fr.load_mesh()).lights == JOBS[name].lights
+    for field in ("mesh", "camera", "lights", "shading", "image", "outputs"):
+        assert getattr(sent, field) == getattr(JOBS[name], field)
+    assert json.dumps(sent.as_dict()) == json.dumps(JOBS[name].as_dict())
+
+
+@pytest.mark.parametrize("name", ["defaults", "everything"])
+def test_a_job_sent_as_json_draws_the_same_bits(name, egl):
+    job = JOBS[name]
+    images = []
+    for each in (job, WAYS["JSON"](job)):
+        with fr.Renderer.of(each, egl) as renderer:
+            images.append(renderer.render(each.scene(), each.shading).linear)
+    assert images[0].shape[1::-1] == job.image.size
+    np.testing.assert_array_equal(*images)
+
+
+def test_a_scene_that_was_pickled_draws_the_same_bits(renderer, head, tmp_path):
+    """In another process too, which has none of the caches of this one."""
+    rough = head.materials[0].roughness_map
+    scene = fr.Scene(head.with_material(specular_map=rough), lights=(LIGHTS["key"], POINT))
+    path = tmp_path / "scene.pickle"
+    path.write_bytes(pickle.dumps(scene))
+    expected = renderer.render(scene).linear
+    np.testing.assert_array_equal(renderer.render(pickle.loads(path.read_bytes())).linear, expected)
+    code = (
+        "import pickle, sys, numpy as np, facerender as fr\n"
+        "scene = pickle.load(open(sys.argv[1], 'rb'))\n"
+        "with fr.Renderer((256, 256), samples=1, backend='egl') as renderer:\n"
+        "    np.save(sys.argv[2], renderer.render(scene).linear)\n"
+    )
+    image = tmp_path / "image.npy"
+    subprocess.run([sys.executable, "-c", code, path, image], check=True)
+    np.testing.assert_array_equal(np.load(image), expected)
+
+
+def test_a_pickle_holds_each_texture_once(head):
+    scenes = [fr.Scene(head, fr.Camera(azimuth)) for azimuth in (0.0, 90.0)]
+    one, two = (len(pickle.dumps(scenes[:count])) for count in (1, 2))
+    assert two < 1.01 * one
+    a, b = pickle.loads(pickle.dumps(scenes))
+    assert a.mesh is b.mesh
+
+
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        ({"colour": 1}, "unknown key 'colour'; known: camera, .*, mesh, image, outputs"),
+        ({"mesh": {"file": "a.glb"}}, "unknown key 'file' in mesh; known: path, albedo"),
+        ({"mesh": "a.glb"}, "unknown value 'a.glb' in mesh"),
+        ({"mesh": {"path": 3}}, "mesh path = 3: give a path as text"),
+        ({"mesh": {"flip_v": 1}}, "mesh flip_v = 1: give true or false"),
+        ({"image": {"width": 3}}, "unknown key 'width' in image; known: size, samples"),
+        ({"image": 3}, "unknown value 3 in image"),
+        ({"image": {"size": [3]}}, r"image size = \[3\]: give width and height"),
+        ({"image": {"size": "3x4"}}, "image size = '3x4': give width and height"),
+        ({"image": {"samples": "4"}}, "image samples = '4'"),
+        ({"outputs": {"path": "a.png"}}, "outputs = .*: give a list of tables"),
+        ({"outputs": [{"only": "specular"}]}, "outputs .* lacks path"),
+        ({"outputs": [{"path": "a.gif"}]}, "a.gif: unknown image format '.gif'"),
+        ({"outputs": [{"path": "a.png", "only": "shine"}]}, "unknown term 'shine'; known: spec"),
+        ({"outputs": [{"path": "a.png", "exposure": 200}]}, "exposure = 200 is outside"),
+        ({"material": {"m": 9}}, "m = 9 is outside"),
+        ({"lights": [3]}, "unknown value 3 in lights"),
+        ({"shading": {"lobe": "d32"}}, "unknown lobe 'd32'"),
+        ({"shading": {"lights": {"1": 3}}}, "lights.1 = 3 of the shading: give a table such as"),
+        ({"shading": {"lights": [1]}}, r"lights = \[1\] of the shading: give a table such as"),
+        ({"shading": {"lights": {"1": {"ks": 1}}}}, "unknown key 'ks' in the term of a light"),
+    ],
+)
+def test_mistakes_of_a_job(tables, message):
+    with pytest.raises(fr.InputError, match=message):
+        fr.Job.from_dict(tables)
+
+
+def test_paths_may_be_paths():
+    assert fr.MeshFile(Path("a.glb")) == fr.MeshFile("a.glb")
+    assert fr.Output(Path("a.png")) == fr.Output("a.png")
