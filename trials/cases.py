@@ -1,5 +1,5 @@
 """Cases of every public function of the shader library: an expression, its inputs, what float64
-makes of them, and how far a target may be from it.
+makes of them, and how far a target may be from it. Terms are those of the registry.
 
 The bounds come from the precision that OpenGL and Vulkan ask of drivers, in units of the last place
 (2^-23): division 2.5, inversesqrt 2, exp2(x) 3 + 2|x|, log2 3 and 2^-21 absolute in [0.5, 2]; sums
@@ -8,8 +8,9 @@ and products 0.5.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Protocol
 
@@ -18,15 +19,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender import brdf, lobes, resolve_includes
 from facerender.drawing.evaluate import Inputs
-from facerender.glsl.code import defines, lobe_macros
+from facerender.glsl import code
 from facerender.lobes import AnyLobe, GPower
+from facerender.shading import Term
+from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, lobe_entry
+from facerender.terms.lobe import TINY, ULP, power_error
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-ULP = 2.0**-23
-TINY = 1.2e-38  # where float32's full precision ends; drivers may flush what is smaller to zero
 DIRECTIONS = 20_000  # for each BRDF
+F0 = 0.028
 
 
 def singles(values: ArrayLike) -> Singles:
@@ -78,23 +81,26 @@ class Case:
 CASES: dict[str, Callable[[], Case]] = {}
 
 
-def case(*parameters: object) -> Callable[[Callable[..., Case]], Callable[..., Case]]:
-    """Register a maker of cases, once for each parameter."""
+def add(group: str, make: Callable[..., Case], *values: object) -> None:
+    """Add a case, which is named after its group and values."""
+    CASES[" ".join([group, *map(str, values)])] = partial(make, *values)
+
+
+def case(*parameters: tuple[object, ...]) -> Callable[[Callable[..., Case]], Callable[..., Case]]:
+    """Add a case of the function of a maker's name for each of its parameters."""
 
     def register(make: Callable[..., Case]) -> Callable[..., Case]:
-        for parameter in parameters or ((),):
-            values = parameter if isinstance(parameter, tuple) else (parameter,)
-            name = " ".join(["fr_" + make.__name__, *map(str, values)])
-            CASES[name] = partial(make, *values)
+        for values in parameters or ((),):
+            add("fr_" + make.__name__, make, *values)
         return make
 
     return register
 
 
 @cache
-def cases_of(function: str) -> dict[str, Case]:
-    """Return the cases of one of FUNCTIONS by name."""
-    return {name: make() for name, make in CASES.items() if name.split()[0] == function}
+def cases_of(group: str) -> dict[str, Case]:
+    """Return the cases of one of GROUPS by name."""
+    return {name: make() for name, make in CASES.items() if name.split()[0] == group}
 
 
 def evaluated(cases: Mapping[str, Case], target: Each) -> dict[str, Singles]:
@@ -111,19 +117,19 @@ def evaluated(cases: Mapping[str, Case], target: Each) -> dict[str, Singles]:
     return results
 
 
-@cache
-def include(name: str) -> str:
-    """Return a file of the library as flat text."""
-    return resolve_includes(f'#include "facerender/{name}.glsl"\n')
+flat = cache(resolve_includes)
 
 
-def chosen(name: str, lobe: AnyLobe, **macros: str) -> str:
-    """Return a file with a lobe, and further macros."""
-    return defines(lobe_macros(lobe) | macros) + include(name)
+def include(name: str, **macros: str) -> str:
+    """Return a file of the library as flat text, behind macros."""
+    return code.defines(macros) + flat(f'#include "facerender/{name}.glsl"\n')
 
 
 def grid(*axes: ArrayLike) -> list[Singles]:
     return [axis.ravel() for axis in np.meshgrid(*map(singles, axes), indexing="ij")]
+
+
+# --- lobes ---------------------------------------------------------------------------------------
 
 
 @cache
@@ -137,10 +143,67 @@ def cosines_and_slopes(end: float) -> dict[str, Singles]:
     return dict(zip("cm", grid(COSINES, slopes(end)), strict=True))
 
 
-def of_the_cosine(name: AnyLobe, k: int) -> tuple[dict[str, Singles], Floats, Floats]:
-    """The inputs c and m, and both in float64."""
-    inputs = cosines_and_slopes(lobes.max_slope(name, k))
-    return inputs, inputs["c"].astype(float), inputs["m"].astype(float)
+OWN = GPower(11, 0.2, 0.5)
+STEEP = GPower(5, 1.2, 0.8)
+ALL_LOBES: tuple[AnyLobe, ...] = (*LOBES, OWN, STEEP)
+
+
+def lobe_case(prelude: str, call: str, lobe: AnyLobe, k: int) -> Case:
+    """A call that is a lobe of c and m, within its bound in the registry."""
+    entry = lobe_entry(lobe)
+    inputs = cosines_and_slopes(entry.end(k))
+    c, m = (values.astype(float) for values in inputs.values())
+    expected = entry.evaluate(c, m, k)
+    return Case(prelude, call, inputs, expected, *entry.rounding(c, m, k))
+
+
+def lobe_alone(lobe: AnyLobe, k: int) -> Case:
+    entry = lobe_entry(lobe)
+    call = re.sub(r"\bk\b", str(k), entry.call)
+    return lobe_case(include(entry.file), call, lobe, k)
+
+
+def lobe_by_macro(lobe: AnyLobe, k: int) -> Case:
+    prelude = include("lobe", **code.lobe_macros(lobe))
+    return lobe_case(prelude, f"fr_lobe(c, m, {k})", lobe, k)
+
+
+def lobe_by_argument(lobe: AnyLobe, k: int) -> Case:
+    prelude = include("lobe", **code.lobe_macros(lobe) | {"FR_LOBE": "FR_LOBE_EVERY"})
+    return lobe_case(prelude, f"fr_lobe_of(c, m, {k}, {lobe_entry(lobe).macro})", lobe, k)
+
+
+for _lobe in ALL_LOBES:
+    for _k in lobe_entry(_lobe).ends:
+        if _lobe in LOBES:
+            add(lobe_entry(_lobe).call.split("(")[0], lobe_alone, _lobe, _k)
+        add("fr_lobe", lobe_by_macro, _lobe, _k)
+        add("fr_lobe_of", lobe_by_argument, _lobe, _k)
+
+
+def lobe_default_g_power(k: int, g: int | None) -> Case:
+    """Of the macros of a g-power, one or none: D8, or its steepness with another power."""
+    macros = {"FR_LOBE": "FR_LOBE_G_POWER"} | ({"FR_G": str(g)} if g else {})
+    call = f"fr_lobe(c, m, {k})"
+    return lobe_case(include("lobe", **macros), call, GPower(g or 8, 2 / (g or 8), k / (g or 8)), k)
+
+
+def lobe_of_the_host(expression: str) -> Case:
+    """A function that the host defines behind the library, by default or as an argument."""
+    chosen = {} if expression.startswith("fr_lobe(") else {"FR_LOBE": "FR_LOBE_EVERY"}
+    declared = "float own(float c, float m, int k)"
+    library = include("lobe", FR_LOBE_FUNCTION="own", **chosen)
+    prelude = f"{declared};\n{library}{declared} {{ return c * m + float(k); }}\n"
+    inputs = cosines_and_slopes(lobes.MAX_SLOPE)
+    c, m = (values.astype(float) for values in inputs.values())
+    return Case(prelude, expression, inputs, c * m + 4.0, 2 * ULP)
+
+
+for _k in (0, 4):
+    for _g in (None, 5):
+        add("fr_lobe", lobe_default_g_power, _k, _g)
+add("fr_lobe", lobe_of_the_host, "fr_lobe(c, m, 4)")
+add("fr_lobe", lobe_of_the_host, "fr_lobe_of(c, m, 4, FR_LOBE_OWN)")
 
 
 @case()
@@ -158,7 +221,7 @@ def tangents_and_slopes() -> dict[str, Singles]:
     return dict(zip(("tan2", "m"), grid(tan2, m), strict=True))
 
 
-@case(0, 4)
+@case((0,), (4,))
 def lobe_exact_tan2(k: int) -> Case:
     inputs = tangents_and_slopes()
     tan2, m = inputs.values()
@@ -171,58 +234,13 @@ def lobe_exact_tan2(k: int) -> Case:
     return Case(include("lobe/exact"), call, inputs, expected, relative, smallest)
 
 
-@case(0, 4)
-def lobe_exact(k: int) -> Case:
-    inputs, c, m = of_the_cosine("exact", k)
-    x = c.clip(1e-3)
-    exponent = np.minimum((1.0 / x**2 - 1.0) / m**2, 100.0)
-    relative = ULP * (10.0 + 9.0 * exponent)  # as above, and five operations more for tan2
-    smallest = TINY / np.maximum(x, 0.03) ** 4
-    expected = lobes.exact(c, m, k)
-    call = f"fr_lobe_exact(c, m, {k})"
-    return Case(include("lobe/exact"), call, inputs, expected, relative, smallest)
-
-
-@case(0, 4)
-def lobe_cosine(k: int) -> Case:
-    inputs, c, m = of_the_cosine("cosine", k)
-    n = 2.0 / m**2 - k
-    x = c.clip(1e-30)
-    power = np.minimum(n * -np.log2(x), 130.0)
-    # n: 4 ulp, more where 2/m^2 - k cancels
-    n_error = ULP * (3.0 * 2.0 / m**2 + k) / n
-    log_error = np.where(x >= 0.5, 2.0**-21, 3.0 * ULP * -np.log2(x))
-    exponent_error = np.log(2.0) * (power * n_error + n * log_error)
-    relative = np.expm1(np.minimum(exponent_error, 80.0)) + ULP * (3.0 + 3.0 * power)
-    expected = lobes.cosine(c, m, k)
-    call = f"fr_lobe_cosine(c, m, {k})"
-    return Case(include("lobe/cosine"), call, inputs, expected, relative, TINY)
-
-
-def power_error(base: Floats, base_error: Floats, power: int) -> Floats:
-    """What an error of the base makes of max(base, 0)^power."""
-    return np.asarray(power * np.maximum(base + base_error, 0.0) ** (power - 1) * base_error)
-
-
-@case(*((k, g) for k in (0, 4) for g in (4, 8, 16)))
-def lobe_g_power(k: int, g: int) -> Case:
-    inputs, c, m = of_the_cosine("d16", k)
-    n = 2.0 / m**2 - k
-    # the base 1 - (n/g) u: n by 4 ulp, n/g and the product by 3.5 more, the sum by 0.5
-    error = ULP * (4.0 * 2.0 / m**2 + 4.0 * n) / g * (1.0 - c) + ULP
-    absolute = power_error(1.0 - n / g * (1.0 - c), error, g) + TINY
-    expected = lobes.g_power(c, m, k, g)
-    call = f"fr_lobe_g_power(c, m, {k}, {g})"
-    return Case(include("lobe/g_power"), call, inputs, expected, ULP * g, absolute)
-
-
 @cache
 def cosines_and_steepness() -> dict[str, Singles]:
     axes = grid(COSINES, [0.0, 0.1, 1.0, 3.0, 30.0, 1e3, 1e8])
     return dict(zip(("c", "steepness"), axes, strict=True))
 
 
-@case(*range(1, 32))
+@case(*((g,) for g in range(1, 32)))
 def lobe_clamped_power(g: int) -> Case:
     inputs = cosines_and_steepness()
     c, steepness = (values.astype(float) for values in inputs.values())
@@ -234,38 +252,12 @@ def lobe_clamped_power(g: int) -> Case:
     return Case(include("lobe/g_power"), call, inputs, expected, ULP * g, absolute)
 
 
-def fitted_terms(lobe: lobes.PowerPolynomial, m: Floats) -> Floats:
-    """Sums of |constants| of the coefficients, for their rounding."""
-    table = np.abs(np.array(lobe.table))
-    return np.stack([np.polynomial.polynomial.polyval(m**2, row) for row in table.T], axis=-1)
-
-
-@case(*((k, name) for k in (0, 4) for name in ("fitted", "fitted-fine")))
-def lobe_fitted(k: int, name: lobes.Lobe) -> Case:
-    inputs, c, m = of_the_cosine(name, k)
-    lobe = lobes.FITTED[name, k]
-    powers = np.arange(1, len(lobe.table[0]) + 1)
-    v = ((1.0 - c) / m**2)[:, None] ** powers
-    # a coefficient: 4 products and sums of its constants, 1/m^2 and its powers, times a power of u
-    error = 20.0 * ULP * (fitted_terms(lobe, m) * v).sum(axis=-1) + ULP
-    p = 1.0 + (lobe.coefficients(m) * (1.0 - c)[:, None] ** powers).sum(axis=-1)
-    expected = lobes.lobe(name, c, m, k)
-    call = f"fr_lobe_{name.replace('-', '_')}(c, m, {k})"
-    absolute = power_error(p, error, lobe.power) + TINY
-    return Case(include("lobe/fitted"), call, inputs, expected, ULP * lobe.power, absolute)
-
-
 @cache
 def slopes_alone(end: float) -> dict[str, Singles]:
     return {"m": slopes(end)}
 
 
-COEFFICIENTS = [(k, "fitted", i) for k in (0, 4) for i in range(3)]
-COEFFICIENTS += [(k, "fitted-fine", i) for k in (0, 4) for i in range(4)]
-
-
-@case(*COEFFICIENTS)
-def lobe_fitted_coefficients(k: int, name: lobes.Lobe, i: int) -> Case:
+def coefficient(name: str, k: int, i: int) -> Case:
     lobe = lobes.FITTED[name, k]
     inputs = slopes_alone(lobe.max_slope)
     m = inputs["m"].astype(float)
@@ -273,13 +265,21 @@ def lobe_fitted_coefficients(k: int, name: lobes.Lobe, i: int) -> Case:
     function = f"fr_lobe_{name.replace('-', '_')}_coefficients"
     # scaled back by the same powers of m^2, in an order that cannot overflow
     call = f"3.0 + {function}(m, {k})[{i}]" + " * (m * m)" * (i + 1)
-    absolute = 16.0 * ULP * (3.0 + fitted_terms(lobe, m)[:, i])
+    absolute = 16.0 * ULP * (3.0 + lobe.magnitudes(m)[:, i])
     return Case(include("lobe/fitted"), call, inputs, 3.0 + expected, 0.0, absolute)
+
+
+for _name, _k in lobes.FITTED:
+    for _i in range(len(lobes.FITTED[_name, _k].table[0])):
+        add("fr_lobe_fitted_coefficients", coefficient, _name, _k, _i)
+
+
+# --- Fresnel and masking terms -------------------------------------------------------------------
 
 
 @cache
 def reflectances_and_cosines() -> dict[str, Singles]:
-    f0 = [0.0, 1e-8, 1e-4, 0.028, 0.1, 0.5, 0.9]
+    f0 = [0.0, 1e-8, 1e-4, F0, 0.1, 0.5, 0.9]
     return dict(zip(("f0", "c"), grid(f0, [*np.linspace(0, 1, 501), 1e-9, 1e-20]), strict=True))
 
 
@@ -298,6 +298,25 @@ def fresnel_dielectric() -> Case:
     absolute = 16 * ULP * inputs["f0"].astype(float)
     call = "fr_fresnel_dielectric(f0, c)"
     return Case(include("fresnel"), call, inputs, expected, 16 * ULP, absolute)
+
+
+def fresnel_case(name: str, prelude: str, call: str) -> Case:
+    inputs = reflectances_and_cosines()
+    expected = FRESNEL[name].evaluate(*inputs.values())
+    return Case(prelude, call, inputs, expected, 1e-5, 1e-6)
+
+
+@case(*((name,) for name in FRESNEL))
+def fresnel(name: str) -> Case:
+    prelude = include("fresnel", FR_FRESNEL=FRESNEL[name].macro)
+    return fresnel_case(name, prelude, "fr_fresnel(f0, c)")
+
+
+@case(*((name, chosen) for name in FRESNEL for chosen in FRESNEL if chosen != name))
+def fresnel_of(name: str, chosen: str) -> Case:
+    """Whatever the host chose for fr_fresnel."""
+    prelude = include("fresnel", FR_FRESNEL=FRESNEL[chosen].macro)
+    return fresnel_case(name, prelude, f"fr_fresnel_of(f0, c, {FRESNEL[name].macro})")
 
 
 @case()
@@ -320,56 +339,40 @@ def masking_kelemen() -> Case:
     return Case(include("masking"), call, inputs, expected, 8 * ULP)
 
 
-OWN = GPower(11, 0.2, 0.5)
-STEEP = GPower(5, 1.2, 0.8)
-
-
-@case(*((k, name) for k in (0, 4) for name in (*lobes.NAMES, OWN, STEEP)))
-def lobe(k: int, name: AnyLobe) -> Case:
-    """The choice at compile time; what was chosen is tested above."""
-    return lobe_case(k, name, chosen("lobe", name))
-
-
-@case(*((k, g) for k in (0, 4) for g in (None, 5)))
-def lobe_default_g_power(k: int, g: int | None) -> Case:
-    """Of the macros of a g-power, one or none: D8, or its steepness with another power."""
-    said = f"#define FR_G {g}\n" if g else ""
-    prelude = f"{said}#define FR_LOBE FR_LOBE_G_POWER\n" + include("lobe")
-    return lobe_case(k, GPower(g, 2.0 / g, k / g) if g else "d8", prelude)
-
-
 @cache
-def cosines_at_one_slope() -> dict[str, Singles]:
-    c = singles(np.linspace(0.5, 1.0, 200))
-    return {"c": c, "m": np.full_like(c, 0.3)}
+def cosines_with_a_long_half_vector() -> dict[str, Singles]:
+    """h = l + v of a length up to 2, and of at least what its cosines ask for."""
+    axis = [1e-6, 1e-3, *np.linspace(0.01, 1.0, 20)]
+    n_dot_l, n_dot_v, share = grid(axis, axis, np.linspace(0.0, 1.0, 10))
+    n_dot_h = n_dot_l + n_dot_v
+    h_dot_h = n_dot_h**2 + share * (4.0 - n_dot_h**2)
+    return {"n_dot_h": n_dot_h, "h_dot_h": h_dot_h, "n_dot_l": n_dot_l, "n_dot_v": n_dot_v}
 
 
-def lobe_case(k: int, name: AnyLobe, prelude: str) -> Case:
-    inputs = cosines_at_one_slope()
-    expected = lobes.lobe(name, inputs["c"], inputs["m"], k)
-    return Case(prelude, f"fr_lobe(c, m, {k})", inputs, expected, 1e-4, 1e-5)
+def masking_case(name: str, call: str) -> Case:
+    """Masking over the divisor of a BRDF, the quotient of what the call returns."""
+    inputs = cosines_with_a_long_half_vector()
+    n_dot_h, h_dot_h, n_dot_l, n_dot_v = (values.astype(float) for values in inputs.values())
+    length = np.sqrt(h_dot_h)
+    masked = MASKING[name].evaluate(n_dot_h / length, 0.5 * length, n_dot_l, n_dot_v)
+    prelude = include("masking") + "float quotient(vec2 x) { return x.x / x.y; }\n"
+    expected = masked / (n_dot_l * n_dot_v) * h_dot_h
+    return Case(prelude, f"quotient({call})", inputs, expected, 8 * ULP)
 
 
-KINDS: tuple[brdf.Fresnel, ...] = ("schlick", "dielectric", "constant")
+@case(*((name,) for name in MASKING))
+def masking_of(name: str) -> Case:
+    call = f"fr_masking_of(n_dot_h, h_dot_h, n_dot_l, n_dot_v, {MASKING[name].macro})"
+    return masking_case(name, call)
 
 
-@case(*KINDS)
-def fresnel(kind: brdf.Fresnel) -> Case:
-    prelude = f"#define FR_FRESNEL FR_FRESNEL_{kind.upper()}\n" + include("fresnel")
-    return fresnel_case(kind, "fr_fresnel(0.1, c)", prelude)
+@case()
+def masking_v_cavity_ratio() -> Case:
+    call = "fr_masking_v_cavity_ratio(n_dot_h, h_dot_h, n_dot_l, n_dot_v)"
+    return masking_case("v-cavity", call)
 
 
-@case(*KINDS)
-def fresnel_of(kind: brdf.Fresnel) -> Case:
-    """Whatever the host chose for fr_fresnel."""
-    other = KINDS[KINDS.index(kind) - 1]
-    prelude = f"#define FR_FRESNEL FR_FRESNEL_{other.upper()}\n" + include("fresnel")
-    return fresnel_case(kind, f"fr_fresnel_of(0.1, c, FR_FRESNEL_{kind.upper()})", prelude)
-
-
-def fresnel_case(kind: brdf.Fresnel, call: str, prelude: str) -> Case:
-    c = singles(np.linspace(0.0, 1.0, 101))
-    return Case(prelude, call, {"c": c}, brdf.fresnel(0.1, c, kind), 1e-5, 1e-6)
+# --- models --------------------------------------------------------------------------------------
 
 
 def directions(m: Singles, lowest: float = 1e-5) -> dict[str, Singles]:
@@ -416,69 +419,42 @@ def half_vector(axis: str, small_slope: int) -> Case:
     }[axis]
     if axis == "y" and small_slope:
         absolute *= 2.0 * np.sqrt(sine2) + error
-    prelude = f"#define FR_SMALL_SLOPE {small_slope}\n" + include("half_vector")
+    prelude = include("half_vector", FR_SMALL_SLOPE=str(small_slope))
     call = f"fr_half_vector(n, l + v, dot(n, l) + dot(n, v)).{axis}"
     return Case(prelude, call, inputs, expected, 0.0, absolute)
 
 
-COOK_TORRANCE = "fr_cook_torrance(n, l, v, m, 0.028)"
-TERMS = "fr_cook_torrance_terms(n, l, v, m, 0.028, FR_FRESNEL_{}, FR_MASKING_{})"
-BRDFS: dict[str, tuple[str, brdf.Fresnel | None, brdf.Masking | None]] = {
-    # a call, and the Fresnel and the masking term, where it has them
-    "cook_torrance": (COOK_TORRANCE, "schlick", "v-cavity"),
-    "cook_torrance dielectric": (COOK_TORRANCE, "dielectric", "v-cavity"),
-    "cook_torrance kelemen": (COOK_TORRANCE, "schlick", "kelemen"),
-    "cook_torrance constant none": (COOK_TORRANCE, "constant", "none"),
-    "ward": ("fr_ward(n, l, v, m)", None, None),
-    "ward_printed": ("fr_ward_printed(n, l, v, m)", None, None),
-    # whatever the host chose: nothing, here
-    "cook_torrance_terms constant none": (TERMS.format("CONSTANT", "NONE"), "constant", "none"),
-    "cook_torrance_terms dielectric kelemen": (
-        TERMS.format("DIELECTRIC", "KELEMEN"),
-        *("dielectric", "kelemen"),
-    ),
-}
-
-
-def brdf_case(name: str, lobe: AnyLobe, small_slope: int, inputs: Inputs) -> Case:
-    """A BRDF at directions; the bounds are those of its header, relative to what the lobe's peak
-    gives in the same directions, and none where it is exactly 0."""
-    call, fresnel, masking = BRDFS[name]
-    file = name.split()[0].removesuffix("_terms")
-    macros = {"FR_SMALL_SLOPE": str(small_slope)}
+def brdf_case(term: Term, inputs: Inputs, prelude: str = "", call: str = "") -> Case:
+    """A BRDF at directions, as the term's own GLSL or another call; the bounds are those of its
+    header, relative to what the lobe's peak gives in the same directions, and none where it is
+    exactly 0."""
     n, l, v, m = (inputs[axis].astype(float) for axis in "nlvm")
     n_dot_l, n_dot_v = ((n * x).sum(axis=-1) for x in (l, v))
     above = (n_dot_l > brdf.MIN_COSINE) & (n_dot_v > brdf.MIN_COSINE)
     n_dot_l, n_dot_v = (cosine.clip(brdf.MIN_COSINE) for cosine in (n_dot_l, n_dot_v))
     v_dot_h = 0.5 * np.linalg.norm(l + v, axis=-1).clip(1e-30)
-    if fresnel and masking:
-        if call == COOK_TORRANCE:
-            macros["FR_FRESNEL"] = f"FR_FRESNEL_{fresnel.upper()}"
-            macros["FR_MASKING"] = f"FR_MASKING_{masking.upper().replace('-', '_')}"
-        expected = brdf.cook_torrance(
-            *(n, l, v, m, 0.028), lobe=lobe, fresnel_term=fresnel, masking_term=masking
-        )
-        n_dot_h = (n_dot_l + n_dot_v) / (2.0 * v_dot_h)
-        masked = {
-            "v-cavity": brdf.masking_v_cavity(n_dot_h, v_dot_h, n_dot_l, n_dot_v),
-            "kelemen": brdf.masking_kelemen(v_dot_h, n_dot_l, n_dot_v),
-            "none": 1.0,
-        }
-        peak = masked[masking] / (n_dot_l * n_dot_v) * brdf.fresnel(0.028, v_dot_h, fresnel)
+    n_dot_h = (n_dot_l + n_dot_v) / (2.0 * v_dot_h)
+    if term.entry.factors:
+        masked = MASKING[term.masking].evaluate(n_dot_h, v_dot_h, n_dot_l, n_dot_v)
+        peak = masked / (n_dot_l * n_dot_v) * FRESNEL[term.fresnel].evaluate(F0, v_dot_h)
     else:
-        expected = getattr(brdf, file)(n, l, v, m, lobe=lobe)
-        peak = (n_dot_l * n_dot_v if file == "ward" else n_dot_v + v_dot_h) ** -0.5
+        peak = F0 * (n_dot_l * n_dot_v if term.model == "ward" else n_dot_v + v_dot_h) ** -0.5
+    lobe, k = lobe_entry(term.lobe), term.entry.k
+    if lobe.highest is not None:
+        slope, place = np.unique(m, return_inverse=True)
+        peak *= np.array([lobe.highest(each, k) for each in slope.tolist()])[place]
     peak /= 4.0 * np.pi * m**2
-    if fresnel and lobe == "exact":  # above m = 0.7071 it is highest off the normal
-        w = np.maximum(m**2, 0.5)
-        peak *= 4.0 * w**2 * np.exp(1.0 / w - 2.0)
-    accurate = lobe == "exact" and small_slope
-    e = 4e-7 * (1.0 + 1.0 / (n_dot_l + n_dot_v)) + 7e-7 * (lobe == "cosine")
-    if isinstance(lobe, GPower):
-        e *= lobe.factor * lobe.g / 2.0
+    e = lobe.amplified(4e-7 * (1.0 + 1.0 / (n_dot_l + n_dot_v)))
+    accurate = lobe.of_tan2 is not None and term.keeps_small_slopes(0.0)
     bound = 1e-5 + 2e-7 / n_dot_l + 2e-7 / n_dot_v + e / (m if accurate else m**2)
-    prelude = chosen(file, lobe, **macros)
-    return Case(prelude, call, inputs, expected, 0.0, np.where(above, peak * bound, 0.0))
+    return Case(
+        f"const float f0 = {F0};\n" + (prelude or flat(code.prelude([term], 0.0))),
+        call or code.call(term),
+        inputs,
+        term.brdf(n, l, v, m, F0),
+        0.0,
+        np.where(above, peak * bound, 0.0),
+    )
 
 
 EXTREMES = {
@@ -514,16 +490,41 @@ def directions_and_extremes(end: float) -> dict[str, Singles]:
     return {axis: np.concatenate([part[axis] for part in parts]) for axis in "nlvm"}
 
 
-def brdf_in_domain(name: str, lobe: AnyLobe, small_slope: int) -> Case:
-    end = lobes.max_slope(lobe, brdf.K_COOK_TORRANCE if "cook" in name else brdf.K_WARD)
-    return brdf_case(name, lobe, small_slope, directions_and_extremes(end))
+def in_domain(term: Term, prelude: str, call: str) -> Case:
+    end = lobe_entry(term.lobe).end(term.entry.k)
+    return brdf_case(term, directions_and_extremes(end), prelude, call)
 
 
-for _name in BRDFS:
-    _lobes = ("exact", "fitted", "d8", OWN) if "_terms" in _name else (*lobes.NAMES, OWN, STEEP)
-    for _lobe, _small_slope in [*((lobe, 1) for lobe in _lobes), ("exact", 0)]:
-        CASES[f"fr_{_name} {_lobe} {_small_slope}"] = partial(
-            brdf_in_domain, _name, _lobe, _small_slope
-        )
+def term_among_all(
+    model: str, lobe: AnyLobe, fresnel: str, masking: str, small_slope: bool = True
+) -> Case:
+    """A term of a program in which every lobe is."""
+    term = Term(model, lobe, fresnel, masking, small_slope=small_slope)
+    terms = [term, *(replace(term, lobe=name) for name in LOBES)]
+    return in_domain(term, flat(code.prelude(terms, 0.0)), code.call(term))
 
-FUNCTIONS = tuple(dict.fromkeys(name.split()[0] for name in CASES))
+
+def model_by_macros(model: str, lobe: AnyLobe, fresnel: str, masking: str) -> Case:
+    """A model's function of few arguments, whose terms the host's macros choose."""
+    term = Term(model, lobe, fresnel, masking)
+    macros = code.term_macros(Term("cook-torrance", lobe, fresnel, masking), 0.0)
+    files = "".join(f'#include "facerender/{entry.file}.glsl"\n' for entry in MODELS.values())
+    own = f"fr_{term.entry.file}(n, l, v, m"
+    call = f"{own}, f0)" if term.entry.factors else f"f0 * {own})"
+    return in_domain(term, code.defines(macros) + flat(files), call)
+
+
+DEFAULT = (Term.fresnel, Term.masking)
+FACTORS = [(fresnel, Term.masking) for fresnel in FRESNEL]
+FACTORS += [(Term.fresnel, masking) for masking in MASKING]
+FACTORS += [("constant", "none"), ("dielectric", "kelemen")]
+
+for _model, _entry in MODELS.items():
+    for _factors in dict.fromkeys(FACTORS if _entry.factors else [DEFAULT]):
+        for _lobe in ALL_LOBES:
+            add(f"fr_{_entry.file}_terms", term_among_all, _model, _lobe, *_factors)
+            if _factors == DEFAULT or _lobe == Term.lobe:
+                add("models-by-macros", model_by_macros, _model, _lobe, *_factors)
+        add(f"fr_{_entry.file}_terms", term_among_all, _model, Term.lobe, *_factors, False)
+
+GROUPS = tuple(dict.fromkeys(name.split()[0] for name in CASES))
