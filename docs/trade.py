@@ -70,7 +70,7 @@ def committed() -> Measurement:
 
 def stale() -> Iterator[str]:
     """Tell whether the document, or the README's table, is another."""
-    data = json.loads(MEASUREMENT.read_text(encoding="utf-8"))
+    data = committed()
     if TRADE.read_text(encoding="utf-8") != trade(data):
         yield "not what its measurement says"
     if MARKED.findall(README.read_text(encoding="utf-8")) != [headline(data)]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -24,6 +25,45 @@ WITHOUT_GL = [
     *("pricing.amd", "pricing.interval", "pricing.variants"),
     *("measure.measurement", "measure.pareto", "measure.tables", "measure.plots", "measure.report"),
 ]
+
+
+def import_graph(folder: Path) -> subprocess.CompletedProcess[str]:
+    tool = ROOT / "tools/import-graph"
+    return subprocess.run([sys.executable, tool, folder], capture_output=True, text=True)
+
+
+def test_no_circle_no_arrow_up_no_opengl_by_accident():
+    done = import_graph(ROOT / "facerender")
+    assert (done.returncode, done.stderr) == (0, "")
+    arrows = {room: set(below) for room, *below in map(str.split, done.stdout.splitlines())}
+    assert not any("commands" in below for room, below in arrows.items() if room != "__main__")
+    assert arrows["terms"] == {"errors"}
+
+
+@pytest.mark.parametrize(
+    ("module", "line", "fault"),
+    [
+        (
+            "terms/entry.py",
+            "from facerender import lobes",
+            "terms.entry imports lobes, which is above",
+        ),
+        ("drawing/prepare.py", "import moderngl", "drawing.prepare imports OpenGL"),
+        ("loading/read.py", "from facerender.loading import repair", "circle: "),
+    ],
+)
+def test_a_wrong_import_is_told(module, line, fault, tmp_path):
+    shutil.copytree(
+        ROOT / "facerender", tmp_path / "facerender", ignore=shutil.ignore_patterns("*.json")
+    )
+    path = tmp_path / "facerender" / module
+    path.write_text(f"{path.read_text()}\n{line}\n")
+    if fault == "circle: ":
+        other = path.with_name("repair.py")
+        other.write_text(f"{other.read_text()}\nfrom facerender.loading import read\n")
+    done = import_graph(tmp_path / "facerender")
+    assert done.returncode == 1
+    assert fault in done.stderr
 
 
 @pytest.mark.parametrize("module", WITHOUT_GL)

@@ -10,7 +10,7 @@ from functools import cache
 
 from facerender.glsl.library import library, shader_dir
 
-_FUNCTION = re.compile(r"((?:^//.*\n)*)^(\w+) (fr_\w+)\((.*)\) \{", re.MULTILINE)
+_FUNCTION = re.compile(r"((?:^//.*\n)*)^(\w+) (fr_\w+)\(([^)]*)\) \{", re.MULTILINE)
 _KEYED = re.compile(r"^   (\w+(?:, \w+)*) +(\S.*(?:\n {5,}\S.*)*)", re.MULTILINE)
 
 
@@ -52,6 +52,7 @@ def _functions(name: str) -> list[Function]:
     for comment, kind, function, parameters in _FUNCTION.findall(text):
         own = _comment(comment)
         known = _keyed(header) | _keyed(own)
+        parameters = " ".join(parameters.split())
         names = [parameter.split()[1] for parameter in parameters.split(", ")]
         result.append(
             Function(

@@ -1,0 +1,87 @@
+"""A list of passes: what one draws is a texture for those after it, in a target of its own."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import facerender as fr
+from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.passes.shade import shade_pass
+from facerender.drawing.program import Program, scene_uniforms
+from facerender.scenes.view import view_of
+
+SHADERS = {
+    "depth.frag": "out vec4 depth;\nvoid main() { depth = vec4(gl_FragCoord.z); }\n",
+    "screen.vert": (
+        "void main() {\n"
+        "    vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1);\n"
+        "    gl_Position = vec4(4.0 * corner - 1.0, 0.0, 1.0);\n"
+        "}\n"
+    ),
+    "join.frag": (
+        "uniform sampler2D shade;\nuniform sampler2D light_depth;\nout vec4 result;\n"
+        "void main() {\n"
+        "    ivec2 at = ivec2(gl_FragCoord.xy);\n"
+        "    vec3 twice = 2.0 * texelFetch(shade, at, 0).rgb;\n"
+        "    result = vec4(twice, texelFetch(light_depth, at / 2, 0).r);\n"
+        "}\n"
+    ),
+}
+SIZE = (64, 64)
+
+
+@pytest.fixture
+def renderer(egl, monkeypatch, tmp_path):
+    folder = tmp_path / "shaders"
+    shutil.copytree(fr.shader_dir(), folder)
+    for name, text in SHADERS.items():
+        (folder / "host" / name).write_text(text)
+    monkeypatch.setattr("facerender.glsl.library.shader_dir", lambda: folder)
+    with fr.Renderer(SIZE, samples=1, backend=egl) as renderer:
+        yield renderer
+
+
+def test_a_filter_reads_what_was_shaded_and_a_depth(renderer, head):
+    scene = fr.Scene(head.with_material(m=0.3), background=None)
+    view = view_of(scene, 1.0)
+    above = view_of(replace(scene, camera=fr.Camera(elevation=60.0)), 1.0)
+    part = scene.mesh.parts[0]
+    depth = Pass(
+        "light_depth",
+        Target(size=(32, 32), sampled=True),
+        (Draw(Program("depth.frag"), {}, part),),
+        clear=(1.0, 1.0, 1.0, 1.0),
+        uniforms=scene_uniforms(scene, above),
+    )
+    shaded = shade_pass(scene, view, fr.Shading(), samples=1)
+    shaded = replace(shaded, target=replace(shaded.target, sampled=True))
+    join = Pass("join", Target(), (Draw(Program("join.frag", "screen.vert"), {}),))
+
+    (joined,) = renderer._draw([depth, shaded, join], scene)
+    expected = renderer.render(scene).linear
+    np.testing.assert_array_equal(joined[..., :3], 2.0 * expected[..., :3])
+    with fr.Renderer((32, 32), samples=1, backend="egl") as small:
+        seen = small.gbuffer(replace(scene, camera=fr.Camera(elevation=60.0)))
+    covered = seen.part >= 0
+    clip = np.insert(seen.position[covered].astype(float), 3, 1.0, axis=-1) @ above.matrix
+    np.testing.assert_allclose(
+        joined[::2, ::2, 3][covered], 0.5 + 0.5 * clip[:, 2] / clip[:, 3], atol=1e-4
+    )
+    assert (joined[::2, ::2, 3][~covered] == 1.0).all()
+
+
+def test_what_a_scene_does_not_need_is_no_pass(renderer, head, monkeypatch):
+    drawn = []
+    draw = renderer._resources.draw
+    monkeypatch.setattr(
+        renderer._resources,
+        "draw",
+        lambda step, *rest: drawn.append(step.name) or draw(step, *rest),
+    )
+    renderer.render(fr.Scene(head))
+    renderer.render(fr.Scene(head), only="normal")
+    assert drawn == ["shade", "surface"]
