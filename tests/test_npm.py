@@ -24,7 +24,11 @@ FUNCTIONS = {
     "lobeGPower": "fr_lobe_g_power",
     "lobeFitted": "fr_lobe_fitted",
     "fresnel": "fr_fresnel",
-    "masking": "fr_masking_v_cavity",
+    "fresnelSchlick": "fr_fresnel_schlick",
+    "fresnelDielectric": "fr_fresnel_dielectric",
+    "masking": "fr_masking_of",
+    "maskingVCavity": "fr_masking_v_cavity",
+    "maskingKelemen": "fr_masking_kelemen",
     "halfVector": "fr_half_vector",
 }
 

@@ -15,7 +15,9 @@ from facerender import InputError, brdf, lobes, resolve_includes, shader_dir, sh
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.evaluate import Evaluator
 from facerender.glsl.code import defines, lobe_macros
+from facerender.glsl.dispatch import dispatch
 from facerender.shading import Term
+from facerender.terms import FRESNEL, LOBES, MASKING
 from trials.cases import brdf_case, directions, flat, include
 
 COOK_TORRANCE = "fr_cook_torrance(n, l, v, m, 0.028)"
@@ -179,3 +181,26 @@ def test_unknown_lobe_does_not_compile(evaluate, name):
     prelude = include("ward", FR_LOBE=name)
     with pytest.raises(moderngl.Error, match="FR_LOBE is none of"):
         evaluate(prelude, "fr_lobe(1.0, m, 0)", {"m": np.float32([0.3])})
+
+
+@pytest.mark.parametrize(("file", "text"), dispatch().items())
+def test_the_dispatch_is_what_the_registry_gives(file, text):
+    """python -m facerender.glsl.dispatch writes it anew."""
+    assert (shader_dir() / f"facerender/{file}.glsl").read_text(encoding="utf-8") == text
+
+
+def test_macros_of_terms_have_numbers_of_their_own():
+    for kind in (LOBES, FRESNEL, MASKING):
+        assert len({entry.number for entry in kind.values()}) == len(kind)
+
+
+def test_a_lobe_that_is_not_there_gives_no_lobe(evaluate):
+    inputs = {"c": np.float32([0.9])}
+    prelude = include("lobe", FR_LOBE="FR_LOBE_D8")
+    assert evaluate(prelude, "fr_lobe_of(c, 0.3, 4, FR_LOBE_EXACT)", inputs) == -1.0
+
+
+def test_a_hosts_lobe_needs_its_function(evaluate):
+    prelude = include("lobe", FR_LOBE="FR_LOBE_OWN")
+    with pytest.raises(moderngl.Error, match="FR_LOBE_FUNCTION names"):
+        evaluate(prelude, "fr_lobe(c, 0.3, 4)", {"c": np.float32([0.9])})

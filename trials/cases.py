@@ -23,7 +23,8 @@ from facerender.glsl import code
 from facerender.lobes import AnyLobe, GPower
 from facerender.shading import Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, lobe_entry
-from facerender.terms.lobe import TINY, ULP, power_error
+from facerender.terms.entry import ULP
+from facerender.terms.lobe import TINY, power_error
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -188,22 +189,21 @@ def lobe_default_g_power(k: int, g: int | None) -> Case:
     return lobe_case(include("lobe", **macros), call, GPower(g or 8, 2 / (g or 8), k / (g or 8)), k)
 
 
-def lobe_of_the_host(expression: str) -> Case:
-    """A function that the host defines behind the library, by default or as an argument."""
-    chosen = {} if expression.startswith("fr_lobe(") else {"FR_LOBE": "FR_LOBE_EVERY"}
-    declared = "float own(float c, float m, int k)"
-    library = include("lobe", FR_LOBE_FUNCTION="own", **chosen)
-    prelude = f"{declared};\n{library}{declared} {{ return c * m + float(k); }}\n"
+def lobe_of_the_host(chosen: str) -> Case:
+    """A function of the host's own, by the macros or, where every lobe is there, as an argument."""
+    own = "highp float own(highp float c, highp float m, int k) { return c * m + float(k); }\n"
+    macros = {"FR_LOBE_FUNCTION": "own"} | ({"FR_LOBE": chosen} if chosen else {})
+    call = "fr_lobe_of(c, m, 4, FR_LOBE_OWN)" if "EVERY" in chosen else "fr_lobe(c, m, 4)"
     inputs = cosines_and_slopes(lobes.MAX_SLOPE)
     c, m = (values.astype(float) for values in inputs.values())
-    return Case(prelude, expression, inputs, c * m + 4.0, 2 * ULP)
+    return Case(own + include("lobe", **macros), call, inputs, c * m + 4.0, 2 * ULP)
 
 
 for _k in (0, 4):
     for _g in (None, 5):
         add("fr_lobe", lobe_default_g_power, _k, _g)
-add("fr_lobe", lobe_of_the_host, "fr_lobe(c, m, 4)")
-add("fr_lobe", lobe_of_the_host, "fr_lobe_of(c, m, 4, FR_LOBE_OWN)")
+for _chosen in ("", "FR_LOBE_OWN", "FR_LOBE_EVERY"):
+    add("fr_lobe", lobe_of_the_host, _chosen)
 
 
 @case()
@@ -283,27 +283,16 @@ def reflectances_and_cosines() -> dict[str, Singles]:
     return dict(zip(("f0", "c"), grid(f0, [*np.linspace(0, 1, 501), 1e-9, 1e-20]), strict=True))
 
 
-@case()
-def fresnel_schlick() -> Case:
-    inputs = reflectances_and_cosines()
-    expected = brdf.fresnel_schlick(*inputs.values())
-    return Case(include("fresnel"), "fr_fresnel_schlick(f0, c)", inputs, expected, 8 * ULP, 8 * ULP)
-
-
-@case()
-def fresnel_dielectric() -> Case:
-    inputs = reflectances_and_cosines()
-    expected = brdf.fresnel_dielectric(*inputs.values())
-    # square root, division, square: 10 ulp; b is a difference, and its loss is absolute
-    absolute = 16 * ULP * inputs["f0"].astype(float)
-    call = "fr_fresnel_dielectric(f0, c)"
-    return Case(include("fresnel"), call, inputs, expected, 16 * ULP, absolute)
-
-
 def fresnel_case(name: str, prelude: str, call: str) -> Case:
-    inputs = reflectances_and_cosines()
-    expected = FRESNEL[name].evaluate(*inputs.values())
-    return Case(prelude, call, inputs, expected, 1e-5, 1e-6)
+    """A call that is a Fresnel term of f0 and c, within its bound in the registry."""
+    inputs, entry = reflectances_and_cosines(), FRESNEL[name]
+    f0, c = (values.astype(float) for values in inputs.values())
+    return Case(prelude, call, inputs, entry.evaluate(f0, c), *entry.rounding(f0, c))
+
+
+def fresnel_alone(name: str) -> Case:
+    call = FRESNEL[name].call.replace("v_dot_h", "c")
+    return fresnel_case(name, include(FRESNEL[name].file), call)
 
 
 @case(*((name,) for name in FRESNEL))
@@ -317,6 +306,11 @@ def fresnel_of(name: str, chosen: str) -> Case:
     """Whatever the host chose for fr_fresnel."""
     prelude = include("fresnel", FR_FRESNEL=FRESNEL[chosen].macro)
     return fresnel_case(name, prelude, f"fr_fresnel_of(f0, c, {FRESNEL[name].macro})")
+
+
+for _name, _fresnel in FRESNEL.items():
+    if _fresnel.call.startswith("fr_"):
+        add(_fresnel.call.split("(")[0], fresnel_alone, _name)
 
 
 @case()
@@ -349,27 +343,27 @@ def cosines_with_a_long_half_vector() -> dict[str, Singles]:
     return {"n_dot_h": n_dot_h, "h_dot_h": h_dot_h, "n_dot_l": n_dot_l, "n_dot_v": n_dot_v}
 
 
-def masking_case(name: str, call: str) -> Case:
-    """Masking over the divisor of a BRDF, the quotient of what the call returns."""
+def masking_ratio(name: str, call: str = "") -> Case:
+    """G/((N.L)(N.V)) (h.h), the quotient of what the entry's call or another returns."""
     inputs = cosines_with_a_long_half_vector()
     n_dot_h, h_dot_h, n_dot_l, n_dot_v = (values.astype(float) for values in inputs.values())
     length = np.sqrt(h_dot_h)
     masked = MASKING[name].evaluate(n_dot_h / length, 0.5 * length, n_dot_l, n_dot_v)
-    prelude = include("masking") + "float quotient(vec2 x) { return x.x / x.y; }\n"
+    prelude = include("masking") + "highp float quotient(highp vec2 x) { return x.x / x.y; }\n"
     expected = masked / (n_dot_l * n_dot_v) * h_dot_h
-    return Case(prelude, f"quotient({call})", inputs, expected, 8 * ULP)
+    call = f"quotient({call or MASKING[name].call})"
+    return Case(prelude, call, inputs, expected, 8 * ULP)
 
 
-@case(*((name,) for name in MASKING))
 def masking_of(name: str) -> Case:
     call = f"fr_masking_of(n_dot_h, h_dot_h, n_dot_l, n_dot_v, {MASKING[name].macro})"
-    return masking_case(name, call)
+    return masking_ratio(name, call)
 
 
-@case()
-def masking_v_cavity_ratio() -> Case:
-    call = "fr_masking_v_cavity_ratio(n_dot_h, h_dot_h, n_dot_l, n_dot_v)"
-    return masking_case("v-cavity", call)
+for _name, _masking in MASKING.items():
+    add("fr_masking_of", masking_of, _name)
+    if _masking.call.startswith("fr_"):
+        add(_masking.call.split("(")[0], masking_ratio, _name)
 
 
 # --- models --------------------------------------------------------------------------------------

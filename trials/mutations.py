@@ -18,7 +18,8 @@ from PIL import Image, ImageOps
 from scipy import ndimage
 
 import facerender as fr
-from facerender.glsl.library import resolve_includes
+from facerender.drawing.passes.shade import shade_pass
+from facerender.drawing.program import Program
 from facerender.image import srgb_to_linear
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import view_of
@@ -31,16 +32,16 @@ CAMERAS = {"front": fr.Camera(), "three-quarter": fr.Camera(-35.0)}
 
 
 @dataclass(frozen=True)
-class Patched(fr.Shading):
-    """The shading with one passage of the library's GLSL replaced."""
+class Patched(Program):
+    """A program with one passage of its GLSL replaced."""
 
     old: str = ""
     new: str = ""
 
-    def glsl(self, smallest_m: float) -> str:
-        text = resolve_includes(super().glsl(smallest_m))
-        assert text.count(self.old) == 1, self.old
-        return text.replace(self.old, self.new)
+    def sources(self, version: str) -> dict[str, str]:
+        stages = super().sources(version)
+        assert stages["frag"].count(self.old) == 1, self.old
+        return stages | {"frag": stages["frag"].replace(self.old, self.new)}
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,19 @@ class Studio:
     def draw(self, shading: fr.Shading = fr.Shading(), **material: object) -> NDArray[np.float32]:
         """Linear RGB and coverage, (H, W, 4), of the mesh with fields of its material replaced."""
         return self.frame(shading, **material).linear
+
+    def patched(
+        self, old: str, new: str, shading: fr.Shading = fr.Shading(), **material: object
+    ) -> NDArray[np.float32]:
+        """The same with one passage of the GLSL replaced."""
+        scene = fr.Scene(self.mesh.with_material(**material), self.camera)
+        step = shade_pass(scene, view_of(scene, 1.0), shading, self.renderer.samples)
+        draws = tuple(
+            replace(draw, program=Patched(**vars(draw.program), old=old, new=new))
+            for draw in step.draws
+        )
+        (linear,) = self.renderer._draw([replace(step, draws=draws)], scene)
+        return linear
 
     def frame(self, shading: fr.Shading = fr.Shading(), **material: object) -> fr.Frame:
         scene = fr.Scene(self.mesh.with_material(**material), self.camera)
@@ -98,7 +112,7 @@ def set_pixels(
     linear: NDArray[np.float32], where: tuple[NDArray[np.int64], ...], radiance: float
 ) -> NDArray[np.float32]:
     image = linear.copy()
-    image[(*where, slice(3))] = radiance
+    image[..., :3][where] = radiance
     return image
 
 
@@ -112,19 +126,19 @@ def rougher(studio: Studio, m: float = 0.306) -> Images:
 
 def no_masking(studio: Studio) -> Images:
     old = "min(h_dot_h, 4.0 * n_dot_h * min(n_dot_l, n_dot_v))"
-    return studio.draw(), studio.draw(Patched(old=old, new="h_dot_h"))
+    return studio.draw(), studio.patched(old, "h_dot_h")
 
 
 def no_power(studio: Studio) -> Images:
-    old = "* sec2 * (masked * inverse)"
-    return studio.draw(), studio.draw(Patched(old=old, new="/ sec2 * (masked * inverse)"))
+    old = "* sec2 * (masked.x * inverse)"
+    return studio.draw(), studio.patched(old, "/ sec2 * (masked.x * inverse)")
 
 
 def unclamped(studio: Studio) -> Images:
     old = "max(1.0 - steepness * (1.0 - min(c, 1.0)), 0.0)"
     new = "1.0 - steepness * (1.0 - c)"
     d16 = fr.Shading(lobe="d16")
-    return studio.draw(d16, m=0.2), studio.draw(Patched(lobe="d16", old=old, new=new), m=0.2)
+    return studio.draw(d16, m=0.2), studio.patched(old, new, d16, m=0.2)
 
 
 def black_pixels(studio: Studio) -> Images:

@@ -8,6 +8,8 @@ from typing import TypeVar
 
 from facerender.errors import InputError
 
+ULP = 2.0**-23  # of float32
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Entry:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError
-from facerender.terms.entry import Entry, named, registry
+from facerender.terms.entry import ULP, Entry, named, registry
 
 Float = NDArray[np.float64]
 
@@ -22,12 +22,14 @@ class Fresnel(Entry):
     ----------
     number : of its macro, unlike every other's
     evaluate : the same in float64; checks its domain
+    rounding : of f0 and V.H, how far float32 may be from it: relative to it, and absolute
     exactness : a plan may put terms of the same or a smaller one in its place
     at_most_1 : whether it is so everywhere, as a guarantee needs; refused where nobody knows
     """
 
     number: int
     evaluate: Callable[[ArrayLike, ArrayLike], Float]
+    rounding: Callable[[Float, Float], tuple[Float | float, Float | float]]
     exactness: int
     at_most_1: bool = False
 
@@ -94,6 +96,7 @@ FRESNEL: dict[str, Fresnel] = registry(
         file="fresnel/schlick",
         call="fr_fresnel_schlick(f0, v_dot_h)",
         evaluate=fresnel_schlick,
+        rounding=lambda f0, v_dot_h: (8.0 * ULP, 8.0 * ULP),
         exactness=1,
         at_most_1=True,
     ),
@@ -103,6 +106,8 @@ FRESNEL: dict[str, Fresnel] = registry(
         file="fresnel/dielectric",
         call="fr_fresnel_dielectric(f0, v_dot_h)",
         evaluate=fresnel_dielectric,
+        # square root, division, square: 10 ulp; the loss of a difference is absolute
+        rounding=lambda f0, v_dot_h: (16.0 * ULP, 16.0 * ULP * f0),
         exactness=2,
         at_most_1=True,
     ),
@@ -112,6 +117,7 @@ FRESNEL: dict[str, Fresnel] = registry(
         file="constants",
         call="f0",
         evaluate=_constant,
+        rounding=lambda f0, v_dot_h: (0.0, 0.0),
         exactness=0,
         at_most_1=True,
     ),

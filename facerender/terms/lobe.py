@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError
-from facerender.terms.entry import Entry, named, registry
+from facerender.terms.entry import ULP, Entry, named, registry
 
 Float = NDArray[np.float64]
 Float64Lobe = Callable[[ArrayLike, ArrayLike, int], Float]
@@ -25,7 +25,6 @@ Rounding = Callable[[Float, Float, int], tuple[Float | float, Float | float]]
 
 MIN_SLOPE = 1e-4
 MAX_SLOPE = 2.0
-ULP = 2.0**-23  # of float32
 TINY = 1.2e-38  # where float32's full precision ends; drivers may flush what is smaller to zero
 TITLES = {4: "Cook-Torrance", 0: "Ward"}  # of models, by k
 
