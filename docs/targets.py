@@ -11,7 +11,7 @@ from pathlib import Path
 
 from docs.template import missing
 from facerender.measure.tables import markdown_table
-from trials.cases import FUNCTIONS, cases_of, evaluated
+from trials.cases import GROUPS, cases_of, evaluated
 from trials.targets import TARGETS, Remote
 
 OUTPUT = Path(__file__).with_suffix(".md")
@@ -42,8 +42,8 @@ def row(target: str) -> list[str]:
     """Walk all cases on a target."""
     functions, samples, shares = set(), 0, {}
     with Remote(target) as remote:
-        for function in FUNCTIONS:
-            cases = cases_of(function)
+        for group in GROUPS:
+            cases = cases_of(group)
             for name, result in evaluated(cases, remote).items():
                 functions.update(re.findall(r"fr_\w+", cases[name].expression))
                 samples += len(result)

@@ -8,88 +8,47 @@ approximation has no meaning are among the inputs: it must still give a number.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
-from itertools import product
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from facerender import resolve_includes, shader_dir
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.evaluate import Evaluator, Inputs
-from facerender.terms import FRESNEL, LOBES, MASKING
+from facerender.terms import MASKING
+from tests.test_shaders import FILES, functions
+from trials import cases
+from trials.cases import Case
 
 FEW, MANY = 2**18, 2**20  # samples of one draw
 MANY_DRAWS = -(-(10**8) // MANY)
 
-CHOICES = {  # FR_K is of this test alone: the argument k
-    "FR_K": ("FR_K_COOK_TORRANCE", "FR_K_WARD"),
-    "FR_LOBE": (*(lobe.macro for lobe in LOBES.values()), "FR_LOBE_G_POWER"),
-    "FR_SMALL_SLOPE": ("0", "1"),
-    "FR_FRESNEL": tuple(term.macro for term in FRESNEL.values()),
-    "FR_MASKING": tuple(term.macro for term in MASKING.values()),
-}
-COOK_TORRANCE = "fr_cook_torrance(n, l, v, m, f0)"
-FRONTAL = "fr_cook_torrance_terms(n, l, v, m, f0, FR_LOBE, FR_FRESNEL_CONSTANT, FR_MASKING_NONE)"
-OTHER = FRONTAL.replace("CONSTANT", "DIELECTRIC").replace("NONE", "KELEMEN")
-LAID = "p.y + p.z, 1.0, p.y, p.z"  # n_dot_h, h_dot_h, n_dot_l, n_dot_v
-FUNCTIONS = (  # a file, a float of the inputs below, the choices on which it depends
-    ("cook_torrance", COOK_TORRANCE, "FR_LOBE FR_FRESNEL"),
-    ("cook_torrance", COOK_TORRANCE, "FR_LOBE FR_MASKING"),
-    ("cook_torrance", COOK_TORRANCE, "FR_SMALL_SLOPE FR_MASKING"),
-    ("cook_torrance", FRONTAL, "FR_LOBE"),
-    ("cook_torrance", FRONTAL.replace("FR_LOBE", "FR_DEFAULT_LOBE"), "FR_SMALL_SLOPE"),
-    ("cook_torrance", OTHER.replace("FR_LOBE", "FR_DEFAULT_LOBE"), ""),
-    ("ward", "fr_ward(n, l, v, m)", "FR_LOBE"),
-    ("ward", "fr_ward(n, l, v, m)", "FR_SMALL_SLOPE"),
-    ("ward", "fr_ward_terms(n, l, v, m, FR_LOBE)", "FR_LOBE"),
-    ("ward_printed", "fr_ward_printed(n, l, v, m)", "FR_LOBE"),
-    ("ward_printed", "fr_ward_printed_terms(n, l, v, m, FR_LOBE)", "FR_LOBE"),
-    ("half_vector", "fr_half_vector(n, l + v, dot(n, l) + dot(n, v)).x", "FR_SMALL_SLOPE"),
-    ("half_vector", "fr_half_vector(n, l + v, dot(n, l) + dot(n, v)).y", "FR_SMALL_SLOPE"),
-    ("lobe", "fr_lobe(c, m, FR_K)", "FR_LOBE FR_K"),
-    ("lobe", "fr_lobe_of(c, m, FR_K, FR_LOBE)", "FR_LOBE FR_K"),
-    ("lobe/exact", "fr_slope_factor(tan2)", ""),
-    ("lobe/exact", "fr_lobe_exact_tan2(tan2, m, FR_K)", "FR_K"),
-    ("lobe/g_power", "fr_lobe_clamped_power(c, tan2, 1)", ""),
-    ("lobe/g_power", "fr_lobe_clamped_power(c, tan2, 31)", ""),
-    *((lobe.file, re.sub(r"\bk\b", "FR_K", lobe.call), "FR_K") for lobe in LOBES.values()),
-    ("lobe/fitted", "length(fr_lobe_fitted_coefficients(m, FR_K) * m * m)", "FR_K"),
-    ("lobe/fitted", "length(fr_lobe_fitted_fine_coefficients(m, FR_K) * m * m * m)", "FR_K"),
-    ("fresnel", "fr_fresnel(f0, c)", "FR_FRESNEL"),
-    *(("fresnel", f"fr_fresnel_of(f0, c, {term.macro})", "") for term in FRESNEL.values()),
-    *(("fresnel", term.call.replace("v_dot_h", "c"), "") for term in FRESNEL.values()),
-    ("masking", "fr_masking_v_cavity(c, p.x, p.y, p.z)", ""),
-    ("masking", "fr_masking_kelemen(max(p.x, 0.5 * (p.y + p.z)), p.y, p.z)", ""),
-    *(("masking", f"fr_masking_of({LAID}, {term.macro}).x", "") for term in MASKING.values()),
-    ("masking", f"fr_masking_v_cavity_ratio({LAID}).y", ""),
+OWN_INPUTS = (  # what is called with other inputs here than in trials/cases.py
+    *("fr_masking_v_cavity", "fr_masking_kelemen", "fr_masking_of", "fr_masking_v_cavity_ratio"),
+    "fr_lobe_fitted_coefficients",
 )
-
+TO_DIVIDE = "p.y + p.z, 4.0 * p.x, p.y, p.z"  # dot(n, h), dot(h, h), dot(n, l), dot(n, v)
+OTHERS = (
+    ("masking", "fr_masking_v_cavity(c, p.x, p.y, p.z)"),
+    ("masking", "fr_masking_kelemen(max(p.x, 0.5 * (p.y + p.z)), p.y, p.z)"),
+    ("masking", f"length(fr_masking_v_cavity_ratio({TO_DIVIDE}))"),
+    *(("masking", f"length(fr_masking_of({TO_DIVIDE}, {x.macro}))") for x in MASKING.values()),
+    *(("lobe/fitted", f"length(fr_lobe_fitted_coefficients(m, {k}) * m * m)") for k in (0, 4)),
+    *(("lobe/fitted", f"length(fr_lobe_fitted_fine_coefficients(m, {k}) * m * m)") for k in (0, 4)),
+)
 BRDF = re.compile(r"\bfr_\w+\(n, l, v, m\b")
 
 
-class Case(NamedTuple):
-    file: str
-    expression: str
-    defines: tuple[str, ...] = ()
-
-    def __str__(self) -> str:
-        return " ".join([self.expression, *self.defines])
+def cases_of(group: str) -> dict[str, Case]:
+    """Return the cases of a group by name, that of OTHERS among them."""
+    if group != "others":
+        return cases.cases_of(group)
+    return {call: Case(cases.include(file), call, {}, np.zeros(1)) for file, call in OTHERS}
 
 
-def cases() -> Iterator[Case]:
-    for file, expression, choices in FUNCTIONS:
-        for values in product(*(CHOICES[name] for name in choices.split())):
-            chosen = dict(zip(choices.split(), values, strict=True))
-            call = expression.replace("FR_K", chosen.pop("FR_K", ""))
-            yield Case(file, call, tuple(f"{name} {value}" for name, value in chosen.items()))
-
-
-PROGRAMS: dict[tuple[str, ...], list[Case]] = {}  # by what they define
-for _case in cases():
-    PROGRAMS.setdefault(_case.defines, []).append(_case)
+GROUPS = (*(group for group in cases.GROUPS if group not in OWN_INPUTS), "others")
 
 
 class Random:
@@ -131,7 +90,7 @@ class Random:
         return x * (1 + by)[:, None]
 
     def inputs(self) -> dict[str, NDArray[np.float32]]:
-        """Unit vectors n, l and v; p in (0, 1] for products of them; m, f0, tan2 and c."""
+        """Unit vectors n, l, v; p in (0, 1] for products of them; m, f0, c; tan2 by three names."""
         light, eye = self.direction(), self.direction()
         kind = self.pick(4)[:, None]
         mirrored = light * np.float32([-1, -1, 1])
@@ -153,26 +112,25 @@ class Random:
         p = np.stack([self.cosine(), self.cosine(), self.cosine()], -1).clip(np.float32(1e-37))
         kind, tan2 = self.pick(8), self.small()
         tan2 = np.select([kind == 0, kind > 4], [np.float32(0), 1 / tan2], tan2)
-        return {"n": n, "l": l, "v": v, "p": p, "m": m, "f0": f0, "tan2": tan2, "c": self.cosine()}
+        vectors = {"n": n, "l": l, "v": v, "p": p}
+        scalars = {"m": m, "f0": f0, "c": self.cosine()}
+        return vectors | scalars | dict.fromkeys(("tan2", "x", "steepness"), tan2)
 
 
 def unit(x: NDArray[np.float32]) -> NDArray[np.float32]:
     return x / np.linalg.norm(x, axis=-1, keepdims=True)
 
 
-def faults(evaluator: Evaluator, cases: Sequence[Case], inputs: Inputs) -> list[str]:
-    """Tell what is wrong with the values of cases that define the same, and the inputs of the first
-    value that is."""
-    lines = [f"#define {define}" for define in cases[0].defines]
-    lines += [f'#include "facerender/{file}.glsl"' for file in dict.fromkeys(c.file for c in cases)]
-    prelude = resolve_includes("\n".join([*lines, ""]))
-    expressions = [case.expression for case in cases]
-    used = set(re.findall(r"\w+", " ".join(expressions)))
-    values = evaluator.each(prelude, expressions, {k: x for k, x in inputs.items() if k in used})
+def faults(evaluator: Evaluator, tried: Mapping[str, Case], inputs: Inputs) -> list[str]:
+    """Tell what is wrong with the values of cases at other inputs than theirs, and the inputs of
+    the first value that is."""
+    words = {name: re.findall(r"\w+", case.expression) for name, case in tried.items()}
+    used = {x: inputs[x] for x in inputs if any(x in each for each in words.values())}
+    there = {name: replace(case, inputs=used) for name, case in tried.items()}
     below = np.minimum(*((inputs["n"] * inputs[name]).sum(axis=-1) for name in "lv")) <= 0.0
     told = []
-    for case, found in zip(cases, values, strict=True):
-        lit = below & (found != 0.0) & bool(BRDF.search(case.expression))
+    for name, found in cases.evaluated(there, evaluator).items():
+        lit = below & (found != 0.0) & bool(BRDF.search(tried[name].expression))
         wrong = lit | ~((found >= 0.0) & (found < np.inf))
         if wrong.any():
             first = wrong.argmax()
@@ -182,10 +140,9 @@ def faults(evaluator: Evaluator, cases: Sequence[Case], inputs: Inputs) -> list[
                 "negative": found < 0.0,
                 "not 0 below the surface": lit,
             }
-            counts = ", ".join(f"{where.sum()} {name}" for name, where in bad.items())
-            told.append(f"{case}: {counts} in {len(found)} samples; first: {found[first]:.9g} at")
-            for name in re.findall(r"\b(?:[nlvpmc]|f0|tan2)\b", case.expression):
-                told.append(f"{name} = {inputs[name][first].tolist()}")
+            counts = ", ".join(f"{where.sum()} {what}" for what, where in bad.items())
+            told.append(f"{name}: {counts} in {len(found)} samples; first: {found[first]:.9g} at")
+            told += [f"{x} = {used[x][first].tolist()}" for x in used if x in words[name]]
     return told
 
 
@@ -201,9 +158,9 @@ def inputs() -> Inputs:
     return Random(0, FEW).inputs()
 
 
-@pytest.mark.parametrize("defines", PROGRAMS, ids=lambda defines: " ".join(defines) or "all others")
-def test_finite_and_not_negative(evaluator, inputs, defines):
-    if found := faults(evaluator, PROGRAMS[defines], inputs):
+@pytest.mark.parametrize("group", GROUPS)
+def test_finite_and_not_negative(evaluator, inputs, group):
+    if found := faults(evaluator, cases_of(group), inputs):
         pytest.fail("\n".join(found), pytrace=False)
 
 
@@ -211,10 +168,10 @@ def test_finite_and_not_negative(evaluator, inputs, defines):
 def test_finite_and_not_negative_in_many_samples(evaluator, capsys):
     for seed in range(MANY_DRAWS):
         inputs = Random(seed, MANY).inputs()
-        for cases in PROGRAMS.values():
-            if found := faults(evaluator, cases, inputs):
+        for group in GROUPS:
+            if found := faults(evaluator, cases_of(group), inputs):
                 pytest.fail("\n".join([f"seed {seed}", *found]), pytrace=False)
-    count = sum(map(len, PROGRAMS.values()))
+    count = sum(len(cases_of(group)) for group in GROUPS)
     with capsys.disabled():
         print(f"\n{MANY_DRAWS * MANY:,} samples of each of {count} expressions: none bad")
 
@@ -229,23 +186,16 @@ def test_finite_and_not_negative_in_many_samples(evaluator, capsys):
     ],
 )
 def test_a_fault_is_counted_and_told(evaluator, inputs, name, expression):
-    cases = [Case("ward", "c"), Case("ward", expression), Case("ward", "1.0")]
-    told, *at = faults(evaluator, cases, inputs)
+    calls = ("c", expression, "1.0")
+    tried = {call: Case(cases.include("ward"), call, {}, np.zeros(1)) for call in calls}
+    told, *at = faults(evaluator, tried, inputs)
     assert told.startswith(expression)
     assert re.search(rf"\b[1-9]\d* {name}", told)
     assert len(re.findall(r"\b0 (?:NaN|infinite|negative|not 0)", told)) == 3
     assert "c = 0.0" in at
 
 
-def test_no_function_and_no_choice_is_left_out():
-    files = sorted((shader_dir() / "facerender").rglob("*.glsl"))
-    library = "".join(path.read_text(encoding="utf-8") for path in files)
-    functions = re.findall(r"^\w+ (fr_\w+)\(", library, re.MULTILINE)
-    names = "FR_K|FR_LOBE|FR_FRESNEL|FR_MASKING"
-    choices = re.findall(rf"^#define ((?:{names})_\w+) \d+$", library, re.MULTILINE)
-    called = re.findall(r"\bfr_\w+", " ".join(call for _, call, _ in FUNCTIONS))
-    assert set(called) == set(functions)
-    choices = [name for name in choices if name not in ("FR_LOBE_OWN", "FR_LOBE_EVERY")]
-    assert set(choices) == {
-        value for values in CHOICES.values() for value in values if not value.isdigit()
-    }
+def test_no_function_is_left_out():
+    expressions = [case.expression for group in GROUPS for case in cases_of(group).values()]
+    called = {name for call in expressions for name in re.findall(r"fr_\w+", call)}
+    assert called == {name for path in FILES for name in functions(path.read_text())}

@@ -14,10 +14,13 @@ import pytest
 from facerender import InputError, brdf, lobes, resolve_includes, shader_dir, shader_source
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.evaluate import Evaluator
+from facerender.glsl.code import defines, lobe_macros
 from facerender.glsl.dispatch import dispatch
-from facerender.terms import FRESNEL, LOBES, MASKING, MODELS
-from trials.cases import Brdf, brdf_case, chosen, directions, include
+from facerender.shading import Term
+from facerender.terms import FRESNEL, LOBES, MASKING
+from trials.cases import brdf_case, directions, flat, include
 
+COOK_TORRANCE = "fr_cook_torrance(n, l, v, m, 0.028)"
 FILES = sorted((shader_dir() / "facerender").rglob("*.glsl"))
 
 
@@ -33,7 +36,7 @@ def test_exact_term_is_accurate_where_it_shows(evaluate, model):
     """Relative error at most 1e-4 wherever the lobe is above a thousandth of its peak."""
     m = np.resize(np.float32(np.linspace(0.05, 1.0, 20)), 200000)
     inputs = directions(m, lowest=0.02)
-    case = brdf_case(Brdf(model), "exact", 1, inputs)
+    case = brdf_case(Term(model), inputs)
     result = evaluate(case.prelude, case.expression, inputs)
     half = inputs["l"].astype(float) + inputs["v"]
     c = (half * inputs["n"]).sum(axis=-1) / np.linalg.norm(half, axis=-1)
@@ -64,8 +67,8 @@ def test_what_lies_outside_the_domain_counts_as_its_end(evaluate):
 def test_small_slopes_are_accurate_unless_the_host_says_otherwise(evaluate):
     inputs = directions(np.full(2000, 0.01, np.float32))
     unsaid, small = (
-        evaluate(define + include("ward"), "fr_ward(n, l, v, m)", inputs)
-        for define in ("", "#define FR_SMALL_SLOPE 1\n")
+        evaluate(include("ward", **macros), "fr_ward(n, l, v, m)", inputs)
+        for macros in ({}, {"FR_SMALL_SLOPE": "1"})
     )
     np.testing.assert_array_equal(unsaid, small)
 
@@ -73,8 +76,8 @@ def test_small_slopes_are_accurate_unless_the_host_says_otherwise(evaluate):
 def test_masking_of_an_unsaid_choice_is_that_of_v_cavities(evaluate):
     inputs = directions(np.full(2000, 0.3, np.float32))
     unsaid, said = (
-        evaluate(define + include("cook_torrance"), "fr_cook_torrance(n, l, v, m, 0.028)", inputs)
-        for define in ("", "#define FR_MASKING FR_MASKING_V_CAVITY\n")
+        evaluate(include("cook_torrance", **macros), COOK_TORRANCE, inputs)
+        for macros in ({}, {"FR_MASKING": "FR_MASKING_V_CAVITY"})
     )
     np.testing.assert_array_equal(unsaid, said)
 
@@ -92,30 +95,33 @@ def test_fitted_coefficients_may_come_from_the_host(evaluate, name):
     inputs = {"c": np.float32(np.linspace(0.0, 1.0, 100)), "m": np.full(100, 0.3, np.float32)}
     a = ", ".join(map(str, lobes.FITTED[name, 4].coefficients(0.3)))
     macro = f"FR_{name.upper().replace('-', '_')}_COEFFICIENTS"
-    prelude = chosen("lobe", name, **{f"{macro}(m, k)": f"vec{3 + name.endswith('fine')}({a})"})
+    vector = f"vec{3 + name.endswith('fine')}({a})"
+    prelude = include("lobe", **lobe_macros(name) | {f"{macro}(m, k)": vector})
     given = evaluate(prelude, "fr_lobe(c, 0.9, 4)", inputs)  # m is not used
     np.testing.assert_allclose(given, lobes.lobe(name, inputs["c"], 0.3, 4), atol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["cook-torrance", "ward"])
+@pytest.mark.parametrize(
+    ("model", "file", "call", "f0"),
+    [
+        ("cook-torrance", "cook_torrance", "fr_printed_cook_torrance(n, l, v, m, 0.028)", 0.028),
+        ("ward-printed", "ward", "fr_printed_ward(n, l, v, m)", 1.0),
+    ],
+)
 @pytest.mark.parametrize("lobe", ["exact", "d4", "d8", "d16"])
-def test_printed_forms_agree_where_they_are_sound(evaluate, name, lobe):
+def test_printed_forms_agree_where_they_are_sound(evaluate, model, file, call, f0, lobe):
     inputs = directions(np.full(5000, 0.3, np.float32), lowest=0.2)
-    model = "ward-printed" if name == "ward" else name
-    case = brdf_case(Brdf(model), lobe, 1, inputs)
-    printed, ours = MODELS[name].file, MODELS[model].file
-    text = resolve_includes(f'#include "printed/{printed}.glsl"\n')
-    prelude = case.prelude.replace(include(ours), text)
-    call = case.expression.replace(f"fr_{ours}", f"fr_printed_{printed}")
+    expected = Term(model, lobe).brdf(*inputs.values(), f0)
+    prelude = defines(lobe_macros(lobe)) + flat(f'#include "printed/{file}.glsl"\n')
     result = evaluate(prelude, call, inputs)
     # Where the clamp acts, the printed power rises again; where V.H or N.H rounds to more than 1,
     # pow of a negative base and acos are NaN.
     half = (inputs["l"] + inputs["v"]).astype(float)
     c = (half * inputs["n"]).sum(axis=-1) / np.linalg.norm(half, axis=-1)
     away = ((inputs["l"] * inputs["v"]).sum(axis=-1) < 0.9999) & (c < 0.9999)
-    sound = (case.expected > 0.0) & away
+    sound = (expected > 0.0) & away
     # acos and tan cost the printed Ward three digits
-    np.testing.assert_allclose(result[sound], case.expected[sound], rtol=2e-3, atol=1e-5)
+    np.testing.assert_allclose(result[sound], expected[sound], rtol=2e-3, atol=1e-5)
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
@@ -143,11 +149,11 @@ def test_every_reference_function_has_its_twin_in_glsl():
     source = "".join(path.read_text() for path in FILES)
     host_only = {"check_slope", "in_domain", "max_slope"}
     for module, prefix in ((lobes, "fr_lobe_"), (brdf, "fr_")):
-        for name, function in inspect.getmembers(module, inspect.isfunction):
-            public = function.__module__ == module.__name__ and not name.startswith("_")
-            if public and name not in host_only:
-                twin = "fr_lobe" if name == "lobe" else prefix + name
-                assert re.search(rf"\b{twin}\(", source), name
+        public = {name for name in module.__all__ if inspect.isfunction(getattr(module, name))}
+        assert public > host_only if module is lobes else public
+        for name in public - host_only:
+            twin = "fr_lobe" if name == "lobe" else prefix + name
+            assert re.search(rf"\b{twin}\(", source), name
 
 
 def test_constants_of_the_fitted_lobes_are_the_same_in_glsl():
@@ -172,7 +178,7 @@ def test_source_is_flat_and_includes_may_stand_in_conditions(evaluate):
 
 @pytest.mark.parametrize("name", ["FR_LOBE_D32", "7", "0"])
 def test_unknown_lobe_does_not_compile(evaluate, name):
-    prelude = f"#define FR_LOBE {name}\n" + include("ward")
+    prelude = include("ward", FR_LOBE=name)
     with pytest.raises(moderngl.Error, match="FR_LOBE is none of"):
         evaluate(prelude, "fr_lobe(1.0, m, 0)", {"m": np.float32([0.3])})
 
@@ -189,12 +195,12 @@ def test_macros_of_terms_have_numbers_of_their_own():
 
 
 def test_a_lobe_that_is_not_there_gives_no_lobe(evaluate):
-    prelude = "#define FR_LOBE FR_LOBE_D8\n" + include("lobe")
     inputs = {"c": np.float32([0.9])}
+    prelude = include("lobe", FR_LOBE="FR_LOBE_D8")
     assert evaluate(prelude, "fr_lobe_of(c, 0.3, 4, FR_LOBE_EXACT)", inputs) == -1.0
 
 
 def test_a_hosts_lobe_needs_its_function(evaluate):
-    prelude = "#define FR_LOBE FR_LOBE_OWN\n" + include("lobe")
+    prelude = include("lobe", FR_LOBE="FR_LOBE_OWN")
     with pytest.raises(moderngl.Error, match="FR_LOBE_FUNCTION names"):
         evaluate(prelude, "fr_lobe(c, 0.3, 4)", {"c": np.float32([0.9])})

@@ -10,7 +10,7 @@ import pytest
 
 from tests.conftest import missing
 from tests.test_shaders import FILES, functions
-from trials.cases import FUNCTIONS, cases_of, evaluated
+from trials.cases import GROUPS, cases_of, evaluated
 from trials.targets import TARGETS, Remote
 
 
@@ -24,9 +24,9 @@ def target(request: pytest.FixtureRequest) -> Iterator[Remote]:
         yield remote
 
 
-@pytest.mark.parametrize("function", FUNCTIONS)
-def test_function_agrees_with_float64(target, function):
-    cases = cases_of(function)
+@pytest.mark.parametrize("group", GROUPS)
+def test_functions_agree_with_float64(target, group):
+    cases = cases_of(group)
     results = evaluated(cases, target)
     faults = {name: case.fault(results[name]) for name, case in cases.items()}
     told = [f"{name}: {fault}" for name, fault in faults.items() if fault]
@@ -36,6 +36,6 @@ def test_function_agrees_with_float64(target, function):
 
 def test_every_function_is_walked():
     defined = {name for path in FILES for name in functions(path.read_text())}
-    expressions = [case.expression for name in FUNCTIONS for case in cases_of(name).values()]
+    expressions = [case.expression for group in GROUPS for case in cases_of(group).values()]
     called = {name for call in expressions for name in re.findall(r"fr_\w+", call)}
     assert called == defined

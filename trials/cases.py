@@ -1,5 +1,5 @@
 """Cases of every public function of the shader library: an expression, its inputs, what float64
-makes of them, and how far a target may be from it.
+makes of them, and how far a target may be from it. Terms are those of the registry.
 
 The bounds come from the precision that OpenGL and Vulkan ask of drivers, in units of the last place
 (2^-23): division 2.5, inversesqrt 2, exp2(x) 3 + 2|x|, log2 3 and 2^-21 absolute in [0.5, 2]; sums
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Protocol
 
@@ -19,16 +19,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender import brdf, lobes, resolve_includes
 from facerender.drawing.evaluate import Inputs
-from facerender.glsl.code import defines, lobe_macros
-from facerender.lobes import GPower
-from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, Fresnel, Masking, lobe_entry
+from facerender.glsl import code
+from facerender.lobes import AnyLobe, GPower
+from facerender.shading import Term
+from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, lobe_entry
 from facerender.terms.entry import ULP
-from facerender.terms.lobe import TINY, TITLES, power_error
+from facerender.terms.lobe import TINY, power_error
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
 DIRECTIONS = 20_000  # for each BRDF
+F0 = 0.028
 
 
 def singles(values: ArrayLike) -> Singles:
@@ -80,23 +82,26 @@ class Case:
 CASES: dict[str, Callable[[], Case]] = {}
 
 
-def case(*parameters: object) -> Callable[[Callable[..., Case]], Callable[..., Case]]:
-    """Register a maker of cases, once for each parameter."""
+def add(group: str, make: Callable[..., Case], *values: object) -> None:
+    """Add a case, which is named after its group and values."""
+    CASES[" ".join([group, *map(str, values)])] = partial(make, *values)
+
+
+def case(*parameters: tuple[object, ...]) -> Callable[[Callable[..., Case]], Callable[..., Case]]:
+    """Add a case of the function of a maker's name for each of its parameters."""
 
     def register(make: Callable[..., Case]) -> Callable[..., Case]:
-        for parameter in parameters or ((),):
-            values = parameter if isinstance(parameter, tuple) else (parameter,)
-            name = " ".join(["fr_" + make.__name__, *map(str, values)])
-            CASES[name] = partial(make, *values)
+        for values in parameters or ((),):
+            add("fr_" + make.__name__, make, *values)
         return make
 
     return register
 
 
 @cache
-def cases_of(function: str) -> dict[str, Case]:
-    """Return the cases of one of FUNCTIONS by name."""
-    return {name: make() for name, make in CASES.items() if name.split()[0] == function}
+def cases_of(group: str) -> dict[str, Case]:
+    """Return the cases of one of GROUPS by name."""
+    return {name: make() for name, make in CASES.items() if name.split()[0] == group}
 
 
 def evaluated(cases: Mapping[str, Case], target: Each) -> dict[str, Singles]:
@@ -113,24 +118,19 @@ def evaluated(cases: Mapping[str, Case], target: Each) -> dict[str, Singles]:
     return results
 
 
-@cache
-def include(name: str) -> str:
-    """Return a file of the library as flat text."""
-    return resolve_includes(f'#include "facerender/{name}.glsl"\n')
+flat = cache(resolve_includes)
 
 
-def chosen(name: str, lobe: AnyLobe, **macros: str) -> str:
-    """Return a file with a lobe, and further macros."""
-    return defines(lobe_macros(lobe) | macros) + include(name)
-
-
-def every(name: str, **macros: str) -> str:
-    """Return a file with every lobe, and further macros."""
-    return defines({"FR_LOBE": "FR_LOBE_EVERY"} | macros) + include(name)
+def include(name: str, **macros: str) -> str:
+    """Return a file of the library as flat text, behind macros."""
+    return code.defines(macros) + flat(f'#include "facerender/{name}.glsl"\n')
 
 
 def grid(*axes: ArrayLike) -> list[Singles]:
     return [axis.ravel() for axis in np.meshgrid(*map(singles, axes), indexing="ij")]
+
+
+# --- lobes ---------------------------------------------------------------------------------------
 
 
 @cache
@@ -144,10 +144,66 @@ def cosines_and_slopes(end: float) -> dict[str, Singles]:
     return dict(zip("cm", grid(COSINES, slopes(end)), strict=True))
 
 
-def of_the_cosine(name: AnyLobe, k: int) -> tuple[dict[str, Singles], Floats, Floats]:
-    """The inputs c and m, and both in float64."""
-    inputs = cosines_and_slopes(lobes.max_slope(name, k))
-    return inputs, inputs["c"].astype(float), inputs["m"].astype(float)
+OWN = GPower(11, 0.2, 0.5)
+STEEP = GPower(5, 1.2, 0.8)
+ALL_LOBES: tuple[AnyLobe, ...] = (*LOBES, OWN, STEEP)
+
+
+def lobe_case(prelude: str, call: str, lobe: AnyLobe, k: int) -> Case:
+    """A call that is a lobe of c and m, within its bound in the registry."""
+    entry = lobe_entry(lobe)
+    inputs = cosines_and_slopes(entry.end(k))
+    c, m = (values.astype(float) for values in inputs.values())
+    expected = entry.evaluate(c, m, k)
+    return Case(prelude, call, inputs, expected, *entry.rounding(c, m, k))
+
+
+def lobe_alone(lobe: AnyLobe, k: int) -> Case:
+    entry = lobe_entry(lobe)
+    call = re.sub(r"\bk\b", str(k), entry.call)
+    return lobe_case(include(entry.file), call, lobe, k)
+
+
+def lobe_by_macro(lobe: AnyLobe, k: int) -> Case:
+    prelude = include("lobe", **code.lobe_macros(lobe))
+    return lobe_case(prelude, f"fr_lobe(c, m, {k})", lobe, k)
+
+
+def lobe_by_argument(lobe: AnyLobe, k: int) -> Case:
+    prelude = include("lobe", **code.lobe_macros(lobe) | {"FR_LOBE": "FR_LOBE_EVERY"})
+    return lobe_case(prelude, f"fr_lobe_of(c, m, {k}, {lobe_entry(lobe).macro})", lobe, k)
+
+
+for _lobe in ALL_LOBES:
+    for _k in lobe_entry(_lobe).ends:
+        if _lobe in LOBES:
+            add(lobe_entry(_lobe).call.split("(")[0], lobe_alone, _lobe, _k)
+        add("fr_lobe", lobe_by_macro, _lobe, _k)
+        add("fr_lobe_of", lobe_by_argument, _lobe, _k)
+
+
+def lobe_default_g_power(k: int, g: int | None) -> Case:
+    """Of the macros of a g-power, one or none: D8, or its steepness with another power."""
+    macros = {"FR_LOBE": "FR_LOBE_G_POWER"} | ({"FR_G": str(g)} if g else {})
+    call = f"fr_lobe(c, m, {k})"
+    return lobe_case(include("lobe", **macros), call, GPower(g or 8, 2 / (g or 8), k / (g or 8)), k)
+
+
+def lobe_of_the_host(chosen: str) -> Case:
+    """A function of the host's own, by the macros or, where every lobe is there, as an argument."""
+    own = "highp float own(highp float c, highp float m, int k) { return c * m + float(k); }\n"
+    macros = {"FR_LOBE_FUNCTION": "own"} | ({"FR_LOBE": chosen} if chosen else {})
+    call = "fr_lobe_of(c, m, 4, FR_LOBE_OWN)" if "EVERY" in chosen else "fr_lobe(c, m, 4)"
+    inputs = cosines_and_slopes(lobes.MAX_SLOPE)
+    c, m = (values.astype(float) for values in inputs.values())
+    return Case(own + include("lobe", **macros), call, inputs, c * m + 4.0, 2 * ULP)
+
+
+for _k in (0, 4):
+    for _g in (None, 5):
+        add("fr_lobe", lobe_default_g_power, _k, _g)
+for _chosen in ("", "FR_LOBE_OWN", "FR_LOBE_EVERY"):
+    add("fr_lobe", lobe_of_the_host, _chosen)
 
 
 @case()
@@ -165,7 +221,7 @@ def tangents_and_slopes() -> dict[str, Singles]:
     return dict(zip(("tan2", "m"), grid(tan2, m), strict=True))
 
 
-@case(0, 4)
+@case((0,), (4,))
 def lobe_exact_tan2(k: int) -> Case:
     inputs = tangents_and_slopes()
     tan2, m = inputs.values()
@@ -178,28 +234,13 @@ def lobe_exact_tan2(k: int) -> Case:
     return Case(include("lobe/exact"), call, inputs, expected, relative, smallest)
 
 
-def lobe_function(k: int, name: str) -> Case:
-    """The function of a lobe of the registry, over its whole domain."""
-    entry = LOBES[name]
-    inputs, c, m = of_the_cosine(name, k)
-    call = re.sub(r"\bk\b", str(k), entry.call)
-    expected = entry.evaluate(c, m, k)
-    return Case(include(entry.file), call, inputs, expected, *entry.rounding(c, m, k))
-
-
-for _entry in LOBES.values():
-    for _k in TITLES:
-        _name = f"{_entry.call.split('(')[0]} {_k} {_entry.name}"
-        CASES[_name] = partial(lobe_function, _k, _entry.name)
-
-
 @cache
 def cosines_and_steepness() -> dict[str, Singles]:
     axes = grid(COSINES, [0.0, 0.1, 1.0, 3.0, 30.0, 1e3, 1e8])
     return dict(zip(("c", "steepness"), axes, strict=True))
 
 
-@case(*range(1, 32))
+@case(*((g,) for g in range(1, 32)))
 def lobe_clamped_power(g: int) -> Case:
     inputs = cosines_and_steepness()
     c, steepness = (values.astype(float) for values in inputs.values())
@@ -216,12 +257,7 @@ def slopes_alone(end: float) -> dict[str, Singles]:
     return {"m": slopes(end)}
 
 
-COEFFICIENTS = [(k, "fitted", i) for k in (0, 4) for i in range(3)]
-COEFFICIENTS += [(k, "fitted-fine", i) for k in (0, 4) for i in range(4)]
-
-
-@case(*COEFFICIENTS)
-def lobe_fitted_coefficients(k: int, name: str, i: int) -> Case:
+def coefficient(name: str, k: int, i: int) -> Case:
     lobe = lobes.FITTED[name, k]
     inputs = slopes_alone(lobe.max_slope)
     m = inputs["m"].astype(float)
@@ -233,42 +269,48 @@ def lobe_fitted_coefficients(k: int, name: str, i: int) -> Case:
     return Case(include("lobe/fitted"), call, inputs, 3.0 + expected, 0.0, absolute)
 
 
+for _name, _k in lobes.FITTED:
+    for _i in range(len(lobes.FITTED[_name, _k].table[0])):
+        add("fr_lobe_fitted_coefficients", coefficient, _name, _k, _i)
+
+
+# --- Fresnel and masking terms -------------------------------------------------------------------
+
+
 @cache
 def reflectances_and_cosines() -> dict[str, Singles]:
-    f0 = [0.0, 1e-8, 1e-4, 0.028, 0.1, 0.5, 0.9]
+    f0 = [0.0, 1e-8, 1e-4, F0, 0.1, 0.5, 0.9]
     return dict(zip(("f0", "c"), grid(f0, [*np.linspace(0, 1, 501), 1e-9, 1e-20]), strict=True))
 
 
-def fresnel_function(entry: Fresnel) -> Case:
-    """The function of a Fresnel term of the registry."""
-    inputs = reflectances_and_cosines()
+def fresnel_case(name: str, prelude: str, call: str) -> Case:
+    """A call that is a Fresnel term of f0 and c, within its bound in the registry."""
+    inputs, entry = reflectances_and_cosines(), FRESNEL[name]
     f0, c = (values.astype(float) for values in inputs.values())
-    call = entry.call.replace("v_dot_h", "c")
-    return Case(include("fresnel"), call, inputs, entry.evaluate(f0, c), *entry.rounding(f0, c))
+    return Case(prelude, call, inputs, entry.evaluate(f0, c), *entry.rounding(f0, c))
 
 
-def masking_ratio(entry: Masking, call: str) -> Case:
-    """G/((N.L)(N.V)) of a masking term of the registry."""
-    axes = grid([1e-6, 1e-3, *np.linspace(0.01, 1.0, 20)], [1e-6, *np.linspace(0.01, 1.0, 20)],
-                [1.0, 1.001, 1.1, 2.0])  # fmt: skip
-    n_dot_l, n_dot_v, longer = axes
-    h_dot_h = singles((n_dot_l + n_dot_v) ** 2 * longer)
-    inputs = {"n_dot_l": n_dot_l, "n_dot_v": n_dot_v, "h_dot_h": h_dot_h}
-    nl, nv, hh = (values.astype(float) for values in inputs.values())
-    expected = entry.evaluate((nl + nv) / np.sqrt(hh), 0.5 * np.sqrt(hh), nl, nv) / (nl * nv)
-    ratio = call.replace("n_dot_h", "n_dot_l + n_dot_v")
-    expression = f"{ratio}.x / ({ratio}.y * h_dot_h)"
-    return Case(include("masking"), expression, inputs, expected, 12 * ULP)
+def fresnel_alone(name: str) -> Case:
+    call = FRESNEL[name].call.replace("v_dot_h", "c")
+    return fresnel_case(name, include(FRESNEL[name].file), call)
 
 
-for _fresnel in FRESNEL.values():
+@case(*((name,) for name in FRESNEL))
+def fresnel(name: str) -> Case:
+    prelude = include("fresnel", FR_FRESNEL=FRESNEL[name].macro)
+    return fresnel_case(name, prelude, "fr_fresnel(f0, c)")
+
+
+@case(*((name, chosen) for name in FRESNEL for chosen in FRESNEL if chosen != name))
+def fresnel_of(name: str, chosen: str) -> Case:
+    """Whatever the host chose for fr_fresnel."""
+    prelude = include("fresnel", FR_FRESNEL=FRESNEL[chosen].macro)
+    return fresnel_case(name, prelude, f"fr_fresnel_of(f0, c, {FRESNEL[name].macro})")
+
+
+for _name, _fresnel in FRESNEL.items():
     if _fresnel.call.startswith("fr_"):
-        CASES[_fresnel.call.split("(")[0]] = partial(fresnel_function, _fresnel)
-for _masking in MASKING.values():
-    _of = f"fr_masking_of(n_dot_h, h_dot_h, n_dot_l, n_dot_v, {_masking.macro})"
-    CASES[f"fr_masking_of {_masking.name}"] = partial(masking_ratio, _masking, _of)
-    if _masking.call.startswith("fr_"):
-        CASES[_masking.call.split("(")[0]] = partial(masking_ratio, _masking, _masking.call)
+        add(_fresnel.call.split("(")[0], fresnel_alone, _name)
 
 
 @case()
@@ -291,78 +333,40 @@ def masking_kelemen() -> Case:
     return Case(include("masking"), call, inputs, expected, 8 * ULP)
 
 
-OWN = GPower(11, 0.2, 0.5)
-STEEP = GPower(5, 1.2, 0.8)
-
-
-@case(*((k, name) for k in (0, 4) for name in (*LOBES, OWN, STEEP)))
-def lobe(k: int, name: AnyLobe) -> Case:
-    """The choice at compile time; what was chosen is tested above."""
-    return lobe_case(k, name, chosen("lobe", name))
-
-
-@case(*((k, g) for k in (0, 4) for g in (None, 5)))
-def lobe_default_g_power(k: int, g: int | None) -> Case:
-    """Of the macros of a g-power, one or none: D8, or its steepness with another power."""
-    said = f"#define FR_G {g}\n" if g else ""
-    prelude = f"{said}#define FR_LOBE FR_LOBE_G_POWER\n" + include("lobe")
-    return lobe_case(k, GPower(g, 2.0 / g, k / g) if g else "d8", prelude)
-
-
-@case(*((k, name) for k in (0, 4) for name in (*LOBES, OWN)))
-def lobe_of(k: int, name: AnyLobe) -> Case:
-    """The choice by a constant, where every lobe is there."""
-    entry = lobe_entry(name)
-    call = f"fr_lobe_of(c, m, {k}, {entry.macro})"
-    return lobe_case(k, name, every("lobe", **entry.macros), call)
-
-
-@case(*((k, lobe) for k in (0, 4) for lobe in ("", "FR_LOBE_OWN", "FR_LOBE_EVERY")))
-def lobe_of_the_host(k: int, lobe: str) -> Case:
-    """A function that the host names; with every lobe there it is called by its constant."""
-    said = f"#define FR_LOBE {lobe}\n" if lobe else ""
-    prelude = (
-        "highp float own(highp float c, highp float m, int k) { return c * m + float(k); }\n"
-        f"#define FR_LOBE_FUNCTION own\n{said}{include('lobe')}"
-    )
-    inputs = cosines_at_one_slope()
-    expected = inputs["c"].astype(float) * inputs["m"] + k
-    call = f"fr_lobe_of(c, m, {k}, FR_LOBE_OWN)" if "EVERY" in lobe else f"fr_lobe(c, m, {k})"
-    return Case(prelude, call, inputs, expected, 4 * ULP)
-
-
 @cache
-def cosines_at_one_slope() -> dict[str, Singles]:
-    c = singles(np.linspace(0.5, 1.0, 200))
-    return {"c": c, "m": np.full_like(c, 0.3)}
+def cosines_with_a_long_half_vector() -> dict[str, Singles]:
+    """h = l + v of a length up to 2, and of at least what its cosines ask for."""
+    axis = [1e-6, 1e-3, *np.linspace(0.01, 1.0, 20)]
+    n_dot_l, n_dot_v, share = grid(axis, axis, np.linspace(0.0, 1.0, 10))
+    n_dot_h = n_dot_l + n_dot_v
+    h_dot_h = n_dot_h**2 + share * (4.0 - n_dot_h**2)
+    return {"n_dot_h": n_dot_h, "h_dot_h": h_dot_h, "n_dot_l": n_dot_l, "n_dot_v": n_dot_v}
 
 
-def lobe_case(k: int, name: AnyLobe, prelude: str, call: str = "") -> Case:
-    inputs = cosines_at_one_slope()
-    expected = lobes.lobe(name, inputs["c"], inputs["m"], k)
-    return Case(prelude, call or f"fr_lobe(c, m, {k})", inputs, expected, 1e-4, 1e-5)
+def masking_ratio(name: str, call: str = "") -> Case:
+    """G/((N.L)(N.V)) (h.h), the quotient of what the entry's call or another returns."""
+    inputs = cosines_with_a_long_half_vector()
+    n_dot_h, h_dot_h, n_dot_l, n_dot_v = (values.astype(float) for values in inputs.values())
+    length = np.sqrt(h_dot_h)
+    masked = MASKING[name].evaluate(n_dot_h / length, 0.5 * length, n_dot_l, n_dot_v)
+    prelude = include("masking") + "highp float quotient(highp vec2 x) { return x.x / x.y; }\n"
+    expected = masked / (n_dot_l * n_dot_v) * h_dot_h
+    call = f"quotient({call or MASKING[name].call})"
+    return Case(prelude, call, inputs, expected, 8 * ULP)
 
 
-KINDS = tuple(FRESNEL)
+def masking_of(name: str) -> Case:
+    call = f"fr_masking_of(n_dot_h, h_dot_h, n_dot_l, n_dot_v, {MASKING[name].macro})"
+    return masking_ratio(name, call)
 
 
-@case(*KINDS)
-def fresnel(kind: str) -> Case:
-    prelude = f"#define FR_FRESNEL {FRESNEL[kind].macro}\n" + include("fresnel")
-    return fresnel_case(kind, "fr_fresnel(0.1, c)", prelude)
+for _name, _masking in MASKING.items():
+    add("fr_masking_of", masking_of, _name)
+    if _masking.call.startswith("fr_"):
+        add(_masking.call.split("(")[0], masking_ratio, _name)
 
 
-@case(*KINDS)
-def fresnel_of(kind: str) -> Case:
-    """Whatever the host chose for fr_fresnel."""
-    other = KINDS[KINDS.index(kind) - 1]
-    prelude = f"#define FR_FRESNEL {FRESNEL[other].macro}\n" + include("fresnel")
-    return fresnel_case(kind, f"fr_fresnel_of(0.1, c, {FRESNEL[kind].macro})", prelude)
-
-
-def fresnel_case(kind: str, call: str, prelude: str) -> Case:
-    c = singles(np.linspace(0.0, 1.0, 101))
-    return Case(prelude, call, {"c": c}, brdf.fresnel(0.1, c, kind), 1e-5, 1e-6)
+# --- models --------------------------------------------------------------------------------------
 
 
 def directions(m: Singles, lowest: float = 1e-5) -> dict[str, Singles]:
@@ -409,83 +413,42 @@ def half_vector(axis: str, small_slope: int) -> Case:
     }[axis]
     if axis == "y" and small_slope:
         absolute *= 2.0 * np.sqrt(sine2) + error
-    prelude = f"#define FR_SMALL_SLOPE {small_slope}\n" + include("half_vector")
+    prelude = include("half_vector", FR_SMALL_SLOPE=str(small_slope))
     call = f"fr_half_vector(n, l + v, dot(n, l) + dot(n, v)).{axis}"
     return Case(prelude, call, inputs, expected, 0.0, absolute)
 
 
-@dataclass(frozen=True)
-class Brdf:
-    """A function of a model.
-
-    Attributes
-    ----------
-    model, fresnel, masking : names of the registry
-    by_call : the terms are arguments, with every lobe there; they are macros elsewhere
-    """
-
-    model: str
-    fresnel: str = "schlick"
-    masking: str = "v-cavity"
-    by_call: bool = False
-
-    def __str__(self) -> str:
-        terms = f" {self.fresnel} {self.masking}" if MODELS[self.model].factors else ""
-        return f"fr_{MODELS[self.model].file}{'_terms' * self.by_call}{terms}"
-
-    def glsl(self, lobe: AnyLobe, small_slope: int) -> tuple[str, str]:
-        """Return prelude and call, of n, l, v, m; a model without a Fresnel term has f0 = 1."""
-        model, macros = MODELS[self.model], {"FR_SMALL_SLOPE": str(small_slope)}
-        fresnel, masking = FRESNEL[self.fresnel].macro, MASKING[self.masking].macro
-        entry = lobe_entry(lobe)
-        if self.by_call:
-            call = model.call.format(m="m", lobe=entry.macro, fresnel=fresnel, masking=masking)
-            call = call.replace("f0 * ", "").replace("f0", "0.028")
-            return every(model.file, **(entry.macros | macros)), call
-        if model.factors:
-            macros |= {"FR_FRESNEL": fresnel, "FR_MASKING": masking}
-        arguments = "n, l, v, m, 0.028" if model.factors else "n, l, v, m"
-        return chosen(model.file, lobe, **macros), f"fr_{model.file}({arguments})"
-
-
-BRDFS = (
-    Brdf("cook-torrance"),
-    *(Brdf("cook-torrance", fresnel) for fresnel in FRESNEL if fresnel != "schlick"),
-    *(Brdf("cook-torrance", masking=masking) for masking in MASKING if masking != "v-cavity"),
-    *(Brdf(model.name) for model in MODELS.values() if not model.factors),
-    Brdf("cook-torrance", "constant", "none", by_call=True),
-    Brdf("cook-torrance", "dielectric", "kelemen", by_call=True),
-    *(Brdf(model.name, by_call=True) for model in MODELS.values()),
-)
-
-
-def brdf_case(of: Brdf, lobe: AnyLobe, small_slope: int, inputs: Inputs) -> Case:
-    """A BRDF at directions; the bounds are those of its header, relative to what the lobe's peak
-    gives in the same directions, and none where it is exactly 0."""
-    model, entry = MODELS[of.model], lobe_entry(lobe)
+def brdf_case(term: Term, inputs: Inputs, prelude: str = "", call: str = "") -> Case:
+    """A BRDF at directions, as the term's own GLSL or another call; the bounds are those of its
+    header, relative to what the lobe's peak gives in the same directions, and none where it is
+    exactly 0."""
     n, l, v, m = (inputs[axis].astype(float) for axis in "nlvm")
     n_dot_l, n_dot_v = ((n * x).sum(axis=-1) for x in (l, v))
     above = (n_dot_l > brdf.MIN_COSINE) & (n_dot_v > brdf.MIN_COSINE)
     n_dot_l, n_dot_v = (cosine.clip(brdf.MIN_COSINE) for cosine in (n_dot_l, n_dot_v))
     v_dot_h = 0.5 * np.linalg.norm(l + v, axis=-1).clip(1e-30)
-    f0 = 0.028 if model.factors else 1.0
-    expected = model.evaluate(
-        *(n, l, v, m, f0), lobe=lobe, fresnel_term=of.fresnel, masking_term=of.masking
-    )
-    if model.factors:
-        n_dot_h = (n_dot_l + n_dot_v) / (2.0 * v_dot_h)
-        masked = MASKING[of.masking].evaluate(n_dot_h, v_dot_h, n_dot_l, n_dot_v)
-        peak = masked / (n_dot_l * n_dot_v) * FRESNEL[of.fresnel].evaluate(f0, v_dot_h)
+    n_dot_h = (n_dot_l + n_dot_v) / (2.0 * v_dot_h)
+    if term.entry.factors:
+        masked = MASKING[term.masking].evaluate(n_dot_h, v_dot_h, n_dot_l, n_dot_v)
+        peak = masked / (n_dot_l * n_dot_v) * FRESNEL[term.fresnel].evaluate(F0, v_dot_h)
     else:
-        peak = (n_dot_v + v_dot_h if "printed" in of.model else n_dot_l * n_dot_v) ** -0.5
+        peak = F0 * (n_dot_l * n_dot_v if term.model == "ward" else n_dot_v + v_dot_h) ** -0.5
+    lobe, k = lobe_entry(term.lobe), term.entry.k
+    if lobe.highest is not None:
+        slope, place = np.unique(m, return_inverse=True)
+        peak *= np.array([lobe.highest(each, k) for each in slope.tolist()])[place]
     peak /= 4.0 * np.pi * m**2
-    if entry.highest is not None:
-        peak *= np.vectorize(entry.highest)(m, model.k)
-    accurate = entry.of_tan2 is not None and small_slope
-    e = entry.amplified(4e-7 * (1.0 + 1.0 / (n_dot_l + n_dot_v)))
+    e = lobe.amplified(4e-7 * (1.0 + 1.0 / (n_dot_l + n_dot_v)))
+    accurate = lobe.of_tan2 is not None and term.keeps_small_slopes(0.0)
     bound = 1e-5 + 2e-7 / n_dot_l + 2e-7 / n_dot_v + e / (m if accurate else m**2)
-    absolute = np.where(above, peak * bound, 0.0)
-    return Case(*of.glsl(lobe, small_slope), inputs, expected, 0.0, absolute)
+    return Case(
+        f"const float f0 = {F0};\n" + (prelude or flat(code.prelude([term], 0.0))),
+        call or code.call(term),
+        inputs,
+        term.brdf(n, l, v, m, F0),
+        0.0,
+        np.where(above, peak * bound, 0.0),
+    )
 
 
 EXTREMES = {
@@ -521,13 +484,41 @@ def directions_and_extremes(end: float) -> dict[str, Singles]:
     return {axis: np.concatenate([part[axis] for part in parts]) for axis in "nlvm"}
 
 
-def brdf_in_domain(of: Brdf, lobe: AnyLobe, small_slope: int) -> Case:
-    end = lobe_entry(lobe).end(MODELS[of.model].k)
-    return brdf_case(of, lobe, small_slope, directions_and_extremes(end))
+def in_domain(term: Term, prelude: str, call: str) -> Case:
+    end = lobe_entry(term.lobe).end(term.entry.k)
+    return brdf_case(term, directions_and_extremes(end), prelude, call)
 
 
-for _brdf in BRDFS:
-    for _lobe, _small in [*((lobe, 1) for lobe in (*LOBES, OWN, STEEP)), ("exact", 0)]:
-        CASES[f"{_brdf} {_lobe} {_small}"] = partial(brdf_in_domain, _brdf, _lobe, _small)
+def term_among_all(
+    model: str, lobe: AnyLobe, fresnel: str, masking: str, small_slope: bool = True
+) -> Case:
+    """A term of a program in which every lobe is."""
+    term = Term(model, lobe, fresnel, masking, small_slope=small_slope)
+    terms = [term, *(replace(term, lobe=name) for name in LOBES)]
+    return in_domain(term, flat(code.prelude(terms, 0.0)), code.call(term))
 
-FUNCTIONS = tuple(dict.fromkeys(name.split()[0] for name in CASES))
+
+def model_by_macros(model: str, lobe: AnyLobe, fresnel: str, masking: str) -> Case:
+    """A model's function of few arguments, whose terms the host's macros choose."""
+    term = Term(model, lobe, fresnel, masking)
+    macros = code.term_macros(Term("cook-torrance", lobe, fresnel, masking), 0.0)
+    files = "".join(f'#include "facerender/{entry.file}.glsl"\n' for entry in MODELS.values())
+    own = f"fr_{term.entry.file}(n, l, v, m"
+    call = f"{own}, f0)" if term.entry.factors else f"f0 * {own})"
+    return in_domain(term, code.defines(macros) + flat(files), call)
+
+
+DEFAULT = (Term.fresnel, Term.masking)
+FACTORS = [(fresnel, Term.masking) for fresnel in FRESNEL]
+FACTORS += [(Term.fresnel, masking) for masking in MASKING]
+FACTORS += [("constant", "none"), ("dielectric", "kelemen")]
+
+for _model, _entry in MODELS.items():
+    for _factors in dict.fromkeys(FACTORS if _entry.factors else [DEFAULT]):
+        for _lobe in ALL_LOBES:
+            add(f"fr_{_entry.file}_terms", term_among_all, _model, _lobe, *_factors)
+            if _factors == DEFAULT or _lobe == Term.lobe:
+                add("models-by-macros", model_by_macros, _model, _lobe, *_factors)
+        add(f"fr_{_entry.file}_terms", term_among_all, _model, Term.lobe, *_factors, False)
+
+GROUPS = tuple(dict.fromkeys(name.split()[0] for name in CASES))

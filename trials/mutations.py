@@ -112,7 +112,7 @@ def set_pixels(
     linear: NDArray[np.float32], where: tuple[NDArray[np.int64], ...], radiance: float
 ) -> NDArray[np.float32]:
     image = linear.copy()
-    image[(*where, slice(3))] = radiance
+    image[..., :3][where] = radiance
     return image
 
 
