@@ -1,6 +1,7 @@
 # make render   a picture of the built-in head: out/head.png
 # make test     ruff, mypy, pytest
 # make slow     the exhaustive tests as well
+# make docs     every generated document anew
 # make head     assets/head.glb anew from its generator
 # make npm      the shaders as an npm package: out/npm
 # make install-shaders PREFIX=/usr/local [DESTDIR=]   the GLSL library, for pkg-config and CMake
@@ -13,7 +14,7 @@ PREFIX ?= /usr/local
 SHARE = $(DESTDIR)$(PREFIX)/share
 VERSION = $(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' facerender/_version.py)
 
-.PHONY: render test slow head npm install-shaders system test-system
+.PHONY: render test slow docs head npm install-shaders system test-system
 
 render: .venv/installed | system
 	mkdir -p out
@@ -27,6 +28,9 @@ test: .venv/installed-dev | test-system
 
 slow: .venv/installed-dev | test-system
 	$(VENV)/pytest -m "slow or not slow"
+
+docs: .venv/installed-dev | test-system
+	$(VENV)/python -m docs
 
 head: .venv/installed-dev
 	$(VENV)/python -m assets.head_generator -o assets/head.glb

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from facerender.glsl.catalogue import Function, functions
 from facerender.measure.tables import markdown_table
+from facerender.terms import FRESNEL, LOBES, MASKING
 
 OUTPUT = Path(__file__).with_suffix(".md")
 
@@ -37,10 +38,10 @@ Choices are macros, said before the include (or given to `flatten`):
 
 | macro | values | default |
 | --- | --- | --- |
-| FR_LOBE | FR_LOBE_EXACT, _COSINE, _D4, _D8, _D16, _FITTED, _FITTED_FINE, _G_POWER | \
-FR_LOBE_EXACT |
-| FR_FRESNEL | FR_FRESNEL_SCHLICK, _DIELECTRIC, _CONSTANT | FR_FRESNEL_SCHLICK |
-| FR_MASKING | FR_MASKING_V_CAVITY, _KELEMEN, _NONE | FR_MASKING_V_CAVITY |
+| FR_LOBE | {lobes}, _G_POWER; _EVERY | FR_LOBE_EXACT |
+| FR_LOBE_FUNCTION | a lobe of your own: float name(float c, float m, int k) | |
+| FR_FRESNEL | {fresnel} | FR_FRESNEL_SCHLICK |
+| FR_MASKING | {masking} | FR_MASKING_V_CAVITY |
 | FR_SMALL_SLOPE | 1: accurate for every m; 0: cheaper, for m from 0.2 | 1 |
 | FR_SLOPE(m) | (m), or one slope for all fragments, such as 0.3 | (m) |
 | FR_G | power of FR_LOBE_G_POWER, in 1 to 31 | 8 |
@@ -48,6 +49,10 @@ FR_LOBE_EXACT |
 (2/m^2 - k)/FR_G |
 | FR_FITTED_COEFFICIENTS(m, k) | a vec3 | computed from m |
 | FR_FITTED_FINE_COEFFICIENTS(m, k) | a vec4 | computed from m |
+
+Two lobes in one program, or lights with terms of their own: `#define FR_LOBE FR_LOBE_EVERY`, and name the terms
+call by call, `fr_cook_torrance_terms(n, l, v, m, f0, FR_LOBE_D16, FR_FRESNEL_SCHLICK, FR_MASKING_NONE)`; the
+compiler folds such constants, and a slope that is one too.
 
 Radiance is `fr_cook_torrance(n, l, v, m, f0) * irradiance * max(dot(n, l), 0.0)` for a light of
 that irradiance; a material with a specular weight multiplies by it. Which lobe loses what, and
@@ -122,7 +127,14 @@ def section(function: Function) -> str:
 
 def reference() -> str:
     """Return docs/shaders.md."""
-    return "\n".join([HOSTS, LEGEND, *(section(function) for function in functions())])
+    kinds = {"lobes": LOBES, "fresnel": FRESNEL, "masking": MASKING}
+    hosts = HOSTS
+    for name, kind in kinds.items():
+        first, *others = (entry.macro for entry in kind.values())
+        prefix = "_".join(first.split("_")[:2])
+        macros = [first, *(macro.removeprefix(prefix) for macro in others)]
+        hosts = hosts.replace(f"{{{name}}}", ", ".join(macros))
+    return "\n".join([hosts, LEGEND, *(section(function) for function in functions())])
 
 
 def stale() -> Iterator[str]:
