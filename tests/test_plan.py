@@ -279,20 +279,20 @@ def test_what_is_drawn_with_several_samples_counts(egl, subject, monkeypatch):
     ],
 )
 def test_errors_are_those_of_the_reference_and_rendered_within_the_budget(
-    budget, material, lights, exposure, medium, head
+    budget, material, lights, exposure, small, head
 ):
     scene = fr.Scene(head.with_material(**material), lights=lights)
-    plan = fr.plan(scene, budget, cameras=CAMERAS, exposure=exposure, renderer=medium)
+    plan = fr.plan(scene, budget, cameras=CAMERAS, exposure=exposure, renderer=small)
     assert 0.0 < plan.error.maximum <= plan.budget.limit
     maps, covered = [], []
     for camera in CAMERAS:
         seen = replace(scene, camera=camera)
-        drawn = [medium.render(seen, each).linear for each in (plan.shading, plan.full)]
+        drawn = [small.render(seen, each).linear for each in (plan.shading, plan.full)]
         covered.append(drawn[1][..., 3] > 0.0)
         errors = plan.budget.errors(*(each[..., :3].astype(float) for each in drawn))
         assert errors[covered[-1]].max() <= plan.budget.limit
         shaded = [
-            reference.shade(medium.gbuffer(seen, each), seen, each)
+            reference.shade(small.gbuffer(seen, each), seen, each)
             for each in (plan.shading, plan.full)
         ]
         maps.append(np.where(covered[-1], plan.budget.errors(*shaded), 0.0))
@@ -303,7 +303,7 @@ def test_errors_are_those_of_the_reference_and_rendered_within_the_budget(
     x, y = error.pixel
     assert maps[error.camera][y, x] == np.max(maps)
     np.testing.assert_allclose(plan.error_map, maps[error.camera], rtol=1e-9, atol=1e-12)
-    assert (plan.cameras, plan.size, plan.budget.exposure) == (CAMERAS, (64, 64), exposure)
+    assert (plan.cameras, plan.size, plan.budget.exposure) == (CAMERAS, (32, 32), exposure)
 
 
 # --- guarantee -----------------------------------------------------------------------------------
@@ -368,7 +368,7 @@ def test_the_bound_is_above_every_error(full, bare):
         mesh = bare.with_material(m=m, ks=ks, albedo_map=None, albedo=0.5, kd=0.7)
         scene = fr.Scene(mesh, lights=(light,), ambient=1e-3)
         listed = list(candidates(scene, full, Constants(0.7 * m, ks, (0,))))
-        listed = [*choose.sample(listed, 60), replace(full, ambient=False)]
+        listed = [*choose.sample(listed, 40), replace(full, ambient=False)]
         if full.term.entry.factors:
             listed.append(full.replace(frontal_lights=(0,)))
         for shading in listed:
