@@ -18,6 +18,7 @@ from docs.template import missing
 from facerender.comparison.gates import LIMITS, SHIFT, SILHOUETTE, STRICT, Comparison, compare
 from facerender.image import encode_srgb8
 from facerender.measure.tables import markdown_table
+from trials.drivers import DRIVERS, draw_with
 from trials.mutations import (
     BROKEN,
     CAMERAS,
@@ -26,7 +27,6 @@ from trials.mutations import (
     Images,
     Studio,
     brighter,
-    draw_with,
     rougher,
     weaker,
 )
@@ -86,12 +86,10 @@ def driver_table() -> str:
             for name, scan in {"head": None, "scan": scan_folder()}.items():
                 if name == "scan" and scan is None:
                     continue
+                a, b = (draw_with(each, Path(folder) / each, scan, size) for each in DRIVERS)
                 for camera in CAMERAS:
-                    a, b = (
-                        draw_with(driver, Path(folder) / f"{driver}.exr", scan, camera, size)
-                        for driver in ("llvmpipe", "softpipe")
-                    )
-                    rows.append([f"{name}, {camera}, {size}", *row(compare(a, b))])
+                    result = compare(a[camera], b[camera])
+                    rows.append([f"{name}, {camera}, {size}", *row(result)])
     return markdown_table(DRIVERS_HEAD, rows)
 
 

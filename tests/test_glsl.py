@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import moderngl
@@ -44,16 +44,29 @@ SHADINGS = (
 )
 
 
-def program(name: str, target: glsl.Target, text: str) -> str:
-    """A fragment shader of a host that knows of a file of the library its signatures alone."""
-    calls = []
+STAGES = {  # of a Vulkan program: what each declares, and what it makes of a float
+    "vert": ("", "gl_Position = vec4({});"),
+    "tesc": ("layout(vertices = 3) out;", "gl_out[gl_InvocationID].gl_Position = vec4({});"),
+    "tese": ("layout(triangles) in;", "gl_Position = vec4({});"),
+    "geom": (
+        "layout(triangles) in; layout(points, max_vertices = 1) out;",
+        "gl_Position = vec4({}); EmitVertex();",
+    ),
+    "frag": (f"{OUTPUT['vulkan']}out vec4 result;", "result = vec4({});"),
+}
+
+
+def calls(name: str) -> str:
+    """The sum of all functions of a file, by a host that knows their signatures alone."""
+    values = []
     for function in functions():
         parameters = re.search(r"\((.*)\)", function.signature)[1].split(", ")
         call = f"{function.name}({', '.join(ARGUMENTS[word.split()[0]] for word in parameters)})"
         if function.file == f"facerender/{name}.glsl":
-            calls.append(call if function.signature.startswith("float") else f"dot({call}, {call})")
-    main = f"void main() {{ result = vec4({' + '.join(calls) or '0.0'}); }}"
-    return f"{text}\n{OUTPUT[target]}out vec4 result;\n{main}\n"
+            values.append(
+                call if function.signature.startswith("float") else f"dot({call}, {call})"
+            )
+    return " + ".join(values) or "0.0"
 
 
 @pytest.mark.parametrize("target", glsl.TARGETS)
@@ -61,9 +74,8 @@ def test_every_flattened_file_compiles_without_a_warning(target, tmp_path):
     compile_all(
         target,
         tmp_path,
-        (program(name, target, fr.shader_source(name, target, lobe=lobe, m=m))
-         for name, lobe, m in CHOICES),
-    )  # fmt: skip
+        [(name, fr.shader_source(name, target, lobe=lobe, m=m)) for name, lobe, m in CHOICES],
+    )
 
 
 @pytest.mark.parametrize("target", glsl.TARGETS)
@@ -71,30 +83,36 @@ def test_every_shading_compiles_without_a_warning(target, tmp_path):
     compile_all(
         target,
         tmp_path,
-        (program(shading.term.entry.file, target, glsl.term_source(shading.term, m, target))
-         for shading in SHADINGS for m in (0.1, 0.25)),
+        [(shading.term.entry.file, glsl.term_source(shading.term, m, target))
+         for shading in SHADINGS for m in (0.1, 0.25)],
     )  # fmt: skip
 
 
-def compile_all(target: glsl.Target, folder: Path, texts: Iterable[str]) -> None:
-    """Compile, and see no warning."""
+def compile_all(target: glsl.Target, folder: Path, files: Sequence[tuple[str, str]]) -> None:
+    """Compile files, by name and text, and see no warning; a Vulkan program has one in each of its
+    stages, since starting the compiler takes longest."""
+    stages = STAGES if target == "vulkan" else {"frag": ("out vec4 result;", STAGES["frag"][1])}
     paths = []
-    for number, text in enumerate(texts):
-        paths.append(folder / f"{number}.frag")
-        paths[-1].write_text(text, encoding="ascii")
+    for number, (name, text) in enumerate(files):
+        stage = [*stages][number % len(stages)]
+        declared, main = stages[stage]
+        paths.append(folder / f"{number // len(stages)}.{stage}")
+        body = main.format(calls(name))
+        paths[-1].write_text(f"{text}\n{declared}\nvoid main() {{ {body} }}\n", encoding="ascii")
     if target != "vulkan":
         run(["glslangValidator", *paths])
         return
-    for path in paths:
-        module = path.with_suffix(".spv")
-        run(["glslangValidator", "-V", path, "-o", module])
-        run(["spirv-val", module])
+    for first in range(0, len(paths), len(stages)):
+        program = paths[first : first + len(stages)]
+        run(["glslangValidator", "-V", *program], folder)
+        for path in program:
+            run(["spirv-val", f"{path.suffix[1:]}.spv"], folder)
 
 
-def run(command: list[str | Path]) -> None:
+def run(command: Sequence[str | Path], folder: Path | None = None) -> None:
     if shutil.which(command[0]) is None:
         missing(f"{command[0]} is not installed")
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
     said = done.stdout + done.stderr
     assert done.returncode == 0, said
     assert "WARNING" not in said.upper(), said

@@ -5,12 +5,8 @@ the same entries."""
 from __future__ import annotations
 
 import math
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -195,29 +191,6 @@ def shifted(studio: Studio, pixels: float = 0.05) -> Images:
     moved = ndimage.shift(linear.astype(np.float64), (pixels, pixels, 0), order=3, mode="nearest")
     moved[..., 3] = np.round(moved[..., 3], 3).clip(0.0, 1.0)  # the spline rings
     return linear, moved.astype(np.float32)
-
-
-def draw_with(driver: str, path: Path, scan: Path | None, camera: str, size: int = SIZE) -> Path:
-    """Write an EXR, drawn in a process with one of Mesa's software drivers, of the head or, where
-    its folder is given, of the scan."""
-    mesh: tuple[str | Path, ...] = ()
-    if scan is not None:
-        mesh = (
-            scan / "LeePerrySmith.glb",
-            *("--albedo", scan / "Map-COL.jpg", "--specular-map", scan / "Map-SPEC.jpg"),
-            *("--normal-map", scan / "Infinite-Level_02_Tangent_SmoothUV.jpg", "--flip-v"),
-        )
-    options = ("--samples", "1", "--backend", "egl", "--float-albedo")
-    subprocess.run(
-        [
-            *(sys.executable, "-m", "facerender", "render", *mesh, "-o", path, *options),
-            *("--camera", camera, "--size", str(size)),
-        ],
-        env={**os.environ, "GALLIUM_DRIVER": driver, "LIBGL_ALWAYS_SOFTWARE": "1"},
-        check=True,
-        capture_output=True,
-    )
-    return path
 
 
 BROKEN: dict[str, Callable[[Studio], Images]] = {
