@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property
 from operator import index
 from typing import Any
 
@@ -176,8 +177,12 @@ class Shading:
         ambient: bool = True,
     ) -> None:
         given = (model, lobe, fresnel, masking, m, small_slope)
-        words: dict[str, Any] = dict(zip(_TERM_FIELDS, given, strict=True))
-        term = replace(term, **{name: value for name, value in words.items() if value is not None})
+        words: dict[str, Any] = {
+            name: value
+            for name, value in zip(_TERM_FIELDS, given, strict=True)
+            if value is not None
+        }
+        term = replace(term, **words) if words else term
         changes = {light: _changes(change) for light, change in dict(lights).items()}
         if specular_lights is not None:
             listed = _indices("specular_lights", specular_lights)
@@ -206,8 +211,8 @@ class Shading:
             _check_switch(name, getattr(self, name))
         if ks is not None:
             check_range("ks", ks, 0.0, MAX_WEIGHT)
-        own = [self.of(light) for light, _ in self.lights]
-        powers = {each.lobe for each in (term, *own) if each and isinstance(each.lobe, GPower)}
+        terms = (term, *filter(None, self._own.values()))
+        powers = {each.lobe for each in terms if isinstance(each.lobe, GPower)}
         if len(powers) > 1:
             raise InputError(
                 f"{' and '.join(map(str, powers))} in one shading: a program has one g-power; give "
@@ -222,17 +227,26 @@ class Shading:
 
     def of(self, light: int) -> Term | None:
         """Return the specular term of the light of this index, None where it has none."""
-        changes = dict(self.lights).get(light, () if self.others else None)
-        return None if changes is None else replace(self.term, **dict(changes))
+        return self._own.get(light, self.term if self.others else None)
 
-    @property
+    @cached_property
+    def _own(self) -> dict[int, Term | None]:
+        """The terms of the lights that ``lights`` names."""
+        none: dict[int, Term | None] = dict.fromkeys(light for light, _ in self.lights)
+        return none | {
+            light: replace(self.term, **dict(changes)) if changes else self.term
+            for light, changes in self.lights
+            if changes is not None
+        }
+
+    @cached_property
     def specular_lights(self) -> tuple[int, ...] | None:
         """Indices of the only lights that have a specular term; None where all others have."""
         if self.others:
             return None
         return tuple(light for light, changes in self.lights if changes is not None)
 
-    @property
+    @cached_property
     def frontal_lights(self) -> tuple[int, ...]:
         """Indices of the lights that have the term of frontal light."""
         return tuple(light for light, changes in self.lights if changes == FRONTAL)

@@ -675,7 +675,7 @@ def test_shaders_lists_every_function(cli):
     described = json.loads(text)
     defined = set()
     for path in (fr.shader_dir() / "facerender").rglob("*.glsl"):
-        defined |= set(re.findall(r"^\w+ (fr_\w+)\(.*\{$", path.read_text(), re.MULTILINE))
+        defined |= set(re.findall(r"^\w+ (fr_\w+)\([^)]*\) \{$", path.read_text(), re.MULTILINE))
     assert {function["name"] for function in described} == defined
     words = " ".join(out.split())
     for function in described:

@@ -90,18 +90,18 @@ def run(options: argparse.Namespace) -> int:
         "full": job.shading,
     }
     if options.guarantee:
-        found = plan(scene, options.budget, guarantee=True, **choices)
+        planned = plan(scene, options.budget, guarantee=True, **choices)
     else:
         with Renderer.of(job, options.backend) as renderer:
-            found = plan(scene, options.budget, cameras=cameras, renderer=renderer, **choices)
+            planned = plan(scene, options.budget, cameras=cameras, renderer=renderer, **choices)
     clean_up_on_interrupt()
     if options.emit:
-        write_bytes(options.emit, found.shader(options.target).encode())
+        write_bytes(options.emit, planned.shader(options.target).encode())
     if options.pinned:
-        write_bytes(options.pinned, (_PINNED + found.scene_toml()).encode())
+        write_bytes(options.pinned, (_PINNED + planned.scene_toml()).encode())
     if options.error_map:
-        found.save_error_map(options.error_map)
-    print(json.dumps(found.as_dict(), indent=2) if options.json else found.explain())
+        planned.save_error_map(options.error_map)
+    print(json.dumps(planned.as_dict(), indent=2) if options.json else planned.explain())
     return 0
 
 

@@ -28,7 +28,7 @@ from facerender.shading import Shading
 def planned(
     scene: Scene, budget: str | float, full: Shading, exposure: float, renderer: Renderer
 ) -> dict[str, Any]:
-    """Return a plan as :meth:`facerender.plan.Plan.as_dict` has it: the one that was kept, or one
+    """Return a plan as :meth:`facerender.Plan.as_dict` has it: the one that was kept, or one
     that is made now and kept. Parameters and errors as in :func:`facerender.plan`."""
     path = _folder() / f"{_digest(scene, budget, full, exposure, renderer)}.json"
     try:
@@ -38,13 +38,13 @@ def planned(
             return kept
     except (OSError, ValueError, KeyError, TypeError):  # none, or damaged
         pass
-    found = plan(scene, budget, full=full, exposure=exposure, renderer=renderer).as_dict()
+    facts = plan(scene, budget, full=full, exposure=exposure, renderer=renderer).as_dict()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(path, json.dumps(found).encode())
+        write_bytes(path, json.dumps(facts).encode())
     except (OSError, InputError):
         pass
-    return found
+    return facts
 
 
 def _folder() -> Path:

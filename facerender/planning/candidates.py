@@ -4,8 +4,9 @@ No OpenGL here, and nothing of what they cost or lose."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import product
+from operator import attrgetter
 from typing import Any
 
 from facerender.drawing.prepare import simplify
@@ -17,22 +18,22 @@ from facerender.terms.fitting import G_POWERS, fit_g_power
 # Without FR_SMALL_SLOPE float32 errs by 3e-7/m² of the peak: from here on less than is seen.
 SMALLEST_PLAIN_SLOPE = 0.1
 
-# What of a shading, or of its term, a decision is about, and its name; those of a term are decided
-# together where the model changes.
-DECISIONS: dict[str, tuple[str, ...]] = {
-    "lights": ("specular_lights",),
-    "frontal": ("frontal_lights",),
-    "normal map": ("normal_map",),
-    "slope": ("m",),
-    "specular weight": ("ks",),
-    "ambient": ("ambient",),
-    "model": ("model",),
-    "lobe": ("lobe",),
-    "Fresnel": ("fresnel",),
-    "masking": ("masking",),
-    "small slopes": ("small_slope",),
+# A decision's name, and what of a shading it is about; those of a term are decided together where
+# the model changes.
+DECISIONS = {
+    "lights": "specular_lights",
+    "frontal": "frontal_lights",
+    "normal map": "normal_map",
+    "slope": "term.m",
+    "specular weight": "ks",
+    "ambient": "ambient",
+    "model": "term.model",
+    "lobe": "term.lobe",
+    "Fresnel": "term.fresnel",
+    "masking": "term.masking",
+    "small slopes": "term.small_slope",
 }
-_OF_TERM = {field.name for field in fields(Term)}
+_GET = {name: attrgetter(path) for name, path in DECISIONS.items()}
 TERM = ("model", "lobe", "Fresnel", "masking", "small slopes", "frontal")
 
 
@@ -86,7 +87,9 @@ def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Sh
             for lights in kinds:
                 if lights == () and shading != surface:
                     continue
-                lit = with_lights(shading, lights, shading.frontal_lights)
+                lit = shading
+                if lights != shading.specular_lights:
+                    lit = with_lights(shading, lights, shading.frontal_lights)
                 yield lit
                 if shading.term != shading.term.frontal:
                     near = set(full.frontal_lights)
@@ -134,17 +137,9 @@ def _factors(term: Term, full: Term) -> Iterator[Term]:
         yield replace(term, fresnel=fresnel, masking=masking)
 
 
-def _value(shading: Shading, field: str) -> Any:
-    return getattr(shading.term if field in _OF_TERM else shading, field)
-
-
 def changed(shading: Shading, full: Shading) -> list[str]:
     """Return the decisions in which two shadings differ."""
-    return [
-        name
-        for name, fields in DECISIONS.items()
-        if any(_value(shading, field) != _value(full, field) for field in fields)
-    ]
+    return [name for name, get in _GET.items() if get(shading) != get(full)]
 
 
 def groups(shading: Shading, full: Shading) -> dict[str, tuple[str, ...]]:
@@ -158,7 +153,7 @@ def groups(shading: Shading, full: Shading) -> dict[str, tuple[str, ...]]:
 
 def values(shading: Shading, names: Sequence[str]) -> dict[str, Any]:
     """Return what was decided, by what it is about."""
-    return {field: _value(shading, field) for name in names for field in DECISIONS[name]}
+    return {DECISIONS[name]: _GET[name](shading) for name in names}
 
 
 def with_decisions(shading: Shading, other: Shading, names: Sequence[str]) -> Shading:
@@ -166,7 +161,7 @@ def with_decisions(shading: Shading, other: Shading, names: Sequence[str]) -> Sh
     decided = values(other, names)
     specular = decided.pop("specular_lights", shading.specular_lights)
     frontal = decided.pop("frontal_lights", shading.frontal_lights)
-    of_term = {field: decided.pop(field) for field in _OF_TERM & decided.keys()}
+    of_term = {path[5:]: decided.pop(path) for path in [*decided] if path.startswith("term.")}
     term = replace(shading.term, **of_term)
     bare = with_lights(shading, None, ())
     return with_lights(replace(bare, term=term, **decided), specular, frontal)

@@ -1,6 +1,6 @@
 """The cheapest shading that a scene's error budget allows, and what it is based on. Which shadings
-there are, how they err and how they are searched is told in ``planning``; what they cost in
-``measure/prices.py``."""
+there are, how they err and how they are searched is told beside this file; what they cost in
+``pricing/table.py``."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ class Plan:
 
     def as_dict(self) -> dict[str, Any]:
         """Return every figure, for JSON."""
-        found: dict[str, Any] = {
+        facts: dict[str, Any] = {
             "text": self.explain(),
             "shading": self.shading.as_dict(),
             "budget": asdict(self.budget),
@@ -143,7 +143,7 @@ class Plan:
             "candidates": self.candidates,
             "tried": self.tried,
         }
-        return {key: _finite(value) for key, value in found.items()}
+        return {key: _finite(value) for key, value in facts.items()}
 
     def save_error_map(self, path: str | os.PathLike[str]) -> None:
         """Write a PNG of the errors at the camera with the largest one: black none, then blue, red

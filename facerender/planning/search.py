@@ -90,11 +90,12 @@ class Choice:
     ) -> None:
         self.scene, self.full, self.budget, self.constants = scene, full, budget, constants
         self.limit = budget.limit - ROUNDING[budget.unit]
-        found = list(candidates(scene, full, constants))
-        self.prices = load_prices(cost, scene, [*found, full], software)
+        listed = list(candidates(scene, full, constants))
+        self.prices = load_prices(cost, scene, [*listed, full], software)
         self.costs: dict[Shading, float] = {}
         full_cost = self.total(full)
-        cheaper = [each for each in found if self._is_priced(each) and self.total(each) < full_cost]
+        priced = filter(self._is_priced, listed)
+        cheaper = [each for each in priced if self.total(each) < full_cost]
         # of the same cost, those with the fewest changes first
         cheaper.sort(key=lambda each: (self.total(each), len(changed(each, full))))
         self.ordered = [*cheaper, full]
@@ -247,10 +248,10 @@ class Region:
         if whole.ks is not None:
             weight = np.full_like(gbuffer.specular_weight, whole.ks)
             gbuffer = replace(gbuffer, specular_weight=weight)
-        found = layers(gbuffer, self.scene, whole)
+        terms = layers(gbuffer, self.scene, whole)
         if self.keep or not self.known:
-            self.known[whole] = found
-        return found
+            self.known[whole] = terms
+        return terms
 
     def image(self, shading: Shading) -> Float:
         """Return the radiance (H, W, 3), with the background."""

@@ -239,9 +239,9 @@ def main() -> None:
     from facerender.pricing import amd
 
     terms = all_terms()
-    found = {family: compiled(family, terms) for family in amd.FAMILIES}
-    found["llvmpipe"] = measured(terms, repeats=15)
-    rows = {kind: _rounded(asdict(prices)) for kind, prices in found.items()}
+    prices_of = {family: compiled(family, terms) for family in amd.FAMILIES}
+    prices_of["llvmpipe"] = measured(terms, repeats=15)
+    rows = {kind: _rounded(asdict(prices)) for kind, prices in prices_of.items()}
     text = json.dumps(rows, indent=1)
     text = re.sub(r"\[\s+(\S+),\s+(\S+)\s+\]", r"[\1, \2]", text)  # a term on a line
     TABLE.write_text(text + "\n", encoding="utf-8")

@@ -109,8 +109,9 @@ def fit_g_power(k: int, g: int, smallest: float, largest: float) -> GPower | Non
     # steepness = factor/m² - offset, in relative least squares
     terms = np.stack([np.asarray(slopes) ** -2.0, -np.ones(len(slopes))], axis=-1)
     columns = 2 if len(slopes) > 1 else 1
-    found = np.linalg.lstsq(terms[:, :columns] / best[:, None], np.ones(len(slopes)), rcond=None)[0]
-    factor, offset = found if columns == 2 else (found[0], 0.0)
+    relative = terms[:, :columns] / best[:, None]
+    solution = np.linalg.lstsq(relative, np.ones(len(slopes)), rcond=None)[0]
+    factor, offset = solution if columns == 2 else (solution[0], 0.0)
     lobe = GPower(g, float(factor), float(offset))
     return lobe if lobes.in_domain([smallest, largest], lobe, k).all() else None
 
@@ -156,9 +157,9 @@ def _grid(k: int, m: float) -> tuple[Array, Array]:
 def main() -> None:
     for (name, k), lobe in lobes.FITTED.items():
         slopes = np.linspace(0.01, lobe.max_slope, 36)
-        found, error = fit(k, lobe.power, len(lobe.table[0]), slopes, len(lobe.table) - 1)
+        best, error = fit(k, lobe.power, len(lobe.table[0]), slopes, len(lobe.table) - 1)
         print(f"{name}, k = {k}, m <= {lobe.max_slope:g}: {100.0 * error:.4f} % of the peak")
-        for row in found.table:
+        for row in best.table:
             print("    (" + ", ".join(f"{constant:.8g}" for constant in row) + "),")
 
 
