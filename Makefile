@@ -9,6 +9,9 @@
 
 PYTHON ?= python3
 VENV = .venv/bin
+# A file of tests stays with one worker, and its contexts and meshes with it; a worker draws with one
+# thread, since there is one for each core.
+PYTEST = LP_NUM_THREADS=1 $(VENV)/pytest -n auto --dist loadfile
 
 PREFIX ?= /usr/local
 SHARE = $(DESTDIR)$(PREFIX)/share
@@ -24,10 +27,10 @@ test: .venv/installed-dev | test-system
 	$(VENV)/ruff check .
 	$(VENV)/ruff format --check .
 	$(VENV)/mypy
-	$(VENV)/pytest
+	$(PYTEST)
 
 slow: .venv/installed-dev | test-system
-	$(VENV)/pytest -m "slow or not slow"
+	$(PYTEST) -m "slow or not slow"
 
 docs: .venv/installed-dev | test-system
 	$(VENV)/python -m docs
