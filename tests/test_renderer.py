@@ -552,8 +552,8 @@ def test_renderers_leave_nothing_behind(backend, head):
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         return pages * resource.getpagesize()
 
-    warm = use(2)
-    assert use(4) - warm < 4e6
+    warm = use(3)
+    assert use(6) - warm < 30e6  # one renderer's maps alone are 30 MB
 
 
 class Host:
