@@ -140,7 +140,21 @@ def test_json_that_is_no_measurement_of_this_version_is_refused():
         Measurement.from_dict(content)
 
 
-def test_what_is_missing_is_said_and_the_rest_measured(egl, head, monkeypatch):
+@pytest.fixture
+def quicker(monkeypatch):
+    """Three repeats of what is timed, and frames of 32 x 32: more only narrows the intervals."""
+    by_slope, frames = cost.by_slope, cost.frames
+    monkeypatch.setattr(
+        cost, "by_slope", lambda terms, of, repeats, *rest: by_slope(terms, of, 3, *rest)
+    )
+    monkeypatch.setattr(
+        cost,
+        "frames",
+        lambda scene, shadings, size, repeats, *rest: frames(scene, shadings, (32, 32), 3, *rest),
+    )
+
+
+def test_what_is_missing_is_said_and_the_rest_measured(egl, head, quicker, monkeypatch):
     def none(family=None, *rest):
         raise NotMeasured("no RADV: apt-get install mesa-vulkan-drivers")
 
@@ -178,7 +192,7 @@ def test_what_is_missing_is_said_and_the_rest_measured(egl, head, monkeypatch):
     )
 
 
-def test_command_writes_everything(egl, tmp_path, capsys):
+def test_command_writes_everything(egl, quicker, tmp_path, capsys):
     folder = tmp_path / "new" / "measure"
     command = ["measure", str(MINI_HEAD), "--quick", "--m", "0.25", "-o", str(folder)]
     assert main([*command, "--backend", egl]) == 0
