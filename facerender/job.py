@@ -1,5 +1,5 @@
-"""What to render, as plain data: it pickles, and is TOML and JSON. Command line, scene files, plans
-and batches make one; the renderer draws its scene. No OpenGL here."""
+"""What to render, as plain data: it pickles, and is TOML and JSON. The command line
+makes one, and so may a program; the renderer draws its scene. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import KEYS, from_table, scene_value, toml_text
 from facerender.scenes.light import Light
+from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import ONLY, Only, Scene
-from facerender.scenes.vectors import Vector
+from facerender.scenes.vectors import Vector, non_negative
 from facerender.shading import Shading
 
 
@@ -87,6 +88,8 @@ class Output:
     exposure: float = 0.0
 
     def __post_init__(self) -> None:
+        if not isinstance(self.path, str | os.PathLike):
+            raise InputError(f"output path = {self.path!r}: give a path as text")
         object.__setattr__(self, "path", os.fspath(self.path))
         if Path(self.path).suffix.lower() not in (".png", ".exr"):
             suffix = Path(self.path).suffix
@@ -123,6 +126,30 @@ class Job:
     shading: Shading = Shading()
     image: ImageSettings = ImageSettings()
     outputs: tuple[Output, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, kind in (
+            ("mesh", MeshFile),
+            ("camera", Camera),
+            ("shading", Shading),
+            ("image", ImageSettings),
+        ):
+            if not isinstance(getattr(self, name), kind):
+                raise InputError(f"{name} = {getattr(self, name)!r}: give a {kind.__name__}")
+        for name, each in (("lights", Light), ("outputs", Output)):
+            values = getattr(self, name)
+            if not (isinstance(values, list | tuple) and all(isinstance(v, each) for v in values)):
+                raise InputError(f"{name} = {values!r}: give a list of {each.__name__}")
+            object.__setattr__(self, name, tuple(values))
+        from_table(Material, "material", self.material, without=MAPS)  # validates
+        material = {
+            name: tuple(value) if isinstance(value, list | tuple) else value
+            for name, value in self.material.items()
+        }
+        object.__setattr__(self, "material", material)
+        for name in ("ambient", "background"):
+            if (color := getattr(self, name)) is not None:
+                object.__setattr__(self, name, non_negative(name, color))
 
     def scene(self, mesh: Mesh | None = None) -> Scene:
         """Return the scene.
@@ -171,6 +198,8 @@ class Job:
         ------
         InputError : an unknown key or a value outside its domain
         """
+        if not isinstance(tables, Mapping):
+            raise InputError(f"job = {tables!r}: give a table")
         values: dict[str, Any] = {}
         for key, value in tables.items():
             if key == "mesh":

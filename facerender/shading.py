@@ -3,7 +3,7 @@ TOML and JSON. How they become GLSL is told in ``glsl/code.py``; nothing here ne
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from operator import index
@@ -125,6 +125,9 @@ class Term:
 _TERM_FIELDS = tuple(field.name for field in fields(Term))
 
 
+_GIVEN_BY_TERM: Any = object()  # nothing was said: the term's own
+
+
 @dataclass(frozen=True, init=False)
 class Shading:
     """The specular terms of the lights, and what is left out of a scene.
@@ -132,13 +135,12 @@ class Shading:
     Parameters
     ----------
     model, lobe, fresnel, masking, m, small_slope : of :class:`Term`, in place of ``term``'s
-    term : of every light that has none of its own
+    term : of the lights
     lights : by index in the scene, what the terms of some lights have different, such as
-        ``{1: {"lobe": "d16"}, 2: None}``; None for a light without a specular term
-    others : whether lights that ``lights`` does not name have a specular term
-    specular_lights : indices of the lights that have one; None for all
-    frontal_lights : indices of those among them that stand on the eye's side: see
-        :attr:`Term.frontal`
+        ``{1: {"lobe": "d16"}}``
+    specular_lights : indices of the lights that have a specular term; None for all
+    frontal_lights : indices of those that stand on the eye's side, where Fresnel is f0 and nothing
+        is masked: their term has neither; Cook-Torrance only
     outside : what a material gets whose m leaves the domain of the lobe: "error", or "exact" for
         the exact lobe in its place
     ks : one specular weight in place of the materials' and of specular maps
@@ -150,8 +152,8 @@ class Shading:
     """
 
     term: Term
-    lights: tuple[tuple[int, Changes | None], ...]
-    others: bool
+    lights: tuple[tuple[int, Changes], ...]
+    specular_lights: tuple[int, ...] | None
     outside: str
     ks: float | None
     normal_map: bool
@@ -159,45 +161,46 @@ class Shading:
 
     def __init__(
         self,
-        model: str | None = None,
-        lobe: AnyLobe | None = None,
-        fresnel: str | None = None,
+        model: str = _GIVEN_BY_TERM,
+        lobe: AnyLobe = _GIVEN_BY_TERM,
+        fresnel: str = _GIVEN_BY_TERM,
         outside: str = "error",
-        masking: str | None = None,
+        masking: str = _GIVEN_BY_TERM,
         *,
-        m: float | None = None,
-        small_slope: bool | None = None,
+        m: float | None = _GIVEN_BY_TERM,
+        small_slope: bool | None = _GIVEN_BY_TERM,
         term: Term = Term(),
-        lights: Mapping[int, Mapping[str, Any] | None] | Sequence[tuple[int, Any]] = (),
-        others: bool = True,
+        lights: Mapping[int, Mapping[str, Any]] | Sequence[tuple[int, Changes]] = (),
         specular_lights: Sequence[int] | None = None,
-        frontal_lights: Sequence[int] = (),
+        frontal_lights: Sequence[int] | None = None,
         ks: float | None = None,
         normal_map: bool = True,
         ambient: bool = True,
     ) -> None:
-        given = (model, lobe, fresnel, masking, m, small_slope)
-        words: dict[str, Any] = {
-            name: value
-            for name, value in zip(_TERM_FIELDS, given, strict=True)
-            if value is not None
-        }
+        if not isinstance(term, Term):
+            raise InputError(f"term = {term!r}: give a Term")
+        given = zip(_TERM_FIELDS, (model, lobe, fresnel, masking, m, small_slope), strict=True)
+        words: dict[str, Any] = {n: value for n, value in given if value is not _GIVEN_BY_TERM}
         term = replace(term, **words) if words else term
-        changes = {light: _changes(change) for light, change in dict(lights).items()}
-        if specular_lights is not None:
-            listed = _indices("specular_lights", specular_lights)
-            changes, others = {light: changes.get(light) or () for light in listed}, False
-        for light in _indices("frontal_lights", frontal_lights):
-            if not term.entry.factors:
+        changes = _by_light(lights)
+        if frontal_lights is not None:
+            frontal = _indices("frontal_lights", frontal_lights)
+            if frontal and not term.entry.factors:
                 raise InputError(
                     f"{term.model} has no other term for frontal_lights: leave them out"
                 )
-            if changes.get(light, () if others else None) is not None:
-                changes[light] = FRONTAL
+            changes = {
+                light: _without(FRONTAL, own) if _is_frontal(own) else own
+                for light, own in changes.items()
+            }
+            for light in frontal:
+                changes[light] = _changes(dict(changes.get(light, ())) | dict(FRONTAL))
+        if specular_lights is not None:
+            specular_lights = tuple(sorted(_indices("specular_lights", specular_lights)))
         for name, value in (
             ("term", term),
-            ("lights", tuple(sorted(changes.items()))),
-            ("others", others),
+            ("lights", tuple(sorted((light, own) for light, own in changes.items() if own))),
+            ("specular_lights", specular_lights),
             ("outside", outside),
             ("ks", ks),
             ("normal_map", normal_map),
@@ -211,7 +214,7 @@ class Shading:
             _check_switch(name, getattr(self, name))
         if ks is not None:
             check_range("ks", ks, 0.0, MAX_WEIGHT)
-        terms = (term, *filter(None, self._own.values()))
+        terms = (term, *self._own.values())
         powers = {each.lobe for each in terms if isinstance(each.lobe, GPower)}
         if len(powers) > 1:
             raise InputError(
@@ -220,62 +223,51 @@ class Shading:
             )
 
     def replace(self, **changes: Any) -> Shading:
-        """Return the shading with other parameters; those of a term are of every light's."""
-        return Shading(
-            **{field.name: getattr(self, field.name) for field in fields(self)} | changes
-        )
+        """Return the shading with other parameters. What the terms of lights have different stays
+        so, unless ``lights`` or ``frontal_lights`` say otherwise."""
+        own = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Shading(**own | changes)
 
     def of(self, light: int) -> Term | None:
         """Return the specular term of the light of this index, None where it has none."""
-        return self._own.get(light, self.term if self.others else None)
-
-    @cached_property
-    def _own(self) -> dict[int, Term | None]:
-        """The terms of the lights that ``lights`` names."""
-        none: dict[int, Term | None] = dict.fromkeys(light for light, _ in self.lights)
-        return none | {
-            light: replace(self.term, **dict(changes)) if changes else self.term
-            for light, changes in self.lights
-            if changes is not None
-        }
-
-    @cached_property
-    def specular_lights(self) -> tuple[int, ...] | None:
-        """Indices of the only lights that have a specular term; None where all others have."""
-        if self.others:
+        if self.specular_lights is not None and light not in self.specular_lights:
             return None
-        return tuple(light for light, changes in self.lights if changes is not None)
+        return self._own.get(light, self.term)
+
+    @cached_property
+    def _own(self) -> dict[int, Term]:
+        """The terms of the lights that ``lights`` names."""
+        return {light: replace(self.term, **dict(changes)) for light, changes in self.lights}
 
     @cached_property
     def frontal_lights(self) -> tuple[int, ...]:
-        """Indices of the lights that have the term of frontal light."""
-        return tuple(light for light, changes in self.lights if changes == FRONTAL)
+        """Indices of the lights whose term is that of frontal light."""
+        return tuple(light for light, changes in self.lights if _is_frontal(changes))
 
     def check_lights(self, count: int) -> None:
         """Raise InputError where a light is named that a scene of so many lights does not have."""
-        for light, changes in self.lights:
-            if not 0 <= light < count:
-                name = "specular_lights" if not self.others else "lights"
-                name = "frontal_lights" if changes == FRONTAL else name
-                raise InputError(
-                    f"{name} names light {light}: the scene has {count}, counted from 0"
-                )
+        for name, lights in (
+            ("specular_lights", self.specular_lights or ()),
+            ("frontal_lights", self.frontal_lights),
+            ("lights", [light for light, _ in self.lights]),
+        ):
+            for light in lights:
+                if not 0 <= light < count:
+                    raise InputError(
+                        f"{name} names light {light}: the scene has {count}, counted from 0"
+                    )
 
     def as_dict(self) -> dict[str, Any]:
         """Return what is not the default, as TOML and JSON hold it."""
-        told = (FRONTAL,) if self.others else (FRONTAL, ())
+        own = {str(light): _told(_without(FRONTAL, changes)) for light, changes in self.lights}
         values = asdict(self.term) | {
             "outside": self.outside,
             "ks": self.ks,
             "normal_map": self.normal_map,
             "ambient": self.ambient,
-            "specular_lights": None if self.others else list(self.specular_lights or ()),
+            "specular_lights": None if self.specular_lights is None else [*self.specular_lights],
             "frontal_lights": list(self.frontal_lights),
-            "lights": {
-                str(light): changes is not None and _told(changes)
-                for light, changes in self.lights
-                if changes not in told
-            },
+            "lights": {light: changes for light, changes in own.items() if changes},
         }
         return {key: values[key] for key in _KEYS if values[key] != _DEFAULTS[key]}
 
@@ -330,14 +322,37 @@ def _indices(name: str, lights: Any) -> tuple[int, ...]:
     return tuple(indices)
 
 
-def _changes(given: Mapping[str, Any] | Iterable[tuple[str, Any]] | None) -> Changes | None:
-    if given is None:
-        return None
-    changes = dict(given)
-    if unknown := sorted(set(changes) - set(_TERM_FIELDS)):
+def _by_light(given: Any) -> dict[int, Changes]:
+    remedy = 'give what is different by index, such as {1: {"lobe": "d16"}}'
+    try:
+        return {
+            index(light): _changes(dict(changes))
+            for light, changes in dict(given).items()
+            if not isinstance(light, bool)
+        }
+    except (TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"lights = {given!r} of the shading: {remedy}") from None
+
+
+def _changes(given: Mapping[str, Any]) -> Changes:
+    if unknown := sorted(set(given) - set(_TERM_FIELDS)):
         known = ", ".join(_TERM_FIELDS)
         raise InputError(f"unknown key {unknown[0]!r} in the term of a light; known: {known}")
-    return tuple((name, changes[name]) for name in _TERM_FIELDS if name in changes)
+    for name, value in given.items():
+        if value is None:
+            raise InputError(f"{name} = None in the term of a light: give a value")
+    return tuple((name, given[name]) for name in _TERM_FIELDS if name in given)
+
+
+def _is_frontal(changes: Changes) -> bool:
+    return set(FRONTAL) <= set(changes)
+
+
+def _without(some: Changes, changes: Changes) -> Changes:
+    """The changes, less some where all of those are among them."""
+    return tuple(c for c in changes if c not in some) if set(some) <= set(changes) else changes
 
 
 def _told(changes: Changes) -> dict[str, Any]:
@@ -353,17 +368,15 @@ def _lobe(given: Any) -> Any:
         raise InputError(f"lobe = {given!r}: give a name, or g, factor, offset") from None
 
 
-def _lights(given: Any) -> dict[int, Mapping[str, Any] | None]:
-    """Read a table of changes by index, which TOML and JSON have as text; false for no term."""
-    remedy = 'give a table such as { 1 = { lobe = "d16" }, 2 = false }'
+def _lights(given: Any) -> dict[int, Mapping[str, Any]]:
+    """Read a table of changes by index, which TOML and JSON have as text."""
+    remedy = 'give a table such as { 1 = { lobe = "d16" } }'
     if not isinstance(given, Mapping) or not all(str(light).isdecimal() for light in given):
         raise InputError(f"lights = {given!r} of the shading: {remedy}")
-    lights: dict[int, Mapping[str, Any] | None] = {}
+    lights: dict[int, Mapping[str, Any]] = {}
     for light, changes in given.items():
-        if changes is not False and not isinstance(changes, Mapping):
+        if not isinstance(changes, Mapping):
             raise InputError(f"lights.{light} = {changes!r} of the shading: {remedy}")
-        lights[int(light)] = None
-        if changes is not False:
-            own = {"lobe": _lobe(changes["lobe"])} if "lobe" in changes else {}
-            lights[int(light)] = {**changes, **own}
+        own = {"lobe": _lobe(changes["lobe"])} if "lobe" in changes else {}
+        lights[int(light)] = {**changes, **own}
     return lights

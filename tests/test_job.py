@@ -22,7 +22,7 @@ JOBS = {
     "defaults": fr.Job(),
     "everything": fr.Job(
         fr.MeshFile(str(files.MINI_HEAD), flip_v=True),
-        {"m": 0.25, "ks": 0.5, "albedo": [0.5, 0.4, 0.3]},
+        {"m": 0.25, "ks": 0.5, "albedo": (0.5, 0.4, 0.3)},
         fr.Camera(20.0, 5.0, zoom=1.5, target=(0.0, 0.01, 0.0)),
         (LIGHTS["key"], POINT),
         ambient=(0.1, 0.2, 0.3),
@@ -31,7 +31,9 @@ JOBS = {
             lobe=GPower(6, 0.3, 0.1),
             ks=0.4,
             normal_map=False,
-            lights={0: {"fresnel": "dielectric"}, 1: None},
+            lights={0: {"fresnel": "dielectric"}},
+            frontal_lights=(1,),
+            specular_lights=(0,),
         ),
         image=fr.ImageSettings((48, 32), 1, float_albedo=True),
         outputs=(fr.Output("a.png", exposure=1.0), fr.Output("b.exr", "specular")),
@@ -112,11 +114,16 @@ def test_a_pickle_holds_each_texture_once(head):
         ({"outputs": [{"path": "a.png", "only": "shine"}]}, "unknown term 'shine'; known: spec"),
         ({"outputs": [{"path": "a.png", "exposure": 200}]}, "exposure = 200 is outside"),
         ({"material": {"m": 9}}, "m = 9 is outside"),
+        ({"material": {"mm": 9}}, "unknown key 'mm' in material"),
         ({"lights": [3]}, "unknown value 3 in lights"),
         ({"shading": {"lobe": "d32"}}, "unknown lobe 'd32'"),
         ({"shading": {"lights": {"1": 3}}}, "lights.1 = 3 of the shading: give a table such as"),
         ({"shading": {"lights": [1]}}, r"lights = \[1\] of the shading: give a table such as"),
         ({"shading": {"lights": {"1": {"ks": 1}}}}, "unknown key 'ks' in the term of a light"),
+        ({"shading": {"lights": {"1": {"m": None}}}}, "m = None in the term of a light"),
+        ({"ambient": -1.0}, "ambient = .* is negative"),
+        ({"outputs": [{"path": 5}]}, "output path = 5: give a path"),
+        ([1], r"job = \[1\]: give a table"),
     ],
 )
 def test_mistakes_of_a_job(tables, message):
@@ -127,3 +134,55 @@ def test_mistakes_of_a_job(tables, message):
 def test_paths_may_be_paths():
     assert fr.MeshFile(Path("a.glb")) == fr.MeshFile("a.glb")
     assert fr.Output(Path("a.png")) == fr.Output("a.png")
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"lights": [{"azimuth": 1}]},
+        {"image": {"size": [64, 64]}},
+        {"mesh": "head.glb"},
+        {"material": {"mm": 1}},
+        {"background": (-1, 0, 0)},
+    ],
+    ids=str,
+)
+def test_a_job_that_cannot_be(given):
+    with pytest.raises(fr.InputError, match=next(iter(given))):
+        fr.Job(**given)
+
+
+def test_equal_jobs_are_equal_after_a_journey():
+    job = fr.Job(lights=[fr.Light()], ambient=0.5, material={"albedo": [1, 1, 1]})
+    assert WAYS["JSON"](job) == job
+    assert fr.Job.from_dict(job.as_dict()) == job
+
+
+# --- shadings ------------------------------------------------------------------------------------
+
+
+def test_what_was_said_of_a_shading_may_be_taken_back():
+    pinned = fr.Shading(m=0.3, specular_lights=[0], frontal_lights=[0], small_slope=True)
+    assert pinned.replace(m=None, small_slope=None).term == fr.Term()
+    assert pinned.replace(specular_lights=None).specular_lights is None
+    assert pinned.replace(frontal_lights=()).frontal_lights == ()
+    assert fr.Shading(frontal_lights=[1]).replace(model="ward", frontal_lights=()) == fr.Shading(
+        "ward"
+    )
+    both = fr.Shading(lights={1: {"lobe": "d16"}}, frontal_lights=[1])
+    assert both.of(1) == fr.Term(lobe="d16").frontal
+    assert both.replace(frontal_lights=()) == fr.Shading(lights={1: {"lobe": "d16"}})
+    assert both.replace(lobe="fitted").of(1).lobe == "d16"
+    assert fr.Shading(lights={1: {}}) == fr.Shading()
+    for shading in (pinned, both, fr.Shading(specular_lights=[0], frontal_lights=[2])):
+        assert fr.Shading.from_dict(shading.as_dict()) == shading
+        with pytest.raises(fr.InputError, match="names light"):
+            shading.replace(frontal_lights=[9]).check_lights(3)
+
+
+@pytest.mark.parametrize(
+    "lights", [{"one": {}}, {1: False}, {1: "d16"}, [{}], {1: {"lob": "d16"}}, 3], ids=str
+)
+def test_lights_of_a_shading_that_are_none(lights):
+    with pytest.raises(fr.InputError, match="of the shading: give|in the term of a light"):
+        fr.Shading(lights=lights)

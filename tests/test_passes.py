@@ -41,11 +41,12 @@ def renderer(egl, monkeypatch, tmp_path):
     for name, text in SHADERS.items():
         (folder / "host" / name).write_text(text)
     monkeypatch.setattr("facerender.glsl.library.shader_dir", lambda: folder)
-    with fr.Renderer(SIZE, samples=1, backend=egl) as renderer:
+    with fr.Renderer(SIZE, samples=4, backend=egl) as renderer:
         yield renderer
 
 
-def test_a_filter_reads_what_was_shaded_and_a_depth(renderer, head):
+@pytest.mark.parametrize("samples", [1, 4])
+def test_a_filter_reads_what_was_shaded_and_a_depth(renderer, head, samples):
     scene = fr.Scene(head.with_material(m=0.3), background=None)
     view = view_of(scene, 1.0)
     above = view_of(replace(scene, camera=fr.Camera(elevation=60.0)), 1.0)
@@ -57,12 +58,13 @@ def test_a_filter_reads_what_was_shaded_and_a_depth(renderer, head):
         clear=(1.0, 1.0, 1.0, 1.0),
         uniforms=scene_uniforms(scene, above),
     )
-    shaded = shade_pass(scene, view, fr.Shading(), samples=1)
+    shaded = shade_pass(scene, view, fr.Shading(), samples)
     shaded = replace(shaded, target=replace(shaded.target, sampled=True))
     join = Pass("join", Target(), (Draw(Program("join.frag", "screen.vert"), {}),))
 
     (joined,) = renderer._draw([depth, shaded, join], scene)
-    expected = renderer.render(scene).linear
+    with fr.Renderer(SIZE, samples=samples, backend="egl") as plain:
+        expected = plain.render(scene).linear
     np.testing.assert_array_equal(joined[..., :3], 2.0 * expected[..., :3])
     with fr.Renderer((32, 32), samples=1, backend="egl") as small:
         seen = small.gbuffer(replace(scene, camera=fr.Camera(elevation=60.0)))

@@ -329,9 +329,12 @@ def test_a_program_does_not_depend_on_how_bright_a_light_is(head):
 
 
 LIGHTS_OF_THEIR_OWN = [  # of five; several lobes and slopes in one program
-    fr.Shading(lights={1: {"lobe": "d16"}, 3: {"lobe": "fitted", "masking": "kelemen"}, 4: None}),
+    fr.Shading(
+        lights={1: {"lobe": "d16"}, 3: {"lobe": "fitted", "masking": "kelemen"}},
+        specular_lights=(0, 1, 3),
+    ),
     fr.Shading(lights={0: {"model": "ward", "m": 0.15}, 2: {"lobe": GPower(6, 0.3)}}),
-    fr.Shading("ward", lights={1: {"m": 0.45, "lobe": "cosine"}}, others=False),
+    fr.Shading("ward", lights={1: {"m": 0.45, "lobe": "cosine"}}, specular_lights=(1,)),
     fr.Shading(m=0.3, lights={1: {"m": 0.1, "small_slope": True}, 3: {"model": "ward"}}),
 ]
 
@@ -549,8 +552,8 @@ def test_renderers_leave_nothing_behind(backend, head):
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         return pages * resource.getpagesize()
 
-    warm = use(2)
-    assert use(4) - warm < 4e6
+    warm = use(3)
+    assert use(6) - warm < 30e6  # one renderer's maps alone are 30 MB
 
 
 class Host:

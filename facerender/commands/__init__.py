@@ -9,20 +9,20 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from typing import Any, NoReturn, TextIO
 
 from facerender._version import __version__
-from facerender.commands import compare, doctor, measure, plan, render, reproduce, shaders
 from facerender.errors import FacerenderError, FacerenderWarning, InputError
 
 _COMMANDS = {
-    "render": (render, "render a mesh file, or the built-in head"),
-    "plan": (plan, "the cheapest shading within a budget, with its proof"),
-    "measure": (measure, "what each approximation costs and loses, here"),
-    "reproduce": (reproduce, "the paper's figures and claims, measured here"),
-    "compare": (compare, "whether two renders are the same"),
-    "shaders": (shaders, "the GLSL library, for programs of your own"),
-    "doctor": (doctor, "what OpenGL is found here, what is missing"),
+    "render": "render a mesh file, or the built-in head",
+    "plan": "the cheapest shading within a budget, with its proof",
+    "measure": "what each approximation costs and loses, here",
+    "reproduce": "the paper's figures and claims, measured here",
+    "compare": "whether two renders are the same",
+    "shaders": "the GLSL library, for programs of your own",
+    "doctor": "what OpenGL is found here, what is missing",
 }
 
 
@@ -52,7 +52,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.simplefilter("always", FacerenderWarning)
         warnings.showwarning = _warning_printer(caught)
         try:
-            options = _parser().parse_args(arguments)
+            options = _parser(sys.argv[1:] if arguments is None else arguments).parse_args(
+                arguments
+            )
             options.warnings = caught
             command: Callable[[argparse.Namespace], int] = options.command
             return command(options)
@@ -79,10 +81,13 @@ def _warning_printer(caught: list[str]) -> Callable[..., None]:
     return show
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
+    """Return the parser; of the commands, those among the arguments are imported."""
     parser = _Parser(prog="facerender", description="Render face meshes with skin highlights.")
     parser.add_argument("--version", action="version", version=f"facerender {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for name, (module, text) in _COMMANDS.items():
-        module.add(commands.add_parser(name, help=text))
+    for name, text in _COMMANDS.items():
+        command = commands.add_parser(name, help=text)
+        if name in arguments:
+            import_module(f"facerender.commands.{name}").add(command)
     return parser

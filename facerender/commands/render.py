@@ -12,6 +12,7 @@ from facerender.commands.scene import WHERE, add_scene, job_of, load
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
+from facerender.job import Output
 from facerender.scenes.scene import ONLY
 from facerender.shading import OUTSIDE, Shading
 from facerender.terms import LOBES
@@ -47,7 +48,8 @@ def add(render: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     if options.budget is not None and options.only is not None:
         raise InputError(f"--budget plans the whole image: leave --only {options.only} out")
-    job, _ = job_of(options, [options.camera] if options.camera else [])
+    output = Output(options.output, options.only, options.exposure)
+    job, _ = job_of(options, [options.camera] if options.camera else [], (output,))
     scene, shading = load(job), job.shading
     plan: dict[str, Any] = {}
     with Renderer.of(job, options.backend) as renderer:
@@ -56,10 +58,10 @@ def run(options: argparse.Namespace) -> int:
 
             plan = planned(scene, options.budget, shading, options.exposure, renderer)
             shading = Shading.from_dict(plan["shading"])
-        frame = renderer.render(scene, shading, options.only)
+        frame = renderer.render(scene, shading, output.only)
         backend = renderer.context.backend
     clean_up_on_interrupt()
-    frame.save(options.output, options.exposure)
+    frame.save(output.path, output.exposure)
     if options.json:
         facts = {
             "output": options.output,

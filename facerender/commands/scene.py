@@ -10,7 +10,7 @@ from typing import Any
 from facerender.commands.common import import_trimesh, numbers_of, parse_size
 from facerender.drawing.prepare import start_maps
 from facerender.errors import InputError
-from facerender.job import ImageSettings, Job, MeshFile
+from facerender.job import ImageSettings, Job, MeshFile, Output
 from facerender.scenes.camera import Camera, turntable
 from facerender.scenes.file import load_scene
 from facerender.scenes.light import LIGHTS, parse_light
@@ -61,7 +61,9 @@ def add_scene(
     return terms, scene
 
 
-def job_of(options: argparse.Namespace, places: Sequence[str]) -> tuple[Job, tuple[Camera, ...]]:
+def job_of(
+    options: argparse.Namespace, places: Sequence[str], outputs: tuple[Output, ...] = ()
+) -> tuple[Job, tuple[Camera, ...]]:
     """Return what options and scene file say: the job, and the cameras of the places, or else of
     the file, or else the job's own."""
     size = parse_size(options.size)
@@ -72,6 +74,7 @@ def job_of(options: argparse.Namespace, places: Sequence[str]) -> tuple[Job, tup
     terms = {name: value for name in names if (value := getattr(options, name, None)) is not None}
     pinned = settings.pop("shading", {})
     _check_unpinned(options, pinned)
+    shading = Shading.from_dict(pinned | terms)
     material = settings.pop("material", {})
     if options.roughness_map is not None:
         material.pop("m", None)
@@ -98,8 +101,9 @@ def job_of(options: argparse.Namespace, places: Sequence[str]) -> tuple[Job, tup
     job = Job(
         mesh,
         material,
-        shading=Shading.from_dict(pinned | terms),
+        shading=shading,
         image=ImageSettings(size, options.samples, options.anisotropy, options.float_albedo),
+        outputs=outputs,
         **settings,
     )
     return job, cameras or (job.camera,)
@@ -122,9 +126,10 @@ def _check_unpinned(options: argparse.Namespace, pinned: Mapping[str, Any]) -> N
         ("ambient", ("ambient",)),
         ("specular_lights", ("light",)),
         ("frontal_lights", ("light",)),
+        ("lights", ("light", "m", "lobe", "model", "fresnel", "masking")),
     ):
         for name in names:
-            if key in pinned and getattr(options, name) is not None:
+            if key in pinned and getattr(options, name, None) is not None:
                 raise InputError(
                     f"{options.scene} pins {key} = {pinned[key]} of the shading: leave "
                     f"--{name.replace('_', '-')} out, or that line"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from types import TracebackType
 
 import moderngl
@@ -12,10 +13,11 @@ from numpy.typing import NDArray
 from facerender._version import __version__
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.frame import Frame, GBuffer
-from facerender.drawing.passes import Pass, Target
+from facerender.drawing.passes import Pass
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.surface import surface_pass
 from facerender.drawing.prepare import simplify, start_maps
+from facerender.drawing.program import Lighting
 from facerender.drawing.reference import data_view
 from facerender.drawing.resources import Resources, read
 from facerender.errors import ContextError, InputError
@@ -145,16 +147,18 @@ class Renderer:
             raise InputError(f"unknown term {only!r}; known: {', '.join(ONLY)}")
         scene = simplify(scene, shading)
         start_maps(scene.mesh, self.albedo_kind)
-        ranges = [] if only == "diffuse" else slope_ranges(scene)
-        chosen = [shading.term.for_slopes(*ends, shading.outside) for ends in ranges]
         view = view_of(scene, self.size[0] / self.size[1])
         passes = [shade_pass(scene, view, shading, self.samples, only)]
         (linear,) = self._draw(passes, scene)
         metadata = {key: str(value) for key, value in shading.as_dict().items()} | self.metadata
         for name in ("model", "lobe", "fresnel", "masking"):
             metadata[name] = str(getattr(shading.term, name))
-        if any(term is not shading.term for term in chosen):
-            metadata["lobe of each part"] = ", ".join(str(term.lobe) for term in chosen)
+        terms = Lighting.of(scene, shading).terms
+        ranges = [] if only == "diffuse" else slope_ranges(scene)
+        drawn = [[term.for_slopes(*ends, shading.outside) for term in terms] for ends in ranges]
+        if any(own != [*terms] for own in drawn):
+            lobes = [dict.fromkeys(str(term.lobe) for term in own) for own in drawn]
+            metadata["lobe of each part"] = ", ".join(map(" and ".join, lobes))
         return Frame(linear, only, scene.background is None, metadata)
 
     def gbuffer(self, scene: Scene, shading: Shading = Shading()) -> GBuffer:
@@ -197,13 +201,13 @@ class Renderer:
         with self.context.drawing() as gl:
             for step in passes:
                 target = self._resources.draw(step, scene.mesh, drawn)
+                if step.target.samples > 1:
+                    single = self._resources.target(replace(step.target, samples=1))
+                    gl.copy_framebuffer(single, target)
+                    target = single
                 if step.target.sampled:
                     (texture, *_) = target.color_attachments
                     drawn[step.name] = texture  # type: ignore[assignment]
-            if step.target.samples > 1:
-                single = self._resources.target(Target())
-                gl.copy_framebuffer(single, target)
-                target = single
             return [read(target, index) for index in range(step.target.colors)]
 
 

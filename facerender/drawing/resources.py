@@ -80,10 +80,11 @@ class Resources:
         self.textures: WeakKeyDictionary[Texture, moderngl.Texture] = WeakKeyDictionary()
         self.programs: dict[Program, moderngl.Program] = {}
         self.targets: dict[Target, moderngl.Framebuffer] = {}
+        self.screens: dict[moderngl.Program, moderngl.VertexArray] = {}
 
     def release(self) -> None:
         """Free everything on the GPU; the context is current."""
-        for cache in (self.geometries, self.textures, self.programs, self.targets):
+        for cache in (self.geometries, self.textures, self.programs, self.targets, self.screens):
             cache.clear()
         self.context.gl.gc()
 
@@ -116,7 +117,9 @@ class Resources:
         set_uniforms(program, {**step.uniforms, **draw.uniforms})
         self.bind(program, draw, drawn)
         if draw.part is None:
-            self.context.gl.vertex_array(program, []).render(vertices=3)
+            if program not in self.screens:
+                self.screens[program] = self.context.gl.vertex_array(program, [])
+            self.screens[program].render(vertices=3)
         else:
             self.geometry(draw.part, mesh).array(self.context.gl, program).render()
 
@@ -138,12 +141,12 @@ class Resources:
             gl, size = self.context.gl, kind.size or self.size
             samples = kind.samples if kind.samples > 1 else 0
             try:
-                if kind.sampled:
-                    colors: list[Any] = [gl.texture(size, 4, dtype="f4")]
-                else:
-                    colors = [
-                        gl.renderbuffer(size, 4, samples, dtype="f4") for _ in range(kind.colors)
-                    ]
+                colors: list[Any] = [
+                    gl.texture(size, 4, dtype="f4")
+                    if kind.sampled and not samples
+                    else gl.renderbuffer(size, 4, samples, dtype="f4")
+                    for _ in range(kind.colors)
+                ]
                 depth = gl.depth_renderbuffer(size, samples=samples)
                 self.targets[kind] = gl.framebuffer(colors, depth)
             except moderngl.Error as error:

@@ -1,1 +1,2 @@
-"""What ``plan.py`` is made of."""
+"""The cheapest shading of a scene within an error budget: what may be chosen, how it errs, the
+search."""

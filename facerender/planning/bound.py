@@ -27,13 +27,17 @@ Range = tuple[float, float]
 _COSINES = np.cos(np.linspace(0.0, 0.5 * np.pi, 2001)).clip(0.0, 1.0)
 
 
+class Unbounded(InputError):
+    """A term or a kind of light of which nobody has told what it is at most."""
+
+
 def bound(scene: Scene, shading: Shading, full: Shading, budget: Budget) -> float:
     """Return an upper bound, in the budget's unit, of the error of a shading at any camera.
 
     Raises
     ------
-    InputError : a budget in FLIP, which has no such bound; a term or a kind of light of which
-        nobody has told what it is at most
+    Unbounded : a term or a kind of light of which nobody has told what it is at most
+    InputError : a budget in FLIP, which has no such bound
     """
     lit = [(light, shading.of(i), full.of(i)) for i, light in enumerate(scene.lights)]
     for light, *both in lit:
@@ -134,7 +138,7 @@ def _check_known(light: Light, terms: Sequence[Term]) -> None:
         }
     for name, is_known in known.items():
         if not is_known:
-            raise InputError(
+            raise Unbounded(
                 f"nothing is known of how large {name} may become: a guarantee needs it; leave "
                 "the guarantee out, and the error is measured at cameras"
             )

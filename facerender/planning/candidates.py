@@ -103,7 +103,7 @@ def with_lights(
 ) -> Shading:
     """Return a shading with other lights that have a specular term, and that have that of frontal
     light."""
-    return shading.replace(lights=(), others=True, specular_lights=specular, frontal_lights=frontal)
+    return shading.replace(specular_lights=specular, frontal_lights=frontal)
 
 
 def _terms(scene: Scene, full: Shading) -> Iterator[Shading]:

@@ -4,6 +4,7 @@ there are, how they err and how they are searched is told beside this file; what
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
@@ -19,9 +20,9 @@ from facerender.errors import InputError
 from facerender.glsl.code import call
 from facerender.glsl.library import Target, term_source
 from facerender.image import save_png
-from facerender.planning.bound import bound
+from facerender.planning.bound import Unbounded, bound
 from facerender.planning.budget import ROUNDING, Budget
-from facerender.planning.candidates import Constants, with_lights
+from facerender.planning.candidates import Constants
 from facerender.planning.decisions import Decision, decisions
 from facerender.planning.search import Choice, Cost, Drawn, Region, Witnesses, constants_seen
 from facerender.pricing.cost import is_software
@@ -233,7 +234,7 @@ def plan(
     allowed = Budget.parse(budget, exposure)
     if full.term.lobe != "exact":
         raise InputError(f"a plan chooses the lobe: leave {full.term.lobe} out")
-    if full != with_lights(full, full.specular_lights, full.frontal_lights):
+    if full != full.replace(lights={}, frontal_lights=full.frontal_lights):
         raise InputError("a plan chooses the lights' terms: leave lights out of the shading")
     if not scene.lights:
         raise InputError("the scene has no lights: there is no shading to plan")
@@ -289,7 +290,10 @@ def _guaranteed(scene: Scene, full: Shading, budget: Budget, cost: str) -> Plan:
     choice = Choice(scene, full, budget, constants, cost, software=False)
 
     def at_most(shading: Shading) -> float:
-        return bound(scene, shading, full, budget)
+        try:
+            return bound(scene, shading, full, budget)
+        except Unbounded:
+            return math.inf
 
     shading = choice.first(lambda each: at_most(each) <= choice.limit)
     told = decisions(choice, shading, at_most, at_most, might="might err by up to")

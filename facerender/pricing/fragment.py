@@ -37,7 +37,7 @@ from facerender.pricing import amd
 from facerender.pricing.cost import clock_of, slopes
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import SLOPE
-from facerender.scenes.light import LIGHT_KINDS, Light
+from facerender.scenes.light import LIGHT_KINDS
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.scene import Scene
@@ -56,10 +56,6 @@ _PATCH = Part(
     faces=np.arange(3, dtype=np.uint32)[None],
     uv=np.array([(0.0, 0.0), (0.0, 3 * SIZE[1] / 1024), (3 * SIZE[0] / 1024, 0.0)]),
 )
-_LIGHTS = {
-    "directional": Light(30.0, 35.0, (2.0, 1.9, 1.8)),
-    "point": Light(irradiance=(2.0, 1.9, 1.8), position=(1.0, 2.0, 3.0)),
-}
 _EMPTY = "#version 330 core\nout vec4 radiance;\nvoid main() { radiance = vec4(0.5); }\n"
 _VIEW = View(np.array([0.2, 0.1, 3.0]), np.array([0.0, 0.0, -1.0]), np.eye(4))
 
@@ -79,7 +75,7 @@ def scene_with(
     corners = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
     mesh = Mesh("patch", (_PATCH,), (material,), corners, 1.0, np.ones((1, 2)))
     counts = lights or {"directional": 1}
-    sources = [_LIGHTS[kind] for kind, count in counts.items() for _ in range(count)]
+    sources = [LIGHT_KINDS[kind].example for kind, n in counts.items() for _ in range(n)]
     return Scene(mesh, lights=tuple(sources), ambient=(0.2, 0.3, 0.4) if ambient else 0.0)
 
 

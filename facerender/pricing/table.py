@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from facerender.drawing.prepare import simplify
 from facerender.drawing.program import Lighting
@@ -36,8 +36,11 @@ COMPILED = {f"radv:{family}": family for family in FAMILY_NAMES}
 Terms = Mapping[str, tuple[float, float]]
 
 
+P = TypeVar("P")
+
+
 class NoPrice(InputError):
-    """A term that the table of prices does not have."""
+    """A term, or a kind of light, that the table of prices does not have."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,8 @@ class Prices:
             for _ in range(group.count if group.term >= 0 else 0)
         ]
         lights = sum(
-            group.count * self.parts[LIGHT_KINDS[group.kind].price] for group in lighting.groups
+            group.count * self._priced(self.parts, LIGHT_KINDS[group.kind].price)
+            for group in lighting.groups
         )
         total = specular = faces = 0.0
         for part, material, (smallest, _) in zip(
@@ -81,7 +85,7 @@ class Prices:
         ):
             shine = 0.0
             if material.ks:
-                terms = [self._price(each, smallest) for each in lit]
+                terms = [self._priced(self.terms, term_name(each, smallest)) for each in lit]
                 shine = sum(first if i == 0 else more for i, (first, more) in enumerate(terms))
             ambient = material.kd > 0.0 and any(simple.ambient)  # type: ignore[arg-type]
             sum_ = self.parts["base program"] + shine + lights
@@ -92,14 +96,13 @@ class Prices:
             specular += len(part.faces) * shine
         return total / faces, specular / faces
 
-    def _price(self, term: Term, smallest_m: float) -> tuple[float, float]:
-        name = term_name(term, smallest_m)
-        if name not in self.terms:
+    def _priced(self, prices: Mapping[str, P], name: str) -> P:
+        if name not in prices:
             raise NoPrice(
                 f"no price of {name} among {self.source}: measure it, with --cost here, or write "
                 "the table anew: python -m facerender.pricing.table"
             )
-        return self.terms[name]
+        return prices[name]
 
     def _maps(self, part: Part, material: Material, ambient: bool, shines: bool) -> float:
         if part.uv is None:

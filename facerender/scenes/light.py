@@ -64,6 +64,7 @@ class LightKind:
     Attributes
     ----------
     name : of its file, such as "point"
+    example : one to price it with
     matches : whether a light is of this kind; the first kind that does counts
     uniforms : of lights and their mesh, the arrays by name, each (N, 3), in the renderer's space
     lighting : of a light, its mesh and positions (..., 3) in the renderer's space: unit vectors
@@ -73,6 +74,7 @@ class LightKind:
     """
 
     name: str
+    example: Light
     matches: Callable[[Light], bool]
     uniforms: Callable[[Sequence[Light], Mesh], dict[str, Float]]
     lighting: Callable[[Light, Mesh, Float], tuple[Float, Float]]
@@ -124,6 +126,7 @@ LIGHT_KINDS: dict[str, LightKind] = {
     for kind in (
         LightKind(
             "point",
+            example=Light(irradiance=2.0, position=(1.0, 2.0, 3.0)),
             matches=lambda light: light.position is not None,
             uniforms=_points,
             lighting=_point_lighting,
@@ -131,6 +134,7 @@ LIGHT_KINDS: dict[str, LightKind] = {
         ),
         LightKind(
             "directional",
+            example=Light(30.0, 35.0, 2.0),
             matches=lambda light: True,
             uniforms=_distant,
             lighting=lambda light, mesh, position: (light.direction, np.asarray(light.irradiance)),

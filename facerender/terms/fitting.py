@@ -1,5 +1,5 @@
 """Minimax fits of the lobe E/c^k by a clamped polynomial to a power: where the constants of the
-fitted lobes in ``lobes.py`` and ``shaders/facerender/lobe/fitted.glsl`` come from. No OpenGL here.
+fitted lobes in ``lobe.py`` and ``shaders/facerender/lobe/fitted.glsl`` come from. No OpenGL here.
 
 ``python -m facerender.terms.fitting`` computes the constants anew and prints them.
 """

@@ -43,14 +43,15 @@ class Lobe(Entry):
         ... 0.6, or one number for every slope; None where nothing is stated
     rounding : of c, m, k, how far float32 may be from ``evaluate``: relative to it, and absolute
     amplified : what a relative error of 1/m² (1 - c) becomes in the lobe, in units of its peak
-    highest : of m and k, the largest value over c; None where nobody knows: a guarantee then
-        refuses the lobe
+    highest : of the largest m, and k, the largest value over c there and at every smaller m; None
+        where nobody knows: a guarantee then refuses the lobe
     colour : in plots
     macro, macros : the macro that stands for it, and further ones that its GLSL needs
     price : what tables of prices call it; its name, or several lobes' that cost the same
     constants : the macro that gives its GLSL coefficients where m is a constant, and their float64
         function of m and k
-    of_tan2 : evaluates from tan² γ, k and m in place of c, where that keeps digits
+    of_tan2 : of the exact lobe alone, which models treat apart: evaluates from tan² γ in place of
+        c, which keeps digits
     """
 
     number: int

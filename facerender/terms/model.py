@@ -62,8 +62,8 @@ class Model(Entry):
     family : models of one stand for each other in a plan; they agree where normal, light and eye
         coincide
     printed : call of the paper's literal form of it, where it is another
-    at_most : of m, the largest f N.L N.V for a lobe and terms that are at most 1; None where nobody
-        knows: a guarantee then refuses the model
+    at_most : of the smallest m, the largest f N.L N.V there and at every larger m, for a lobe and
+        terms that are at most 1; None where nobody knows: a guarantee then refuses the model
     """
 
     title: str
