@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import threading
+from contextlib import contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -61,9 +62,9 @@ def site(tmp_path_factory):
     server.server_close()
 
 
-@pytest.fixture
-def page(site, browser):
-    """The page, loaded; it must have nothing to say in the console."""
+@contextmanager
+def loaded(site, browser):
+    """The page, which must have nothing to say in the console."""
     page = browser.new_page(viewport={"width": 1200, "height": 800})
     said = []
     page.on("console", lambda message: said.append(message.text))
@@ -73,6 +74,20 @@ def page(site, browser):
     yield page
     page.close()
     assert said == []
+
+
+@pytest.fixture(scope="module")
+def page(site, browser):
+    """One for tests that say what they look at."""
+    with loaded(site, browser) as page:
+        yield page
+
+
+@pytest.fixture
+def moved(site, browser):
+    """One for a test that moves the eye or the window."""
+    with loaded(site, browser) as page:
+        yield page
 
 
 def reference(n, eye, position, m, lobe):
@@ -96,8 +111,9 @@ def test_highlights_are_the_float64_brdf(page, shape):
     for m, lobe in [(0.15, "d16"), (0.4, "d16"), (0.4, "fitted")]:
         page.fill("#m", str(m))
         page.select_option("#lobe", lobe)
-        for point in POINTS[shape]:
-            found = {k: np.array(v) for k, v in page.evaluate("at => probe(...at)", point).items()}
+        probed = page.evaluate("points => points.map(at => probe(...at))", POINTS[shape])
+        for point, values in zip(POINTS[shape], probed, strict=True):
+            found = {name: np.array(value) for name, value in values.items()}
             normal, position, eye = found["normal"], found["position"], found["eye"]
             if shape == "sphere":
                 assert np.linalg.norm(position) == pytest.approx(0.1, rel=3e-4)
@@ -113,6 +129,8 @@ def test_highlights_are_the_float64_brdf(page, shape):
 def test_views_show_both_pictures_and_eight_times_their_difference(page):
     page.select_option("#shape", "sphere")
     page.check("#specular")
+    page.fill("#m", "0.4")
+    page.select_option("#lobe", "d16")
     page.wait_for_timeout(500)  # for the frame that the controls asked for
     views = [
         np.asarray(Image.open(io.BytesIO(figure.screenshot())).convert("RGB")) / 255
@@ -128,20 +146,20 @@ def test_views_show_both_pictures_and_eight_times_their_difference(page):
             np.testing.assert_allclose(view[y, x], linear_to_srgb(linear), atol=4 / 255)
 
 
-def test_dragging_turns_the_shape(page):
-    before = page.evaluate("probe(200, 350).eye")
-    page.mouse.move(600, 400)
-    page.mouse.down()
-    page.mouse.move(500, 420)
-    page.mouse.up()
-    after = page.evaluate("probe(200, 350).eye")
+def test_dragging_turns_the_shape(moved):
+    before = moved.evaluate("probe(200, 350).eye")
+    moved.mouse.move(600, 400)
+    moved.mouse.down()
+    moved.mouse.move(500, 420)
+    moved.mouse.up()
+    after = moved.evaluate("probe(200, 350).eye")
     assert np.linalg.norm(after) == pytest.approx(np.linalg.norm(before))
     assert np.linalg.norm(np.subtract(after, before)) > 0.1
 
 
-def test_page_fits_a_telephone(page):
-    page.set_viewport_size({"width": 420, "height": 800})
+def test_page_fits_a_telephone(moved):
+    moved.set_viewport_size({"width": 420, "height": 800})
     inside = "[document.body.scrollWidth <= innerWidth, document.body.scrollHeight <= innerHeight]"
-    assert page.evaluate(inside) == [True, True]
-    sizes = [figure.bounding_box() for figure in page.locator("figure").all()]
+    assert moved.evaluate(inside) == [True, True]
+    sizes = [figure.bounding_box() for figure in moved.locator("figure").all()]
     assert min(min(size["width"], size["height"]) for size in sizes) > 180

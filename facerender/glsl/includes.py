@@ -6,6 +6,7 @@ import operator
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 from facerender.errors import InputError, reason
@@ -103,12 +104,8 @@ class Expansion:
     def text(self, text: str, path: Path | None = None) -> None:
         """Append text, that of the file at path if it is any's; errors as of :meth:`file`."""
         source, depth = len(self.files), len(self._conditionals)
-        text = _without_comments_behind_directives(text)
-        code = _COMMENT_OR_STRING.sub(_blank, text)
-        guard = _guard(code)
-        lines = zip(text.split("\n"), code.split("\n"), strict=True)
-        for number, (line, bare) in enumerate(lines, 1):
-            directive, rest = match.groups() if (match := _DIRECTIVE.fullmatch(bare)) else ("", "")
+        lines, guard = _scanned(text)
+        for number, (line, directive, rest) in enumerate(lines, 1):
             if directive in ("if", "ifdef", "ifndef"):
                 own = directive == "ifndef" and rest == guard
                 conditional = _Conditional(len(self.files), not self._active, own)
@@ -243,6 +240,19 @@ class Expansion:
             self._macros.pop(match[1], None)
         elif match and not any(conditional.open for conditional in self._conditionals):
             self._macros[match[1]] = match[2]
+
+
+@lru_cache(maxsize=128)
+def _scanned(text: str) -> tuple[tuple[tuple[str, str, str], ...], str | None]:
+    """Return each line with its directive and what follows it, and the macro of the include guard
+    that all of the text stands in; a program's stages, and many programs, include the same."""
+    text = _without_comments_behind_directives(text)
+    code = _COMMENT_OR_STRING.sub(_blank, text)
+    lines = []
+    for line, bare in zip(text.split("\n"), code.split("\n"), strict=True):
+        directive, rest = match.groups() if (match := _DIRECTIVE.fullmatch(bare)) else ("", "")
+        lines.append((line, directive, rest))
+    return tuple(lines), _guard(code)
 
 
 def _blank(match: re.Match[str]) -> str:
