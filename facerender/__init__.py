@@ -17,6 +17,8 @@ shader_source   one file of the GLSL library, flat, for a target; shader_dir: th
                 resolve_includes, moderngl_includes: for programs of your own
 """
 
+from typing import TYPE_CHECKING, Any
+
 from facerender import brdf, lobes
 from facerender._version import __version__
 from facerender.comparison.gates import compare
@@ -26,7 +28,6 @@ from facerender.errors import ContextError, FacerenderError, FacerenderWarning, 
 from facerender.glsl.library import moderngl_includes, resolve_includes, shader_dir, shader_source
 from facerender.job import ImageSettings, Job, MeshFile, Output
 from facerender.loading import load_mesh
-from facerender.planning.plan import Plan, plan
 from facerender.scenes.camera import Camera, turntable
 from facerender.scenes.file import load_scene
 from facerender.scenes.light import Light
@@ -36,6 +37,9 @@ from facerender.scenes.scene import Scene
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import View, view_of
 from facerender.shading import Shading, Term
+
+if TYPE_CHECKING:
+    from facerender.planning.plan import Plan, plan
 
 __all__ = [
     "Camera",
@@ -74,3 +78,12 @@ __all__ = [
     "turntable",
     "view_of",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the planner when it is asked for: nothing else needs it, and a cold start is short."""
+    if name in ("Plan", "plan"):
+        from facerender.planning import plan as planner
+
+        return getattr(planner, name)
+    raise AttributeError(f"module 'facerender' has no attribute {name!r}")
