@@ -12,6 +12,7 @@ import pytest
 import facerender as fr
 from facerender.commands import main
 from facerender.errors import InputError, NotMeasured
+from facerender.drawing.context import is_software
 from facerender.measure import error, run
 from facerender.measure.measurement import MODELS, SCHEMA, ImageError, Measurement
 from facerender.pricing import amd, cost
@@ -60,7 +61,7 @@ def test_frames_are_timed_for_each_shading(egl, head):
     [("llvmpipe (LLVM 15.0.6, 256 bits)", True), ("softpipe", True), ("NVIDIA H200/PCIe", False)],
 )
 def test_software_drivers_are_known(renderer, software):
-    assert cost.is_software(renderer) == software
+    assert is_software(renderer) == software
 
 
 def test_lobe_error_is_signed_and_relative_to_the_peak():

@@ -19,6 +19,7 @@ Backend = Literal["auto", "egl", "osmesa", "current"]
 
 BACKENDS: tuple[Backend, ...] = ("auto", "egl", "osmesa", "current")
 PACKAGES = {"egl": "libegl1 libgl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
+SOFTWARE = ("llvmpipe", "softpipe", "swr", "swiftshader", "software rasterizer")
 _GL_VERSION = 330
 
 
@@ -121,6 +122,11 @@ def _current() -> _Loader:
     return ForeignContext(host.get_proc_address)
 
 
+def is_software(renderer: str) -> bool:
+    """Tell from GL_RENDERER whether the CPU draws."""
+    return any(name in renderer.lower() for name in SOFTWARE)
+
+
 @dataclass(frozen=True)
 class Context:
     """An OpenGL context that works, and what it is.
@@ -139,6 +145,11 @@ class Context:
     handle: int
     renderer: str
     version: str
+
+    @property
+    def software(self) -> bool:
+        """Whether the CPU draws."""
+        return is_software(self.renderer)
 
     def function(self, name: str, *argument_types: type, result: type | None = None) -> Any:
         """Return an OpenGL function that moderngl does not wrap."""

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from facerender._version import __version__
 from facerender.drawing.context import Backend, create_context
+from facerender.drawing.facets import IN_ROW
 from facerender.drawing.frame import Frame, GBuffer
 from facerender.drawing.passes import Pass
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.surface import surface_pass
+from facerender.drawing.passes.visibility import Visibility, pays
 from facerender.drawing.prepare import simplify, start_maps
 from facerender.drawing.program import Lighting
 from facerender.drawing.reference import data_view
@@ -28,7 +30,7 @@ from facerender.scenes.light import Light
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import ONLY, Only, Scene, slope_ranges
 from facerender.scenes.texture import Kind
-from facerender.scenes.view import view_of
+from facerender.scenes.view import View, view_of
 from facerender.shading import Shading
 from facerender.terms import AnyLobe
 
@@ -148,8 +150,9 @@ class Renderer:
         scene = simplify(scene, shading)
         start_maps(scene.mesh, self.albedo_kind)
         view = view_of(scene, self.size[0] / self.size[1])
-        passes = [shade_pass(scene, view, shading, self.samples, only)]
-        (linear,) = self._draw(passes, scene)
+        visibility = self._visibility(scene, view, self.samples)
+        shaded = shade_pass(scene, view, shading, self.samples, only, visibility)
+        (linear,) = self._draw([visibility.drawn(), shaded] if visibility else [shaded], scene)
         metadata = {key: str(value) for key, value in shading.as_dict().items()} | self.metadata
         for name in ("model", "lobe", "fresnel", "masking"):
             metadata[name] = str(getattr(shading.term, name))
@@ -166,7 +169,10 @@ class Renderer:
         scene = simplify(scene, shading)
         start_maps(scene.mesh, self.albedo_kind)
         view = view_of(scene, self.size[0] / self.size[1])
-        position, normal, albedo, uv = self._draw([surface_pass(scene, view)], scene)
+        visibility = self._visibility(scene, view, 1)
+        surface = surface_pass(scene, view, visibility)
+        passes = [visibility.drawn(), surface] if visibility else [surface]
+        position, normal, albedo, uv = self._draw(passes, scene)
         return GBuffer(
             part=position[..., 3].astype(np.int64) - 1,
             position=position[..., :3],
@@ -178,6 +184,17 @@ class Renderer:
             uv=uv[..., :2],
             view=view,
         )
+
+    def _visibility(self, scene: Scene, view: View, samples: int) -> Visibility | None:
+        """What a scene's image is deferred to, where that is cheaper and the driver can do it."""
+        limits = self.context.gl.info
+        rows = limits["GL_MAX_TEXTURE_SIZE"]
+        able = limits["GL_MAX_INTEGER_SAMPLES"] >= samples
+        if not (self.context.software and able and pays(scene, self.size, samples)):
+            return None
+        if max(len(part.faces) for part in scene.mesh.parts) > rows * IN_ROW:
+            return None
+        return Visibility.of(scene, view, self.size, samples)
 
     # --- OpenGL ----------------------------------------------------------------------------------
 
@@ -201,7 +218,7 @@ class Renderer:
         with self.context.drawing() as gl:
             for step in passes:
                 target = self._resources.draw(step, scene.mesh, drawn)
-                if step.target.samples > 1:
+                if step.target.samples > 1 and step.target.values == "color":
                     single = self._resources.target(replace(step.target, samples=1))
                     gl.copy_framebuffer(single, target)
                     target = single

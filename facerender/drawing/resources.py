@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.context import Context
+from facerender.drawing.facets import Facets
 from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.prepare import part_maps
 from facerender.drawing.program import Program, part_columns
@@ -76,7 +77,8 @@ class Resources:
     ) -> None:
         self.context, self.size = context, size
         self.anisotropy, self.albedo_kind = anisotropy, albedo_kind
-        self.geometries: WeakKeyDictionary[Part, Geometry] = WeakKeyDictionary()
+        self.geometries: WeakKeyDictionary[Part | Facets, Geometry] = WeakKeyDictionary()
+        self.facets: WeakKeyDictionary[Facets, moderngl.Texture] = WeakKeyDictionary()
         self.textures: WeakKeyDictionary[Texture, moderngl.Texture] = WeakKeyDictionary()
         self.programs: dict[Program, moderngl.Program] = {}
         self.targets: dict[Target, moderngl.Framebuffer] = {}
@@ -84,7 +86,8 @@ class Resources:
 
     def release(self) -> None:
         """Free everything on the GPU; the context is current."""
-        for cache in (self.geometries, self.textures, self.programs, self.targets, self.screens):
+        caches = (self.geometries, self.facets, self.textures, self.programs, self.targets)
+        for cache in (*caches, self.screens):
             cache.clear()
         self.context.gl.gc()
 
@@ -104,9 +107,14 @@ class Resources:
         """
         gl = self.context.gl
         target = self.target(step.target)
-        with gl.scope(target, enable_only=moderngl.DEPTH_TEST):
+        enabled = moderngl.BLEND * step.added | moderngl.DEPTH_TEST * step.target.depth
+        with gl.scope(target, enable_only=enabled):
             target.clear(*step.clear)
+            gl.blend_func = moderngl.ONE, moderngl.ONE
+            gl.cull_face = "front"  # the image is drawn upside down
             for draw in step.draws:
+                target.viewport = draw.area or (0, 0, *target.size)
+                (gl.enable if draw.one_sided else gl.disable)(moderngl.CULL_FACE)
                 self._draw(draw, step, mesh, drawn)
         return target
 
@@ -116,7 +124,9 @@ class Resources:
         program = self.program(draw.program)
         set_uniforms(program, {**step.uniforms, **draw.uniforms})
         self.bind(program, draw, drawn)
-        if draw.part is None:
+        if draw.facets is not None and not draw.area:
+            self.positions(draw.facets).array(self.context.gl, program).render()
+        elif draw.part is None or draw.area:
             if program not in self.screens:
                 self.screens[program] = self.context.gl.vertex_array(program, [])
             self.screens[program].render(vertices=3)
@@ -126,11 +136,13 @@ class Resources:
     def bind(
         self, program: moderngl.Program, draw: Draw, drawn: Mapping[str, moderngl.Texture]
     ) -> None:
-        """Bind a material's maps, and textures of the scene, to their uniforms."""
+        """Bind a material's maps, facets, and textures of the scene, to their uniforms."""
         textures = dict(drawn)
         if draw.part is not None and draw.material is not None:
             for name, source, kind in part_maps(draw.part, draw.material, self.albedo_kind):
                 textures[name] = self.texture(name, source, kind)  # before binding: it uses unit 0
+        if draw.facets is not None and draw.area:
+            textures["facets"] = self.facet_texture(draw.facets)
         for unit, (name, texture) in enumerate(textures.items()):
             texture.use(unit)
             set_uniforms(program, {name: unit})
@@ -141,13 +153,16 @@ class Resources:
             gl, size = self.context.gl, kind.size or self.size
             samples = kind.samples if kind.samples > 1 else 0
             try:
+                components, dtype = (1, "u4") if kind.values == "number" else (4, "f4")
+                resolved = samples and kind.values == "color"
+                make = gl.texture if kind.sampled and not resolved else gl.renderbuffer
                 colors: list[Any] = [
-                    gl.texture(size, 4, dtype="f4")
-                    if kind.sampled and not samples
-                    else gl.renderbuffer(size, 4, samples, dtype="f4")
-                    for _ in range(kind.colors)
+                    make(size, components, samples=samples, dtype=dtype) for _ in range(kind.colors)
                 ]
-                depth = gl.depth_renderbuffer(size, samples=samples)
+                if kind.sampled and not samples:
+                    for color in colors:
+                        color.filter = moderngl.NEAREST, moderngl.NEAREST
+                depth = gl.depth_renderbuffer(size, samples=samples) if kind.depth else None
                 self.targets[kind] = gl.framebuffer(colors, depth)
             except moderngl.Error as error:
                 raise ContextError(
@@ -178,6 +193,24 @@ class Resources:
             widths = {name: values.shape[1] for name, values in columns.items()}
             self.geometries[part] = Geometry(gl.buffer(vertices), widths, gl.buffer(part.faces), {})
         return self.geometries[part]
+
+    def positions(self, facets: Facets) -> Geometry:
+        """Upload where facets lie, once."""
+        if facets not in self.geometries:
+            gl = self.context.gl
+            gl.gc()
+            buffers = gl.buffer(facets.positions), gl.buffer(facets.faces)
+            self.geometries[facets] = Geometry(buffers[0], {"in_position": 3}, buffers[1], {})
+        return self.geometries[facets]
+
+    def facet_texture(self, facets: Facets) -> moderngl.Texture:
+        """Upload what deferred shading reads of facets, once."""
+        if facets not in self.facets:
+            packed = facets.texture()
+            texture = self.context.gl.texture(packed.shape[1::-1], 4, packed, dtype="f4")
+            texture.filter = moderngl.NEAREST, moderngl.NEAREST
+            self.facets[facets] = texture
+        return self.facets[facets]
 
     def texture(self, name: str, source: Texture, kind: Kind) -> moderngl.Texture:
         """Upload a mip chain. moderngl uploads level 0; its build_mipmaps would take 65 ms for

@@ -25,7 +25,6 @@ from facerender.planning.budget import ROUNDING, Budget
 from facerender.planning.candidates import Constants
 from facerender.planning.decisions import Decision, decisions
 from facerender.planning.search import Choice, Cost, Drawn, Region, Witnesses, constants_seen
-from facerender.pricing.cost import is_software
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import scene_toml
 from facerender.scenes.scene import Scene, slope_ranges
@@ -249,7 +248,7 @@ def plan(
         views = [Region.seen(drawing, each, full, allowed) for each in scenes]
         if not any(view.counted.any() for view in views):
             raise InputError(f"the cameras see nothing of {scene.mesh.name}")
-        software = is_software(drawing.context.renderer)
+        software = drawing.context.software
         choice = Choice(scene, full, allowed, constants_seen(scene, full, views), cost, software)
         drawn = Drawn(drawing, scenes, full, allowed) if drawing.samples > 1 else None
         return _measured(choice, at, views, drawn)

@@ -24,7 +24,6 @@ SIZE = (512, 256)
 # Other work on the machine only ever adds time: the lower quartile of the repeats is steadier than
 # their median, and unlike their minimum no matter of luck.
 QUANTILE = 0.25
-SOFTWARE = ("llvmpipe", "softpipe", "swr", "swiftshader", "software rasterizer")
 
 _VERTEX = """#version 330 core
 in vec2 corner;
@@ -183,16 +182,11 @@ def frames(
     return bootstrap(lambda turns: 1e3 * np.quantile(times[turns], QUANTILE, axis=0), repeats)
 
 
-def is_software(renderer: str) -> bool:
-    """Tell from GL_RENDERER whether the CPU draws."""
-    return any(name in renderer.lower() for name in SOFTWARE)
-
-
 def clock_of(
     context: Context,
 ) -> Callable[[moderngl.Context], AbstractContextManager[list[float]]]:
     """Return what times drawing in a context: its list has the seconds, once it is left."""
-    if is_software(context.renderer):
+    if context.software:
         return partial(_cpu_clock, threads=_threads(context.renderer))
     return _gpu_clock
 

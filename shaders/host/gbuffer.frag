@@ -1,4 +1,4 @@
-// Everything that shading reads at a fragment, for the float64 reference and the data views.
+// Everything that shading reads at a pixel's centre, for the float64 reference and the data views.
 #include "facerender/constants.glsl"
 #include "host/surface.glsl"
 
@@ -9,12 +9,19 @@ layout(location = 2) out vec4 albedo_weight;
 layout(location = 3) out vec4 uv_occlusion;
 
 void main() {
-    Surface s = surface();
+#ifdef VISIBLE
+    uint facet = facet_at(0);
+    if (facet >= uint(facet_count)) discard;
+    Point p = point(facet);
+#else
+    Point p = point();
+#endif
+    Surface s = surface(p);
     position_part = vec4(s.position, part);
     normal_slope = vec4(s.normal, s.m);
     albedo_weight = vec4(s.albedo, s.specular_weight);
 #ifdef UV
-    uv_occlusion = vec4(uv, s.occlusion, 1.0);
+    uv_occlusion = vec4(p.uv, s.occlusion, 1.0);
 #else
     uv_occlusion = vec4(0.0, 0.0, s.occlusion, 1.0);
 #endif

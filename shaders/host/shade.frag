@@ -1,4 +1,4 @@
-// Radiance of a fragment: the sum over the lights of irradiance x N.L x BRDF, and the ambient term.
+// Radiance of a point: the sum over the lights of irradiance x N.L x BRDF, and the ambient term.
 // drawing/program.py writes what stands before: the lights' kinds, ADD_EVERY_LIGHT, which calls
 // add_light for each of them with the number of its term, -1 for none, and, where a light has a term,
 // SPECULAR and specular_term(term, n, l, v, m, f0).
@@ -11,10 +11,13 @@ uniform float f0;
 #ifdef AMBIENT
 uniform vec3 ambient;  // irradiance, the same from every direction
 #endif
+#ifdef VISIBLE
+uniform vec3 background;
+#endif
 out vec4 radiance;
 
-vec3 diffuse = vec3(0.0);
-vec3 specular = vec3(0.0);
+vec3 diffuse;
+vec3 specular;
 
 void add_light(Surface s, vec3 v, Light light, int term) {
     vec3 received = light.irradiance * max(dot(s.normal, light.direction), 0.0);
@@ -26,9 +29,11 @@ void add_light(Surface s, vec3 v, Light light, int term) {
 #endif
 }
 
-void main() {
-    Surface s = surface();
+vec3 shaded(Point p) {
+    Surface s = surface(p);
     vec3 v = normalize(eye - s.position);
+    diffuse = vec3(0.0);
+    specular = vec3(0.0);
 #ifdef AMBIENT
     diffuse += ambient * s.occlusion;
 #endif
@@ -40,5 +45,41 @@ void main() {
 #ifdef SPECULAR
     result += s.specular_weight * specular;
 #endif
-    radiance = vec4(result, 1.0);
+    return result;
 }
+
+#ifdef VISIBLE
+// What the part adds to the background: every surface in the pixel is shaded once, at its centre.
+void main() {
+    uint count = uint(facet_count);
+    uint seen[SAMPLES];
+    uint facet = count;
+    for (int i = SAMPLES - 1; i >= 0; --i) {
+        seen[i] = facet_at(i);
+        if (seen[i] < count) facet = seen[i];
+    }
+    if (facet == count) discard;
+#if SAMPLES > 1
+    for (int i = 0; i < SAMPLES; ++i) {
+        if (seen[i] < count && is_smooth(facet, seen[i])) seen[i] = facet;
+    }
+#endif
+    radiance = vec4(0.0);
+    do {
+        float weight = 0.0;
+        uint next = count;
+        for (int i = 0; i < SAMPLES; ++i) {
+            if (seen[i] == facet) {
+                weight += 1.0 / float(SAMPLES);
+                seen[i] = count;
+            } else if (seen[i] < count) {
+                next = seen[i];
+            }
+        }
+        radiance += weight * vec4(shaded(point(facet)) - background, 1.0);
+        facet = next;
+    } while (facet < count);
+}
+#else
+void main() { radiance = vec4(shaded(point()), 1.0); }
+#endif

@@ -4,15 +4,20 @@ is no pass. No OpenGL here."""
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
+from facerender.drawing.facets import Facets
 from facerender.drawing.program import Program, Uniforms
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
 
 
+Area = tuple[int, int, int, int]
+
+
 @dataclass(frozen=True)
 class Target:
-    """What a pass draws into: float32 RGBA, with a depth buffer.
+    """What a pass draws into.
 
     Attributes
     ----------
@@ -20,22 +25,37 @@ class Target:
     samples : per pixel
     size : width and height in pixels; None for the frame's
     sampled : whether later passes read its first image as the texture of the pass's name
+    values : float32 RGBA, or "number", one uint32
+    depth : whether there is a depth buffer, and what is behind is hidden
     """
 
     colors: int = 1
     samples: int = 1
     size: tuple[int, int] | None = None
     sampled: bool = False
+    values: Literal["color", "number"] = "color"
+    depth: bool = True
 
 
 @dataclass(frozen=True, eq=False)
 class Draw:
-    """A part with its program; without a part, one triangle that covers the target."""
+    """A part with its program; without a part, one triangle that covers the target.
+
+    Attributes
+    ----------
+    facets : of the part: only its positions are drawn, in the order of the facets
+    area : left, lowest row, width and height in pixels: one triangle covers them, whose program reads
+        the facets
+    one_sided : whether backs of triangles are left out
+    """
 
     program: Program
     uniforms: Uniforms
     part: Part | None = None
     material: Material | None = None
+    facets: Facets | None = None
+    area: Area | None = None
+    one_sided: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +67,7 @@ class Pass:
     name : for passes that read what it drew
     clear : linear RGB and coverage where nothing is drawn
     uniforms : that all draws share
+    added : whether draws add to what is there
     """
 
     name: str
@@ -54,3 +75,4 @@ class Pass:
     draws: tuple[Draw, ...]
     clear: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     uniforms: Uniforms = field(default_factory=dict)
+    added: bool = False

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import Lighting, part_uniforms, scene_uniforms, shade_program
 from facerender.scenes.mesh import slope_range
 from facerender.scenes.scene import Only, Scene
@@ -11,13 +14,20 @@ from facerender.shading import Shading
 
 
 def shade_pass(
-    scene: Scene, view: View, shading: Shading, samples: int, only: Only | None = None
+    scene: Scene,
+    view: View,
+    shading: Shading,
+    samples: int,
+    only: Only | None = None,
+    visibility: Visibility | None = None,
 ) -> Pass:
     """Return the pass that shades a simplified scene.
 
     Parameters
     ----------
     only : "specular" or "diffuse" in place of the whole image
+    visibility : what was drawn before, with so many samples; None to shade triangles as they are
+        drawn
 
     Raises
     ------
@@ -36,4 +46,5 @@ def shade_pass(
         draws.append(Draw(program, part_uniforms(part, material), part, material))
     background = scene.background if scene.background and only is None else (0.0, 0.0, 0.0)
     uniforms = scene_uniforms(scene, view, lighting)
-    return Pass("shade", Target(samples=samples), tuple(draws), (*background, 0.0), uniforms)
+    drawn = Pass("shade", Target(samples=samples), tuple(draws), (*background, 0.0), uniforms)
+    return visibility.shaded(drawn, {"background": np.asarray(background)}) if visibility else drawn

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import (
     Program,
     part_uniforms,
@@ -13,9 +14,10 @@ from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
 
 
-def surface_pass(scene: Scene, view: View) -> Pass:
+def surface_pass(scene: Scene, view: View, visibility: Visibility | None = None) -> Pass:
     """Return the pass that draws position and part, normal and m, albedo and specular weight,
-    texture coordinates and occlusion of a simplified scene."""
+    texture coordinates and occlusion of a simplified scene; visibility as of the pass that
+    shades."""
     parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
     draws = [
         Draw(
@@ -26,4 +28,6 @@ def surface_pass(scene: Scene, view: View) -> Pass:
         )
         for number, (part, material) in enumerate(parts, 1)
     ]
-    return Pass("surface", Target(colors=4), tuple(draws), uniforms=scene_uniforms(scene, view))
+    uniforms = scene_uniforms(scene, view)
+    drawn = Pass("surface", Target(colors=4), tuple(draws), uniforms=uniforms)
+    return visibility.shaded(drawn) if visibility else drawn

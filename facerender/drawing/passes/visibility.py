@@ -1,0 +1,147 @@
+"""Deferred shading: which triangle each sample sees, and what shades it afterwards, each pixel once
+where it holds one surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.drawing.facets import IN_ROW, Facets, facets_of
+from facerender.drawing.passes import Area, Draw, Pass, Target
+from facerender.drawing.program import Program, Uniforms
+from facerender.scenes.scene import Scene
+from facerender.scenes.view import View
+
+# Pixels for each triangle above which triangles are shaded as they are drawn: with one sample a
+# pixel that is cheaper then, on a software driver (docs/performance.md).
+MOST_PIXELS = 100
+
+
+def pays(scene: Scene, size: tuple[int, int], samples: int) -> bool:
+    """Tell whether deferred shading is cheaper on a software driver."""
+    triangles = sum(len(part.faces) for part in scene.mesh.parts)
+    return samples > 1 or triangles * MOST_PIXELS > size[0] * size[1]
+
+
+@dataclass(frozen=True, eq=False)
+class Visible:
+    """A part in the image of a visibility pass.
+
+    Attributes
+    ----------
+    facets : of the part
+    first : what stands for its first triangle in the image, where 0 is the background
+    area : that the part may cover; without width or height it is not in the image
+    one_sided : whether no back of a triangle can be seen
+    """
+
+    facets: Facets
+    first: int
+    area: Area
+    one_sided: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Visibility:
+    """Which triangle each sample of an image sees.
+
+    Attributes
+    ----------
+    view, size, samples : of the image
+    parts : of the scene, in its order
+    """
+
+    view: View
+    size: tuple[int, int]
+    samples: int
+    parts: tuple[Visible, ...]
+
+    @classmethod
+    def of(cls, scene: Scene, view: View, size: tuple[int, int], samples: int) -> Visibility:
+        """Number the triangles of a scene, and tell where they are."""
+        parts, first = [], 1
+        outside = float(np.linalg.norm(view.eye)) > 1.0
+        for part in scene.mesh.parts:
+            facets = facets_of(part, scene.mesh)
+            one_sided = outside and facets.hides_back(view.eye)
+            parts.append(Visible(facets, first, _area(facets, view, size), one_sided))
+            first += len(facets.faces)
+        return cls(view, size, samples, tuple(parts))
+
+    def drawn(self) -> Pass:
+        """Return the pass that draws it."""
+        program = Program("visibility.frag", "visibility.vert")
+        draws = tuple(
+            Draw(program, {"first": each.first}, facets=each.facets, one_sided=each.one_sided)
+            for each in self.parts
+            if all(each.area[2:])
+        )
+        target = Target(samples=self.samples, sampled=True, values="number")
+        return Pass("visible", target, draws, uniforms={"view_projection": self.view.matrix})
+
+    def shaded(self, drawn: Pass, uniforms: Uniforms | None = None) -> Pass:
+        """Return a pass that draws every part, as one that shades where they are visible.
+
+        Parameters
+        ----------
+        uniforms : that it needs besides
+        """
+        draws = [
+            self._shaded(draw, part)
+            for draw, part in zip(drawn.draws, self.parts, strict=True)
+            if all(part.area[2:])
+        ]
+        return replace(
+            drawn,
+            target=replace(drawn.target, samples=1, depth=False),
+            draws=tuple(draws),
+            uniforms={**drawn.uniforms, **_rays(self.view, self.size), **(uniforms or {})},
+            added=True,
+        )
+
+    def _shaded(self, draw: Draw, part: Visible) -> Draw:
+        features = (
+            *draw.program.features,
+            "VISIBLE",
+            f"SAMPLES {self.samples}",
+            f"FACETS_IN_ROW {IN_ROW}",
+            f"FACET_TEXELS {part.facets.texels}",
+        )
+        uniforms = {
+            **draw.uniforms,
+            "first": part.first,
+            "facet_count": len(part.facets.faces),
+            "creased": part.facets.creased,
+        }
+        program = replace(draw.program, vertex="screen.vert", features=features)
+        return replace(
+            draw, program=program, uniforms=uniforms, facets=part.facets, area=part.area
+        )
+
+
+def _rays(view: View, size: tuple[int, int]) -> Uniforms:
+    """The ray from the eye to the outer corner of pixel (0, 0), and what a pixel to the right and
+    one up add to it."""
+    back = np.linalg.inv(view.matrix)
+
+    def to_far_plane(x: float, y: float) -> NDArray[np.float64]:
+        at = np.array([x, y, 1.0, 1.0]) @ back
+        return np.asarray(at[:3] / at[3] - view.eye)
+
+    corner = to_far_plane(-1.0, -1.0)
+    right, up = (to_far_plane(*each) - corner for each in ((1.0, -1.0), (-1.0, 1.0)))
+    return {"ray": corner, "ray_x": right / size[0], "ray_y": up / size[1]}
+
+
+def _area(facets: Facets, view: View, size: tuple[int, int]) -> Area:
+    low, high = facets.bounds
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True), [1.0]), axis=-1).reshape(-1, 4)
+    clip = corners @ view.matrix
+    if clip[:, 3].min() <= 0.0:
+        return (0, 0, *size)
+    at = (clip[:, :2] / clip[:, 3:] * 0.5 + 0.5) * size
+    start = np.clip(np.floor(at.min(axis=0)), 0, size).astype(int)
+    end = np.clip(np.ceil(at.max(axis=0)), 0, size).astype(int)
+    return (*start.tolist(), *(end - start).tolist())

@@ -1,0 +1,33 @@
+// The point under a fragment of the triangle that is drawn.
+#include "host/point/point.glsl"
+
+in vec3 position;
+in vec3 vertex_normal;
+#ifdef UV
+in vec2 uv;
+#endif
+#ifdef VERTEX_COLORS
+in vec3 vertex_color;
+#endif
+
+#define TEXEL(map, p) texture(map, (p).uv)
+
+Point point() {
+    Point p;
+    p.position = position;
+    p.normal = vertex_normal;
+    p.inside = gl_FrontFacing;  // what OpenGL calls the front: the image is drawn upside down
+#ifdef UV
+    p.uv = uv;
+#ifdef NORMAL_MAP
+    p.position_x = dFdx(position);
+    p.position_y = dFdy(position);
+    p.uv_x = dFdx(uv);
+    p.uv_y = dFdy(uv);
+#endif
+#endif
+#ifdef VERTEX_COLORS
+    p.color = vertex_color;
+#endif
+    return p;
+}

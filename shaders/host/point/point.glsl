@@ -1,0 +1,25 @@
+// A point of the mesh, as its vertices give it.
+#ifndef HOST_POINT_GLSL
+#define HOST_POINT_GLSL
+
+struct Point {
+    vec3 position;
+    vec3 normal;  // any length
+    bool inside;  // whether the back of its triangle is seen
+#ifdef UV
+    vec2 uv;
+#ifdef NORMAL_MAP
+    vec3 position_x;  // how much it changes from a pixel to the next
+    vec3 position_y;
+#endif
+#if defined(NORMAL_MAP) || defined(VISIBLE)
+    vec2 uv_x;
+    vec2 uv_y;
+#endif
+#endif
+#ifdef VERTEX_COLORS
+    vec3 color;
+#endif
+};
+
+#endif

@@ -1,0 +1,88 @@
+// The point at which the ray through a pixel's centre meets a facet's plane: a triangle as
+// drawing/facets.py packs it, its plane and its attributes as affine functions of the position.
+// After Burns and Hunt (2013), "The visibility buffer: a cache-friendly approach to deferred
+// shading".
+#include "host/point/point.glsl"
+
+#if SAMPLES > 1
+uniform usampler2DMS visible;
+#else
+uniform usampler2D visible;
+#endif
+uniform sampler2D facets;
+uniform int first;        // of the part, as visibility.frag counts
+uniform int facet_count;  // of the part
+uniform int creased;      // facets from here on have corners with several normals
+uniform vec3 ray;         // from the eye to the first pixel's outer corner; any length
+uniform vec3 ray_x;       // what a pixel to the right adds
+uniform vec3 ray_y;
+
+#define TEXEL(map, p) textureGrad(map, (p).uv, (p).uv_x, (p).uv_y)
+
+// The facet that a sample sees; at or above facet_count if it is none of the part.
+uint facet_at(int index) {
+    return texelFetch(visible, ivec2(gl_FragCoord.xy), index).r - uint(first);
+}
+
+vec4 texel_of(uint facet, int index) {
+    int row = int(facet) / FACETS_IN_ROW;
+    int column = int(facet) - row * FACETS_IN_ROW;
+    return texelFetch(facets, ivec2(column * FACET_TEXELS + index, row), 0);
+}
+
+float affine(uint facet, int index, vec3 position) {
+    vec4 function = texel_of(facet, index);
+    return dot(function.xyz, position) + function.w;
+}
+
+vec3 view_ray() { return ray + gl_FragCoord.x * ray_x + gl_FragCoord.y * ray_y; }
+
+Point point(uint facet) {
+    vec4 plane = texel_of(facet, 0);
+    vec3 direction = view_ray();
+    float across = dot(direction, plane.xyz);
+    float distance = (plane.w - dot(eye, plane.xyz)) / across;
+    Point p;
+    p.position = eye + distance * direction;
+    p.inside = across > 0.0;
+    p.normal = vec3(
+        affine(facet, 1, p.position), affine(facet, 2, p.position), affine(facet, 3, p.position)
+    );
+#ifdef UV
+    vec3 position_x = distance * (ray_x - direction * (dot(ray_x, plane.xyz) / across));
+    vec3 position_y = distance * (ray_y - direction * (dot(ray_y, plane.xyz) / across));
+    vec4 u = texel_of(facet, 4);
+    vec4 v = texel_of(facet, 5);
+    p.uv = vec2(dot(u.xyz, p.position) + u.w, dot(v.xyz, p.position) + v.w);
+    p.uv_x = vec2(dot(u.xyz, position_x), dot(v.xyz, position_x));
+    p.uv_y = vec2(dot(u.xyz, position_y), dot(v.xyz, position_y));
+#ifdef NORMAL_MAP
+    p.position_x = position_x;
+    p.position_y = position_y;
+#endif
+#endif
+#ifdef VERTEX_COLORS
+    p.color = vec3(
+        affine(facet, FACET_TEXELS - 3, p.position),
+        affine(facet, FACET_TEXELS - 2, p.position),
+        affine(facet, FACET_TEXELS - 1, p.position)
+    );
+#endif
+    return p;
+}
+
+#if SAMPLES > 1
+// Whether two facets of a pixel are of one smooth surface, so that either may be shaded for both:
+// the second has no crease, and passes near the point where the first is seen, not at a grazing
+// angle, in much the same direction.
+bool is_smooth(uint facet, uint other) {
+    vec4 plane = texel_of(facet, 0);
+    vec4 next = texel_of(other, 0);
+    vec3 direction = view_ray();
+    float across = dot(direction, plane.xyz);
+    float distance = (plane.w - dot(eye, plane.xyz)) / across;
+    float off = dot(next.xyz, eye + distance * direction) - next.w;
+    return max(facet, other) < uint(creased) && abs(across) > 0.2 * length(direction)
+        && dot(plane.xyz, next.xyz) > 0.9 && abs(off) < 0.5 * distance * length(ray_x);
+}
+#endif
