@@ -11,8 +11,8 @@ import pytest
 
 import facerender as fr
 from facerender.commands import main
-from facerender.errors import InputError, NotMeasured
 from facerender.drawing.context import is_software
+from facerender.errors import InputError, NotMeasured
 from facerender.measure import error, run
 from facerender.measure.measurement import MODELS, SCHEMA, ImageError, Measurement
 from facerender.pricing import amd, cost

@@ -1,5 +1,5 @@
-"""Triangles as deferred shading reads them: each one's plane, and its attributes as affine functions
-of the position; and which of them can be seen. No OpenGL here."""
+"""Triangles as deferred shading reads them: each one's plane, and its attributes as affine
+functions of the position; and whether their backs can be seen. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Facets:
         folded = sharp[first][part.faces].any(axis=1)
         order = np.argsort(folded, kind="stable") if folded.any() else slice(None)
         faces = np.ascontiguousarray(part.faces[order], dtype=np.uint32)
-        return cls(positions, faces, attributes, int(len(faces) - folded.sum()))
+        return cls(positions, faces, attributes, len(faces) - int(folded.sum()))
 
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
@@ -63,7 +63,7 @@ class Facets:
     @property
     def texels(self) -> int:
         """How many texels a triangle takes."""
-        return 1 + self.columns.shape[1]
+        return 1 + int(self.columns.shape[1])
 
     def texture(self) -> NDArray[np.float32]:
         """Return (rows, IN_ROW * texels, 4) float32: of each triangle the unit normal of its plane

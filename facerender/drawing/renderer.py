@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from facerender._version import __version__
 from facerender.drawing.context import Backend, create_context
-from facerender.drawing.facets import IN_ROW
 from facerender.drawing.frame import Frame, GBuffer
 from facerender.drawing.passes import Pass
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.surface import surface_pass
-from facerender.drawing.passes.visibility import Visibility, pays
+from facerender.drawing.passes.visibility import Visibility, can_defer, pays
 from facerender.drawing.prepare import simplify, start_maps
 from facerender.drawing.program import Lighting
 from facerender.drawing.reference import data_view
@@ -187,14 +186,10 @@ class Renderer:
 
     def _visibility(self, scene: Scene, view: View, samples: int) -> Visibility | None:
         """What a scene's image is deferred to, where that is cheaper and the driver can do it."""
-        limits = self.context.gl.info
-        rows = limits["GL_MAX_TEXTURE_SIZE"]
-        able = limits["GL_MAX_INTEGER_SAMPLES"] >= samples
-        if not (self.context.software and able and pays(scene, self.size, samples)):
-            return None
-        if max(len(part.faces) for part in scene.mesh.parts) > rows * IN_ROW:
-            return None
-        return Visibility.of(scene, view, self.size, samples)
+        rows = self.context.gl.info["GL_MAX_TEXTURE_SIZE"]
+        if can_defer(scene, rows) and pays(scene, self.size, samples, self.context.renderer):
+            return Visibility.of(scene, view, self.size, samples)
+        return None
 
     # --- OpenGL ----------------------------------------------------------------------------------
 

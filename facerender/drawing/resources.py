@@ -153,11 +153,11 @@ class Resources:
             gl, size = self.context.gl, kind.size or self.size
             samples = kind.samples if kind.samples > 1 else 0
             try:
-                components, dtype = (1, "u4") if kind.values == "number" else (4, "f4")
+                components = 1 if kind.values == "number" else 4
                 resolved = samples and kind.values == "color"
                 make = gl.texture if kind.sampled and not resolved else gl.renderbuffer
                 colors: list[Any] = [
-                    make(size, components, samples=samples, dtype=dtype) for _ in range(kind.colors)
+                    make(size, components, samples=samples, dtype="f4") for _ in range(kind.colors)
                 ]
                 if kind.sampled and not samples:
                     for color in colors:

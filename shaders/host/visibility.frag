@@ -1,5 +1,6 @@
-// Which facet a sample sees: its number in the part, after those of the parts before.
+// Which facet a sample sees: its number in the part, after those of the parts before. Float32 has all
+// whole numbers up to 2^24.
 uniform int first;
-out uint facet;
+out float facet;
 
-void main() { facet = uint(first + gl_PrimitiveID); }
+void main() { facet = float(first + gl_PrimitiveID); }

@@ -11,7 +11,6 @@ from facerender.drawing.program import Program, Uniforms
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
 
-
 Area = tuple[int, int, int, int]
 
 
@@ -25,7 +24,7 @@ class Target:
     samples : per pixel
     size : width and height in pixels; None for the frame's
     sampled : whether later passes read its first image as the texture of the pass's name
-    values : float32 RGBA, or "number", one uint32
+    values : float32, RGBA or one number
     depth : whether there is a depth buffer, and what is behind is hidden
     """
 
@@ -44,8 +43,8 @@ class Draw:
     Attributes
     ----------
     facets : of the part: only its positions are drawn, in the order of the facets
-    area : left, lowest row, width and height in pixels: one triangle covers them, whose program reads
-        the facets
+    area : left, lowest row, width and height in pixels: one triangle covers them, whose program
+        reads the facets
     one_sided : whether backs of triangles are left out
     """
 

@@ -14,15 +14,28 @@ from facerender.drawing.program import Program, Uniforms
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
 
-# Pixels for each triangle above which triangles are shaded as they are drawn: with one sample a
-# pixel that is cheaper then, on a software driver (docs/performance.md).
-MOST_PIXELS = 100
+DRIVERS = ("llvmpipe",)  # on which deferred shading was measured: docs/performance.md
+_MOST_PIXELS = 100  # for each triangle; with more, and one sample, it is dearer
+_MOST_TRIANGLES = 1 << 24  # that float32 numbers apart
 
 
-def pays(scene: Scene, size: tuple[int, int], samples: int) -> bool:
-    """Tell whether deferred shading is cheaper on a software driver."""
+def can_defer(scene: Scene, rows: int) -> bool:
+    """Tell whether the triangles of a scene can be numbered, and fit textures of so many rows."""
+    counts = [len(part.faces) for part in scene.mesh.parts]
+    return sum(counts) < _MOST_TRIANGLES and max(counts) <= rows * IN_ROW
+
+
+def pays(scene: Scene, size: tuple[int, int], samples: int, driver: str) -> bool:
+    """Tell whether deferred shading is known to be cheaper.
+
+    Parameters
+    ----------
+    driver : GL_RENDERER
+    """
+    if not driver.startswith(DRIVERS):
+        return False
     triangles = sum(len(part.faces) for part in scene.mesh.parts)
-    return samples > 1 or triangles * MOST_PIXELS > size[0] * size[1]
+    return samples > 1 or triangles * _MOST_PIXELS > size[0] * size[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +129,7 @@ class Visibility:
             "creased": part.facets.creased,
         }
         program = replace(draw.program, vertex="screen.vert", features=features)
-        return replace(
-            draw, program=program, uniforms=uniforms, facets=part.facets, area=part.area
-        )
+        return replace(draw, program=program, uniforms=uniforms, facets=part.facets, area=part.area)
 
 
 def _rays(view: View, size: tuple[int, int]) -> Uniforms:

@@ -5,9 +5,9 @@
 #include "host/point/point.glsl"
 
 #if SAMPLES > 1
-uniform usampler2DMS visible;
+uniform sampler2DMS visible;
 #else
-uniform usampler2D visible;
+uniform sampler2D visible;
 #endif
 uniform sampler2D facets;
 uniform int first;        // of the part, as visibility.frag counts
@@ -21,7 +21,7 @@ uniform vec3 ray_y;
 
 // The facet that a sample sees; at or above facet_count if it is none of the part.
 uint facet_at(int index) {
-    return texelFetch(visible, ivec2(gl_FragCoord.xy), index).r - uint(first);
+    return uint(int(texelFetch(visible, ivec2(gl_FragCoord.xy), index).r) - first);
 }
 
 vec4 texel_of(uint facet, int index) {
@@ -82,7 +82,7 @@ bool is_smooth(uint facet, uint other) {
     float across = dot(direction, plane.xyz);
     float distance = (plane.w - dot(eye, plane.xyz)) / across;
     float off = dot(next.xyz, eye + distance * direction) - next.w;
-    return max(facet, other) < uint(creased) && abs(across) > 0.2 * length(direction)
-        && dot(plane.xyz, next.xyz) > 0.9 && abs(off) < 0.5 * distance * length(ray_x);
+    return max(facet, other) < uint(creased) && abs(across) > 0.35 * length(direction)
+        && dot(plane.xyz, next.xyz) > 0.995 && abs(off) < 0.25 * distance * length(ray_x);
 }
 #endif
