@@ -16,7 +16,6 @@ from facerender.scenes.mesh import Mesh, Part
 
 IN_ROW = 256  # of the texture
 _AT_ONCE = 1 << 16
-_CREASE = np.cos(np.radians(1.0))
 _MOST_OPEN_EDGES = 4096
 
 Floats = NDArray[np.floating[Any]]
@@ -24,35 +23,26 @@ Floats = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True, eq=False)
 class Facets:
-    """The triangles of a part, those without a crease first.
+    """The triangles of a part.
 
     Attributes
     ----------
     positions : (N, 3) float32, of the vertices in the renderer's space
     faces : (F, 3) uint32
     columns : the attributes of the vertices, from the normal on, (N, K) float32
-    creased : number of the first triangle with a corner at whose place there are other normals
     """
 
     positions: NDArray[np.float32]
     faces: NDArray[np.uint32]
     columns: NDArray[np.float32]
-    creased: int
 
     @classmethod
     def of(cls, part: Part, mesh: Mesh) -> Facets:
-        """Sort the triangles of a part."""
+        """Take what is drawn of a part."""
         columns = part_columns(part, mesh)
         positions = columns.pop("in_position").astype(np.float32)
         attributes = np.hstack([*columns.values()], dtype=np.float32, casting="same_kind")
-        first = _first_at_place(part.positions)
-        along = np.einsum("ij,ij->i", part.normals, part.normals[first])
-        sharp = np.zeros(len(positions), dtype=bool)
-        sharp[first[along < _CREASE]] = True
-        folded = sharp[first][part.faces].any(axis=1)
-        order = np.argsort(folded, kind="stable") if folded.any() else slice(None)
-        faces = np.ascontiguousarray(part.faces[order], dtype=np.uint32)
-        return cls(positions, faces, attributes, len(faces) - int(folded.sum()))
+        return cls(positions, np.asarray(part.faces, dtype=np.uint32), attributes)
 
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
@@ -145,11 +135,19 @@ def facets_of(part: Part, mesh: Mesh) -> Facets:
 
 def _first_at_place(positions: Floats) -> NDArray[np.int64]:
     """The first vertex with the position of each vertex."""
-    bits = (np.ascontiguousarray(positions) + 0.0).astype(np.float64).view(np.uint64)
-    mixed = bits * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
-    keys = np.bitwise_xor.reduce(mixed ^ (mixed >> np.uint64(29)), axis=1)
+    keys = np.zeros(len(positions), dtype=np.uint64)
+    for axis in (positions + 0.0).astype(np.float64).T:
+        keys = _mixed(keys + np.ascontiguousarray(axis).view(np.uint64))
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     return np.asarray(first[inverse])
+
+
+def _mixed(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Scatter 64 bits over 64: Steele, Lea and Flood (2014), "Fast splittable pseudorandom number
+    generators", figure 16."""
+    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.asarray(bits ^ (bits >> np.uint64(31)))
 
 
 def _islands(count: int, start: NDArray[np.int64], end: NDArray[np.int64]) -> NDArray[np.int64]:

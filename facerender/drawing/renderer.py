@@ -29,11 +29,12 @@ from facerender.scenes.light import Light
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import ONLY, Only, Scene, slope_ranges
 from facerender.scenes.texture import Kind
-from facerender.scenes.view import View, view_of
+from facerender.scenes.view import View, sample_grid, view_of
 from facerender.shading import Shading
 from facerender.terms import AnyLobe
 
 MAX_SIZE = 16384
+MAX_SAMPLES = 64
 
 
 class Renderer:
@@ -44,7 +45,9 @@ class Renderer:
     Parameters
     ----------
     size : width and height in pixels, each in [1, 16384]
-    samples : per pixel; 1 for none, or what the driver offers (4 on Mesa's software driver)
+    samples : per pixel, 1 to 64. Up to what the driver offers (4 on Mesa's software driver) they
+        are shared: a pixel is shaded once for each surface that they see. More than that are as
+        many images with one each, whose mean is shaded anew at every sample
     backend : "auto", "egl", "osmesa", or "current" for the host's context
     anisotropy : of texture filtering, 1 to 16; 8 nearly doubles a frame on a software driver
     float_albedo : keep albedo maps as linear float16 in place of 8-bit sRGB, so that drivers agree
@@ -53,7 +56,7 @@ class Renderer:
     Raises
     ------
     InputError : a value outside its domain
-    ContextError : no OpenGL context, or one without the samples or the size asked for
+    ContextError : no OpenGL context, or one without the size asked for
     """
 
     def __init__(
@@ -68,8 +71,8 @@ class Renderer:
         width, height = size
         if not (1 <= width <= MAX_SIZE and 1 <= height <= MAX_SIZE):
             raise InputError(f"size {width} x {height}: give 1 to {MAX_SIZE} pixels a side")
-        if samples < 1:
-            raise InputError(f"samples = {samples}: give 1 or more")
+        if not 1 <= samples <= MAX_SAMPLES:
+            raise InputError(f"samples = {samples}: give 1 to {MAX_SAMPLES}")
         if not 1.0 <= anisotropy <= 16.0:
             raise InputError(f"anisotropy = {anisotropy:g} is outside [1, 16]")
         self.size = (width, height)
@@ -79,7 +82,8 @@ class Renderer:
         self.context = create_context(backend)
         self._resources = Resources(self.context, self.size, anisotropy, self.albedo_kind)
         try:
-            with self.context.drawing():
+            with self.context.drawing() as gl:
+                self._shared = samples <= max(gl.max_samples, 1)
                 self._check_limits()
         except ContextError:
             self.release()
@@ -149,9 +153,14 @@ class Renderer:
         scene = simplify(scene, shading)
         start_maps(scene.mesh, self.albedo_kind)
         view = view_of(scene, self.size[0] / self.size[1])
-        visibility = self._visibility(scene, view, self.samples)
-        shaded = shade_pass(scene, view, shading, self.samples, only, visibility)
-        (linear,) = self._draw([visibility.drawn(), shaded] if visibility else [shaded], scene)
+        if self._shared:
+            linear = self._shaded(scene, view, shading, self.samples, only)
+        else:
+            linear = np.zeros((*self.size[::-1], 4), dtype=np.float32)
+            for shift in sample_grid(self.samples):
+                shifted = view.shifted(shift, self.size)
+                linear += self._shaded(scene, shifted, shading, 1, only)
+            linear /= self.samples
         metadata = {key: str(value) for key, value in shading.as_dict().items()} | self.metadata
         for name in ("model", "lobe", "fresnel", "masking"):
             metadata[name] = str(getattr(shading.term, name))
@@ -184,6 +193,13 @@ class Renderer:
             view=view,
         )
 
+    def _shaded(
+        self, scene: Scene, view: View, shading: Shading, samples: int, only: Only | None
+    ) -> NDArray[np.float32]:
+        visibility = self._visibility(scene, view, samples)
+        shaded = shade_pass(scene, view, shading, samples, only, visibility)
+        return self._draw([visibility.drawn(), shaded] if visibility else [shaded], scene)[0]
+
     def _visibility(self, scene: Scene, view: View, samples: int) -> Visibility | None:
         """What a scene's image is deferred to, where that is cheaper and the driver can do it."""
         rows = self.context.gl.info["GL_MAX_TEXTURE_SIZE"]
@@ -200,11 +216,6 @@ class Renderer:
             raise ContextError(
                 f"size {self.size[0]} x {self.size[1]}: {self.context.renderer} draws at most "
                 f"{most} pixels a side"
-            )
-        if self.samples > 1 and self.samples > self.context.gl.max_samples:
-            raise ContextError(
-                f"samples = {self.samples}: {self.context.renderer} offers at most "
-                f"{self.context.gl.max_samples}"
             )
 
     def _draw(self, passes: list[Pass], scene: Scene) -> list[NDArray[np.float32]]:

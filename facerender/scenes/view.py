@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,23 @@ class View:
     eye: NDArray[np.float64]
     forward: NDArray[np.float64]
     matrix: NDArray[np.float64]
+
+    def shifted(self, pixels: tuple[float, float], size: tuple[int, int]) -> View:
+        """Return the view whose image, of this size, lies so many pixels to the right and up."""
+        move = np.eye(4)
+        move[3, :2] = 2.0 * np.asarray(pixels) / size
+        return replace(self, matrix=self.matrix @ move)
+
+
+def sample_grid(count: int) -> NDArray[np.float64]:
+    """Return points of a pixel that cover it evenly, (count, 2) in [-0.5, 0.5]: Hammersley's, after
+    Niederreiter (1992), "Random number generation and quasi-Monte Carlo methods", section 3.1."""
+    index = np.arange(count)
+    turned, digit = np.full(count, 0.5 / count), 0.5
+    for bit in range(int(count - 1).bit_length()):
+        turned += digit * (index >> bit & 1)
+        digit /= 2.0
+    return np.stack([(index + 0.5) / count, turned], axis=-1) - 0.5
 
 
 def view_of(scene: Scene, aspect: float) -> View:

@@ -49,21 +49,17 @@ vec3 shaded(Point p) {
 }
 
 #ifdef VISIBLE
-// What the part adds to the background: every surface in the pixel is shaded once, at its centre.
+// What the part adds to the background: each facet that the pixel's samples see is shaded once, at
+// the pixel's centre, as OpenGL does with several samples.
 void main() {
     uint count = uint(facet_count);
     uint seen[SAMPLES];
     uint facet = count;
-    for (int i = SAMPLES - 1; i >= 0; --i) {
+    for (int i = 0; i < SAMPLES; ++i) {
         seen[i] = facet_at(i);
         if (seen[i] < count) facet = seen[i];
     }
     if (facet == count) discard;
-#if SAMPLES > 1
-    for (int i = 0; i < SAMPLES; ++i) {
-        if (seen[i] < count && is_smooth(facet, seen[i])) seen[i] = facet;
-    }
-#endif
     radiance = vec4(0.0);
     do {
         float weight = 0.0;

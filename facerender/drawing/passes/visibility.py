@@ -1,5 +1,5 @@
-"""Deferred shading: which triangle each sample sees, and what shades it afterwards, each pixel once
-where it holds one surface."""
+"""Deferred shading: which triangle each sample sees, and afterwards each of a pixel's triangles
+shaded once."""
 
 from __future__ import annotations
 
@@ -126,7 +126,6 @@ class Visibility:
             **draw.uniforms,
             "first": part.first,
             "facet_count": len(part.facets.faces),
-            "creased": part.facets.creased,
         }
         program = replace(draw.program, vertex="screen.vert", features=features)
         return replace(draw, program=program, uniforms=uniforms, facets=part.facets, area=part.area)

@@ -12,7 +12,6 @@ uniform sampler2D visible;
 uniform sampler2D facets;
 uniform int first;        // of the part, as visibility.frag counts
 uniform int facet_count;  // of the part
-uniform int creased;      // facets from here on have corners with several normals
 uniform vec3 ray;         // from the eye to the first pixel's outer corner; any length
 uniform vec3 ray_x;       // what a pixel to the right adds
 uniform vec3 ray_y;
@@ -70,19 +69,3 @@ Point point(uint facet) {
 #endif
     return p;
 }
-
-#if SAMPLES > 1
-// Whether two facets of a pixel are of one smooth surface, so that either may be shaded for both:
-// the second has no crease, and passes near the point where the first is seen, not at a grazing
-// angle, in much the same direction.
-bool is_smooth(uint facet, uint other) {
-    vec4 plane = texel_of(facet, 0);
-    vec4 next = texel_of(other, 0);
-    vec3 direction = view_ray();
-    float across = dot(direction, plane.xyz);
-    float distance = (plane.w - dot(eye, plane.xyz)) / across;
-    float off = dot(next.xyz, eye + distance * direction) - next.w;
-    return max(facet, other) < uint(creased) && abs(across) > 0.35 * length(direction)
-        && dot(plane.xyz, next.xyz) > 0.995 && abs(off) < 0.25 * distance * length(ray_x);
-}
-#endif

@@ -1,0 +1,178 @@
+"""Deferred shading: the same images as of triangles that are shaded as they are drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import facerender as fr
+from facerender.drawing.facets import Facets
+from facerender.drawing.passes import visibility
+from facerender.image import linear_to_srgb
+from facerender.scenes.material import Material
+from facerender.scenes.mesh import Part
+from facerender.scenes.view import view_of
+from tests.awkward_files import MINI_HEAD
+
+Both = Callable[..., tuple[NDArray[np.float32], NDArray[np.float32]]]
+CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+SIDES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+
+
+def cube(sides: tuple[tuple[int, ...], ...] = SIDES, smooth: bool = False) -> Part:
+    """A cube, with normals of its sides or of its corners."""
+    positions = CORNERS[np.array(sides).ravel()]
+    if smooth:
+        normals = positions / np.sqrt(3.0)
+    else:
+        across = CORNERS[[side[:3] for side in sides]]
+        flat = np.cross(across[:, 1] - across[:, 0], across[:, 2] - across[:, 0])
+        normals = np.repeat(flat / np.linalg.norm(flat, axis=1)[:, None], 4, axis=0)
+    start = 4 * np.arange(len(sides))[:, None]
+    faces = np.concatenate([start + (0, 1, 2), start + (0, 2, 3)]).astype(np.uint32)
+    return Part(positions, normals, faces, colors=np.abs(positions) * (0.2, 0.5, 0.9))
+
+
+def mesh_of(*parts: Part) -> fr.Mesh:
+    bounds = np.array([CORNERS.min(axis=0), CORNERS.max(axis=0)])
+    materials = tuple(Material(m=0.3 + 0.1 * i) for i in range(len(parts)))
+    return fr.Mesh("cube", parts, materials, bounds, np.sqrt(3.0), np.array([(0.8, 0.6)]))
+
+
+@pytest.fixture
+def both(egl, monkeypatch) -> Both:
+    """Draws a scene in both ways: deferred, and not."""
+
+    def draw(scene: fr.Scene, size=(256, 192), samples=1, only=None):
+        images = []
+        for deferred in (True, False):
+            monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_, on=deferred: on)
+            with fr.Renderer(size, samples=samples, backend=egl, float_albedo=True) as renderer:
+                images.append(renderer.render(scene, only=only).linear)
+        return tuple(images)
+
+    return draw
+
+
+def assert_same(deferred, drawn, share=0.999, steps=1.0):
+    """Same coverage, and colours within steps of the display at a share of what is covered."""
+    np.testing.assert_array_equal(deferred[..., 3], drawn[..., 3])
+    shown = [linear_to_srgb(each[..., :3]) for each in (deferred, drawn)]
+    error = 255.0 * np.abs(shown[0] - shown[1]).max(axis=-1)
+    covered = drawn[..., 3] > 0.0
+    assert covered.any()
+    assert np.quantile(error[covered], share) <= steps
+    assert error[~covered].max(initial=0.0) == 0.0
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("azimuth", [0.0, -50.0, 160.0])
+def test_heads(both, head, samples, azimuth):
+    assert_same(*both(fr.Scene(head, fr.Camera(azimuth)), (1024, 768), samples))
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_a_scan(both, scan_mesh, samples):
+    assert_same(*both(fr.Scene(scan_mesh, fr.Camera(30.0)), (768, 768), samples))
+
+
+@pytest.mark.parametrize(
+    ("camera", "size"),
+    [
+        (fr.Camera(elevation=-70.0), (256, 256)),  # into the neck
+        (fr.Camera(zoom=4.0, azimuth=20.0), (333, 100)),
+        (fr.Camera(position=(0.1, 0.0, 0.1), target=(0.0, 0.05, 0.0)), (128, 128)),  # inside
+        (fr.Camera(position=(0.0, 0.0, 1.0), target=(1.0, 0.0, 1.0)), (64, 64)),  # sees nothing
+    ],
+)
+def test_cameras(both, camera, size):
+    mesh = fr.load_mesh(MINI_HEAD)
+    deferred, drawn = both(fr.Scene(mesh, camera, background=None), size, 4)
+    if (drawn == 0.0).all():
+        np.testing.assert_array_equal(deferred, drawn)
+    else:
+        assert_same(deferred, drawn, 0.99)
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("smooth", [False, True])
+def test_creases_and_parts_are_antialiased(both, samples, smooth):
+    """Where a pixel holds several sides, or parts of different materials, each counts."""
+    left, right = cube(SIDES[:3], smooth), cube(SIDES[3:], smooth)
+    for mesh in (mesh_of(cube(smooth=smooth)), mesh_of(left, right)):
+        scene = fr.Scene(mesh, fr.Camera(30.0, 25.0))
+        assert_same(*both(scene, samples=samples), steps=0.1 if samples == 1 else 1.0)
+
+
+@pytest.mark.parametrize("only", ["specular", "diffuse", "albedo", "normal", "depth"])
+def test_terms(both, head, only):
+    deferred, drawn = both(fr.Scene(head, fr.Camera(-30.0)), only=only)
+    np.testing.assert_array_equal(deferred[..., 3], drawn[..., 3])
+    error = np.abs(deferred - drawn)[drawn[..., 3] > 0.0]
+    assert np.quantile(error, 0.99) < 1e-3
+
+
+def test_facets_give_what_vertices_have(head):
+    part = head.parts[0]
+    facets = Facets.of(part, head)
+    packed = facets.texture().reshape(-1, facets.texels, 4)[: len(facets.faces)]
+    for corner in facets.faces.T:
+        at = facets.positions[corner]
+        values = np.einsum("ijk,ik->ij", packed[:, :, :3], at) + packed[:, :, 3] * (
+            1.0 - 2.0 * (np.arange(facets.texels) == 0)
+        )
+        np.testing.assert_allclose(values[:, 0], 0.0, atol=1e-6)  # on its plane
+        np.testing.assert_allclose(values[:, 1:4], part.normals[corner], atol=2e-4)
+        np.testing.assert_allclose(values[:, 4:], part.uv[corner], atol=2e-5)
+
+
+EYE = 3.0 * np.array([0.6, 0.5, 0.6])
+
+
+@pytest.mark.parametrize(
+    ("sides", "hidden"),
+    [
+        (SIDES, True),
+        (SIDES[1:], True),  # the hole is on the far side
+        (SIDES[:1] + SIDES[2:], False),  # it faces the eye
+        (tuple(side[::-1] for side in SIDES), False),  # inside out
+        ((SIDES[0][::-1], *SIDES[1:]), False),  # one side is
+        ((*SIDES, SIDES[0]), False),  # one side twice
+    ],
+)
+def test_backs_that_cannot_be_seen(sides, hidden):
+    part = cube(sides)
+    assert Facets.of(part, mesh_of(part)).hides_back(EYE) == hidden
+
+
+def test_where_it_pays(head):
+    scene = fr.Scene(head)
+    llvmpipe = "llvmpipe (LLVM 15.0.6, 256 bits)"
+    assert visibility.pays(scene, (1024, 1024), 1, llvmpipe)
+    assert not visibility.pays(scene, (1024, 1024), 4, "softpipe")
+    low = fr.Scene(mesh_of(cube()))
+    assert not visibility.pays(low, (1024, 1024), 1, llvmpipe)
+    assert visibility.pays(low, (1024, 1024), 4, llvmpipe)
+
+
+def test_what_is_too_large_is_drawn_as_it_comes(head):
+    assert visibility.can_defer(fr.Scene(head), 16384)
+    assert not visibility.can_defer(fr.Scene(head), 255)
+
+
+def test_areas_hold_what_is_covered(head, egl):
+    for camera in (fr.Camera(40.0), fr.Camera(zoom=3.0), fr.Camera(elevation=80.0)):
+        scene = fr.Scene(head, camera)
+        size = (200, 150)
+        view = view_of(scene, 4 / 3)
+        (part,) = visibility.Visibility.of(scene, view, size, 1).parts
+        with fr.Renderer(size, samples=1, backend=egl) as renderer:
+            rows, columns = np.nonzero(renderer.gbuffer(scene).part >= 0)
+        left, bottom, width, height = part.area
+        assert left <= columns.min()
+        assert columns.max() < left + width
+        assert bottom <= rows.min()
+        assert rows.max() < bottom + height
