@@ -11,17 +11,12 @@ import pytest
 import facerender as fr
 from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.passes.shade import shade_pass
+from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import Program, scene_uniforms
 from facerender.scenes.view import view_of
 
 SHADERS = {
     "depth.frag": "out vec4 depth;\nvoid main() { depth = vec4(gl_FragCoord.z); }\n",
-    "screen.vert": (
-        "void main() {\n"
-        "    vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1);\n"
-        "    gl_Position = vec4(4.0 * corner - 1.0, 0.0, 1.0);\n"
-        "}\n"
-    ),
     "join.frag": (
         "uniform sampler2D shade;\nuniform sampler2D light_depth;\nout vec4 result;\n"
         "void main() {\n"
@@ -45,8 +40,10 @@ def renderer(egl, monkeypatch, tmp_path):
         yield renderer
 
 
+@pytest.mark.parametrize("deferred", [False, True])
 @pytest.mark.parametrize("samples", [1, 4])
-def test_a_filter_reads_what_was_shaded_and_a_depth(renderer, head, samples):
+def test_a_filter_reads_what_was_shaded_and_a_depth(renderer, head, samples, deferred, monkeypatch):
+    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *scene: deferred)
     scene = fr.Scene(head.with_material(m=0.3), background=None)
     view = view_of(scene, 1.0)
     above = view_of(replace(scene, camera=fr.Camera(elevation=60.0)), 1.0)
@@ -58,11 +55,13 @@ def test_a_filter_reads_what_was_shaded_and_a_depth(renderer, head, samples):
         clear=(1.0, 1.0, 1.0, 1.0),
         uniforms=scene_uniforms(scene, above),
     )
-    shaded = shade_pass(scene, view, fr.Shading(), samples)
+    visibility = Visibility.of(scene, view, SIZE, samples) if deferred else None
+    shaded = shade_pass(scene, view, fr.Shading(), samples, visibility=visibility)
     shaded = replace(shaded, target=replace(shaded.target, sampled=True))
+    before = [visibility.drawn()] if visibility else []
     join = Pass("join", Target(), (Draw(Program("join.frag", "screen.vert"), {}),))
 
-    (joined,) = renderer._draw([depth, shaded, join], scene)
+    (joined,) = renderer._draw([depth, *before, shaded, join], scene)
     with fr.Renderer(SIZE, samples=samples, backend="egl") as plain:
         expected = plain.render(scene).linear
     np.testing.assert_array_equal(joined[..., :3], 2.0 * expected[..., :3])
@@ -84,6 +83,8 @@ def test_what_a_scene_does_not_need_is_no_pass(renderer, head, monkeypatch):
         "draw",
         lambda step, *rest: drawn.append(step.name) or draw(step, *rest),
     )
-    renderer.render(fr.Scene(head))
-    renderer.render(fr.Scene(head), only="normal")
-    assert drawn == ["shade", "surface"]
+    for deferred in (False, True):
+        monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_, on=deferred: on)
+        renderer.render(fr.Scene(head))
+        renderer.render(fr.Scene(head), only="normal")
+    assert drawn == ["shade", "surface", "visible", "shade", "visible", "surface"]

@@ -71,8 +71,7 @@ class Renderer:
         width, height = size
         if not (1 <= width <= MAX_SIZE and 1 <= height <= MAX_SIZE):
             raise InputError(f"size {width} x {height}: give 1 to {MAX_SIZE} pixels a side")
-        if not 1 <= samples <= MAX_SAMPLES:
-            raise InputError(f"samples = {samples}: give 1 to {MAX_SAMPLES}")
+        _check_samples(samples)
         if not 1.0 <= anisotropy <= 16.0:
             raise InputError(f"anisotropy = {anisotropy:g} is outside [1, 16]")
         self.size = (width, height)
@@ -83,7 +82,7 @@ class Renderer:
         self._resources = Resources(self.context, self.size, anisotropy, self.albedo_kind)
         try:
             with self.context.drawing() as gl:
-                self._shared = samples <= max(gl.max_samples, 1)
+                self._most_shared = max(gl.max_samples, 1)
                 self._check_limits()
         except ContextError:
             self.release()
@@ -131,13 +130,20 @@ class Renderer:
             "albedo": "RGBA16F" if self.albedo_kind == "linear-color" else "SRGB8_ALPHA8",
         }
 
-    def render(self, scene: Scene, shading: Shading = Shading(), only: Only | None = None) -> Frame:
+    def render(
+        self,
+        scene: Scene,
+        shading: Shading = Shading(),
+        only: Only | None = None,
+        samples: int | None = None,
+    ) -> Frame:
         """Draw a scene.
 
         Parameters
         ----------
         only : one term in place of the whole image; normal, albedo, depth and cosines have one
             sample a pixel
+        samples : per pixel, in place of the renderer's
 
         Raises
         ------
@@ -150,18 +156,21 @@ class Renderer:
             return Frame(linear, only, scene.background is None, metadata)
         if only not in (None, "specular", "diffuse"):
             raise InputError(f"unknown term {only!r}; known: {', '.join(ONLY)}")
+        samples = self.samples if samples is None else samples
+        _check_samples(samples)
         scene = simplify(scene, shading)
         start_maps(scene.mesh, self.albedo_kind)
         view = view_of(scene, self.size[0] / self.size[1])
-        if self._shared:
-            linear = self._shaded(scene, view, shading, self.samples, only)
+        if samples <= self._most_shared:
+            linear = self._shaded(scene, view, shading, samples, only)
         else:
             linear = np.zeros((*self.size[::-1], 4), dtype=np.float32)
-            for shift in sample_grid(self.samples):
+            for shift in sample_grid(samples):
                 shifted = view.shifted(shift, self.size)
                 linear += self._shaded(scene, shifted, shading, 1, only)
-            linear /= self.samples
-        metadata = {key: str(value) for key, value in shading.as_dict().items()} | self.metadata
+            linear /= samples
+        metadata = {key: str(value) for key, value in shading.as_dict().items()}
+        metadata |= {**self.metadata, "samples": str(samples)}
         for name in ("model", "lobe", "fresnel", "masking"):
             metadata[name] = str(getattr(shading.term, name))
         terms = Lighting.of(scene, shading).terms
@@ -232,6 +241,11 @@ class Renderer:
                     (texture, *_) = target.color_attachments
                     drawn[step.name] = texture  # type: ignore[assignment]
             return [read(target, index) for index in range(step.target.colors)]
+
+
+def _check_samples(samples: int) -> None:
+    if not 1 <= samples <= MAX_SAMPLES:
+        raise InputError(f"samples = {samples}: give 1 to {MAX_SAMPLES}")
 
 
 def render(

@@ -1,0 +1,92 @@
+"""What numbers of samples cost and lose, against 64 samples: at the silhouette and inside."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.drawing.renderer import MAX_SAMPLES, Renderer
+from facerender.image import linear_to_srgb
+from facerender.pricing.frame import seconds
+from facerender.pricing.interval import Interval, bootstrap
+from facerender.scenes.scene import Scene
+from facerender.shading import Shading
+
+
+@dataclass(frozen=True)
+class Lost:
+    """Errors of the displayed image, as shares of its range, of the worst channel.
+
+    Attributes
+    ----------
+    mean, percentile : of the pixels; the percentile is exceeded by one in 100
+    over : share of the pixels that err by more than 1/255
+    """
+
+    mean: float
+    percentile: float
+    over: float
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """What a number of samples costs and loses.
+
+    Attributes
+    ----------
+    samples : per pixel
+    time : of a frame with readback, over that of a frame with one sample
+    silhouette : of the pixels that the mesh covers in part with 64 samples
+    inside : of those that it covers
+    """
+
+    samples: int
+    time: Interval
+    silhouette: Lost
+    inside: Lost
+
+
+def antialiasing(
+    renderer: Renderer,
+    scene: Scene,
+    samples: Sequence[int] = (1, 4, 8, 16),
+    shading: Shading = Shading(),
+    repeats: int = 9,
+) -> list[Sampled]:
+    """Measure numbers of samples; their frames take turns.
+
+    Raises
+    ------
+    InputError : the scene cannot be drawn, or sees nothing of the mesh; a number out of 1 to 64
+    """
+    reference = renderer.render(scene, shading, samples=MAX_SAMPLES).linear
+    parts = reference[..., 3]
+    silhouette, inside = (parts > 0.0) & (parts < 1.0), parts == 1.0
+    shown = linear_to_srgb(reference[..., :3])
+
+    def frame(count: int) -> NDArray[np.float32]:
+        return renderer.render(scene, shading, samples=count).linear
+
+    def lost(count: int) -> tuple[Lost, Lost]:
+        error = np.abs(linear_to_srgb(frame(count)[..., :3]) - shown).max(axis=-1)
+        return _lost(error[silhouette]), _lost(error[inside])
+
+    draws = [lambda count=count: frame(count) for count in (1, *samples)]
+    times = seconds(draws, repeats)
+    ratios = bootstrap(
+        lambda turns: np.median((times[:, 1:] / times[:, :1])[turns], axis=0), repeats
+    )
+    return [
+        Sampled(count, ratio, *lost(count)) for count, ratio in zip(samples, ratios, strict=True)
+    ]
+
+
+def _lost(errors: NDArray[np.floating]) -> Lost:
+    if not errors.size:
+        return Lost(0.0, 0.0, 0.0)
+    return Lost(
+        float(errors.mean()), float(np.quantile(errors, 0.99)), float((errors > 1 / 255).mean())
+    )
