@@ -56,12 +56,12 @@ frames.
 {samples}
 ## Shaded as drawn, or deferred
 
-On llvmpipe a frame is deferred, where that pays: a first pass draws which triangle each sample sees,
-a second one shades every triangle that a pixel sees, once
-(Burns and Hunt 2013, "The visibility buffer"). A triangle that is drawn shades blocks of pixels at
-its edges that it does not cover; small triangles spend most of a frame on that. Time of a frame as
-it is drawn now over that of triangles shaded as they are drawn, and the share of the covered pixels
-that differ by more than 1/255 in the display:
+On llvmpipe a frame is deferred, where that pays: a first pass draws which triangle each sample
+sees, a second one shades every triangle that a pixel sees, once (Burns and Hunt 2013, "The
+visibility buffer"). A triangle that is drawn shades blocks of pixels at its edges that it does not
+cover; small triangles spend most of a frame on that. Time of a frame as it is drawn now over that
+of triangles shaded as they are drawn, and the share of the covered pixels that differ by more than
+1/255 in the display:
 
 {deferred}
 With one sample and more than 100 pixels for each triangle of the mesh, frames are not deferred.
@@ -77,7 +77,7 @@ each pixel once: 1 %).
 def main() -> None:
     with fr.Renderer() as renderer:
         facts = dict(renderer.metadata)
-        most = renderer._most_shared
+        most = renderer.context.most_samples
     text = PAGE.format(
         samples="\n".join(f"{size} x {size}\n\n{sample_table(size)}" for size in SIZES),
         deferred=deferred_table(),
@@ -99,7 +99,13 @@ def sample_table(size: int) -> str:
     return markdown_table(
         SAMPLES_HEAD,
         [
-            (str(row.samples), f"{row.time.value:.2f}", *_told(row.silhouette), *_told(row.inside))
+            (
+                str(row.samples),
+                f"{row.time.value:.2f}",
+                *_told(row.silhouette),
+                *_told(row.inside),
+                f"{100 * row.inside.over:.2f} %",
+            )
             for row in rows
         ],
     )

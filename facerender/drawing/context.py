@@ -147,6 +147,11 @@ class Context:
     version: str
 
     @property
+    def most_samples(self) -> int:
+        """How many samples a pixel can have."""
+        return max(int(self.gl.info["GL_MAX_SAMPLES"]), 1)
+
+    @property
     def software(self) -> bool:
         """Whether the CPU draws."""
         return is_software(self.renderer)

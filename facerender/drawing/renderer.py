@@ -81,8 +81,7 @@ class Renderer:
         self.context = create_context(backend)
         self._resources = Resources(self.context, self.size, anisotropy, self.albedo_kind)
         try:
-            with self.context.drawing() as gl:
-                self._most_shared = max(gl.max_samples, 1)
+            with self.context.drawing():
                 self._check_limits()
         except ContextError:
             self.release()
@@ -161,7 +160,7 @@ class Renderer:
         scene = simplify(scene, shading)
         start_maps(scene.mesh, self.albedo_kind)
         view = view_of(scene, self.size[0] / self.size[1])
-        if samples <= self._most_shared:
+        if samples <= self.context.most_samples:
             linear = self._shaded(scene, view, shading, samples, only)
         else:
             linear = np.zeros((*self.size[::-1], 4), dtype=np.float32)

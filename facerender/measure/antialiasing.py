@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,16 +66,16 @@ def antialiasing(
     reference = renderer.render(scene, shading, samples=MAX_SAMPLES).linear
     parts = reference[..., 3]
     silhouette, inside = (parts > 0.0) & (parts < 1.0), parts == 1.0
-    shown = linear_to_srgb(reference[..., :3])
+    shown = linear_to_srgb(reference[..., :3].astype(np.float64))
 
-    def frame(count: int) -> NDArray[np.float32]:
-        return renderer.render(scene, shading, samples=count).linear
+    def frame(count: int) -> NDArray[np.float64]:
+        return renderer.render(scene, shading, samples=count).linear.astype(np.float64)
 
     def lost(count: int) -> tuple[Lost, Lost]:
         error = np.abs(linear_to_srgb(frame(count)[..., :3]) - shown).max(axis=-1)
         return _lost(error[silhouette]), _lost(error[inside])
 
-    draws = [lambda count=count: frame(count) for count in (1, *samples)]
+    draws = [partial(renderer.render, scene, shading, samples=count) for count in (1, *samples)]
     times = seconds(draws, repeats)
     ratios = bootstrap(
         lambda turns: np.median((times[:, 1:] / times[:, :1])[turns], axis=0), repeats
@@ -84,7 +85,7 @@ def antialiasing(
     ]
 
 
-def _lost(errors: NDArray[np.floating]) -> Lost:
+def _lost(errors: NDArray[np.float64]) -> Lost:
     if not errors.size:
         return Lost(0.0, 0.0, 0.0)
     return Lost(
