@@ -245,8 +245,8 @@ def test_what_is_drawn_with_several_samples_counts(egl, subject, monkeypatch):
     """A change that shows between the pixels' centres alone is ruled out by what is drawn."""
     draw = search.Drawn._draw
 
-    def with_a_flaw(self, scene, shading):
-        image = draw(self, scene, shading)
+    def with_a_flaw(self, place, shading):
+        image = draw(self, place, shading)
         image[10, 10] += 0.5 * (shading.term.fresnel == "constant")
         return image
 
@@ -303,7 +303,8 @@ def test_errors_are_those_of_the_reference_and_rendered_within_the_budget(
     x, y = error.pixel
     assert maps[error.camera][y, x] == np.max(maps)
     np.testing.assert_allclose(plan.error_map, maps[error.camera], rtol=1e-9, atol=1e-12)
-    assert (plan.cameras, plan.size, plan.budget.exposure) == (CAMERAS, (32, 32), exposure)
+    assert (plan.cameras, plan.sizes, plan.samples) == (CAMERAS, ((32, 32),), 1)
+    assert (plan.budget.exposure, error.size, error.within) == (exposure, (32, 32), error.maximum)
 
 
 # --- guarantee -----------------------------------------------------------------------------------
@@ -429,7 +430,7 @@ def test_a_guarantee_lets_through_what_changes_nothing(bare):
     plan = fr.plan(scene, "0.5/255", guarantee=True, cost="navi21")
     assert plan.shading == Shading(m=0.3, specular_lights=(1,))
     assert (plan.error.maximum, plan.error.pixel, plan.error.camera) == (0.0, None, None)
-    assert (plan.cameras, plan.size, plan.error_map) == ((), None, None)
+    assert (plan.cameras, plan.sizes, plan.samples, plan.error_map) == ((), (), None, None)
     assert plan.cost.relative < 1.0
     assert "a bound, which holds for every camera" in plan.explain()
     assert "0/255: nothing changes but rounding" in plan.explain()
