@@ -140,7 +140,9 @@ class Job:
             if not isinstance(getattr(self, name), kind):
                 raise InputError(f"{name} = {getattr(self, name)!r}: give a {kind.__name__}")
         if not isinstance(self.planned, Planned | None):
-            raise InputError(f"planned = {self.planned!r}: give a Planned, or None")
+            raise InputError(
+                f"planned = {self.planned!r}: give a facerender.scenes.planned.Planned"
+            )
         for name, each in (("lights", Light), ("outputs", Output)):
             values = getattr(self, name)
             if not (isinstance(values, list | tuple) and all(isinstance(v, each) for v in values)):
