@@ -17,6 +17,7 @@ from facerender.scenes.file import KEYS, from_table, scene_value, toml_text
 from facerender.scenes.light import Light
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh
+from facerender.scenes.planned import Planned
 from facerender.scenes.scene import ONLY, Only, Scene
 from facerender.scenes.vectors import Vector, non_negative
 from facerender.shading import Shading
@@ -109,6 +110,7 @@ class Job:
     material : factors of :class:`facerender.Material` for all parts, in place of the file's
     camera, lights, ambient, background : of :class:`facerender.Scene`
     shading : see there
+    planned : the images that the shading was planned for, or None
     image : how the images are drawn
     outputs : the images
 
@@ -124,6 +126,7 @@ class Job:
     ambient: float | Vector = Scene.ambient
     background: Vector | None = Scene.background
     shading: Shading = Shading()
+    planned: Planned | None = None
     image: ImageSettings = ImageSettings()
     outputs: tuple[Output, ...] = ()
 
@@ -136,6 +139,10 @@ class Job:
         ):
             if not isinstance(getattr(self, name), kind):
                 raise InputError(f"{name} = {getattr(self, name)!r}: give a {kind.__name__}")
+        if not isinstance(self.planned, Planned | None):
+            raise InputError(
+                f"planned = {self.planned!r}: give a facerender.scenes.planned.Planned"
+            )
         for name, each in (("lights", Light), ("outputs", Output)):
             values = getattr(self, name)
             if not (isinstance(values, list | tuple) and all(isinstance(v, each) for v in values)):
@@ -181,6 +188,7 @@ class Job:
             "ambient": self.ambient,
             "background": "none" if self.background is None else self.background,
             "shading": self.shading.as_dict(),
+            **({"planned": _told(self.planned)} if self.planned else {}),
             "image": _told(self.image),
             "outputs": [_told(output) for output in self.outputs],
         }

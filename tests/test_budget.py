@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from facerender import InputError
-from facerender.planning.budget import Budget
+from facerender.planning.budget import Budget, highest_but
 from tests.conftest import missing
 
 
@@ -74,6 +74,39 @@ def test_impossible_ones_are_named_with_the_remedy(given, message):
 def test_exposure_outside_its_domain(exposure):
     with pytest.raises(InputError, match=rf"exposure = {exposure:g} is outside \[-100, 100\]"):
         Budget.parse("1/255", exposure)
+
+
+@pytest.mark.parametrize(
+    ("given", "within"),
+    [("99.9%", 0.999), (0.999, 0.999), ("0.5", 0.5), (" 100 % ", 1.0), (1, 1.0), ("1e-1%", 0.001),
+     (np.float32(0.999), 0.999), ("99.99%", 0.9999)],
+)  # fmt: skip
+def test_share_of_the_pixels(given, within):
+    assert Budget.parse("1/255", within=given) == Budget(1 / 255, within=within)
+
+
+@pytest.mark.parametrize("given", ["99.9", 0, "0%", -0.5, "101%", "nan", "inf", "most", "", True])
+def test_no_share_of_the_pixels(given):
+    with pytest.raises(InputError, match=rf"^within {given}: give a share .* 99.9% or 0.999$"):
+        Budget.parse("1/255", within=given)
+
+
+@pytest.mark.parametrize(
+    ("within", "covered", "spared"),
+    [(1.0, 1000, 0), (0.999, 999, 0), (0.999, 1000, 1), (0.999, 1999, 1), (0.999, 10**6, 1000),
+     (0.07, 100, 93), (0.29, 100, 71), (0.5, 3, 1), (1e-9, 7, 6), (0.999, 0, 0)],
+)  # fmt: skip
+def test_spared_pixels(within, covered, spared):
+    """Never one more than the share leaves, whatever floating point makes of the product."""
+    assert Budget(0.1, within=within).spared(covered) == spared
+
+
+def test_the_highest_but_some():
+    errors = np.array([[3.0, 1.0, 2.0], [5.0, 4.0, 0.0]])
+    assert [highest_but(errors, spared) for spared in range(7)] == [5, 4, 3, 2, 1, 0, 0]
+    errors[0, 1] = math.nan  # which fits no limit
+    assert math.isnan(highest_but(errors, 0))
+    assert highest_but(errors, 1) == 5
 
 
 def shown(linear, exposure):

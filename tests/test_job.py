@@ -15,6 +15,7 @@ import pytest
 import facerender as fr
 from facerender.lobes import GPower
 from facerender.scenes.light import LIGHTS
+from facerender.scenes.planned import Planned
 from tests import awkward_files as files
 
 POINT = fr.Light(irradiance=(1.0, 0.5, 0.2), position=(0.2, 0.3, 0.5))
@@ -35,6 +36,7 @@ JOBS = {
             frontal_lights=(1,),
             specular_lights=(0,),
         ),
+        planned=Planned(((48, 32),), 1),
         image=fr.ImageSettings((48, 32), 1, float_albedo=True),
         outputs=(fr.Output("a.png", exposure=1.0), fr.Output("b.exr", "specular")),
     ),
@@ -52,7 +54,7 @@ WAYS = {
 def test_a_job_comes_back_as_it_was(name, way):
     sent = WAYS[way](JOBS[name])
     assert sent.scene(None if name == "everything" else fr.load_mesh()).lights == JOBS[name].lights
-    for field in ("mesh", "camera", "lights", "shading", "image", "outputs"):
+    for field in ("mesh", "camera", "lights", "shading", "planned", "image", "outputs"):
         assert getattr(sent, field) == getattr(JOBS[name], field)
     assert json.dumps(sent.as_dict()) == json.dumps(JOBS[name].as_dict())
 

@@ -13,11 +13,13 @@ from PIL import Image
 
 import facerender as fr
 from facerender.commands import main
+from facerender.commands.common import parse_sizes
 from facerender.lobes import GPower
 from facerender.planning import cache as plan_cache
 from facerender.planning.budget import Budget
 from facerender.scenes.file import load_scene
 from facerender.scenes.light import LIGHTS
+from facerender.scenes.planned import Planned
 from facerender.shading import Shading
 from tests.awkward_files import MINI_HEAD
 from tests.test_cli import Capture, Cli
@@ -95,7 +97,7 @@ def test_output_for_people(plan):
 def test_json(plan):
     found = json.loads(plan("--budget", "0.5%", "--json", "--cost", "vega10"))
     assert found == json.loads(json.dumps(expected("0.5%", cost="vega10").as_dict()))
-    assert found["budget"] == {"limit": 0.005, "unit": "relative", "exposure": 0.0}
+    assert found["budget"] == {"limit": 0.005, "unit": "relative", "exposure": 0.0, "within": 1.0}
     assert "GCN5 (vega10)" in found["cost"]["source"]
 
 
@@ -126,12 +128,12 @@ def test_a_pinned_scene_renders_as_its_shading_does(budget, plan, cli):
     options = ("--m", "0.25", "--camera", "20,10,1.1", "--ambient", "0.2", "--background", "none")
     found = json.loads(plan("--budget", budget, "--scene", pinned, "--json", *options))
     shading = Shading.from_dict(found["shading"])
-    with fr.Renderer((48, 48)) as renderer:
+    with fr.Renderer((48, 48), samples=1) as renderer:
         camera = fr.Camera(20.0, 10.0, zoom=1.1)
         mesh = fr.load_mesh(MINI_HEAD).with_material(m=0.25)
         scene = fr.Scene(mesh, camera, (LIGHTS["key"],), ambient=0.2, background=None)
         image = renderer.render(scene, shading).srgb8()
-    np.testing.assert_array_equal(cli.render("--scene", pinned), image)
+    np.testing.assert_array_equal(cli.render("--scene", pinned, "--samples", "1"), image)
     assert pinned.read_text().startswith("# Written by facerender plan.\n")
     plan("--budget", "3/255", "--scene", pinned)  # its own may be replaced
     assert load_scene(pinned)["shading"] == expected("3/255").shading.as_dict()
@@ -143,6 +145,36 @@ def test_a_pinned_scene_holds_a_g_power(plan, cli):
     shading = Shading.from_dict(load_scene(pinned)["shading"])
     assert isinstance(shading.term.lobe, GPower)
     assert cli.describe("--scene", pinned)["lobe"] == str(shading.term.lobe)
+
+
+def test_a_pinned_scene_names_the_images_that_it_was_planned_for(plan, cli):
+    pinned = cli.folder / "pinned.toml"
+    arguments = (MINI_HEAD, "--light", "key", "--size", "24..48", "--samples", "4")
+    plan("--budget", "2/255", "--scene", pinned, mesh=arguments)
+    assert load_scene(pinned)["planned"] == Planned(((24, 24), (34, 34), (48, 48)), 4)
+    render = ("render", MINI_HEAD, "-o", cli.png, "--scene", pinned)
+    for options in (
+        *(("--size", "24"), ("--size", "48"), ("--size", "30"), ("--size", "30x30")),
+        ("--size", "48", "--samples", "1"),  # of which the pixels' centres tell
+    ):
+        status, _, err = cli.run(*render, *options)
+        assert (status, "warning" in err) == (0, False), (options, err)
+    for options, image in (
+        (("--size", "23"), "23 x 23 with 4"),
+        (("--size", "49"), "49 x 49 with 4"),
+        (("--size", "48x24"), "48 x 24 with 4"),
+        (("--size", "48", "--samples", "2"), "48 x 48 with 2"),
+    ):
+        status, _, err = cli.run(*render, *options)
+        assert (status, err) == (
+            0,
+            f"facerender: warning: {pinned} was planned for 24 x 24 to 48 x 48 pixels with 4 "
+            f"samples: at {image} its error is unknown; plan for this size and these samples\n",
+        )
+    (told,) = cli.describe("--scene", pinned, "--size", "64")["warnings"]
+    assert "was planned for" in told
+    pinned.write_text("[planned]\nsizes = [[8, 8]]\nsamples = 1\n")
+    assert not cli.describe("--scene", pinned, "--budget", "2/255")["warnings"]  # planned anew
 
 
 def test_from_a_scene_file(plan, cli, tmp_path):
@@ -180,7 +212,35 @@ def test_cameras(plan, tmp_path):
 
 def test_size(plan):
     found = json.loads(plan("--budget", "30/255", "--json", mesh=(MINI_HEAD, "--size", "40x32")))
-    assert found["size"] == [40, 32]
+    assert found["sizes"] == [[40, 32]]
+
+
+@pytest.mark.parametrize(
+    ("text", "sizes"),
+    [
+        ("512", [(512, 512)]),
+        ("512..1024", [(512, 512), (724, 724), (1024, 1024)]),
+        ("640x480..960x720", [(640, 480), (784, 588), (960, 720)]),
+        ("8x8..8x64", [(8, 8), (8, 11), (8, 16), (8, 23), (8, 32), (8, 45), (8, 64)]),
+        ("100..101", [(100, 100), (101, 101)]),
+        ("512..512", [(512, 512)]),
+    ],
+)
+def test_range_of_sizes(text, sizes):
+    assert parse_sizes(text) == sizes
+
+
+def test_the_error_is_measured_at_all_sizes_of_a_range(plan):
+    arguments = (MINI_HEAD, *SMALL[2:], "--size", "24..48")
+    out = plan("--budget", "1/255", mesh=arguments)
+    assert out == expected("1/255", sizes=[(24, 24), (34, 34), (48, 48)]).explain() + "\n"
+    assert " 1 camera of 24 x 24, 34 x 34, 48 x 48 pixels; no guarantee for others" in out
+
+
+def test_within_a_share_of_the_pixels(plan):
+    out = plan("--budget", "1/255", "--within", "95%")
+    assert out == expected("1/255", within=0.95).explain() + "\n"
+    assert " 1/255 at 95 % of the pixels, 0.05/255 of it kept" in out.splitlines()[0]
 
 
 def test_error_map(plan, cli):
@@ -234,6 +294,14 @@ def test_exposure_counts(plan):
         (("--budget", "1/255", "--camera", "gone.toml"), r"cannot read gone\.toml: no such file"),
         (("--budget", "1/255", "--from", "gone.toml"), r"cannot read gone\.toml: no such file"),
         (("--budget", "1/255", "--size", "big"), r"size 'big': give N or WxH"),
+        (("--budget", "1/255", "--size", "512.."), r"size '': give N or WxH"),
+        (("--budget", "1/255", "--size", "8..16..32"), r"size '16\.\.32': give N or WxH"),
+        (("--budget", "1/255", "--size", "48..24"), r"'48\.\.24': give a smaller and a larger"),
+        (("--budget", "1/255", "--size", "24x48..48x24"), r"give a smaller and a larger one"),
+        (("--budget", "1/255", "--size", "0..4"), r"give a smaller and a larger one"),
+        (("--budget", "1/255", "--size", "8..99999"), r"99999 x 99999: give 1 to 16384 pixels"),
+        (("--budget", "1/255", "--within", "99.9"), r"within 99\.9: give a share of the pixels"),
+        (("--budget", "1/255", "--within", "99%", "--guarantee"), r"holds at every pixel: leave"),
         (("--budget", "1/255", "--exposure", "nan"), r"exposure = nan is outside"),
         (("--budget", "1/255", "--lobe", "d8"), r"unrecognized arguments: --lobe d8"),
         (("--budget", "1/255", "--model", "ward", "--fresnel", "dielectric"), r"ward has no Fres"),
@@ -354,10 +422,14 @@ def test_a_pinned_scene_is_planned_again(plan, cli):
         ("--budget", "1/255", "--camera", "turntable", "--camera", "top"),
         ("--budget", "1/255", "--camera", "top"),
         ("--budget", "1/255", "--only", "specular"),
+        ("--budget", "1/255", "--within", "0%"),
+        ("--within", "99%"),
+        ("--size", "24..48", "--budget", "1/255"),
     ],
 )
 def test_render_with_a_bad_budget(options, cli, cache):
-    cli.fail_to_render(r"budget|a plan chooses the lobe|exposure|--camera", *options)
+    message = r"budget|a plan chooses the lobe|exposure|--camera|within 0%|size '24\.\.48'"
+    cli.fail_to_render(message, *options)
     assert not cache.exists()
 
 
@@ -386,6 +458,11 @@ def test_render_within_a_budget_as_json(cli, found):
     assert facts["plan"] == json.loads(json.dumps(found.as_dict()))
     assert facts["lobe"] == str(Shading.from_dict(facts["plan"]["shading"]).term.lobe)
     assert "plan" not in cli.describe("--light", "key")
+
+
+def test_render_within_a_budget_at_a_share_of_the_pixels(cli):
+    facts = cli.describe("--light", "key", "--budget", "1/255", "--within", "95%", "--samples", "1")
+    assert facts["plan"] == json.loads(json.dumps(expected("1/255", within=0.95).as_dict()))
 
 
 def shoot(cli, *options, mesh=MINI_HEAD):
@@ -418,6 +495,7 @@ def test_what_changes_the_plan_makes_a_new_one(cli, planned, tmp_path):
         Image.new("RGB", (4, 4), (level, 60, 60)).save(tmp_path / f"albedo{number}.png")
     for options in (
         *(("--budget", "3/255"), ("--budget", "2%"), ("--exposure", "1"), ("--size", "40")),
+        ("--within", "99.9%"),
         *(("--m", "0.2"), ("--ks", "0.5"), ("--kd", "0.5"), ("--ambient", "0.1")),
         *(("--light", "front"), ("--light", "rim"), ("--camera", "10"), ("--fov", "30")),
         *(("--fresnel", "dielectric"), ("--masking", "kelemen"), ("--model", "ward")),
@@ -433,6 +511,7 @@ def test_what_changes_the_plan_makes_a_new_one(cli, planned, tmp_path):
 def test_what_does_not_change_the_plan_does_not_plan(cli, planned):
     shoot(cli)
     shoot(cli, "--json")
+    shoot(cli, "--within", "100%")
     assert len(planned) == 1
 
 
@@ -501,5 +580,6 @@ def test_help_names_the_units(capsys):
     with pytest.raises(SystemExit):
         main(["plan", "--help"])
     out = " ".join(capsys.readouterr().out.split())
-    for word in ("1/255, 0.5% or '0.02 flip'", "turntable", "--guarantee", "OUT.toml"):
+    words = ("1/255, 0.5% or '0.02 flip'", "turntable", "--guarantee", "OUT.toml")
+    for word in (*words, "--within SHARE", "512..1024"):
         assert word in out

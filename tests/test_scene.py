@@ -10,6 +10,7 @@ import pytest
 import facerender as fr
 from facerender.scenes.file import load_scene
 from facerender.scenes.light import LIGHTS, parse_light
+from facerender.scenes.planned import Planned
 from facerender.scenes.view import view_of
 
 
@@ -117,6 +118,7 @@ def test_scene_file(tmp_path):
         'ambient = 0.2\nbackground = "none"\n'
         'lights = ["key", {azimuth = 10, irradiance = [1, 2, 3]}]\n'
         "[camera]\nazimuth = 40\nzoom = 1.5\n[material]\nm = 0.25\n"
+        "[planned]\nsizes = [[512, 512], [1024, 1024]]\nsamples = 4\n"
     )
     assert load_scene(tmp_path / "scene.toml") == {
         "ambient": (0.2, 0.2, 0.2),
@@ -124,6 +126,7 @@ def test_scene_file(tmp_path):
         "lights": (LIGHTS["key"], fr.Light(azimuth=10, irradiance=(1.0, 2.0, 3.0))),
         "camera": fr.Camera(azimuth=40, zoom=1.5),
         "material": {"m": 0.25},
+        "planned": Planned(((512, 512), (1024, 1024)), 4),
     }
 
 
@@ -140,6 +143,12 @@ def test_scene_file(tmp_path):
         ("[material]\nalbedo_map = 'a.png'", "unknown key 'albedo_map' in material"),
         ("background = 'red'", "background = 'red'"),
         ("colour = 1", "unknown key 'colour'; known: camera, cameras, lights"),
+        ("[planned]\nsizes = [[8, 8]]", "planned .* lacks samples"),
+        ("[planned]\nsizes = []\nsamples = 1", r"planned sizes = \[\], samples = 1: give widths"),
+        ("[planned]\nsizes = [[8, 0]]\nsamples = 1", r"planned sizes = \[\[8, 0\]\]"),
+        ("[planned]\nsizes = [[8]]\nsamples = 1", r"planned sizes = \[\[8\]\]"),
+        ("[planned]\nsizes = 8\nsamples = 1", "planned sizes = 8"),
+        ("[planned]\nsizes = [[8, 8]]\nsamples = 0.5", "samples = 0.5: give"),
         ("[camera", "scene.toml is not TOML"),
     ],
 )

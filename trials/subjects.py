@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -58,9 +59,13 @@ def brute_force(
     shadings: Sequence[fr.Shading],
     unit: str = "1/255",
     cameras: Sequence[fr.Camera] = (),
+    within: float = 1.0,
 ) -> list[float]:
     """Return the largest error of each shading, in the unit of a budget, at the cameras or at that
-    of the scene: each by itself, of an image that the reference shades from its own G-buffer."""
+    of the scene: each by itself, of an image that the reference shades from its own G-buffer.
+
+    within : of the pixels of each camera that err least, the share that counts
+    """
     budget = Budget.parse(unit)
     scenes = [replace(subject.scene, camera=each) for each in cameras or (subject.scene.camera,)]
     gbuffers: dict[tuple[object, ...], list[fr.GBuffer]] = {}
@@ -76,7 +81,8 @@ def brute_force(
 
     def worst(shading: fr.Shading) -> float:
         compared = zip(images(shading), exact, covered, strict=True)
-        return max(float(budget.errors(own, full)[inside].max()) for own, full, inside in compared)
+        counted = [np.sort(budget.errors(own, full)[inside]) for own, full, inside in compared]
+        return max(float(each[math.ceil(round(within * each.size, 6)) - 1]) for each in counted)
 
     covered = [renderer.gbuffer(scene, subject.full).part >= 0 for scene in scenes]
     exact = images(subject.full)

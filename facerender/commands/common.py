@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from facerender.errors import InputError, reason
 
@@ -17,6 +20,20 @@ def parse_size(text: str) -> tuple[int, int]:
     except ValueError:
         raise InputError(f"size {text!r}: give N or WxH, such as 1024 or 640x480") from None
     return width, height
+
+
+def parse_sizes(text: str) -> list[tuple[int, int]]:
+    """Read a size, or of a range such as 512..1024 both ends, and evenly between them so many that
+    none is more than sqrt(2) times the one before."""
+    first, *rest = map(parse_size, text.split("..", 1))
+    if not rest:
+        return [first]
+    ranges = [*zip(first, *rest, strict=True)]
+    if not all(0 < low <= high for low, high in ranges):
+        raise InputError(f"sizes {text!r}: give a smaller and a larger one, such as 512..1024")
+    steps = math.ceil(2.0 * max(math.log2(high / low) for low, high in ranges) - 1e-9)
+    widths, heights = (np.geomspace(low, high, steps + 1).round() for low, high in ranges)
+    return [(int(width), int(height)) for width, height in zip(widths, heights, strict=True)]
 
 
 def numbers_of(option: str, text: str, counts: Sequence[int]) -> list[float]:

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import clean_up_on_interrupt
+from facerender.commands.common import clean_up_on_interrupt, parse_sizes
 from facerender.commands.scene import WHERE, add_scene, job_of, load
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
@@ -21,11 +21,17 @@ from facerender.image import write_bytes
 def add(plan: argparse.ArgumentParser) -> None:
     plan.set_defaults(command=run)
     plan.description = (
-        "The cheapest shading of a scene whose error at every pixel stays within a budget, against "
-        "the exact lobe with all terms and maps."
+        "The cheapest shading of a scene whose error at every pixel, or at a share of them, stays "
+        "within a budget, against the exact lobe with all terms and maps."
     )
     plan.add_argument(
         "--budget", required=True, metavar="ERROR", help="1/255, 0.5%% or '0.02 flip'"
+    )
+    plan.add_argument(
+        "--within",
+        default="100%",
+        metavar="SHARE",
+        help="of the pixels that each image covers: where the budget must hold (100%%)",
     )
     plan.add_argument(
         "--guarantee", action="store_true", help="bound the error for every camera; looser"
@@ -50,7 +56,11 @@ def add(plan: argparse.ArgumentParser) -> None:
         "for several",
     )
     images = plan.add_argument_group("where the error is measured")
-    images.add_argument("--size", default="1024", help="N or WxH in pixels (1024)")
+    images.add_argument(
+        "--size",
+        default="1024",
+        help="N or WxH in pixels; 512..1024 for both and what is between (1024)",
+    )
     images.add_argument("--samples", type=int, default=4, help="per pixel; 1 for none (4)")
     images.add_argument("--exposure", type=float, default=0.0, help="of the display, in stops (0)")
     images.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
@@ -73,27 +83,30 @@ def run(options: argparse.Namespace) -> int:
     from facerender.planning.plan import plan
     from facerender.pricing.table import COMPILED, HERE
 
-    Budget.parse(options.budget, options.exposure)
+    Budget.parse(options.budget, options.exposure, options.within)
+    sizes = parse_sizes(options.size)
     if options.target and not options.emit:
         raise InputError(f"--target {options.target} is of a shader: say --emit OUT.glsl")
     if options.guarantee and (options.camera or options.error_map):
         raise InputError("--guarantee is not measured: leave --camera and --error-map out")
     _check_outputs(options)
     _check_pinned(options.pinned)
-    job, cameras = job_of(options, options.camera or [])
+    job, cameras = job_of(options, options.camera or [], sizes[-1])
     scene = load(job)
     if options.cost == HERE or options.cost in COMPILED:
         print("facerender: measuring costs takes a minute or two", file=sys.stderr)
     choices: dict[str, Any] = {
         "cost": options.cost,
         "exposure": options.exposure,
+        "within": options.within,
         "full": job.shading,
     }
     if options.guarantee:
         planned = plan(scene, options.budget, guarantee=True, **choices)
     else:
         with Renderer.of(job, options.backend) as renderer:
-            planned = plan(scene, options.budget, cameras=cameras, renderer=renderer, **choices)
+            choices |= {"cameras": cameras, "sizes": sizes, "renderer": renderer}
+            planned = plan(scene, options.budget, **choices)
     clean_up_on_interrupt()
     if options.emit:
         write_bytes(options.emit, planned.shader(options.target).encode())

@@ -5,14 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import warnings
 from typing import Any
 
-from facerender.commands.common import clean_up_on_interrupt
+from facerender.commands.common import clean_up_on_interrupt, parse_size
 from facerender.commands.scene import WHERE, add_scene, job_of, load
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
-from facerender.errors import InputError
-from facerender.job import Output
+from facerender.errors import FacerenderWarning, InputError
+from facerender.job import Job, Output
 from facerender.scenes.scene import ONLY
 from facerender.shading import OUTSIDE, Shading
 from facerender.terms import LOBES
@@ -33,6 +34,9 @@ def add(render: argparse.ArgumentParser) -> None:
         metavar="ERROR",
         help="plan the cheapest terms within 1/255, 0.5%% or '0.02 flip', and use them",
     )
+    terms.add_argument(
+        "--within", metavar="SHARE", help="of the pixels: where --budget must hold (100%%)"
+    )
     scene.add_argument("--scene", metavar="FILE.toml", help="camera, lights, material, reflectance")
     scene.add_argument("--camera", metavar="WHERE", help=WHERE)
 
@@ -48,16 +52,22 @@ def add(render: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     if options.budget is not None and options.only is not None:
         raise InputError(f"--budget plans the whole image: leave --only {options.only} out")
+    if options.within is not None and options.budget is None:
+        raise InputError(f"--within {options.within} is of a budget: say --budget ERROR")
     output = Output(options.output, options.only, options.exposure)
-    job, _ = job_of(options, [options.camera] if options.camera else [], (output,))
+    size = parse_size(options.size)
+    job, _ = job_of(options, [options.camera] if options.camera else [], size, (output,))
     scene, shading = load(job), job.shading
     plan: dict[str, Any] = {}
     with Renderer.of(job, options.backend) as renderer:
         if options.budget is not None:
             from facerender.planning.cache import planned
 
-            plan = planned(scene, options.budget, shading, options.exposure, renderer)
+            within = options.within or 1.0
+            plan = planned(scene, options.budget, shading, options.exposure, within, renderer)
             shading = Shading.from_dict(plan["shading"])
+        elif job.planned and not job.planned.holds(renderer.size, renderer.samples):
+            warnings.warn(_unplanned(options.scene, job), FacerenderWarning, stacklevel=1)
         frame = renderer.render(scene, shading, output.only)
         backend = renderer.context.backend
     clean_up_on_interrupt()
@@ -79,3 +89,11 @@ def run(options: argparse.Namespace) -> int:
         if plan:
             print(*plan["text"].splitlines()[-2:], sep="\n", file=sys.stderr)
     return 0
+
+
+def _unplanned(name: str, job: Job) -> str:
+    width, height = job.image.size
+    return (
+        f"{name} was planned for {job.planned}: at {width} x {height} with {job.image.samples} its "
+        "error is unknown; plan for this size and these samples"
+    )

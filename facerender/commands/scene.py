@@ -7,7 +7,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from facerender.commands.common import import_trimesh, numbers_of, parse_size
+from facerender.commands.common import import_trimesh, numbers_of
 from facerender.drawing.prepare import start_maps
 from facerender.errors import InputError
 from facerender.job import ImageSettings, Job, MeshFile, Output
@@ -62,11 +62,13 @@ def add_scene(
 
 
 def job_of(
-    options: argparse.Namespace, places: Sequence[str], outputs: tuple[Output, ...] = ()
+    options: argparse.Namespace,
+    places: Sequence[str],
+    size: tuple[int, int],
+    outputs: tuple[Output, ...] = (),
 ) -> tuple[Job, tuple[Camera, ...]]:
     """Return what options and scene file say: the job, and the cameras of the places, or else of
     the file, or else the job's own."""
-    size = parse_size(options.size)
     if options.m is not None and options.roughness_map is not None:
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
     settings = load_scene(options.scene) if options.scene else {}

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from decimal import Decimal
+from fractions import Fraction
 from typing import Literal
 
 import numpy as np
@@ -26,7 +28,7 @@ _GIVEN = re.compile(r"([-+.\deE]+|nan|inf)\s*(?:/\s*([.\deE+]+)|(%)|(flip))?", r
 
 @dataclass(frozen=True)
 class Budget:
-    """The largest error of a pixel.
+    """The largest error of a pixel, or of a stated share of the pixels.
 
     Attributes
     ----------
@@ -35,20 +37,30 @@ class Budget:
         more; of "flip" FLIP (Andersson et al. 2020) of the displayed image
     unit : "display", "relative" or "flip"
     exposure : of the displayed image, in stops
+    within : share of the pixels that each image covers which err by the limit at most, in (0, 1]
     """
 
     limit: float
     unit: Unit = "display"
     exposure: float = 0.0
+    within: float = 1.0
 
     @classmethod
-    def parse(cls, given: str | float, exposure: float = 0.0) -> Budget:
-        """Read "1/255", "0.5%" or "0.02 flip"; a number is a share of the display's range.
+    def parse(cls, given: str | float, exposure: float = 0.0, within: str | float = 1.0) -> Budget:
+        """Read "1/255", "0.5%" or "0.02 flip"; a number is a share of the display's range. within
+        is "99.9%" or 0.999.
 
         Raises
         ------
-        InputError : no such unit, a negative or infinite budget
+        InputError : no such unit, a negative or infinite budget, no share of the pixels
         """
+        number = str(within).strip()
+        try:
+            share = float(Decimal(number.removesuffix("%")) / (100 if "%" in number else 1))
+        except ArithmeticError:
+            share = 0.0
+        if not 0.0 < share <= 1.0:
+            raise InputError(f"within {within}: give a share of the pixels such as 99.9% or 0.999")
         if not -100.0 <= exposure <= 100.0:
             raise InputError(f"exposure = {exposure:g} is outside [-100, 100]")
         remedy = "give a share of the display's range such as 1/255, 0.5%, or 0.02 flip"
@@ -65,8 +77,8 @@ class Budget:
         if not 0.0 <= limit < math.inf:
             raise InputError(f"budget {given} is negative or not finite: {remedy}")
         if match[3]:
-            return cls(limit / 100.0, "relative", exposure)
-        return cls(limit, "flip" if match[4] else "display", exposure)
+            return cls(limit / 100.0, "relative", exposure, share)
+        return cls(limit, "flip" if match[4] else "display", exposure, share)
 
     def errors(self, image: Float, reference: Float) -> Float:
         """Return the error of each pixel (H, W) of a linear image (H, W, 3), of its worst channel.
@@ -84,6 +96,10 @@ class Budget:
             return np.asarray(np.abs(shown - expected).max(axis=-1))
         return flip.errors(expected, shown)
 
+    def spared(self, covered: int) -> int:
+        """Return how many pixels of an image that covers so many may be over the limit."""
+        return covered - math.ceil(Fraction(str(self.within)) * covered)
+
     def bound(self, radiance: float) -> float:
         """Return the largest error that a change of the radiance by this much can make: on black,
         where both the display's curve and a relative error rise most.
@@ -100,6 +116,11 @@ class Budget:
             return radiance / FLOOR
         return float(self._displayed(np.array(radiance)))
 
+    @property
+    def share(self) -> str:
+        """The share of the pixels in words, such as "99.9 %"."""
+        return f"{100.0 * self.within:.6g} %"
+
     def text(self, error: float) -> str:
         """Write an error in the budget's unit."""
         if not math.isfinite(error):
@@ -113,3 +134,10 @@ class Budget:
 
     def _displayed(self, linear: Float) -> Float:
         return linear_to_srgb(linear * 2.0**self.exposure)
+
+
+def highest_but(errors: Float, spared: int) -> float:
+    """Return the largest error beside those of so many pixels that err most; 0 without pixels. What
+    is no number counts as the largest."""
+    kept = errors.size - spared
+    return float(np.partition(errors, kept - 1, axis=None)[kept - 1]) if kept > 0 else 0.0

@@ -18,6 +18,7 @@ from facerender._version import __version__
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.image import write_bytes
+from facerender.planning.budget import Budget
 from facerender.planning.plan import plan
 from facerender.pricing.table import TABLE
 from facerender.scenes.scene import Scene
@@ -26,11 +27,17 @@ from facerender.shading import Shading
 
 
 def planned(
-    scene: Scene, budget: str | float, full: Shading, exposure: float, renderer: Renderer
+    scene: Scene,
+    budget: str | float,
+    full: Shading,
+    exposure: float,
+    within: str | float,
+    renderer: Renderer,
 ) -> dict[str, Any]:
     """Return a plan as :meth:`facerender.Plan.as_dict` has it: the one that was kept, or one
     that is made now and kept. Parameters and errors as in :func:`facerender.plan`."""
-    path = _folder() / f"{_digest(scene, budget, full, exposure, renderer)}.json"
+    allowed = Budget.parse(budget, exposure, within)
+    path = _folder() / f"{_digest(scene, allowed, full, renderer)}.json"
     try:
         kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         Shading.from_dict(kept["shading"]).check_lights(len(scene.lights))
@@ -38,7 +45,8 @@ def planned(
             return kept
     except (OSError, ValueError, KeyError, TypeError):  # none, or damaged
         pass
-    facts = plan(scene, budget, full=full, exposure=exposure, renderer=renderer).as_dict()
+    made = plan(scene, budget, full=full, exposure=exposure, within=within, renderer=renderer)
+    facts = made.as_dict()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_bytes(path, json.dumps(facts).encode())

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -21,18 +21,20 @@ from facerender.glsl.code import call
 from facerender.glsl.library import Target, term_source
 from facerender.image import save_png
 from facerender.planning.bound import Unbounded, bound
-from facerender.planning.budget import ROUNDING, Budget
+from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import Constants
 from facerender.planning.decisions import Decision, decisions
-from facerender.planning.search import Choice, Cost, Drawn, Region, Witnesses, constants_seen
+from facerender.planning.search import Choice, Cost, Drawn, Place, Region, Witnesses, constants_seen
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import scene_toml
+from facerender.scenes.planned import Planned
 from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
 
-# Of an error map: where on the way to the budget, and which colour there.
+# Of an error map: where on the way to the budget, and which colour there; and beyond it.
 _STOPS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _COLORS = np.array([(0, 0, 0), (40, 20, 140), (200, 40, 80), (250, 190, 40), (255, 255, 255)])
+_OVER = (0, 255, 120)
 
 
 @dataclass(frozen=True)
@@ -42,17 +44,23 @@ class Error:
     Attributes
     ----------
     maximum : the largest error of a pixel; with a guarantee, the bound
+    within : the largest error of the budget's share of the pixels, of the worst image; the maximum
+        where that is all of them
     percentile : exceeded by one covered pixel in 1000, or None with a guarantee
-    camera, pixel : where the largest is: index of the camera, x and y; None with a guarantee
-    drawn : the largest error of the images as the renderer draws them, with several samples a
-        pixel; None where it has one, or with a guarantee
+    camera, size, pixel : where the largest is: index of the camera, width and height of the image,
+        x and y; None with a guarantee
+    drawn, drawn_within : maximum and within of the images as the renderer draws them, with several
+        samples a pixel; None where it has one, or with a guarantee
     """
 
     maximum: float
+    within: float
     percentile: float | None = None
     camera: int | None = None
+    size: tuple[int, int] | None = None
     pixel: tuple[int, int] | None = None
     drawn: float | None = None
+    drawn_within: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +75,12 @@ class Plan:
     error, cost, decisions : see there
     budget : as parsed
     cameras : whose pixels were measured; with a guarantee none, since it holds for all
-    size : width and height in pixels
+    sizes : width and height in pixels of the images that were measured, of every camera
+    samples : of each pixel of them; None with a guarantee
     constants : what could stand for maps, and the order in which lights could go
     candidates, tried : how many shadings cost less than the full one, and how many were evaluated
         at every pixel
-    error_map : (H, W), of the camera with the largest error; None with a guarantee
+    error_map : (H, W), of the image with the largest error; None with a guarantee
     """
 
     scene: Scene
@@ -82,7 +91,8 @@ class Plan:
     decisions: tuple[Decision, ...]
     budget: Budget
     cameras: tuple[Camera, ...]
-    size: tuple[int, int] | None
+    sizes: tuple[tuple[int, int], ...]
+    samples: int | None
     constants: Constants
     candidates: int
     tried: int
@@ -92,8 +102,10 @@ class Plan:
         """Return the plan in words: what was measured, a line for each decision, error and cost."""
         limit, rounding = self.budget.limit, ROUNDING[self.budget.unit]
         part = "of it kept for" if limit > rounding else "may come from"
+        share = f" at {self.budget.share} of the pixels" if self.budget.within < 1.0 else ""
+        kept = f"{self.budget.text(rounding)} {part} rounding"
         lines = {
-            "budget": f"{self.budget.text(limit)}, {self.budget.text(rounding)} {part} rounding",
+            "budget": f"{self.budget.text(limit)}{share}, {kept}",
             "basis": self._basis(),
             **({d.name: d.text for d in self.decisions} if limit > rounding else {}),
             **({} if self.shading != self.full else {"shading": "nothing cheaper fits: exact"}),
@@ -122,10 +134,14 @@ class Plan:
         return "\n".join(filter(None, [version, *notes, rest]))
 
     def scene_toml(self) -> str:
-        """Return the scene with its shading pinned, for ``facerender render --scene``."""
+        """Return the scene with its shading pinned, and for which images it was planned, for
+        ``facerender render --scene``."""
         lines = ["Mesh and maps are not in here: name them again.", *self.explain().splitlines()]
         notes = [f"# {line}\n" for line in lines]
-        return "".join(notes) + "\n" + scene_toml(self.scene, self.shading)
+        planned = None
+        if self.samples is not None and self.shading != self.full:
+            planned = Planned(self.sizes, self.samples)
+        return "".join(notes) + "\n" + scene_toml(self.scene, self.shading, planned)
 
     def as_dict(self) -> dict[str, Any]:
         """Return every figure, for JSON."""
@@ -139,15 +155,16 @@ class Plan:
             "cost": asdict(self.cost) | {"relative": self.cost.relative},
             "decisions": [asdict(decision) for decision in self.decisions],
             "cameras": [asdict(camera) for camera in self.cameras],
-            "size": self.size,
+            "sizes": self.sizes,
+            "samples": self.samples,
             "candidates": self.candidates,
             "tried": self.tried,
         }
         return {key: _finite(value) for key, value in facts.items()}
 
     def save_error_map(self, path: str | os.PathLike[str]) -> None:
-        """Write a PNG of the errors at the camera with the largest one: black none, then blue, red
-        and yellow to white at the budget.
+        """Write a PNG of the errors of the image with the largest one: black none, then blue, red
+        and yellow to white at the budget; green beyond it.
 
         Raises
         ------
@@ -159,32 +176,36 @@ class Plan:
             raise InputError("a guarantee is not measured at any camera: it has no error map")
         at = self.error_map / max(self.budget.limit, 1e-12)
         heat = np.stack([np.interp(at, _STOPS, ramp) for ramp in _COLORS.T], axis=-1)
+        heat[at > 1.0] = _OVER
         comment = f"error {self._error()}; white is {self.budget.text(self.budget.limit)}"
         save_png(path, np.round(heat).astype(np.uint8), {"Comment": comment})
 
     def _basis(self) -> str:
         if not self.cameras:
             return "a bound, which holds for every camera"
-        width, height = self.size or (0, 0)
+        sizes = ", ".join(f"{width} x {height}" for width, height in self.sizes)
         count = f"{len(self.cameras)} cameras" if len(self.cameras) > 1 else "1 camera"
         shown = f", {self.budget.exposure:+g} stops" if self.budget.exposure else ""
-        return f"{count} of {width} x {height} pixels{shown}; no guarantee for others"
+        return f"{count} of {sizes} pixels{shown}; no guarantee for others"
 
     def _error(self) -> str:
-        error, text = self.error, self.budget.text
+        error, text, share = self.error, self.budget.text, self.budget.share
         if self.shading == self.full:
             return f"{text(0.0)}: the full shading"
-        drawn = f"; {text(error.drawn)} as drawn" if error.drawn is not None else ""
+        every = self.budget.within == 1.0
+        drawn = ""
+        if error.drawn is not None and error.drawn_within is not None:
+            drawn = f"; {text(error.drawn)} as drawn"
+            drawn += "" if every else f", {share} within {text(error.drawn_within)}"
         if error.maximum == 0.0:
             return f"{text(0.0)}: nothing changes but rounding{drawn}"
-        if error.pixel is None or error.percentile is None:
+        if error.pixel is None or error.size is None or error.percentile is None:
             return f"at most {text(error.maximum)}"
-        x, y = error.pixel
-        at = f" of camera {error.camera}" if len(self.cameras) > 1 else ""
-        return (
-            f"{text(error.maximum)}, at pixel ({x}, {y}){at}; 99.9 % of the pixels within "
-            f"{text(error.percentile)}{drawn}"
-        )
+        at = "at pixel ({}, {})".format(*error.pixel)
+        at += f" of camera {error.camera}" if len(self.cameras) > 1 else ""
+        at += " of {} x {}".format(*error.size) if len(self.sizes) > 1 else ""
+        most = ("99.9 %", error.percentile) if every else (share, error.within)
+        return f"{text(error.maximum)}, {at}; {most[0]} of the pixels within {text(most[1])}{drawn}"
 
 
 def _finite(value: Any) -> Any:
@@ -202,6 +223,8 @@ def plan(
     *,
     full: Shading = Shading(),
     cameras: Sequence[Camera] | None = None,
+    sizes: Sequence[tuple[int, int]] | None = None,
+    within: str | float = 1.0,
     guarantee: bool = False,
     cost: str = "auto",
     exposure: float = 0.0,
@@ -216,21 +239,26 @@ def plan(
     full : what counts as exact; its lobe is the exact one
     cameras : where the error is measured; None for the scene's own. See
         :func:`facerender.turntable`
+    sizes : width and height of the images that are measured, of every camera; None for the
+        renderer's size
+    within : share of the pixels which the budget must hold at, of those that each image covers:
+        0.999 or "99.9%"; the error of the worst pixel is told as well
     guarantee : bound the error over all views in place of measuring it
     cost : whose: "auto", "llvmpipe", "navi21" (RDNA2) or "vega10" (GCN5) from the table, "here", or
         "radv:navi21"; see :func:`facerender.pricing.table.load_prices`. With a guarantee, "auto"
         is RDNA2's
     exposure : of the displayed image, in stops
-    renderer : draws; of its size are the images that are measured, and what it shades with several
-        samples a pixel counts as well; None makes one of 1024 x 1024 pixels with 4 samples
+    renderer : draws; what it shades with several samples a pixel counts as well; None makes one of
+        1024 x 1024 pixels with 4 samples
 
     Raises
     ------
     InputError : an unknown unit, a negative budget, a scene without lights, cameras that see
-        nothing, another lobe than the exact one, FLIP with a guarantee or without its package
+        nothing, another lobe than the exact one, FLIP with a guarantee or without its package, no
+        share of the pixels, or one with a guarantee
     ContextError : no OpenGL context
     """
-    allowed = Budget.parse(budget, exposure)
+    allowed = Budget.parse(budget, exposure, within)
     if full.term.lobe != "exact":
         raise InputError(f"a plan chooses the lobe: leave {full.term.lobe} out")
     if full != full.replace(lights={}, frontal_lights=full.frontal_lights):
@@ -239,45 +267,72 @@ def plan(
         raise InputError("the scene has no lights: there is no shading to plan")
     full = replace(full, term=replace(full.term, small_slope=None))  # as the slopes need it
     if guarantee:
-        if cameras is not None:
-            raise InputError("a guarantee holds for every camera: leave cameras out")
+        if cameras is not None or sizes is not None:
+            raise InputError("a guarantee holds for every camera: leave cameras and sizes out")
+        if allowed.within < 1.0:
+            raise InputError(f"a guarantee holds at every pixel: leave within {within} out")
         return _guaranteed(scene, full, allowed, cost)
     at = (scene.camera,) if cameras is None else tuple(cameras)
-    with nullcontext(renderer) if renderer else Renderer() as drawing:
-        scenes = [replace(scene, camera=camera) for camera in at]
-        views = [Region.seen(drawing, each, full, allowed) for each in scenes]
+    with ExitStack() as stack:
+        drawing = renderer or stack.enter_context(Renderer())
+        renderers = [
+            drawing if size == drawing.size else stack.enter_context(_resized(drawing, size))
+            for size in (sizes or [drawing.size])
+        ]
+        places = [Place(replace(scene, camera=camera), each) for each in renderers for camera in at]
+        views = [Region.seen(place, full, allowed) for place in places]
         if not any(view.counted.any() for view in views):
             raise InputError(f"the cameras see nothing of {scene.mesh.name}")
         software = drawing.context.software
         choice = Choice(scene, full, allowed, constants_seen(scene, full, views), cost, software)
-        drawn = Drawn(drawing, scenes, full, allowed) if drawing.samples > 1 else None
-        return _measured(choice, at, views, drawn)
+        return _measured(choice, at, places, views)
+
+
+def _resized(renderer: Renderer, size: tuple[int, int]) -> Renderer:
+    """Return a renderer that differs in its size alone."""
+    return Renderer(
+        size,
+        samples=renderer.samples,
+        backend=renderer.context.backend,  # type: ignore[arg-type]
+        anisotropy=renderer.anisotropy,
+        float_albedo=renderer.albedo_kind == "linear-color",
+    )
 
 
 def _measured(
-    choice: Choice, cameras: tuple[Camera, ...], views: Sequence[Region], drawn: Drawn | None
+    choice: Choice,
+    cameras: tuple[Camera, ...],
+    places: Sequence[Place],
+    views: Sequence[Region],
 ) -> Plan:
+    samples = places[0].renderer.samples
+    drawn = Drawn(places, choice.full, choice.budget) if samples > 1 else None
     witnesses = Witnesses(views, choice, drawn)
     shading = choice.first(witnesses.let_pass)
     maps = [view.errors(shading) for view in views]
-    camera = int(np.argmax([errors.max() for errors in maps]))
-    y, x = np.unravel_index(np.argmax(maps[camera]), maps[camera].shape)
+    worst = int(np.argmax([errors.max() for errors in maps]))
+    y, x = np.unravel_index(np.argmax(maps[worst]), maps[worst].shape)
     seen = np.concatenate([each[view.counted] for each, view in zip(maps, views, strict=True)])
+    as_drawn = np.max([*drawn.errors(shading)], axis=0).tolist() if drawn else (None, None)
     error = Error(
         float(seen.max()),
+        max(highest_but(each, view.spared) for each, view in zip(maps, views, strict=True)),
         float(np.quantile(seen, 0.999)),
-        camera,
+        worst % len(cameras),
+        places[worst].renderer.size,
         (int(x), int(y)),
-        max(drawn.errors(shading)) if drawn else None,
+        *as_drawn,
     )
     told = decisions(
         choice,
         shading,
-        error=lambda other: max(view.worst(other) for view in views),
-        otherwise=witnesses.worst,
+        error=lambda other: max(view.error(other) for view in views),
+        otherwise=witnesses.error,
         might="would err by at least",
     )
-    return _plan(choice, shading, error, told, cameras, witnesses.tried, maps[camera])
+    sizes = tuple(dict.fromkeys(place.renderer.size for place in places))
+    tried, error_map = witnesses.tried, maps[worst]
+    return _plan(choice, shading, error, told, cameras, sizes, samples, tried, error_map)
 
 
 def _guaranteed(scene: Scene, full: Shading, budget: Budget, cost: str) -> Plan:
@@ -296,7 +351,7 @@ def _guaranteed(scene: Scene, full: Shading, budget: Budget, cost: str) -> Plan:
 
     shading = choice.first(lambda each: at_most(each) <= choice.limit)
     told = decisions(choice, shading, at_most, at_most, might="might err by up to")
-    return _plan(choice, shading, Error(at_most(shading)), told)
+    return _plan(choice, shading, Error(at_most(shading), at_most(shading)), told)
 
 
 def _plan(
@@ -305,6 +360,8 @@ def _plan(
     error: Error,
     told: Iterator[Decision],
     cameras: tuple[Camera, ...] = (),
+    sizes: tuple[tuple[int, int], ...] = (),
+    samples: int | None = None,
     tried: int = 0,
     error_map: NDArray[np.float64] | None = None,
 ) -> Plan:
@@ -317,7 +374,8 @@ def _plan(
         tuple(told),
         choice.budget,
         cameras,
-        None if error_map is None else (error_map.shape[1], error_map.shape[0]),
+        sizes,
+        samples,
         choice.constants,
         choice.count,
         tried,

@@ -1,10 +1,11 @@
 """The search of a plan: what may be chosen, the cheapest first, and where it is tried.
 
-A shading is tried on few pixels first, those where others failed: one pixel over the budget rules
-it out. What passes there is evaluated in float64 at every pixel of every camera, and drawn where a
-pixel has several samples. As shadings are tried in the order of their costs, the first that passes
-is the cheapest that fits. FLIP looks around each pixel, and cannot be told of a few: there only
-those are tried that no cheaper one excels in the display's error of such pixels.
+A shading is tried on few pixels first, those where others failed: more pixels over the limit than
+the budget spares in their whole image rule it out, one where every pixel counts. What passes there
+is evaluated in float64 at every pixel of every image, and drawn where a pixel has several samples.
+As shadings are tried in the order of their costs, the first that passes is the cheapest that fits.
+FLIP looks around each pixel, and cannot be told of a few: there only those are tried that no
+cheaper one excels in the display's error of such pixels.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from facerender.drawing.frame import GBuffer
 from facerender.drawing.prepare import simplify
 from facerender.drawing.reference import Layers, layers
 from facerender.drawing.renderer import Renderer
-from facerender.planning.budget import ROUNDING, Budget
+from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import (
     Constants,
     alone,
@@ -36,7 +37,9 @@ from facerender.shading import Shading
 
 Float = NDArray[np.float64]
 
-_SPREAD, _WORST = 256, 64  # pixels of a witness, and those of them with the largest errors
+# Pixels of a witness, and those of them with the largest errors, beside those that are spared.
+_SPREAD, _WORST = 256, 64
+_KEPT = 2**18  # pixels of all that is kept of a witness
 
 
 @dataclass(frozen=True)
@@ -147,41 +150,47 @@ class Witnesses:
         if self.drawn is not None and self.drawn.ruled_out(shading):
             return False
         for index, region in enumerate(self.regions):
-            if not region.worst(shading) <= self.limit:
+            if not region.error(shading) <= self.limit:
                 self.regions.insert(0, self.regions.pop(index))
                 return False
         self.tried += 1
         for view in self.views:
             errors = view.errors(shading)
-            if not errors.max() <= self.limit:
+            if not highest_but(errors, view.spared) <= self.limit:
                 if self.regions:
                     self.regions.insert(0, view.around(errors))
                 return False
         return self.drawn is None or self.drawn.let_pass(shading)
 
-    def worst(self, shading: Shading) -> float:
-        """Return the largest error among the witnesses; with FLIP, of all pixels."""
-        return max(region.worst(shading) for region in self.regions or self.views)
+    def error(self, shading: Shading) -> float:
+        """Return the error that the budget counts, at least; with FLIP, just as much."""
+        return max(region.error(shading) for region in self.regions or self.views)
 
     def _best(self, ordered: Sequence[Shading]) -> list[Shading]:
         """Return those that err less than every one before."""
         best, least = [], np.inf
         for shading in ordered:
-            if (error := self.worst(shading)) < least:
+            if (error := self.error(shading)) < least:
                 best.append(shading)
                 least = error
         return best
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where errors are measured: a scene with its camera, and what draws it, at its size."""
+
+    scene: Scene
+    renderer: Renderer
 
 
 class Drawn:
     """The views as OpenGL draws them with several samples a pixel: at silhouettes it shades what no
     pixel's centre sees. A change that fails there by itself is not tried again with others."""
 
-    def __init__(
-        self, renderer: Renderer, scenes: Sequence[Scene], full: Shading, budget: Budget
-    ) -> None:
-        self.renderer, self.scenes, self.full, self.budget = renderer, scenes, full, budget
-        self.exact = [self._draw(scene, full) for scene in scenes]
+    def __init__(self, places: Sequence[Place], full: Shading, budget: Budget) -> None:
+        self.places, self.full, self.budget = places, full, budget
+        self.exact = [self._draw(place, full) for place in places]
         self.failed: list[tuple[Sequence[str], dict[str, Any]]] = []
 
     def let_pass(self, shading: Shading) -> bool:
@@ -198,15 +207,18 @@ class Drawn:
         return any(values(shading, names) == failed for names, failed in self.failed)
 
     def _within(self, shading: Shading) -> bool:
-        return all(error <= self.budget.limit for error in self.errors(shading))
+        return all(error <= self.budget.limit for _, error in self.errors(shading))
 
-    def errors(self, shading: Shading) -> Iterator[float]:
-        """Yield the largest error of each view."""
-        for scene, exact in zip(self.scenes, self.exact, strict=True):
-            yield float(self.budget.errors(self._draw(scene, shading), exact).max())
+    def errors(self, shading: Shading) -> Iterator[tuple[float, float]]:
+        """Yield of each image the largest error, and the one that the budget counts. Errors beside
+        what the full shading covers count as well: FLIP looks around each pixel."""
+        for place, exact in zip(self.places, self.exact, strict=True):
+            errors = self.budget.errors(self._draw(place, shading)[..., :3], exact[..., :3])
+            spared = self.budget.spared(int(np.count_nonzero(exact[..., 3])))
+            yield float(errors.max()), highest_but(errors, spared)
 
-    def _draw(self, scene: Scene, shading: Shading) -> Float:
-        return self.renderer.render(scene, shading).linear[..., :3].astype(np.float64)
+    def _draw(self, place: Place, shading: Shading) -> Float:
+        return place.renderer.render(place.scene, shading).linear.astype(np.float64)
 
 
 class Region:
@@ -220,24 +232,29 @@ class Region:
         counted: NDArray[np.bool_],
         full: Shading,
         budget: Budget,
-        keep: bool = False,
+        spared: int,
+        kept: int = 1,
     ) -> None:
         """mapped and plain have normals with and without the normal map; of the pixels that are
-        counted errors are told; keep has all that is evaluated kept, beside the full shading."""
+        counted errors are told, but of so many spared as the whole image has; of the terms that
+        were evaluated so many are kept, those of the full shading first."""
         self.scene, self.mapped, self.plain, self.counted = scene, mapped, plain, counted
-        self.full, self.budget, self.keep = full, budget, keep
+        self.full, self.budget, self.spared, self.kept = full, budget, spared, kept
         self.known: dict[Shading, Layers] = {}
         self.terms = self.layers(full)
         self.exact = self.image(full)
 
     @classmethod
-    def seen(cls, renderer: Renderer, scene: Scene, full: Shading, budget: Budget) -> Region:
-        """Return all pixels of the scene's camera."""
+    def seen(cls, place: Place, full: Shading, budget: Budget) -> Region:
+        """Return all pixels of a place."""
+        renderer, scene = place.renderer, place.scene
         mapped = renderer.gbuffer(scene, full)
         plain = mapped
         if any(each.normal_map is not None for each in simplify(scene, full).mesh.materials):
             plain = renderer.gbuffer(scene, replace(full, normal_map=False))
-        return cls(scene, mapped, plain, mapped.part >= 0, full, budget)
+        counted = mapped.part >= 0
+        spared = budget.spared(int(np.count_nonzero(counted)))
+        return cls(scene, mapped, plain, counted, full, budget, spared)
 
     def layers(self, shading: Shading) -> Layers:
         """Return the terms of a shading, of all lights and the ambient one, none frontal."""
@@ -249,7 +266,7 @@ class Region:
             weight = np.full_like(gbuffer.specular_weight, whole.ks)
             gbuffer = replace(gbuffer, specular_weight=weight)
         terms = layers(gbuffer, self.scene, whole)
-        if self.keep or not self.known:
+        if len(self.known) < self.kept:
             self.known[whole] = terms
         return terms
 
@@ -270,20 +287,24 @@ class Region:
         image = self.image(shading)
         return np.where(self.counted, self.budget.errors(image, self.exact), 0.0)
 
-    def worst(self, shading: Shading) -> float:
-        """Return the largest error."""
-        return float(self.errors(shading).max())
+    def error(self, shading: Shading) -> float:
+        """Return the error that the budget counts: the largest beside those that are spared."""
+        return highest_but(self.errors(shading), self.spared)
 
     def spread(self) -> Region:
         """Return a few pixels from all over, and the brightest highlights."""
-        shine = self.terms.specular.sum(axis=(0, -1)) * self.counted
+        shine = np.where(self.counted, self.terms.specular.sum(axis=(0, -1)), -1.0)
         inside = np.flatnonzero(self.counted)
         chance = np.random.default_rng(0).permutation(inside)[:_SPREAD]
-        return self._pixels(np.union1d(chance, _highest(shine)))
+        return self._pixels(np.union1d(chance, self._highest(shine)))
 
     def around(self, errors: Float) -> Region:
         """Return the pixels with the largest errors."""
-        return self._pixels(_highest(errors))
+        return self._pixels(self._highest(errors))
+
+    def _highest(self, values: Float) -> NDArray[np.int64]:
+        count = min(self.spared + _WORST, values.size)
+        return np.argpartition(values, -count, axis=None)[-count:]
 
     def _pixels(self, flat: NDArray[np.int64]) -> Region:
         index = np.unravel_index(flat[None], self.counted.shape)
@@ -291,11 +312,8 @@ class Region:
         budget = self.budget
         if budget.unit == "flip":
             budget = Budget(1.0, "display", budget.exposure)
-        return Region(self.scene, mapped, plain, self.counted[index], self.full, budget, keep=True)
-
-
-def _highest(values: Float) -> NDArray[np.int64]:
-    return np.argpartition(values, -min(_WORST, values.size), axis=None)[-_WORST:]
+        counted, kept = self.counted[index], 1 + _KEPT // flat.size
+        return Region(self.scene, mapped, plain, counted, self.full, budget, self.spared, kept)
 
 
 def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:

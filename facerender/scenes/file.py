@@ -6,7 +6,7 @@ import json
 import os
 import tomllib
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,12 @@ from facerender.errors import InputError, reason
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light, parse_light
 from facerender.scenes.material import MAPS, Material
+from facerender.scenes.planned import Planned
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import vector
 from facerender.shading import Shading
 
-KEYS = ("camera", "cameras", "lights", "material", "shading", "ambient", "background")
+KEYS = ("camera", "cameras", "lights", "material", "shading", "planned", "ambient", "background")
 
 
 def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -30,7 +31,8 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
     -------
     dict with any of: camera (Camera), cameras (tuple of Camera, a path for ``facerender plan``),
     lights (tuple of Light), ambient, background, material (dict of the factors of
-    :class:`Material`), shading (dict for :meth:`Shading.from_dict`)
+    :class:`Material`), shading (dict for :meth:`Shading.from_dict`), planned (Planned: the images
+    that the shading was planned for)
 
     Raises
     ------
@@ -75,6 +77,8 @@ def scene_value(key: str, value: Any) -> Any:
     if key == "material":
         from_table(Material, key, value, without=MAPS)  # validates
         return value
+    if key == "planned":
+        return from_table(Planned, key, value)
     if key == "background" and value == "none":
         return None
     if key in ("ambient", "background"):
@@ -82,10 +86,10 @@ def scene_value(key: str, value: Any) -> Any:
     raise InputError(f"unknown key {key!r}; known: {', '.join(KEYS)}")
 
 
-def scene_toml(scene: Scene, shading: Shading) -> str:
+def scene_toml(scene: Scene, shading: Shading, planned: Planned | None = None) -> str:
     """Return the text of a TOML file that :func:`load_scene` reads: camera, lights, ambient,
-    background, shading, and the factors of the material that all parts share. Mesh and maps are not
-    in it."""
+    background, shading, the images that it was planned for, and the factors of the material that
+    all parts share. Mesh and maps are not in it."""
     background = "none" if scene.background is None else scene.background
     dark: dict[str, Any] = {} if scene.lights else {"lights": []}
     tables: list[tuple[str, Mapping[str, Any]]] = [
@@ -94,6 +98,7 @@ def scene_toml(scene: Scene, shading: Shading) -> str:
         *(("[[lights]]", _changes(light)) for light in scene.lights),
         ("[material]", _shared_factors(scene.mesh.materials)),
         ("[shading]", shading.as_dict()),
+        *([("[planned]", asdict(planned))] if planned else []),
     ]
     return toml_text(tables)
 

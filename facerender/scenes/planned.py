@@ -1,0 +1,59 @@
+"""For which images the shading of a scene was planned: what a scene file says of that."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from operator import index
+
+from facerender.errors import InputError
+
+_SAME_SHAPE = 1.01  # width over height, of rounded sizes
+
+
+@dataclass(frozen=True)
+class Planned:
+    """The images at which the error of a shading was measured.
+
+    Parameters
+    ----------
+    sizes : width and height of each, in pixels
+    samples : of each pixel
+
+    Raises
+    ------
+    InputError : no such sizes or samples
+    """
+
+    sizes: tuple[tuple[int, int], ...]
+    samples: int
+
+    def __post_init__(self) -> None:
+        try:
+            sizes = tuple((index(width), index(height)) for width, height in self.sizes)
+            numbers = [index(self.samples), *(number for size in sizes for number in size)]
+        except (TypeError, ValueError):
+            numbers = []
+        if len(numbers) < 3 or min(numbers) < 1:
+            raise InputError(
+                f"planned sizes = {self.sizes!r}, samples = {self.samples!r}: give widths and "
+                "heights such as [[512, 512], [1024, 1024]], and a number"
+            )
+        object.__setattr__(self, "sizes", sizes)
+
+    def holds(self, size: tuple[int, int], samples: int) -> bool:
+        """Tell whether an image is of the planned samples, and neither smaller nor larger nor of
+        another shape than the planned ones. One sample always is: it is the pixel's centre, where
+        every plan is measured."""
+        widths, heights = zip(*self.sizes, strict=True)
+        shapes = [width / height for width, height in self.sizes]
+        return (
+            samples in (1, self.samples)
+            and min(widths) <= size[0] <= max(widths)
+            and min(heights) <= size[1] <= max(heights)
+            and min(shapes) / _SAME_SHAPE <= size[0] / size[1] <= max(shapes) * _SAME_SHAPE
+        )
+
+    def __str__(self) -> str:
+        ends = dict.fromkeys((min(self.sizes), max(self.sizes)))
+        sizes = " to ".join(f"{width} x {height}" for width, height in ends)
+        return f"{sizes} pixels with {self.samples} sample{'s' if self.samples > 1 else ''}"
