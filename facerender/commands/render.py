@@ -42,6 +42,12 @@ def add(render: argparse.ArgumentParser) -> None:
     image.add_argument("--exposure", type=float, default=0.0, help="of the PNG, in stops (0)")
     image.add_argument("--only", choices=ONLY, help="one term in place of the whole image")
     image.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
+    image.add_argument(
+        "--no-cache",
+        dest="cache",
+        action="store_false",
+        help="neither read nor write what is kept of meshes and plans in ~/.cache/facerender",
+    )
     image.add_argument("--json", action="store_true", help="describe the image as JSON")
 
 
@@ -50,13 +56,14 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"--budget plans the whole image: leave --only {options.only} out")
     output = Output(options.output, options.only, options.exposure)
     job, _ = job_of(options, [options.camera] if options.camera else [], (output,))
-    scene, shading = load(job), job.shading
+    scene, shading = load(job, options.cache), job.shading
     plan: dict[str, Any] = {}
     with Renderer.of(job, options.backend) as renderer:
         if options.budget is not None:
             from facerender.planning.cache import planned
 
-            plan = planned(scene, options.budget, shading, options.exposure, renderer)
+            asked = scene, options.budget, shading, options.exposure, renderer
+            plan = planned(*asked, cache=options.cache)
             shading = Shading.from_dict(plan["shading"])
         frame = renderer.render(scene, shading, output.only)
         backend = renderer.context.backend

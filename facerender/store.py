@@ -1,0 +1,116 @@
+"""Files that only save time: entries by the digest of what they depend on, in
+$XDG_CACHE_HOME/facerender or ~/.cache/facerender. An entry is there whole or not at all; a place
+that cannot be read or written is passed over. The least recently used go when all together take
+more than $FACERENDER_CACHE_MIB."""
+
+from __future__ import annotations
+
+import os
+import struct
+import time
+import zlib
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError
+from facerender.image import write_whole
+
+_LIMIT = "FACERENDER_CACHE_MIB"
+_DEFAULT_LIMIT = 1024
+_HEAD = struct.Struct("<16sQI")  # magic, length of the content, its CRC-32
+_MAGIC = b"facerender 1"
+_START = 64  # of the content: what is aligned in it is aligned in memory
+_ABANDONED = 3600.0  # seconds after which a temporary file is nobody's any more
+
+
+def folder() -> Path:
+    """Return where the entries lie; it need not be there."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    home = os.path.expanduser("~/.cache")
+    return Path(base if os.path.isabs(base) else home, "facerender")
+
+
+def limit() -> int:
+    """Return how many bytes all entries may take together.
+
+    Raises
+    ------
+    InputError : FACERENDER_CACHE_MIB is no number from 0 on
+    """
+    text = os.environ.get(_LIMIT) or str(_DEFAULT_LIMIT)
+    if not text.isdecimal():
+        raise InputError(f"{_LIMIT} = {text!r}: give a whole number of MiB; 0 keeps nothing")
+    return int(text) << 20
+
+
+def size() -> int:
+    """Return how many bytes the entries take."""
+    return sum(count for _, count, _ in _entries())
+
+
+def read(kind: str, name: str) -> NDArray[np.uint8] | None:
+    """Return the content of an entry, or None if it is absent or damaged."""
+    path = folder() / kind / name
+    try:
+        data = np.fromfile(path, dtype=np.uint8)
+        os.utime(path)  # it was used now
+    except OSError:
+        return None
+    if len(data) < _START:
+        return None
+    magic, length, checksum = _HEAD.unpack_from(data)
+    content = data[_START:]
+    whole = magic.rstrip(b"\0") == _MAGIC and length == len(content)
+    return content if whole and zlib.crc32(content) == checksum else None
+
+
+def write(kind: str, name: str, pieces: Sequence[bytes | NDArray[Any]]) -> None:
+    """Keep an entry, of C-contiguous pieces one after the other, and let go what is too much."""
+    length, checksum = 0, 0
+    for piece in pieces:
+        length += memoryview(piece).nbytes
+        checksum = zlib.crc32(piece, checksum)
+    if _START + length > limit():
+        return
+    head = _HEAD.pack(_MAGIC, length, checksum).ljust(_START, b"\0")
+
+    def write_pieces(temporary: str) -> None:
+        with open(temporary, "wb") as file:
+            file.writelines([head, *pieces])
+
+    path = folder() / kind / name
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, write_pieces)
+    except (OSError, InputError):
+        return
+    _let_go(path)
+
+
+def _entries() -> list[tuple[float, int, Path]]:
+    """When each was used last, its bytes, its path."""
+    found = []
+    for path in folder().glob("*/*"):
+        try:
+            facts = path.stat()
+        except OSError:  # another process has removed it
+            continue
+        found.append((facts.st_mtime, facts.st_size, path))
+    return found
+
+
+def _let_go(newest: Path) -> None:
+    """Remove the least recently used entries beyond the limit, and what writers that were cut off
+    have left."""
+    total = 0
+    for used, count, path in sorted(_entries(), reverse=True):
+        total += count
+        abandoned = path.name.startswith(".") and used < time.time() - _ABANDONED
+        if (total > limit() or abandoned) and path != newest:
+            with suppress(OSError):
+                path.unlink()
