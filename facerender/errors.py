@@ -43,7 +43,8 @@ def warn(message: str) -> None:
 @contextmanager
 def noting() -> Iterator[list[str]]:
     """Gather in a list what is warned of here, in this thread, to be told again another time."""
-    token = _noted.set(messages := [])
+    messages: list[str] = []
+    token = _noted.set(messages)
     try:
         yield messages
     finally:

@@ -174,7 +174,7 @@ def save_png(
             chunks.append((b"tEXt", f"{key}\0{value}".encode("latin-1")))
         except UnicodeEncodeError:
             chunks.append((b"iTXt", f"{key}\0\0\0\0\0{value}".encode()))
-    chunks += [(b"IDAT", zlib.compress(filtered, 1)), (b"IEND", b"")]
+    chunks += [(b"IDAT", zlib.compress(filtered.data, 1)), (b"IEND", b"")]
     packed = [
         struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
         for name, data in chunks

@@ -12,10 +12,8 @@ import zlib
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facerender.errors import InputError
 from facerender.image import write_whole
@@ -53,14 +51,22 @@ def size() -> int:
     return sum(count for _, count, _ in _entries())
 
 
-def read(kind: str, name: str) -> NDArray[np.uint8] | None:
-    """Return the content of an entry, or None if it is absent or damaged."""
+def read(kind: str, name: str) -> memoryview | None:
+    """Return the content of an entry, or None if it is absent or damaged, or nothing is kept.
+
+    Raises
+    ------
+    InputError : as of :func:`limit`
+    """
+    if not limit():
+        return None
     path = folder() / kind / name
     try:
-        data = np.fromfile(path, dtype=np.uint8)
-        os.utime(path)  # it was used now
+        data = np.fromfile(path, dtype=np.uint8).data  # uninitialised at first, unlike a bytearray
     except OSError:
         return None
+    with suppress(OSError):  # another user's
+        os.utime(path)  # it was used now
     if len(data) < _START:
         return None
     magic, length, checksum = _HEAD.unpack_from(data)
@@ -69,8 +75,13 @@ def read(kind: str, name: str) -> NDArray[np.uint8] | None:
     return content if whole and zlib.crc32(content) == checksum else None
 
 
-def write(kind: str, name: str, pieces: Sequence[bytes | NDArray[Any]]) -> None:
-    """Keep an entry, of C-contiguous pieces one after the other, and let go what is too much."""
+def write(kind: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
+    """Keep an entry, of pieces one after the other, and let go what is too much.
+
+    Raises
+    ------
+    InputError : as of :func:`limit`
+    """
     length, checksum = 0, 0
     for piece in pieces:
         length += memoryview(piece).nbytes
@@ -81,7 +92,8 @@ def write(kind: str, name: str, pieces: Sequence[bytes | NDArray[Any]]) -> None:
 
     def write_pieces(temporary: str) -> None:
         with open(temporary, "wb") as file:
-            file.writelines([head, *pieces])
+            file.write(head)
+            file.writelines(pieces)
 
     path = folder() / kind / name
     try:

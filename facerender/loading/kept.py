@@ -55,8 +55,8 @@ class Files:
     def digest(self) -> str | None:
         """Return the entry's name in the store, or None where a file cannot be read."""
         names = [self.source.name, *((field, path.name) for field, path in self.maps.items())]
-        facts = [__version__, _readers(), names, self.flip_v]
         try:
+            facts = [__version__, _readers(), names, self.flip_v]
             contents = [path.read_bytes() for path in (self.source, *self.maps.values())]
         except OSError:
             return None
@@ -70,7 +70,7 @@ class Files:
         if content is None:
             return None
         (length,) = _LENGTH.unpack_from(content)
-        facts = json.loads(content[_LENGTH.size : _LENGTH.size + length].tobytes())
+        facts = json.loads(bytes(content[_LENGTH.size : _LENGTH.size + length]))
         folder = self.source.parent
         if any(_digest_of(folder, each) != known for each, known in facts["files"].items()):
             return None
@@ -89,11 +89,12 @@ class Files:
         name : the digest of before the files were read
         referred : files that the mesh file refers to, as they were read; None is not there
         """
+        if not store.limit():
+            return
         if None in referred.values() and "albedo_map" not in self.maps:
             return  # the warning of it names the folder, and what lies there
         files = {each: data and _digest(data) for each, data in referred.items()}
         chains = _start(mesh)
-        store.limit()  # it may raise, better here
 
         def write() -> None:
             try:
@@ -143,7 +144,7 @@ def _start(mesh: Mesh) -> Chains:
     return chains
 
 
-def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | NDArray[Any]]:
+def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | memoryview]:
     """Return an entry: the length of the facts, the facts as JSON, arrays, which those number."""
     arrays: list[NDArray[Any]] = []
 
@@ -177,10 +178,10 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | N
     }
     facts["arrays"] = [(each.dtype.str, each.shape) for each in arrays]
     head = json.dumps(facts, default=float).encode()
-    pieces: list[bytes | NDArray[Any]] = [_LENGTH.pack(len(head)), head]
+    pieces: list[bytes | memoryview] = [_LENGTH.pack(len(head)), head]
     size = _LENGTH.size + len(head)
     for each in arrays:
-        pieces += [bytes(-size % _ALIGNMENT), each]
+        pieces += [bytes(-size % _ALIGNMENT), each.data]
         size += -size % _ALIGNMENT + each.nbytes
     return pieces
 
@@ -191,14 +192,13 @@ def _grey_or_rgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _arrays(
-    content: NDArray[np.uint8], start: int, described: Sequence[tuple[str, Sequence[int]]]
+    content: memoryview, start: int, described: Sequence[tuple[str, Sequence[int]]]
 ) -> list[NDArray[Any]]:
     arrays = []
     for name, shape in described:
         start += -start % _ALIGNMENT
-        end = start + np.dtype(name).itemsize * math.prod(shape)
-        arrays.append(content[start:end].view(name).reshape(shape))
-        start = end
+        arrays.append(np.frombuffer(content, name, math.prod(shape), start).reshape(shape))
+        start += arrays[-1].nbytes
     return arrays
 
 
@@ -213,13 +213,13 @@ def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
             three = material.occlusion_map, material.roughness_map, material.specular_map
             vars(material)["property_map"] = pack(*three, textures[packed])  # as when asked for
         materials.append(material)
-    parts = [
-        Part(**{name: None if i is None else arrays[i] for name, i in each.items()})
+    columns: list[dict[str, Any]] = [
+        {name: None if i is None else arrays[i] for name, i in each.items()}
         for each in facts["parts"]
     ]
     return Mesh(
         facts["name"],
-        tuple(parts),
+        tuple(Part(**each) for each in columns),
         tuple(materials),
         arrays[facts["bounds"]],
         facts["radius"],
@@ -231,8 +231,5 @@ def _texture(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Textur
     levels: dict[Kind, Levels] = {
         kind: [arrays[i] for i in numbers] for kind, numbers in facts["levels"].items()
     }
-    if levels:
-        texels = next(iter(levels.values()))[0][..., :3]
-    else:
-        texels = arrays[facts["texels"]]
-    return Texture.known(texels, facts["name"], levels)
+    base = next(iter(levels.values()))[0][..., :3] if levels else arrays[facts["texels"]]
+    return Texture.known(base, facts["name"], levels)

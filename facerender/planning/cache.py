@@ -36,7 +36,7 @@ def planned(
     name = _digest(scene, budget, full, exposure, renderer) if cache else ""
     with suppress(ValueError, KeyError, TypeError):  # of another form
         if cache and (content := store.read("plans", name)) is not None:
-            kept: dict[str, Any] = json.loads(content.tobytes())
+            kept: dict[str, Any] = json.loads(bytes(content))
             Shading.from_dict(kept["shading"]).check_lights(len(scene.lights))
             if isinstance(kept["text"], str):
                 return kept
