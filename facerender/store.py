@@ -20,7 +20,7 @@ from facerender.image import write_whole
 
 _LIMIT = "FACERENDER_CACHE_MIB"
 _DEFAULT_LIMIT = 1024
-_HEAD = struct.Struct("<16sQI")  # magic, length of the content, its CRC-32
+_HEAD = struct.Struct("<12sI")  # magic, CRC-32 of the content
 _MAGIC = b"facerender 1"
 _START = 64  # of the content: what is aligned in it is aligned in memory
 _ABANDONED = 3600.0  # seconds after which a temporary file is nobody's any more
@@ -69,10 +69,9 @@ def read(kind: str, name: str) -> memoryview | None:
         os.utime(path)  # it was used now
     if len(data) < _START:
         return None
-    magic, length, checksum = _HEAD.unpack_from(data)
     content = data[_START:]
-    whole = magic.rstrip(b"\0") == _MAGIC and length == len(content)
-    return content if whole and zlib.crc32(content) == checksum else None
+    whole = _HEAD.unpack_from(data) == (_MAGIC, zlib.crc32(content))
+    return content if whole else None
 
 
 def write(kind: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
@@ -82,13 +81,12 @@ def write(kind: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
     ------
     InputError : as of :func:`limit`
     """
-    length, checksum = 0, 0
-    for piece in pieces:
-        length += memoryview(piece).nbytes
-        checksum = zlib.crc32(piece, checksum)
-    if _START + length > limit():
+    if _START + sum(memoryview(piece).nbytes for piece in pieces) > limit():
         return
-    head = _HEAD.pack(_MAGIC, length, checksum).ljust(_START, b"\0")
+    checksum = 0
+    for piece in pieces:
+        checksum = zlib.crc32(piece, checksum)
+    head = _HEAD.pack(_MAGIC, checksum).ljust(_START, b"\0")
 
     def write_pieces(temporary: str) -> None:
         with open(temporary, "wb") as file:
