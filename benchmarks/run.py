@@ -54,7 +54,7 @@ def in_turns(repeats: int, actions: dict[str, Callable[[int], object]]) -> dict[
 
 
 def process(folder: str, *arguments: str) -> Callable[[int], object]:
-    """A process of its own, with bytecode as an installed package has it, and caches in a folder."""
+    """A process with bytecode, as an installed package has it, and its caches in a folder."""
     command = [sys.executable, *arguments]
     environment = {**os.environ, "XDG_CACHE_HOME": folder, "PYTHONDONTWRITEBYTECODE": ""}
     return lambda turn: subprocess.run(
