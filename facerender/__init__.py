@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any
 
 from facerender import brdf, lobes
 from facerender._version import __version__
-from facerender.comparison.gates import compare
 from facerender.drawing.frame import Frame, GBuffer
 from facerender.drawing.renderer import Renderer, render
 from facerender.errors import ContextError, FacerenderError, FacerenderWarning, InputError
@@ -39,6 +38,7 @@ from facerender.scenes.view import View, view_of
 from facerender.shading import Shading, Term
 
 if TYPE_CHECKING:
+    from facerender.comparison.gates import compare
     from facerender.planning.plan import Plan, plan
 
 __all__ = [
@@ -81,9 +81,13 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import the planner when it is asked for: nothing else needs it, and a cold start is short."""
+    """Import what a render does not need when it is asked for, so that a cold start is short."""
     if name in ("Plan", "plan"):
         from facerender.planning import plan as planner
 
         return getattr(planner, name)
+    if name == "compare":
+        from facerender.comparison.gates import compare
+
+        return compare
     raise AttributeError(f"module 'facerender' has no attribute {name!r}")

@@ -5,7 +5,12 @@ from __future__ import annotations
 
 import numbers
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
+
+_noted: ContextVar[list[str] | None] = ContextVar("_noted", default=None)
 
 
 class FacerenderError(Exception):
@@ -30,7 +35,20 @@ class FacerenderWarning(UserWarning):
 
 def warn(message: str) -> None:
     """Warn of something that was missing or mended."""
+    if (noted := _noted.get()) is not None:
+        noted.append(message)
     warnings.warn(message, FacerenderWarning, stacklevel=3)
+
+
+@contextmanager
+def noting() -> Iterator[list[str]]:
+    """Gather in a list what is warned of here, in this thread, to be told again another time."""
+    messages: list[str] = []
+    token = _noted.set(messages)
+    try:
+        yield messages
+    finally:
+        _noted.reset(token)
 
 
 def reason(error: OSError) -> str:

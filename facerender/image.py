@@ -4,9 +4,9 @@ what they hold."""
 from __future__ import annotations
 
 import os
+import struct
 import tempfile
 import threading
-import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
@@ -24,7 +24,7 @@ Encoding = Literal["linear", "srgb8"]
 
 REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # what an EXR has that says nothing
 SRGB_GAMMA = 0.45455  # what a PNG says of itself for programs that know no sRGB
-_SILENT = threading.Lock()
+_SILENT, _UMASK = threading.Lock(), threading.Lock()
 
 SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
 
@@ -148,23 +148,38 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 
 
 def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+    with _UMASK:  # two threads at once would leave none
+        mask = os.umask(0)
+        os.umask(mask)
+        return mask
 
 
 def save_png(
     path: str | os.PathLike[str], pixels: NDArray[np.uint8], metadata: Mapping[str, str]
 ) -> None:
-    """Write 8-bit pixels, (H, W), (H, W, 3) or (H, W, 4) with straight alpha, as PNG."""
-    from PIL import Image, PngImagePlugin
+    """Write 8-bit pixels, (H, W), (H, W, 3) or (H, W, 4) with straight alpha, as PNG.
 
-    text = PngImagePlugin.PngInfo()
+    Every row is the difference to the one above, and level 1 of the compression takes a quarter
+    of the default's time: half of Pillow's time for fewer bytes, without the import.
+    """
+    height, width = pixels.shape[:2]
+    kind = {1: 0, 3: 2, 4: 6}[pixels[0, 0].size]  # grey, RGB, RGBA
+    rows = pixels.reshape(height, -1)
+    filtered = np.full((height, 1 + rows.shape[1]), 2, dtype=np.uint8)  # 2: "Up"
+    filtered[0, 1:] = rows[0]
+    np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
+    chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, kind, 0, 0, 0))]
     for key, value in metadata.items():
-        text.add_text(key, value)
-    image = Image.fromarray(pixels)
-    # Level 1 takes a quarter of the default's time for 10 % more bytes.
-    write_whole(path, lambda name: image.save(name, "PNG", compress_level=1, pnginfo=text))
+        try:
+            chunks.append((b"tEXt", f"{key}\0{value}".encode("latin-1")))
+        except UnicodeEncodeError:
+            chunks.append((b"iTXt", f"{key}\0\0\0\0\0{value}".encode()))
+    chunks += [(b"IDAT", zlib.compress(filtered.data, 1)), (b"IEND", b"")]
+    packed = [
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in chunks
+    ]
+    write_bytes(path, b"".join([b"\x89PNG\r\n\x1a\n", *packed]))
 
 
 def save_exr(
@@ -302,6 +317,8 @@ def _openexr(path: str | os.PathLike[str]) -> Any:
 
 
 def _read_numpy(path: Path) -> Picture:
+    import zipfile
+
     try:
         with path.open("rb") as file:
             loaded = np.load(file, allow_pickle=False)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from facerender.errors import InputError, check_range
-from facerender.loading import load_mesh
+from facerender.loading import kept_mesh, load_mesh
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import KEYS, from_table, scene_value, toml_text
 from facerender.scenes.light import Light
@@ -44,9 +44,13 @@ class MeshFile:
         if not isinstance(self.flip_v, bool):
             raise InputError(f"mesh flip_v = {self.flip_v!r}: give true or false")
 
-    def load(self) -> Mesh:
+    def load(self, cache: bool = False) -> Mesh:
         """Read the files; errors and warnings as of :func:`facerender.load_mesh`."""
-        return load_mesh(**asdict(self))
+        return load_mesh(**asdict(self), cache=cache)
+
+    def kept(self) -> Mesh | None:
+        """Return the mesh if it is in the cache; warnings as of :func:`facerender.load_mesh`."""
+        return kept_mesh(**asdict(self))
 
 
 @dataclass(frozen=True)

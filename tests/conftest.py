@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 pytest_plugins = ["pytester"]
 
+os.environ["FACERENDER_CACHE_MIB"] = "0"  # what a test reads is read, and nothing is left behind
+
 
 def missing(what: str) -> NoReturn:
     """Skip the test, or fail it where everything must be present."""

@@ -584,15 +584,15 @@ def test_bad_input_leaves_the_existing_image(cli: Cli) -> None:
     assert cli.png.read_bytes() == b"precious"
 
 
-def half_way(path: Any, error: Exception) -> None:
-    Path(path).write_bytes(b"half an image")
-    raise error
-
-
 def test_full_disk_leaves_the_existing_png(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
-    full = OSError(28, "No space left on device")
+    write = Path.write_bytes
+
+    def full(path: Path, content: bytes) -> None:
+        write(path, content[:99])
+        raise OSError(28, "No space left on device")
+
     cli.png.write_bytes(b"precious")
-    monkeypatch.setattr(Image.Image, "save", lambda _, path, *args, **more: half_way(path, full))
+    monkeypatch.setattr(Path, "write_bytes", full)
     cli.fail_to_render(r"cannot write .*head\.png: No space left on device")
     assert cli.png.read_bytes() == b"precious"
 
@@ -604,7 +604,8 @@ def test_full_disk_leaves_the_existing_exr(cli: Cli, monkeypatch: pytest.MonkeyP
             pass
 
         def write(self, path: str) -> None:
-            half_way(path, RuntimeError("Cannot write image file"))  # as OpenEXR reports any cause
+            Path(path).write_bytes(b"half an image")
+            raise RuntimeError("Cannot write image file")  # as OpenEXR reports any cause
 
     path = cli.folder / "head.exr"
     path.write_bytes(b"precious")

@@ -41,12 +41,17 @@ def test_exposure_is_in_stops():
     np.testing.assert_array_equal(encode_srgb8(x, 1.0), encode_srgb8(x * 2))
 
 
-def test_png(tmp_path):
-    pixels = np.random.default_rng(1).integers(0, 256, (5, 7, 4), dtype=np.uint8)
-    save_png(tmp_path / "a.png", pixels, {"GL_RENDERER": "llvmpipe"})
-    image = Image.open(tmp_path / "a.png")
-    np.testing.assert_array_equal(np.asarray(image), pixels)
-    assert image.info["GL_RENDERER"] == "llvmpipe"
+@pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3), (5, 7, 4), (1, 1, 3), (300, 200, 3)])
+def test_png(shape, tmp_path):
+    pixels = np.random.default_rng(1).integers(0, 256, shape, dtype=np.uint8)
+    metadata = {"GL_RENDERER": "llvmpipe", "author": "Zo\u00eb \u4e2d"}
+    save_png(tmp_path / "a.png", pixels, metadata)
+    with Image.open(tmp_path / "a.png") as image:
+        image.verify()  # the checksums
+    with Image.open(tmp_path / "a.png") as image:
+        assert image.mode == {1: "L", 3: "RGB", 4: "RGBA"}[pixels[0, 0].size]
+        np.testing.assert_array_equal(np.asarray(image), pixels)
+        assert image.info == metadata
 
 
 def test_exr(tmp_path):

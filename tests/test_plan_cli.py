@@ -33,6 +33,7 @@ FACE = (MINI_HEAD, *SMALL)
 def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.delenv("FACERENDER_CACHE_MIB")
     return tmp_path / "cache" / "facerender" / "plans"
 
 

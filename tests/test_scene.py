@@ -50,6 +50,29 @@ def test_explicit_eye_in_the_units_of_the_mesh(head):
     assert side[0] == pytest.approx(0.1 / math.tan(math.radians(12.5)))
 
 
+def test_the_frustum_of_a_camera_fills_the_clip_space(head):
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        camera = fr.Camera(
+            position=tuple(head.denormalised(rng.normal(0.0, 3.0, 3))),
+            target=tuple(head.denormalised(rng.normal(0.0, 0.3, 3))),
+            fov=float(rng.uniform(5.0, 120.0)),
+        )
+        aspect = float(rng.uniform(0.4, 2.5))
+        view = view_of(fr.Scene(head, camera), aspect)
+        right = np.cross(view.forward, [0.0, 1.0, 0.0])
+        right /= np.linalg.norm(right)
+        up = np.cross(right, view.forward)
+        half = math.tan(math.radians(camera.fov) / 2.0)
+        for x, y in ((0, 0), (1, 1), (-1, 0.5), (0.3, -1)):
+            ray = view.forward + half * (x * aspect * right + y * up)
+            far = max(1.0 - view.eye @ view.forward, 0.02)  # of the unit sphere
+            near = max(far - 2.0, 1e-3 * far)
+            for depth, z in ((near, -1.0), (far, 1.0)):
+                clip = np.array([*(view.eye + depth * ray), 1.0]) @ view.matrix
+                assert clip == pytest.approx(depth * np.array([x, -y, z, 1.0]), abs=1e-9)
+
+
 def test_numbers_of_numpy_are_numbers():
     assert fr.Camera(azimuth=np.arange(0, 90, 30)[1], zoom=np.float32(2.0)).zoom == 2.0
     with pytest.raises(fr.InputError, match="camera azimuth = True"):

@@ -7,6 +7,7 @@ import dataclasses
 import json
 import sys
 
+from facerender import store
 from facerender._version import __version__
 from facerender.drawing.context import probe
 
@@ -30,4 +31,6 @@ def run(options: argparse.Namespace) -> int:
                     f"{finding.backend:7} {finding.renderer}, OpenGL {finding.version}, "
                     f"up to {finding.samples} samples and {finding.size} pixels a side"
                 )
+        used, most = store.size() >> 20, store.limit() >> 20
+        print(f"cache   {store.folder()}, {used} of at most {most} MiB")
     return 0 if any(not finding.error for finding in findings) else 2

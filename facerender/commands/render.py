@@ -46,6 +46,12 @@ def add(render: argparse.ArgumentParser) -> None:
     image.add_argument("--exposure", type=float, default=0.0, help="of the PNG, in stops (0)")
     image.add_argument("--only", choices=ONLY, help="one term in place of the whole image")
     image.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
+    image.add_argument(
+        "--no-cache",
+        dest="cache",
+        action="store_false",
+        help="neither read nor write what is kept of meshes and plans in ~/.cache/facerender",
+    )
     image.add_argument("--json", action="store_true", help="describe the image as JSON")
 
 
@@ -57,14 +63,15 @@ def run(options: argparse.Namespace) -> int:
     output = Output(options.output, options.only, options.exposure)
     size = parse_size(options.size)
     job, _ = job_of(options, [options.camera] if options.camera else [], size, (output,))
-    scene, shading = load(job), job.shading
+    scene, shading = load(job, options.cache), job.shading
     plan: dict[str, Any] = {}
     with Renderer.of(job, options.backend) as renderer:
         if options.budget is not None:
             from facerender.planning.cache import planned
 
             within = options.within or 1.0
-            plan = planned(scene, options.budget, shading, options.exposure, within, renderer)
+            asked = scene, options.budget, shading, options.exposure, within, renderer
+            plan = planned(*asked, cache=options.cache)
             shading = Shading.from_dict(plan["shading"])
         elif job.planned and not job.planned.holds(renderer.size, renderer.samples):
             warnings.warn(_unplanned(options.scene, job), FacerenderWarning, stacklevel=1)

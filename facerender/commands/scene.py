@@ -111,10 +111,13 @@ def job_of(
     return job, cameras or (job.camera,)
 
 
-def load(job: Job) -> Scene:
+def load(job: Job, cache: bool = False) -> Scene:
     """Return the scene of a job, whose maps are being decoded."""
-    import_trimesh()
-    scene = job.scene()
+    mesh = job.mesh.kept() if cache else None
+    if mesh is None:
+        import_trimesh()
+        mesh = job.mesh.load(cache)
+    scene = job.scene(mesh)
     start_maps(scene.mesh, "linear-color" if job.image.float_albedo else "color")
     return scene
 

@@ -5,8 +5,11 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 from facerender.data import data_dir
+from facerender.errors import noting
+from facerender.loading.kept import Files
 from facerender.loading.read import read
 from facerender.loading.repair import assemble, clean
 from facerender.loading.translate import override, piece_of
@@ -24,6 +27,7 @@ def load_mesh(
     specular_map: Path_ | None = None,
     roughness_map: Path_ | None = None,
     flip_v: bool = False,
+    cache: bool = False,
 ) -> Mesh:
     """Read a mesh file, or the built-in head.
 
@@ -34,32 +38,67 @@ def load_mesh(
     path : .glb, .gltf, .obj (with .mtl), .ply or .stl; None for the built-in head
     albedo, normal_map, specular_map, roughness_map : image files that replace the file's own maps
     flip_v : turn the texture coordinates upside down, for files that store v the other way
+    cache : take the mesh with its decoded maps from ``~/.cache/facerender`` if no file has changed
+        since it was put there, or else decode all of its maps, and put it there in the background
 
     Raises
     ------
     InputError : the file or a map is missing, empty, damaged, of no known format, or has no faces
     """
-    source = Path(path) if path is not None else data_dir("assets") / "head.glb"
-    overrides = {
-        name: Texture.open(file)
-        for name, file in (
-            ("albedo_map", albedo),
-            ("normal_map", normal_map),
-            ("specular_map", specular_map),
-            ("roughness_map", roughness_map),
-        )
-        if file is not None
+    files = _files(path, albedo, normal_map, specular_map, roughness_map, flip_v)
+    if not cache:
+        return _read(files)[0]
+    if (found := files.find()) is not None:
+        return found
+    name = files.digest()
+    with noting() as warnings:
+        mesh, referred = _read(files)
+    if name is not None:
+        files.keep(name, mesh, referred, warnings)
+    return mesh
+
+
+def kept_mesh(path: Path_ | None = None, **files: Any) -> Mesh | None:
+    """Return the mesh that :func:`load_mesh` would take from the cache, if it is there."""
+    return _files(path, **files).find()
+
+
+def _files(
+    path: Path_ | None,
+    albedo: Path_ | None,
+    normal_map: Path_ | None,
+    specular_map: Path_ | None,
+    roughness_map: Path_ | None,
+    flip_v: bool,
+) -> Files:
+    maps = {
+        "albedo_map": albedo,
+        "normal_map": normal_map,
+        "specular_map": specular_map,
+        "roughness_map": roughness_map,
     }
-    geometries, lost_images = read(source, skip_images="albedo_map" in overrides)
+    return Files(
+        Path(path) if path is not None else data_dir("assets") / "head.glb",
+        {name: Path(file) for name, file in maps.items() if file is not None},
+        flip_v,
+    )
+
+
+def _read(files: Files) -> tuple[Mesh, dict[str, bytes | None]]:
+    """Return a mesh, and by name the files that its file refers to; None is not there."""
+    source = files.source
+    overrides = {name: Texture.open(file) for name, file in files.maps.items()}
+    geometries, referred = read(source, skip_images="albedo_map" in overrides)
+    lost_images = None in referred.values()
     textures: dict[int, Texture] = {}  # by image: Pillow decodes an image in one thread only
     pieces = [
         piece_of(geometry, transform, source, textures, lost_images)
         for geometry, transform in geometries
     ]
-    if flip_v:
+    if files.flip_v:
         for piece in pieces:
             if piece.uv is not None:
                 piece.uv[:, 1] = 1.0 - piece.uv[:, 1]
     if overrides:
         override(pieces, overrides, source)
-    return assemble(clean(pieces, source.name), source.name)
+    return assemble(clean(pieces, source.name), source.name), referred

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,9 +33,9 @@ _GLTF_EXTENSIONS = {
 
 def read(
     path: Path, skip_images: bool
-) -> tuple[list[tuple[trimesh.Trimesh, NDArray[np.float64]]], bool]:
-    """Return every instance of a geometry with faces and its transform, and whether files that it
-    names were not found."""
+) -> tuple[list[tuple[trimesh.Trimesh, NDArray[np.float64]]], dict[str, bytes | None]]:
+    """Return every instance of a geometry with faces and its transform, and by name the files that
+    the file refers to; None was not found."""
     suffix = path.suffix.lower()
     if path.is_dir():
         raise InputError(f"{path} is a directory; give a mesh file in it")
@@ -53,19 +54,17 @@ def read(
     from trimesh.resolvers import FilePathResolver
 
     class Resolver(FilePathResolver):  # type: ignore[misc]
-        """Remembers what could not be found or is no image, which trimesh passes over."""
+        """Remembers what was asked for, and what could not be found or is no image, which trimesh
+        passes over."""
 
         def __init__(self) -> None:
-            super().__init__(str(path), allow_anywhere=True)
-            self.missing: list[str] = []
+            super().__init__(str(path))
+            self.files: dict[str, bytes | None] = {}
             self.broken: list[str] = []
 
         def get(self, name: str) -> bytes:
-            try:
-                content: bytes = super().get(name.replace("\\", "/"))
-            except OSError:
-                self.missing.append(name)
-                raise
+            self.files[name] = None
+            content = self.files[name] = referred(path.parent, name)
             if name.lower().endswith(_IMAGE_SUFFIXES) and not _is_image(content):
                 self.broken.append(name)
             return content
@@ -79,9 +78,9 @@ def read(
             process=False,
         )
     except Exception as error:  # each reader of trimesh fails in its own way on a damaged file
-        if resolver.missing:
+        if missing := _missing(resolver.files):
             raise InputError(
-                f"{resolver.missing[0]} (named by {path.name}) not found in {path.parent}"
+                f"{missing[0]} (named by {path.name}) not found in {path.parent}"
             ) from None
         raise InputError(f"{path.name} is damaged ({error}); export it again") from None
     instances = [
@@ -99,8 +98,27 @@ def read(
                 f"{resolver.broken[0]} (named by {path.name}) is not an image that can "
                 "be read; replace it, or pass --albedo FILE"
             )
-        _warn_missing(resolver.missing, path)
-    return instances, bool(resolver.missing)
+        _warn_missing(_missing(resolver.files), path)
+    return instances, resolver.files
+
+
+def referred(folder: Path, name: str) -> bytes:
+    """Return the content of a file that a mesh file in a folder refers to: by its path, or else
+    beside the mesh file.
+
+    Raises
+    ------
+    OSError : it is not there, or cannot be read
+    """
+    name = name.replace("\\", "/").strip()
+    for each in (name, name.lstrip("/"), os.path.basename(name)):
+        if (folder / each).exists():
+            return (folder / each).read_bytes()
+    raise FileNotFoundError(name)
+
+
+def _missing(files: Mapping[str, bytes | None]) -> list[str]:
+    return [name for name, content in files.items() if content is None]
 
 
 def _is_image(content: bytes) -> bool:
@@ -117,7 +135,7 @@ def _is_image(content: bytes) -> bool:
 
 def _warn_missing(missing: Sequence[str], path: Path) -> None:
     beside = [each.name for each in path.parent.iterdir() if each.suffix in _IMAGE_SUFFIXES]
-    for name in dict.fromkeys(missing):
+    for name in missing:
         hint = f"pass --albedo {beside[0] if len(beside) == 1 else 'FILE'}"
         warn(
             f"{name} (named by {path.name}) not found in {path.parent}: "

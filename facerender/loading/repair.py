@@ -35,7 +35,7 @@ def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
         raise InputError(f"no face of {name} has a finite, non-zero area; export the mesh again")
     _complete_normals(pieces, name)
 
-    corners = np.concatenate([piece.positions[piece.faces] for piece in pieces])
+    corners = np.concatenate([_corners(piece) for piece in pieces])
     if _outwardness(corners) < -0.5:
         warn(f"the faces of {name} are inside out: turned")
         for piece in pieces:
@@ -45,7 +45,7 @@ def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
 
 
 def assemble(pieces: Sequence[Piece], name: str) -> Mesh:
-    used = np.concatenate([piece.positions[np.unique(piece.faces)] for piece in pieces])
+    used = np.concatenate([piece.positions[_used(piece)] for piece in pieces])
     bounds = np.array([used.min(axis=0), used.max(axis=0)])
     offsets = used - bounds.mean(axis=0)
     radius = float(np.linalg.norm(offsets, axis=1).max())
@@ -82,6 +82,18 @@ def _present(normals: NDArray[np.float64] | None) -> NDArray[np.float64]:
     return normals
 
 
+def _corners(piece: Piece) -> NDArray[np.float64]:
+    """The positions of the faces' corners, (F, 3, 3)."""
+    return np.take(piece.positions, piece.faces, axis=0)  # positions[faces] takes twice as long
+
+
+def _used(piece: Piece) -> NDArray[np.bool_]:
+    """Which vertices the faces use; np.unique of the faces would take fifty times as long."""
+    used = np.zeros(len(piece.positions), dtype=bool)
+    used[piece.faces] = True
+    return used
+
+
 def _face_normals(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     """Twice the area times the unit normal of triangles (F, 3, 3)."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -92,7 +104,7 @@ def _outwardness(corners: NDArray[np.float64]) -> float:
     for a closed head or an open mask, near -1 when they are inside out."""
     normals = _face_normals(corners)
     areas = np.linalg.norm(normals, axis=1)
-    middles = corners.mean(axis=1)
+    middles = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
     outward = middles - np.average(middles, axis=0, weights=areas)
     return float((normals * outward).sum() / (areas * np.linalg.norm(outward, axis=1)).sum())
 
@@ -106,7 +118,7 @@ def _drop_bad_faces(pieces: Sequence[Piece], name: str) -> None:
             bad_vertices += int((~finite).sum())
             bad_faces += int((~keep).sum())
             piece.faces = piece.faces[keep]
-        keep = _face_normals(piece.positions[piece.faces]).any(axis=1)
+        keep = _face_normals(_corners(piece)).any(axis=1)
         flat_faces += int((~keep).sum())
         piece.faces = piece.faces[keep]
     if bad_vertices:
@@ -135,8 +147,8 @@ def _complete_normals(pieces: Sequence[Piece], name: str) -> None:
 def _wind_by_normals(piece: Piece) -> None:
     """Turn the faces whose winding contradicts their vertices' normals."""
     normals = _present(piece.normals)
-    face_normals = _face_normals(piece.positions[piece.faces])
-    agreement = (face_normals * normals[piece.faces].sum(axis=1)).sum(axis=1)
+    a, b, c = (np.take(normals, corner, axis=0) for corner in piece.faces.T)
+    agreement = (_face_normals(_corners(piece)) * (a + b + c)).sum(axis=1)
     piece.faces = np.where((agreement < 0.0)[:, None], piece.faces[:, ::-1], piece.faces)
 
 

@@ -1,23 +1,20 @@
 """Plans that were made before, kept by everything that they depend on: mesh, maps, lights, camera,
-budget, prices. In $XDG_CACHE_HOME/facerender or ~/.cache/facerender; a place that cannot be
-written is passed over."""
+budget, prices."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from facerender import store
 from facerender._version import __version__
 from facerender.drawing.renderer import Renderer
-from facerender.errors import InputError
-from facerender.image import write_bytes
 from facerender.planning.budget import Budget
 from facerender.planning.plan import plan
 from facerender.pricing.table import TABLE
@@ -33,32 +30,24 @@ def planned(
     exposure: float,
     within: str | float,
     renderer: Renderer,
+    cache: bool = True,
 ) -> dict[str, Any]:
     """Return a plan as :meth:`facerender.Plan.as_dict` has it: the one that was kept, or one
-    that is made now and kept. Parameters and errors as in :func:`facerender.plan`."""
+    that is made now and, with a cache, kept. Other parameters and errors as in
+    :func:`facerender.plan`."""
     allowed = Budget.parse(budget, exposure, within)
-    path = _folder() / f"{_digest(scene, allowed, full, renderer)}.json"
-    try:
-        kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        Shading.from_dict(kept["shading"]).check_lights(len(scene.lights))
-        if isinstance(kept["text"], str):
-            return kept
-    except (OSError, ValueError, KeyError, TypeError):  # none, or damaged
-        pass
+    name = _digest(scene, allowed, full, renderer) if cache else ""
+    with suppress(ValueError, KeyError, TypeError):  # of another form
+        if cache and (content := store.read("plans", name)) is not None:
+            kept: dict[str, Any] = json.loads(bytes(content))
+            Shading.from_dict(kept["shading"]).check_lights(len(scene.lights))
+            if isinstance(kept["text"], str):
+                return kept
     made = plan(scene, budget, full=full, exposure=exposure, within=within, renderer=renderer)
     facts = made.as_dict()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(path, json.dumps(facts).encode())
-    except (OSError, InputError):
-        pass
+    if cache:
+        store.write("plans", name, [json.dumps(facts).encode()])
     return facts
-
-
-def _folder() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    home = os.path.expanduser("~/.cache")
-    return Path(base if os.path.isabs(base) else home, "facerender", "plans")
 
 
 def _digest(*parts: Any) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import tomllib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
@@ -38,6 +37,8 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
     ------
     InputError : the file cannot be read, or has an unknown key or a value outside its domain
     """
+    import tomllib
+
     name = Path(path).name
     try:
         tables = tomllib.loads(Path(path).read_text(encoding="utf-8"))

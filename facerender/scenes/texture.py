@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from io import BytesIO
@@ -75,6 +75,22 @@ class Texture:
             raise InputError(f"cannot read {path}: {reason(error)}") from None
         return cls(lambda: image, Path(path).name)
 
+    @classmethod
+    def known(cls, texels: NDArray[np.uint8], name: str, levels: Mapping[Kind, Levels]) -> Texture:
+        """Return a texture of texels, (H, W) or (H, W, 3), row 0 at the bottom, whose mip chains
+        are there already."""
+
+        def decode() -> Image:
+            from PIL import Image
+
+            return _flipped(Image.fromarray(texels))
+
+        texture = cls(decode, name)
+        for kind, chain in levels.items():
+            texture._levels[kind] = Future()
+            texture._levels[kind].set_result(chain)
+        return texture
+
     def rgb(self) -> Image:
         """The image in mode RGB, row 0 at the bottom as OpenGL has it; alpha is dropped.
 
@@ -106,11 +122,16 @@ class Texture:
 _packed: WeakValueDictionary[tuple[Texture | None, ...], Texture] = WeakValueDictionary()
 
 
-def pack(red: Texture | None, green: Texture | None, blue: Texture | None) -> Texture:
+def pack(
+    red: Texture | None,
+    green: Texture | None,
+    blue: Texture | None,
+    known: Texture | None = None,
+) -> Texture:
     """Merge three grey textures into one, at the largest of their sizes; absent ones are white.
 
     The same three give the same texture while somebody holds it, so that materials which differ in
-    a factor alone share one.
+    a factor alone share one. ``known`` is what they gave when it was kept.
     """
     if (found := _packed.get((red, green, blue))) is not None:
         return found
@@ -125,7 +146,8 @@ def pack(red: Texture | None, green: Texture | None, blue: Texture | None) -> Te
         return _flipped(Image.merge("RGB", filled))
 
     names = [texture.name for texture in (red, green, blue) if texture]
-    packed = _packed[red, green, blue] = Texture(decode, " + ".join(dict.fromkeys(names)))
+    packed = known or Texture(decode, " + ".join(dict.fromkeys(names)))
+    _packed[red, green, blue] = packed
     return packed
 
 

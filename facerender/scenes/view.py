@@ -22,8 +22,8 @@ class View:
     ----------
     eye : (3,) float64
     forward : (3,) float64, unit vector of the viewing direction
-    matrix : (4, 4) float64, view times projection for row vectors, as pyrr has it; image row 0 is
-        on top, that is at clip y = -1, so that a framebuffer is read in the order of image rows
+    matrix : (4, 4) float64, view times projection for row vectors; image row 0 is on top, that is
+        at clip y = -1, so that a framebuffer is read in the order of image rows
     """
 
     eye: NDArray[np.float64]
@@ -55,8 +55,6 @@ def view_of(scene: Scene, aspect: float) -> View:
     ------
     InputError : the eye stands at the target
     """
-    from pyrr import matrix44
-
     mesh, camera = scene.mesh, scene.camera
     target = np.zeros(3)
     if camera.target is not None:
@@ -77,9 +75,28 @@ def view_of(scene: Scene, aspect: float) -> View:
     depth = float(eye @ -forward)  # of the mesh's centre
     far = max(depth + 1.0, 0.02)
     near = max(depth - 1.0, far * 1e-3)
-    projection = matrix44.create_perspective_projection(camera.fov, aspect, near, far)
-    projection[:, 1] *= -1.0
-    return View(eye, forward, matrix44.create_look_at(eye, target, up) @ projection)
+    return View(eye, forward, _look(eye, forward, up) @ _project(camera.fov, aspect, near, far))
+
+
+def _look(
+    eye: NDArray[np.float64], forward: NDArray[np.float64], up: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The matrix from the renderer's space to the eye's, for row vectors."""
+    side = np.cross(forward, up)
+    side /= np.linalg.norm(side)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack([side, np.cross(side, forward), -forward], axis=1)
+    matrix[3, :3] = -eye @ matrix[:3, :3]
+    return matrix
+
+
+def _project(fov: float, aspect: float, near: float, far: float) -> NDArray[np.float64]:
+    """The matrix from the eye's space to clip space, y downwards, for row vectors."""
+    scale = 1.0 / math.tan(math.radians(fov) / 2.0)
+    matrix = np.diag([scale / aspect, -scale, -(far + near) / (far - near), 0.0])
+    matrix[2, 3] = -1.0
+    matrix[3, 2] = -2.0 * far * near / (far - near)
+    return matrix
 
 
 def _framing_distance(mesh: Mesh, elevation: float, fov: float, aspect: float) -> float:

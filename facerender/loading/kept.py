@@ -1,0 +1,235 @@
+"""Meshes that were loaded before, with the mip chains of their maps, in the store: by the files
+that they come from and by what read them. To have them back takes neither trimesh nor Pillow."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import json
+import math
+import struct
+import threading
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender import store
+from facerender._version import __version__
+from facerender.errors import FacerenderError, warn
+from facerender.loading.read import referred
+from facerender.scenes.material import MAPS, Material
+from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.texture import Kind, Levels, Texture, pack
+
+Chains = dict[Texture, dict[Kind, Future[Levels]]]
+
+_KIND = "meshes"
+_ALIGNMENT = 64
+_LENGTH = struct.Struct("<Q")
+_PACKAGE = Path(__file__).parents[1]
+_LIBRARIES = ("numpy", "scipy", "trimesh", "PIL", "DracoPy")
+# What the maps of a material are drawn from.
+_CHAINS: dict[str, Kind] = {"albedo_map": "color", "normal_map": "data", "property_map": "data"}
+
+
+@dataclass(frozen=True)
+class Files:
+    """What a mesh is loaded from.
+
+    Attributes
+    ----------
+    source : the mesh file; what it refers to lies where that says
+    maps : by the field of :class:`Material`, image files in place of the mesh file's own maps
+    flip_v : see :func:`facerender.load_mesh`
+    """
+
+    source: Path
+    maps: Mapping[str, Path]
+    flip_v: bool
+
+    def digest(self) -> str | None:
+        """Return the entry's name in the store, or None where a file cannot be read."""
+        names = [self.source.name, *((field, path.name) for field, path in self.maps.items())]
+        try:
+            facts = [__version__, _readers(), names, self.flip_v]
+            contents = [path.read_bytes() for path in (self.source, *self.maps.values())]
+        except OSError:
+            return None
+        return _digest(repr(facts).encode(), *(_digest(each).encode() for each in contents))
+
+    def find(self) -> Mesh | None:
+        """Return the mesh from the store, and warn of what was warned of when it was read; None
+        where it is not there, or a file that the mesh file refers to is another now."""
+        name = self.digest()
+        content = None if name is None else store.read(_KIND, name)
+        if content is None:
+            return None
+        (length,) = _LENGTH.unpack_from(content)
+        facts = json.loads(bytes(content[_LENGTH.size : _LENGTH.size + length]))
+        folder = self.source.parent
+        if any(_digest_of(folder, each) != known for each, known in facts["files"].items()):
+            return None
+        for message in facts["warnings"]:
+            warn(message)
+        return _mesh(facts, _arrays(content, _LENGTH.size + length, facts["arrays"]))
+
+    def keep(
+        self, name: str, mesh: Mesh, referred: Mapping[str, bytes | None], warnings: Sequence[str]
+    ) -> None:
+        """Put the mesh into the store when its maps are decoded, in a thread that the process
+        waits for when it ends.
+
+        Parameters
+        ----------
+        name : the digest of before the files were read
+        referred : files that the mesh file refers to, as they were read; None is not there
+        """
+        if not store.limit():
+            return
+        if None in referred.values() and "albedo_map" not in self.maps:
+            return  # the warning of it names the folder, and what lies there
+        files = {each: data and _digest(data) for each, data in referred.items()}
+        chains = _start(mesh)
+
+        def write() -> None:
+            try:
+                pieces = _pieces(mesh, chains, {"files": files, "warnings": warnings})
+            except FacerenderError:  # a map is damaged: who draws it is told so
+                return
+            if self.digest() == name:
+                store.write(_KIND, name, pieces)
+
+        threading.Thread(target=write, name="facerender-store").start()
+
+
+def _digest(*contents: bytes) -> str:
+    whole = hashlib.blake2b(digest_size=16)
+    for each in contents:
+        whole.update(each)
+    return whole.hexdigest()
+
+
+def _digest_of(folder: Path, name: str) -> str | None:
+    try:
+        return _digest(referred(folder, name))
+    except OSError:
+        return None
+
+
+def _readers() -> list[tuple[str, int, int]]:
+    """What reads meshes and decodes images: file, size and time of change of our modules, and of
+    the libraries that are installed."""
+    specs = (importlib.util.find_spec(name) for name in _LIBRARIES)
+    found = [Path(spec.origin) for spec in specs if spec and spec.origin]
+    for folder in ("loading", "scenes"):
+        found += sorted((_PACKAGE / folder).glob("*.py"))
+    facts = ((path, path.stat()) for path in (*found, _PACKAGE / "image.py"))
+    return [(str(path), each.st_size, each.st_mtime_ns) for path, each in facts]
+
+
+def _start(mesh: Mesh) -> Chains:
+    """Start decoding every map."""
+    chains: Chains = {}
+    for material in mesh.materials:
+        for name in (*MAPS, "property_map"):
+            if (texture := getattr(material, name)) is not None:
+                known = chains.setdefault(texture, {})
+                if (kind := _CHAINS.get(name)) is not None:
+                    known[kind] = texture.levels(kind)
+    return chains
+
+
+def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | memoryview]:
+    """Return an entry: the length of the facts, the facts as JSON, arrays, which those number."""
+    arrays: list[NDArray[Any]] = []
+
+    def number(values: NDArray[Any] | None) -> int | None:
+        if values is None:
+            return None
+        arrays.append(np.ascontiguousarray(values))
+        return len(arrays) - 1
+
+    textures = []
+    for texture, futures in chains.items():
+        levels = {kind: [number(each) for each in f.result()] for kind, f in futures.items()}
+        texels = None if levels else number(_grey_or_rgb(np.asarray(texture.rgb())))
+        textures.append({"name": texture.name, "levels": levels, "texels": texels})
+    numbers = {texture: i for i, texture in enumerate(chains)}
+    facts |= {
+        "name": mesh.name,
+        "parts": [
+            {each.name: number(getattr(part, each.name)) for each in fields(Part)}
+            for part in mesh.parts
+        ],
+        "materials": [
+            {each.name: getattr(material, each.name) for each in fields(Material)}
+            | {name: numbers.get(getattr(material, name)) for name in (*MAPS, "property_map")}
+            for material in mesh.materials
+        ],
+        "bounds": number(mesh.bounds),
+        "radius": mesh.radius,
+        "profile": number(mesh.profile),
+        "textures": textures,
+    }
+    facts["arrays"] = [(each.dtype.str, each.shape) for each in arrays]
+    head = json.dumps(facts, default=float).encode()
+    pieces: list[bytes | memoryview] = [_LENGTH.pack(len(head)), head]
+    size = _LENGTH.size + len(head)
+    for each in arrays:
+        pieces += [bytes(-size % _ALIGNMENT), each.data]
+        size += -size % _ALIGNMENT + each.nbytes
+    return pieces
+
+
+def _grey_or_rgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    grey = texels[..., 0]
+    return grey if (texels == grey[..., None]).all() else texels
+
+
+def _arrays(
+    content: memoryview, start: int, described: Sequence[tuple[str, Sequence[int]]]
+) -> list[NDArray[Any]]:
+    arrays = []
+    for name, shape in described:
+        start += -start % _ALIGNMENT
+        arrays.append(np.frombuffer(content, name, math.prod(shape), start).reshape(shape))
+        start += arrays[-1].nbytes
+    return arrays
+
+
+def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
+    textures = [_texture(each, arrays) for each in facts["textures"]]
+    materials = []
+    for each in facts["materials"]:
+        maps = {name: textures[each[name]] for name in MAPS if each[name] is not None}
+        packed = each.pop("property_map")
+        material = Material(**{**each, **dict.fromkeys(MAPS), **maps})
+        if packed is not None:
+            three = material.occlusion_map, material.roughness_map, material.specular_map
+            vars(material)["property_map"] = pack(*three, textures[packed])  # as when asked for
+        materials.append(material)
+    columns: list[dict[str, Any]] = [
+        {name: None if i is None else arrays[i] for name, i in each.items()}
+        for each in facts["parts"]
+    ]
+    return Mesh(
+        facts["name"],
+        tuple(Part(**each) for each in columns),
+        tuple(materials),
+        arrays[facts["bounds"]],
+        facts["radius"],
+        arrays[facts["profile"]],
+    )
+
+
+def _texture(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Texture:
+    levels: dict[Kind, Levels] = {
+        kind: [arrays[i] for i in numbers] for kind, numbers in facts["levels"].items()
+    }
+    base = next(iter(levels.values()))[0][..., :3] if levels else arrays[facts["texels"]]
+    return Texture.known(base, facts["name"], levels)
