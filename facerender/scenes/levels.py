@@ -77,36 +77,50 @@ def check_triangles(value: Any) -> None:
 def _simplify(mesh: Mesh, triangles: int) -> Mesh:
     """All parts at once, so that their common borders stay common and the worst goes last."""
     scales = [_scale(part) / mesh.radius for part in mesh.parts]
-    ends = np.cumsum([len(part.positions) for part in mesh.parts])
-    starts = [0, *ends[:-1]]
-    faces = [part.faces + start for part, start in zip(mesh.parts, starts, strict=True)]
-    positions = mesh.normalised(np.concatenate([part.positions for part in mesh.parts]))
-    attributes = np.concatenate(
-        [_attributes(*each) for each in zip(mesh.parts, scales, strict=True)]
-    )
-    if 4 * (3 * sum(map(len, faces)) + positions.size + attributes.size) > _MOST_BYTES:
+    rows = np.concatenate([_vertices(mesh, *each) for each in enumerate(scales)])
+    starts = np.cumsum([0, *(len(part.positions) for part in mesh.parts)])
+    faces = [part.faces + start for part, start in zip(mesh.parts, starts, strict=False)]
+    rows, numbers = np.unique(rows, axis=0, return_inverse=True)  # some files share no vertex
+    own, positions, attributes = rows[:, 0], rows[:, 1:4], rows[:, 4:]
+    corners = numbers.reshape(-1)[np.concatenate(faces)]
+    if 4 * (corners.size + positions.size + attributes.size) > _MOST_BYTES:
         raise InputError(f"{mesh.name} is too large to simplify: leave the triangles out")
-    left, moved, changed = _run(np.concatenate(faces), positions, attributes, triangles)
+    left, moved, changed = _run(corners, positions, attributes, triangles)
     moved /= np.maximum(np.linalg.norm(moved, axis=1, keepdims=True), 1.0)  # the radius stays
     normals = _normals(positions, attributes[:, :3], changed[:, :3], np.unique(left))
     parts = []
-    for part, start, end, scale in zip(mesh.parts, starts, ends, scales, strict=True):
-        own = left[(left[:, 0] >= start) & (left[:, 0] < end)] - start
-        if not len(own):
-            own = part.faces[[np.argmax(_double_areas(part.positions[part.faces]))]]
-        kept, numbers = np.unique(own, return_inverse=True)
-        places = changed[start:end, 3:5][kept] / scale
-        colors = changed[start:end, 5:][kept]
+    for index, (part, scale) in enumerate(zip(mesh.parts, scales, strict=True)):
+        chosen = left[own[left[:, 0]] == index]
+        if not len(chosen):
+            all_faces = corners[own[corners[:, 0]] == index]
+            chosen = all_faces[[np.argmax(_double_areas(positions[all_faces]))]]
+        kept, numbers = np.unique(chosen, return_inverse=True)
         parts.append(
             Part(
-                mesh.denormalised(moved[start:end][kept]),
-                normals[start:end][kept],
-                numbers.reshape(own.shape).astype(np.uint32),
-                None if part.uv is None else _within(places, part.uv),
-                None if part.colors is None else _within(colors, part.colors),
+                mesh.denormalised(moved[kept]),
+                normals[kept],
+                numbers.reshape(chosen.shape).astype(np.uint32),
+                None if part.uv is None else _within(changed[kept, 3:5] / scale, part.uv),
+                None if part.colors is None else _within(changed[kept, 5:], part.colors),
             )
         )
     return replace(mesh, parts=tuple(parts))
+
+
+def _vertices(mesh: Mesh, index: int, scale: float) -> Float:
+    """Return number of the part, position, normal, scaled place on the maps, colour: (N, 12)."""
+    part = mesh.parts[index]
+    count = len(part.positions)
+    return np.concatenate(
+        [
+            np.full((count, 1), index),
+            mesh.normalised(part.positions),
+            part.normals,
+            np.zeros((count, 2)) if part.uv is None else part.uv * scale,
+            np.ones((count, 3)) if part.colors is None else part.colors,
+        ],
+        axis=1,
+    )
 
 
 def _scale(part: Part) -> float:
@@ -125,14 +139,6 @@ def _double_areas(corners: Float) -> Float:
     return np.asarray(np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1))
 
 
-def _attributes(part: Part, scale: float) -> Float:
-    """Return normals, scaled texture coordinates and colours, (N, 8)."""
-    count = len(part.positions)
-    uv = np.zeros((count, 2)) if part.uv is None else part.uv * scale
-    colors = np.ones((count, 3)) if part.colors is None else part.colors
-    return np.concatenate([part.normals, uv, colors], axis=1)
-
-
 def _normals(positions: Float, before: Float, after: Float, kept: NDArray[np.uint32]) -> Float:
     """Return unit normals: one for vertices that had one place and one normal in common.
 
@@ -143,9 +149,11 @@ def _normals(positions: Float, before: Float, after: Float, kept: NDArray[np.uin
     sums = np.zeros((len(kept), 3))
     np.add.at(sums, common.reshape(-1), after[kept])
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
-    units = np.divide(sums, lengths, out=np.zeros_like(sums), where=lengths > 1e-6)
+    useful = (lengths > 1e-6)[common.reshape(-1)]
     normals = before.copy()
-    normals[kept] = np.where(lengths > 1e-6, units, 0.0)[common.reshape(-1)]
+    normals[kept] = np.where(
+        useful, (sums / np.maximum(lengths, 1e-6))[common.reshape(-1)], before[kept]
+    )
     return normals
 
 
@@ -154,7 +162,7 @@ def _within(values: Float, old: Float) -> Float:
 
 
 def _run(
-    faces: NDArray[np.uint32], positions: Float, attributes: Float, triangles: int
+    faces: NDArray[np.int64], positions: Float, attributes: Float, triangles: int
 ) -> tuple[NDArray[np.uint32], Float, Float]:
     """Call meshopt_simplifyWithUpdate; return faces, positions and attributes as they are then."""
     engine, module = _compiled()
