@@ -6,6 +6,7 @@
 
 render          one image in one call; Renderer keeps what it uploads, for several
 load_mesh       a mesh file with its materials; Mesh.with_material changes them
+simplified      a mesh with fewer triangles
 Scene           mesh, Camera, Light, ambient, background
 Shading         the specular Term of each light, what is left out
 Job             what to render as plain data, for files and other machines
@@ -29,6 +30,7 @@ from facerender.job import ImageSettings, Job, MeshFile, Output
 from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera, turntable
 from facerender.scenes.file import load_scene
+from facerender.scenes.levels import simplified
 from facerender.scenes.light import Light
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh
@@ -75,6 +77,7 @@ __all__ = [
     "resolve_includes",
     "shader_dir",
     "shader_source",
+    "simplified",
     "turntable",
     "view_of",
 ]

@@ -14,6 +14,7 @@ from facerender.errors import InputError, check_range
 from facerender.loading import kept_mesh, load_mesh
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import KEYS, from_table, scene_value, toml_text
+from facerender.scenes.levels import check_triangles, simplified
 from facerender.scenes.light import Light
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh
@@ -25,7 +26,8 @@ from facerender.shading import Shading
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A mesh by its files; parameters as of :func:`facerender.load_mesh`, paths as text."""
+    """A mesh by its files, and how much of it; parameters as of :func:`facerender.load_mesh` and
+    :func:`facerender.simplified`, paths as text."""
 
     path: str | None = None
     albedo: str | None = None
@@ -33,24 +35,35 @@ class MeshFile:
     specular_map: str | None = None
     roughness_map: str | None = None
     flip_v: bool = False
+    triangles: int | None = None
 
     def __post_init__(self) -> None:
         for each in fields(self):
             value = getattr(self, each.name)
             if isinstance(value, os.PathLike):
                 object.__setattr__(self, each.name, os.fspath(value))
-            elif each.name != "flip_v" and not isinstance(value, str | None):
+            elif each.name not in ("flip_v", "triangles") and not isinstance(value, str | None):
                 raise InputError(f"mesh {each.name} = {value!r}: give a path as text")
         if not isinstance(self.flip_v, bool):
             raise InputError(f"mesh flip_v = {self.flip_v!r}: give true or false")
+        if self.triangles is not None:
+            check_triangles(self.triangles)
 
     def load(self, cache: bool = False) -> Mesh:
-        """Read the files; errors and warnings as of :func:`facerender.load_mesh`."""
-        return load_mesh(**asdict(self), cache=cache)
+        """Read the files; errors and warnings as of the functions named above."""
+        return self._level(load_mesh(**self._files, cache=cache))
 
     def kept(self) -> Mesh | None:
-        """Return the mesh if it is in the cache; warnings as of :func:`facerender.load_mesh`."""
-        return kept_mesh(**asdict(self))
+        """Return the mesh if it is in the cache; warnings as of :meth:`load`."""
+        mesh = kept_mesh(**self._files)
+        return None if mesh is None else self._level(mesh)
+
+    @property
+    def _files(self) -> dict[str, Any]:
+        return {name: value for name, value in asdict(self).items() if name != "triangles"}
+
+    def _level(self, mesh: Mesh) -> Mesh:
+        return mesh if self.triangles is None else simplified(mesh, self.triangles)
 
 
 @dataclass(frozen=True)

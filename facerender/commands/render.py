@@ -39,6 +39,9 @@ def add(render: argparse.ArgumentParser) -> None:
     )
     scene.add_argument("--scene", metavar="FILE.toml", help="camera, lights, material, reflectance")
     scene.add_argument("--camera", metavar="WHERE", help=WHERE)
+    scene.add_argument(
+        "--triangles", type=int, metavar="N", help="simplify the mesh to so many (all of them)"
+    )
 
     image = render.add_argument_group("image")
     image.add_argument("--size", default="1024", help="N or WxH in pixels (1024)")

@@ -99,6 +99,7 @@ def job_of(
         options.specular_map,
         options.roughness_map,
         options.flip_v,
+        getattr(options, "triangles", None),
     )
     job = Job(
         mesh,
