@@ -13,7 +13,8 @@ import sys
 from importlib import import_module
 
 GENERATED = (
-    *("accuracy", "comparison", "figures", "plan", "reproduction", "shaders", "targets", "trade"),
+    *("accuracy", "comparison", "figures", "levels", "plan", "reproduction", "shaders", "targets"),
+    "trade",
 )
 
 
