@@ -47,7 +47,7 @@ with readback. The head is the built-in one with all its maps, the scan Lee Perr
 {tables}
 
 Simplifying takes {seconds:.1f} s for the slowest of these, once: the same mesh gives the same level
-again. The level is the same on every machine.
+again, in every process.
 
 - Normals, places on the maps and vertex colours count as errors beside distances, and what is left
   of them moves to where the error is least, so that colours do not slide over the surface.
