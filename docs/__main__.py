@@ -13,8 +13,8 @@ import sys
 from importlib import import_module
 
 GENERATED = (
-    *("accuracy", "comparison", "figures", "frame", "plan", "reproduction", "shaders", "targets"),
-    "trade",
+    *("accuracy", "comparison", "figures", "frame", "levels", "plan", "reproduction", "shaders"),
+    *("targets", "trade"),
 )
 
 

@@ -277,6 +277,18 @@ def test_fov(cli: Cli) -> None:
     np.testing.assert_array_equal(cli.render("--fov", "60"), frame.srgb8())
 
 
+def test_triangles(cli: Cli) -> None:
+    level = fr.simplified(fr.load_mesh(MINI_HEAD), 1000)
+    few = cli.render("--triangles", "1000")
+    assert (few == fr.render(level, size=(48, 48)).srgb8()).all()
+    assert (few != cli.render()).any()
+    status, _, err = cli.run(
+        *("render", MINI_HEAD, "-o", cli.png, "--size", "48", "--triangles", "1")
+    )
+    assert status == 0
+    assert re.fullmatch(r"facerender: warning: .* to 1 triangles: it keeps \d+\n", err)
+
+
 @pytest.mark.parametrize(
     ("options", "lights"),
     [
@@ -415,6 +427,8 @@ def test_missing_scene_file(cli: Cli, tmp_path: Path) -> None:
         ("--size", "axb", r"size 'axb': give N or WxH"),
         ("--size", "1x2x3", r"size '1x2x3': give N or WxH"),
         ("--samples", "0", r"samples = 0: give 1 or more"),
+        ("--triangles", "0", r"triangles = 0: give a whole number of at least 1"),
+        ("--triangles", "half", r"argument --triangles: invalid int value: .half."),
         ("--samples", "4096", r"samples = 4096: .* at most \d+"),
         ("--m", "0", r"m = 0\.0 is outside \[0\.0001, 2\]"),
         ("--m", "-1", r"m = -1\.0 is outside"),

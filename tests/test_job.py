@@ -22,7 +22,7 @@ POINT = fr.Light(irradiance=(1.0, 0.5, 0.2), position=(0.2, 0.3, 0.5))
 JOBS = {
     "defaults": fr.Job(),
     "everything": fr.Job(
-        fr.MeshFile(str(files.MINI_HEAD), flip_v=True),
+        fr.MeshFile(str(files.MINI_HEAD), flip_v=True, triangles=1000),
         {"m": 0.25, "ks": 0.5, "albedo": (0.5, 0.4, 0.3)},
         fr.Camera(20.0, 5.0, zoom=1.5, target=(0.0, 0.01, 0.0)),
         (LIGHTS["key"], POINT),
@@ -124,6 +124,8 @@ def test_a_pickle_holds_each_texture_once(head):
         ({"shading": {"lights": {"1": {"ks": 1}}}}, "unknown key 'ks' in the term of a light"),
         ({"shading": {"lights": {"1": {"m": None}}}}, "m = None in the term of a light"),
         ({"ambient": -1.0}, "ambient = .* is negative"),
+        ({"mesh": {"triangles": 0}}, "triangles = 0: give a whole number of at least 1"),
+        ({"mesh": {"triangles": "all"}}, "triangles = 'all': give a whole number"),
         ({"outputs": [{"path": 5}]}, "output path = 5: give a path"),
         ([1], r"job = \[1\]: give a table"),
     ],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from facerender.planning.candidates import (
     DECISIONS,
@@ -13,6 +13,7 @@ from facerender.planning.candidates import (
     groups,
     with_decisions,
 )
+from facerender.planning.drawn import Drawn
 from facerender.planning.search import Choice
 from facerender.scenes.light import LIGHTS
 from facerender.scenes.scene import Scene
@@ -68,6 +69,31 @@ def decisions(
             yield kept
 
 
+def details(choice: Choice, drawn: Drawn) -> Iterator[Decision]:
+    """Tell of samples and triangles."""
+    if choice.frames is None:
+        return
+    taken, before = choice.frames.taken, "full"
+    for name in ("samples", "triangles"):
+        own, full = (getattr(detail, name) for detail in (drawn.detail, drawn.finest))
+        saved = (taken[before] - taken[name]) / taken["full"]
+        before = name
+        refused = [each for each in drawn.coarser if getattr(each[0], name) < own]
+        if own != full:
+            alone_ = replace(drawn.finest, **{name: own})
+            added = max(within for _, within in drawn.errors(choice.full, alone_))
+            text = f"{own} instead of {full}: alone adds {choice.budget.text(added)}, "
+            text += (
+                f"{'saves' if saved >= 0.0 else 'costs'} {100.0 * abs(saved):.1f} % of the frame"
+            )
+            yield Decision(name, True, str(own), str(full), added, saved, text)
+        elif refused:
+            detail, error = refused[0]
+            other = getattr(detail, name)
+            text = f"{own}: {other} would err by {choice.budget.text(error)}"
+            yield Decision(name, False, str(own), str(other), error, 0.0, text)
+
+
 def _made(
     choice: Choice,
     shading: Shading,
@@ -78,11 +104,11 @@ def _made(
     chosen, other = (_words(choice.scene, each, names) for each in (shading, choice.full))
     added = error(alone(shading, choice.full, names))
     reverted = with_decisions(shading, choice.full, names)
-    saved = choice.total(reverted) - choice.total(shading)
+    saved = choice.saved(shading, reverted)
     instead = f" instead of {other}" if other != "none" else ""
     text = f"{chosen}{instead}: alone adds {choice.budget.text(added)}, "
     text += f"{'saves' if saved >= 0.0 else 'costs'} {_share(choice, name, abs(saved))}"
-    return Decision(name, True, chosen, other, added, saved / choice.total(choice.full), text)
+    return Decision(name, True, chosen, other, added, saved, text)
 
 
 def _kept(
@@ -103,18 +129,20 @@ def _kept(
     errors = [otherwise(each) for each in others]
     nearest = others[errors.index(min(errors))]
     chosen, other = (_words(choice.scene, each, (name,)) for each in (shading, nearest))
-    saved = own - choice.total(nearest)
+    saved = choice.saved(nearest, shading)
     text = f"{chosen}: {other} {might} {choice.budget.text(min(errors))}, and save "
     text += _share(choice, name, saved)
-    return Decision(
-        name, False, chosen, other, min(errors), saved / choice.total(choice.full), text
-    )
+    return Decision(name, False, chosen, other, min(errors), saved, text)
 
 
 def _share(choice: Choice, name: str, saved: float) -> str:
+    if choice.frames is not None:
+        return f"{100.0 * saved:.1f} % of the frame"
     cost = choice.cost(choice.full)
-    part, of = (cost.total, "cost") if name in _OF_THE_WHOLE else (cost.specular, "specular cost")
-    return f"{100.0 * saved / part if part else 0.0:.0f} % of the {of}"
+    if name in _OF_THE_WHOLE:
+        return f"{100.0 * saved:.0f} % of the cost"
+    part = cost.specular / cost.full_total
+    return f"{100.0 * saved / part if part else 0.0:.0f} % of the specular cost"
 
 
 def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -23,13 +23,18 @@ from facerender.image import save_png
 from facerender.planning.bound import Unbounded, bound
 from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import Constants
-from facerender.planning.decisions import Decision, decisions
-from facerender.planning.search import Choice, Cost, Drawn, Place, Region, Witnesses, constants_seen
+from facerender.planning.decisions import Decision, decisions, details
+from facerender.planning.drawn import Detail, Drawn, Place
+from facerender.planning.frames import measured_frames, verified
+from facerender.planning.search import Choice, Cost, Region, Witnesses, constants_seen
+from facerender.pricing.interval import Interval
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import scene_toml
 from facerender.scenes.planned import Planned
 from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
+
+FRAME = "frame"  # costs of whole frames, measured here
 
 # Of an error map: where on the way to the budget, and which colour there; and beyond it.
 _STOPS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -77,6 +82,9 @@ class Plan:
     cameras : whose pixels were measured; with a guarantee none, since it holds for all
     sizes : width and height in pixels of the images that were measured, of every camera
     samples : of each pixel of them; None with a guarantee
+    detail : how finely the frame is drawn that stands for the full one; None where the cost is
+        that of a fragment
+    measured : the frame's time over that of the full one, where it was asked for
     constants : what could stand for maps, and the order in which lights could go
     candidates, tried : how many shadings cost less than the full one, and how many were evaluated
         at every pixel
@@ -93,6 +101,8 @@ class Plan:
     cameras: tuple[Camera, ...]
     sizes: tuple[tuple[int, int], ...]
     samples: int | None
+    detail: Detail | None
+    measured: Interval | None
     constants: Constants
     candidates: int
     tried: int
@@ -112,6 +122,9 @@ class Plan:
             "error": self._error(),
             "cost": str(self.cost),
         }
+        if self.measured:
+            ends = f"{self.measured.low:.2f} to {self.measured.high:.2f}"
+            lines["measured"] = f"{self.measured.value:.2f} of the full frame ({ends}), in turns"
         width = max(map(len, lines)) + 2
         return "\n".join(f"{name:{width}}{text}" for name, text in lines.items())
 
@@ -139,8 +152,9 @@ class Plan:
         lines = ["Mesh and maps are not in here: name them again.", *self.explain().splitlines()]
         notes = [f"# {line}\n" for line in lines]
         planned = None
-        if self.samples is not None and self.shading != self.full:
-            planned = Planned(self.sizes, self.samples)
+        if self.samples is not None and not self._is_full:
+            fine = (None, None) if self.detail is None else (self.detail.samples, self._triangles)
+            planned = Planned(self.sizes, self.samples, *fine)
         return "".join(notes) + "\n" + scene_toml(self.scene, self.shading, planned)
 
     def as_dict(self) -> dict[str, Any]:
@@ -157,6 +171,8 @@ class Plan:
             "cameras": [asdict(camera) for camera in self.cameras],
             "sizes": self.sizes,
             "samples": self.samples,
+            "detail": self.detail and asdict(self.detail),
+            "measured": self.measured and asdict(self.measured),
             "candidates": self.candidates,
             "tried": self.tried,
         }
@@ -180,6 +196,18 @@ class Plan:
         comment = f"error {self._error()}; white is {self.budget.text(self.budget.limit)}"
         save_png(path, np.round(heat).astype(np.uint8), {"Comment": comment})
 
+    @property
+    def _triangles(self) -> int | None:
+        """At most, where they are fewer than those of the mesh."""
+        full = sum(len(part.faces) for part in self.scene.mesh.parts)
+        fewer = self.detail is not None and self.detail.triangles < full
+        return self.detail.triangles if self.detail and fewer else None
+
+    @property
+    def _is_full(self) -> bool:
+        coarser = self.detail and (self.detail.samples != self.samples or self._triangles)
+        return self.shading == self.full and not coarser
+
     def _basis(self) -> str:
         if not self.cameras:
             return "a bound, which holds for every camera"
@@ -190,13 +218,15 @@ class Plan:
 
     def _error(self) -> str:
         error, text, share = self.error, self.budget.text, self.budget.share
-        if self.shading == self.full:
+        if self._is_full:
             return f"{text(0.0)}: the full shading"
         every = self.budget.within == 1.0
         drawn = ""
         if error.drawn is not None and error.drawn_within is not None:
             drawn = f"; {text(error.drawn)} as drawn"
             drawn += "" if every else f", {share} within {text(error.drawn_within)}"
+        if self.shading == self.full:
+            return drawn.removeprefix("; ")
         if error.maximum == 0.0:
             return f"{text(0.0)}: nothing changes but rounding{drawn}"
         if error.pixel is None or error.size is None or error.percentile is None:
@@ -226,11 +256,13 @@ def plan(
     sizes: Sequence[tuple[int, int]] | None = None,
     within: str | float = 1.0,
     guarantee: bool = False,
-    cost: str = "auto",
+    cost: str = FRAME,
+    verify_cost: bool = False,
     exposure: float = 0.0,
     renderer: Renderer | None = None,
 ) -> Plan:
-    """Find the cheapest shading of a scene whose error stays within a budget.
+    """Find the cheapest frame of a scene whose error stays within a budget: shading, samples, and
+    triangles of the mesh.
 
     Parameters
     ----------
@@ -244,9 +276,11 @@ def plan(
     within : share of the pixels which the budget must hold at, of those that each image covers:
         0.999 or "99.9%"; the error of the worst pixel is told as well
     guarantee : bound the error over all views in place of measuring it
-    cost : whose: "auto", "llvmpipe", "navi21" (RDNA2) or "vega10" (GCN5) from the table, "here", or
-        "radv:navi21"; see :func:`facerender.pricing.table.load_prices`. With a guarantee, "auto"
-        is RDNA2's
+    cost : "frame", of whole frames on this driver, by a few that are measured; or of a fragment,
+        which leaves samples and triangles as they are: "auto", "llvmpipe", "navi21" (RDNA2) or
+        "vega10" (GCN5) from the table, "here", or "radv:navi21"; see
+        :func:`facerender.pricing.table.load_prices`. With a guarantee a fragment's, of "auto" RDNA2
+    verify_cost : measure the chosen frame beside the full one, in turns
     exposure : of the displayed image, in stops
     renderer : draws; what it shades with several samples a pixel counts as well; None makes one of
         1024 x 1024 pixels with 4 samples
@@ -271,7 +305,9 @@ def plan(
             raise InputError("a guarantee holds for every camera: leave cameras and sizes out")
         if allowed.within < 1.0:
             raise InputError(f"a guarantee holds at every pixel: leave within {within} out")
-        return _guaranteed(scene, full, allowed, cost)
+        if verify_cost:
+            raise InputError("a guarantee is of no frame: leave verify_cost out")
+        return _guaranteed(scene, full, allowed, "auto" if cost == FRAME else cost)
     at = (scene.camera,) if cameras is None else tuple(cameras)
     with ExitStack() as stack:
         drawing = renderer or stack.enter_context(Renderer())
@@ -284,8 +320,9 @@ def plan(
         if not any(view.counted.any() for view in views):
             raise InputError(f"the cameras see nothing of {scene.mesh.name}")
         software = drawing.context.software
-        choice = Choice(scene, full, allowed, constants_seen(scene, full, views), cost, software)
-        return _measured(choice, at, places, views)
+        constants, prices = constants_seen(scene, full, views), "auto" if cost == FRAME else cost
+        choice = Choice(scene, full, allowed, constants, prices, software)
+        return _measured(choice, at, places, views, cost == FRAME, verify_cost)
 
 
 def _resized(renderer: Renderer, size: tuple[int, int]) -> Renderer:
@@ -304,11 +341,19 @@ def _measured(
     cameras: tuple[Camera, ...],
     places: Sequence[Place],
     views: Sequence[Region],
+    framed: bool,
+    verify: bool,
 ) -> Plan:
     samples = places[0].renderer.samples
-    drawn = Drawn(places, choice.full, choice.budget) if samples > 1 else None
+    drawn = None
+    if samples > 1 or framed or verify:
+        drawn = Drawn(places, choice.full, choice.budget)
+    if drawn and framed and choice.limit >= 0.0:
+        drawn.coarsen()
     witnesses = Witnesses(views, choice, drawn)
     shading = choice.first(witnesses.let_pass)
+    if drawn and framed:
+        choice.frames = measured_frames(choice, drawn)
     maps = [view.errors(shading) for view in views]
     worst = int(np.argmax([errors.max() for errors in maps]))
     y, x = np.unravel_index(np.argmax(maps[worst]), maps[worst].shape)
@@ -331,8 +376,22 @@ def _measured(
         might="would err by at least",
     )
     sizes = tuple(dict.fromkeys(place.renderer.size for place in places))
-    tried, error_map = witnesses.tried, maps[worst]
-    return _plan(choice, shading, error, told, cameras, sizes, samples, tried, error_map)
+    if drawn and drawn.detail != drawn.finest:
+        maps = [*drawn.maps(shading)]
+        worst = int(np.argmax([errors.max() for errors in maps]))
+    return _plan(
+        choice,
+        shading,
+        error,
+        (*(details(choice, drawn) if drawn and framed else ()), *told),
+        cameras,
+        sizes,
+        samples,
+        drawn.detail if drawn and framed else None,
+        verified(choice.full, shading, drawn) if drawn and verify else None,
+        witnesses.tried,
+        maps[worst],
+    )
 
 
 def _guaranteed(scene: Scene, full: Shading, budget: Budget, cost: str) -> Plan:
@@ -358,10 +417,12 @@ def _plan(
     choice: Choice,
     shading: Shading,
     error: Error,
-    told: Iterator[Decision],
+    told: Iterable[Decision],
     cameras: tuple[Camera, ...] = (),
     sizes: tuple[tuple[int, int], ...] = (),
     samples: int | None = None,
+    detail: Detail | None = None,
+    measured: Interval | None = None,
     tried: int = 0,
     error_map: NDArray[np.float64] | None = None,
 ) -> Plan:
@@ -376,6 +437,8 @@ def _plan(
         cameras,
         sizes,
         samples,
+        detail,
+        measured,
         choice.constants,
         choice.count,
         tried,

@@ -10,7 +10,7 @@ cheaper one excels in the display's error of such pixels.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -20,17 +20,15 @@ from numpy.typing import NDArray
 from facerender.drawing.frame import GBuffer
 from facerender.drawing.prepare import simplify
 from facerender.drawing.reference import Layers, layers
-from facerender.drawing.renderer import Renderer
 from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import (
     Constants,
-    alone,
     candidates,
     changed,
-    groups,
-    values,
     with_lights,
 )
+from facerender.planning.drawn import Drawn, Place
+from facerender.pricing.frame import Frames
 from facerender.pricing.table import NoPrice, load_prices
 from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
@@ -44,12 +42,12 @@ _KEPT = 2**18  # pixels of all that is kept of a witness
 
 @dataclass(frozen=True)
 class Cost:
-    """What shading a fragment costs, by the prices of the plan.
+    """What shading a fragment costs, or a frame, by the prices of the plan.
 
     Attributes
     ----------
-    total, specular : of the whole fragment program, and of its specular terms
-    full_total, full_specular : of the full shading
+    total, specular : of the whole fragment program or frame, and of its specular terms
+    full_total, full_specular : of the full shading and frame
     unit, source : of the prices, and where they are from
     """
 
@@ -62,12 +60,12 @@ class Cost:
 
     @property
     def relative(self) -> float:
-        """The program's cost over that of the full shading."""
+        """The cost over that of the full shading or frame."""
         return self.total / self.full_total
 
     def __str__(self) -> str:
         return (
-            f"{self.total:.4g} of {self.full_total:.4g} {self.unit} a fragment, "
+            f"{self.total:.4g} of {self.full_total:.4g} {self.unit}, "
             f"{self.relative:.2f}; {self.source}"
         )
 
@@ -80,7 +78,10 @@ class Choice:
     ordered : the shadings that cost less than the full one, and the full one
     count : how many cost less
     limit : of the error in float64, which rounding may raise to the budget
+    frames : what frames cost by what a fragment costs; None where fragments alone are priced
     """
+
+    frames: Frames | None = None
 
     def __init__(
         self,
@@ -118,9 +119,19 @@ class Choice:
         return self.costs[shading]
 
     def cost(self, shading: Shading) -> Cost:
-        """Return what a fragment costs, beside the full shading."""
+        """Return what a fragment costs, or a frame, beside the full one."""
         own, full = (self.prices.cost(self.scene, each) for each in (shading, self.full))
-        return Cost(*own, *full, self.prices.unit, self.prices.source)
+        if self.frames is None:
+            return Cost(*own, *full, f"{self.prices.unit} a fragment", self.prices.source)
+        priced = self.frames.own.cost(*own), self.frames.full.cost(*full)
+        return Cost(*priced[0], *priced[1], "ms a frame", self.frames.source)
+
+    def saved(self, shading: Shading, other: Shading) -> float:
+        """Return what a shading costs less than another, as a share of the full cost."""
+        less = self.total(other) - self.total(shading)
+        if self.frames is not None:
+            less *= self.frames.own.slope
+        return less / self.cost(self.full).full_total
 
     def first(self, fits: Callable[[Shading], bool]) -> Shading:
         """Return the first that fits; nothing but the full one is as near as rounding."""
@@ -174,51 +185,6 @@ class Witnesses:
                 best.append(shading)
                 least = error
         return best
-
-
-@dataclass(frozen=True, eq=False)
-class Place:
-    """Where errors are measured: a scene with its camera, and what draws it, at its size."""
-
-    scene: Scene
-    renderer: Renderer
-
-
-class Drawn:
-    """The views as OpenGL draws them with several samples a pixel: at silhouettes it shades what no
-    pixel's centre sees. A change that fails there by itself is not tried again with others."""
-
-    def __init__(self, places: Sequence[Place], full: Shading, budget: Budget) -> None:
-        self.places, self.full, self.budget = places, full, budget
-        self.exact = [self._draw(place, full) for place in places]
-        self.failed: list[tuple[Sequence[str], dict[str, Any]]] = []
-
-    def let_pass(self, shading: Shading) -> bool:
-        """Tell whether a shading is within the budget."""
-        if self._within(shading):
-            return True
-        for names in groups(shading, self.full).values():
-            if not self._within(alone(shading, self.full, names)):
-                self.failed.append((names, values(shading, names)))
-        return False
-
-    def ruled_out(self, shading: Shading) -> bool:
-        """Tell whether a shading has a change that failed."""
-        return any(values(shading, names) == failed for names, failed in self.failed)
-
-    def _within(self, shading: Shading) -> bool:
-        return all(error <= self.budget.limit for _, error in self.errors(shading))
-
-    def errors(self, shading: Shading) -> Iterator[tuple[float, float]]:
-        """Yield of each image the largest error, and the one that the budget counts. Errors beside
-        what the full shading covers count as well: FLIP looks around each pixel."""
-        for place, exact in zip(self.places, self.exact, strict=True):
-            errors = self.budget.errors(self._draw(place, shading)[..., :3], exact[..., :3])
-            spared = self.budget.spared(int(np.count_nonzero(exact[..., 3])))
-            yield float(errors.max()), highest_but(errors, spared)
-
-    def _draw(self, place: Place, shading: Shading) -> Float:
-        return place.renderer.render(place.scene, shading).linear.astype(np.float64)
 
 
 class Region:

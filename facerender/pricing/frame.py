@@ -1,9 +1,11 @@
-"""What whole frames cost on the driver at hand, readback included: measured in turns."""
+"""What whole frames cost on the driver at hand, readback included: measured in turns, and a model
+between what was measured."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,3 +33,48 @@ def ratio(draw: Draw, full: Draw, repeats: int) -> Interval:
     """Return the median of the ratios of two frames' times within a turn."""
     own, other = seconds([draw, full], repeats).T
     return bootstrap(lambda turns: np.median((own / other)[turns], keepdims=True), repeats)[0]
+
+
+@dataclass(frozen=True)
+class Line:
+    """Milliseconds of a frame, by what a fragment of it costs.
+
+    Attributes
+    ----------
+    fixed : of what no shading changes: geometry, coverage, maps, readback
+    slope : of the whole frame, for one of the prices' units
+    """
+
+    fixed: float
+    slope: float
+
+    @classmethod
+    def through(cls, full: tuple[float, float], cheap: tuple[float, float]) -> Line:
+        """Return the line through two frames' prices of a fragment and milliseconds; where the
+        cheaper one was not faster, the price counts for nothing."""
+        (price, time), (low_price, low_time) = full, cheap
+        slope = (time - low_time) / (price - low_price) if price > low_price else 0.0
+        slope = max(slope, 0.0)
+        return cls(time - slope * price, slope)
+
+    def cost(self, total: float, specular: float) -> tuple[float, float]:
+        """Return milliseconds of a frame, and of its specular terms."""
+        return self.fixed + self.slope * total, self.slope * specular
+
+
+@dataclass(frozen=True)
+class Frames:
+    """What frames cost.
+
+    Attributes
+    ----------
+    full, own : by shading, with the full detail and with the one that was chosen
+    taken : milliseconds with the full shading: "full", with the "samples" that were chosen, and
+        then with the "triangles"
+    source : where they are from, in words
+    """
+
+    full: Line
+    own: Line
+    taken: Mapping[str, float]
+    source: str

@@ -41,7 +41,7 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     borders between parts collapse along themselves, both sides at once: no crack opens. Materials,
     the number of parts, bounds, radius and profile stay, so that a camera sees both meshes alike.
 
-    The result is the same on every machine, and the same object for the same arguments. Kapoulkine
+    The result is the same in every process, and the same object for the same arguments. Kapoulkine
     (2016-2026), meshoptimizer 1.3: meshopt_simplifyWithUpdate.
 
     Parameters

@@ -18,6 +18,8 @@ class Planned:
     ----------
     sizes : width and height of each, in pixels
     samples : of each pixel
+    drawn_samples, triangles : with how many samples and at most how many triangles the frame is
+        drawn that stands for such an image; None for all
 
     Raises
     ------
@@ -26,6 +28,8 @@ class Planned:
 
     sizes: tuple[tuple[int, int], ...]
     samples: int
+    drawn_samples: int | None = None
+    triangles: int | None = None
 
     def __post_init__(self) -> None:
         try:
@@ -38,6 +42,10 @@ class Planned:
                 f"planned sizes = {self.sizes!r}, samples = {self.samples!r}: give widths and "
                 "heights such as [[512, 512], [1024, 1024]], and a number"
             )
+        for name in ("drawn_samples", "triangles"):
+            value = getattr(self, name)
+            if value is not None and (not isinstance(value, int) or value < 1):
+                raise InputError(f"planned {name} = {value!r}: give a whole number of at least 1")
         object.__setattr__(self, "sizes", sizes)
 
     def holds(self, size: tuple[int, int], samples: int) -> bool:

@@ -1,0 +1,127 @@
+"""Frames as OpenGL draws them: how finely, and how far they are from the full ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.drawing.renderer import Renderer
+from facerender.errors import InputError
+from facerender.planning.budget import Budget, highest_but
+from facerender.planning.candidates import alone, groups, values
+from facerender.scenes.levels import simplified
+from facerender.scenes.scene import Scene
+from facerender.shading import Shading
+
+Float = NDArray[np.float64]
+
+_FEWEST = 500  # triangles of a level of detail
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where errors are measured: a scene with its camera, and what draws it, at its size."""
+
+    scene: Scene
+    renderer: Renderer
+
+
+@dataclass(frozen=True)
+class Detail:
+    """How finely a frame is drawn.
+
+    Attributes
+    ----------
+    samples : per pixel
+    triangles : of the mesh, at most
+    """
+
+    samples: int
+    triangles: int
+
+    def of(self, scene: Scene) -> Scene:
+        """Return a scene whose mesh has no more triangles."""
+        return replace(scene, mesh=simplified(scene.mesh, self.triangles))
+
+    def draw(self, place: Place, shading: Shading) -> NDArray[np.float32]:
+        """Return the linear image (H, W, 4) of a place."""
+        scene = self.of(place.scene)
+        return place.renderer.render(scene, shading, samples=self.samples).linear
+
+
+class Drawn:
+    """The views as OpenGL draws them: with several samples a pixel it shades at silhouettes what no
+    pixel's centre sees. A change that fails there by itself is not tried again with others.
+
+    Attributes
+    ----------
+    finest, detail : of the full frame, and of the frames that are tried
+    coarser : details that were over the budget, each with its error
+    """
+
+    def __init__(self, places: Sequence[Place], full: Shading, budget: Budget) -> None:
+        self.places, self.full, self.budget = places, full, budget
+        triangles = sum(len(part.faces) for part in places[0].scene.mesh.parts)
+        self.finest = self.detail = Detail(places[0].renderer.samples, triangles)
+        self.exact = [self.finest.draw(place, full).astype(np.float64) for place in places]
+        self.coarser: list[tuple[Detail, float]] = []
+        self.failed: list[tuple[Sequence[str], dict[str, Any]]] = []
+
+    def coarsen(self) -> None:
+        """Take away samples, and then half of the triangles again and again, as long as the full
+        shading stays within the budget."""
+        samples = [count for count in (4, 1) if count < self.finest.samples]
+        self._first(replace(self.detail, samples=count) for count in reversed(samples))
+        try:
+            while self.detail.triangles >= 2 * _FEWEST:
+                if not self._first([replace(self.detail, triangles=self.detail.triangles // 2)]):
+                    return
+        except InputError:  # without its package there are no levels of detail
+            return
+
+    def _first(self, details: Iterable[Detail]) -> bool:
+        for detail in details:
+            error = max(within for _, within in self.errors(self.full, detail))
+            if error <= self.budget.limit:
+                self.detail = detail
+                return True
+            self.coarser.append((detail, error))
+        return False
+
+    def let_pass(self, shading: Shading) -> bool:
+        """Tell whether a shading is within the budget."""
+        if self._within(shading):
+            return True
+        for names in groups(shading, self.full).values():
+            if not self._within(alone(shading, self.full, names)):
+                self.failed.append((names, values(shading, names)))
+        return False
+
+    def ruled_out(self, shading: Shading) -> bool:
+        """Tell whether a shading has a change that failed."""
+        return any(values(shading, names) == failed for names, failed in self.failed)
+
+    def _within(self, shading: Shading) -> bool:
+        return all(error <= self.budget.limit for _, error in self.errors(shading))
+
+    def errors(
+        self, shading: Shading, detail: Detail | None = None
+    ) -> Iterator[tuple[float, float]]:
+        """Yield of each image the largest error, and the one that the budget counts. Errors beside
+        what the full frame covers count as well: FLIP looks around each pixel.
+
+        detail : in place of the own
+        """
+        for errors, exact in zip(self.maps(shading, detail), self.exact, strict=True):
+            spared = self.budget.spared(int(np.count_nonzero(exact[..., 3])))
+            yield float(errors.max()), highest_but(errors, spared)
+
+    def maps(self, shading: Shading, detail: Detail | None = None) -> Iterator[Float]:
+        """Yield the error of every pixel (H, W) of each image; detail as of :meth:`errors`."""
+        for place, exact in zip(self.places, self.exact, strict=True):
+            image = (detail or self.detail).draw(place, shading)[..., :3].astype(np.float64)
+            yield self.budget.errors(image, exact[..., :3])

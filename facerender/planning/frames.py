@@ -1,0 +1,55 @@
+"""What the frames of a plan cost here: a few are measured, which tells what the others take."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from facerender.planning.drawn import Detail, Drawn
+from facerender.planning.search import Choice
+from facerender.pricing.frame import Frames, Line, ratio, seconds
+from facerender.pricing.interval import Interval
+from facerender.shading import Shading
+
+_PLACES, _REPEATS, _VERIFY = 3, 5, 15
+
+
+def measured_frames(choice: Choice, drawn: Drawn) -> Frames:
+    """Measure the full frame, that of each change of detail, and of the first and the last one with
+    the cheapest shading; what others cost lies on lines through these, by the prices of their
+    fragments."""
+    full, cheap = choice.full, choice.ordered[0]
+    steps = {"full": drawn.finest}
+    steps["samples"] = replace(drawn.finest, samples=drawn.detail.samples)
+    steps["triangles"] = drawn.detail
+    asked = {(detail, full) for detail in steps.values()}
+    asked |= {(detail, cheap) for detail in (drawn.finest, drawn.detail)}
+    frames = sorted(asked, key=lambda frame: frame[1] is not full)
+    draws = [_frame(drawn, *frame) for frame in frames]
+    times = dict(zip(frames, 1e3 * np.median(seconds(draws, _REPEATS), axis=0), strict=True))
+    prices = choice.total(full), choice.total(cheap)
+
+    def line(detail: Detail) -> Line:
+        own = times[detail, full], times[detail, cheap]
+        return Line.through((prices[0], own[0]), (prices[1], own[1]))
+
+    driver = drawn.places[0].renderer.context.renderer
+    source = f"by {len(frames)} frames measured on {driver}"
+    taken = {name: float(times[detail, full]) for name, detail in steps.items()}
+    return Frames(line(drawn.finest), line(drawn.detail), taken, source)
+
+
+def verified(full: Shading, shading: Shading, drawn: Drawn) -> Interval:
+    """Measure a shading's frame and the full one in turns, and return the median of the ratios."""
+    own = _frame(drawn, drawn.detail, shading)
+    return ratio(own, _frame(drawn, drawn.finest, full), _VERIFY)
+
+
+def _frame(drawn: Drawn, detail: Detail, shading: Shading) -> Callable[[], object]:
+    """What draws a frame at some of the places, one after the other."""
+    step = max(len(drawn.places) // _PLACES, 1)
+    draws = [partial(detail.draw, place, shading) for place in drawn.places[::step][:_PLACES]]
+    return lambda: [draw() for draw in draws]
