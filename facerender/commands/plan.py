@@ -21,8 +21,9 @@ from facerender.image import write_bytes
 def add(plan: argparse.ArgumentParser) -> None:
     plan.set_defaults(command=run)
     plan.description = (
-        "The cheapest shading of a scene whose error at every pixel, or at a share of them, stays "
-        "within a budget, against the exact lobe with all terms and maps."
+        "The cheapest frame of a scene (shading, samples, triangles) whose error at every pixel, "
+        "or at a share of them, stays within a budget, against the exact lobe with all terms, "
+        "maps, samples and triangles."
     )
     plan.add_argument(
         "--budget", required=True, metavar="ERROR", help="1/255, 0.5%% or '0.02 flip'"
@@ -38,11 +39,17 @@ def add(plan: argparse.ArgumentParser) -> None:
     )
     plan.add_argument(
         "--cost",
-        default="auto",
+        default="frame",
         metavar="OF",
-        help="llvmpipe, navi21 (RDNA2) or vega10 (GCN5) from a table; here, to measure; "
-        "radv:navi21 or radv:vega10, to compile (auto: the table of llvmpipe where the CPU draws, "
-        "of RDNA2 elsewhere)",
+        help="frame, whole ones of which a few are measured; or of a fragment, which leaves "
+        "samples and triangles as they are: llvmpipe, navi21 (RDNA2) or vega10 (GCN5) from a table; auto, "
+        "llvmpipe where the CPU draws, RDNA2 elsewhere; here, to measure; radv:navi21 or "
+        "radv:vega10, to compile (frame)",
+    )
+    plan.add_argument(
+        "--verify-cost",
+        action="store_true",
+        help="measure the chosen frame beside the full one, in turns",
     )
     _, scene = add_scene(plan)
     scene.add_argument(
@@ -97,6 +104,7 @@ def run(options: argparse.Namespace) -> int:
         print("facerender: measuring costs takes a minute or two", file=sys.stderr)
     choices: dict[str, Any] = {
         "cost": options.cost,
+        "verify_cost": options.verify_cost,
         "exposure": options.exposure,
         "within": options.within,
         "full": job.shading,

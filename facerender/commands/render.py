@@ -14,6 +14,7 @@ from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import FacerenderWarning, InputError
 from facerender.job import Job, Output
+from facerender.scenes.planned import Detail
 from facerender.scenes.scene import ONLY
 from facerender.shading import OUTSIDE, Shading
 from facerender.terms import LOBES
@@ -32,7 +33,7 @@ def add(render: argparse.ArgumentParser) -> None:
     terms.add_argument(
         "--budget",
         metavar="ERROR",
-        help="plan the cheapest terms within 1/255, 0.5%% or '0.02 flip', and use them",
+        help="plan the cheapest frame within 1/255, 0.5%% or '0.02 flip', and draw that",
     )
     terms.add_argument(
         "--within", metavar="SHARE", help="of the pixels: where --budget must hold (100%%)"
@@ -68,6 +69,7 @@ def run(options: argparse.Namespace) -> int:
     job, _ = job_of(options, [options.camera] if options.camera else [], size, (output,))
     scene, shading = load(job, options.cache), job.shading
     plan: dict[str, Any] = {}
+    detail = Detail(job.image.samples, None)
     with Renderer.of(job, options.backend) as renderer:
         if options.budget is not None:
             from facerender.planning.cache import planned
@@ -75,10 +77,13 @@ def run(options: argparse.Namespace) -> int:
             within = options.within or 1.0
             asked = scene, options.budget, shading, options.exposure, within, renderer
             plan = planned(*asked, cache=options.cache)
-            shading = Shading.from_dict(plan["shading"])
-        elif job.planned and not job.planned.holds(renderer.size, renderer.samples):
+            shading, detail = Shading.from_dict(plan["shading"]), Detail(**plan["detail"])
+        elif job.planned and job.planned.holds(renderer.size, renderer.samples):
+            detail = job.planned.detail
+        elif job.planned:
             warnings.warn(_unplanned(options.scene, job), FacerenderWarning, stacklevel=1)
-        frame = renderer.render(scene, shading, output.only)
+        samples = min(detail.samples, renderer.samples)
+        frame = renderer.render(detail.of(scene), shading, output.only, samples)
         backend = renderer.context.backend
     clean_up_on_interrupt()
     frame.save(output.path, output.exposure)

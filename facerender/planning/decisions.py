@@ -75,10 +75,12 @@ def details(choice: Choice, drawn: Drawn) -> Iterator[Decision]:
         return
     taken, before = choice.frames.taken, "full"
     for name in ("samples", "triangles"):
-        own, full = (getattr(detail, name) for detail in (drawn.detail, drawn.finest))
+        own, full = (
+            getattr(each, name) or drawn.triangles for each in (drawn.detail, drawn.finest)
+        )
         saved = (taken[before] - taken[name]) / taken["full"]
         before = name
-        refused = [each for each in drawn.coarser if getattr(each[0], name) < own]
+        refused = [each for each in drawn.coarser if (getattr(each[0], name) or own) < own]
         if own != full:
             alone_ = replace(drawn.finest, **{name: own})
             added = max(within for _, within in drawn.errors(choice.full, alone_))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +14,7 @@ from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.planning.budget import Budget, highest_but
 from facerender.planning.candidates import alone, groups, values
-from facerender.scenes.levels import simplified
+from facerender.scenes.planned import Detail
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
@@ -30,27 +31,10 @@ class Place:
     renderer: Renderer
 
 
-@dataclass(frozen=True)
-class Detail:
-    """How finely a frame is drawn.
-
-    Attributes
-    ----------
-    samples : per pixel
-    triangles : of the mesh, at most
-    """
-
-    samples: int
-    triangles: int
-
-    def of(self, scene: Scene) -> Scene:
-        """Return a scene whose mesh has no more triangles."""
-        return replace(scene, mesh=simplified(scene.mesh, self.triangles))
-
-    def draw(self, place: Place, shading: Shading) -> NDArray[np.float32]:
-        """Return the linear image (H, W, 4) of a place."""
-        scene = self.of(place.scene)
-        return place.renderer.render(scene, shading, samples=self.samples).linear
+def draw(place: Place, shading: Shading, detail: Detail) -> NDArray[np.float32]:
+    """Return the linear image (H, W, 4) of a place."""
+    scene = detail.of(place.scene)
+    return place.renderer.render(scene, shading, samples=detail.samples).linear
 
 
 class Drawn:
@@ -59,15 +43,16 @@ class Drawn:
 
     Attributes
     ----------
+    triangles : of the mesh
     finest, detail : of the full frame, and of the frames that are tried
     coarser : details that were over the budget, each with its error
     """
 
     def __init__(self, places: Sequence[Place], full: Shading, budget: Budget) -> None:
         self.places, self.full, self.budget = places, full, budget
-        triangles = sum(len(part.faces) for part in places[0].scene.mesh.parts)
-        self.finest = self.detail = Detail(places[0].renderer.samples, triangles)
-        self.exact = [self.finest.draw(place, full).astype(np.float64) for place in places]
+        self.triangles = sum(len(part.faces) for part in places[0].scene.mesh.parts)
+        self.finest = self.detail = Detail(places[0].renderer.samples, None)
+        self.exact = [draw(place, full, self.finest).astype(np.float64) for place in places]
         self.coarser: list[tuple[Detail, float]] = []
         self.failed: list[tuple[Sequence[str], dict[str, Any]]] = []
 
@@ -76,12 +61,10 @@ class Drawn:
         shading stays within the budget."""
         samples = [count for count in (4, 1) if count < self.finest.samples]
         self._first(replace(self.detail, samples=count) for count in reversed(samples))
-        try:
-            while self.detail.triangles >= 2 * _FEWEST:
-                if not self._first([replace(self.detail, triangles=self.detail.triangles // 2)]):
-                    return
-        except InputError:  # without its package there are no levels of detail
-            return
+        count = self.triangles // 2
+        with suppress(InputError):  # without their package there are no levels of detail
+            while count >= _FEWEST and self._first([replace(self.detail, triangles=count)]):
+                count //= 2
 
     def _first(self, details: Iterable[Detail]) -> bool:
         for detail in details:
@@ -123,5 +106,5 @@ class Drawn:
     def maps(self, shading: Shading, detail: Detail | None = None) -> Iterator[Float]:
         """Yield the error of every pixel (H, W) of each image; detail as of :meth:`errors`."""
         for place, exact in zip(self.places, self.exact, strict=True):
-            image = (detail or self.detail).draw(place, shading)[..., :3].astype(np.float64)
+            image = draw(place, shading, detail or self.detail)[..., :3].astype(np.float64)
             yield self.budget.errors(image, exact[..., :3])

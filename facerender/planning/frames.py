@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
-from facerender.planning.drawn import Detail, Drawn
+from facerender.planning.drawn import Drawn, draw
 from facerender.planning.search import Choice
 from facerender.pricing.frame import Frames, Line, ratio, seconds
 from facerender.pricing.interval import Interval
+from facerender.scenes.planned import Detail
 from facerender.shading import Shading
 
 _PLACES, _REPEATS, _VERIFY = 3, 5, 15
@@ -51,5 +51,5 @@ def verified(full: Shading, shading: Shading, drawn: Drawn) -> Interval:
 def _frame(drawn: Drawn, detail: Detail, shading: Shading) -> Callable[[], object]:
     """What draws a frame at some of the places, one after the other."""
     step = max(len(drawn.places) // _PLACES, 1)
-    draws = [partial(detail.draw, place, shading) for place in drawn.places[::step][:_PLACES]]
-    return lambda: [draw() for draw in draws]
+    seen = drawn.places[::step][:_PLACES]
+    return lambda: [draw(place, shading, detail) for place in seen]

@@ -24,13 +24,13 @@ from facerender.planning.bound import Unbounded, bound
 from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import Constants
 from facerender.planning.decisions import Decision, decisions, details
-from facerender.planning.drawn import Detail, Drawn, Place
+from facerender.planning.drawn import Drawn, Place
 from facerender.planning.frames import measured_frames, verified
 from facerender.planning.search import Choice, Cost, Region, Witnesses, constants_seen
 from facerender.pricing.interval import Interval
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import scene_toml
-from facerender.scenes.planned import Planned
+from facerender.scenes.planned import Detail, Planned
 from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
 
@@ -153,8 +153,10 @@ class Plan:
         notes = [f"# {line}\n" for line in lines]
         planned = None
         if self.samples is not None and not self._is_full:
-            fine = (None, None) if self.detail is None else (self.detail.samples, self._triangles)
-            planned = Planned(self.sizes, self.samples, *fine)
+            samples = self.detail.samples if self.detail else self.samples
+            fewer = samples if samples < self.samples else None
+            triangles = self.detail.triangles if self.detail else None
+            planned = Planned(self.sizes, self.samples, fewer, triangles)
         return "".join(notes) + "\n" + scene_toml(self.scene, self.shading, planned)
 
     def as_dict(self) -> dict[str, Any]:
@@ -197,16 +199,9 @@ class Plan:
         save_png(path, np.round(heat).astype(np.uint8), {"Comment": comment})
 
     @property
-    def _triangles(self) -> int | None:
-        """At most, where they are fewer than those of the mesh."""
-        full = sum(len(part.faces) for part in self.scene.mesh.parts)
-        fewer = self.detail is not None and self.detail.triangles < full
-        return self.detail.triangles if self.detail and fewer else None
-
-    @property
     def _is_full(self) -> bool:
-        coarser = self.detail and (self.detail.samples != self.samples or self._triangles)
-        return self.shading == self.full and not coarser
+        finest = self.detail is None or self.detail == Detail(self.samples or 1, None)
+        return self.shading == self.full and finest
 
     def _basis(self) -> str:
         if not self.cameras:

@@ -1,13 +1,36 @@
-"""For which images the shading of a scene was planned: what a scene file says of that."""
+"""For which images the shading of a scene was planned, and how finely they are drawn then: what a
+scene file says of that."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import index
 
 from facerender.errors import InputError
+from facerender.scenes.levels import simplified
+from facerender.scenes.scene import Scene
 
 _SAME_SHAPE = 1.01  # width over height, of rounded sizes
+
+
+@dataclass(frozen=True)
+class Detail:
+    """How finely a frame is drawn.
+
+    Attributes
+    ----------
+    samples : per pixel
+    triangles : of the mesh, at most; None for all
+    """
+
+    samples: int
+    triangles: int | None
+
+    def of(self, scene: Scene) -> Scene:
+        """Return a scene whose mesh has no more triangles; errors as of :func:`simplified`."""
+        if self.triangles is None:
+            return scene
+        return replace(scene, mesh=simplified(scene.mesh, self.triangles))
 
 
 @dataclass(frozen=True)
@@ -60,6 +83,11 @@ class Planned:
             and min(heights) <= size[1] <= max(heights)
             and min(shapes) / _SAME_SHAPE <= size[0] / size[1] <= max(shapes) * _SAME_SHAPE
         )
+
+    @property
+    def detail(self) -> Detail:
+        """How finely the frame is drawn that stands for a planned one."""
+        return Detail(self.drawn_samples or self.samples, self.triangles)
 
     def __str__(self) -> str:
         ends = dict.fromkeys((min(self.sizes), max(self.sizes)))
