@@ -179,18 +179,22 @@ def test_at_every_size_the_budget_holds(small, egl, subject):
     at = subject("point light")
     with fr.Renderer((21, 27), samples=1, backend=egl) as other:
         (plan,) = planned([small, other], at, ["1/255"])
-        (share,) = planned([other, small], at, ["0.5/255"], within=0.98)
+        (share,) = planned([small, other], at, ["0.5/255"], cameras=CAMERAS, within=0.98)
         alone = [fr.plan(at.scene, "1/255", cost="navi21", renderer=each)
                  for each in (small, other)]  # fmt: skip
+        drawing = {small.size: small, other.size: other}[share.error.size]
+        camera = CAMERAS[share.error.camera]
+        (worst,) = brute_force(drawing, at, [share.shading], cameras=[camera])
+    assert share.error.maximum == pytest.approx(worst, rel=1e-9)
     assert plan.sizes == ((32, 32), (21, 27))
-    assert share.sizes == ((21, 27), (32, 32))
+    assert share.sizes == plan.sizes
     assert "1 camera of 32 x 32, 21 x 27 pixels; no guarantee" in plan.explain()
-    for found in (plan, share):
+    for found, camera in ((plan, ""), (share, f" of camera {share.error.camera}")):
         width, height = found.error.size
         assert found.error_map.shape == (height, width)
         x, y = found.error.pixel
         assert found.error_map[y, x] == found.error_map.max() == found.error.maximum
-        assert f"at pixel ({x}, {y}) of {width} x {height}; " in found.explain()
+        assert f"at pixel ({x}, {y}){camera} of {width} x {height}; " in found.explain()
     assert plan.cost.total > min(each.cost.total for each in alone)  # or one size told all
 
 

@@ -164,6 +164,7 @@ def test_a_pinned_scene_names_the_images_that_it_was_planned_for(plan, cli):
         (("--size", "23"), "23 x 23 with 4"),
         (("--size", "49"), "49 x 49 with 4"),
         (("--size", "48x24"), "48 x 24 with 4"),
+        (("--size", "24x48"), "24 x 48 with 4"),
         (("--size", "48", "--samples", "2"), "48 x 48 with 2"),
     ):
         status, _, err = cli.run(*render, *options)
