@@ -40,7 +40,7 @@ class Texture:
 
     def __init__(self, decode: Callable[[], Image], name: str) -> None:
         self.name = name
-        self._decode = decode
+        self._decode: Callable[[], Image] | None = decode  # until it has been asked
         self._lock = threading.Lock()
         self._levels_lock = threading.Lock()
         self._rgb: Image | None = None
@@ -99,8 +99,12 @@ class Texture:
         InputError : the image is damaged, or has a side over 16384 texels
         """
         with self._lock:
-            if self._rgb is None:
-                self._rgb = _upright_rgb(self._decode(), self.name)
+            if self._rgb is not None:
+                return self._rgb
+            if self._decode is None:
+                return self._finest()
+            self._rgb = _upright_rgb(self._decode(), self.name)
+            self._decode = None
             return self._rgb
 
     def channel(self, index: int, name: str) -> Texture:
@@ -115,8 +119,25 @@ class Texture:
         """
         with self._levels_lock:
             if kind not in self._levels:
-                self._levels[kind] = _executor().submit(lambda: _CHAINS[kind](self.rgb()))
+                future = _executor().submit(lambda: _CHAINS[kind](self.rgb()))
+                self._levels[kind] = future
+                if kind != "linear-color":
+                    future.add_done_callback(self._drop_image)
             return self._levels[kind]
+
+    def _drop_image(self, chain: Future[Levels]) -> None:
+        """Keep the image once: an 8-bit chain holds it as well."""
+        if chain.exception() is None:
+            with self._lock:
+                self._rgb = None
+
+    def _finest(self) -> Image:
+        """The image, of a chain that holds it."""
+        from PIL import Image
+
+        chains = (self._levels[kind] for kind in ("data", "color") if kind in self._levels)
+        texels = next(chain.result()[0] for chain in chains if chain.done())
+        return Image.fromarray(np.ascontiguousarray(texels[..., :3]))
 
 
 _packed: WeakValueDictionary[tuple[Texture | None, ...], Texture] = WeakValueDictionary()
