@@ -19,12 +19,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 
 import facerender as fr
 from facerender.data import data_dir
+from facerender.image import linear_to_srgb
 
 HERE = Path(__file__).parent
 HEAD = data_dir("assets") / "head.glb"
@@ -78,12 +80,27 @@ def cold(repeats: int, peers: Sequence[str]) -> None:
         report("Cold start, file to PNG, whole process", "s", in_turns(repeats, actions))
 
 
-def steady(frames: int, samples: int) -> None:
+def frames_of(stack: ExitStack, peer: str, samples: int) -> Callable[[int], object]:
+    """What has a process of a peer draw a frame; VTK and a context of ours do not share one."""
+    command = [sys.executable, str(HERE / "peers" / f"{peer}_head.py"), str(HEAD), str(samples)]
+    own = stack.enter_context(
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    )
+    stack.callback(own.kill)
+
+    def frame(turn: int) -> str:
+        print(turn, file=own.stdin, flush=True)
+        return own.stdout.readline()
+
+    return frame
+
+
+def steady(frames: int, samples: int, peers: Sequence[str]) -> None:
     from minimal_moderngl import Script
 
     script = Script(str(HEAD), samples=samples if samples > 1 else 0)
     mesh = fr.load_mesh(HEAD)
-    with fr.Renderer(samples=samples) as renderer:
+    with fr.Renderer(samples=samples) as renderer, ExitStack() as stack:
         scenes = [fr.Scene(mesh, fr.Camera(azimuth=2.0 * turn)) for turn in range(frames)]
 
         def by_script(turn: int) -> np.ndarray:
@@ -93,11 +110,23 @@ def steady(frames: int, samples: int) -> None:
         def by_facerender(turn: int) -> np.ndarray:
             return renderer.render(scenes[turn]).linear
 
-        difference = np.abs(by_script(frames // 2) - by_facerender(frames // 2))[..., :3].mean()
-        times = in_turns(frames, {"minimal script": by_script, "facerender": by_facerender})
+        actions = {"minimal script": by_script, "facerender": by_facerender}
+        if "pyvista" in peers:
+            actions["pyvista"] = frames_of(stack, "pyvista", samples)
+        times = in_turns(frames, actions)
         scaled = {name: [1e3 * value for value in values] for name, values in times.items()}
         report(f"Steady state, {samples} sample(s), moving camera, readback", "ms", scaled)
-        print(f"  the two images differ by {difference:.1e} on average")
+        one, other = by_script(frames // 2), by_facerender(frames // 2)
+        covered = other[..., 3] > 0.0
+        steps = 255.0 * np.abs(
+            linear_to_srgb(one[..., :3].astype(float))
+            - linear_to_srgb(other[..., :3].astype(float))
+        ).max(axis=-1)
+        over = 100.0 * (steps[covered] > 1.0).mean()
+        print(
+            f"  facerender's image differs from the script's by {steps.mean():.3f}/255 on average,"
+        )
+        print(f"  by more than 1/255 at {over:.2f} % of what is covered")
         print(f"  {renderer.metadata['GL_RENDERER']}, {renderer.metadata['GL_VERSION']}")
 
 
@@ -111,7 +140,7 @@ def main() -> None:
     peers = [name for name in available if options.peers and importlib.util.find_spec(name)]
     cold(options.repeats, peers)
     for samples in (1, 4):
-        steady(options.frames, samples)
+        steady(options.frames, samples, peers)
 
 
 if __name__ == "__main__":

@@ -1,14 +1,38 @@
-"""The head with PyVista's physically based shading: ``pyvista_head.py MESH.glb OUT.png``."""
+"""The head with PyVista's physically based shading: ``pyvista_head.py MESH.glb OUT.png``, or, for
+frames of a moving camera, one for each line of the input, ``pyvista_head.py MESH.glb SAMPLES``."""
 
 import sys
 
+import numpy as np
 import pyvista
 
-plotter = pyvista.Plotter(off_screen=True, window_size=(1024, 1024), lighting="none")
-plotter.import_gltf(sys.argv[1])
-for azimuth in (-50, 125, 50):
-    light = pyvista.Light(light_type="scene light")
-    light.set_direction_angle(40, azimuth)
-    plotter.add_light(light)
-plotter.camera_position = "xy"
-plotter.screenshot(sys.argv[2])
+
+class Head:
+    def __init__(self, path, samples=1, size=1024):
+        self.plotter = pyvista.Plotter(off_screen=True, window_size=(size, size), lighting="none")
+        if samples > 1:
+            self.plotter.enable_anti_aliasing("msaa", multi_samples=samples)
+        else:
+            self.plotter.disable_anti_aliasing()
+        self.plotter.import_gltf(path)
+        for azimuth in (-50, 125, 50):
+            light = pyvista.Light(light_type="scene light")
+            light.set_direction_angle(40, azimuth)
+            self.plotter.add_light(light)
+        self.plotter.camera_position = "xy"
+
+    def frame(self, turned) -> np.ndarray:
+        """Turn the camera on, and return the image."""
+        self.plotter.camera.Azimuth(turned)
+        self.plotter.render()
+        return self.plotter.screenshot(return_img=True)
+
+
+if __name__ == "__main__":
+    mesh, last = sys.argv[1:]
+    if last.isdecimal():
+        head = Head(mesh, int(last))
+        for _ in sys.stdin:
+            print(head.frame(2.0).shape, flush=True)
+    else:
+        Head(mesh).plotter.screenshot(last)
