@@ -88,12 +88,14 @@ def details(choice: Choice, drawn: Drawn) -> Iterator[Decision]:
             text += (
                 f"{'saves' if saved >= 0.0 else 'costs'} {100.0 * abs(saved):.1f} % of the frame"
             )
-            yield Decision(name, True, str(own), str(full), added, saved, text)
+            words = (f"{own} {name}", f"{full} {name}")
+            yield Decision(name, True, *words, added, saved, text)
         elif refused:
             detail, error = refused[0]
             other = getattr(detail, name)
             text = f"{own}: {other} would err by {choice.budget.text(error)}"
-            yield Decision(name, False, str(own), str(other), error, 0.0, text)
+            words = (f"{own} {name}", f"{other} {name}")
+            yield Decision(name, False, *words, error, 0.0, text)
 
 
 def _made(
