@@ -1,6 +1,6 @@
-"""The cheapest shading that a scene's error budget allows, and what it is based on. Which shadings
-there are, how they err and how they are searched is told beside this file; what they cost in
-``pricing/table.py``."""
+"""The samples, triangles and shading that a scene's error budget allows, and what that is based on.
+Which shadings there are, how they err and how they are searched is told beside this file; what they
+cost in ``pricing/table.py``, what frames cost in ``frames.py``."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Error:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """The cheapest shading within a budget.
+    """A frame within a budget.
 
     Attributes
     ----------
@@ -257,8 +257,8 @@ def plan(
     exposure: float = 0.0,
     renderer: Renderer | None = None,
 ) -> Plan:
-    """Find the cheapest frame of a scene whose error stays within a budget: shading, samples, and
-    triangles of the mesh.
+    """Find a cheaper frame of a scene whose error stays within a budget: the fewest samples, the
+    fewest triangles with these, and the cheapest shading with both.
 
     Parameters
     ----------
