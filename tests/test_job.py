@@ -36,7 +36,7 @@ JOBS = {
             frontal_lights=(1,),
             specular_lights=(0,),
         ),
-        planned=Planned(((48, 32),), 1),
+        planned=Planned(((48, 32),), 4, triangles=900),
         image=fr.ImageSettings((48, 32), 1, float_albedo=True),
         outputs=(fr.Output("a.png", exposure=1.0), fr.Output("b.exr", "specular")),
     ),

@@ -20,7 +20,7 @@ from facerender import lobes
 from facerender.drawing import reference
 from facerender.drawing.frame import GBuffer
 from facerender.lobes import GPower
-from facerender.planning import search
+from facerender.planning import drawn, search
 from facerender.planning.bound import bound
 from facerender.planning.budget import ROUNDING, Budget
 from facerender.planning.candidates import (
@@ -253,7 +253,7 @@ def test_candidates_are_distinct_and_the_full_one_is_among_them(head, bare):
 def test_lights_go_in_the_order_of_what_they_show(small, subject):
     scene = subject("frontal").scene
     scene = replace(scene, lights=(*scene.lights, replace(LIGHTS["front"], irradiance=9.0)))
-    constants = fr.plan(scene, "1/255", renderer=small).constants
+    constants = fr.plan(scene, "1/255", cost="auto", renderer=small).constants
     gbuffer = small.gbuffer(scene)
     whole, near = (
         reference.layers(gbuffer, scene, each).specular
@@ -268,7 +268,8 @@ def test_lights_go_in_the_order_of_what_they_show(small, subject):
 def test_only_what_is_lit_decides(small, subject):
     scene = subject("constant m").scene
     scene = replace(scene, lights=(*KEY, fr.Light(irradiance=0.0)))
-    assert fr.plan(scene, "0.5/255", renderer=small).shading.specular_lights == (0,)
+    plan = fr.plan(scene, "0.5/255", cost="auto", renderer=small)
+    assert plan.shading.specular_lights == (0,)
 
 
 @pytest.mark.parametrize("budget", ["0", "0/255", "0%", "0 flip", 0, "0.01/255", "1e-9%"])
@@ -284,29 +285,30 @@ def test_a_budget_below_rounding_gives_the_full_shading(budget, small, subject):
 
 
 def test_a_huge_budget_drops_every_highlight(small, head):
-    cost = fr.plan(fr.Scene(head), "1e9%", renderer=small).cost
+    cost = fr.plan(fr.Scene(head), "1e9%", cost="auto", renderer=small).cost
     assert cost.specular == 0.0
     assert cost.total <= cost.full_total - cost.full_specular * (1 - 1e-12)
 
 
 def test_of_the_same_cost_what_changes_least_is_chosen(small, bare):
     matt = fr.Scene(bare.with_material(ks=0.0))
-    assert fr.plan(matt, "1e9%", renderer=small).shading == Shading(ambient=False)
+    plan = fr.plan(matt, "1e9%", cost="auto", renderer=small)
+    assert plan.shading == Shading(ambient=False)
 
 
 def test_what_is_drawn_with_several_samples_counts(egl, subject, monkeypatch):
     """A change that shows between the pixels' centres alone is ruled out by what is drawn."""
-    draw = search.Drawn._draw
+    draw = drawn.draw
 
-    def with_a_flaw(self, place, shading):
-        image = draw(self, place, shading)
+    def with_a_flaw(place, shading, detail):
+        image = draw(place, shading, detail)
         image[10, 10] += 0.5 * (shading.term.fresnel == "constant")
         return image
 
     at = subject("constant m")
     with fr.Renderer((64, 64), samples=4, backend=egl) as renderer:
         sound = fr.plan(at.scene, "2/255", cost="navi21", renderer=renderer)
-        monkeypatch.setattr(search.Drawn, "_draw", with_a_flaw)
+        monkeypatch.setattr(drawn, "draw", with_a_flaw)
         flawed = fr.plan(at.scene, "2/255", cost="navi21", renderer=renderer)
         images = [renderer.render(at.scene, each).linear[..., :3].astype(float)
                   for each in (sound.shading, sound.full)]  # fmt: skip
@@ -321,15 +323,15 @@ def test_what_is_drawn_with_several_samples_counts(egl, subject, monkeypatch):
 @pytest.mark.parametrize("more", [0, 1])
 def test_of_what_is_drawn_the_same_share_counts(more, egl, subject, monkeypatch):
     """As many pixels may be over the budget as are spared of those that the frame covers."""
-    draw = search.Drawn._draw
+    draw = drawn.draw
     at, options = subject("constant m"), {"cost": "navi21", "within": 0.95}
     with fr.Renderer((64, 64), samples=4, backend=egl) as renderer:
         sound = fr.plan(at.scene, "1/255", renderer=renderer, **options)
-        drawn, full = (
+        own, full = (
             renderer.render(at.scene, each).linear.astype(float)
             for each in (sound.shading, sound.full)
         )
-        errors = sound.budget.errors(drawn[..., :3], full[..., :3])
+        errors = sound.budget.errors(own[..., :3], full[..., :3])
         covered = np.count_nonzero(full[..., 3])
         spared = covered - math.ceil(0.95 * covered)
         over = np.count_nonzero(errors > sound.budget.limit)
@@ -338,13 +340,13 @@ def test_of_what_is_drawn_the_same_share_counts(more, egl, subject, monkeypatch)
         assert sound.error.drawn_within <= sound.budget.limit < sound.error.drawn
         flawed = np.argsort(errors, axis=None)[: spared - over + more]
 
-        def with_flaws(self, place, shading):
-            image = draw(self, place, shading)
+        def with_flaws(place, shading, detail):
+            image = draw(place, shading, detail)
             if shading == sound.shading:
                 image.reshape(-1, 4)[flawed] += 0.5
             return image
 
-        monkeypatch.setattr(search.Drawn, "_draw", with_flaws)
+        monkeypatch.setattr(drawn, "draw", with_flaws)
         found = fr.plan(at.scene, "1/255", renderer=renderer, **options)
     assert (found.shading == sound.shading) == (more == 0)
 
@@ -366,7 +368,8 @@ def test_errors_are_those_of_the_reference_and_rendered_within_the_budget(
     budget, material, lights, exposure, small, head
 ):
     scene = fr.Scene(head.with_material(**material), lights=lights)
-    plan = fr.plan(scene, budget, cameras=CAMERAS, exposure=exposure, renderer=small)
+    options = {"cameras": CAMERAS, "exposure": exposure, "cost": "auto"}
+    plan = fr.plan(scene, budget, renderer=small, **options)
     assert 0.0 < plan.error.maximum <= plan.budget.limit
     maps, covered = [], []
     for camera in CAMERAS:
@@ -558,7 +561,11 @@ def test_the_bound_sees_the_lobes_of_small_slopes(bare):
         ({"lights": ()}, {"guarantee": True}, "the scene has no lights"),
         ({}, {"full": Shading(lobe="d8")}, "a plan chooses the lobe: leave d8 out"),
         ({}, {"full": Shading(lobe=GPower(4, 0.3))}, r"leave g-power 4 \(0.3/m\^2\) out"),
-        ({}, {"cost": "voodoo"}, "unknown cost 'voodoo'; known: auto, navi21, .* radv:vega10"),
+        (
+            {},
+            {"cost": "voodoo"},
+            "unknown cost 'voodoo'; known: frame, auto, .* radv:vega10",
+        ),
         ({}, {"budget": "-1/255"}, "budget -1/255 is negative"),
         ({}, {"budget": "1 dB"}, "budget '1 dB' has no unit that is known"),
         ({}, {"exposure": math.nan}, "exposure = nan is outside"),
@@ -587,7 +594,7 @@ def test_a_camera_that_sees_nothing_beside_one_that_sees(small, subject):
     away = fr.Camera(position=(0.0, 0.0, 5.0), target=(0.0, 0.0, 9.0))
     scene = subject("constant m").scene
     both, one = (
-        fr.plan(scene, "1/255", cameras=each, renderer=small)
+        fr.plan(scene, "1/255", cameras=each, cost="auto", renderer=small)
         for each in ((away, fr.Camera()), (fr.Camera(),))
     )
     assert both.shading == one.shading
@@ -611,7 +618,7 @@ def plans(small, head, bare, subject):
         (fr.Scene(bare, lights=KEY), "0"),
         (fr.Scene(mesh.with_material(ks=0.1), lights=KEY, ambient=0.0), "30%"),
     )
-    found = [fr.plan(scene, budget, renderer=small) for scene, budget in scenes]
+    found = [fr.plan(scene, budget, cost="auto", renderer=small) for scene, budget in scenes]
     found.append(fr.plan(fr.Scene(mesh, lights=KEY), "1/255", guarantee=True))
     assert len({plan.shading for plan in found}) > 6
     assert any(isinstance(plan.shading.term.lobe, GPower) for plan in found)
@@ -711,7 +718,7 @@ def test_cameras_of_numpy_numbers_are_written_too(small, bare, tmp_path):
     camera = fr.Camera(np.arange(0, 90, 30)[1], zoom=np.float32(1.25))
     light = fr.Light(np.float64(20.0), np.int64(10))
     scene = fr.Scene(bare.with_material(m=np.float64(0.3)), camera, (light,))
-    plan = fr.plan(scene, "1/255", renderer=small)
+    plan = fr.plan(scene, "1/255", cost="auto", renderer=small)
     json.dumps(plan.as_dict())
     (tmp_path / "scene.toml").write_text(plan.scene_toml())
     found = load_scene(tmp_path / "scene.toml")

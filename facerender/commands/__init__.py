@@ -18,7 +18,7 @@ from facerender.errors import FacerenderError, FacerenderWarning, InputError
 
 _COMMANDS = {
     "render": "render a mesh file, or the built-in head",
-    "plan": "the cheapest shading within a budget, with its proof",
+    "plan": "a cheaper frame within a budget, with its proof",
     "measure": "what each approximation costs and loses, here",
     "reproduce": "the paper's figures and claims, measured here",
     "compare": "whether two renders are the same",

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.renderer import MAX_SAMPLES, Renderer
+from facerender.errors import InputError
 from facerender.image import linear_to_srgb
 from facerender.pricing.frame import seconds
 from facerender.pricing.interval import Interval, bootstrap
@@ -65,6 +66,8 @@ def antialiasing(
     """
     reference = renderer.render(scene, shading, samples=MAX_SAMPLES).linear
     parts = reference[..., 3]
+    if not parts.any():
+        raise InputError(f"the camera sees nothing of {scene.mesh.name}")
     silhouette, inside = (parts > 0.0) & (parts < 1.0), parts == 1.0
     shown = linear_to_srgb(reference[..., :3].astype(np.float64))
 

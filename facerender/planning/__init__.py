@@ -1,2 +1,2 @@
-"""The cheapest shading of a scene within an error budget: what may be chosen, how it errs, the
-search."""
+"""A cheaper frame of a scene within an error budget: what may be chosen, how it errs, the search,
+what it takes."""

@@ -29,7 +29,8 @@ def measured_frames(choice: Choice, drawn: Drawn) -> Frames:
     asked |= {(detail, cheap) for detail in (drawn.finest, drawn.detail)}
     frames = sorted(asked, key=lambda frame: frame[1] is not full)
     draws = [_frame(drawn, *frame) for frame in frames]
-    times = dict(zip(frames, 1e3 * np.median(seconds(draws, _REPEATS), axis=0), strict=True))
+    medians = 1e3 * np.median(seconds(draws, _REPEATS), axis=0)
+    times: dict[tuple[Detail, Shading], float] = dict(zip(frames, medians.tolist(), strict=True))
     prices = choice.total(full), choice.total(cheap)
 
     def line(detail: Detail) -> Line:
@@ -38,7 +39,7 @@ def measured_frames(choice: Choice, drawn: Drawn) -> Frames:
 
     driver = drawn.places[0].renderer.context.renderer
     source = f"by {len(frames)} frames measured on {driver}"
-    taken = {name: float(times[detail, full]) for name, detail in steps.items()}
+    taken = {name: times[detail, full] for name, detail in steps.items()}
     return Frames(line(drawn.finest), line(drawn.detail), taken, source)
 
 

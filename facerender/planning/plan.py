@@ -1,6 +1,6 @@
-"""The cheapest shading that a scene's error budget allows, and what it is based on. Which shadings
-there are, how they err and how they are searched is told beside this file; what they cost in
-``pricing/table.py``."""
+"""The samples, triangles and shading that a scene's error budget allows, and what that is based on.
+Which shadings there are, how they err and how they are searched is told beside this file; what they
+cost in ``pricing/table.py``, what frames cost in ``frames.py``."""
 
 from __future__ import annotations
 
@@ -28,13 +28,12 @@ from facerender.planning.drawn import Drawn, Place
 from facerender.planning.frames import measured_frames, verified
 from facerender.planning.search import Choice, Cost, Region, Witnesses, constants_seen
 from facerender.pricing.interval import Interval
+from facerender.pricing.table import FRAME
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import scene_toml
 from facerender.scenes.planned import Detail, Planned
 from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
-
-FRAME = "frame"  # costs of whole frames, measured here
 
 # Of an error map: where on the way to the budget, and which colour there; and beyond it.
 _STOPS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -54,8 +53,9 @@ class Error:
     percentile : exceeded by one covered pixel in 1000, or None with a guarantee
     camera, size, pixel : where the largest is: index of the camera, width and height of the image,
         x and y; None with a guarantee
-    drawn, drawn_within : maximum and within of the images as the renderer draws them, with several
-        samples a pixel; None where it has one, or with a guarantee
+    drawn, drawn_within : maximum and within of the images as the renderer draws them, with the
+        samples and triangles of the plan; None where only fragments are priced and a pixel has one
+        sample, or with a guarantee
     """
 
     maximum: float
@@ -70,7 +70,7 @@ class Error:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """The cheapest shading within a budget.
+    """A frame within a budget.
 
     Attributes
     ----------
@@ -88,7 +88,8 @@ class Plan:
     constants : what could stand for maps, and the order in which lights could go
     candidates, tried : how many shadings cost less than the full one, and how many were evaluated
         at every pixel
-    error_map : (H, W), of the image with the largest error; None with a guarantee
+    error_map : (H, W), of the image with the largest error, as drawn where samples or triangles
+        were taken away; None with a guarantee
     """
 
     scene: Scene
@@ -256,8 +257,8 @@ def plan(
     exposure: float = 0.0,
     renderer: Renderer | None = None,
 ) -> Plan:
-    """Find the cheapest frame of a scene whose error stays within a budget: shading, samples, and
-    triangles of the mesh.
+    """Find a cheaper frame of a scene whose error stays within a budget: the fewest samples, the
+    fewest triangles with these, and the cheapest shading with both.
 
     Parameters
     ----------
@@ -302,7 +303,7 @@ def plan(
             raise InputError(f"a guarantee holds at every pixel: leave within {within} out")
         if verify_cost:
             raise InputError("a guarantee is of no frame: leave verify_cost out")
-        return _guaranteed(scene, full, allowed, "auto" if cost == FRAME else cost)
+        return _guaranteed(scene, full, allowed, cost)
     at = (scene.camera,) if cameras is None else tuple(cameras)
     with ExitStack() as stack:
         drawing = renderer or stack.enter_context(Renderer())
@@ -314,9 +315,8 @@ def plan(
         views = [Region.seen(place, full, allowed) for place in places]
         if not any(view.counted.any() for view in views):
             raise InputError(f"the cameras see nothing of {scene.mesh.name}")
-        software = drawing.context.software
-        constants, prices = constants_seen(scene, full, views), "auto" if cost == FRAME else cost
-        choice = Choice(scene, full, allowed, constants, prices, software)
+        constants = constants_seen(scene, full, views)
+        choice = Choice(scene, full, allowed, constants, cost, drawing.context.software)
         return _measured(choice, at, places, views, cost == FRAME, verify_cost)
 
 

@@ -30,6 +30,7 @@ from facerender.terms.fitting import G_POWERS
 
 TABLE = Path(__file__).with_name("prices.json")
 FAMILY_NAMES = {"navi21": "RDNA2 (navi21)", "vega10": "GCN5 (vega10)"}
+FRAME = "frame"  # of whole ones, as ``planning/frames.py`` prices them
 HERE = "here"
 COMPILED = {f"radv:{family}": family for family in FAMILY_NAMES}
 
@@ -124,9 +125,9 @@ def load_prices(
 
     Parameters
     ----------
-    kind : of the table "llvmpipe", "navi21" (RDNA2) or "vega10" (GCN5); "auto", the table's for
-        llvmpipe where the CPU draws, and for RDNA2 elsewhere; "here" to measure on this machine,
-        "radv:navi21" or "radv:vega10" to compile, both for up to a minute
+    kind : of the table "llvmpipe", "navi21" (RDNA2) or "vega10" (GCN5); "auto" and "frame", the
+        table's for llvmpipe where the CPU draws, and for RDNA2 elsewhere; "here" to measure on this
+        machine, "radv:navi21" or "radv:vega10" to compile, both for up to a minute
     software : whether the CPU draws
 
     Raises
@@ -136,7 +137,7 @@ def load_prices(
     ContextError : no OpenGL context to measure in
     """
     table = json.loads(TABLE.read_text(encoding="utf-8"))
-    if kind == "auto":
+    if kind in (FRAME, "auto"):
         kind = "llvmpipe" if software else "navi21"
     if kind in table:
         return Prices(**table[kind])
@@ -146,7 +147,8 @@ def load_prices(
             for term in Lighting.of(scene, shading).terms:
                 wanted |= _variants(term)
         return measured(wanted) if kind == HERE else compiled(COMPILED[kind], wanted)
-    raise InputError(f"unknown cost {kind!r}; known: auto, {', '.join([*table, HERE, *COMPILED])}")
+    known = ", ".join([FRAME, "auto", *table, HERE, *COMPILED])
+    raise InputError(f"unknown cost {kind!r}; known: {known}")
 
 
 def term_name(term: Term, smallest_m: float) -> str:

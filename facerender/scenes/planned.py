@@ -67,7 +67,7 @@ class Planned:
             )
         for name in ("drawn_samples", "triangles"):
             value = getattr(self, name)
-            if value is not None and (not isinstance(value, int) or value < 1):
+            if value is not None and (type(value) is not int or value < 1):
                 raise InputError(f"planned {name} = {value!r}: give a whole number of at least 1")
         object.__setattr__(self, "sizes", sizes)
 

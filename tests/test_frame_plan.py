@@ -1,0 +1,392 @@
+"""Plans of whole frames: samples and triangles go as far as the budget lets them, what is drawn is
+within it, and what is said of times adds up. The images are the judges; no time is."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import sys
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import facerender as fr
+from facerender.drawing.prepare import simplify
+from facerender.image import linear_to_srgb
+from facerender.measure.antialiasing import antialiasing
+from facerender.planning import cache as plan_cache
+from facerender.planning import frames
+from facerender.planning.budget import Budget
+from facerender.planning.candidates import Constants
+from facerender.planning.decisions import details
+from facerender.planning.drawn import Drawn, Place
+from facerender.planning.search import Choice
+from facerender.pricing.frame import Line, ratio
+from facerender.scenes import levels
+from facerender.scenes.file import load_scene
+from facerender.scenes.light import LIGHTS
+from facerender.scenes.planned import Detail, Planned
+from tests.awkward_files import MINI_HEAD
+from tests.test_cli import Capture, Cli
+
+SIZES = [(48, 48), (64, 40)]
+CAMERAS = (fr.Camera(20.0), fr.Camera(-40.0, 10.0))
+FACE = (MINI_HEAD, "--size", "48", "--light", "key", "--m", "0.3")
+WIDE = "200/255"
+
+
+@pytest.fixture(scope="module")
+def drawing(egl):
+    """Four samples, 48 x 48."""
+    with fr.Renderer((48, 48), samples=4, backend=egl) as renderer:
+        yield renderer
+
+
+@pytest.fixture(scope="module")
+def scene():
+    mesh = fr.load_mesh(MINI_HEAD).with_material(m=0.3)
+    return fr.Scene(mesh, lights=(LIGHTS["key"],))
+
+
+@pytest.fixture(scope="module")
+def wide(drawing, scene):
+    return fr.plan(scene, WIDE, renderer=drawing)
+
+
+@pytest.fixture
+def cli(tmp_path, capsys: Capture, egl):
+    folder = tmp_path / "out"
+    folder.mkdir()
+    return Cli(folder, capsys)
+
+
+def frame(renderer, scene, detail, shading=fr.Shading()):
+    """The linear image, drawn by what a caller has: fewer triangles and samples."""
+    if detail.triangles is not None:
+        scene = replace(scene, mesh=fr.simplified(scene.mesh, detail.triangles))
+    return renderer.render(scene, shading, samples=detail.samples).linear
+
+
+def error(renderer, scene, detail, shading=fr.Shading(), within=1.0):
+    """How far the displayed image is from the full one, at a share of the pixels that this covers;
+    and how far at the worst of all."""
+    images = frame(renderer, scene, Detail(4, None)), frame(renderer, scene, detail, shading)
+    full, own = (linear_to_srgb(each[..., :3].astype(np.float64)) for each in images)
+    errors = np.sort(np.abs(own - full).max(axis=-1), axis=None)
+    covered = np.count_nonzero(images[0][..., 3])
+    return errors[-1 - (covered - math.ceil(within * covered))], errors[-1]
+
+
+def lines_of(plan):
+    return dict(re.split(" {2,}", line, maxsplit=1) for line in plan.explain().splitlines())
+
+
+# --- what is chosen ------------------------------------------------------------------------------
+
+
+def test_a_budget_of_0_draws_the_full_frame(drawing, scene, cli):
+    plan = fr.plan(scene, "0", renderer=drawing)
+    assert (plan.detail, plan.shading, plan.cost.relative) == (Detail(4, None), plan.full, 1.0)
+    assert not any(each.changed for each in plan.decisions)
+    np.testing.assert_array_equal(
+        frame(drawing, scene, plan.detail, plan.shading), drawing.render(scene).linear
+    )
+    pinned = cli.folder / "full.toml"
+    pinned.write_text(plan.scene_toml())
+    assert "planned" not in load_scene(pinned)  # it holds anywhere
+    np.testing.assert_array_equal(
+        cli.render("--scene", pinned, "--m", "0.3"), drawing.render(scene).srgb8()
+    )
+
+
+@pytest.mark.parametrize(("budget", "within"), [(WIDE, 1.0), ("60/255", 0.8), ("20/255", 0.6)])
+def test_what_is_drawn_is_within_a_wide_budget(budget, within, drawing, egl, scene):
+    options = {"cameras": CAMERAS, "sizes": SIZES, "within": within, "renderer": drawing}
+    plan = fr.plan(scene, budget, **options)
+    assert plan.detail.samples == 1
+    assert plan.detail.triangles < 6722
+    errors = []
+    for size, camera in product(SIZES, CAMERAS):
+        with fr.Renderer(size, samples=4, backend=egl) as renderer:
+            seen = replace(scene, camera=camera)
+            errors.append(error(renderer, seen, plan.detail, plan.shading, within))
+    at_share, worst = np.max(errors, axis=0)
+    assert 0.0 < at_share <= plan.budget.limit
+    assert (at_share < worst) == (within < 1.0)
+    assert plan.error.drawn_within == pytest.approx(at_share, rel=1e-6)
+    assert plan.error.drawn == pytest.approx(worst, rel=1e-6)
+    assert plan.error_map.max() == pytest.approx(worst, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("budget", "within"), [("4/255", 1.0), ("60/255", 1.0), (WIDE, 1.0), ("10/255", 0.9)]
+)
+def test_what_is_coarser_is_over_the_budget(budget, within, drawing, scene):
+    """One sample; half of the triangles; down to 500 of them."""
+    plan = fr.plan(scene, budget, within=within, renderer=drawing)
+    kept = {each.name: each for each in plan.decisions if not each.changed}
+    refused = []
+    if plan.detail.samples > 1:
+        refused.append(("samples", replace(plan.detail, samples=1, triangles=None)))
+    half = (plan.detail.triangles or 6722) // 2
+    if half >= 500:
+        refused.append(("triangles", replace(plan.detail, triangles=half)))
+    assert refused or budget == WIDE
+    for name, detail in refused:
+        at_share, _ = error(drawing, scene, detail, within=within)
+        assert at_share > plan.budget.limit, detail
+        if name in kept:
+            assert kept[name].error == pytest.approx(at_share, rel=1e-6)
+            assert kept[name].other == str(getattr(detail, name))
+    at_share, _ = error(drawing, scene, plan.detail, within=within)
+    assert at_share <= plan.budget.limit
+
+
+def test_of_several_samples_the_fewest_that_fit(egl, scene):
+    """Of 8, which are images shifted by parts of a pixel, 1 or 4 are left."""
+    with fr.Renderer((48, 48), samples=8, backend=egl) as renderer:
+        for budget, samples in (("1/255", 8), ("100/255", 4), ("254/255", 1)):
+            assert fr.plan(scene, budget, renderer=renderer).detail.samples == samples
+
+
+def test_one_sample_is_never_made_more(egl, scene):
+    with fr.Renderer((48, 48), samples=1, backend=egl) as renderer:
+        plan = fr.plan(scene, WIDE, renderer=renderer)
+    assert plan.detail.samples == 1
+    assert plan.detail.triangles < 6722
+    assert "samples" not in lines_of(plan)
+    assert plan.error.drawn <= plan.budget.limit
+
+
+def test_without_wasmtime_triangles_stay(drawing, monkeypatch, tmp_path):
+    mesh = fr.load_mesh(MINI_HEAD).with_material(m=0.3)  # of which no level was made yet
+    scene = fr.Scene(mesh, lights=(LIGHTS["key"],))
+    monkeypatch.setitem(sys.modules, "wasmtime", None)
+    levels._compiled.cache_clear()
+    try:
+        plan = fr.plan(scene, WIDE, renderer=drawing)
+    finally:
+        levels._compiled.cache_clear()
+    assert plan.detail == Detail(1, None)
+    assert "triangles" not in lines_of(plan)
+    (tmp_path / "scene.toml").write_text(plan.scene_toml())
+    planned = load_scene(tmp_path / "scene.toml")["planned"]
+    assert planned == Planned(((48, 48),), 4, drawn_samples=1)
+    assert planned.holds((48, 48), 1)  # the pixel's centre, as planned
+
+
+@pytest.mark.parametrize("cost", ["auto", "navi21"])
+def test_prices_of_fragments_leave_samples_and_triangles(cost, drawing, scene):
+    plan = fr.plan(scene, WIDE, cost=cost, renderer=drawing)
+    assert plan.detail is None
+    assert not {"samples", "triangles"} & set(lines_of(plan))
+    assert "a fragment" in lines_of(plan)["cost"]
+    assert "drawn_samples" not in plan.scene_toml()
+
+
+# --- what is written -----------------------------------------------------------------------------
+
+
+def test_a_scene_file_draws_the_planned_frame(cli, drawing, scene, wide):
+    pinned = cli.folder / "pinned.toml"
+    status, out, err = cli.run("plan", *FACE, "--budget", WIDE, "--scene", pinned)
+    assert (status, err) == (0, "")
+    assert re.search(r"^samples +1 instead of 4: alone adds .* of the frame$", out, re.MULTILINE)
+    assert re.search(r"^cost +.* ms a frame, \d\.\d\d; by 5 frames measured on", out, re.MULTILINE)
+    found = load_scene(pinned)
+    assert found["planned"] == Planned(((48, 48),), 4, 1, wide.detail.triangles)
+    assert found["shading"] == wide.shading.as_dict()
+    image = cli.render("--scene", pinned)
+    drawn = drawing.render(wide.detail.of(scene), wide.shading, samples=1).srgb8()
+    np.testing.assert_array_equal(image, drawn)
+    for detail in (replace(wide.detail, samples=4), replace(wide.detail, triangles=None)):
+        other = drawing.render(detail.of(scene), wide.shading, samples=detail.samples).srgb8()
+        assert (other != drawn).any()
+    for samples in (1, 2, 8):
+        options = ("--scene", pinned, "--size", "48", "--samples", samples)
+        status, _, err = cli.run("render", MINI_HEAD, "-o", cli.png, *options)
+        assert status == 0
+        assert re.search(rf"48 x 48 pixels with 4 samples: at 48 x 48 with {samples} its", err)
+        drawn = drawing.render(scene, wide.shading, samples=samples).srgb8()
+        with Image.open(cli.png) as image:
+            np.testing.assert_array_equal(np.asarray(image), drawn)
+
+
+def test_render_within_a_budget_draws_a_kept_frame_again(cli, wide, drawing, scene, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cli.folder.parent / "cache"))
+    monkeypatch.delenv("FACERENDER_CACHE_MIB")
+    arguments = ("render", *FACE, "-o", cli.png, "--budget", WIDE, "--json")
+    images, said = [], []
+    for _ in range(2):
+        status, out, err = cli.run(*arguments)
+        assert (status, err) == (0, "")
+        facts = json.loads(out)
+        said.append(facts["plan"])
+        assert facts["samples"] == "1"
+        with Image.open(cli.png) as image:
+            images.append(np.asarray(image))
+        monkeypatch.setattr(plan_cache, "plan", None)  # the second one is read
+    assert said[0] == said[1]
+    assert Detail(**said[0]["detail"]) == wide.detail
+    drawn = drawing.render(wide.detail.of(scene), wide.shading, samples=1).srgb8()
+    for image in images:
+        np.testing.assert_array_equal(image, drawn)
+
+
+def test_figures_for_json(wide):
+    found = json.loads(json.dumps(wide.as_dict(), allow_nan=False))
+    assert Detail(**found["detail"]) == wide.detail
+    assert found["measured"] is None
+    assert found["cost"]["unit"] == "ms a frame"
+
+
+# --- what it costs -------------------------------------------------------------------------------
+
+
+def test_a_line_of_costs():
+    line = Line.through((10.0, 5.0), (5.0, 4.0))
+    assert (line.fixed, line.slope) == pytest.approx((3.0, 0.2))
+    assert line.cost(10.0, 2.0) == pytest.approx((5.0, 0.4))
+    assert line.cost(5.0, 0.0) == pytest.approx((4.0, 0.0))
+    flat = Line(5.0, 0.0)
+    assert Line.through((10.0, 5.0), (5.0, 6.0)) == flat  # the cheaper one was slower
+    assert Line.through((10.0, 5.0), (10.0, 4.0)) == flat  # of equal prices
+
+
+@pytest.fixture
+def coarse(drawing, scene):
+    """What may be chosen, and drawn with fewer samples and triangles."""
+    full, budget = fr.Shading(), Budget.parse(WIDE)
+    slim = simplify(scene, full)
+    choice = Choice(slim, full, budget, Constants(0.3, 1.0, (0,), (0,)), "frame", software=True)
+    drawn = Drawn([Place(scene, drawing)], full, budget)
+    drawn.coarsen()
+    return choice, drawn
+
+
+def test_what_details_save_and_what_is_left_add_up(coarse):
+    choice, drawn = coarse
+    choice.frames = frames.measured_frames(choice, drawn)
+    told = list(details(choice, drawn))
+    assert [each.name for each in told] == ["samples", "triangles"]
+    cost = choice.cost(choice.full)
+    assert cost.full_total == pytest.approx(choice.frames.taken["full"])
+    assert cost.total == pytest.approx(choice.frames.taken["triangles"])
+    saved = sum(each.saving for each in told) * cost.full_total
+    assert cost.total + saved == pytest.approx(cost.full_total)
+
+
+def test_frames_lie_on_lines_through_what_was_measured(coarse, monkeypatch):
+    """Times that are made up, in the order in which frames are measured: full shadings first."""
+    choice, drawn = coarse
+    cheap, medians = choice.ordered[0], {}
+
+    def seconds(draws, repeats):
+        assert (len(draws), repeats) == (5, 5)
+        turns = np.outer([1.0, 1.0, 1.0, 9.0, 0.5], [each() for each in draws])
+        return 1e-3 * turns
+
+    def take(drawn, detail, shading):
+        return lambda: medians[detail, shading is choice.full]
+
+    fewer = replace(drawn.finest, samples=1)
+    medians |= {(drawn.finest, True): 20.0, (fewer, True): 12.0, (drawn.detail, True): 5.0}
+    medians |= {(drawn.finest, False): 18.0, (drawn.detail, False): 4.0}
+    monkeypatch.setattr(frames, "seconds", seconds)
+    monkeypatch.setattr(frames, "_frame", take)
+    choice.frames = frames.measured_frames(choice, drawn)
+    assert choice.frames.taken == pytest.approx({"full": 20.0, "samples": 12.0, "triangles": 5.0})
+    assert choice.cost(choice.full).relative == pytest.approx(5.0 / 20.0)
+    assert choice.cost(cheap).relative == pytest.approx(4.0 / 20.0)
+    assert choice.saved(cheap, choice.full) == pytest.approx(1.0 / 20.0)
+    told = {each.name: each for each in details(choice, drawn)}
+    assert told["samples"].text.endswith(", saves 40.0 % of the frame")
+    assert told["triangles"].text.endswith(", saves 35.0 % of the frame")
+    medians[fewer, True] = 21.0
+    choice.frames = frames.measured_frames(choice, drawn)
+    told = {each.name: each for each in details(choice, drawn)}
+    assert told["samples"].text.endswith(", costs 5.0 % of the frame")
+
+
+@pytest.mark.parametrize("budget", ["4/255", "60/255", WIDE])
+def test_samples_and_triangles_have_a_line(budget, drawing, scene):
+    plan = fr.plan(scene, budget, renderer=drawing)
+    lines, text = lines_of(plan), plan.budget.text
+    for name, full in (("samples", 4), ("triangles", 6722)):
+        (told,) = (each for each in plan.decisions if each.name == name)
+        assert lines[name] == told.text
+        own = getattr(plan.detail, name) or full
+        alone = replace(Detail(4, None), **{name: int(told.chosen if told.changed else told.other)})
+        added, _ = error(drawing, scene, alone)
+        assert told.error == pytest.approx(added, rel=1e-6)
+        assert told.changed == (own != full)
+        if told.changed:
+            verb = "saves" if told.saving >= 0.0 else "costs"
+            share = f"{verb} {100.0 * abs(told.saving):.1f} % of the frame"
+            assert told.text == f"{own} instead of {full}: alone adds {text(added)}, {share}"
+        else:
+            assert told.text == f"{full}: {told.other} would err by {text(added)}"
+    *_, last, cost = lines
+    assert (last, cost) == ("error", "cost")
+    assert text(plan.error.drawn) + " as drawn" in lines["error"]
+    numbers = re.match(r"([\d.]+) of ([\d.]+) ms a frame, (\d\.\d\d); by ", lines["cost"]).groups()
+    own, full, share = map(float, numbers)
+    assert share == pytest.approx(own / full, abs=0.01)
+
+
+def test_a_frame_is_measured_beside_the_full_one(drawing, scene, cli):
+    plan = fr.plan(scene, WIDE, verify_cost=True, renderer=drawing)
+    assert 0.0 < plan.measured.low <= plan.measured.value <= plan.measured.high
+    ends = f"{plan.measured.low:.2f} to {plan.measured.high:.2f}"
+    told = f"{plan.measured.value:.2f} of the full frame ({ends}), in turns"
+    assert lines_of(plan)["measured"] == told
+    assert plan.as_dict()["measured"]["value"] == plan.measured.value
+    status, out, _ = cli.run("plan", *FACE, "--budget", WIDE, "--verify-cost", "--cost", "navi21")
+    assert status == 0
+    last = out.splitlines()[-1]
+    assert re.fullmatch(r"measured +\d+\.\d\d of the full frame \(.* to .*\), in turns", last)
+    with pytest.raises(fr.InputError, match="a guarantee is of no frame: leave verify_cost out"):
+        fr.plan(scene, WIDE, guarantee=True, verify_cost=True)
+    cli.fail("leave verify_cost out", "plan", *FACE, *("--budget", WIDE, "--guarantee"),
+             "--verify-cost")  # fmt: skip
+
+
+def test_a_ratio_is_of_the_frames_of_one_turn(monkeypatch):
+    """A machine that slows down in the middle does not count."""
+    times = np.array([[1.0, 2.0], [1.0, 2.0], [10.0, 20.0], [10.0, 20.0]])
+    monkeypatch.setattr("facerender.pricing.frame.seconds", lambda draws, repeats: times)
+    found = ratio(None, None, 4)
+    assert (found.low, found.value, found.high) == (0.5, 0.5, 0.5)
+
+
+# --- what samples lose ---------------------------------------------------------------------------
+
+
+def test_more_samples_err_less_at_the_silhouette(drawing, scene):
+    one, four, sixteen, all_ = antialiasing(drawing, scene, (1, 4, 16, 64), repeats=2)
+    assert one.silhouette.mean > 2.0 * four.silhouette.mean
+    assert four.silhouette.mean > 1.3 * sixteen.silhouette.mean > 0.0
+    assert one.silhouette.mean > 4.0 * one.inside.mean > 0.0
+    assert one.silhouette.over > 0.5
+    assert (all_.silhouette.mean, all_.silhouette.over, all_.inside.percentile) == (0.0, 0.0, 0.0)
+    assert [each.samples for each in (one, four, sixteen, all_)] == [1, 4, 16, 64]
+    assert all(each.time.low <= each.time.value <= each.time.high for each in (one, four))
+    images = [drawing.render(scene, samples=count).linear.astype(float) for count in (4, 64)]
+    shown = [linear_to_srgb(each[..., :3]) for each in images]
+    part = (images[1][..., 3] > 0.0) & (images[1][..., 3] < 1.0)
+    errors = np.abs(shown[0] - shown[1]).max(axis=-1)[part]
+    assert four.silhouette.mean == pytest.approx(errors.mean())
+    assert four.silhouette.percentile == pytest.approx(np.quantile(errors, 0.99))
+    assert four.silhouette.over == pytest.approx((errors > 1 / 255).mean())
+
+
+def test_samples_of_nothing_are_refused(drawing, scene):
+    away = replace(scene, camera=fr.Camera(position=(0, 0, 5), target=(0, 0, 9)))
+    with pytest.raises(fr.InputError, match=r"the camera sees nothing of mini_head\.glb"):
+        antialiasing(drawing, away)
+    with pytest.raises(fr.InputError, match="samples = 65: give 1 to 64"):
+        antialiasing(drawing, scene, (65,))
