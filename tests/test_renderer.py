@@ -569,6 +569,7 @@ class Host:
         ("glPolygonMode", 0x0408, 0x1B01),  # lines
         ("glClipControl", 0x8CA2, 0x935F),  # upper left, 0 to 1
         ("glBlendFuncSeparate", 1, 0, 0, 1),
+        ("glBlendEquationSeparate", 0x8007, 0x800B),  # minimum, reverse subtract
         *(("glPixelStorei", name, 200) for name in (0x0D02, 0x0CF2)),  # row lengths
         ("glPixelStorei", 0x0CF5, 8),
         ("glActiveTexture", 0x84C1),
@@ -583,8 +584,9 @@ class Host:
 
     def set_everything(self) -> None:
         self.target.use()
-        for unit in range(4):
+        for unit in range(5):
             self.gl.texture((1, 1), 4, bytes(4)).use(unit)
+            self.gl.texture((1, 1), 4, samples=4).use(unit)
             self.gl.sampler(filter=(moderngl.NEAREST, moderngl.NEAREST)).use(unit)
         for name, *values in self.SETTINGS:
             self.context.function(name, *[ctypes.c_int] * len(values))(*values)
@@ -601,9 +603,9 @@ class Host:
             values = (ctypes.c_double * count)()
             get(name, values)
             state["", 0, name] = tuple(values)
-        for unit in range(4):
+        for unit in range(5):
             activate(0x84C0 + unit)
-            for name in (0x8069, 0x8919):  # texture, sampler
+            for name in (0x8069, 0x9104, 0x8919):  # texture, multisample texture, sampler
                 values = (ctypes.c_double * 1)()
                 get(name, values)
                 state["unit", unit, name] = tuple(values)

@@ -129,23 +129,46 @@ def test_facets_give_what_vertices_have(head):
         np.testing.assert_allclose(values[:, 4:], part.uv[corner], atol=2e-5)
 
 
-EYE = 3.0 * np.array([0.6, 0.5, 0.6])
+def test_triangles_without_width(both):
+    """Such as fill T-junctions: what rounding of positions leaves of them tells no direction."""
+    generator = np.random.default_rng(1)
+    ends = generator.normal(size=(2, 500, 3))
+    positions = np.concatenate([*ends, ends.mean(axis=0)])
+    normals = positions / np.linalg.norm(positions, axis=1)[:, None]
+    faces = np.stack(np.arange(1500, dtype=np.uint32).reshape(3, 500), axis=1)
+    part = Part(positions, normals, faces, colors=0.5 + 0.25 * np.sign(positions))
+    mesh = mesh_of(part).with_material(albedo=(1.0, 1.0, 1.0))
+    deferred, drawn = both(fr.Scene(mesh, fr.Camera(30.0)), (512, 512), only="albedo")
+    np.testing.assert_array_equal(deferred[..., 3], drawn[..., 3])
+    seen = deferred[deferred[..., 3] > 0.0][:, :3]
+    assert len(seen) > 5
+    assert seen.min() > 0.0
+    assert seen.max() < 1.0
 
 
-@pytest.mark.parametrize(
-    ("sides", "hidden"),
-    [
-        (SIDES, True),
-        (SIDES[1:], True),  # the hole is on the far side
-        (SIDES[:1] + SIDES[2:], False),  # it faces the eye
-        (tuple(side[::-1] for side in SIDES), False),  # inside out
-        ((SIDES[0][::-1], *SIDES[1:]), False),  # one side is
-        ((*SIDES, SIDES[0]), False),  # one side twice
-    ],
-)
-def test_backs_that_cannot_be_seen(sides, hidden):
-    part = cube(sides)
-    assert Facets.of(part, mesh_of(part)).hides_back(EYE) == hidden
+def test_backs_that_peek_over_a_rim(both):
+    """A head whose neck ends in a collar that is turned up: from the front it shows its back."""
+    y = np.linspace(1.0, -0.9, 9)
+    profile = [*zip(np.sqrt(1.0 - y**2), y, strict=True), (0.5, -1.2), (1.3, -1.0), (1.4, 0.1)]
+    around = 2.0 * np.pi * np.arange(24) / 24
+    ring = np.stack([np.sin(around), np.ones(24), np.cos(around)], axis=-1)
+    positions = np.concatenate([ring * (r, y, r) for r, y in profile])
+    quads = np.arange(24 * (len(profile) - 1)).reshape(-1, 24)
+    one, two = quads.ravel(), np.roll(quads, -1, axis=1).ravel()
+    faces = np.stack([one, one + 24, two, two, one + 24, two + 24], axis=1).reshape(-1, 3)
+    part = Part(positions, np.tile(ring, (len(profile), 1)), faces.astype(np.uint32))
+    assert_same(*both(fr.Scene(mesh_of(part), fr.Camera(elevation=10.0))))
+
+
+def test_two_samples(both, head):
+    """A driver may make more, as llvmpipe does."""
+    assert_same(*both(fr.Scene(head), samples=2), steps=0.0)
+
+
+@pytest.mark.parametrize("brightness", [1e3, 1e6])
+def test_bright_backgrounds(both, brightness):
+    scene = fr.Scene(mesh_of(cube()), background=(brightness,) * 3)
+    assert_same(*both(scene))
 
 
 def test_where_it_pays(head):

@@ -154,6 +154,7 @@ STATE = (
     ("glCullFace", (), ((0x0B45, 1),), None),
     ("glPolygonMode", (0x0408,), ((0x0B40, 1),), (0x1B02,)),  # front and back, fill
     ("glBlendFuncSeparate", (), ((0x80C9, 1), (0x80C8, 1), (0x80CB, 1), (0x80CA, 1)), None),
+    ("glBlendEquationSeparate", (), ((0x8009, 1), (0x883D, 1)), (0x8006, 0x8006)),  # add
     ("glClipControl", (), ((0x935C, 1), (0x935D, 1)), (0x8CA1, 0x935E)),  # lower left, -1 to 1
     *(("glPixelStorei", (name,), ((name, 1),), (0,)) for name in range(0x0D00, 0x0D05)),  # pack
     *(("glPixelStorei", (name,), ((name, 1),), (0,)) for name in range(0x0CF0, 0x0CF5)),  # unpack
@@ -167,7 +168,9 @@ _FLOATS: tuple[tuple[str, Any, int, int, tuple[float, ...] | None], ...] = (
 )
 _SWITCH = ("glDisable", "glEnable")
 _TEXTURE_0, _ACTIVE_TEXTURE, _MOST_UNITS = 0x84C0, 0x84E0, 0x8B4D
-_TEXTURE_2D, _TEXTURE_BINDING, _SAMPLER_BINDING = 0x0DE1, 0x8069, 0x8919
+_TEXTURES = ((0x0DE1, 0x8069), (0x9100, 0x9104))  # target and binding: 2D, with several samples
+_SAMPLER_BINDING = 0x8919
+_UNITS = 5  # that drawing binds: what was drawn, three maps, facets
 
 
 def put_aside_state(load: Callable[[str], int]) -> Callable[[], None]:
@@ -216,9 +219,10 @@ def put_aside_state(load: Callable[[str], int]) -> Callable[[], None]:
     for name, kind, query, count, needed_floats in _FLOATS:
         change(name, floats(query, count), needed_floats, kind)
     active = integers(_ACTIVE_TEXTURE)
-    for unit in (*range(4), integers(_MOST_UNITS)[0] - 1):  # moderngl uploads through the last
+    for unit in (*range(_UNITS), integers(_MOST_UNITS)[0] - 1):  # moderngl uploads through the last
         change("glActiveTexture", (_TEXTURE_0 + unit,), (_TEXTURE_0 + unit,))
-        change("glBindTexture", (_TEXTURE_2D, *integers(_TEXTURE_BINDING)), None)
+        for target, binding in _TEXTURES:
+            change("glBindTexture", (target, *integers(binding)), None)
         change("glBindSampler", (unit, *integers(_SAMPLER_BINDING)), (unit, 0))
     change("glActiveTexture", active, None)
 

@@ -209,9 +209,12 @@ class Renderer:
         return self._draw([visibility.drawn(), shaded] if visibility else [shaded], scene)[0]
 
     def _visibility(self, scene: Scene, view: View, samples: int) -> Visibility | None:
-        """What a scene's image is deferred to, where that is cheaper and the driver can do it."""
+        """What a scene's image is deferred to, where that is cheaper and the driver can do it. Of
+        2 samples it may make more, and then hide how many."""
         rows = self.context.gl.info["GL_MAX_TEXTURE_SIZE"]
-        if can_defer(scene, rows) and pays(scene, self.size, samples, self.context.renderer):
+        if samples not in (1, self.context.most_samples) or not can_defer(scene, rows):
+            return None
+        if pays(scene, self.size, samples, self.context.renderer):
             return Visibility.of(scene, view, self.size, samples)
         return None
 

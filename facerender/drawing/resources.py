@@ -111,10 +111,8 @@ class Resources:
         with gl.scope(target, enable_only=enabled):
             target.clear(*step.clear)
             gl.blend_func = moderngl.ONE, moderngl.ONE
-            gl.cull_face = "front"  # the image is drawn upside down
             for draw in step.draws:
                 target.viewport = draw.area or (0, 0, *target.size)
-                (gl.enable if draw.one_sided else gl.disable)(moderngl.CULL_FACE)
                 self._draw(draw, step, mesh, drawn)
         return target
 

@@ -45,7 +45,6 @@ class Draw:
     facets : of the part: only its positions are drawn, in the order of the facets
     area : left, lowest row, width and height in pixels: one triangle covers them, whose program
         reads the facets
-    one_sided : whether backs of triangles are left out
     """
 
     program: Program
@@ -54,7 +53,6 @@ class Draw:
     material: Material | None = None
     facets: Facets | None = None
     area: Area | None = None
-    one_sided: bool = False
 
 
 @dataclass(frozen=True, eq=False)

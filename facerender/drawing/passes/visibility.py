@@ -17,12 +17,15 @@ from facerender.scenes.view import View
 DRIVERS = ("llvmpipe",)  # on which deferred shading was measured: docs/performance.md
 _MOST_PIXELS = 100  # for each triangle; with more, and one sample, it is dearer
 _MOST_TRIANGLES = 1 << 24  # that float32 numbers apart
+_BRIGHTEST = 1e3  # background, of which float32 takes away all but 6e-5
 
 
 def can_defer(scene: Scene, rows: int) -> bool:
-    """Tell whether the triangles of a scene can be numbered, and fit textures of so many rows."""
+    """Tell whether the triangles of a scene can be numbered, and fit textures of so many rows, and
+    whether parts can be added to the background."""
     counts = [len(part.faces) for part in scene.mesh.parts]
-    return sum(counts) < _MOST_TRIANGLES and max(counts) <= rows * IN_ROW
+    bright = max(scene.background or (0.0,)) > _BRIGHTEST
+    return sum(counts) < _MOST_TRIANGLES and max(counts) <= rows * IN_ROW and not bright
 
 
 def pays(scene: Scene, size: tuple[int, int], samples: int, driver: str) -> bool:
@@ -47,13 +50,11 @@ class Visible:
     facets : of the part
     first : what stands for its first triangle in the image, where 0 is the background
     area : that the part may cover; without width or height it is not in the image
-    one_sided : whether no back of a triangle can be seen
     """
 
     facets: Facets
     first: int
     area: Area
-    one_sided: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +76,9 @@ class Visibility:
     def of(cls, scene: Scene, view: View, size: tuple[int, int], samples: int) -> Visibility:
         """Number the triangles of a scene, and tell where they are."""
         parts, first = [], 1
-        outside = float(np.linalg.norm(view.eye)) > 1.0
         for part in scene.mesh.parts:
             facets = facets_of(part, scene.mesh)
-            one_sided = outside and facets.hides_back(view.eye)
-            parts.append(Visible(facets, first, _area(facets, view, size), one_sided))
+            parts.append(Visible(facets, first, _area(facets, view, size)))
             first += len(facets.faces)
         return cls(view, size, samples, tuple(parts))
 
@@ -87,7 +86,7 @@ class Visibility:
         """Return the pass that draws it."""
         program = Program("visibility.frag", "visibility.vert")
         draws = tuple(
-            Draw(program, {"first": each.first}, facets=each.facets, one_sided=each.one_sided)
+            Draw(program, {"first": each.first}, facets=each.facets)
             for each in self.parts
             if all(each.area[2:])
         )

@@ -40,10 +40,13 @@ Point point(uint facet) {
     vec4 plane = texel_of(facet, 0);
     vec3 direction = view_ray();
     float across = dot(direction, plane.xyz);
-    float distance = (plane.w - dot(eye, plane.xyz)) / across;
     Point p;
-    p.position = eye + distance * direction;
     p.inside = across > 0.0;
+    // Seen edge on, a triangle may meet the ray anywhere. Nothing is drawn beyond the far plane, at
+    // 1, nor nearer than a thousandth of that: scenes/view.py.
+    if (abs(across) < 1e-7) across = 1e-7;
+    float distance = clamp((plane.w - dot(eye, plane.xyz)) / across, 1e-3, 1.0);
+    p.position = eye + distance * direction;
     p.normal = vec3(
         affine(facet, 1, p.position), affine(facet, 2, p.position), affine(facet, 3, p.position)
     );
