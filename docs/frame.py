@@ -53,7 +53,8 @@ pixel is shaded once for every triangle that its samples see. More are as many i
 sample each, shaded anew: highlights between pixels are smoothed as well, at the price of as many
 frames.
 
-{samples}
+{sample_tables}
+
 ## Shaded as drawn, or deferred
 
 On llvmpipe a frame is deferred, where that pays: a first pass draws which triangle each sample
@@ -64,6 +65,7 @@ of triangles shaded as they are drawn, and the share of the covered pixels that 
 1/255 in the display:
 
 {deferred}
+
 With one sample and more than 100 pixels for each triangle of the mesh, frames are not deferred.
 
 Tried, and left out, since it saves less than 2 % of a frame here or loses more than 1/255 at one
@@ -79,7 +81,7 @@ def main() -> None:
         facts = dict(renderer.metadata)
         most = renderer.context.most_samples
     text = PAGE.format(
-        samples="\n".join(f"{size} x {size}\n\n{sample_table(size)}" for size in SIZES),
+        sample_tables="\n\n".join(f"{size} x {size}\n\n{sample_table(size)}" for size in SIZES),
         deferred=deferred_table(),
         most=most,
         **facts,
