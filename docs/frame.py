@@ -71,7 +71,8 @@ pixel is shaded once for every triangle that its samples see. More are as many i
 sample each, shaded anew: highlights between pixels are smoothed as well, at the price of as many
 frames.
 
-{samples}
+{sample_tables}
+
 ## Shaded as drawn, or deferred
 
 On llvmpipe a frame is deferred, where that pays: a first pass draws which triangle each sample
@@ -82,6 +83,7 @@ of triangles shaded as they are drawn, and the share of the covered pixels that 
 1/255 in the display:
 
 {deferred}
+
 With one sample and more than 100 pixels for each triangle of the mesh, frames are not deferred.
 
 Other sizes, with 4 samples, of the built-in head:
@@ -114,7 +116,7 @@ def main() -> None:
         facts = dict(renderer.metadata)
         most = renderer.context.most_samples
     text = PAGE.format(
-        samples="\n".join(f"{size} x {size}\n\n{sample_table(size)}" for size in SIZES),
+        sample_tables="\n\n".join(f"{size} x {size}\n\n{sample_table(size)}" for size in SIZES),
         deferred=deferred_table(),
         sizes=sizes_table(),
         plans="\n".join(plan_tables()),

@@ -88,8 +88,9 @@ def lines_of(plan):
 # --- what is chosen ------------------------------------------------------------------------------
 
 
-def test_a_budget_of_0_draws_the_full_frame(drawing, scene, cli):
-    plan = fr.plan(scene, "0", renderer=drawing)
+@pytest.mark.parametrize(("budget", "within"), [("0", 1.0), ("0.01/255", 0.05)])
+def test_a_budget_below_rounding_draws_the_full_frame(budget, within, drawing, scene, cli):
+    plan = fr.plan(scene, budget, within=within, renderer=drawing)
     assert (plan.detail, plan.shading, plan.cost.relative) == (Detail(4, None), plan.full, 1.0)
     assert not any(each.changed for each in plan.decisions)
     np.testing.assert_array_equal(
@@ -144,6 +145,20 @@ def test_what_is_coarser_is_over_the_budget(budget, within, drawing, scene):
             assert kept[name].other == str(getattr(detail, name))
     at_share, _ = error(drawing, scene, plan.detail, within=within)
     assert at_share <= plan.budget.limit
+
+
+def test_every_camera_has_its_say(drawing, scene):
+    """One sample fits at one camera, and not at the other."""
+    errors = {
+        camera: error(drawing, replace(scene, camera=camera), Detail(1, None))[0]
+        for camera in CAMERAS
+    }
+    easy, hard = sorted(CAMERAS, key=errors.__getitem__)
+    budget = 0.5 * (errors[easy] + errors[hard])
+    assert errors[easy] < budget < errors[hard]
+    for cameras, samples in (((easy,), 1), ((hard,), 4), ((easy, hard), 4), ((hard, easy), 4)):
+        plan = fr.plan(scene, budget, cameras=cameras, renderer=drawing)
+        assert plan.detail.samples == samples
 
 
 def test_of_several_samples_the_fewest_that_fit(egl, scene):

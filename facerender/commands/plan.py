@@ -21,7 +21,7 @@ from facerender.image import write_bytes
 def add(plan: argparse.ArgumentParser) -> None:
     plan.set_defaults(command=run)
     plan.description = (
-        "The cheapest frame of a scene (shading, samples, triangles) whose error at every pixel, "
+        "A cheaper frame of a scene (samples, triangles, shading) whose error at every pixel, "
         "or at a share of them, stays within a budget, against the exact lobe with all terms, "
         "maps, samples and triangles."
     )

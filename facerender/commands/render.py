@@ -33,7 +33,7 @@ def add(render: argparse.ArgumentParser) -> None:
     terms.add_argument(
         "--budget",
         metavar="ERROR",
-        help="plan the cheapest frame within 1/255, 0.5%% or '0.02 flip', and draw that",
+        help="plan a cheaper frame within 1/255, 0.5%% or '0.02 flip', and draw that",
     )
     terms.add_argument(
         "--within", metavar="SHARE", help="of the pixels: where --budget must hold (100%%)"
