@@ -17,6 +17,7 @@ from docs.template import missing
 from facerender.image import linear_to_srgb
 from facerender.measure.antialiasing import Lost, antialiasing
 from facerender.measure.tables import markdown_table
+from facerender.planning.decisions import Decision
 from facerender.pricing.frame import ratio
 from trials.scan import load_scan, scan_folder
 from trials.subjects import Subject, subjects
@@ -208,7 +209,8 @@ def plan_row(
     scene = found.detail.of(subject.scene)
 
     def planned() -> object:
-        return renderer.render(scene, found.shading, samples=found.detail.samples)
+        detail = found.detail
+        return renderer.render(scene, found.shading, samples=detail.samples, backs=detail.backs)
 
     def drawn() -> object:
         with patch("facerender.drawing.renderer.pays", lambda *_: False):
@@ -218,7 +220,7 @@ def plan_row(
     text = found.budget.text
     cells = (
         subject.name,
-        ", ".join(each.chosen for each in found.decisions if each.changed) or "the full frame",
+        ", ".join(word for each in found.decisions for word in _chosen(each)) or "the full frame",
         f"{found.cost.relative:.2f}",
         f"{found.measured.value:.2f}",
         f"{over_drawn:.2f}",
@@ -226,6 +228,13 @@ def plan_row(
         text(found.error.drawn),
     )
     return cells, found.measured.value, over_drawn
+
+
+def _chosen(decision: Decision) -> Iterator[str]:
+    """What was chosen, where it is not what the full frame has."""
+    if decision.changed:
+        words = decision.name in ("backs", "samples", "triangles")
+        yield f"{decision.name} {decision.chosen}" if words else decision.chosen
 
 
 def deferred_against_drawn(scene: fr.Scene, samples: int, size: int = 1024) -> tuple[str, str]:

@@ -83,7 +83,8 @@ def run(options: argparse.Namespace) -> int:
         elif job.planned:
             warnings.warn(_unplanned(options.scene, job), FacerenderWarning, stacklevel=1)
         samples = min(detail.samples, renderer.samples)
-        frame = renderer.render(detail.of(scene), shading, output.only, samples)
+        drawn = detail.of(scene)
+        frame = renderer.render(drawn, shading, output.only, samples, detail.backs)
         backend = renderer.context.backend
     clean_up_on_interrupt()
     frame.save(output.path, output.exposure)

@@ -135,6 +135,7 @@ class Renderer:
         shading: Shading = Shading(),
         only: Only | None = None,
         samples: int | None = None,
+        backs: bool = True,
     ) -> Frame:
         """Draw a scene.
 
@@ -143,6 +144,7 @@ class Renderer:
         only : one term in place of the whole image; normal, albedo, depth and cosines have one
             sample a pixel
         samples : per pixel, in place of the renderer's
+        backs : whether backs of triangles are drawn, which show where a mesh is open or folded
 
         Raises
         ------
@@ -161,12 +163,12 @@ class Renderer:
         start_maps(scene.mesh, self.albedo_kind)
         view = view_of(scene, self.size[0] / self.size[1])
         if samples <= self.context.most_samples:
-            linear = self._shaded(scene, view, shading, samples, only)
+            linear = self._shaded(scene, view, shading, samples, only, backs)
         else:
             linear = np.zeros((*self.size[::-1], 4), dtype=np.float32)
             for shift in sample_grid(samples):
                 shifted = view.shifted(shift, self.size)
-                linear += self._shaded(scene, shifted, shading, 1, only)
+                linear += self._shaded(scene, shifted, shading, 1, only, backs)
             linear /= samples
         metadata = {key: str(value) for key, value in shading.as_dict().items()}
         metadata |= {**self.metadata, "samples": str(samples)}
@@ -202,11 +204,18 @@ class Renderer:
         )
 
     def _shaded(
-        self, scene: Scene, view: View, shading: Shading, samples: int, only: Only | None
+        self,
+        scene: Scene,
+        view: View,
+        shading: Shading,
+        samples: int,
+        only: Only | None,
+        backs: bool,
     ) -> NDArray[np.float32]:
         visibility = self._visibility(scene, view, samples)
         shaded = shade_pass(scene, view, shading, samples, only, visibility)
-        return self._draw([visibility.drawn(), shaded] if visibility else [shaded], scene)[0]
+        first, *others = [visibility.drawn(), shaded] if visibility else [shaded]
+        return self._draw([replace(first, backs=backs), *others], scene)[0]
 
     def _visibility(self, scene: Scene, view: View, samples: int) -> Visibility | None:
         """What a scene's image is deferred to, where that is cheaper and the driver can do it. Of

@@ -108,9 +108,11 @@ class Resources:
         gl = self.context.gl
         target = self.target(step.target)
         enabled = moderngl.BLEND * step.added | moderngl.DEPTH_TEST * step.target.depth
+        enabled |= moderngl.CULL_FACE * (not step.backs)
         with gl.scope(target, enable_only=enabled):
             target.clear(*step.clear)
             gl.blend_func = moderngl.ONE, moderngl.ONE
+            gl.cull_face = "front"  # the image is drawn upside down
             for draw in step.draws:
                 target.viewport = draw.area or (0, 0, *target.size)
                 self._draw(draw, step, mesh, drawn)

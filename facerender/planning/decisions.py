@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 from facerender.planning.candidates import (
     DECISIONS,
@@ -70,32 +71,35 @@ def decisions(
 
 
 def details(choice: Choice, drawn: Drawn) -> Iterator[Decision]:
-    """Tell of samples and triangles."""
+    """Tell of backs, samples and triangles."""
     if choice.frames is None:
         return
     taken, before = choice.frames.taken, "full"
-    for name in ("samples", "triangles"):
-        own, full = (
-            getattr(each, name) or drawn.triangles for each in (drawn.detail, drawn.finest)
-        )
+    for name in ("backs", "samples", "triangles"):
         saved = (taken[before] - taken[name]) / taken["full"]
         before = name
-        refused = [each for each in drawn.coarser if (getattr(each[0], name) or own) < own]
+        own, full = (getattr(detail, name) for detail in (drawn.detail, drawn.finest))
         if own != full:
             alone_ = replace(drawn.finest, **{name: own})
             added = max(within for _, within in drawn.errors(choice.full, alone_))
-            text = f"{own} instead of {full}: alone adds {choice.budget.text(added)}, "
+            chosen, other = (_detail(name, each, drawn) for each in (own, full))
+            text = f"{chosen} instead of {other}: alone adds {choice.budget.text(added)}, "
             text += (
                 f"{'saves' if saved >= 0.0 else 'costs'} {100.0 * abs(saved):.1f} % of the frame"
             )
-            words = (f"{own} {name}", f"{full} {name}")
-            yield Decision(name, True, *words, added, saved, text)
-        elif refused:
-            detail, error = refused[0]
-            other = getattr(detail, name)
-            text = f"{own}: {other} would err by {choice.budget.text(error)}"
-            words = (f"{own} {name}", f"{other} {name}")
-            yield Decision(name, False, *words, error, 0.0, text)
+            yield Decision(name, True, chosen, other, added, saved, text)
+            continue
+        refused = (each for each in drawn.coarser if getattr(each[0], name) != own)
+        for detail, error in islice(refused, 1):
+            chosen, other = (_detail(name, each, drawn) for each in (own, getattr(detail, name)))
+            text = f"{chosen}: {other} would err by {choice.budget.text(error)}"
+            yield Decision(name, False, chosen, other, error, 0.0, text)
+
+
+def _detail(name: str, value: int | None, drawn: Drawn) -> str:
+    if name == "backs":
+        return "drawn" if value else "left out"
+    return str(value or drawn.triangles)
 
 
 def _made(

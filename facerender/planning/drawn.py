@@ -34,7 +34,8 @@ class Place:
 def draw(place: Place, shading: Shading, detail: Detail) -> NDArray[np.float32]:
     """Return the linear image (H, W, 4) of a place."""
     scene = detail.of(place.scene)
-    return place.renderer.render(scene, shading, samples=detail.samples).linear
+    drawn = {"samples": detail.samples, "backs": detail.backs}
+    return place.renderer.render(scene, shading, **drawn).linear
 
 
 class Drawn:
@@ -57,8 +58,9 @@ class Drawn:
         self.failed: list[tuple[Sequence[str], dict[str, Any]]] = []
 
     def coarsen(self) -> None:
-        """Take away samples, and then half of the triangles again and again, as long as the full
-        shading stays within the budget."""
+        """Take away backs of triangles, samples, and then half of the triangles again and again, as
+        long as the full shading stays within the budget."""
+        self._first([replace(self.detail, backs=False)])
         samples = [count for count in (4, 1) if count < self.finest.samples]
         self._first(replace(self.detail, samples=count) for count in reversed(samples))
         count = self.triangles // 2

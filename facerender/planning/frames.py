@@ -23,7 +23,8 @@ def measured_frames(choice: Choice, drawn: Drawn) -> Frames:
     fragments."""
     full, cheap = choice.full, choice.ordered[0]
     steps = {"full": drawn.finest}
-    steps["samples"] = replace(drawn.finest, samples=drawn.detail.samples)
+    steps["backs"] = replace(drawn.finest, backs=drawn.detail.backs)
+    steps["samples"] = replace(steps["backs"], samples=drawn.detail.samples)
     steps["triangles"] = drawn.detail
     asked = {(detail, full) for detail in steps.values()}
     asked |= {(detail, cheap) for detail in (drawn.finest, drawn.detail)}

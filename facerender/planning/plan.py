@@ -154,10 +154,10 @@ class Plan:
         notes = [f"# {line}\n" for line in lines]
         planned = None
         if self.samples is not None and not self._is_full:
-            samples = self.detail.samples if self.detail else self.samples
-            fewer = samples if samples < self.samples else None
-            triangles = self.detail.triangles if self.detail else None
-            planned = Planned(self.sizes, self.samples, fewer, triangles)
+            detail = self.detail or Detail(self.samples, None)
+            fewer = detail.samples if detail.samples < self.samples else None
+            fine = (fewer, detail.triangles, detail.backs)
+            planned = Planned(self.sizes, self.samples, *fine)
         return "".join(notes) + "\n" + scene_toml(self.scene, self.shading, planned)
 
     def as_dict(self) -> dict[str, Any]:

@@ -69,8 +69,8 @@ class Frames:
     Attributes
     ----------
     full, own : by shading, with the full detail and with the one that was chosen
-    taken : milliseconds with the full shading: "full", with the "samples" that were chosen, and
-        then with the "triangles"
+    taken : milliseconds with the full shading: "full", with the "backs" that were chosen, then with
+        the "samples", and then with the "triangles"
     source : where they are from, in words
     """
 

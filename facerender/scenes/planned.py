@@ -21,10 +21,12 @@ class Detail:
     ----------
     samples : per pixel
     triangles : of the mesh, at most; None for all
+    backs : whether backs of triangles are drawn
     """
 
     samples: int
     triangles: int | None
+    backs: bool = True
 
     def of(self, scene: Scene) -> Scene:
         """Return a scene whose mesh has no more triangles; errors as of :func:`simplified`."""
@@ -43,6 +45,7 @@ class Planned:
     samples : of each pixel
     drawn_samples, triangles : with how many samples and at most how many triangles the frame is
         drawn that stands for such an image; None for all
+    backs : whether that has backs of triangles
 
     Raises
     ------
@@ -53,6 +56,7 @@ class Planned:
     samples: int
     drawn_samples: int | None = None
     triangles: int | None = None
+    backs: bool = True
 
     def __post_init__(self) -> None:
         try:
@@ -69,6 +73,8 @@ class Planned:
             value = getattr(self, name)
             if value is not None and (type(value) is not int or value < 1):
                 raise InputError(f"planned {name} = {value!r}: give a whole number of at least 1")
+        if not isinstance(self.backs, bool):
+            raise InputError(f"planned backs = {self.backs!r}: give true or false")
         object.__setattr__(self, "sizes", sizes)
 
     def holds(self, size: tuple[int, int], samples: int) -> bool:
@@ -87,7 +93,7 @@ class Planned:
     @property
     def detail(self) -> Detail:
         """How finely the frame is drawn that stands for a planned one."""
-        return Detail(self.drawn_samples or self.samples, self.triangles)
+        return Detail(self.drawn_samples or self.samples, self.triangles, self.backs)
 
     def __str__(self) -> str:
         ends = dict.fromkeys((min(self.sizes), max(self.sizes)))

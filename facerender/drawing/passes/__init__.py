@@ -65,6 +65,7 @@ class Pass:
     clear : linear RGB and coverage where nothing is drawn
     uniforms : that all draws share
     added : whether draws add to what is there
+    backs : whether backs of triangles are drawn
     """
 
     name: str
@@ -73,3 +74,4 @@ class Pass:
     clear: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     uniforms: Uniforms = field(default_factory=dict)
     added: bool = False
+    backs: bool = True
