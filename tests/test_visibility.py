@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -169,6 +170,12 @@ def test_two_samples(both, head):
 def test_bright_backgrounds(both, brightness):
     scene = fr.Scene(mesh_of(cube()), background=(brightness,) * 3)
     assert_same(*both(scene))
+
+
+def test_a_part_of_two_meshes(both):
+    part = cube()
+    both(fr.Scene(mesh_of(part)))
+    assert_same(*both(fr.Scene(replace(mesh_of(part), radius=3.0), fr.Camera(20.0))))
 
 
 def test_where_it_pays(head):

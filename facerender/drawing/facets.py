@@ -94,11 +94,13 @@ def _dot(a: Floats, b: Floats) -> Floats:
     return np.asarray(np.einsum("ij,ij->i", a, b)[:, None])
 
 
-_made: WeakKeyDictionary[Part, Facets] = WeakKeyDictionary()
+_made: WeakKeyDictionary[Part, tuple[tuple[float, ...], Facets]] = WeakKeyDictionary()
 
 
 def facets_of(part: Part, mesh: Mesh) -> Facets:
-    """Return the facets of a part of a mesh, made once."""
-    if part not in _made:
-        _made[part] = Facets.of(part, mesh)
-    return _made[part]
+    """Return the facets of a part of a mesh, made once for meshes that place it alike."""
+    place = (*mesh.center, mesh.radius)
+    known = _made.get(part)
+    if known is None or known[0] != place:
+        _made[part] = known = place, Facets.of(part, mesh)
+    return known[1]
