@@ -85,7 +85,7 @@ of triangles shaded as they are drawn, and the share of the covered pixels that 
 
 {deferred}
 
-With one sample and more than 100 pixels for each triangle of the mesh, frames are not deferred.
+With one sample and more than 30 pixels for each triangle of the mesh, frames are not deferred.
 
 Other sizes, with 4 samples, of the built-in head:
 

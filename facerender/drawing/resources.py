@@ -107,16 +107,27 @@ class Resources:
         """
         gl = self.context.gl
         target = self.target(step.target)
-        enabled = moderngl.BLEND * step.added | moderngl.DEPTH_TEST * step.target.depth
+        enabled = moderngl.DEPTH_TEST | moderngl.BLEND * step.added
         enabled |= moderngl.CULL_FACE * (not step.backs)
         with gl.scope(target, enable_only=enabled):
             target.clear(*step.clear)
             gl.blend_func = moderngl.ONE, moderngl.ONE
             gl.cull_face = "front"  # the image is drawn upside down
             for draw in step.draws:
-                target.viewport = draw.area or (0, 0, *target.size)
+                self._prepare(target, draw)
                 self._draw(draw, step, mesh, drawn)
+            self._prepare(target)
         return target
+
+    def _prepare(self, target: moderngl.Framebuffer, draw: Draw | None = None) -> None:
+        """Set where a draw goes and how it meets the depth that is there; None for as it was."""
+        depth = draw.depth if draw else "test"
+        colors, count = (depth != "mark",) * 4, len(target.color_attachments)
+        target.color_mask = colors if count == 1 else [colors] * count  # type: ignore[assignment]
+        target.depth_mask = depth != "marked"
+        target.viewport = (draw and draw.area) or (0, 0, *target.size)
+        target.use()  # takes effect
+        self.context.gl.depth_func = {"test": "<=", "mark": "1", "marked": "=="}[depth]
 
     def _draw(
         self, draw: Draw, step: Pass, mesh: Mesh, drawn: Mapping[str, moderngl.Texture]
@@ -141,7 +152,7 @@ class Resources:
         if draw.part is not None and draw.material is not None:
             for name, source, kind in part_maps(draw.part, draw.material, self.albedo_kind):
                 textures[name] = self.texture(name, source, kind)  # before binding: it uses unit 0
-        if draw.facets is not None and draw.area:
+        if draw.facets is not None and draw.depth == "marked":
             textures["facets"] = self.facet_texture(draw.facets)
         for unit, (name, texture) in enumerate(textures.items()):
             texture.use(unit)
@@ -162,7 +173,7 @@ class Resources:
                 if kind.sampled and not samples:
                     for color in colors:
                         color.filter = moderngl.NEAREST, moderngl.NEAREST
-                depth = gl.depth_renderbuffer(size, samples=samples) if kind.depth else None
+                depth = gl.depth_renderbuffer(size, samples=samples)
                 self.targets[kind] = gl.framebuffer(colors, depth)
             except moderngl.Error as error:
                 raise ContextError(

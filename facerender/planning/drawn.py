@@ -34,8 +34,8 @@ class Place:
 def draw(place: Place, shading: Shading, detail: Detail) -> NDArray[np.float32]:
     """Return the linear image (H, W, 4) of a place."""
     scene = detail.of(place.scene)
-    drawn = {"samples": detail.samples, "backs": detail.backs}
-    return place.renderer.render(scene, shading, **drawn).linear
+    renderer, samples = place.renderer, detail.samples
+    return renderer.render(scene, shading, samples=samples, backs=detail.backs).linear
 
 
 class Drawn:

@@ -10,9 +10,7 @@ layout(location = 3) out vec4 uv_occlusion;
 
 void main() {
 #ifdef VISIBLE
-    uint facet = facet_at(0);
-    if (facet >= uint(facet_count)) discard;
-    Point p = point(facet);
+    Point p = point(facet_at(0));
 #else
     Point p = point();
 #endif

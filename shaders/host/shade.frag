@@ -49,8 +49,8 @@ vec3 shaded(Point p) {
 }
 
 #ifdef VISIBLE
-// What the part adds to the background: each facet that the pixel's samples see is shaded once, at
-// the pixel's centre, as OpenGL does with several samples.
+// What the part adds to the background where visible.frag marked it: each facet that the pixel's
+// samples see is shaded once, at the pixel's centre, as OpenGL does with several samples.
 void main() {
     uint count = uint(facet_count);
     uint seen[SAMPLES];
@@ -59,7 +59,6 @@ void main() {
         seen[i] = facet_at(i);
         if (seen[i] < count) facet = seen[i];
     }
-    if (facet == count) discard;
     radiance = vec4(0.0);
     do {
         float weight = 0.0;

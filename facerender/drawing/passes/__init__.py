@@ -25,7 +25,6 @@ class Target:
     size : width and height in pixels; None for the frame's
     sampled : whether later passes read its first image as the texture of the pass's name
     values : float32, RGBA or one number
-    depth : whether there is a depth buffer, and what is behind is hidden
     """
 
     colors: int = 1
@@ -33,7 +32,6 @@ class Target:
     size: tuple[int, int] | None = None
     sampled: bool = False
     values: Literal["color", "number"] = "color"
-    depth: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +43,8 @@ class Draw:
     facets : of the part: only its positions are drawn, in the order of the facets
     area : left, lowest row, width and height in pixels: one triangle covers them, whose program
         reads the facets
+    depth : "test", what is behind is hidden; "mark", depth alone is drawn, over whatever is there;
+        "marked", what is drawn shows where the draw before marked
     """
 
     program: Program
@@ -53,6 +53,7 @@ class Draw:
     material: Material | None = None
     facets: Facets | None = None
     area: Area | None = None
+    depth: Literal["test", "mark", "marked"] = "test"
 
 
 @dataclass(frozen=True, eq=False)

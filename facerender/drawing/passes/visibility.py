@@ -15,7 +15,7 @@ from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
 
 DRIVERS = ("llvmpipe",)  # on which deferred shading was measured: docs/performance.md
-_MOST_PIXELS = 100  # for each triangle; with more, and one sample, it is dearer
+_MOST_PIXELS = 30  # for each triangle; with more, and one sample, it is dearer
 _MOST_TRIANGLES = 1 << 24  # that float32 numbers apart
 _BRIGHTEST = 1e3  # background, of which float32 takes away all but 6e-5
 
@@ -100,34 +100,40 @@ class Visibility:
         ----------
         uniforms : that it needs besides
         """
-        draws = [
-            self._shaded(draw, part)
-            for draw, part in zip(drawn.draws, self.parts, strict=True)
-            if all(part.area[2:])
-        ]
+        draws: list[Draw] = []
+        for number, (draw, part) in enumerate(zip(drawn.draws, self.parts, strict=True)):
+            if all(part.area[2:]):
+                draws += self._shaded(draw, part, number / len(self.parts))
         return replace(
             drawn,
-            target=replace(drawn.target, samples=1, depth=False),
+            target=replace(drawn.target, samples=1),
             draws=tuple(draws),
             uniforms={**drawn.uniforms, **_rays(self.view, self.size), **(uniforms or {})},
             added=True,
         )
 
-    def _shaded(self, draw: Draw, part: Visible) -> Draw:
+    def _shaded(self, draw: Draw, part: Visible, depth: float) -> tuple[Draw, Draw]:
+        """What marks where a part is visible, at a depth of its own, and what shades it there."""
+        samples = f"SAMPLES {self.samples}"
+        uniforms = {"first": part.first, "facet_count": len(part.facets.faces), "depth": depth}
+        visible = Program("visible.frag", "screen.vert", (samples,))
         features = (
             *draw.program.features,
             "VISIBLE",
-            f"SAMPLES {self.samples}",
+            samples,
             f"FACETS_IN_ROW {IN_ROW}",
             f"FACET_TEXELS {part.facets.texels}",
         )
-        uniforms = {
-            **draw.uniforms,
-            "first": part.first,
-            "facet_count": len(part.facets.faces),
-        }
         program = replace(draw.program, vertex="screen.vert", features=features)
-        return replace(draw, program=program, uniforms=uniforms, facets=part.facets, area=part.area)
+        shaded = replace(
+            draw,
+            program=program,
+            uniforms={**draw.uniforms, **uniforms},
+            facets=part.facets,
+            area=part.area,
+            depth="marked",
+        )
+        return Draw(visible, uniforms, area=part.area, depth="mark"), shaded
 
 
 def _rays(view: View, size: tuple[int, int]) -> Uniforms:

@@ -3,25 +3,14 @@
 // After Burns and Hunt (2013), "The visibility buffer: a cache-friendly approach to deferred
 // shading".
 #include "host/point/point.glsl"
+#include "host/visible.glsl"
 
-#if SAMPLES > 1
-uniform sampler2DMS visible;
-#else
-uniform sampler2D visible;
-#endif
 uniform sampler2D facets;
-uniform int first;        // of the part, as visibility.frag counts
-uniform int facet_count;  // of the part
-uniform vec3 ray;         // from the eye to the first pixel's outer corner; any length
-uniform vec3 ray_x;       // what a pixel to the right adds
+uniform vec3 ray;  // from the eye to the first pixel's outer corner; any length
+uniform vec3 ray_x;  // what a pixel to the right adds
 uniform vec3 ray_y;
 
 #define TEXEL(map, p) textureGrad(map, (p).uv, (p).uv_x, (p).uv_y)
-
-// The facet that a sample sees; at or above facet_count if it is none of the part.
-uint facet_at(int index) {
-    return uint(int(texelFetch(visible, ivec2(gl_FragCoord.xy), index).r) - first);
-}
 
 vec4 texel_of(uint facet, int index) {
     int row = int(facet) / FACETS_IN_ROW;
