@@ -151,6 +151,7 @@ STATE = (
     ("glDepthMask", (), ((0x0B72, 1),), (1,)),
     ("glColorMask", (), ((0x0C23, 4),), (1, 1, 1, 1)),
     ("glFrontFace", (), ((0x0B46, 1),), (0x0901,)),  # counter-clockwise
+    ("glCullFace", (), ((0x0B45, 1),), None),
     ("glPolygonMode", (0x0408,), ((0x0B40, 1),), (0x1B02,)),  # front and back, fill
     ("glBlendFuncSeparate", (), ((0x80C9, 1), (0x80C8, 1), (0x80CB, 1), (0x80CA, 1)), None),
     ("glBlendEquationSeparate", (), ((0x8009, 1), (0x883D, 1)), (0x8006, 0x8006)),  # add
