@@ -186,12 +186,12 @@ def test_without_wasmtime_triangles_stay(drawing, monkeypatch, tmp_path):
         plan = fr.plan(scene, WIDE, renderer=drawing)
     finally:
         levels._compiled.cache_clear()
-    assert plan.detail == Detail(1, None)
+    assert plan.detail == Detail(1, None, backs=False)
     assert "triangles" not in lines_of(plan)
     (tmp_path / "scene.toml").write_text(plan.scene_toml())
     planned = load_scene(tmp_path / "scene.toml")["planned"]
-    assert planned == Planned(((48, 48),), 4, drawn_samples=1)
-    assert planned.holds((48, 48), 1)  # the pixel's centre, as planned
+    assert planned == Planned(((48, 48),), 4, drawn_samples=1, backs=False)
+    assert not planned.holds((48, 48), 1)  # with backs a pixel's centre may show another
 
 
 @pytest.mark.parametrize("cost", ["auto", "navi21"])
@@ -211,12 +211,12 @@ def test_a_scene_file_draws_the_planned_frame(cli, drawing, scene, wide):
     status, out, err = cli.run("plan", *FACE, "--budget", WIDE, "--scene", pinned)
     assert (status, err) == (0, "")
     assert re.search(r"^samples +1 instead of 4: alone adds .* of the frame$", out, re.MULTILINE)
-    assert re.search(r"^cost +.* ms a frame, \d\.\d\d; by 5 frames measured on", out, re.MULTILINE)
+    assert re.search(r"^cost +.* ms a frame, \d\.\d\d; by 6 frames measured on", out, re.MULTILINE)
     found = load_scene(pinned)
-    assert found["planned"] == Planned(((48, 48),), 4, 1, wide.detail.triangles)
+    assert found["planned"] == Planned(((48, 48),), 4, 1, wide.detail.triangles, backs=False)
     assert found["shading"] == wide.shading.as_dict()
     image = cli.render("--scene", pinned)
-    drawn = drawing.render(wide.detail.of(scene), wide.shading, samples=1).srgb8()
+    drawn = drawing.render(wide.detail.of(scene), wide.shading, samples=1, backs=False).srgb8()
     np.testing.assert_array_equal(image, drawn)
     for detail in (replace(wide.detail, samples=4), replace(wide.detail, triangles=None)):
         other = drawing.render(detail.of(scene), wide.shading, samples=detail.samples).srgb8()
@@ -287,7 +287,7 @@ def test_what_details_save_and_what_is_left_add_up(coarse):
     choice, drawn = coarse
     choice.frames = frames.measured_frames(choice, drawn)
     told = list(details(choice, drawn))
-    assert [each.name for each in told] == ["samples", "triangles"]
+    assert [each.name for each in told] == ["backs", "samples", "triangles"]
     cost = choice.cost(choice.full)
     assert cost.full_total == pytest.approx(choice.frames.taken["full"])
     assert cost.total == pytest.approx(choice.frames.taken["triangles"])
@@ -301,30 +301,39 @@ def test_frames_lie_on_lines_through_what_was_measured(coarse, monkeypatch):
     cheap, medians = choice.ordered[0], {}
 
     def seconds(draws, repeats):
-        assert (len(draws), repeats) == (5, 5)
+        assert (len(draws), repeats) == (6, 5)
         turns = np.outer([1.0, 1.0, 1.0, 9.0, 0.5], [each() for each in draws])
         return 1e-3 * turns
 
     def take(drawn, detail, shading):
         return lambda: medians[detail, shading is choice.full]
 
-    fewer = replace(drawn.finest, samples=1)
-    medians |= {(drawn.finest, True): 20.0, (fewer, True): 12.0, (drawn.detail, True): 5.0}
+    fronts = replace(drawn.finest, backs=False)
+    fewer = replace(fronts, samples=1)
+    medians |= {
+        (drawn.finest, True): 20.0,
+        (fronts, True): 19.0,
+        (fewer, True): 12.0,
+        (drawn.detail, True): 5.0,
+    }
     medians |= {(drawn.finest, False): 18.0, (drawn.detail, False): 4.0}
     monkeypatch.setattr(frames, "seconds", seconds)
     monkeypatch.setattr(frames, "_frame", take)
     choice.frames = frames.measured_frames(choice, drawn)
-    assert choice.frames.taken == pytest.approx({"full": 20.0, "samples": 12.0, "triangles": 5.0})
+    taken = {"full": 20.0, "backs": 19.0, "samples": 12.0, "triangles": 5.0}
+    assert choice.frames.taken == pytest.approx(taken)
     assert choice.cost(choice.full).relative == pytest.approx(5.0 / 20.0)
     assert choice.cost(cheap).relative == pytest.approx(4.0 / 20.0)
     assert choice.saved(cheap, choice.full) == pytest.approx(1.0 / 20.0)
     told = {each.name: each for each in details(choice, drawn)}
-    assert told["samples"].text.endswith(", saves 40.0 % of the frame")
+    assert told["backs"].text.startswith("left out instead of drawn: alone adds ")
+    assert told["backs"].text.endswith(", saves 5.0 % of the frame")
+    assert told["samples"].text.endswith(", saves 35.0 % of the frame")
     assert told["triangles"].text.endswith(", saves 35.0 % of the frame")
     medians[fewer, True] = 21.0
     choice.frames = frames.measured_frames(choice, drawn)
     told = {each.name: each for each in details(choice, drawn)}
-    assert told["samples"].text.endswith(", costs 5.0 % of the frame")
+    assert told["samples"].text.endswith(", costs 10.0 % of the frame")
 
 
 @pytest.mark.parametrize("budget", ["4/255", "60/255", WIDE])

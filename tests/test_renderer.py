@@ -566,6 +566,7 @@ class Host:
         ("glDepthMask", 0),
         ("glColorMask", 0, 1, 0, 1),
         ("glFrontFace", 0x0900),  # clockwise
+        ("glCullFace", 0x0404),  # front
         ("glPolygonMode", 0x0408, 0x1B01),  # lines
         ("glClipControl", 0x8CA2, 0x935F),  # upper left, 0 to 1
         ("glBlendFuncSeparate", 1, 0, 0, 1),

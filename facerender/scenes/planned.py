@@ -79,12 +79,13 @@ class Planned:
 
     def holds(self, size: tuple[int, int], samples: int) -> bool:
         """Tell whether an image is of the planned samples, and neither smaller nor larger nor of
-        another shape than the planned ones. One sample is, with all triangles: it is the pixel's
-        centre, where every plan is measured."""
+        another shape than the planned ones. One sample is, with all triangles and
+        their backs: it is the pixel's centre, where every plan is measured."""
+        centres = self.triangles is None and self.backs
         widths, heights = zip(*self.sizes, strict=True)
         shapes = [width / height for width, height in self.sizes]
         return (
-            samples in (self.samples, 1 if self.triangles is None else self.samples)
+            samples in (self.samples, 1 if centres else self.samples)
             and min(widths) <= size[0] <= max(widths)
             and min(heights) <= size[1] <= max(heights)
             and min(shapes) / _SAME_SHAPE <= size[0] / size[1] <= max(shapes) * _SAME_SHAPE
