@@ -47,9 +47,8 @@ PLAN_HEAD = (
 # title, cameras, size, budget, share of the pixels
 PLANS = (
     ("Within 1/255 at 99.9 % of the pixels, one camera, 512 x 512", 1, 512, "1/255", "99.9%"),
-    ("Within 1/255 at 99.9 % of the pixels, eight cameras, 256 x 256", 8, 256, "1/255", "99.9%"),
-    ("Within 4/255 at 99 % of the pixels, one camera, 512 x 512", 1, 512, "4/255", "99%"),
-    ("Within 8/255 at 95 % of the pixels, one camera, 512 x 512", 1, 512, "8/255", "95%"),
+    ("Within 1/255 at 99.9 % of the pixels, eight cameras, 128 x 128", 8, 128, "1/255", "99.9%"),
+    ("Within 8/255 at 95 % of the pixels, one camera, 256 x 256", 1, 256, "8/255", "95%"),
 )
 
 PAGE = """# Frames: what they cost, what samples lose
@@ -90,25 +89,19 @@ With one sample and more than 30 pixels for each triangle of the mesh, frames ar
 Other sizes, with 4 samples, of the built-in head:
 
 {sizes}
-Tried, and left out, since it saves less than 2 % of a frame here or loses more than 1/255 at one
-pixel in 1000: one shading for a pixel's triangles of one smooth surface (4 % saved, 0.2 % of the
-pixels over 1/255); the nearest mip level in place of two (nothing saved, 13 % over); maps without
-their top level (nothing saved but memory); float16 and 8-bit targets (the pass that shades writes
-each pixel once: 1 %); triangles in an order along a space-filling curve, or front to back (3 % of
-the first pass saved; 20 % lost).
 
 ## Plans
 
-The cheapest frame within a budget (`facerender plan --verify-cost`): terms, samples, triangles. The
-scenes are those of [plan.md](plan.md). Time over that of the full frame with 4 samples, predicted
-from a few measured frames and measured in turns; over that of the full frame with its triangles
-shaded as they are drawn, as all were up to version 0.1.0; the error that the budget counts, and
-that of the worst pixel, both as drawn.
+A cheaper frame within a budget (`facerender plan --verify-cost`): terms, backs, samples, triangles.
+The scenes are those of [plan.md](plan.md). Time over that of the full frame with 4 samples,
+predicted from a few measured frames and measured in turns; over that of the full frame with its
+triangles shaded as they are drawn; the error that the budget counts, and that of the worst pixel,
+both as drawn.
 
 {plans}
-Within 1/255 nothing but terms changes: at the silhouette fewer samples, and inside fewer triangles,
-err by more at one pixel in 1000 of any of these scenes. What was saved there is saved in every
-frame, by shading each triangle of a pixel once.
+Within 1/255 fewer samples err by more at the silhouette, and fewer triangles inside, at more than
+one pixel in 1000: what is left are backs of triangles, which no pixel shows, and terms. Most of
+what can be saved there every frame saves, by shading each triangle of a pixel once.
 """
 
 
