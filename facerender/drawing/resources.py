@@ -110,17 +110,17 @@ class Resources:
         enabled = moderngl.DEPTH_TEST | moderngl.BLEND * step.added
         enabled |= moderngl.CULL_FACE * (not step.backs)
         with gl.scope(target, enable_only=enabled):
+            self._prepare(target)  # an error may have left it in another state
             target.clear(*step.clear)
             gl.blend_func = moderngl.ONE, moderngl.ONE
             gl.cull_face = "front"  # the image is drawn upside down
             for draw in step.draws:
                 self._prepare(target, draw)
                 self._draw(draw, step, mesh, drawn)
-            self._prepare(target)
         return target
 
     def _prepare(self, target: moderngl.Framebuffer, draw: Draw | None = None) -> None:
-        """Set where a draw goes and how it meets the depth that is there; None for as it was."""
+        """Set where a draw goes and how it meets the depth that is there; None for a clear."""
         depth = draw.depth if draw else "test"
         colors, count = (depth != "mark",) * 4, len(target.color_attachments)
         target.color_mask = colors if count == 1 else [colors] * count  # type: ignore[assignment]
