@@ -206,19 +206,3 @@ def test_areas_hold_what_is_covered(head, egl):
         assert columns.max() < left + width
         assert bottom <= rows.min()
         assert rows.max() < bottom + height
-
-
-def test_a_frame_after_one_that_failed(head, egl, monkeypatch):
-    """What a damaged map interrupts leaves no mask behind."""
-    scenes = [fr.Scene(head, fr.Camera(azimuth)) for azimuth in (0.0, 60.0)]
-    with fr.Renderer((128, 128), samples=4, backend=egl) as renderer:
-        renderer.render(scenes[0])
-        expected = renderer.render(scenes[1]).linear
-        with monkeypatch.context() as patch, pytest.raises(fr.InputError, match="damaged"):
-            patch.setattr(renderer._resources, "facet_texture", fail)
-            renderer.render(scenes[0])
-        np.testing.assert_array_equal(renderer.render(scenes[1]).linear, expected)
-
-
-def fail(facets: Facets) -> None:
-    raise fr.InputError("damaged")
