@@ -185,7 +185,7 @@ def plan_row(
     renderer: fr.Renderer, subject: Subject, count: int, budget: str, share: str
 ) -> tuple[tuple[str, ...], float, float]:
     """Return the cells of a plan, and its frame's time over both full frames'."""
-    cameras = fr.turntable(count) if count > 1 else (subject.scene.camera,)
+    cameras = fr.turntable(subject.scene.camera, count)
     found = fr.plan(
         subject.scene,
         budget,
@@ -226,7 +226,7 @@ def plan_row(
 def _chosen(decision: Decision) -> Iterator[str]:
     """What was chosen, where it is not what the full frame has."""
     if decision.changed:
-        words = decision.name in ("backs", "samples", "triangles")
+        words = decision.name in ("backs", "samples", "triangles", "ambient", "normal map")
         yield f"{decision.name} {decision.chosen}" if words else decision.chosen
 
 
