@@ -62,7 +62,7 @@ Errors of a frame are those of the displayed image (sRGB), of a pixel's worst ch
 full frame at high quality: 64 samples a pixel, each shaded by itself, the full mesh, exact terms,
 all maps. `render` draws 4 samples, which share a pixel's shading; what that loses is the second row
 of the tables below. A plan's errors are against the frame that `render` draws without a plan, whose
-own distance from the reference is no fault of the plan's.
+own distance from the reference is not counted.
 
 ## Samples
 
@@ -178,7 +178,7 @@ def plan_tables() -> Iterator[str]:
         drawn = float(np.median([over_drawn for _, _, over_drawn in planned]))
         rows = [row for row, _, _ in planned]
         rows.append(("median", "", "", f"{median:.2f}", f"{drawn:.2f}", "", ""))
-        yield f"{title}:\n\n{markdown_table(PLAN_HEAD, rows)}"
+        yield f"{title}:\n\n{markdown_table(PLAN_HEAD, rows)}\n"
 
 
 def plan_row(
