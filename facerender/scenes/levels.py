@@ -3,6 +3,7 @@ arithmetic is meshoptimizer's, as WebAssembly in the folder beside; wasmtime run
 
 from __future__ import annotations
 
+import atexit
 import math
 from dataclasses import replace
 from functools import cache
@@ -208,6 +209,7 @@ def _compiled() -> tuple[wasmtime.Engine, wasmtime.Module]:
         raise InputError(
             "levels of detail need the package wasmtime; pip install 'facerender[lod]'"
         ) from None
+    atexit.register(_compiled.cache_clear)  # wasmtime's own objects go before it does
     code = (Path(__file__).parent / "meshoptimizer" / "simplifier.wasm").read_bytes()
     engine = wasmtime.Engine()
     return engine, wasmtime.Module(engine, code)
