@@ -1,4 +1,4 @@
-"""BRDFs, Fresnel and masking terms in float64, for users. ``brdf.f`` is ``fr_f`` in GLSL, with the
+"""BRDFs, Fresnel and masking terms, and slope variance, in float64, for users. ``brdf.f`` is ``fr_f`` in GLSL, with the
 same arguments in the same order; see ``terms/model.py``."""
 
 from facerender.terms.fresnel import (
@@ -15,17 +15,29 @@ from facerender.terms.model import (
     ward,
     ward_printed,
 )
+from facerender.terms.slope_variance import (
+    cosine_disc,
+    slope_filtered,
+    slope_variance_disc,
+    slope_variance_map,
+    slope_variance_pixel,
+)
 
 __all__ = [
     "K_COOK_TORRANCE",
     "K_WARD",
     "MIN_COSINE",
     "cook_torrance",
+    "cosine_disc",
     "fresnel",
     "fresnel_dielectric",
     "fresnel_schlick",
     "masking_kelemen",
     "masking_v_cavity",
+    "slope_filtered",
+    "slope_variance_disc",
+    "slope_variance_map",
+    "slope_variance_pixel",
     "ward",
     "ward_printed",
 ]

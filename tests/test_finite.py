@@ -27,7 +27,8 @@ MANY_DRAWS = -(-(10**8) // MANY)
 
 OWN_INPUTS = (  # what is called with other inputs here than in trials/cases.py
     *("fr_masking_v_cavity", "fr_masking_kelemen", "fr_masking_of", "fr_masking_v_cavity_ratio"),
-    "fr_lobe_fitted_coefficients",
+    *("fr_lobe_fitted_coefficients", "fr_slope_filtered", "fr_slope_variance_map"),
+    *("fr_slope_variance_pixel", "fr_slope_variance_disc", "fr_cosine_disc"),
 )
 TO_DIVIDE = "p.y + p.z, 4.0 * p.x, p.y, p.z"  # dot(n, h), dot(h, h), dot(n, l), dot(n, v)
 OTHERS = (
@@ -37,6 +38,11 @@ OTHERS = (
     *(("masking", f"length(fr_masking_of({TO_DIVIDE}, {x.macro}))") for x in MASKING.values()),
     *(("lobe/fitted", f"length(fr_lobe_fitted_coefficients(m, {k}) * m * m)") for k in (0, 4)),
     *(("lobe/fitted", f"length(fr_lobe_fitted_fine_coefficients(m, {k}) * m * m)") for k in (0, 4)),
+    ("slope_variance", "fr_slope_filtered(m, tan2)"),
+    ("slope_variance", "fr_slope_variance_map(c)"),
+    ("slope_variance", "fr_slope_variance_pixel(tan2 * n, n - l)"),
+    ("slope_variance", "fr_slope_variance_disc(0.34 * c, 0.97, p.x)"),
+    ("slope_variance", "fr_cosine_disc(dot(n, l), 0.5 * c, 1.0 - 0.06 * c)"),
 )
 BRDF = re.compile(r"\bfr_\w+\(n, l, v, m\b")
 

@@ -366,6 +366,68 @@ for _name, _masking in MASKING.items():
         add(_masking.call.split("(")[0], masking_ratio, _name)
 
 
+# --- slope variance -----------------------------------------------------------------------------
+
+
+def variance_case(name: str, relative: float, **axes: ArrayLike) -> Case:
+    """A function of slope_variance.glsl at every combination of its arguments."""
+    inputs = dict(zip(axes, grid(*axes.values()), strict=True))
+    expected = getattr(brdf, name)(*(values.astype(float) for values in inputs.values()))
+    call = f"fr_{name}({', '.join(axes)})"
+    return Case(include("slope_variance"), call, inputs, expected, relative, TINY)
+
+
+@case()
+def slope_filtered() -> Case:
+    m = [0.0, 1e-4, *np.linspace(0.01, 2.0, 50)]
+    return variance_case("slope_filtered", 4e-7, m=m, variance=[0.0, *np.logspace(-12, 18, 60)])
+
+
+@case()
+def slope_variance_map() -> Case:
+    return variance_case("slope_variance_map", 2e-7, alpha=np.linspace(0.0, 1.0, 511))
+
+
+@case()
+def slope_variance_pixel() -> Case:
+    random = np.random.default_rng(3)
+    scale = 10.0 ** random.uniform(-6.0, 3.0, (5000, 1))
+    inputs = {name: singles(scale * random.normal(size=(5000, 3))) for name in ("n_x", "n_y")}
+    expected = brdf.slope_variance_pixel(*(values.astype(float) for values in inputs.values()))
+    call = "fr_slope_variance_pixel(n_x, n_y)"
+    return Case(include("slope_variance"), call, inputs, expected, 5e-7, TINY)
+
+
+@cache
+def discs(last: float) -> tuple[Singles, Singles]:
+    """s and k of discs to this radius in degrees."""
+    radius = np.radians([0.0, 0.25, *np.linspace(1.0, last, 12)])
+    return singles(np.sin(radius)), singles(0.5 + 0.5 * np.cos(radius))
+
+
+def disc_case(name: str, last: float, relative: float, axis: str, values: ArrayLike) -> Case:
+    """A function of slope_variance.glsl for every disc and every value of its other argument."""
+    s, k = discs(last)
+    index, other = grid(np.arange(len(s)), values)
+    at = index.astype(int)
+    inputs = {"s": s[at], "k": k[at], axis: other}
+    order = ("c", "s", "k") if axis == "c" else ("s", "k", axis)
+    expected = getattr(brdf, name)(*(inputs[each].astype(float) for each in order))
+    call = f"fr_{name}({', '.join(order)})"
+    absolute = 4e-7 if axis == "c" else TINY
+    return Case(include("slope_variance"), call, inputs, expected, relative, absolute)
+
+
+@case()
+def slope_variance_disc() -> Case:
+    return disc_case("slope_variance_disc", 20.0, 1e-6, "v_dot_h", np.linspace(0.0, 1.0, 101))
+
+
+@case()
+def cosine_disc() -> Case:
+    return disc_case("cosine_disc", 30.0, 0.0, "c", [*np.linspace(-1.0, 1.0, 401), 1e-9, -1e-9])
+
+
 # --- models --------------------------------------------------------------------------------------
 
 

@@ -25,6 +25,9 @@ precision highp float;
 // BRDFs raise slopes below this to it: see FR_MIN_COSINE; the peak 1/(4 m^2) is then 2.5e7.
 #define FR_MIN_SLOPE 1e-4
 
+// The end of the domain of the exact lobe: what widens a slope widens it no further.
+#define FR_MAX_SLOPE 2.0
+
 // The slope that every function reads in place of its m. A host whose m is one constant may say so,
 // and the compiler folds all that depends on it: #define FR_SLOPE(m) 0.3
 #ifndef FR_SLOPE
