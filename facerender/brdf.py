@@ -1,5 +1,5 @@
-"""BRDFs, Fresnel and masking terms, and slope variance, in float64, for users. ``brdf.f`` is ``fr_f`` in GLSL, with the
-same arguments in the same order; see ``terms/model.py``."""
+"""BRDFs, Fresnel and masking terms, slope variance in float64, for users. ``brdf.f`` is ``fr_f`` in
+GLSL, with the same arguments in the same order; see ``terms/``."""
 
 from facerender.terms.fresnel import (
     fresnel,

@@ -22,6 +22,7 @@ Changes = tuple[tuple[str, Any], ...]  # of a term's fields
 OUTSIDE = ("error", "exact")
 SMALL_SLOPE = 0.2  # from here on the exact lobe is accurate without FR_SMALL_SLOPE
 MAX_WEIGHT = 1e6
+SWITCHES = {"normal_map": True, "ambient": True, "slope_filter": True, "curvature": False}
 FRONTAL: Changes = (("fresnel", "constant"), ("masking", "none"))
 
 
@@ -145,6 +146,10 @@ class Shading:
         the exact lobe in its place
     ks : one specular weight in place of the materials' and of specular maps
     normal_map, ambient : whether they count
+    slope_filter : whether slopes of the normal map that a pixel does not resolve widen the lobe
+    curvature : whether the mesh's own curvature over a pixel does
+
+    What widens the lobe leaves a term's own m as it is.
 
     Raises
     ------
@@ -158,6 +163,8 @@ class Shading:
     ks: float | None
     normal_map: bool
     ambient: bool
+    slope_filter: bool
+    curvature: bool
 
     def __init__(
         self,
@@ -176,6 +183,8 @@ class Shading:
         ks: float | None = None,
         normal_map: bool = True,
         ambient: bool = True,
+        slope_filter: bool = True,
+        curvature: bool = False,
     ) -> None:
         if not isinstance(term, Term):
             raise InputError(f"term = {term!r}: give a Term")
@@ -205,12 +214,14 @@ class Shading:
             ("ks", ks),
             ("normal_map", normal_map),
             ("ambient", ambient),
+            ("slope_filter", slope_filter),
+            ("curvature", curvature),
         ):
             object.__setattr__(self, name, value)
         if outside not in OUTSIDE:
             known = ", ".join(OUTSIDE)
             raise InputError(f"unknown choice outside the domain {outside!r}; known: {known}")
-        for name in ("normal_map", "ambient"):
+        for name in SWITCHES:
             _check_switch(name, getattr(self, name))
         if ks is not None:
             check_range("ks", ks, 0.0, MAX_WEIGHT)
@@ -263,8 +274,7 @@ class Shading:
         values = asdict(self.term) | {
             "outside": self.outside,
             "ks": self.ks,
-            "normal_map": self.normal_map,
-            "ambient": self.ambient,
+            **{name: getattr(self, name) for name in SWITCHES},
             "specular_lights": None if self.specular_lights is None else [*self.specular_lights],
             "frontal_lights": list(self.frontal_lights),
             "lights": {light: changes for light, changes in own.items() if changes},
@@ -294,13 +304,12 @@ class Shading:
 # As TOML and JSON name what a shading is made of, and what it is where nothing is said.
 _KEYS = (
     *("model", "lobe", "fresnel", "outside", "masking", "small_slope", "m", "ks"),
-    *("normal_map", "ambient", "specular_lights", "frontal_lights", "lights"),
+    *(*SWITCHES, "specular_lights", "frontal_lights", "lights"),
 )
 _DEFAULTS = asdict(Term()) | {
     "outside": "error",
     "ks": None,
-    "normal_map": True,
-    "ambient": True,
+    **SWITCHES,
     "specular_lights": None,
     "frontal_lights": [],
     "lights": {},

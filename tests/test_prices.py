@@ -197,7 +197,7 @@ def test_compiled_prices_serve_a_whole_plan(cost, egl, bare, tmp_path, monkeypat
     Image.fromarray(np.repeat(np.uint8([[20, 250]]), 4, axis=0)).save(tmp_path / "rough.png")
     rough = fr.Texture.open(tmp_path / "rough.png")
     scene = fr.Scene(bare.with_material(roughness_map=rough, ks=0.05), lights=KEY)
-    assert slope_ranges(scene)[0][1] > 0.9
+    assert slope_ranges(scene, Shading())[0][1] > 0.9
     with fr.Renderer((32, 32), samples=1, backend=egl) as renderer:
         for budget in ("2/255", "10/255", "20/255", "40/255"):
             plan = fr.plan(scene, budget, renderer=renderer, cost=cost)

@@ -812,7 +812,7 @@ def test_each_part_gets_the_lobe_that_its_slopes_allow(transparent, pair):
 
 
 def test_slope_range_chooses_the_form_of_the_half_vector(pair):
-    ranges = slope_ranges(fr.Scene(pair))
+    ranges = slope_ranges(fr.Scene(pair), fr.Shading())
     assert ranges[0] == (0.75, 0.75)
     texts = [prelude([fr.Term().for_slopes(*ends)], ends[0]) for ends in ranges]
     assert ["FR_SMALL_SLOPE 0" in text for text in texts] == [True, False]

@@ -78,7 +78,7 @@ def arrays_of(mesh):
         for texture in (material.albedo_map, material.normal_map, material.property_map):
             if texture is not None:
                 yield np.asarray(texture.rgb())
-                for kind in ("color", "data"):
+                for kind in ("color", "normal", "data"):
                     yield from texture.levels(kind).result()
 
 

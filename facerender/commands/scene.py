@@ -15,6 +15,7 @@ from facerender.scenes.camera import Camera, turntable
 from facerender.scenes.file import load_scene
 from facerender.scenes.light import LIGHTS, parse_light
 from facerender.scenes.scene import Scene
+from facerender.scenes.texture import Kind
 from facerender.shading import Shading
 from facerender.terms import FRESNEL, MASKING, MODELS
 
@@ -39,6 +40,16 @@ def add_scene(
     terms.add_argument("--f0", type=float, help="reflectance at normal incidence (0.028)")
     terms.add_argument("--ks", type=float, help="specular weight (1)")
     terms.add_argument("--kd", type=float, help="diffuse weight (1)")
+    terms.add_argument(
+        "--slope-filter",
+        action=argparse.BooleanOptionalAction,
+        help="widen the lobe by what a pixel does not resolve of the normal map (on)",
+    )
+    terms.add_argument(
+        "--curvature",
+        action=argparse.BooleanOptionalAction,
+        help="widen it by the mesh's curvature over a pixel too, for small images (off)",
+    )
 
     maps = command.add_argument_group("maps, in place of those of the mesh file")
     for name in ("albedo", "normal-map", "specular-map", "roughness-map"):
@@ -54,7 +65,8 @@ def add_scene(
         action="append",
         metavar="LIGHT",
         help=f"{', '.join(LIGHTS)}, AZIMUTH,ELEVATION[,IRRADIANCE] or "
-        "point:X,Y,Z[,IRRADIANCE]; repeat for several (key, rim, fill)",
+        "point:X,Y,Z[,IRRADIANCE], and behind it ,radius=DEGREES where it has a size; repeat for "
+        "several (key, rim, fill)",
     )
     scene.add_argument("--ambient", metavar="E", help="irradiance from everywhere, E or R,G,B")
     scene.add_argument("--background", metavar="RGB", help="linear R,G,B, or none: transparent")
@@ -72,7 +84,7 @@ def job_of(
     if options.m is not None and options.roughness_map is not None:
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
     settings = load_scene(options.scene) if options.scene else {}
-    names = ("model", "lobe", "fresnel", "masking", "outside")
+    names = ("model", "lobe", "fresnel", "masking", "outside", "slope_filter", "curvature")
     terms = {name: value for name in names if (value := getattr(options, name, None)) is not None}
     pinned = settings.pop("shading", {})
     _check_unpinned(options, pinned)
@@ -119,7 +131,8 @@ def load(job: Job, cache: bool = False) -> Scene:
         import_trimesh()
         mesh = job.mesh.load(cache)
     scene = job.scene(mesh)
-    start_maps(scene.mesh, "linear-color" if job.image.float_albedo else "color")
+    albedo: Kind = "linear-color" if job.image.float_albedo else "color"
+    start_maps(scene.mesh, albedo, job.shading.slope_filter)
     return scene
 
 

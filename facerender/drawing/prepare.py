@@ -49,7 +49,9 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
     return replace(scene, mesh=known[key])
 
 
-def part_maps(part: Part, material: Material, albedo: Kind) -> list[tuple[str, Texture, Kind]]:
+def part_maps(
+    part: Part, material: Material, albedo: Kind, slope_filter: bool
+) -> list[tuple[str, Texture, Kind]]:
     """Return the maps that a part is drawn with: name, texture, kind of mip chain.
 
     albedo is the kind for the albedo map: "color" or "linear-color".
@@ -58,14 +60,14 @@ def part_maps(part: Part, material: Material, albedo: Kind) -> list[tuple[str, T
         return []
     candidates: list[tuple[str, Texture | None, Kind]] = [
         ("albedo_map", material.albedo_map, albedo),
-        ("normal_map", material.normal_map, "data"),
+        ("normal_map", material.normal_map, "normal" if slope_filter else "data"),
         ("property_map", material.property_map, "data"),
     ]
     return [(name, texture, kind) for name, texture, kind in candidates if texture is not None]
 
 
-def start_maps(mesh: Mesh, albedo: Kind = "color") -> None:
+def start_maps(mesh: Mesh, albedo: Kind = "color", slope_filter: bool = True) -> None:
     """Start decoding the maps of a mesh in threads, ahead of the renderer that waits for them."""
     for part, material in zip(mesh.parts, mesh.materials, strict=True):
-        for _, texture, kind in part_maps(part, material, albedo):
+        for _, texture, kind in part_maps(part, material, albedo, slope_filter):
             texture.levels(kind)

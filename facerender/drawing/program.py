@@ -145,9 +145,12 @@ class Program:
         return "\n".join([*kinds, f"#define ADD_EVERY_LIGHT {' '.join(loops)}\n"])
 
 
-def surface_features(part: Part, material: Material) -> tuple[str, ...]:
+def surface_features(part: Part, material: Material, shading: Shading) -> tuple[str, ...]:
     """Return what a part has without light."""
-    names = [name.upper() for name, _, _ in part_maps(part, material, "color")]
+    maps = part_maps(part, material, "color", shading.slope_filter)
+    names = [name.upper() for name, _, _ in maps]
+    names += ["SLOPE_FILTER"] * any(kind == "normal" for _, _, kind in maps)
+    names += ["CURVATURE"] * shading.curvature
     if part.uv is not None:
         names.append("UV")
         names += [name.upper() for name in PROPERTY_MAPS if getattr(material, name) is not None]
@@ -162,6 +165,7 @@ def shade_program(
     part: Part,
     material: Material,
     scene: Scene,
+    shading: Shading,
     lighting: Lighting,
     terms: Sequence[Term],
     smallest_m: float,
@@ -175,7 +179,7 @@ def shade_program(
     smallest_m : of the part
     diffuse : whether diffuse light counts
     """
-    features = surface_features(part, material)
+    features = surface_features(part, material, shading)
     features += ("AMBIENT",) * any(scene.ambient)  # type: ignore[arg-type]
     features += ("DIFFUSE",) * (diffuse and material.kd > 0.0)
     shines = bool(terms) and material.ks > 0.0

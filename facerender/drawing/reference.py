@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from facerender.drawing.frame import GBuffer
 from facerender.drawing.prepare import simplify
+from facerender.scenes.light import half_sum
 from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
+from facerender.terms.slope_variance import cosine_disc, slope_filtered, slope_variance_disc
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +66,7 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
     specular = np.zeros((len(scene.lights), *gbuffer.position.shape))
     terms = [shading.of(light) or shading.term for light in range(len(scene.lights))]
     for index, (material, slopes) in enumerate(
-        zip(scene.mesh.materials, slope_ranges(scene), strict=True)
+        zip(scene.mesh.materials, slope_ranges(scene, shading), strict=True)
     ):
         own = [term.for_slopes(*slopes, shading.outside) for term in terms]
         covered = gbuffer.part == index
@@ -81,9 +83,17 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
         ambient[covered] = albedo * occlusion[:, None] * np.asarray(scene.ambient)
         for light, (source, term) in enumerate(zip(scene.lights, own, strict=True)):
             l, irradiance = source.kind.lighting(source, scene.mesh, position)
-            received = irradiance * np.maximum(np.einsum("...i,...i", n, l), 0.0)[:, None]
-            diffuse[covered] += albedo * received
-            value = weight * term.brdf(n, l, v, m, material.f0)
+            cosine = np.einsum("...i,...i", n, l)
+            received = irradiance * np.maximum(cosine, 0.0)[:, None]
+            spread, widened = received, m
+            if source.kind.sine is not None:
+                s = source.kind.sine(source, scene.mesh, position)[..., 0]
+                k = half_sum(s)
+                spread = irradiance * cosine_disc(cosine, s, k)[:, None]
+                v_dot_h = 0.5 * np.linalg.norm(l + v, axis=-1)
+                widened = slope_filtered(m, slope_variance_disc(s, k, v_dot_h))
+            diffuse[covered] += albedo * spread
+            value = weight * term.brdf(n, l, v, widened, material.f0)
             specular[light][covered] = received * value[:, None]
     return Layers(ambient, diffuse, specular)
 

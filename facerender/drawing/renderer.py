@@ -160,7 +160,7 @@ class Renderer:
         samples = self.samples if samples is None else samples
         _check_samples(samples)
         scene = simplify(scene, shading)
-        start_maps(scene.mesh, self.albedo_kind)
+        start_maps(scene.mesh, self.albedo_kind, shading.slope_filter)
         view = view_of(scene, self.size[0] / self.size[1])
         if samples <= self.context.most_samples:
             linear = self._shaded(scene, view, shading, samples, only, backs)
@@ -175,7 +175,7 @@ class Renderer:
         for name in ("model", "lobe", "fresnel", "masking"):
             metadata[name] = str(getattr(shading.term, name))
         terms = Lighting.of(scene, shading).terms
-        ranges = [] if only == "diffuse" else slope_ranges(scene)
+        ranges = [] if only == "diffuse" else slope_ranges(scene, shading)
         drawn = [[term.for_slopes(*ends, shading.outside) for term in terms] for ends in ranges]
         if any(own != [*terms] for own in drawn):
             lobes = [dict.fromkeys(str(term.lobe) for term in own) for own in drawn]
@@ -185,10 +185,10 @@ class Renderer:
     def gbuffer(self, scene: Scene, shading: Shading = Shading()) -> GBuffer:
         """Draw what shading reads at each pixel's centre; errors as in :meth:`render`."""
         scene = simplify(scene, shading)
-        start_maps(scene.mesh, self.albedo_kind)
+        start_maps(scene.mesh, self.albedo_kind, shading.slope_filter)
         view = view_of(scene, self.size[0] / self.size[1])
         visibility = self._visibility(scene, view, 1)
-        surface = surface_pass(scene, view, visibility)
+        surface = surface_pass(scene, view, shading, visibility)
         passes = [visibility.drawn(), surface] if visibility else [surface]
         position, normal, albedo, uv = self._draw(passes, scene)
         return GBuffer(

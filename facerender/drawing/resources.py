@@ -25,6 +25,7 @@ from facerender.scenes.texture import Kind, Texture
 _TEXTURE_2D = 0x0DE1
 _SRGB8_ALPHA8 = 0x8C43
 _RGB8 = 0x8051
+_RGBA8 = 0x8058
 _RGBA16F = 0x881A
 _RGB, _RGBA = 0x1907, 0x1908
 _UNSIGNED_BYTE, _HALF_FLOAT = 0x1401, 0x140B
@@ -32,6 +33,7 @@ _UNSIGNED_BYTE, _HALF_FLOAT = 0x1401, 0x140B
 _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
     "color": (_SRGB8_ALPHA8, 4, _RGBA, _UNSIGNED_BYTE, "f1"),
     "linear-color": (_RGBA16F, 4, _RGBA, _HALF_FLOAT, "f2"),
+    "normal": (_RGBA8, 4, _RGBA, _UNSIGNED_BYTE, "f1"),
     "data": (_RGB8, 3, _RGB, _UNSIGNED_BYTE, "f1"),
 }
 
@@ -79,7 +81,8 @@ class Resources:
         self.anisotropy, self.albedo_kind = anisotropy, albedo_kind
         self.geometries: WeakKeyDictionary[Part | Facets, Geometry] = WeakKeyDictionary()
         self.facets: WeakKeyDictionary[Facets, moderngl.Texture] = WeakKeyDictionary()
-        self.textures: WeakKeyDictionary[Texture, moderngl.Texture] = WeakKeyDictionary()
+        self.textures: WeakKeyDictionary[Texture, dict[Kind, moderngl.Texture]]
+        self.textures = WeakKeyDictionary()
         self.programs: dict[Program, moderngl.Program] = {}
         self.targets: dict[Target, moderngl.Framebuffer] = {}
         self.screens: dict[moderngl.Program, moderngl.VertexArray] = {}
@@ -150,7 +153,9 @@ class Resources:
         """Bind a material's maps, facets, and textures of the scene, to their uniforms."""
         textures = dict(drawn)
         if draw.part is not None and draw.material is not None:
-            for name, source, kind in part_maps(draw.part, draw.material, self.albedo_kind):
+            filtered = "SLOPE_FILTER" in draw.program.features
+            maps = part_maps(draw.part, draw.material, self.albedo_kind, filtered)
+            for name, source, kind in maps:
                 textures[name] = self.texture(name, source, kind)  # before binding: it uses unit 0
         if draw.facets is not None and draw.depth == "marked":
             textures["facets"] = self.facet_texture(draw.facets)
@@ -226,8 +231,9 @@ class Resources:
     def texture(self, name: str, source: Texture, kind: Kind) -> moderngl.Texture:
         """Upload a mip chain. moderngl uploads level 0; its build_mipmaps would take 65 ms for
         2048 x 2048 texels on a software driver, the chain from texture.py is there already."""
-        if source in self.textures:
-            return self.textures[source]
+        known = self.textures.setdefault(source, {})
+        if kind in known:
+            return known[kind]
         levels = source.levels(kind).result()
         gl = self.context.gl
         internal, components, layout, data_type, dtype = _FORMATS[kind]
@@ -250,9 +256,11 @@ class Resources:
         # level would take 5 % of a frame on a software driver.
         step = name == "property_map"
         smaller = moderngl.LINEAR_MIPMAP_NEAREST if step else moderngl.LINEAR_MIPMAP_LINEAR
+        if len(levels) == 1:
+            smaller = moderngl.LINEAR
         texture.filter = smaller, moderngl.LINEAR
         texture.anisotropy = self.anisotropy
-        self.textures[source] = texture
+        known[kind] = texture
         return texture
 
 

@@ -43,11 +43,14 @@ def bound(scene: Scene, shading: Shading, full: Shading, budget: Budget) -> floa
     for light, *both in lit:
         _check_known(light, [term for term in both if term])
     worst = 0.0
-    for material, slopes in zip(scene.mesh.materials, slope_ranges(scene), strict=True):
+    for material, slopes in zip(scene.mesh.materials, slope_ranges(scene, full), strict=True):
         radiance = 0.0
         if shading.ambient != full.ambient:
             radiance = material.kd / np.pi * max(material.albedo) * np.max(scene.ambient)
-        if shading.normal_map != full.normal_map and material.normal_map is not None:
+        switches = ["curvature"]
+        if material.normal_map is not None:
+            switches += ["normal_map", "slope_filter"]
+        if any(getattr(shading, each) != getattr(full, each) for each in switches):
             radiance = np.inf
         weight = max(_weight(material, each) for each in (shading, full))
         same_weight = _same_weight(material, shading, full)

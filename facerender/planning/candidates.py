@@ -107,7 +107,7 @@ def with_lights(
 
 
 def _terms(scene: Scene, full: Shading) -> Iterator[Shading]:
-    ranges = slope_ranges(simplify(scene, full))
+    ranges = slope_ranges(simplify(scene, full), full)
     smallest, largest = min(low for low, _ in ranges), max(high for _, high in ranges)
     family = full.term.entry.family
     for model in [model for model in MODELS.values() if model.family == family]:

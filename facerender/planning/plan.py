@@ -138,7 +138,9 @@ class Plan:
         ------
         InputError : an unknown target
         """
-        smallest = min(low for low, _ in slope_ranges(simplify(self.scene, self.shading)))
+        smallest = min(
+            low for low, _ in slope_ranges(simplify(self.scene, self.shading), self.shading)
+        )
         flat = term_source(self.shading.term, smallest, target)
         version, _, rest = flat.partition("\n") if flat.startswith("#") else ("", "", flat)
         terms = [self.shading.of(light) for light in range(len(self.scene.lights))]
@@ -391,7 +393,7 @@ def _measured(
 
 def _guaranteed(scene: Scene, full: Shading, budget: Budget, cost: str) -> Plan:
     bound(scene, full, full, budget)  # refuses at once what it cannot bound
-    ends = [end for slopes in slope_ranges(simplify(scene, full)) for end in slopes]
+    ends = [end for slopes in slope_ranges(simplify(scene, full), full) for end in slopes]
     brightest = [float(np.max(light.irradiance)) for light in scene.lights]
     faintest = tuple(int(light) for light in np.argsort(brightest, kind="stable"))
     constants = Constants(max(ends), max(each.ks for each in scene.mesh.materials), faintest)

@@ -290,7 +290,7 @@ def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:
 def constants_seen(scene: Scene, full: Shading, views: Sequence[Region]) -> Constants:
     """Return what stands for the maps, their means weighted by the highlights, and how bright those
     of each light are."""
-    ends = {end for slopes in slope_ranges(simplify(scene, full)) for end in slopes}
+    ends = {end for slopes in slope_ranges(simplify(scene, full), full) for end in slopes}
     peaks, losses = np.zeros((2, len(scene.lights)))
     m, ks, light = [], [], []
     for view in views:

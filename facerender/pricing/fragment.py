@@ -87,10 +87,11 @@ def program_of(scene: Scene, shading: Shading | None = None, stub: str = "") -> 
     shading : of the scene; with None every light has the stub
     stub : GLSL in place of specular terms; "" for a program without where there is no shading
     """
-    lighting = Lighting.of(scene, shading or Shading())
+    chosen = shading or Shading()
+    lighting = Lighting.of(scene, chosen)
     terms = lighting.terms if shading else ()
     (part, *_), (material, *_) = scene.mesh.parts, scene.mesh.materials
-    program = shade_program(part, material, scene, lighting, terms, SLOPE)
+    program = shade_program(part, material, scene, chosen, lighting, terms, SLOPE)
     return replace(program, calls=(stub,)) if stub else program
 
 

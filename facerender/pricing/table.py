@@ -82,7 +82,7 @@ class Prices:
         )
         total = specular = faces = 0.0
         for part, material, (smallest, _) in zip(
-            simple.mesh.parts, simple.mesh.materials, slope_ranges(simple), strict=True
+            simple.mesh.parts, simple.mesh.materials, slope_ranges(simple, shading), strict=True
         ):
             shine = 0.0
             if material.ks:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_range
 from facerender.scenes.vectors import Vector, direction_to, non_negative, vector
+from facerender.terms.slope_variance import MAX_RADIUS
 
 if TYPE_CHECKING:
     from facerender.scenes.mesh import Mesh
@@ -30,12 +31,15 @@ class Light:
     irradiance : what a surface facing the light receives, one number or linear RGB; of a point
         light: at the centre of the mesh. pi shows a white diffuse surface as 1.
     position : of a point light, in the mesh's units; azimuth and elevation then do not count
+    radius : degrees, at most 20: the angle between the centre and the rim of the disc as which the
+        light is seen, of a point light from the mesh's centre; 0 for a light without size
     """
 
     azimuth: float = 0.0
     elevation: float = 0.0
     irradiance: float | Vector = math.pi
     position: Vector | None = None
+    radius: float = 0.0
 
     def __post_init__(self) -> None:
         check_range("light azimuth", self.azimuth, -3600, 3600)
@@ -44,6 +48,7 @@ class Light:
         object.__setattr__(self, "irradiance", irradiance)
         if self.position is not None:
             object.__setattr__(self, "position", vector("light position", self.position))
+        check_range("light radius", self.radius, 0.0, MAX_RADIUS)
 
     @property
     def direction(self) -> Float:
@@ -66,9 +71,12 @@ class LightKind:
     name : of its file, such as "point"
     example : one to price it with
     matches : whether a light is of this kind; the first kind that does counts
-    uniforms : of lights and their mesh, the arrays by name, each (N, 3), in the renderer's space
+    uniforms : of lights and their mesh, the arrays by name, (N, 1) to (N, 3), in the renderer's
+        space
     lighting : of a light, its mesh and positions (..., 3) in the renderer's space: unit vectors
         towards it and its irradiance there, in float64
+    sine : of one that is seen as a disc, its mesh and positions (..., 3): the sine of its radius
+        there, (..., 1), or one for all; None for kinds without size
     highest : the largest irradiance that it may give anywhere; None where nobody knows: a guarantee
         then refuses it
     """
@@ -78,6 +86,7 @@ class LightKind:
     matches: Callable[[Light], bool]
     uniforms: Callable[[Sequence[Light], Mesh], dict[str, Float]]
     lighting: Callable[[Light, Mesh, Float], tuple[Float, Float]]
+    sine: Callable[[Light, Mesh, Float], Float] | None = None
     highest: Callable[[Light], float] | None = None
 
     @property
@@ -121,23 +130,96 @@ def _point_lighting(light: Light, mesh: Mesh, position: Float) -> tuple[Float, F
     return to_light / np.sqrt(distance2), intensity / distance2
 
 
+def half_sum(sine: Float) -> Float:
+    """Return (1 + cos R)/2 of the sine of a radius: the k of ``slope_variance.glsl``."""
+    return np.asarray(0.5 + 0.5 * np.sqrt(1.0 - sine**2))
+
+
+def _sine(light: Light) -> Float:
+    return np.array([math.sin(math.radians(light.radius))])
+
+
+def _discs(lights: Sequence[Light], mesh: Mesh) -> dict[str, Float]:
+    sines = np.array([_sine(light) for light in lights])
+    return {
+        "disc_direction": np.array([light.direction for light in lights]),
+        "disc_irradiance": np.array([light.irradiance for light in lights]),
+        "disc_size": np.concatenate([sines, half_sum(sines)], axis=-1),
+    }
+
+
+def _sphere(light: Light, mesh: Mesh) -> tuple[Float, Float, float]:
+    """Return position, intensity and size in the renderer's space, in which the mesh lies within
+    the unit sphere.
+
+    Raises
+    ------
+    InputError : somewhere on the mesh its radius may be too large
+    """
+    position, intensity = _point(light, mesh)
+    distance = float(np.linalg.norm(position))
+    size = distance * float(_sine(light)[0])
+    if size > (distance - 1.0) * math.sin(math.radians(MAX_RADIUS)) * (1.0 + 1e-9):
+        raise InputError(
+            f"point light {light.position} with radius {light.radius:g} is too near: parts of the "
+            f"mesh may see it with a radius above {MAX_RADIUS:g}; give a smaller one, or move it"
+        )
+    return position, intensity, size
+
+
+def _spheres(lights: Sequence[Light], mesh: Mesh) -> dict[str, Float]:
+    positions, intensities, sizes = zip(*(_sphere(each, mesh) for each in lights), strict=True)
+    return {
+        "sphere_position": np.array(positions),
+        "sphere_intensity": np.array(intensities),
+        "sphere_size": np.array(sizes)[:, None],
+    }
+
+
+def _sphere_sine(light: Light, mesh: Mesh, position: Float) -> Float:
+    source, _, size = _sphere(light, mesh)
+    return np.asarray(size / np.linalg.norm(source - position, axis=-1, keepdims=True))
+
+
+def _distant_lighting(light: Light, mesh: Mesh, position: Float) -> tuple[Float, Float]:
+    return light.direction, np.asarray(light.irradiance)
+
+
 LIGHT_KINDS: dict[str, LightKind] = {
     kind.name: kind
     for kind in (
         LightKind(
             "point",
             example=Light(irradiance=2.0, position=(1.0, 2.0, 3.0)),
-            matches=lambda light: light.position is not None,
+            matches=lambda light: light.position is not None and not light.radius,
             uniforms=_points,
             lighting=_point_lighting,
             highest=lambda light: math.inf,  # it may be as near as one likes
+        ),
+        LightKind(
+            "sphere",
+            example=Light(irradiance=2.0, position=(1.0, 2.0, 3.0), radius=5.0),
+            matches=lambda light: light.position is not None,
+            uniforms=_spheres,
+            lighting=_point_lighting,
+            sine=_sphere_sine,
+            highest=lambda light: math.inf,
+        ),
+        LightKind(
+            "disc",
+            example=Light(30.0, 35.0, 2.0, radius=5.0),
+            matches=lambda light: light.radius > 0.0,
+            uniforms=_discs,
+            lighting=_distant_lighting,
+            sine=lambda light, mesh, position: _sine(light),
+            highest=lambda light: float(np.max(light.irradiance)),
         ),
         LightKind(
             "directional",
             example=Light(30.0, 35.0, 2.0),
             matches=lambda light: True,
             uniforms=_distant,
-            lighting=lambda light, mesh, position: (light.direction, np.asarray(light.irradiance)),
+            lighting=_distant_lighting,
             highest=lambda light: float(np.max(light.irradiance)),
         ),
     )
@@ -154,29 +236,46 @@ LIGHTS: Mapping[str, Light] = {
 }
 
 
+def disc_of(light: Light, mesh: Mesh) -> tuple[float, float] | None:
+    """Return the s and k of ``slope_variance.glsl`` of the widest disc as which any place of a mesh
+    sees a light; None where it has no size; errors as of drawing it."""
+    if light.kind.sine is None:
+        return None
+    nearest = np.zeros(3)
+    if light.position is not None:
+        nearest = mesh.normalised(light.position)
+        nearest /= max(float(np.linalg.norm(nearest)), 1e-30)
+    sine = light.kind.sine(light, mesh, nearest)
+    return float(sine[0]), float(half_sum(sine)[0])
+
+
 def parse_light(text: str) -> Light:
     """Read a light from ``NAME``, ``AZIMUTH,ELEVATION[,IRRADIANCE]`` or
-    ``point:X,Y,Z[,IRRADIANCE]``, the irradiance being E or R,G,B.
+    ``point:X,Y,Z[,IRRADIANCE]``, the irradiance being E or R,G,B, and ``,radius=DEGREES`` behind
+    any of them.
 
     Raises
     ------
     InputError : neither a known name nor numbers of that form
     """
-    if text in LIGHTS:
-        return LIGHTS[text]
-    kind, _, rest = text.rpartition(":")
+    first, sized, degrees = text.partition(",radius=")
+    kind, _, rest = first.rpartition(":")
     try:
-        values = [float(word) for word in rest.split(",")]
+        radius = float(degrees) if sized else 0.0
+        values = [] if first in LIGHTS else [float(word) for word in rest.split(",")]
         count = {"": 2, "point": 3}[kind]
         where, irradiance = values[:count], values[count:] or [math.pi]
-        if len(where) != count or len(irradiance) not in (1, 3):
+        if len(where) != count * (first not in LIGHTS) or len(irradiance) not in (1, 3):
             raise ValueError
     except (KeyError, ValueError):
         raise InputError(
             f"unknown light {text!r}; give {', '.join(LIGHTS)}, or AZIMUTH,ELEVATION[,IRRADIANCE],"
-            " or point:X,Y,Z[,IRRADIANCE]"
+            " or point:X,Y,Z[,IRRADIANCE], and behind it ,radius=DEGREES where it has a size"
         ) from None
+    if first in LIGHTS:
+        return replace(LIGHTS[first], radius=radius)
     received = vector("light irradiance", irradiance if irradiance[1:] else irradiance[0])
     if kind == "point":
-        return Light(irradiance=received, position=vector("light position", where))
-    return Light(where[0], where[1], received)
+        place = vector("light position", where)
+        return Light(irradiance=received, position=place, radius=radius)
+    return Light(where[0], where[1], received, radius=radius)

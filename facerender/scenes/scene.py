@@ -6,9 +6,16 @@ from dataclasses import dataclass
 from typing import Literal
 
 from facerender.scenes.camera import Camera
-from facerender.scenes.light import LIGHTS, Light
+from facerender.scenes.light import LIGHTS, Light, disc_of
 from facerender.scenes.mesh import Mesh, slope_range
 from facerender.scenes.vectors import Vector, non_negative
+from facerender.shading import Shading
+from facerender.terms.slope_variance import (
+    MAP_DEVIATION,
+    MAX_PIXEL_VARIANCE,
+    slope_filtered,
+    slope_variance_disc,
+)
 
 Only = Literal["specular", "diffuse", "albedo", "normal", "depth", "cosines"]
 
@@ -42,6 +49,22 @@ class Scene:
             object.__setattr__(self, "background", background)
 
 
-def slope_ranges(scene: Scene) -> list[tuple[float, float]]:
-    """Return the smallest and the largest m of each part."""
-    return [slope_range(*each) for each in zip(scene.mesh.parts, scene.mesh.materials, strict=True)]
+def slope_ranges(scene: Scene, shading: Shading) -> list[tuple[float, float]]:
+    """Return the smallest and the largest m of each part: what the slope filter, curvature and
+    discs of lights may add counts.
+
+    Raises
+    ------
+    InputError : a light that is too near for its radius
+    """
+    discs = [disc for light in scene.lights if (disc := disc_of(light, scene.mesh))]
+    shared = max((float(slope_variance_disc(*disc, 0.0)) for disc in discs), default=0.0)
+    shared += MAX_PIXEL_VARIANCE * shading.curvature
+    ranges = []
+    for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
+        smallest, largest = slope_range(part, material)
+        mapped = part.uv is not None and material.normal_map is not None and shading.normal_map
+        if variance := shared + MAP_DEVIATION**2 * (mapped and shading.slope_filter):
+            largest = float(slope_filtered(largest, variance))
+        ranges.append((smallest, largest))
+    return ranges

@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, reason
 from facerender.image import linear_to_srgb, srgb_to_linear
+from facerender.terms.slope_variance import MAP_DEVIATION
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-Kind = Literal["color", "linear-color", "data"]
+Kind = Literal["color", "linear-color", "normal", "data"]
 Levels = list[NDArray[Any]]
 
 MAX_SIZE = 16384
@@ -115,7 +116,9 @@ class Texture:
         """Start computing the mip chain in a thread, once, and return its future.
 
         "color" gives sRGB-encoded uint8 (H, W, 4), averaged in linear light; "linear-color" the
-        same decoded, in float16, for comparisons to the last digit; "data" uint8 (H, W, 3).
+        same decoded, in float16, for comparisons to the last digit; "normal" uint8 (H, W, 4), of a
+        normal map, averaged as unit vectors, with the slope deviation of what a texel stands for as
+        alpha (``fr_slope_variance_map``), 0 in the finest; "data" uint8 (H, W, 3).
         """
         with self._levels_lock:
             if kind not in self._levels:
@@ -135,7 +138,9 @@ class Texture:
         """The image, of a chain that holds it."""
         from PIL import Image
 
-        chains = (self._levels[kind] for kind in ("data", "color") if kind in self._levels)
+        chains = (
+            self._levels[kind] for kind in ("normal", "data", "color") if kind in self._levels
+        )
         texels = next(chain.result()[0] for chain in chains if chain.done())
         return Image.fromarray(np.ascontiguousarray(texels[..., :3]))
 
@@ -264,8 +269,53 @@ def _linear_color_levels(image: Image) -> Levels:
     return [level.astype(np.float16) for level in chain]
 
 
+def _halve_planes(planes: NDArray[Any]) -> NDArray[np.float32]:
+    """Return means of blocks of 2 x 2, of (C, H, W) with even sides."""
+    rows = planes[:, 0::2] + planes[:, 1::2]
+    blocks = rows[..., 0::2] + rows[..., 1::2]
+    blocks *= np.float32(0.25)
+    return np.asarray(blocks)
+
+
+def _unit_planes(texels: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return normals (3, H, W) of unit length."""
+    planes = np.moveaxis(texels, -1, 0).astype(np.float32, order="C")
+    planes -= np.float32(127.5)  # no byte stands for 0, nor three for a zero vector
+    planes *= 1.0 / np.sqrt(planes[0] ** 2 + planes[1] ** 2 + planes[2] ** 2)
+    return planes
+
+
+def _with_deviation(means: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return the texels of a level: directions of mean vectors (3, H, W), and their deviation."""
+    length = np.sqrt(means[0] ** 2 + means[1] ** 2 + means[2] ** 2).clip(1e-6, 1.0)
+    texels = np.empty((*length.shape, 4), dtype=np.uint8)
+    scale = np.float32(127.5) / length
+    for channel, plane in enumerate(means):
+        texels[..., channel] = plane * scale + np.float32(128.0)  # is cut off
+    deviation = np.sqrt((1.0 - length) / length)
+    texels[..., 3] = np.minimum(deviation * np.float32(255.0 / MAP_DEVIATION), 255.0) + 0.5
+    return texels
+
+
+def _normal_levels(image: Image) -> Levels:
+    texels = np.asarray(image)
+    levels = [np.insert(texels, 3, 0, axis=-1)]
+    if max(image.size) == 1:
+        return levels
+    even = _even(texels)
+    strips = range(0, len(even), _STRIP)  # that stay in the cache
+    halved = [_halve_planes(_unit_planes(even[top : top + _STRIP])) for top in strips]
+    means = np.concatenate(halved, axis=1)
+    while True:
+        levels.append(_with_deviation(means))
+        if max(means.shape[1:]) == 1:
+            return levels
+        means = _halve_planes(np.moveaxis(_even(np.moveaxis(means, 0, -1)), -1, 0))
+
+
 _CHAINS: dict[Kind, Callable[[Image], Levels]] = {
     "color": _color_levels,
     "linear-color": _linear_color_levels,
+    "normal": _normal_levels,
     "data": _data_levels,
 }

@@ -41,8 +41,8 @@ def slope_variance_pixel(n_x: ArrayLike, n_y: ArrayLike) -> Float:
     ----------
     n_x, n_y : (..., 3), how much the unit normal changes from a pixel to the next
     """
-    changes = np.stack(np.broadcast_arrays(n_x, n_y)).astype(np.float64)
-    return np.minimum((changes**2).sum(axis=(0, -1)) / 24.0, MAX_PIXEL_VARIANCE)
+    x, y = np.asarray(n_x, dtype=np.float64), np.asarray(n_y, dtype=np.float64)
+    return np.minimum(((x * x).sum(axis=-1) + (y * y).sum(axis=-1)) / 24.0, MAX_PIXEL_VARIANCE)
 
 
 def slope_variance_disc(s: ArrayLike, k: ArrayLike, v_dot_h: ArrayLike) -> Float:
@@ -54,7 +54,7 @@ def slope_variance_disc(s: ArrayLike, k: ArrayLike, v_dot_h: ArrayLike) -> Float
         at most 20 degrees
     v_dot_h : cosine of eye and unit half vector, in [0, 1]; broadcasts with these
     """
-    width = np.asarray(s, dtype=np.float64) / k
+    width = np.asarray(s, dtype=np.float64) / np.asarray(k, dtype=np.float64)
     along = np.maximum(np.asarray(v_dot_h, dtype=np.float64) ** 2, _LEAST_V_DOT_H2)
     return np.asarray(width**2 / 32.0 * (1.0 + 1.0 / along))
 
@@ -70,4 +70,4 @@ def cosine_disc(c: ArrayLike, s: ArrayLike, k: ArrayLike) -> Float:
     cosine, sine = np.asarray(c, dtype=np.float64), np.asarray(s, dtype=np.float64)
     above = np.maximum(cosine + sine, 0.0)
     part = above**2 / (4.0 * np.maximum(sine, 1e-300))
-    return np.asarray(np.where(cosine >= sine, cosine, part) * k)
+    return np.where(cosine >= sine, cosine, part) * np.asarray(k, dtype=np.float64)

@@ -5,6 +5,9 @@
 #include "facerender/constants.glsl"
 #include "host/light/light.glsl"
 #include "host/surface.glsl"
+#if defined(DISC_LIGHTS) || defined(SPHERE_LIGHTS)
+#include "facerender/slope_variance.glsl"
+#endif
 
 uniform float diffuse_weight;  // kd
 uniform float f0;
@@ -28,6 +31,24 @@ void add_light(Surface s, vec3 v, Light light, int term) {
     }
 #endif
 }
+
+#if defined(DISC_LIGHTS) || defined(SPHERE_LIGHTS)
+void add_light(Surface s, vec3 v, Disc light, int term) {
+    vec3 l = light.center.direction;
+    float cosine = dot(s.normal, l);
+    diffuse += light.center.irradiance * fr_cosine_disc(cosine, light.size.x, light.size.y);
+#ifdef SPECULAR
+    if (term >= 0) {
+        float v_dot_h = 0.5 * length(l + v);
+        float m = fr_slope_filtered(
+            s.m, fr_slope_variance_disc(light.size.x, light.size.y, v_dot_h)
+        );
+        vec3 received = light.center.irradiance * max(cosine, 0.0);
+        specular += received * specular_term(term, s.normal, l, v, m, f0);
+    }
+#endif
+}
+#endif
 
 vec3 shaded(Point p) {
     Surface s = surface(p);

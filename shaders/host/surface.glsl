@@ -21,6 +21,10 @@ uniform sampler2D normal_map;
 uniform sampler2D property_map;  // occlusion, roughness, specular weight
 #endif
 
+#if defined(SLOPE_FILTER) || defined(CURVATURE)
+#include "facerender/slope_variance.glsl"
+#endif
+
 struct Surface {
     vec3 position;
     vec3 normal;
@@ -51,8 +55,21 @@ Surface surface(Point p) {
     // The inside of an open mesh shows its back. A triangle that is only just turned away, whose
     // normal still lies near the silhouette's, peeks out by rounding of depth, and is no inside.
     if (p.inside && dot(n, normalize(eye - p.position)) < -0.25) n = -n;
+#if defined(SLOPE_FILTER) || defined(CURVATURE)
+    float variance = 0.0;
+#endif
+#ifdef CURVATURE
+    float inverse = inversesqrt(dot(p.normal, p.normal));
+    variance += fr_slope_variance_pixel(
+        inverse * (p.normal_x - n * dot(n, p.normal_x)),
+        inverse * (p.normal_y - n * dot(n, p.normal_y))
+    );
+#endif
 #ifdef NORMAL_MAP
     n = mapped_normal(p, n);
+#ifdef SLOPE_FILTER
+    variance += fr_slope_variance_map(TEXEL(normal_map, p).a);  // compilers fetch the texel once
+#endif
 #endif
 #ifdef ALBEDO_FACTOR
     vec3 albedo = albedo_factor;
@@ -79,5 +96,8 @@ Surface surface(Point p) {
 #endif
 #endif
     s.m = max(s.m, FR_MIN_SLOPE);
+#if defined(SLOPE_FILTER) || defined(CURVATURE)
+    s.m = fr_slope_filtered(s.m, variance);
+#endif
     return s;
 }

@@ -7,8 +7,7 @@ import numpy as np
 from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import Lighting, part_uniforms, scene_uniforms, shade_program
-from facerender.scenes.mesh import slope_range
-from facerender.scenes.scene import Only, Scene
+from facerender.scenes.scene import Only, Scene, slope_ranges
 from facerender.scenes.view import View
 from facerender.shading import Shading
 
@@ -31,17 +30,18 @@ def shade_pass(
 
     Raises
     ------
-    InputError : m lies outside a lobe's domain, and the shading asks for an error then
+    InputError : m lies outside a lobe's domain, and the shading asks for an error then; a light
+        is too near for its radius
     """
     lighting = Lighting.of(scene, shading)
     draws = []
-    for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
-        terms, smallest = [], 0.0
-        if only != "diffuse":
-            smallest, largest = slope_range(part, material)
-            terms = [term.for_slopes(smallest, largest, shading.outside) for term in lighting.terms]
+    specular = only != "diffuse"
+    ranges = slope_ranges(scene, shading) if specular else [(0.0, 0.0)] * len(scene.mesh.parts)
+    for part, material, ends in zip(scene.mesh.parts, scene.mesh.materials, ranges, strict=True):
+        terms = [term.for_slopes(*ends, shading.outside) for term in lighting.terms * specular]
         program = shade_program(
-            part, material, scene, lighting, terms, smallest, diffuse=only != "specular"
+            *(part, material, scene, shading, lighting, terms, ends[0]),
+            diffuse=only != "specular",
         )
         draws.append(Draw(program, part_uniforms(part, material), part, material))
     background = scene.background if scene.background and only is None else (0.0, 0.0, 0.0)

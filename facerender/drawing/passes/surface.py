@@ -12,16 +12,19 @@ from facerender.drawing.program import (
 )
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
+from facerender.shading import Shading
 
 
-def surface_pass(scene: Scene, view: View, visibility: Visibility | None = None) -> Pass:
+def surface_pass(
+    scene: Scene, view: View, shading: Shading, visibility: Visibility | None = None
+) -> Pass:
     """Return the pass that draws position and part, normal and m, albedo and specular weight,
     texture coordinates and occlusion of a simplified scene; visibility as of the pass that
     shades."""
     parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
     draws = [
         Draw(
-            Program("gbuffer.frag", features=surface_features(part, material)),
+            Program("gbuffer.frag", features=surface_features(part, material, shading)),
             {**part_uniforms(part, material), "part": number},
             part,
             material,

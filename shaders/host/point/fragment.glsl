@@ -16,6 +16,10 @@ Point point() {
     Point p;
     p.position = position;
     p.normal = vertex_normal;
+#ifdef CURVATURE
+    p.normal_x = dFdx(vertex_normal);
+    p.normal_y = dFdy(vertex_normal);
+#endif
     p.inside = gl_FrontFacing;  // what OpenGL calls the front: the image is drawn upside down
 #ifdef UV
     p.uv = uv;

@@ -5,6 +5,10 @@
 struct Point {
     vec3 position;
     vec3 normal;  // any length
+#ifdef CURVATURE
+    vec3 normal_x;  // how much it changes from a pixel to the next
+    vec3 normal_y;
+#endif
     bool inside;  // whether the back of its triangle is seen
 #ifdef UV
     vec2 uv;

@@ -18,6 +18,16 @@ vec4 texel_of(uint facet, int index) {
     return texelFetch(facets, ivec2(column * FACET_TEXELS + index, row), 0);
 }
 
+#ifdef CURVATURE
+vec3 normal_change(uint facet, vec3 change) {
+    return vec3(
+        dot(texel_of(facet, 1).xyz, change),
+        dot(texel_of(facet, 2).xyz, change),
+        dot(texel_of(facet, 3).xyz, change)
+    );
+}
+#endif
+
 float affine(uint facet, int index, vec3 position) {
     vec4 function = texel_of(facet, index);
     return dot(function.xyz, position) + function.w;
@@ -39,9 +49,15 @@ Point point(uint facet) {
     p.normal = vec3(
         affine(facet, 1, p.position), affine(facet, 2, p.position), affine(facet, 3, p.position)
     );
-#ifdef UV
+#if defined(UV) || defined(CURVATURE)
     vec3 position_x = distance * (ray_x - direction * (dot(ray_x, plane.xyz) / across));
     vec3 position_y = distance * (ray_y - direction * (dot(ray_y, plane.xyz) / across));
+#endif
+#ifdef CURVATURE
+    p.normal_x = normal_change(facet, position_x);
+    p.normal_y = normal_change(facet, position_y);
+#endif
+#ifdef UV
     vec4 u = texel_of(facet, 4);
     vec4 v = texel_of(facet, 5);
     p.uv = vec2(dot(u.xyz, p.position) + u.w, dot(v.xyz, p.position) + v.w);
