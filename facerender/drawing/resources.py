@@ -90,8 +90,8 @@ class Resources:
     def release(self) -> None:
         """Free everything on the GPU; the context is current."""
         caches = (self.geometries, self.facets, self.textures, self.programs, self.targets)
-        for cache in (*caches, self.screens):
-            cache.clear()
+        for made in (*caches, self.screens):
+            made.clear()
         self.context.gl.gc()
 
     def settle(self) -> None:
