@@ -15,8 +15,8 @@ import numpy as np
 import facerender as fr
 from docs.template import missing
 from facerender.image import linear_to_srgb
-from facerender.measure.antialiasing import Lost, antialiasing
-from facerender.measure.tables import markdown_table
+from facerender.measure.antialiasing import antialiasing
+from facerender.measure.tables import SAMPLES_HEAD, markdown_table, sample_cells
 from facerender.planning.decisions import Decision
 from facerender.pricing.frame import ratio
 from trials.scan import load_scan, scan_folder
@@ -24,15 +24,6 @@ from trials.subjects import Subject, subjects
 
 OUTPUT = Path(__file__).with_suffix(".md")
 SIZES = (512, 1024)
-SAMPLES_HEAD = (
-    "samples",
-    "frame",
-    "silhouette: mean",
-    "99 %",
-    "inside: mean",
-    "99 %",
-    "over 1/255",
-)
 DEFERRED_HEAD = ("scene", "triangles", "1 sample", "over 1/255", "4 samples", "over 1/255")
 
 PLAN_HEAD = (
@@ -129,23 +120,7 @@ def stale() -> Iterator[str]:
 def sample_table(size: int) -> str:
     with fr.Renderer((size, size)) as renderer:
         rows = antialiasing(renderer, fr.Scene(fr.load_mesh(), fr.Camera(-35.0)))
-    return markdown_table(
-        SAMPLES_HEAD,
-        [
-            (
-                str(row.samples),
-                f"{row.time.value:.2f}",
-                *_told(row.silhouette),
-                *_told(row.inside),
-                f"{100 * row.inside.over:.2f} %",
-            )
-            for row in rows
-        ],
-    )
-
-
-def _told(lost: Lost) -> tuple[str, ...]:
-    return f"{255 * lost.mean:.2f}/255", f"{255 * lost.percentile:.1f}/255"
+    return markdown_table(SAMPLES_HEAD, [sample_cells(row) for row in rows])
 
 
 def deferred_table() -> str:

@@ -15,7 +15,7 @@ from facerender.drawing.program import part_columns
 from facerender.scenes.mesh import Mesh, Part
 
 IN_ROW = 256  # of the texture
-_AT_ONCE = 1 << 16
+_AT_ONCE = 1 << 12
 _ROUNDING = 2.0**-22  # of a width, from float32 positions of size 1
 
 Floats = NDArray[np.floating[Any]]

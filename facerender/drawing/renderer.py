@@ -241,6 +241,7 @@ class Renderer:
     def _draw(self, passes: list[Pass], scene: Scene) -> list[NDArray[np.float32]]:
         """Draw passes in their order, and return the images of the last."""
         drawn: dict[str, moderngl.Texture] = {}
+        self._resources.settle()
         with self.context.drawing() as gl:
             for step in passes:
                 target = self._resources.draw(step, scene.mesh, drawn)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -12,43 +11,11 @@ from numpy.typing import NDArray
 from facerender.drawing.renderer import MAX_SAMPLES, Renderer
 from facerender.errors import InputError
 from facerender.image import linear_to_srgb
+from facerender.measure.measurement import Lost, Sampled
 from facerender.pricing.frame import seconds
-from facerender.pricing.interval import Interval, bootstrap
+from facerender.pricing.interval import bootstrap
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
-
-
-@dataclass(frozen=True)
-class Lost:
-    """Errors of the displayed image, as shares of its range, of the worst channel.
-
-    Attributes
-    ----------
-    mean, percentile : of the pixels; the percentile is exceeded by one in 100
-    over : share of the pixels that err by more than 1/255
-    """
-
-    mean: float
-    percentile: float
-    over: float
-
-
-@dataclass(frozen=True)
-class Sampled:
-    """What a number of samples costs and loses.
-
-    Attributes
-    ----------
-    samples : per pixel
-    time : of a frame with readback, over that of a frame with one sample
-    silhouette : of the pixels that the mesh covers in part with 64 samples
-    inside : of those that it covers
-    """
-
-    samples: int
-    time: Interval
-    silhouette: Lost
-    inside: Lost
 
 
 def antialiasing(

@@ -109,6 +109,39 @@ class MeasuredVariant:
     error: Errors
 
 
+@dataclass(frozen=True)
+class Lost:
+    """Errors of the displayed image, as shares of its range, of the worst channel.
+
+    Attributes
+    ----------
+    mean, percentile : of the pixels; the percentile is exceeded by one in 100
+    over : share of the pixels that err by more than 1/255
+    """
+
+    mean: float
+    percentile: float
+    over: float
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """What a number of samples costs and loses.
+
+    Attributes
+    ----------
+    samples : per pixel
+    time : of a frame with readback, over that of a frame with one sample
+    silhouette : of the pixels that the mesh covers in part with 64 samples
+    inside : of those that it covers
+    """
+
+    samples: int
+    time: Interval
+    silhouette: Lost
+    inside: Lost
+
+
 @dataclass(frozen=True, eq=False)
 class Triptych:
     """What is drawn with the exact lobe in float64, what OpenGL draws with this one, and their
@@ -128,6 +161,7 @@ class Measurement:
     Attributes
     ----------
     amd_driver : what compiled for AMD's GPUs, or None
+    samples : what numbers of samples a pixel cost and lose
     degrees : angles γ of the half vector
     curves : by model, lobe and slope, the lobe less the exact one in percent of the peak, one for
         each angle; a slope outside the domain is left out
@@ -138,6 +172,7 @@ class Measurement:
     amd_driver: str | None
     settings: Settings
     variants: Sequence[MeasuredVariant]
+    samples: Sequence[Sampled]
     degrees: Sequence[float]
     curves: Mapping[str, Curves]
     not_measured: Sequence[str]
@@ -162,6 +197,7 @@ class Measurement:
                 }
                 for measured in self.variants
             ],
+            "samples": [asdict(sampled) for sampled in self.samples],
             "curves": {"degrees": list(self.degrees), **self.curves},
             "not_measured": list(self.not_measured),
         }
@@ -184,6 +220,7 @@ class Measurement:
             environment=Environment(**environment),
             settings=Settings(**content["settings"] | {"size": tuple(content["settings"]["size"])}),
             variants=[_measured_variant(row) for row in content["variants"]],
+            samples=[_sampled(row) for row in content.get("samples", [])],
             degrees=curves.pop("degrees"),
             curves=curves,
             not_measured=content["not_measured"],
@@ -202,6 +239,12 @@ def _measured_variant(row: Mapping[str, Any]) -> MeasuredVariant:
             vega10=cost["vega10"] and Statistics(**cost["vega10"]),
         ),
         Errors(error["lobe"], error["brdf"], error["image"] and ImageError(**error["image"])),
+    )
+
+
+def _sampled(row: Mapping[str, Any]) -> Sampled:
+    return Sampled(
+        row["samples"], Interval(**row["time"]), Lost(**row["silhouette"]), Lost(**row["inside"])
     )
 
 

@@ -15,9 +15,11 @@ import numpy as np
 from facerender._version import __version__
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.prepare import start_maps
+from facerender.drawing.renderer import Renderer
 from facerender.errors import NotMeasured
 from facerender.image import encode_srgb8
 from facerender.measure import error
+from facerender.measure.antialiasing import antialiasing
 from facerender.measure.measurement import (
     MAGNIFIED,
     MODELS,
@@ -53,7 +55,8 @@ def measure(
     backend: Backend = "auto",
     progress: Progress = lambda what, done: None,
 ) -> tuple[Measurement, list[Triptych]]:
-    """Measure what every form and lobe of both models costs and loses, on this machine.
+    """Measure what every form and lobe of both models, and numbers of samples, cost and lose, on
+    this machine.
 
     Parameters
     ----------
@@ -105,6 +108,9 @@ def measure(
             )
             errors = _errors(variant, slopes, images.get(variant))
             measured.append(MeasuredVariant(variant, costs, errors))
+    progress("samples", 0.0)
+    with Renderer(size, backend=backend) as renderer:
+        samples = antialiasing(renderer, scene, repeats=repeats)
     if any(row.error.image and row.error.image.flip is None for row in measured):
         not_measured.append("FLIP needs flip-evaluator: pip install 'facerender[measure]'")
     measurement = Measurement(
@@ -112,6 +118,7 @@ def measure(
         amd.driver() if any(statistics.values()) else None,
         Settings(mesh.name, m, size, repeats, quick),
         measured,
+        samples,
         DEGREES.tolist(),
         {model: _curves(model, slopes) for model in MODELS},
         not_measured,

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from facerender.measure.measurement import MODELS, BySlope, ImageError, Measurement
+from facerender.measure.measurement import MODELS, BySlope, ImageError, Lost, Measurement, Sampled
 from facerender.measure.pareto import KINDS, TERM, CostKind, Row, measure_of, pareto
 from facerender.pricing.amd import Statistics
 from facerender.pricing.interval import Interval
@@ -33,6 +33,15 @@ _IMAGE_HEAD = (
     "displayed, steps of 1/255",
     "99.9 % of pixels within, steps",
     "FLIP, mean",
+)
+SAMPLES_HEAD = (
+    "samples",
+    "frame, of one sample",
+    "silhouette: mean, 1/255",
+    "99 %, 1/255",
+    "inside: mean, 1/255",
+    "99 %, 1/255",
+    "over 1/255, %",
 )
 
 
@@ -144,6 +153,25 @@ def error_tables(measurement: Measurement) -> list[Table]:
             ),
         ]
     return tables
+
+
+def sample_table(measurement: Measurement) -> Table:
+    """Return what numbers of samples a pixel cost and lose; without rows where they were not
+    measured."""
+    return Table(
+        "Samples a pixel: {} x {}".format(*measurement.settings.size),
+        "Errors of the displayed image against 64 samples, each shaded by itself.",
+        SAMPLES_HEAD,
+        [sample_cells(each) for each in measurement.samples],
+    )
+
+
+def sample_cells(sampled: Sampled) -> list[str]:
+    """Return the row of a number of samples, under ``SAMPLES_HEAD``."""
+    lost: list[Lost] = [sampled.silhouette, sampled.inside]
+    steps = [255.0 * share for each in lost for share in (each.mean, each.percentile)]
+    figures = (sampled.time.value, *steps, 100.0 * sampled.inside.over)
+    return [str(sampled.samples), *(_number(figure) for figure in figures)]
 
 
 def _slope_table(title: str, note: str, errors: Mapping[str, BySlope]) -> Table:
