@@ -140,6 +140,7 @@ class Shading:
     lights : by index in the scene, what the terms of some lights have different, such as
         ``{1: {"lobe": "d16"}}``
     specular_lights : indices of the lights that have a specular term; None for all
+    shadow_lights : indices of the lights whose shadows count; None for all that cast any
     frontal_lights : indices of those that stand on the eye's side, where Fresnel is f0 and nothing
         is masked: their term has neither; Cook-Torrance only
     outside : what a material gets whose m leaves the domain of the lobe: "error", or "exact" for
@@ -159,6 +160,7 @@ class Shading:
     term: Term
     lights: tuple[tuple[int, Changes], ...]
     specular_lights: tuple[int, ...] | None
+    shadow_lights: tuple[int, ...] | None
     outside: str
     ks: float | None
     normal_map: bool
@@ -179,6 +181,7 @@ class Shading:
         term: Term = Term(),
         lights: Mapping[int, Mapping[str, Any]] | Sequence[tuple[int, Changes]] = (),
         specular_lights: Sequence[int] | None = None,
+        shadow_lights: Sequence[int] | None = None,
         frontal_lights: Sequence[int] | None = None,
         ks: float | None = None,
         normal_map: bool = True,
@@ -206,10 +209,13 @@ class Shading:
                 changes[light] = _changes(dict(changes.get(light, ())) | dict(FRONTAL))
         if specular_lights is not None:
             specular_lights = tuple(sorted(_indices("specular_lights", specular_lights)))
+        if shadow_lights is not None:
+            shadow_lights = tuple(sorted(_indices("shadow_lights", shadow_lights)))
         for name, value in (
             ("term", term),
             ("lights", tuple(sorted((light, own) for light, own in changes.items() if own))),
             ("specular_lights", specular_lights),
+            ("shadow_lights", shadow_lights),
             ("outside", outside),
             ("ks", ks),
             ("normal_map", normal_map),
@@ -259,6 +265,7 @@ class Shading:
         """Raise InputError where a light is named that a scene of so many lights does not have."""
         for name, lights in (
             ("specular_lights", self.specular_lights or ()),
+            ("shadow_lights", self.shadow_lights or ()),
             ("frontal_lights", self.frontal_lights),
             ("lights", [light for light, _ in self.lights]),
         ):
@@ -276,6 +283,7 @@ class Shading:
             "ks": self.ks,
             **{name: getattr(self, name) for name in SWITCHES},
             "specular_lights": None if self.specular_lights is None else [*self.specular_lights],
+            "shadow_lights": None if self.shadow_lights is None else [*self.shadow_lights],
             "frontal_lights": list(self.frontal_lights),
             "lights": {light: changes for light, changes in own.items() if changes},
         }
@@ -304,13 +312,14 @@ class Shading:
 # As TOML and JSON name what a shading is made of, and what it is where nothing is said.
 _KEYS = (
     *("model", "lobe", "fresnel", "outside", "masking", "small_slope", "m", "ks"),
-    *(*SWITCHES, "specular_lights", "frontal_lights", "lights"),
+    *(*SWITCHES, "specular_lights", "shadow_lights", "frontal_lights", "lights"),
 )
 _DEFAULTS = asdict(Term()) | {
     "outside": "error",
     "ks": None,
     **SWITCHES,
     "specular_lights": None,
+    "shadow_lights": None,
     "frontal_lights": [],
     "lights": {},
 }

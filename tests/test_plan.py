@@ -430,6 +430,7 @@ def every_view(random_state, light, slope, weight, albedo=1.0):
         specular_weight=plane * weight,
         occlusion=plane,
         uv=np.zeros((1, count, 2)),
+        visibility=np.ones((1, count, 1)),
         view=View(eye, -eye / 5.0, np.eye(4)),
     )
 

@@ -100,6 +100,7 @@ class GBuffer:
     albedo : (H, W, 3) float32, linear
     m, specular_weight, occlusion : (H, W) float32
     uv : (H, W, 2) float32
+    visibility : (H, W, lights) float32, how much of each light of the scene is not in shadow
     view : the camera that saw it
     """
 
@@ -111,4 +112,5 @@ class GBuffer:
     specular_weight: NDArray[np.float32]
     occlusion: NDArray[np.float32]
     uv: NDArray[np.float32]
+    visibility: NDArray[np.float32]
     view: View

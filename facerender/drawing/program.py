@@ -16,10 +16,12 @@ from facerender.scenes.light import LIGHT_KINDS, Light
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.scene import Scene
+from facerender.scenes.shadow import LightSpace, light_space
 from facerender.scenes.view import View
 from facerender.shading import Shading, Term
 
 ATTRIBUTES = {"in_position": 3, "in_normal": 3, "in_uv": 2, "in_color": 3}
+SHADOW_MAP = "shadow_map"  # the texture of all maps
 PROPERTY_MAPS = ("occlusion_map", "roughness_map", "specular_map")
 
 Uniforms = Mapping[str, Any]
@@ -34,24 +36,28 @@ class LightGroup:
     kind : see ``scenes.light.LIGHT_KINDS``
     term : number of their specular term, -1 for none
     count : how many there are, at least one
+    shadows : number of the first one's shadow map; None where they cast none
     """
 
     kind: str
     term: int
     count: int
+    shadows: int | None = None
 
 
 @dataclass(frozen=True)
 class Lighting:
     """The lights of a scene in the order of programs: by kind and then by term, those without one
-    last.
+    last, and by whether they cast shadows.
 
     Attributes
     ----------
+    order : of the scene's lights, their indices
     lights, groups : in that order
     terms : that the groups number
     """
 
+    order: tuple[int, ...]
     lights: tuple[Light, ...]
     groups: tuple[LightGroup, ...]
     terms: tuple[Term, ...]
@@ -62,17 +68,34 @@ class Lighting:
         own = [shading.of(light) for light in range(len(scene.lights))]
         first = [shading.term] if shading.term in own else []
         terms = tuple(dict.fromkeys([*first, *(term for term in own if term is not None)]))
-        sorted_: dict[tuple[str, int], list[Light]] = {
-            (kind, number): []
+        sorted_: dict[tuple[str, int, bool], list[int]] = {
+            (kind, number, shadow): []
             for kind in sorted(LIGHT_KINDS)
             for number in (*range(len(terms)), -1)
+            for shadow in (False, True)
         }
-        for light, term in zip(scene.lights, own, strict=True):
+        for index, (light, term) in enumerate(zip(scene.lights, own, strict=True)):
             number = -1 if term is None else terms.index(term)
-            sorted_[light.kind.name, number].append(light)
-        groups = [LightGroup(*key, len(lights)) for key, lights in sorted_.items() if lights]
-        lights = tuple(light for group in sorted_.values() for light in group)
-        return cls(lights, tuple(groups), terms)
+            sorted_[light.kind.name, number, light.shadow].append(index)
+        groups, shadows = [], 0
+        for (kind, number, shadow), indices in sorted_.items():
+            if indices:
+                first = shadows if shadow else None
+                groups.append(LightGroup(kind, number, len(indices), first))
+                shadows += len(indices) * shadow
+        order = tuple(index for indices in sorted_.values() for index in indices)
+        return cls(order, tuple(scene.lights[index] for index in order), tuple(groups), terms)
+
+    @property
+    def shadowed(self) -> tuple[int, ...]:
+        """Indices of the scene's lights that cast shadows, in the order of their maps."""
+        lights = zip(self.order, self.lights, strict=True)
+        return tuple(index for index, light in lights if light.shadow)
+
+    def spaces(self, mesh: Mesh) -> list[LightSpace]:
+        """Return the spaces of the lights that cast shadows, in the order of their maps; errors as
+        of :func:`light_space`."""
+        return [light_space(light, mesh) for light in self.lights if light.shadow]
 
     def uniforms(self, mesh: Mesh) -> dict[str, Any]:
         """Return the arrays of every kind of light there is."""
@@ -81,6 +104,9 @@ class Lighting:
             kind = LIGHT_KINDS[name]
             lights = [light for light in self.lights if light.kind is kind]
             arrays |= kind.uniforms(lights, mesh)
+        if spaces := self.spaces(mesh):
+            arrays["shadow_view"] = np.array([space.matrix for space in spaces])
+            arrays["shadow_size"] = np.array([(space.tan_radius, space.top) for space in spaces])
         return arrays
 
 
@@ -130,19 +156,23 @@ class Program:
 
     def _lights(self) -> str:
         counts: dict[str, int] = {}
-        loops = []
+        added, seen = [], []
         for group in self.lights or ():
             first = counts.get(group.kind, 0)
             counts[group.kind] = first + group.count
-            loops.append(
-                f"for (int i = {first}; i < {counts[group.kind]}; ++i) "
-                f"add_light(s, v, {group.kind}_light(i, s.position), {group.term});"
-            )
+            loop = f"for (int i = {first}; i < {counts[group.kind]}; ++i) "
+            light = f"{group.kind}_light(i, s.position)"
+            if group.shadows is not None:
+                number = f"i + {group.shadows - first}"
+                seen.append(f"{loop}seen[{number}] = share({light}, {number}, s, p);")
+                light = f"shadowed({light}, {number}, s, p)"
+            added.append(f"{loop}add_light(s, v, {light}, {group.term});")
         kinds = [
             f'#define {kind.upper()}_LIGHTS {count}\n#include "host/light/{kind}.glsl"'
             for kind, count in counts.items()
         ]
-        return "\n".join([*kinds, f"#define ADD_EVERY_LIGHT {' '.join(loops)}\n"])
+        loops = seen if self.fragment == "seen.frag" else added
+        return "\n".join([*kinds, f"#define EVERY_LIGHT {' '.join(loops)}\n"])
 
 
 def surface_features(part: Part, material: Material, shading: Shading) -> tuple[str, ...]:
@@ -180,6 +210,7 @@ def shade_program(
     diffuse : whether diffuse light counts
     """
     features = surface_features(part, material, shading)
+    features += shadow_features(lighting)
     features += ("AMBIENT",) * any(scene.ambient)  # type: ignore[arg-type]
     features += ("DIFFUSE",) * (diffuse and material.kd > 0.0)
     shines = bool(terms) and material.ks > 0.0
@@ -190,6 +221,21 @@ def shade_program(
         prelude=prelude(terms, smallest_m) if shines else "",
         calls=tuple(map(call, terms)) if shines else (),
     )
+
+
+def seen_program(part: Part, material: Material, shading: Shading, lighting: Lighting) -> Program:
+    """Return the program that draws how much of each light a part of a simplified scene sees."""
+    features = surface_features(part, material, shading) + shadow_features(lighting)
+    return Program("seen.frag", features=features, lights=lighting.groups)
+
+
+def shadow_features(lighting: Lighting) -> tuple[str, ...]:
+    """Return what lights have that cast shadows."""
+    shadowed = [light for light in lighting.lights if light.shadow]
+    if not shadowed:
+        return ()
+    discs = ("SHADOW_DISCS",) * any(light.radius for light in shadowed)
+    return (f"SHADOWS {len(shadowed)}", *discs)
 
 
 def scene_uniforms(scene: Scene, view: View, lighting: Lighting | None = None) -> Uniforms:

@@ -83,6 +83,7 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
         ambient[covered] = albedo * occlusion[:, None] * np.asarray(scene.ambient)
         for light, (source, term) in enumerate(zip(scene.lights, own, strict=True)):
             l, irradiance = source.kind.lighting(source, scene.mesh, position)
+            irradiance = irradiance * gbuffer.visibility[covered][:, light, None]
             cosine = np.einsum("...i,...i", n, l)
             received = irradiance * np.maximum(cosine, 0.0)[:, None]
             spread, widened = received, m

@@ -15,6 +15,7 @@ from facerender.drawing.context import Backend, create_context
 from facerender.drawing.frame import Frame, GBuffer
 from facerender.drawing.passes import Pass
 from facerender.drawing.passes.shade import shade_pass
+from facerender.drawing.passes.shadow import seen_pass, shadow_passes
 from facerender.drawing.passes.surface import surface_pass
 from facerender.drawing.passes.visibility import Visibility, can_defer, pays
 from facerender.drawing.prepare import simplify, start_maps
@@ -191,6 +192,13 @@ class Renderer:
         surface = surface_pass(scene, view, shading, visibility)
         passes = [visibility.drawn(), surface] if visibility else [surface]
         position, normal, albedo, uv = self._draw(passes, scene)
+        seen = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
+        lighting = Lighting.of(scene, shading)
+        if shadows := shadow_passes(scene, lighting):
+            look = seen_pass(scene, view, shading, visibility)
+            images = self._draw([*shadows, *passes[:-1], look], scene)
+            number = len(lighting.shadowed)
+            seen[..., lighting.shadowed] = np.concatenate(images, axis=-1)[..., :number]
         return GBuffer(
             part=position[..., 3].astype(np.int64) - 1,
             position=position[..., :3],
@@ -200,6 +208,7 @@ class Renderer:
             specular_weight=albedo[..., 3],
             occlusion=uv[..., 2],
             uv=uv[..., :2],
+            visibility=seen,
             view=view,
         )
 
@@ -215,7 +224,8 @@ class Renderer:
         visibility = self._visibility(scene, view, samples)
         shaded = shade_pass(scene, view, shading, samples, only, visibility)
         first, *others = [visibility.drawn(), shaded] if visibility else [shaded]
-        return self._draw([replace(first, backs=backs), *others], scene)[0]
+        shadows = shadow_passes(scene, Lighting.of(scene, shading))
+        return self._draw([*shadows, replace(first, backs=backs), *others], scene)[0]
 
     def _visibility(self, scene: Scene, view: View, samples: int) -> Visibility | None:
         """What a scene's image is deferred to, where that is cheaper and the driver can do it. Of

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -87,13 +87,14 @@ class Resources:
         self.textures = WeakKeyDictionary()
         self.programs: dict[Program, moderngl.Program] = {}
         self.targets: dict[Target, moderngl.Framebuffer] = {}
+        self.held: dict[Target, Hashable] = {}  # the keys of what targets hold
         self.screens: dict[moderngl.Program, moderngl.VertexArray] = {}
         self._settled = 0
 
     def release(self) -> None:
         """Free everything on the GPU; the context is current."""
         caches = (self.geometries, self.facets, self.textures, self.programs, self.targets)
-        for made in (*caches, self.screens):
+        for made in (*caches, self.screens, self.held):
             made.clear()
         self.context.gl.gc()
 
@@ -121,6 +122,10 @@ class Resources:
         """
         gl = self.context.gl
         target = self.target(step.target)
+        held = self.held.pop(step.target, None)
+        if step.key is not None and held == step.key:
+            self.held[step.target] = held
+            return target
         enabled = moderngl.DEPTH_TEST | moderngl.BLEND * step.added
         enabled |= moderngl.CULL_FACE * (not step.backs)
         with gl.scope(target, enable_only=enabled):
@@ -131,6 +136,7 @@ class Resources:
             for draw in step.draws:
                 self._prepare(target, draw)
                 self._draw(draw, step, mesh, drawn)
+        self.held[step.target] = step.key
         return target
 
     def _prepare(self, target: moderngl.Framebuffer, draw: Draw | None = None) -> None:
@@ -149,9 +155,9 @@ class Resources:
         program = self.program(draw.program)
         set_uniforms(program, {**step.uniforms, **draw.uniforms})
         self.bind(program, draw, drawn)
-        if draw.facets is not None and not draw.area:
+        if draw.facets is not None and draw.depth == "test":
             self.positions(draw.facets).array(self.context.gl, program).render()
-        elif draw.part is None or draw.area:
+        elif draw.part is None or draw.depth != "test":
             if program not in self.screens:
                 self.screens[program] = self.context.gl.vertex_array(program, [])
             self.screens[program].render(vertices=3)

@@ -33,6 +33,7 @@ class Light:
     position : of a point light, in the mesh's units; azimuth and elevation then do not count
     radius : degrees, at most 20: the angle between the centre and the rim of the disc as which the
         light is seen, of a point light from the mesh's centre; 0 for a light without size
+    shadow : whether the mesh casts shadows in it; one of a light with size grows soft with distance
     """
 
     azimuth: float = 0.0
@@ -40,6 +41,7 @@ class Light:
     irradiance: float | Vector = math.pi
     position: Vector | None = None
     radius: float = 0.0
+    shadow: bool = False
 
     def __post_init__(self) -> None:
         check_range("light azimuth", self.azimuth, -3600, 3600)
@@ -49,6 +51,8 @@ class Light:
         if self.position is not None:
             object.__setattr__(self, "position", vector("light position", self.position))
         check_range("light radius", self.radius, 0.0, MAX_RADIUS)
+        if not isinstance(self.shadow, bool):
+            raise InputError(f"light shadow = {self.shadow!r}: give true or false")
 
     @property
     def direction(self) -> Float:

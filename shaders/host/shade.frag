@@ -1,10 +1,13 @@
 // Radiance of a point: the sum over the lights of irradiance x N.L x BRDF, and the ambient term.
-// drawing/program.py writes what stands before: the lights' kinds, ADD_EVERY_LIGHT, which calls
+// drawing/program.py writes what stands before: the lights' kinds, EVERY_LIGHT, which calls
 // add_light for each of them with the number of its term, -1 for none, and, where a light has a term,
 // SPECULAR and specular_term(term, n, l, v, m, f0).
 #include "facerender/constants.glsl"
 #include "host/light/light.glsl"
 #include "host/surface.glsl"
+#ifdef SHADOWS
+#include "host/shadow.glsl"
+#endif
 #if defined(DISC_LIGHTS) || defined(SPHERE_LIGHTS)
 #include "facerender/slope_variance.glsl"
 #endif
@@ -58,7 +61,7 @@ vec3 shaded(Point p) {
 #ifdef AMBIENT
     diffuse += ambient * s.occlusion;
 #endif
-    ADD_EVERY_LIGHT
+    EVERY_LIGHT
     vec3 result = vec3(0.0);
 #ifdef DIFFUSE
     result += diffuse_weight / FR_PI * s.albedo * diffuse;

@@ -3,6 +3,7 @@ is no pass. No OpenGL here."""
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -41,10 +42,10 @@ class Draw:
     Attributes
     ----------
     facets : of the part: only its positions are drawn, in the order of the facets
-    area : left, lowest row, width and height in pixels: one triangle covers them, whose program
-        reads the facets
+    area : left, lowest row, width and height in pixels of the target; None for all of it
     depth : "test", what is behind is hidden; "mark", depth alone is drawn, over whatever is there;
-        "marked", what is drawn shows where the draw before marked
+        "marked", what is drawn shows where the draw before marked. With either one triangle covers
+        the area, whose program reads the facets
     """
 
     program: Program
@@ -67,6 +68,8 @@ class Pass:
     uniforms : that all draws share
     added : whether draws add to what is there
     backs : whether backs of triangles are drawn
+    key : of all that its image depends on: it is not drawn while its target holds the same; None
+        where it is always drawn
     """
 
     name: str
@@ -76,3 +79,4 @@ class Pass:
     uniforms: Uniforms = field(default_factory=dict)
     added: bool = False
     backs: bool = True
+    key: Hashable = None

@@ -21,11 +21,13 @@ Point point() {
     p.normal_y = dFdy(vertex_normal);
 #endif
     p.inside = gl_FrontFacing;  // what OpenGL calls the front: the image is drawn upside down
+#if defined(NORMAL_MAP) || defined(SHADOWS)
+    p.position_x = dFdx(position);
+    p.position_y = dFdy(position);
+#endif
 #ifdef UV
     p.uv = uv;
 #ifdef NORMAL_MAP
-    p.position_x = dFdx(position);
-    p.position_y = dFdy(position);
     p.uv_x = dFdx(uv);
     p.uv_y = dFdy(uv);
 #endif

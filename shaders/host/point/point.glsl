@@ -10,12 +10,12 @@ struct Point {
     vec3 normal_y;
 #endif
     bool inside;  // whether the back of its triangle is seen
-#ifdef UV
-    vec2 uv;
-#ifdef NORMAL_MAP
+#if defined(NORMAL_MAP) || defined(SHADOWS)
     vec3 position_x;  // how much it changes from a pixel to the next
     vec3 position_y;
 #endif
+#ifdef UV
+    vec2 uv;
 #if defined(NORMAL_MAP) || defined(VISIBLE)
     vec2 uv_x;
     vec2 uv_y;

@@ -49,7 +49,7 @@ Point point(uint facet) {
     p.normal = vec3(
         affine(facet, 1, p.position), affine(facet, 2, p.position), affine(facet, 3, p.position)
     );
-#if defined(UV) || defined(CURVATURE)
+#if defined(UV) || defined(CURVATURE) || defined(SHADOWS)
     vec3 position_x = distance * (ray_x - direction * (dot(ray_x, plane.xyz) / across));
     vec3 position_y = distance * (ray_y - direction * (dot(ray_y, plane.xyz) / across));
 #endif
@@ -63,10 +63,10 @@ Point point(uint facet) {
     p.uv = vec2(dot(u.xyz, p.position) + u.w, dot(v.xyz, p.position) + v.w);
     p.uv_x = vec2(dot(u.xyz, position_x), dot(v.xyz, position_x));
     p.uv_y = vec2(dot(u.xyz, position_y), dot(v.xyz, position_y));
-#ifdef NORMAL_MAP
+#endif
+#if defined(NORMAL_MAP) || defined(SHADOWS)
     p.position_x = position_x;
     p.position_y = position_y;
-#endif
 #endif
 #ifdef VERTEX_COLORS
     p.color = vec3(

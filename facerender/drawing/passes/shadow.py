@@ -1,0 +1,85 @@
+"""Shadows: the map of every light that casts one, and for the reference how much of each light a
+pixel's centre sees."""
+
+from __future__ import annotations
+
+from weakref import ref
+
+import numpy as np
+
+from facerender.drawing.facets import facets_of
+from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.passes.visibility import Visibility
+from facerender.drawing.program import (
+    SHADOW_MAP,
+    Lighting,
+    Program,
+    part_uniforms,
+    scene_uniforms,
+    seen_program,
+)
+from facerender.errors import InputError
+from facerender.scenes.scene import Scene
+from facerender.scenes.shadow import LightSpace
+from facerender.scenes.view import View
+from facerender.shading import Shading
+
+TEXELS = 1024  # a side of a light's map
+MOST = 16  # lights that cast shadows: their maps lie side by side in one texture
+_EMPTY = -1e30
+
+
+def shadow_passes(scene: Scene, lighting: Lighting) -> list[Pass]:
+    """Return the pass that draws the maps of all lights that cast shadows, if there are any. It is
+    drawn again only when a mesh or a light has moved.
+
+    Raises
+    ------
+    InputError : too many lights cast shadows, or one from within the mesh
+    """
+    spaces = lighting.spaces(scene.mesh)
+    if not spaces:
+        return []
+    if len(spaces) > MOST:
+        raise InputError(f"{len(spaces)} lights cast shadows: at most {MOST} may")
+    target = Target(size=(len(spaces) * TEXELS, TEXELS), sampled=True, values="number")
+    draws = tuple(
+        draw for number, space in enumerate(spaces) for draw in _draws(scene, number, space)
+    )
+    mesh = scene.mesh
+    key = (
+        *(ref(part) for part in mesh.parts),
+        *(mesh.center.tobytes(), mesh.radius),
+        *(space.matrix.tobytes() for space in spaces),
+    )
+    return [Pass(SHADOW_MAP, target, draws, (_EMPTY, 0.0, 0.0, 0.0), key=key)]
+
+
+def _draws(scene: Scene, number: int, space: LightSpace) -> list[Draw]:
+    program = Program("shadow_map.frag", "shadow_map.vert")
+    uniforms = {"to_light": space.matrix, "top": space.top}
+    area = (number * TEXELS, 0, TEXELS, TEXELS)
+    return [
+        Draw(program, uniforms, facets=facets_of(part, scene.mesh), area=area)
+        for part in scene.mesh.parts
+    ]
+
+
+def seen_pass(
+    scene: Scene, view: View, shading: Shading, visibility: Visibility | None = None
+) -> Pass:
+    """Return the pass that draws how much of each light that casts shadows a point sees, in the
+    order of programs; visibility as of the pass that shades."""
+    lighting = Lighting.of(scene, shading)
+    draws = [
+        Draw(
+            seen_program(part, material, shading, lighting),
+            part_uniforms(part, material),
+            part,
+            material,
+        )
+        for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True)
+    ]
+    uniforms = scene_uniforms(scene, view, lighting)
+    drawn = Pass("seen", Target(colors=MOST // 4), tuple(draws), uniforms=uniforms)
+    return visibility.shaded(drawn) if visibility else drawn

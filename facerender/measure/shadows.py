@@ -1,0 +1,116 @@
+"""What shadow maps lose against rays: of every pixel's centre, how much of a light it sees."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.drawing.frame import GBuffer
+from facerender.drawing.renderer import Renderer
+from facerender.errors import NotMeasured
+from facerender.scenes.light import Light
+from facerender.scenes.mesh import Mesh
+from facerender.scenes.scene import Scene
+from facerender.scenes.shadow import light_axes
+from facerender.shading import Shading
+
+Float = NDArray[np.float64]
+
+_OFFSET = 2e-3  # of rays from the surface, in radii of the mesh's bounding sphere
+_PLAIN = Shading(normal_map=False)
+
+
+@dataclass(frozen=True)
+class ShadowError:
+    """Over the pixels that face a light, weighted by N.L but for ``wrong``.
+
+    Attributes
+    ----------
+    shadowed : share of the light that does not arrive
+    without : mean absolute error of an image without shadows, over the light that arrives
+    mean : of the image with the shadow map
+    lost : how much light the shadow map takes away that arrives, less what it lets through
+    wrong : share of the pixels whose visibility errs by more than half
+    """
+
+    shadowed: float
+    without: float
+    mean: float
+    lost: float
+    wrong: float
+
+
+def shadow_error(renderer: Renderer, scene: Scene, light: Light, rays: int = 64) -> ShadowError:
+    """Measure the shadow of one light at every pixel's centre.
+
+    Raises
+    ------
+    NotMeasured : embreex is missing
+    """
+    lit = replace(scene, lights=(replace(light, shadow=True),))
+    gbuffer = renderer.gbuffer(lit, _PLAIN)
+    position = gbuffer.position.astype(np.float64)
+    towards, _ = light.kind.lighting(light, scene.mesh, position)
+    cosine = np.einsum("...i,...i", gbuffer.normal.astype(np.float64), towards)
+    facing = (gbuffer.part >= 0) & (cosine > 0.0)
+    seen = gbuffer.visibility[..., 0][facing]
+    truth = by_rays(scene.mesh, gbuffer, light, facing, rays)
+    weight = cosine[facing]
+    arrives = float((truth * weight).sum())
+    return ShadowError(
+        1.0 - arrives / float(weight.sum()),
+        float(((1.0 - truth) * weight).sum()) / arrives,
+        float((np.abs(seen - truth) * weight).sum()) / arrives,
+        float(((truth - seen) * weight).sum()) / arrives,
+        float((np.abs(seen - truth) > 0.5).mean()),
+    )
+
+
+def by_rays(
+    mesh: Mesh, gbuffer: GBuffer, light: Light, pixels: NDArray[np.bool_], rays: int
+) -> Float:
+    """Return how much of a light pixels see, each by so many rays to points of its disc.
+
+    Parameters
+    ----------
+    gbuffer : whose normals are those of the mesh
+
+    Raises
+    ------
+    NotMeasured : embreex is missing
+    """
+    tracer = _tracer(mesh)
+    origin = gbuffer.position[pixels].astype(np.float64)
+    origin += _OFFSET * gbuffer.normal[pixels]
+    axes = light_axes(light, mesh)
+    turn = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, len(origin))
+    seen = np.zeros(len(origin))
+    for i in range(rays):
+        radius = math.tan(math.radians(light.radius)) * math.sqrt((i + 0.5) / rays)
+        angle = 2.39996323 * i + turn
+        across = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ axes.T[:2]
+        if light.position is None:
+            direction = axes[:, 2] + across
+        else:
+            place = mesh.normalised(light.position)
+            direction = place + np.linalg.norm(place) * across - origin
+        seen += ~tracer.intersects_any(origin, direction)
+    return seen / rays
+
+
+def _tracer(mesh: Mesh) -> Any:
+    import trimesh
+
+    try:
+        from trimesh.ray.ray_pyembree import RayMeshIntersector
+    except ImportError:
+        raise NotMeasured("rays need embreex: pip install 'facerender[rays]'") from None
+    positions = [mesh.normalised(part.positions) for part in mesh.parts]
+    firsts = np.cumsum([0, *map(len, positions)])
+    faces = [part.faces + first for part, first in zip(mesh.parts, firsts[:-1], strict=True)]
+    whole = trimesh.Trimesh(np.concatenate(positions), np.concatenate(faces), process=False)
+    return RayMeshIntersector(whole)
