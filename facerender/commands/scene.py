@@ -65,8 +65,13 @@ def add_scene(
         action="append",
         metavar="LIGHT",
         help=f"{', '.join(LIGHTS)}, AZIMUTH,ELEVATION[,IRRADIANCE] or "
-        "point:X,Y,Z[,IRRADIANCE], and behind it ,radius=DEGREES where it has a size; repeat for "
-        "several (key, rim, fill)",
+        "point:X,Y,Z[,IRRADIANCE], and behind it ,radius=DEGREES where it has a size and ,shadow "
+        "where it casts one; repeat for several (key, rim, fill)",
+    )
+    scene.add_argument(
+        "--shadows",
+        action=argparse.BooleanOptionalAction,
+        help="have every light cast shadows, or none (as each light says)",
     )
     scene.add_argument("--ambient", metavar="E", help="irradiance from everywhere, E or R,G,B")
     scene.add_argument("--background", metavar="RGB", help="linear R,G,B, or none: transparent")
@@ -99,6 +104,11 @@ def job_of(
     cameras = tuple(each for place in places for each in _cameras(place, camera)) or path
     settings["camera"] = cameras[0] if places else camera
     settings.update(_scene_settings(options))
+    if options.shadows is not None:
+        lights = settings.get("lights", Job.lights)
+        settings["lights"] = tuple(
+            dataclasses.replace(light, shadow=options.shadows) for light in lights
+        )
     material.update(
         (name, value)
         for name in ("m", "f0", "ks", "kd")

@@ -25,7 +25,8 @@ class Frame:
         holds the background where the scene has one, and is premultiplied by coverage otherwise.
         With ``only`` the background is 0, and colour is the specular or diffuse radiance, the
         albedo, the normal (unit vector in the mesh's space), the depth along the viewing direction
-        in the mesh's units (three times), or the cosines N.L of the first light, N.V and N.H.
+        in the mesh's units (three times), the cosines N.L of the first light, N.V and N.H, or how
+        much of the first light that casts shadows is seen, in [0, 1] (three times).
     only : which term this is, or None for the whole image
     transparent : whether a PNG gets an alpha channel; the scene has no background
     metadata : facerender's version, GL_RENDERER, GL_VERSION, samples, texture format; of shaded
@@ -40,13 +41,13 @@ class Frame:
     def srgb8(self, exposure: float = 0.0) -> NDArray[np.uint8]:
         """8-bit image for looking at: (H, W, 3), or (H, W, 4) with straight alpha if transparent.
 
-        Radiance and albedo are sRGB, normals 0.5 n + 0.5, cosines as they are, depth from the
-        nearest (white) to the farthest; exposure, in stops, applies to radiance.
+        Radiance and albedo are sRGB, normals 0.5 n + 0.5, cosines and visibility as they are, depth
+        from the nearest (white) to the farthest; exposure, in stops, applies to radiance.
         """
         color, coverage = self.linear[..., :3], self.linear[..., 3:]
         if self.only == "normal":
             pixels = _bytes((color * 0.5 + 0.5) * coverage)
-        elif self.only == "cosines":
+        elif self.only in ("cosines", "visibility"):
             pixels = _bytes(color)
         elif self.only == "depth":
             pixels = _bytes(_depth_as_brightness(color, coverage))

@@ -4,7 +4,6 @@ OpenGL here."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from facerender.drawing.frame import GBuffer
 from facerender.drawing.prepare import simplify
 from facerender.scenes.light import half_sum
-from facerender.scenes.scene import Scene, slope_ranges
+from facerender.scenes.scene import Only, Scene, slope_ranges
 from facerender.shading import Shading
 from facerender.terms.slope_variance import cosine_disc, slope_filtered, slope_variance_disc
 
@@ -83,7 +82,8 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
         ambient[covered] = albedo * occlusion[:, None] * np.asarray(scene.ambient)
         for light, (source, term) in enumerate(zip(scene.lights, own, strict=True)):
             l, irradiance = source.kind.lighting(source, scene.mesh, position)
-            irradiance = irradiance * gbuffer.visibility[covered][:, light, None]
+            if source.shadow:
+                irradiance = irradiance * gbuffer.visibility[covered][:, light, None]
             cosine = np.einsum("...i,...i", n, l)
             received = irradiance * np.maximum(cosine, 0.0)[:, None]
             spread, widened = received, m
@@ -99,9 +99,7 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
     return Layers(ambient, diffuse, specular)
 
 
-def data_view(
-    gbuffer: GBuffer, scene: Scene, only: Literal["albedo", "normal", "depth", "cosines"]
-) -> NDArray[np.float32]:
+def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]:
     """Return a view of the G-buffer, (H, W, 4) float32 with coverage; see ``Frame.linear``."""
     covered = gbuffer.part >= 0
     view = np.zeros((*covered.shape, 4), dtype=np.float32)
@@ -116,6 +114,10 @@ def data_view(
     elif only == "depth":
         depth = -(to_eye @ gbuffer.view.forward) * scene.mesh.radius
         values = np.repeat(depth[:, None], 3, axis=1)
+    elif only == "visibility":
+        dark = next((i for i, light in enumerate(scene.lights) if light.shadow), None)
+        seen = np.ones(len(to_eye)) if dark is None else gbuffer.visibility[covered][:, dark]
+        values = np.repeat(seen[:, None], 3, axis=1)
     else:
         v = _normalised(to_eye)
         l = v

@@ -142,8 +142,8 @@ class Renderer:
 
         Parameters
         ----------
-        only : one term in place of the whole image; normal, albedo, depth and cosines have one
-            sample a pixel
+        only : one term in place of the whole image; normal, albedo, depth, cosines and visibility
+            have one sample a pixel
         samples : per pixel, in place of the renderer's
         backs : whether backs of triangles are drawn, which show where a mesh is open or folded
 
@@ -152,7 +152,7 @@ class Renderer:
         InputError : a map is damaged, m lies outside the lobe's domain and the shading asks for an
             error then, an unknown term
         """
-        if only in ("normal", "albedo", "depth", "cosines"):
+        if only in ("normal", "albedo", "depth", "cosines", "visibility"):
             linear = data_view(self.gbuffer(scene, shading), scene, only)
             metadata = {**self.metadata, "samples": "1"}
             return Frame(linear, only, scene.background is None, metadata)

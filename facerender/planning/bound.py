@@ -15,6 +15,7 @@ import numpy as np
 
 from facerender.errors import InputError
 from facerender.planning.budget import Budget
+from facerender.planning.candidates import shadowed
 from facerender.scenes.light import Light
 from facerender.scenes.material import Material
 from facerender.scenes.scene import Scene, slope_ranges
@@ -51,6 +52,8 @@ def bound(scene: Scene, shading: Shading, full: Shading, budget: Budget) -> floa
         if material.normal_map is not None:
             switches += ["normal_map", "slope_filter"]
         if any(getattr(shading, each) != getattr(full, each) for each in switches):
+            radiance = np.inf
+        if shadowed(scene, shading) != shadowed(scene, full):
             radiance = np.inf
         weight = max(_weight(material, each) for each in (shading, full))
         same_weight = _same_weight(material, shading, full)

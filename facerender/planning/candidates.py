@@ -23,6 +23,7 @@ SMALLEST_PLAIN_SLOPE = 0.1
 DECISIONS = {
     "lights": "specular_lights",
     "frontal": "frontal_lights",
+    "shadows": "shadow_lights",
     "normal map": "normal_map",
     "slope": "term.m",
     "specular weight": "ks",
@@ -46,12 +47,14 @@ class Constants:
     m, ks : slope and specular weight, the means over what is seen
     faintest : indices of the lights by how bright their highlights are, the faintest first
     frontal : indices of the lights by how much the term of frontal light loses, the least first
+    shadows : indices of the lights that cast shadows by how much those darken, the least first
     """
 
     m: float
     ks: float
     faintest: tuple[int, ...]
     frontal: tuple[int, ...] = ()
+    shadows: tuple[int, ...] = ()
 
 
 def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Shading]:
@@ -75,14 +78,19 @@ def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Sh
     kinds: list[tuple[int, ...] | None] = [full.specular_lights]
     kept = [light for light in constants.faintest if full.of(light)]
     kinds += [tuple(sorted(kept[gone:])) for gone in range(1, len(kept) + 1)]
-    for m, ks, normal_map, ambient in product(
+    cast: list[tuple[int, ...] | None] = [full.shadow_lights]
+    cast += [tuple(sorted(constants.shadows[n:])) for n in range(1, len(constants.shadows) + 1)]
+    for m, ks, shadows, normal_map, ambient in product(
         slopes,
         weights,
+        cast,
         {full.normal_map, full.normal_map and not textured["normal_map"]},
         {full.ambient, full.ambient and not any(scene.ambient)},  # type: ignore[arg-type]
     ):
         term = replace(full.term, m=m)
-        surface = replace(full, term=term, ks=ks, normal_map=normal_map, ambient=ambient)
+        surface = replace(
+            full, term=term, ks=ks, shadow_lights=shadows, normal_map=normal_map, ambient=ambient
+        )
         for shading in _terms(scene, surface):
             for lights in kinds:
                 if lights == () and shading != surface:
@@ -96,6 +104,12 @@ def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Sh
                     order = [at for at in constants.frontal if lit.of(at) and at not in near]
                     for count in range(1, len(order)):
                         yield with_lights(lit, lights, sorted(near.union(order[:count])))
+
+
+def shadowed(scene: Scene, shading: Shading) -> list[int]:
+    """Return the indices of the lights whose shadows count."""
+    lights = simplify(scene, shading).lights
+    return [index for index, light in enumerate(lights) if light.shadow]
 
 
 def with_lights(

@@ -12,6 +12,7 @@ from facerender.planning.candidates import (
     alone,
     changed,
     groups,
+    shadowed,
     with_decisions,
 )
 from facerender.planning.drawn import Drawn
@@ -20,7 +21,11 @@ from facerender.scenes.light import LIGHTS
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
-_OF_THE_WHOLE = ("normal map", "ambient")  # what they save is no share of the specular terms
+_OF_THE_WHOLE = (
+    "normal map",
+    "ambient",
+    "shadows",
+)  # what they save is no share of the specular terms
 
 
 @dataclass(frozen=True)
@@ -156,11 +161,14 @@ def _share(choice: Choice, name: str, saved: float) -> str:
 def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:
     term = shading.term
     names_of_lights = {light: name for name, light in LIGHTS.items()}
-    lights = [names_of_lights.get(each, f"light {i}") for i, each in enumerate(scene.lights)]
+    plain = [replace(light, radius=0.0, shadow=False) for light in scene.lights]
+    lights = [names_of_lights.get(each, f"light {i}") for i, each in enumerate(plain)]
     lit = [name for i, name in enumerate(lights) if shading.of(i)]
+    dark = [lights[i] for i in shadowed(scene, shading)]
     near = [lights[i] for i in shading.frontal_lights]
     words = {
         "lights": f"specular of {', '.join(lit) or 'none'}",
+        "shadows": f"of {', '.join(dark) or 'none'}",
         "frontal": f"{', '.join(near)} with Fresnel f0, not masked" if near else "none",
         "normal map": "on" if shading.normal_map else "off",
         "slope": "the material's" if term.m is None else f"constant {term.m:.4g}",

@@ -25,6 +25,7 @@ from facerender.planning.candidates import (
     Constants,
     candidates,
     changed,
+    shadowed,
     with_lights,
 )
 from facerender.planning.drawn import Drawn, Place
@@ -291,7 +292,8 @@ def constants_seen(scene: Scene, full: Shading, views: Sequence[Region]) -> Cons
     """Return what stands for the maps, their means weighted by the highlights, and how bright those
     of each light are."""
     ends = {end for slopes in slope_ranges(simplify(scene, full), full) for end in slopes}
-    peaks, losses = np.zeros((2, len(scene.lights)))
+    peaks, losses, darkened = np.zeros((3, len(scene.lights)))
+    cast = shadowed(scene, full)
     m, ks, light = [], [], []
     for view in views:
         specular = view.terms.specular.max(axis=-1)
@@ -300,6 +302,9 @@ def constants_seen(scene: Scene, full: Shading, views: Sequence[Region]) -> Cons
             near = replace(full, term=full.term.frontal)
             lost = np.abs(view.layers(near).specular - view.terms.specular)
             losses = np.maximum(losses, lost.max(axis=(1, 2, 3)))
+        for at in cast:
+            bare = replace(full, shadow_lights=[each for each in cast if each != at])
+            darkened[at] += np.abs(view.image(bare) - view.exact).mean()
         m.append(view.mapped.m[view.counted])
         ks.append(view.mapped.specular_weight[view.counted])
         light.append(specular.sum(axis=0)[view.counted] + 1e-9)
@@ -308,4 +313,6 @@ def constants_seen(scene: Scene, full: Shading, views: Sequence[Region]) -> Cons
     faintest, frontal = (
         tuple(int(light) for light in np.argsort(each, kind="stable")) for each in (peaks, losses)
     )
-    return Constants(ends.pop() if len(ends) == 1 else means[0], means[1], faintest, frontal)
+    shadows = tuple(sorted(cast, key=lambda light: darkened[light]))
+    m_of_all = ends.pop() if len(ends) == 1 else means[0]
+    return Constants(m_of_all, means[1], faintest, frontal, shadows)

@@ -22,6 +22,7 @@ from PIL import Image
 
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.passes import Draw, Target
+from facerender.drawing.passes.shadow import shadow_passes
 from facerender.drawing.program import (
     ATTRIBUTES,
     PROPERTY_MAPS,
@@ -46,6 +47,7 @@ from facerender.scenes.view import View
 from facerender.shading import Shading
 
 SIZE = (512, 256)
+SHADOWS = tuple(sorted({kind.shadow_price for kind in LIGHT_KINDS.values()}))
 Timed = Callable[[int], float]  # draws as often as it is told, and returns the seconds
 
 # A triangle that fills the target with a patch of a curved surface, clockwise, as the host draws
@@ -61,13 +63,17 @@ _VIEW = View(np.array([0.2, 0.1, 3.0]), np.array([0.0, 0.0, -1.0]), np.eye(4))
 
 
 def scene_with(
-    maps: Sequence[str] = ("albedo_map",), ambient: bool = False, **lights: int
+    maps: Sequence[str] = ("albedo_map",),
+    ambient: bool = False,
+    shadow: bool = False,
+    **lights: int,
 ) -> Scene:
     """Return a patch with some of a material's maps, of 1024 x 1024 texels.
 
     Parameters
     ----------
     ambient : whether there is ambient light
+    shadow : whether the lights cast shadows
     lights : by kind, how many there are; one directional light where nothing is said
     """
     textures: dict[str, Any] = {name: _texture(name) for name in maps}
@@ -75,7 +81,8 @@ def scene_with(
     corners = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
     mesh = Mesh("patch", (_PATCH,), (material,), corners, 1.0, np.ones((1, 2)))
     counts = lights or {"directional": 1}
-    sources = [LIGHT_KINDS[kind].example for kind, n in counts.items() for _ in range(n)]
+    examples = [LIGHT_KINDS[kind].example for kind, n in counts.items() for _ in range(n)]
+    sources = [replace(light, shadow=shadow) for light in examples]
     return Scene(mesh, lights=tuple(sources), ambient=(0.2, 0.3, 0.4) if ambient else 0.0)
 
 
@@ -107,14 +114,17 @@ def parts_of(program: Program) -> dict[str, int]:
     groups = program.lights or ()
     specular = sum(group.count for group in groups if group.term >= 0) if program.calls else 0
     counts: Counter[str] = Counter()
+    dark: Counter[str] = Counter()
     for group in groups:
         counts[group.kind] += group.count
+        dark[LIGHT_KINDS[group.kind].shadow_price] += group.count * (group.shadows is not None)
     maps = ("albedo map", "normal map", "property map")
     return {
         "base program": 1,
         **{name: int(name.upper().replace(" ", "_") in program.features) for name in maps},
         "ambient term": int("AMBIENT" in program.features),
         **{kind.price: counts[name] for name, kind in sorted(LIGHT_KINDS.items())},
+        **{price: dark[price] for price in SHADOWS},
         "first specular term": min(specular, 1),
         "further specular term": max(specular - 1, 0),
     }
@@ -141,6 +151,8 @@ def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
         scene_with(),
         scene_with(directional=2),
         *(scene_with(directional=1, **other) for other in others),
+        scene_with(shadow=True),
+        scene_with(shadow=True, disc=1),
     ]
     specular = [
         scene_with(),
@@ -238,10 +250,14 @@ def by_slope(
                 set_uniforms(own, scene_uniforms(scene, _VIEW, lighting))
                 set_uniforms(own, part_uniforms(part, material))
                 draw = Draw(source, {}, part, material)
+                drawn = {
+                    step.name: resources.draw(step, scene.mesh, {}).color_attachments[0]
+                    for step in shadow_passes(scene, lighting)
+                }
                 array = resources.geometry(part, scene.mesh).array(gl, own)
 
                 def seconds(count: int) -> float:
-                    resources.bind(own, draw, {})
+                    resources.bind(own, draw, drawn)
                     with clock(gl) as elapsed:
                         array.render(instances=count)
                     return elapsed[0]

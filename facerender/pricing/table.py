@@ -80,6 +80,11 @@ class Prices:
             group.count * self._priced(self.parts, LIGHT_KINDS[group.kind].price)
             for group in lighting.groups
         )
+        lights += sum(
+            group.count * self._priced(self.parts, LIGHT_KINDS[group.kind].shadow_price)
+            for group in lighting.groups
+            if group.shadows is not None
+        )
         total = specular = faces = 0.0
         for part, material, (smallest, _) in zip(
             simple.mesh.parts, simple.mesh.materials, slope_ranges(simple, shading), strict=True

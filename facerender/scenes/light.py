@@ -4,9 +4,10 @@ Angles are in degrees, lengths in the mesh's units."""
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,6 +98,11 @@ class LightKind:
     def price(self) -> str:
         """What tables of prices call it."""
         return f"{self.name} light"
+
+    @property
+    def shadow_price(self) -> str:
+        """What tables of prices call a shadow in it."""
+        return "hard shadow" if self.sine is None else "soft shadow"
 
 
 def _distant(lights: Sequence[Light], mesh: Mesh) -> dict[str, Float]:
@@ -255,17 +261,20 @@ def disc_of(light: Light, mesh: Mesh) -> tuple[float, float] | None:
 
 def parse_light(text: str) -> Light:
     """Read a light from ``NAME``, ``AZIMUTH,ELEVATION[,IRRADIANCE]`` or
-    ``point:X,Y,Z[,IRRADIANCE]``, the irradiance being E or R,G,B, and ``,radius=DEGREES`` behind
-    any of them.
+    ``point:X,Y,Z[,IRRADIANCE]``, the irradiance being E or R,G,B, and behind any of them
+    ``,radius=DEGREES`` and ``,shadow``.
 
     Raises
     ------
     InputError : neither a known name nor numbers of that form
     """
-    first, sized, degrees = text.partition(",radius=")
+    first, *behind = re.split(r",(?=radius=|shadow\b)", text)
     kind, _, rest = first.rpartition(":")
     try:
-        radius = float(degrees) if sized else 0.0
+        sizes = [float(word.removeprefix("radius=")) for word in behind if word != "shadow"]
+        own: dict[str, Any] = {"radius": sum(sizes, 0.0), "shadow": "shadow" in behind}
+        if len(behind) != len(sizes[:1]) + own["shadow"]:
+            raise ValueError
         values = [] if first in LIGHTS else [float(word) for word in rest.split(",")]
         count = {"": 2, "point": 3}[kind]
         where, irradiance = values[:count], values[count:] or [math.pi]
@@ -274,12 +283,12 @@ def parse_light(text: str) -> Light:
     except (KeyError, ValueError):
         raise InputError(
             f"unknown light {text!r}; give {', '.join(LIGHTS)}, or AZIMUTH,ELEVATION[,IRRADIANCE],"
-            " or point:X,Y,Z[,IRRADIANCE], and behind it ,radius=DEGREES where it has a size"
+            " or point:X,Y,Z[,IRRADIANCE], and behind it ,radius=DEGREES where it has a size and ,shadow where it casts one"
         ) from None
     if first in LIGHTS:
-        return replace(LIGHTS[first], radius=radius)
+        return replace(LIGHTS[first], **own)
     received = vector("light irradiance", irradiance if irradiance[1:] else irradiance[0])
     if kind == "point":
         place = vector("light position", where)
-        return Light(irradiance=received, position=place, radius=radius)
-    return Light(where[0], where[1], received, radius=radius)
+        return Light(irradiance=received, position=place, **own)
+    return Light(where[0], where[1], received, **own)

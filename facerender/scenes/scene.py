@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import LIGHTS, Light, disc_of
@@ -17,10 +17,10 @@ from facerender.terms.slope_variance import (
     slope_variance_disc,
 )
 
-Only = Literal["specular", "diffuse", "albedo", "normal", "depth", "cosines"]
+Only = Literal["specular", "diffuse", "albedo", "normal", "depth", "cosines", "visibility"]
 
 # What an image may show in place of a whole scene.
-ONLY: tuple[Only, ...] = ("specular", "diffuse", "albedo", "normal", "depth", "cosines")
+ONLY: tuple[Only, ...] = get_args(Only)
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from weakref import ref
 
-import numpy as np
-
 from facerender.drawing.facets import facets_of
 from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.passes.visibility import Visibility

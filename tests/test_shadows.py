@@ -1,0 +1,197 @@
+"""Shadow maps: against rays, in float64, drawn again only when something has moved."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import facerender as fr
+from facerender.drawing import reference
+from facerender.drawing.passes.shadow import MOST
+from facerender.measure.shadows import shadow_error
+from facerender.scenes.light import parse_light
+from facerender.scenes.mesh import Part
+from facerender.scenes.shadow import light_space
+from tests.conftest import require_backend
+
+
+@pytest.fixture(scope="module")
+def renderer(egl):
+    with fr.Renderer((256, 256), samples=1, backend=egl, float_albedo=True) as renderer:
+        yield renderer
+
+
+def key(mesh: fr.Mesh, radius: float, distance: float | None) -> fr.Light:
+    """A light high on the left, distant or so many radii of the mesh away."""
+    light = fr.Light(-50.0, 42.0, 3.0, radius=radius, shadow=True)
+    if distance is None:
+        return light
+    return replace(light, position=tuple(mesh.center + distance * mesh.radius * light.direction))
+
+
+# Bounds of the mean error, of all light that arrives.
+@pytest.mark.parametrize(
+    ("radius", "bound"), [(0.0, 0.005), (0.25, 0.005), (2.0, 0.005), (6.0, 0.02)]
+)
+@pytest.mark.parametrize("distance", [None, 2.5])
+def test_shadows_are_those_of_rays(renderer, head, scan_mesh, radius, bound, distance):
+    for mesh in (head, scan_mesh):
+        scene = fr.Scene(mesh, fr.Camera(-20.0, zoom=1.6))
+        found = shadow_error(renderer, scene, key(mesh, radius, distance), 64 if radius else 1)
+        assert found.mean <= bound
+        assert found.wrong <= 0.003
+        assert found.without > 6.0 * found.mean
+
+
+def all_of_them(mesh: fr.Mesh) -> fr.Scene:
+    """Lights of every kind, with shadows and without, in an order that is not the programs'."""
+    lights = (
+        key(mesh, 0.0, 2.0),
+        fr.Light(80.0, 20.0, 0.5),
+        key(mesh, 5.0, None),
+        fr.Light(40.0, -10.0, (0.2, 0.4, 0.3), shadow=True),
+        key(mesh, 3.0, 4.0),
+    )
+    return fr.Scene(mesh, fr.Camera(-20.0), lights, ambient=0.1, background=None)
+
+
+@pytest.mark.parametrize("deferred", [False, True])
+def test_every_pixel_is_float64_shading(egl, head, deferred, monkeypatch):
+    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
+    scene, shading = all_of_them(head), fr.Shading()
+    with fr.Renderer((320, 320), samples=1, backend=egl, float_albedo=True) as renderer:
+        gbuffer = renderer.gbuffer(scene, shading)
+        image = renderer.render(scene, shading).linear[..., :3]
+        unlit = renderer.render(fr.Scene(head, scene.camera, background=None)).linear
+    expected = reference.shade(gbuffer, scene, shading)
+    error = np.abs(image - expected) / np.maximum(expected, 0.01)
+    assert error[gbuffer.part >= 0].max() < 1e-4
+    shadowed = gbuffer.visibility.min(axis=(0, 1))
+    np.testing.assert_array_equal(shadowed == 1.0, [not light.shadow for light in scene.lights])
+    assert np.isfinite(unlit).all()
+
+
+def test_maps_are_drawn_again_when_something_moves(renderer, head, monkeypatch):
+    drawn = []
+    draw = type(renderer._resources)._draw
+
+    def count(self, one, *others):
+        drawn.append(one.program.fragment)
+        draw(self, one, *others)
+
+    monkeypatch.setattr(type(renderer._resources), "_draw", count)
+
+    def maps(scene: fr.Scene, shading: fr.Shading = fr.Shading()) -> int:
+        drawn.clear()
+        renderer.render(scene, shading)
+        return drawn.count("shadow_map.frag")
+
+    scene = all_of_them(head)
+    assert maps(scene) == 4
+    assert maps(replace(scene, camera=fr.Camera(60.0))) == 0
+    assert maps(replace(scene, lights=(key(head, 0.0, None), *scene.lights[1:]))) == 4
+    assert maps(scene, fr.Shading(shadow_lights=[2])) == 1
+    assert maps(scene, fr.Shading(shadow_lights=[])) == 0
+    assert maps(replace(scene, mesh=head.with_material(m=0.2)), fr.Shading(shadow_lights=[2])) == 0
+    other = fr.load_mesh()  # other parts
+    assert maps(replace(scene, mesh=other), fr.Shading(shadow_lights=[2])) == 1
+
+
+def test_without_shadows_nothing_changes(renderer, head):
+    scene = fr.Scene(head)
+    plain = renderer.render(scene).linear
+    lights = tuple(replace(light, shadow=True) for light in scene.lights)
+    cast = replace(scene, lights=lights)
+    assert (renderer.render(cast).linear != plain).any()
+    np.testing.assert_array_equal(renderer.render(cast, fr.Shading(shadow_lights=[])).linear, plain)
+
+
+def square(z: float, half: float) -> Part:
+    corners = [(-half, -half, z), (half, -half, z), (half, half, z), (-half, half, z)]
+    faces = np.array([(0, 1, 2), (0, 2, 3)], dtype=np.uint32)
+    normals = np.tile((0.0, 0.0, 1.0), (4, 1))
+    return Part(np.array(corners), normals, faces)
+
+
+@pytest.mark.parametrize("distance", [None, 3.0])
+def test_penumbra_is_as_wide_as_geometry_says(egl, distance):
+    """A square of side 0.4 at z = 0.4 before a wall at z = -0.4, and a disc above it: at the middle
+    of its shadow's edge half of the light is seen, and the penumbra has a known width."""
+    bounds = np.array([(-0.8, -0.8, -0.4), (0.8, 0.8, 0.4)])
+    parts = (square(-0.4, 0.8), square(0.4, 0.2))
+    mesh = fr.Mesh("wall", parts, (fr.Material(),) * 2, bounds, 1.2, np.array([(0.8, 0.4)]))
+    radius = 8.0
+    light = fr.Light(0.0, 0.0, radius=radius, shadow=True)
+    edge, width = 0.2, 2.0 * 0.8 * np.tan(np.radians(radius))
+    if distance is not None:
+        z = 1.2 * distance
+        light = replace(light, position=(0.0, 0.0, z))
+        edge = 0.2 * (z + 0.4) / (z - 0.4)
+        width = 2.0 * z * np.tan(np.radians(radius)) * 0.8 / (z - 0.4)
+    camera = fr.Camera(position=(1.5, 0.0, 0.5), target=(0.3, 0.0, -0.4))
+    with fr.Renderer((512, 512), samples=1, backend=egl) as renderer:
+        gbuffer = renderer.gbuffer(fr.Scene(mesh, camera, (light,)))
+    position = gbuffer.position * 1.2
+    near = (gbuffer.part == 0) & (np.abs(position[..., 1]) < 0.02)
+    x, seen = position[near][:, 0], gbuffer.visibility[near][:, 0]
+    middle = seen[np.abs(x - edge) < 0.01]
+    assert abs(middle.mean() - 0.5) < 0.06
+    half = 0.5 * width
+    assert (seen[x > edge + 1.15 * half] == 1.0).all()
+    assert (seen[(x > 0.05) & (x < edge - 1.15 * half)] == 0.0).all()
+    inside = seen[np.abs(x - edge) < 0.8 * half]
+    assert ((inside > 0.0) & (inside < 1.0)).mean() > 0.9
+
+
+def test_light_space_keeps_the_sphere_on_the_map(head):
+    """Nothing of the unit sphere leaves [-1, 1], and z grows towards the light up to ``top``."""
+    random = np.random.default_rng(5).normal(size=(4000, 3))
+    sphere = random / np.linalg.norm(random, axis=1, keepdims=True)
+    for distance in (None, 1.06, 1.5, 30.0):
+        space = light_space(key(head, 0.0, distance), head)
+        place = np.hstack([sphere, np.ones((len(sphere), 1))]) @ space.matrix
+        place = place[:, :3] / place[:, 3:]
+        assert np.abs(place[:, :2]).max() <= 1.0 + 1e-9
+        assert np.abs(place[:, :2]).max() > 0.97
+        assert place[:, 2].max() <= space.top * (1.0 + 1e-9)
+
+
+def test_what_cannot_be_is_refused(renderer, head):
+    with pytest.raises(fr.InputError, match="casts no shadow from within the sphere"):
+        renderer.render(fr.Scene(head, lights=(key(head, 0.0, 0.9),)))
+    with pytest.raises(fr.InputError, match=f"17 lights cast shadows: at most {MOST}"):
+        renderer.render(fr.Scene(head, lights=(fr.Light(shadow=True),) * 17))
+    with pytest.raises(fr.InputError, match="light shadow = 1: give true or false"):
+        fr.Light(shadow=1)
+    with pytest.raises(fr.InputError, match="shadow_lights names light 3: the scene has 3"):
+        renderer.render(fr.Scene(head), fr.Shading(shadow_lights=[3]))
+
+
+def test_lights_say_whether_they_cast_shadows():
+    assert parse_light("key,shadow") == replace(fr.scenes.light.LIGHTS["key"], shadow=True)
+    light = parse_light("10,20,2,radius=3,shadow")
+    assert (light.azimuth, light.radius, light.shadow) == (10.0, 3.0, True)
+    assert parse_light("point:1,2,3,shadow,radius=1").shadow
+    for text in ("key,shadow,shadow", "key,shadows", "key,radius=1,radius=2", "shadow"):
+        with pytest.raises(fr.InputError, match="unknown light"):
+            parse_light(text)
+
+
+def test_views(renderer, head):
+    scene = all_of_them(head)
+    frame = renderer.render(scene, only="visibility")
+    gbuffer = renderer.gbuffer(scene)
+    covered = gbuffer.part >= 0
+    np.testing.assert_array_equal(frame.linear[covered][:, 1], gbuffer.visibility[covered][:, 0])
+    assert not frame.linear[~covered].any()
+
+
+def test_backends_agree(egl, head):
+    osmesa = require_backend("osmesa")
+    images = []
+    for backend in (egl, osmesa):
+        with fr.Renderer((128, 128), backend=backend) as renderer:
+            images.append(renderer.render(all_of_them(head)).linear)
+    np.testing.assert_array_equal(*images)
