@@ -77,12 +77,11 @@ class Lighting:
         for index, (light, term) in enumerate(zip(scene.lights, own, strict=True)):
             number = -1 if term is None else terms.index(term)
             sorted_[light.kind.name, number, light.shadow].append(index)
-        groups, shadows = [], 0
+        groups, maps = [], 0
         for (kind, number, shadow), indices in sorted_.items():
             if indices:
-                first = shadows if shadow else None
-                groups.append(LightGroup(kind, number, len(indices), first))
-                shadows += len(indices) * shadow
+                groups.append(LightGroup(kind, number, len(indices), maps if shadow else None))
+                maps += len(indices) * shadow
         order = tuple(index for indices in sorted_.values() for index in indices)
         return cls(order, tuple(scene.lights[index] for index in order), tuple(groups), terms)
 

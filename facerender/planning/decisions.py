@@ -21,11 +21,8 @@ from facerender.scenes.light import LIGHTS
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
-_OF_THE_WHOLE = (
-    "normal map",
-    "ambient",
-    "shadows",
-)  # what they save is no share of the specular terms
+# What they save is no share of the specular terms.
+_OF_THE_WHOLE = ("normal map", "ambient", "shadows")
 
 
 @dataclass(frozen=True)

@@ -303,7 +303,7 @@ def constants_seen(scene: Scene, full: Shading, views: Sequence[Region]) -> Cons
             lost = np.abs(view.layers(near).specular - view.terms.specular)
             losses = np.maximum(losses, lost.max(axis=(1, 2, 3)))
         for at in cast:
-            bare = replace(full, shadow_lights=[each for each in cast if each != at])
+            bare = replace(full, shadow_lights=tuple(set(cast) - {at}))
             darkened[at] += np.abs(view.image(bare) - view.exact).mean()
         m.append(view.mapped.m[view.counted])
         ks.append(view.mapped.specular_weight[view.counted])

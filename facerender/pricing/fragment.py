@@ -250,7 +250,7 @@ def by_slope(
                 set_uniforms(own, scene_uniforms(scene, _VIEW, lighting))
                 set_uniforms(own, part_uniforms(part, material))
                 draw = Draw(source, {}, part, material)
-                drawn = {
+                drawn: Any = {
                     step.name: resources.draw(step, scene.mesh, {}).color_attachments[0]
                     for step in shadow_passes(scene, lighting)
                 }

@@ -283,7 +283,8 @@ def parse_light(text: str) -> Light:
     except (KeyError, ValueError):
         raise InputError(
             f"unknown light {text!r}; give {', '.join(LIGHTS)}, or AZIMUTH,ELEVATION[,IRRADIANCE],"
-            " or point:X,Y,Z[,IRRADIANCE], and behind it ,radius=DEGREES where it has a size and ,shadow where it casts one"
+            " or point:X,Y,Z[,IRRADIANCE], and behind it ,radius=DEGREES where it has a size and"
+            " ,shadow where it casts one"
         ) from None
     if first in LIGHTS:
         return replace(LIGHTS[first], **own)
