@@ -177,8 +177,8 @@ def plan_row(
     scene = found.detail.of(subject.scene)
 
     def planned() -> object:
-        detail = found.detail
-        return renderer.render(scene, found.shading, samples=detail.samples, backs=detail.backs)
+        fine = {name: getattr(found.detail, name) for name in ("samples", "backs", "once")}
+        return renderer.render(scene, found.shading, **fine)
 
     def drawn() -> object:
         with patch("facerender.drawing.renderer.pays", lambda *_: False):
@@ -201,8 +201,9 @@ def plan_row(
 def _chosen(decision: Decision) -> Iterator[str]:
     """What was chosen, where it is not what the full frame has."""
     if decision.changed:
-        words = decision.name in ("backs", "samples", "triangles", "ambient", "normal map")
-        yield f"{decision.name} {decision.chosen}" if words else decision.chosen
+        words = ("backs", "samples", "once", "triangles", "ambient", "normal map")
+        named = decision.name in words
+        yield f"{decision.name} {decision.chosen}" if named else decision.chosen
 
 
 def deferred_against_drawn(scene: fr.Scene, samples: int, size: int = 1024) -> tuple[str, str]:

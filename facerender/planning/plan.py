@@ -156,7 +156,7 @@ class Plan:
         if self.samples is not None and not self._is_full:
             detail = self.detail or Detail(self.samples, None)
             fewer = detail.samples if detail.samples < self.samples else None
-            fine = (fewer, detail.triangles, detail.backs)
+            fine = (fewer, detail.triangles, detail.backs, detail.once)
             planned = Planned(self.sizes, self.samples, *fine)
         return "".join(notes) + "\n" + scene_toml(self.scene, self.shading, planned)
 
