@@ -35,7 +35,7 @@ def main() -> None:
     with fr.Renderer((options.size, options.size), samples=options.samples) as renderer:
         print(f"{renderer.metadata['GL_RENDERER']}; imports {imports / 2**20:.0f} MiB")
         for frame in range(options.frames):
-            renderer.render(fr.Scene(mesh, fr.Camera(azimuth=2.0 * frame)))
+            renderer.render(fr.Scene(mesh, fr.Camera(azimuth=2.0 * (frame % 180))))
             if frame + 1 in {10, options.frames} or (frame + 1) % 500 == 0:
                 held = (resident() - imports) / 2**20
                 print(f"{frame + 1:6} frames: {held:.0f} MiB above imports", flush=True)

@@ -62,6 +62,12 @@ pixel is shaded once for every triangle that its samples see. More are as many i
 sample each, shaded anew: highlights between pixels are smoothed as well, at the price of as many
 frames.
 
+Shaded once (`Renderer.render(..., once=True)`) is of each pixel one triangle, the one that most of
+its samples see, for all of them. The coverage is the same, and so is the silhouette; edges inside
+it, such as of the nose before the cheek, are as with one sample. Each part of a mesh is shaded once
+by itself. It needs as many samples as the driver has, and a frame that can be deferred (below);
+others are drawn as without.
+
 {sample_tables}
 
 ## Shaded as drawn, or deferred
@@ -83,16 +89,17 @@ Other sizes, with 4 samples, of the built-in head:
 
 ## Plans
 
-A cheaper frame within a budget (`facerender plan --verify-cost`): terms, backs, samples, triangles.
-The scenes are those of [plan.md](plan.md). Time over that of the full frame with 4 samples,
-predicted from a few measured frames and measured in turns; over that of the full frame with its
-triangles shaded as they are drawn; the error that the budget counts, and that of the worst pixel,
-both as drawn.
+A cheaper frame within a budget (`facerender plan --verify-cost`): terms, backs, samples, pixels
+shaded once, triangles. The scenes are those of [plan.md](plan.md). Time over that of the full frame
+with 4 samples, predicted from a few measured frames and measured in turns; over that of the full
+frame with its triangles shaded as they are drawn; the error that the budget counts, and that of the
+worst pixel, both as drawn.
 
 {plans}
-Within 1/255 fewer samples err by more at the silhouette, and fewer triangles inside, at more than
-one pixel in 1000: what is left are backs of triangles, which no pixel shows, and terms. Most of
-what can be saved there every frame saves, by shading each triangle of a pixel once.
+Within 1/255 fewer samples err by more at the silhouette, pixels that are shaded once and fewer
+triangles inside, at more than one pixel in 1000: what is left are backs of triangles, which no
+pixel shows, and terms. Most of what can be saved there every frame saves, by shading each triangle
+of a pixel once.
 """
 
 
@@ -177,8 +184,8 @@ def plan_row(
     scene = found.detail.of(subject.scene)
 
     def planned() -> object:
-        detail = found.detail
-        return renderer.render(scene, found.shading, samples=detail.samples, backs=detail.backs)
+        fine = {name: getattr(found.detail, name) for name in ("samples", "backs", "once")}
+        return renderer.render(scene, found.shading, **fine)
 
     def drawn() -> object:
         with patch("facerender.drawing.renderer.pays", lambda *_: False):
@@ -201,8 +208,9 @@ def plan_row(
 def _chosen(decision: Decision) -> Iterator[str]:
     """What was chosen, where it is not what the full frame has."""
     if decision.changed:
-        words = decision.name in ("backs", "samples", "triangles", "ambient", "normal map")
-        yield f"{decision.name} {decision.chosen}" if words else decision.chosen
+        words = ("backs", "samples", "once", "triangles", "ambient", "normal map")
+        named = decision.name in words
+        yield f"{decision.name} {decision.chosen}" if named else decision.chosen
 
 
 def deferred_against_drawn(scene: fr.Scene, samples: int, size: int = 1024) -> tuple[str, str]:

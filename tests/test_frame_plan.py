@@ -65,10 +65,11 @@ def cli(tmp_path, capsys: Capture, egl):
 
 
 def frame(renderer, scene, detail, shading=fr.Shading()):
-    """The linear image, drawn by what a caller has: fewer triangles and samples."""
+    """The linear image, drawn by what a caller has."""
     if detail.triangles is not None:
         scene = replace(scene, mesh=fr.simplified(scene.mesh, detail.triangles))
-    return renderer.render(scene, shading, samples=detail.samples).linear
+    fine = {name: getattr(detail, name) for name in ("samples", "backs", "once")}
+    return renderer.render(scene, shading, **fine).linear
 
 
 def error(renderer, scene, detail, shading=fr.Shading(), within=1.0):
@@ -166,6 +167,55 @@ def test_of_several_samples_the_fewest_that_fit(egl, scene):
     with fr.Renderer((48, 48), samples=8, backend=egl) as renderer:
         for budget, samples in (("1/255", 8), ("100/255", 4), ("254/255", 1)):
             assert fr.plan(scene, budget, renderer=renderer).detail.samples == samples
+
+
+def test_pixels_are_shaded_once_where_one_sample_is_not_enough(cli, drawing, scene):
+    within = 0.95
+    once = Detail(4, None, once=True)
+    errors = [error(drawing, scene, each, within=within)[0] for each in (once, Detail(1, None))]
+    assert 0.0 < 1.5 * errors[0] < errors[1]
+    arguments = {"within": within, "renderer": drawing}
+    fine = fr.plan(scene, 0.9 * errors[0], **arguments)
+    assert fine.detail.samples == 4
+    assert not fine.detail.once
+    (told,) = (each for each in fine.decisions if each.name == "once")
+    refused, _ = error(drawing, scene, replace(once, backs=fine.detail.backs), within=within)
+    assert told.text == f"a triangle: a pixel would err by {fine.budget.text(refused)}"
+
+    plan = fr.plan(scene, 1.4 * errors[0], **arguments)
+    assert (plan.detail.samples, plan.detail.once) == (4, True)
+    (told,) = (each for each in plan.decisions if each.name == "once")
+    assert lines_of(plan)["once"] == told.text
+    assert told.text.startswith(
+        f"a pixel instead of a triangle: alone adds {plan.budget.text(errors[0])}, "
+    )
+    at_share, _ = error(drawing, scene, plan.detail, plan.shading, within)
+    assert at_share == pytest.approx(plan.error.drawn_within, rel=1e-6)
+    assert errors[0] / 2.0 < at_share <= plan.budget.limit
+
+    pinned = cli.folder / "once.toml"
+    pinned.write_text(plan.scene_toml())
+    assert load_scene(pinned)["planned"].detail == plan.detail
+    image = cli.render("--scene", pinned)
+    drawn = plan.detail.of(scene)
+    arguments = {"shading": plan.shading, "backs": plan.detail.backs}
+    for each in (True, False):
+        own = drawing.render(drawn, once=each, **arguments).srgb8()
+        assert (own == image).all() == each
+
+
+def test_pixels_are_shaded_once_with_the_samples_of_the_driver(egl, scene):
+    """Of 8 samples 4 are left, and of one nothing to save."""
+    with fr.Renderer((48, 48), samples=8, backend=egl) as renderer:
+        plan = fr.plan(scene, "30/255", within=0.95, renderer=renderer)
+        assert (plan.detail.samples, plan.detail.once) == (4, True)
+        (told,) = (each for each in plan.decisions if each.name == "once")
+        frames = [renderer.render(scene, samples=n, once=n == 4) for n in (8, 4)]
+        full, own = (linear_to_srgb(each.linear[..., :3].astype(np.float64)) for each in frames)
+        errors = np.sort(np.abs(own - full).max(axis=-1), axis=None)
+        covered = np.count_nonzero(frames[0].linear[..., 3])
+        assert told.error == pytest.approx(errors[math.ceil(0.95 * covered) - 1 - covered])
+        assert not fr.plan(scene, WIDE, renderer=renderer).detail.once
 
 
 def test_one_sample_is_never_made_more(egl, scene):
@@ -320,7 +370,7 @@ def test_frames_lie_on_lines_through_what_was_measured(coarse, monkeypatch):
     monkeypatch.setattr(frames, "seconds", seconds)
     monkeypatch.setattr(frames, "_frame", take)
     choice.frames = frames.measured_frames(choice, drawn)
-    taken = {"full": 20.0, "backs": 19.0, "samples": 12.0, "triangles": 5.0}
+    taken = {"full": 20.0, "backs": 19.0, "samples": 12.0, "once": 12.0, "triangles": 5.0}
     assert choice.frames.taken == pytest.approx(taken)
     assert choice.cost(choice.full).relative == pytest.approx(5.0 / 20.0)
     assert choice.cost(cheap).relative == pytest.approx(4.0 / 20.0)
@@ -391,7 +441,11 @@ def test_a_ratio_is_of_the_frames_of_one_turn(monkeypatch):
 
 
 def test_more_samples_err_less_at_the_silhouette(drawing, scene):
-    one, four, sixteen, all_ = antialiasing(drawing, scene, (1, 4, 16, 64), repeats=2)
+    measured = antialiasing(drawing, scene, (1, 4, 16, 64), repeats=2)
+    assert [each.samples for each in measured if each.once] == [4]
+    one, four, once, sixteen, all_ = measured
+    assert once.silhouette.mean == pytest.approx(four.silhouette.mean, rel=0.1)
+    assert once.inside.mean > four.inside.mean
     assert one.silhouette.mean > 2.0 * four.silhouette.mean
     assert four.silhouette.mean > 1.3 * sixteen.silhouette.mean > 0.0
     assert one.silhouette.mean > 4.0 * one.inside.mean > 0.0

@@ -15,6 +15,7 @@ from facerender.drawing.context import is_software
 from facerender.errors import InputError, NotMeasured
 from facerender.measure import error, run
 from facerender.measure.measurement import MODELS, SCHEMA, ImageError, Measurement
+from facerender.measure.tables import sample_table
 from facerender.pricing import amd, cost
 from facerender.pricing.interval import Interval, bootstrap
 from facerender.pricing.variants import Variant, lobe_terms, of_model, terms
@@ -130,6 +131,18 @@ def test_json_of_a_measurement_is_read_and_written_unchanged():
     assert isinstance(d16.cost.term_ns, Interval)
     assert isinstance(d16.cost.navi21, amd.Statistics)
     assert isinstance(d16.error.image, ImageError)
+
+
+def test_json_of_samples_says_how_often_pixels_are_shaded():
+    content = json.loads(MEASUREMENT.read_text(encoding="utf-8"))
+    lost = {"mean": 0.04, "percentile": 0.2, "over": 0.5}
+    row = {"samples": 4, "time": {"value": 2.0, "low": 1.9, "high": 2.1}}
+    row |= {"silhouette": lost, "inside": lost}
+    content["samples"] = [row, row | {"once": True}]  # the first one as it was written before
+    measurement = Measurement.from_dict(content)
+    assert [each.once for each in measurement.samples] == [False, True]
+    assert measurement.as_dict()["samples"][1] == row | {"once": True}
+    assert [cells[0] for cells in sample_table(measurement).rows] == ["4", "4, shaded once"]
 
 
 def test_json_that_is_no_measurement_of_this_version_is_refused():

@@ -142,7 +142,7 @@ def test_scene_file(tmp_path):
         'lights = ["key", {azimuth = 10, irradiance = [1, 2, 3]}]\n'
         "[camera]\nazimuth = 40\nzoom = 1.5\n[material]\nm = 0.25\n"
         "[planned]\nsizes = [[512, 512], [1024, 1024]]\nsamples = 4\n"
-        "drawn_samples = 1\ntriangles = 900\n"
+        "drawn_samples = 1\ntriangles = 900\nonce = true\n"
     )
     assert load_scene(tmp_path / "scene.toml") == {
         "ambient": (0.2, 0.2, 0.2),
@@ -150,7 +150,7 @@ def test_scene_file(tmp_path):
         "lights": (LIGHTS["key"], fr.Light(azimuth=10, irradiance=(1.0, 2.0, 3.0))),
         "camera": fr.Camera(azimuth=40, zoom=1.5),
         "material": {"m": 0.25},
-        "planned": Planned(((512, 512), (1024, 1024)), 4, 1, 900),
+        "planned": Planned(((512, 512), (1024, 1024)), 4, 1, 900, once=True),
     }
 
 
@@ -180,6 +180,13 @@ def test_scene_file(tmp_path):
             )
             for name in ("drawn_samples", "triangles")
             for value in ("0", "1.5", "true", "'all'")
+        ),
+        *(
+            (
+                f"[planned]\nsizes = [[8, 8]]\nsamples = 4\n{name} = 1",
+                f"planned {name} = 1: give true or false",
+            )
+            for name in ("backs", "once")
         ),
         ("[camera", "scene.toml is not TOML"),
     ],

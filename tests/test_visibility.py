@@ -178,6 +178,80 @@ def test_a_part_of_two_meshes(both):
     assert_same(*both(fr.Scene(replace(mesh_of(part), radius=3.0), fr.Camera(20.0))))
 
 
+def tetrahedron() -> Part:
+    """A triangle a side, each of one colour: red, green, blue, white."""
+    positions = CORNERS[[(0, 6, 5), (0, 3, 6), (0, 5, 3), (3, 5, 6)]].reshape(-1, 3)
+    faces = np.arange(12, dtype=np.uint32).reshape(4, 3)
+    colors = np.repeat(np.vstack([np.eye(3), np.ones(3)]), 3, axis=0)
+    return Part(positions, positions, faces, colors=colors)
+
+
+@pytest.fixture
+def once(egl) -> Both:
+    """Draws a scene shaded once a pixel, and without that; by default what the driver has."""
+
+    def draw(scene: fr.Scene, size=(256, 192), samples=None):
+        with fr.Renderer(size, backend=egl) as renderer:
+            samples = samples or renderer.context.most_samples
+            frames = [renderer.render(scene, samples=samples, once=each) for each in (True, False)]
+            does = renderer.can_shade_once(scene, samples)
+            assert ["shaded" in frame.metadata for frame in frames] == [does, False]
+        return tuple(frame.linear for frame in frames)
+
+    return draw
+
+
+@pytest.mark.parametrize("azimuth", [10.0, 100.0, 190.0])
+@pytest.mark.parametrize("elevation", [-10.0, 25.0])
+def test_shaded_once_the_side_that_most_samples_see_stands_for_all(once, azimuth, elevation):
+    """Without lights the image is colour times coverage, and a pixel's colour tells how many of its
+    samples see which side."""
+    mesh = mesh_of(tetrahedron()).with_material(albedo=(1.0, 1.0, 1.0))
+    scene = fr.Scene(mesh, fr.Camera(azimuth, elevation), (), np.pi, background=None)
+    one, full = once(scene)
+    np.testing.assert_array_equal(one[..., 3], full[..., 3])
+    covered = full[..., 3] > 0.0
+    colors, mixed = (each[covered][:, :3] / each[covered][:, 3:] for each in (one, full))
+    white = mixed.min(axis=-1, keepdims=True)
+    weights = np.hstack([mixed - white, white])
+    sides = np.vstack([np.eye(3), np.ones(3)])
+    chosen = np.abs(colors[:, None] - sides).max(axis=-1).argmin(axis=-1)
+    np.testing.assert_allclose(colors, sides[chosen], atol=1e-5)
+    seen = np.take_along_axis(weights, chosen[:, None], axis=1)[:, 0]
+    np.testing.assert_allclose(seen, weights.max(axis=-1), atol=1e-5)
+    assert (seen < 0.99).sum() > 50
+
+
+def test_shaded_once_every_part_of_a_pixel_is(once):
+    """As without, where it has one triangle there."""
+    whole = tetrahedron()
+    parts = [replace(whole, faces=face[None]) for face in whole.faces]
+    scene = fr.Scene(mesh_of(*parts), fr.Camera(10.0, 25.0))
+    np.testing.assert_allclose(*once(scene), rtol=1e-5, atol=1e-6)
+    one, full = once(replace(scene, mesh=mesh_of(whole)))
+    assert (np.abs(one - full) > 1e-2).any()
+
+
+def test_heads_that_are_shaded_once(once, head):
+    one, full = once(fr.Scene(head, fr.Camera(-35.0), background=None), (1024, 1024))
+    assert (one != full).any()
+    assert_same(one, full, 0.985)
+    assert_same(one, full, 0.999, 8.0)
+
+
+@pytest.mark.parametrize(("samples", "brightness"), [(1, 0.0), (2, 0.0), (8, 0.0), (4, 1e6)])
+def test_what_cannot_be_shaded_once_is_drawn_as_without(once, head, samples, brightness):
+    one, full = once(fr.Scene(head, background=(brightness,) * 3), (64, 64), samples)
+    np.testing.assert_array_equal(one, full)
+
+
+def test_shading_once_is_not_left_to_where_deferring_pays(once, head, monkeypatch):
+    scene = fr.Scene(head)
+    one, _ = once(scene)
+    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: False)
+    np.testing.assert_array_equal(once(scene)[0], one)
+
+
 def test_where_it_pays(head):
     scene = fr.Scene(head)
     llvmpipe = "llvmpipe (LLVM 15.0.6, 256 bits)"

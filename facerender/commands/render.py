@@ -84,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
             warnings.warn(_unplanned(options.scene, job), FacerenderWarning, stacklevel=1)
         samples = min(detail.samples, renderer.samples)
         drawn = detail.of(scene)
-        frame = renderer.render(drawn, shading, output.only, samples, detail.backs)
+        frame = renderer.render(drawn, shading, output.only, samples, detail.backs, detail.once)
         backend = renderer.context.backend
     clean_up_on_interrupt()
     frame.save(output.path, output.exposure)

@@ -137,6 +137,7 @@ class Renderer:
         only: Only | None = None,
         samples: int | None = None,
         backs: bool = True,
+        once: bool = False,
     ) -> Frame:
         """Draw a scene.
 
@@ -146,6 +147,9 @@ class Renderer:
             have one sample a pixel
         samples : per pixel, in place of the renderer's
         backs : whether backs of triangles are drawn, which show where a mesh is open or folded
+        once : shade a pixel of a part once where :meth:`can_shade_once`, and else as without: of
+            the triangles that its samples see, the one that most of them see stands for all. The
+            coverage stays as it is; an edge between two surfaces of a part is as with one sample
 
         Raises
         ------
@@ -163,8 +167,9 @@ class Renderer:
         scene = simplify(scene, shading)
         start_maps(scene.mesh, self.albedo_kind, shading.slope_filter)
         view = view_of(scene, self.size[0] / self.size[1])
+        once = once and self.can_shade_once(scene, samples)
         if samples <= self.context.most_samples:
-            linear = self._shaded(scene, view, shading, samples, only, backs)
+            linear = self._shaded(scene, view, shading, samples, only, backs, once)
         else:
             linear = np.zeros((*self.size[::-1], 4), dtype=np.float32)
             for shift in sample_grid(samples):
@@ -173,6 +178,7 @@ class Renderer:
             linear /= samples
         metadata = {key: str(value) for key, value in shading.as_dict().items()}
         metadata |= {**self.metadata, "samples": str(samples)}
+        metadata |= {"shaded": "once a pixel"} if once else {}
         for name in ("model", "lobe", "fresnel", "masking"):
             metadata[name] = str(getattr(shading.term, name))
         terms = Lighting.of(scene, shading).terms
@@ -182,6 +188,11 @@ class Renderer:
             lobes = [dict.fromkeys(str(term.lobe) for term in own) for own in drawn]
             metadata["lobe of each part"] = ", ".join(map(" and ".join, lobes))
         return Frame(linear, only, scene.background is None, metadata)
+
+    def can_shade_once(self, scene: Scene, samples: int) -> bool:
+        """Tell whether frames with so many samples can be shaded once a pixel: with several, as
+        many as the driver has, of up to 16 million triangles, on a background of up to 1000."""
+        return samples > 1 and self._can_defer(scene, samples)
 
     def gbuffer(self, scene: Scene, shading: Shading = Shading()) -> GBuffer:
         """Draw what shading reads at each pixel's centre; errors as in :meth:`render`."""
@@ -220,22 +231,29 @@ class Renderer:
         samples: int,
         only: Only | None,
         backs: bool,
+        once: bool = False,
     ) -> NDArray[np.float32]:
-        visibility = self._visibility(scene, view, samples)
+        visibility = self._visibility(scene, view, samples, once)
         shaded = shade_pass(scene, view, shading, samples, only, visibility)
         first, *others = [visibility.drawn(), shaded] if visibility else [shaded]
         shadows = shadow_passes(scene, Lighting.of(scene, shading))
         return self._draw([*shadows, replace(first, backs=backs), *others], scene)[0]
 
-    def _visibility(self, scene: Scene, view: View, samples: int) -> Visibility | None:
-        """What a scene's image is deferred to, where that is cheaper and the driver can do it. Of
-        2 samples it may make more, and then hide how many."""
-        rows = self.context.gl.info["GL_MAX_TEXTURE_SIZE"]
-        if samples not in (1, self.context.most_samples) or not can_defer(scene, rows):
-            return None
-        if pays(scene, self.size, samples, self.context.renderer):
-            return Visibility.of(scene, view, self.size, samples)
+    def _visibility(
+        self, scene: Scene, view: View, samples: int, once: bool = False
+    ) -> Visibility | None:
+        """What a scene's image is deferred to, where that is asked for or cheaper."""
+        if self._can_defer(scene, samples) and (
+            once or pays(scene, self.size, samples, self.context.renderer)
+        ):
+            return Visibility.of(scene, view, self.size, samples, once)
         return None
+
+    def _can_defer(self, scene: Scene, samples: int) -> bool:
+        """Tell whether the driver can do it. Of 2 samples it may make more, and then hide how
+        many."""
+        rows = self.context.gl.info["GL_MAX_TEXTURE_SIZE"]
+        return samples in (1, self.context.most_samples) and can_defer(scene, rows)
 
     # --- OpenGL ----------------------------------------------------------------------------------
 

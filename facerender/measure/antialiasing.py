@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender.drawing.frame import Frame
 from facerender.drawing.renderer import MAX_SAMPLES, Renderer
 from facerender.errors import InputError
 from facerender.image import linear_to_srgb
@@ -25,7 +26,8 @@ def antialiasing(
     shading: Shading = Shading(),
     repeats: int = 9,
 ) -> list[Sampled]:
-    """Measure numbers of samples; their frames take turns.
+    """Measure numbers of samples, shaded once a pixel as well where that can be drawn; their
+    frames take turns.
 
     Raises
     ------
@@ -38,20 +40,28 @@ def antialiasing(
     silhouette, inside = (parts > 0.0) & (parts < 1.0), parts == 1.0
     shown = linear_to_srgb(reference[..., :3].astype(np.float64))
 
-    def frame(count: int) -> NDArray[np.float64]:
-        return renderer.render(scene, shading, samples=count).linear.astype(np.float64)
-
-    def lost(count: int) -> tuple[Lost, Lost]:
-        error = np.abs(linear_to_srgb(frame(count)[..., :3]) - shown).max(axis=-1)
+    def lost(draw: Callable[[], Frame]) -> tuple[Lost, Lost]:
+        linear = draw().linear[..., :3].astype(np.float64)
+        error = np.abs(linear_to_srgb(linear) - shown).max(axis=-1)
         return _lost(error[silhouette]), _lost(error[inside])
 
-    draws = [partial(renderer.render, scene, shading, samples=count) for count in (1, *samples)]
+    ways = [
+        (count, once)
+        for count in samples
+        for once in (False, True)
+        if not once or renderer.can_shade_once(scene, count)
+    ]
+    draws = [
+        partial(renderer.render, scene, shading, samples=count, once=once)
+        for count, once in ((1, False), *ways)
+    ]
     times = seconds(draws, repeats)
     ratios = bootstrap(
         lambda turns: np.median((times[:, 1:] / times[:, :1])[turns], axis=0), repeats
     )
     return [
-        Sampled(count, ratio, *lost(count)) for count, ratio in zip(samples, ratios, strict=True)
+        Sampled(count, ratio, *lost(draw), once)
+        for (count, once), ratio, draw in zip(ways, ratios, draws[1:], strict=True)
     ]
 
 

@@ -134,12 +134,14 @@ class Sampled:
     time : of a frame with readback, over that of a frame with one sample
     silhouette : of the pixels that the mesh covers in part with 64 samples
     inside : of those that it covers
+    once : whether one triangle of a pixel is shaded, see :meth:`facerender.Renderer.render`
     """
 
     samples: int
     time: Interval
     silhouette: Lost
     inside: Lost
+    once: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,9 +245,8 @@ def _measured_variant(row: Mapping[str, Any]) -> MeasuredVariant:
 
 
 def _sampled(row: Mapping[str, Any]) -> Sampled:
-    return Sampled(
-        row["samples"], Interval(**row["time"]), Lost(**row["silhouette"]), Lost(**row["inside"])
-    )
+    lost = Lost(**row["silhouette"]), Lost(**row["inside"])
+    return Sampled(row["samples"], Interval(**row["time"]), *lost, row.get("once", False))
 
 
 def _variant(model: str, name: str) -> Variant:

@@ -171,7 +171,8 @@ def sample_cells(sampled: Sampled) -> list[str]:
     lost: list[Lost] = [sampled.silhouette, sampled.inside]
     steps = [255.0 * share for each in lost for share in (each.mean, each.percentile)]
     figures = (sampled.time.value, *steps, 100.0 * sampled.inside.over)
-    return [str(sampled.samples), *(_number(figure) for figure in figures)]
+    name = f"{sampled.samples}, shaded once" if sampled.once else str(sampled.samples)
+    return [name, *(_number(figure) for figure in figures)]
 
 
 def _slope_table(title: str, note: str, errors: Mapping[str, BySlope]) -> Table:

@@ -73,16 +73,18 @@ def decisions(
 
 
 def details(choice: Choice, drawn: Drawn) -> Iterator[Decision]:
-    """Tell of backs, samples and triangles."""
+    """Tell of backs, samples, how often pixels are shaded, and triangles."""
     if choice.frames is None:
         return
     taken, before = choice.frames.taken, "full"
-    for name in ("backs", "samples", "triangles"):
+    for name in ("backs", "samples", "once", "triangles"):
         saved = (taken[before] - taken[name]) / taken["full"]
         before = name
         own, full = (getattr(detail, name) for detail in (drawn.detail, drawn.finest))
         if own != full:
             alone_ = replace(drawn.finest, **{name: own})
+            if name == "once":  # which needs the driver's samples
+                alone_ = replace(alone_, samples=drawn.detail.samples)
             added = max(within for _, within in drawn.errors(choice.full, alone_))
             chosen, other = (_detail(name, each, drawn) for each in (own, full))
             text = f"{chosen} instead of {other}: alone adds {choice.budget.text(added)}, "
@@ -101,6 +103,8 @@ def details(choice: Choice, drawn: Drawn) -> Iterator[Decision]:
 def _detail(name: str, value: int | None, drawn: Drawn) -> str:
     if name == "backs":
         return "drawn" if value else "left out"
+    if name == "once":
+        return "a pixel" if value else "a triangle"
     return str(value or drawn.triangles)
 
 

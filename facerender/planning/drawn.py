@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender.drawing.passes.visibility import pays
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.planning.budget import Budget, highest_but
@@ -34,8 +35,15 @@ class Place:
 def draw(place: Place, shading: Shading, detail: Detail) -> NDArray[np.float32]:
     """Return the linear image (H, W, 4) of a place."""
     scene = detail.of(place.scene)
-    renderer, samples = place.renderer, detail.samples
-    return renderer.render(scene, shading, samples=samples, backs=detail.backs).linear
+    samples, backs, once = detail.samples, detail.backs, detail.once
+    return place.renderer.render(scene, shading, None, samples, backs, once).linear
+
+
+def _saves_shading(place: Place, samples: int) -> bool:
+    """Tell whether frames can be shaded once a pixel, and are known to be cheaper then."""
+    scene, renderer = place.scene, place.renderer
+    known = pays(scene, renderer.size, samples, renderer.context.renderer)
+    return known and renderer.can_shade_once(scene, samples)
 
 
 class Drawn:
@@ -58,11 +66,13 @@ class Drawn:
         self.failed: list[tuple[Sequence[str], dict[str, Any]]] = []
 
     def coarsen(self) -> None:
-        """Take away backs of triangles, samples, and then half of the triangles again and again, as
-        long as the full shading stays within the budget."""
+        """Take away backs of triangles, samples, all but one shading of a pixel, and then half of
+        the triangles again and again, as long as the full shading stays within the budget."""
         self._first([replace(self.detail, backs=False)])
         samples = [count for count in (4, 1) if count < self.finest.samples]
         self._first(replace(self.detail, samples=count) for count in reversed(samples))
+        if all(_saves_shading(place, self.detail.samples) for place in self.places):
+            self._first([replace(self.detail, once=True)])
         count = self.triangles // 2
         with suppress(InputError):  # without their package there are no levels of detail
             while count >= _FEWEST and self._first([replace(self.detail, triangles=count)]):

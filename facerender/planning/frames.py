@@ -25,6 +25,7 @@ def measured_frames(choice: Choice, drawn: Drawn) -> Frames:
     steps = {"full": drawn.finest}
     steps["backs"] = replace(drawn.finest, backs=drawn.detail.backs)
     steps["samples"] = replace(steps["backs"], samples=drawn.detail.samples)
+    steps["once"] = replace(steps["samples"], once=drawn.detail.once)
     steps["triangles"] = drawn.detail
     asked = {(detail, full) for detail in steps.values()}
     asked |= {(detail, cheap) for detail in (drawn.finest, drawn.detail)}

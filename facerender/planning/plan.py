@@ -1,6 +1,6 @@
-"""The samples, triangles and shading that a scene's error budget allows, and what that is based on.
-Which shadings there are, how they err and how they are searched is told beside this file; what they
-cost in ``pricing/table.py``, what frames cost in ``frames.py``."""
+"""The frame that a scene's error budget allows, samples, triangles and shading, and what that is
+based on. Which shadings there are, how they err and how they are searched is told beside this file;
+what they cost in ``pricing/table.py``, what frames cost in ``frames.py``."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ class Plan:
         if self.samples is not None and not self._is_full:
             detail = self.detail or Detail(self.samples, None)
             fewer = detail.samples if detail.samples < self.samples else None
-            fine = (fewer, detail.triangles, detail.backs)
+            fine = (fewer, detail.triangles, detail.backs, detail.once)
             planned = Planned(self.sizes, self.samples, *fine)
         return "".join(notes) + "\n" + scene_toml(self.scene, self.shading, planned)
 
@@ -259,8 +259,8 @@ def plan(
     exposure: float = 0.0,
     renderer: Renderer | None = None,
 ) -> Plan:
-    """Find a cheaper frame of a scene whose error stays within a budget: the fewest samples, the
-    fewest triangles with these, and the cheapest shading with both.
+    """Find a cheaper frame of a scene whose error stays within a budget: the fewest samples,
+    pixels shaded once and the fewest triangles with these, and the cheapest shading with all that.
 
     Parameters
     ----------

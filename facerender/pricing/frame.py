@@ -70,7 +70,7 @@ class Frames:
     ----------
     full, own : by shading, with the full detail and with the one that was chosen
     taken : milliseconds with the full shading: "full", with the "backs" that were chosen, then with
-        the "samples", and then with the "triangles"
+        the "samples", shaded "once", and then with the "triangles"
     source : where they are from, in words
     """
 

@@ -22,11 +22,13 @@ class Detail:
     samples : per pixel
     triangles : of the mesh, at most; None for all
     backs : whether backs of triangles are drawn
+    once : whether one triangle of a pixel is shaded, see :meth:`facerender.Renderer.render`
     """
 
     samples: int
     triangles: int | None
     backs: bool = True
+    once: bool = False
 
     def of(self, scene: Scene) -> Scene:
         """Return a scene whose mesh has no more triangles; errors as of :func:`simplified`."""
@@ -46,6 +48,7 @@ class Planned:
     drawn_samples, triangles : with how many samples and at most how many triangles the frame is
         drawn that stands for such an image; None for all
     backs : whether that has backs of triangles
+    once : whether one triangle of its pixels is shaded
 
     Raises
     ------
@@ -57,6 +60,7 @@ class Planned:
     drawn_samples: int | None = None
     triangles: int | None = None
     backs: bool = True
+    once: bool = False
 
     def __post_init__(self) -> None:
         try:
@@ -73,8 +77,9 @@ class Planned:
             value = getattr(self, name)
             if value is not None and (type(value) is not int or value < 1):
                 raise InputError(f"planned {name} = {value!r}: give a whole number of at least 1")
-        if not isinstance(self.backs, bool):
-            raise InputError(f"planned backs = {self.backs!r}: give true or false")
+        for name in ("backs", "once"):
+            if not isinstance(value := getattr(self, name), bool):
+                raise InputError(f"planned {name} = {value!r}: give true or false")
         object.__setattr__(self, "sizes", sizes)
 
     def holds(self, size: tuple[int, int], samples: int) -> bool:
@@ -94,7 +99,8 @@ class Planned:
     @property
     def detail(self) -> Detail:
         """How finely the frame is drawn that stands for a planned one."""
-        return Detail(self.drawn_samples or self.samples, self.triangles, self.backs)
+        samples = self.drawn_samples or self.samples
+        return Detail(samples, self.triangles, self.backs, self.once)
 
     def __str__(self) -> str:
         ends = dict.fromkeys((min(self.sizes), max(self.sizes)))

@@ -72,7 +72,29 @@ vec3 shaded(Point p) {
     return result;
 }
 
-#ifdef VISIBLE
+#ifdef ONCE
+// What the part adds to the background where visible.frag marked it: of the facets that the pixel's
+// samples see, the one that most of them see stands for all.
+void main() {
+    uint count = uint(facet_count);
+    uint seen[SAMPLES];
+    for (int i = 0; i < SAMPLES; ++i) seen[i] = facet_at(i);
+    uint facet = count;
+    float weight = 0.0;
+    int most = 0;
+    for (int i = 0; i < SAMPLES; ++i) {
+        if (seen[i] >= count) continue;
+        weight += 1.0 / float(SAMPLES);
+        int alike = 0;
+        for (int j = 0; j < SAMPLES; ++j) alike += int(seen[j] == seen[i]);
+        if (alike >= most) {
+            most = alike;
+            facet = seen[i];
+        }
+    }
+    radiance = weight * vec4(shaded(point(facet)) - background, 1.0);
+}
+#elif defined(VISIBLE)
 // What the part adds to the background where visible.frag marked it: each facet that the pixel's
 // samples see is shaded once, at the pixel's centre, as OpenGL does with several samples.
 void main() {

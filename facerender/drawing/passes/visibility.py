@@ -65,22 +65,26 @@ class Visibility:
     ----------
     view, size, samples : of the image
     parts : of the scene, in its order
+    once : whether one triangle stands for all of a part that a pixel's samples see
     """
 
     view: View
     size: tuple[int, int]
     samples: int
     parts: tuple[Visible, ...]
+    once: bool = False
 
     @classmethod
-    def of(cls, scene: Scene, view: View, size: tuple[int, int], samples: int) -> Visibility:
+    def of(
+        cls, scene: Scene, view: View, size: tuple[int, int], samples: int, once: bool = False
+    ) -> Visibility:
         """Number the triangles of a scene, and tell where they are."""
         parts, first = [], 1
         for part in scene.mesh.parts:
             facets = facets_of(part, scene.mesh)
             parts.append(Visible(facets, first, _area(facets, view, size)))
             first += len(facets.faces)
-        return cls(view, size, samples, tuple(parts))
+        return cls(view, size, samples, tuple(parts), once)
 
     def drawn(self) -> Pass:
         """Return the pass that draws it."""
@@ -120,6 +124,7 @@ class Visibility:
         features = (
             *draw.program.features,
             "VISIBLE",
+            *(("ONCE",) * self.once),
             samples,
             f"FACETS_IN_ROW {IN_ROW}",
             f"FACET_TEXELS {part.facets.texels}",
