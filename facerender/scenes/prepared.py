@@ -11,7 +11,7 @@ import numpy as np
 
 from facerender._version import __version__
 from facerender.errors import InputError
-from facerender.image import write_whole
+from facerender.image import write_bytes
 from facerender.scenes.texture import Texture
 
 _IDENTIFIER = b"\xabKTX 20\xbb\r\n\x1a\n"
@@ -47,11 +47,7 @@ def prepare_normal_map(source: str | os.PathLike[str], path: str | os.PathLike[s
     head = struct.pack("<9I", _R8G8B8A8_UNORM, 1, width, height, 0, 0, 1, len(levels), 0)
     index = struct.pack("<4I2Q", start, len(described), start + len(described), len(told), 0, 0)
     content = [_IDENTIFIER, head, index, *reversed(places), described, told, *reversed(texels)]
-
-    def write(temporary: str) -> None:
-        Path(temporary).write_bytes(b"".join(content))
-
-    write_whole(path, write)
+    write_bytes(path, b"".join(content))
 
 
 def _description() -> bytes:
