@@ -385,7 +385,7 @@ def slope_filtered() -> Case:
 
 @case()
 def slope_variance_map() -> Case:
-    return variance_case("slope_variance_map", 2e-7, alpha=np.linspace(0.0, 1.0, 511))
+    return variance_case("slope_variance_map", 3e-7, alpha=np.linspace(0.0, 1.0, 511))
 
 
 @case()
