@@ -25,6 +25,8 @@ from trials.cases import directions
 WITH_A_LOBE = ("cook_torrance", "lobe", "ward", "ward_printed")
 COOK_TORRANCE = {"name": "cook_torrance", "lobe": "d16"}
 ARGUMENTS = {"vec3": "vec3(0.0, 0.6, 0.8)", "float": "0.5", "int": "4"}
+ARGUMENTS |= {"vec2": "vec2(0.5, 0.2)", "ivec3": "ivec3(0, 0, 8)", "sampler2D": "texels"}
+SAMPLER = {"vulkan": "layout(binding = 0) uniform sampler2D texels;"}
 OUTPUT = {"330": "", "es300": "", "vulkan": "layout(location = 0) "}
 LOBES = (*lobes.NAMES, GPower(11, 0.2, 0.5))
 # Every file, open and with its choices made.
@@ -96,6 +98,7 @@ def compile_all(target: glsl.Target, folder: Path, files: Sequence[tuple[str, st
     for number, (name, text) in enumerate(files):
         stage = [*stages][number % len(stages)]
         declared, main = stages[stage]
+        declared += SAMPLER.get(target, "uniform highp sampler2D texels;")
         paths.append(folder / f"{number // len(stages)}.{stage}")
         body = main.format(calls(name))
         paths[-1].write_text(f"{text}\n{declared}\nvoid main() {{ {body} }}\n", encoding="ascii")
@@ -526,7 +529,7 @@ def test_every_symbol_carries_the_prefix():
         text = (fr.shader_dir() / f"facerender/{name}.glsl").read_text()
         code = re.sub(r"//[^\n]*", "", text)
         macros = re.findall(r"^\s*#\s*define\s+(\w+)", code, re.MULTILINE)
-        outside = re.sub(r"^\s*#[^\n]*|precision highp float;", "", code, flags=re.MULTILINE)
+        outside = re.sub(r"^\s*#[^\n]*|precision highp \w+;", "", code, flags=re.MULTILINE)
         while "{" in outside:
             outside = re.sub(r"\([^()]*\)\s*\{[^{}]*\}|\{[^{}]*\}", ";", outside)
         declared = re.findall(r"\w+(?=\s*;)", outside)

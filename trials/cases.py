@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender import brdf, lobes, resolve_includes
-from facerender.drawing.evaluate import Inputs
+from facerender.drawing.evaluate import WIDTH, Inputs
 from facerender.glsl import code
 from facerender.lobes import AnyLobe, GPower
 from facerender.shading import Term
-from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, lobe_entry
+from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, lobe_entry, shadow
 from facerender.terms.entry import ULP
 from facerender.terms.lobe import TINY, power_error
 
@@ -426,6 +426,45 @@ def slope_variance_disc() -> Case:
 @case()
 def cosine_disc() -> Case:
     return disc_case("cosine_disc", 30.0, 0.0, "c", [*np.linspace(-1.0, 1.0, 401), 1e-9, -1e-9])
+
+
+DISC = (0.2, 1.0, 0.004, 0.7)  # tangent of the radius, top, bias, turn
+
+
+@cache
+def shadows() -> tuple[tuple[int, int, int], dict[str, Singles], Floats]:
+    """A tile of a map, its texels with places, and the map. Depths are multiples of 1/4, places lie
+    between, and none looks at the map where two texels meet."""
+    random = np.random.default_rng(11)
+    tile, count = (700, 3, 16), 20 * WIDTH
+    map_ = singles(random.integers(-3, 3, count) / 4.0)
+    p = np.hstack([random.uniform(-1.2, 1.2, (count, 2)), np.zeros((count, 1))])
+    p[:, 2] = random.integers(-4, 3, count) / 4.0 + 0.12
+    plane = np.hstack([random.uniform(-0.1, 0.1, (count, 2)), np.zeros((count, 1))])
+    image = map_.reshape(-1, WIDTH).astype(float)
+    ends = [
+        shadow.shadow_disc(image, tile, p + aside, plane[:, :2], *DISC)
+        for aside in (-1e-5, [1e-5, -1e-5, 0.0], [-1e-5, 1e-5, 0.0], 1e-5)
+    ]
+    p[np.ptp(ends, axis=0) > 1e-3] = p[0]
+    return tile, {"map": map_, "p": singles(p), "plane": singles(plane)}, image
+
+
+@case(("fr_shadow_hard", "p, 0.004"), ("fr_shadow_lit", "p.xy, p.z + 0.004"))
+def shadow_hard(function: str, arguments: str) -> Case:
+    tile, inputs, map_ = shadows()
+    expected = shadow.shadow_hard(map_, tile, inputs["p"], 0.004)
+    call = f"{function}(map_texels, ivec3{tile}, {arguments})"
+    return Case(include("shadow"), call, inputs, expected, 0.0, 2e-5)
+
+
+@case()
+def shadow_disc() -> Case:
+    tile, inputs, map_ = shadows()
+    places = inputs["p"], inputs["plane"][:, :2]
+    expected = shadow.shadow_disc(map_, tile, *places, *DISC)
+    call = f"fr_shadow_disc(map_texels, ivec3{tile}, p, plane.xy, {', '.join(map(str, DISC))})"
+    return Case(include("shadow"), call, inputs, expected, 0.0, 1e-4)
 
 
 # --- models --------------------------------------------------------------------------------------

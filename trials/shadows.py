@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
+from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from facerender.drawing.frame import GBuffer
 from facerender.drawing.renderer import Renderer
-from facerender.errors import NotMeasured
 from facerender.scenes.light import Light
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
@@ -45,12 +45,7 @@ class ShadowError:
 
 
 def shadow_error(renderer: Renderer, scene: Scene, light: Light, rays: int = 64) -> ShadowError:
-    """Measure the shadow of one light at every pixel's centre.
-
-    Raises
-    ------
-    NotMeasured : embreex is missing
-    """
+    """Measure the shadow of one light at every pixel's centre."""
     lit = replace(scene, lights=(replace(light, shadow=True),))
     gbuffer = renderer.gbuffer(lit, _PLAIN)
     position = gbuffer.position.astype(np.float64)
@@ -78,10 +73,6 @@ def by_rays(
     Parameters
     ----------
     gbuffer : whose normals are those of the mesh
-
-    Raises
-    ------
-    NotMeasured : embreex is missing
     """
     tracer = _tracer(mesh)
     origin = gbuffer.position[pixels].astype(np.float64)
@@ -102,13 +93,7 @@ def by_rays(
     return seen / rays
 
 
-def _tracer(mesh: Mesh) -> Any:
-    import trimesh
-
-    try:
-        from trimesh.ray.ray_pyembree import RayMeshIntersector
-    except ImportError:
-        raise NotMeasured("rays need embreex: pip install 'facerender[rays]'") from None
+def _tracer(mesh: Mesh) -> RayMeshIntersector:
     positions = [mesh.normalised(part.positions) for part in mesh.parts]
     firsts = np.cumsum([0, *map(len, positions)])
     faces = [part.faces + first for part, first in zip(mesh.parts, firsts[:-1], strict=True)]
