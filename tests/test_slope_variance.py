@@ -81,7 +81,7 @@ def test_steep_relief_is_cut_off():
 @pytest.mark.parametrize("deferred", [False, True])
 def test_pixels_agree_with_float64(egl, head, monkeypatch, curvature, deferred):
     monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
-    shading = fr.Shading(curvature=curvature, lights={1: {"lobe": "fitted"}})
+    shading = fr.Shading(outside="exact", curvature=curvature, lights={1: {"lobe": "fitted"}})
     scene = lit(head.with_material(m=0.2))
     with fr.Renderer((200, 150), samples=1, backend=egl, float_albedo=True) as renderer:
         frame, gbuffer = renderer.render(scene, shading), renderer.gbuffer(scene, shading)
