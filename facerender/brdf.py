@@ -12,6 +12,7 @@ from facerender.terms.model import (
     K_WARD,
     MIN_COSINE,
     cook_torrance,
+    cook_torrance_two,
     ward,
     ward_printed,
 )
@@ -21,6 +22,7 @@ __all__ = [
     "K_WARD",
     "MIN_COSINE",
     "cook_torrance",
+    "cook_torrance_two",
     "fresnel",
     "fresnel_dielectric",
     "fresnel_schlick",

@@ -93,6 +93,10 @@ class Term:
         lobe.check(slopes, self.entry.k)
         return self
 
+    def second(self, factor: float) -> Term:
+        """Return the term of a second lobe, whose slope is so many times the first one's."""
+        return self if self.m is None else replace(self, m=self.m * factor)
+
     def keeps_small_slopes(self, smallest_m: float) -> bool:
         """Tell whether small angles keep their digits, for m >= smallest_m where it has none of its
         own."""
@@ -144,7 +148,8 @@ class Shading:
     outside : what a material gets whose m leaves the domain of the lobe: "error", or "exact" for
         the exact lobe in its place
     ks : one specular weight in place of the materials' and of specular maps
-    normal_map, ambient : whether they count
+    normal_map, ambient, two_lobes : whether they count; without the second lobes of materials, the
+        first ones stand alone
 
     Raises
     ------
@@ -158,6 +163,7 @@ class Shading:
     ks: float | None
     normal_map: bool
     ambient: bool
+    two_lobes: bool
 
     def __init__(
         self,
@@ -176,6 +182,7 @@ class Shading:
         ks: float | None = None,
         normal_map: bool = True,
         ambient: bool = True,
+        two_lobes: bool = True,
     ) -> None:
         if not isinstance(term, Term):
             raise InputError(f"term = {term!r}: give a Term")
@@ -205,12 +212,13 @@ class Shading:
             ("ks", ks),
             ("normal_map", normal_map),
             ("ambient", ambient),
+            ("two_lobes", two_lobes),
         ):
             object.__setattr__(self, name, value)
         if outside not in OUTSIDE:
             known = ", ".join(OUTSIDE)
             raise InputError(f"unknown choice outside the domain {outside!r}; known: {known}")
-        for name in ("normal_map", "ambient"):
+        for name in ("normal_map", "ambient", "two_lobes"):
             _check_switch(name, getattr(self, name))
         if ks is not None:
             check_range("ks", ks, 0.0, MAX_WEIGHT)
@@ -265,6 +273,7 @@ class Shading:
             "ks": self.ks,
             "normal_map": self.normal_map,
             "ambient": self.ambient,
+            "two_lobes": self.two_lobes,
             "specular_lights": None if self.specular_lights is None else [*self.specular_lights],
             "frontal_lights": list(self.frontal_lights),
             "lights": {light: changes for light, changes in own.items() if changes},
@@ -294,13 +303,14 @@ class Shading:
 # As TOML and JSON name what a shading is made of, and what it is where nothing is said.
 _KEYS = (
     *("model", "lobe", "fresnel", "outside", "masking", "small_slope", "m", "ks"),
-    *("normal_map", "ambient", "specular_lights", "frontal_lights", "lights"),
+    *("normal_map", "ambient", "two_lobes", "specular_lights", "frontal_lights", "lights"),
 )
 _DEFAULTS = asdict(Term()) | {
     "outside": "error",
     "ks": None,
     "normal_map": True,
     "ambient": True,
+    "two_lobes": True,
     "specular_lights": None,
     "frontal_lights": [],
     "lights": {},

@@ -114,6 +114,7 @@ class Random:
         tan2 = np.select([kind == 0, kind > 4], [np.float32(0), 1 / tan2], tan2)
         vectors = {"n": n, "l": l, "v": v, "p": p}
         scalars = {"m": m, "f0": f0, "c": self.cosine()}
+        scalars |= {"second_m": np.roll(m, 1), "lobe_weight": self.even()}
         return vectors | scalars | dict.fromkeys(("tan2", "x", "steepness"), tan2)
 
 

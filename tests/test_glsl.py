@@ -31,6 +31,7 @@ LOBES = (*lobes.NAMES, GPower(11, 0.2, 0.5))
 CHOICES: list[tuple[str, lobes.AnyLobe | None, float | None]] = [
     *((name, None, None) for name in glsl.library()),
     *((name, lobe, m) for name in WITH_A_LOBE for lobe in LOBES for m in (None, 0.15, 0.3)),
+    *(("cook_torrance_two", lobe, None) for lobe in LOBES),
     *((f"lobe/{name}", None, 0.3) for name in ("cosine", "exact", "fitted", "g_power")),
 ]
 SHADINGS = (

@@ -508,6 +508,40 @@ def model_by_macros(model: str, lobe: AnyLobe, fresnel: str, masking: str) -> Ca
     return in_domain(term, code.defines(macros) + flat(files), call)
 
 
+def two_lobes(term: Term, prelude: str, call: str) -> Case:
+    """Two lobes in one, of any slopes and shares; each has its share of its own bound."""
+    inputs = directions_and_extremes(lobe_entry(term.lobe).end(term.entry.k))
+    m = inputs["m"]
+    share = singles(np.random.default_rng(3).choice([0.0, 0.001, 0.15, 0.5, 0.85, 1.0], m.size))
+    both = {**inputs, "second_m": np.roll(m, 5), "lobe_weight": share}
+    first, second = (brdf_case(term, inputs | {"m": both[name]}) for name in ("m", "second_m"))
+    w = share.astype(float)
+    return Case(
+        f"const float f0 = {F0};\n" + prelude,
+        call,
+        both,
+        w * first.expected + (1.0 - w) * second.expected,
+        0.0,
+        w * first.absolute + (1.0 - w) * second.absolute,
+    )
+
+
+def two_lobes_among_all(
+    model: str, lobe: AnyLobe, fresnel: str, masking: str, small_slope: bool = True
+) -> Case:
+    term = Term(model, lobe, fresnel, masking, small_slope=small_slope)
+    terms = [term, *(replace(term, lobe=name) for name in LOBES)]
+    return two_lobes(term, flat(code.prelude(terms, 0.0, True)), code.call(term, 1.0))
+
+
+def two_lobes_by_macros(model: str, lobe: AnyLobe, fresnel: str, masking: str) -> Case:
+    term = Term(model, lobe, fresnel, masking)
+    entry = term.entry.two
+    assert entry is not None
+    call = f"fr_{entry.file}(n, l, v, m, second_m, lobe_weight, f0)"
+    return two_lobes(term, include(entry.file, **code.term_macros(term, 0.0)), call)
+
+
 DEFAULT = (Term.fresnel, Term.masking)
 FACTORS = [(fresnel, Term.masking) for fresnel in FRESNEL]
 FACTORS += [(Term.fresnel, masking) for masking in MASKING]
@@ -520,5 +554,14 @@ for _model, _entry in MODELS.items():
             if _factors == DEFAULT or _lobe == Term.lobe:
                 add("models-by-macros", model_by_macros, _model, _lobe, *_factors)
         add(f"fr_{_entry.file}_terms", term_among_all, _model, Term.lobe, *_factors, False)
+    for _lobe in ALL_LOBES:
+        group = f"fr_{_entry.two.file}_terms" if _entry.two else "two-calls"
+        add(group, two_lobes_among_all, _model, _lobe, *DEFAULT)
+        if _entry.two:
+            add(f"fr_{_entry.two.file}", two_lobes_by_macros, _model, _lobe, *DEFAULT)
+    if _entry.two:
+        add(group, two_lobes_among_all, _model, Term.lobe, *DEFAULT, False)
+        for _factors in FACTORS[1:]:
+            add(group, two_lobes_among_all, _model, Term.lobe, *_factors)
 
 GROUPS = tuple(dict.fromkeys(name.split()[0] for name in CASES))

@@ -39,9 +39,15 @@ def add_scene(
     terms.add_argument("--f0", type=float, help="reflectance at normal incidence (0.028)")
     terms.add_argument("--ks", type=float, help="specular weight (1)")
     terms.add_argument("--kd", type=float, help="diffuse weight (1)")
+    terms.add_argument(
+        "--second-slope", type=float, metavar="F", help="second lobe: m of it over m (1: none)"
+    )
+    terms.add_argument(
+        "--lobe-weight", type=float, metavar="W", help="share of the first lobe (1: the only one)"
+    )
 
     maps = command.add_argument_group("maps, in place of those of the mesh file")
-    for name in ("albedo", "normal-map", "specular-map", "roughness-map"):
+    for name in ("albedo", "normal-map", "specular-map", "roughness-map", "lobe-map"):
         maps.add_argument(f"--{name}", metavar="FILE")
     maps.add_argument("--flip-v", action="store_true", help="turn texture coordinates upside down")
     maps.add_argument("--anisotropy", type=float, default=1.0, help="of texture filtering (1)")
@@ -89,7 +95,7 @@ def job_of(
     settings.update(_scene_settings(options))
     material.update(
         (name, value)
-        for name in ("m", "f0", "ks", "kd")
+        for name in ("m", "f0", "ks", "kd", "second_slope", "lobe_weight")
         if (value := getattr(options, name)) is not None
     )
     mesh = MeshFile(
@@ -100,6 +106,7 @@ def job_of(
         options.roughness_map,
         options.flip_v,
         getattr(options, "triangles", None),
+        options.lobe_map,
     )
     job = Job(
         mesh,
@@ -129,6 +136,7 @@ def _check_unpinned(options: argparse.Namespace, pinned: Mapping[str, Any]) -> N
         ("m", ("m", "roughness_map")),
         ("ks", ("ks", "specular_map")),
         ("normal_map", ("normal_map",)),
+        ("two_lobes", ("second_slope", "lobe_weight", "lobe_map")),
         ("ambient", ("ambient",)),
         ("specular_lights", ("light",)),
         ("frontal_lights", ("light",)),

@@ -101,6 +101,8 @@ class GBuffer:
     m, specular_weight, occlusion : (H, W) float32
     uv : (H, W, 2) float32
     view : the camera that saw it
+    second_m, lobe_weight : (H, W) float32, slope of the second lobe and share of the first; None
+        where no material has two lobes
     """
 
     part: NDArray[np.int64]
@@ -112,3 +114,5 @@ class GBuffer:
     occlusion: NDArray[np.float32]
     uv: NDArray[np.float32]
     view: View
+    second_m: NDArray[np.float32] | None = None
+    lobe_weight: NDArray[np.float32] | None = None

@@ -33,6 +33,8 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
         changes["m"] = shading.term.m
     if shading.ks is not None:
         changes |= {"ks": shading.ks, "specular_map": None}
+    if not shading.two_lobes and any(each.two_lobes for each in scene.mesh.materials):
+        changes["lobe_weight"] = 1.0
     if not shading.normal_map:
         changes["normal_map"] = None
     if not shading.ambient:
@@ -60,6 +62,7 @@ def part_maps(part: Part, material: Material, albedo: Kind) -> list[tuple[str, T
         ("albedo_map", material.albedo_map, albedo),
         ("normal_map", material.normal_map, "data"),
         ("property_map", material.property_map, "data"),
+        ("lobe_map", material.lobe_map if material.two_lobes else None, "data"),
     ]
     return [(name, texture, kind) for name, texture, kind in candidates if texture is not None]
 

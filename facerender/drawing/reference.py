@@ -83,8 +83,15 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
             l, irradiance = source.kind.lighting(source, scene.mesh, position)
             received = irradiance * np.maximum(np.einsum("...i,...i", n, l), 0.0)[:, None]
             diffuse[covered] += albedo * received
-            value = weight * term.brdf(n, l, v, m, material.f0)
-            specular[light][covered] = received * value[:, None]
+            value = term.brdf(n, l, v, m, material.f0)
+            if material.two_lobes:
+                assert gbuffer.second_m is not None
+                assert gbuffer.lobe_weight is not None
+                second = term.second(material.second_slope)
+                second_m = gbuffer.second_m[covered].astype(np.float64)
+                share = gbuffer.lobe_weight[covered].astype(np.float64)
+                value = share * value + (1.0 - share) * second.brdf(n, l, v, second_m, material.f0)
+            specular[light][covered] = received * (weight * value)[:, None]
     return Layers(ambient, diffuse, specular)
 
 

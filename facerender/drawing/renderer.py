@@ -190,7 +190,7 @@ class Renderer:
         visibility = self._visibility(scene, view, 1)
         surface = surface_pass(scene, view, visibility)
         passes = [visibility.drawn(), surface] if visibility else [surface]
-        position, normal, albedo, uv = self._draw(passes, scene)
+        position, normal, albedo, uv, *lobes = self._draw(passes, scene)
         return GBuffer(
             part=position[..., 3].astype(np.int64) - 1,
             position=position[..., :3],
@@ -201,6 +201,8 @@ class Renderer:
             occlusion=uv[..., 2],
             uv=uv[..., :2],
             view=view,
+            second_m=lobes[0][..., 0] if lobes else None,
+            lobe_weight=lobes[0][..., 1] if lobes else None,
         )
 
     def _shaded(

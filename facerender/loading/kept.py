@@ -34,7 +34,10 @@ _LENGTH = struct.Struct("<Q")
 _PACKAGE = Path(__file__).parents[1]
 _LIBRARIES = ("numpy", "scipy", "trimesh", "PIL", "DracoPy")
 # What the maps of a material are drawn from.
-_CHAINS: dict[str, Kind] = {"albedo_map": "color", "normal_map": "data", "property_map": "data"}
+_CHAINS: dict[str, Kind] = {
+    "albedo_map": "color",
+    **dict.fromkeys(("normal_map", "property_map", "lobe_map"), "data"),
+}
 
 
 @dataclass(frozen=True)

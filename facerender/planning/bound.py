@@ -52,13 +52,16 @@ def bound(scene: Scene, shading: Shading, full: Shading, budget: Budget) -> floa
         weight = max(_weight(material, each) for each in (shading, full))
         same_weight = _same_weight(material, shading, full)
         for light, own, other in lit:
-            terms = {term: _slopes(term, slopes) for term in (own, other) if term is not None}
+            terms = {
+                term: _slopes(term, slopes, material) for term in (own, other) if term is not None
+            }
             irradiance = _highest(light)
             if not terms or not irradiance:
                 continue
             # radiance is not negative: two differ by the larger one at most
             share = weight * max(_ceiling(term, ends) for term, ends in terms.items())
-            if own and other and _alike(own, other, terms) and same_weight:
+            lobes = shading.two_lobes == full.two_lobes or not material.two_lobes
+            if own and other and _alike(own, other, terms) and same_weight and lobes:
                 share = weight * _specular(material, terms[own], own, other)
             if share:
                 radiance += irradiance * share
@@ -66,8 +69,9 @@ def bound(scene: Scene, shading: Shading, full: Shading, budget: Budget) -> floa
     return budget.bound(worst)
 
 
-def _slopes(term: Term, slopes: Range) -> Range:
-    return slopes if term.m is None else (term.m, term.m)
+def _slopes(term: Term, slopes: Range, material: Material) -> Range:
+    """Of all lobes that there may be: two together are between what each alone would be."""
+    return slopes if term.m is None else material.with_second(term.m, term.m)
 
 
 def _alike(term: Term, other: Term, slopes: Mapping[Term, Range]) -> bool:

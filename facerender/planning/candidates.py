@@ -21,6 +21,7 @@ SMALLEST_PLAIN_SLOPE = 0.1
 # A decision's name, and what of a shading it is about; those of a term are decided together where
 # the model changes.
 DECISIONS = {
+    "two lobes": "two_lobes",
     "lights": "specular_lights",
     "frontal": "frontal_lights",
     "normal map": "normal_map",
@@ -46,12 +47,14 @@ class Constants:
     m, ks : slope and specular weight, the means over what is seen
     faintest : indices of the lights by how bright their highlights are, the faintest first
     frontal : indices of the lights by how much the term of frontal light loses, the least first
+    single : slopes of one lobe in place of two
     """
 
     m: float
     ks: float
     faintest: tuple[int, ...]
     frontal: tuple[int, ...] = ()
+    single: tuple[float, ...] = ()
 
 
 def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Shading]:
@@ -66,23 +69,27 @@ def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Sh
         name: any(getattr(each, name) is not None for each in materials)
         for name in ("normal_map", "specular_map")
     }
-    slopes: list[float | None] = [full.term.m]
+    slopes: list[tuple[bool, float | None]] = [(full.two_lobes, full.term.m)]
     if full.term.m is None:
-        slopes.append(constants.m)
+        slopes.append((full.two_lobes, constants.m))
+    if full.two_lobes:
+        slopes += [(False, m) for m in constants.single]
     weights: list[float | None] = [full.ks]
     if full.ks is None and textured["specular_map"]:
         weights.append(constants.ks)
     kinds: list[tuple[int, ...] | None] = [full.specular_lights]
     kept = [light for light in constants.faintest if full.of(light)]
     kinds += [tuple(sorted(kept[gone:])) for gone in range(1, len(kept) + 1)]
-    for m, ks, normal_map, ambient in product(
+    for (two_lobes, m), ks, normal_map, ambient in product(
         slopes,
         weights,
         {full.normal_map, full.normal_map and not textured["normal_map"]},
         {full.ambient, full.ambient and not any(scene.ambient)},  # type: ignore[arg-type]
     ):
         term = replace(full.term, m=m)
-        surface = replace(full, term=term, ks=ks, normal_map=normal_map, ambient=ambient)
+        surface = replace(
+            full, term=term, two_lobes=two_lobes, ks=ks, normal_map=normal_map, ambient=ambient
+        )
         for shading in _terms(scene, surface):
             for lights in kinds:
                 if lights == () and shading != surface:
@@ -144,11 +151,12 @@ def changed(shading: Shading, full: Shading) -> list[str]:
 
 def groups(shading: Shading, full: Shading) -> dict[str, tuple[str, ...]]:
     """Return the decisions in which two shadings differ, each with those that go with it: the whole
-    term with the model."""
+    term with the model, the slope with a single lobe."""
     differs = changed(shading, full)
-    if "model" not in differs:
-        return {name: (name,) for name in differs}
-    return {name: (name,) for name in differs if name not in TERM} | {"model": TERM}
+    together = {"two lobes": ("two lobes", "slope"), "model": TERM}
+    made = {name: together[name] for name in differs if name in together}
+    inside = {each for names in made.values() for each in names}
+    return {name: (name,) for name in differs if name not in inside} | made
 
 
 def values(shading: Shading, names: Sequence[str]) -> dict[str, Any]:
@@ -170,5 +178,6 @@ def with_decisions(shading: Shading, other: Shading, names: Sequence[str]) -> Sh
 def alone(shading: Shading, full: Shading, names: Sequence[str]) -> Shading:
     """Return the full shading with some decisions of another by themselves."""
     # a g-power is fitted to the slope that was chosen, and means nothing at another
-    base = with_decisions(full, shading, ("slope",)) if "lobe" in names else full
+    slopes = ("slope", "two lobes")
+    base = with_decisions(full, shading, slopes) if "lobe" in names else full
     return with_decisions(base, shading, names)

@@ -8,7 +8,6 @@ from itertools import islice
 
 from facerender.planning.candidates import (
     DECISIONS,
-    TERM,
     alone,
     changed,
     groups,
@@ -64,8 +63,8 @@ def decisions(
     for name in DECISIONS:
         if name in made:
             yield _made(choice, shading, name, made[name], error)
-        elif name in TERM and "model" in made:
-            continue  # told with the model
+        elif any(name in names for names in made.values()):
+            continue  # told with another
         elif (kept := _kept(choice, shading, name, otherwise, might)) is not None:
             yield kept
 
@@ -160,6 +159,7 @@ def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:
     lit = [name for i, name in enumerate(lights) if shading.of(i)]
     near = [lights[i] for i in shading.frontal_lights]
     words = {
+        "two lobes": "two" if shading.two_lobes else "one",
         "lights": f"specular of {', '.join(lit) or 'none'}",
         "frontal": f"{', '.join(near)} with Fresnel f0, not masked" if near else "none",
         "normal map": "on" if shading.normal_map else "off",
@@ -172,7 +172,7 @@ def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:
         "masking": f"masking {term.masking}",
         "small slopes": "small slopes " + ("plain" if term.small_slope is False else "exact"),
     }
-    told = names if term.entry.factors else names[:2]
+    told = names if term.entry.factors or "model" not in names else names[:2]
     if len(names) == 1:
         return words[names[0]].removeprefix(names[0]).strip()
     return ", ".join(words[name] for name in told if name not in ("small slopes", "frontal"))

@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError
+from facerender.errors import InputError, check_range
 from facerender.terms.entry import Entry, named, registry
 from facerender.terms.fresnel import fresnel
 from facerender.terms.lobe import AnyLobe, lobe_entry
@@ -62,6 +62,8 @@ class Model(Entry):
     family : models of one stand for each other in a plan; they agree where normal, light and eye
         coincide
     printed : call of the paper's literal form of it, where it is another
+    two : the same with two lobes in one, also of ``{second}``, the second slope, and of float
+        lobe_weight; None where the mean of two calls is as good
     at_most : of the smallest m, the largest f N.L N.V there and at every larger m, for a lobe and
         terms that are at most 1; None where nobody knows: a guarantee then refuses the model
     """
@@ -72,6 +74,7 @@ class Model(Entry):
     factors: bool = False
     family: str
     printed: str = ""
+    two: Entry | None = None
     at_most: Callable[[float], float] | None = None
 
 
@@ -153,6 +156,41 @@ def cook_torrance(
     return np.where(at.above, f * g * d / (np.pi * at.n_dot_l * at.n_dot_v), 0.0)
 
 
+def cook_torrance_two(
+    n: ArrayLike,
+    l: ArrayLike,
+    v: ArrayLike,
+    m0: ArrayLike,
+    m1: ArrayLike,
+    weight: ArrayLike,
+    f0: ArrayLike,
+    *,
+    lobe: AnyLobe = "exact",
+    fresnel_term: str = "schlick",
+    masking_term: str = "v-cavity",
+) -> Float:
+    """Cook-Torrance specular BRDF with two lobes, F G (w D(m0) + (1 - w) D(m1))/(π (N.L)(N.V)), in
+    1/sr.
+
+    Parameters
+    ----------
+    m0, m1 : rms slopes of the lobes, in the domain of the lobe
+    weight : share w of the first lobe, in [0, 1]
+
+    Others and errors as in :func:`cook_torrance`.
+    """
+    w = np.asarray(weight, dtype=np.float64)
+    check_range("weight", float(w.min()), 0.0, 1.0)
+    check_range("weight", float(w.max()), 0.0, 1.0)
+    first, second = (
+        cook_torrance(
+            n, l, v, m, f0, lobe=lobe, fresnel_term=fresnel_term, masking_term=masking_term
+        )
+        for m in (m0, m1)
+    )
+    return w * first + (1.0 - w) * second
+
+
 def ward(
     n: ArrayLike,
     l: ArrayLike,
@@ -229,6 +267,12 @@ MODELS: dict[str, Model] = registry(
         factors=True,
         family="physical",
         printed="fr_printed_cook_torrance(n, l, v, m, f0)",
+        two=Entry(
+            name="cook-torrance-two",
+            file="cook_torrance_two",
+            call="fr_cook_torrance_two_terms("
+            "n, l, v, {m}, {second}, lobe_weight, f0, {lobe}, {fresnel}, {masking})",
+        ),
         at_most=_at_most,
     ),
     Model(

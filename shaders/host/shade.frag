@@ -1,7 +1,8 @@
 // Radiance of a point: the sum over the lights of irradiance x N.L x BRDF, and the ambient term.
 // drawing/program.py writes what stands before: the lights' kinds, ADD_EVERY_LIGHT, which calls
 // add_light for each of them with the number of its term, -1 for none, and, where a light has a term,
-// SPECULAR and specular_term(term, n, l, v, m, f0).
+// SPECULAR and specular_term(term, n, l, v, m, f0), with TWO_LOBES of second_m and lobe_weight before
+// f0.
 #include "facerender/constants.glsl"
 #include "host/light/light.glsl"
 #include "host/surface.glsl"
@@ -24,7 +25,12 @@ void add_light(Surface s, vec3 v, Light light, int term) {
     diffuse += received;
 #ifdef SPECULAR
     if (term >= 0) {
+#ifdef TWO_LOBES
+        specular += received
+            * specular_term(term, s.normal, light.direction, v, s.m, s.second_m, s.lobe_weight, f0);
+#else
         specular += received * specular_term(term, s.normal, light.direction, v, s.m, f0);
+#endif
     }
 #endif
 }

@@ -20,6 +20,13 @@ uniform sampler2D normal_map;
 #ifdef PROPERTY_MAP
 uniform sampler2D property_map;  // occlusion, roughness, specular weight
 #endif
+#ifdef TWO_LOBES
+uniform float second_slope;  // factor on m
+uniform float lobe_weight;   // of the first lobe
+#endif
+#ifdef LOBE_MAP
+uniform sampler2D lobe_map;  // in red the factor on the second lobe's share, 1 - lobe_weight
+#endif
 
 struct Surface {
     vec3 position;
@@ -28,6 +35,10 @@ struct Surface {
     float m;
     float specular_weight;
     float occlusion;
+#ifdef TWO_LOBES
+    float second_m;
+    float lobe_weight;
+#endif
 };
 
 #ifdef NORMAL_MAP
@@ -59,7 +70,11 @@ Surface surface(Point p) {
 #else
     vec3 albedo = vec3(1.0);
 #endif
+#ifdef TWO_LOBES
+    Surface s = Surface(p.position, n, albedo, slope, specular_weight, 1.0, slope, lobe_weight);
+#else
     Surface s = Surface(p.position, n, albedo, slope, specular_weight, 1.0);
+#endif
 #ifdef VERTEX_COLORS
     s.albedo *= p.color;
 #endif
@@ -76,6 +91,12 @@ Surface surface(Point p) {
 #endif
 #ifdef SPECULAR_MAP
     s.specular_weight *= properties.b;
+#endif
+#endif
+#ifdef TWO_LOBES
+    s.second_m = max(s.m * second_slope, FR_MIN_SLOPE);
+#ifdef LOBE_MAP
+    s.lobe_weight = 1.0 - (1.0 - lobe_weight) * TEXEL(lobe_map, p).r;
 #endif
 #endif
     s.m = max(s.m, FR_MIN_SLOPE);
