@@ -1,6 +1,11 @@
 """BRDFs, Fresnel and masking terms in float64, for users. ``brdf.f`` is ``fr_f`` in GLSL, with the
 same arguments in the same order; see ``terms/model.py``."""
 
+from facerender.terms.albedo import (
+    cook_torrance_albedo,
+    cook_torrance_albedo_mean,
+    diffuse_coupled,
+)
 from facerender.terms.fresnel import (
     fresnel,
     fresnel_dielectric,
@@ -16,18 +21,33 @@ from facerender.terms.model import (
     ward,
     ward_printed,
 )
+from facerender.terms.sampling import (
+    cook_torrance_pdf,
+    cook_torrance_sample,
+    slope_sample,
+    ward_pdf,
+    ward_sample,
+)
 
 __all__ = [
     "K_COOK_TORRANCE",
     "K_WARD",
     "MIN_COSINE",
     "cook_torrance",
+    "cook_torrance_albedo",
+    "cook_torrance_albedo_mean",
+    "cook_torrance_pdf",
+    "cook_torrance_sample",
     "cook_torrance_two",
+    "diffuse_coupled",
     "fresnel",
     "fresnel_dielectric",
     "fresnel_schlick",
     "masking_kelemen",
     "masking_v_cavity",
+    "slope_sample",
     "ward",
+    "ward_pdf",
     "ward_printed",
+    "ward_sample",
 ]

@@ -25,6 +25,7 @@ from trials.cases import directions
 WITH_A_LOBE = ("cook_torrance", "lobe", "ward", "ward_printed")
 COOK_TORRANCE = {"name": "cook_torrance", "lobe": "d16"}
 ARGUMENTS = {"vec3": "vec3(0.0, 0.6, 0.8)", "float": "0.5", "int": "4"}
+ARGUMENTS |= {"vec2": "vec2(0.5, 0.2)", "mat2x4": "mat2x4(0.5)"}
 OUTPUT = {"330": "", "es300": "", "vulkan": "layout(location = 0) "}
 LOBES = (*lobes.NAMES, GPower(11, 0.2, 0.5))
 # Every file, open and with its choices made.
@@ -64,9 +65,9 @@ def calls(name: str) -> str:
         parameters = re.search(r"\((.*)\)", function.signature)[1].split(", ")
         call = f"{function.name}({', '.join(ARGUMENTS[word.split()[0]] for word in parameters)})"
         if function.file == f"facerender/{name}.glsl":
-            values.append(
-                call if function.signature.startswith("float") else f"dot({call}, {call})"
-            )
+            kind = function.signature.split()[0]
+            other = f"{call}[0][0]" if kind.startswith("mat") else f"dot({call}, {call})"
+            values.append(call if kind == "float" else other)
     return " + ".join(values) or "0.0"
 
 

@@ -1,4 +1,4 @@
-"""Materials with two lobes: drawn as float64 has them, off where one would do, priced and planned."""
+"""Materials with two lobes: drawn as float64 has them, off where they are one, priced, planned."""
 
 from __future__ import annotations
 

@@ -61,7 +61,8 @@ def call(term: Term, second_slope: float | None = None) -> str:
     second = "second_m" if term.m is None else repr(float(term.m * second_slope))
     if term.entry.two:
         return term.entry.two.call.format(m=m, second=second, **macros)
-    return f"mix({term.entry.call.format(m=second, **macros)}, {first}, lobe_weight)"
+    other = term.entry.call.format(m=second, **macros)
+    return f"lobe_weight * {first} + (1.0 - lobe_weight) * {other}"
 
 
 def _shared_macros(terms: Sequence[Term], smallest_m: float) -> dict[str, str]:

@@ -1,5 +1,5 @@
-// Cook-Torrance specular BRDF with two lobes, such as a broad and a sharp one of skin, or a sharp one
-// of oil or sweat on it. They share half vector, Fresnel and masking term.
+// Cook-Torrance specular BRDF with two lobes, such as a broad and a sharp one of skin, or a sharp
+// one of oil or sweat on it. They share half vector, Fresnel and masking term.
 //
 //   formula   F G (w D(m0) + (1 - w) D(m1))/(pi (N.L)(N.V)), with F, G and D of cook_torrance.glsl
 //   n, l, v   unit vectors: normal, towards the light, towards the eye
@@ -34,8 +34,9 @@ float fr_cook_torrance_two_terms(
     float n_dot_v = dot(n, v);
     vec3 h = l + v;  // keeps its length: V.H = |h|/2
     float n_dot_h = n_dot_l + n_dot_v;
-    vec2 slope = max(vec2(FR_SLOPE(m0), FR_SLOPE(m1)), vec2(FR_MIN_SLOPE));
-    vec2 inverse_m2 = 1.0 / (slope * slope);
+    vec2 slope = vec2(FR_SLOPE(m0), FR_SLOPE(m1));
+    // 1e-16 is less than a digit of the smallest square, 1e-8, and keeps a slope of 0 finite.
+    vec2 inverse_m2 = 1.0 / (slope * slope + 1e-16);
     vec2 squares = vec2(dot(h, h), 0.0);
 #if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
     if (lobe == FR_LOBE_EXACT) squares = fr_half_vector(n, h, n_dot_h);
@@ -59,11 +60,13 @@ float fr_cook_torrance_two_terms(
     {
         inverse = 1.0 / (masked.y * h_dot_h);
         float c = n_dot_h * sqrt(h_dot_h) * (masked.y * inverse);
+        slope = max(slope, vec2(FR_MIN_SLOPE));
         lobes.x = fr_lobe_of(c, slope.x, FR_K_COOK_TORRANCE, lobe);
         lobes.y = fr_lobe_of(c, slope.y, FR_K_COOK_TORRANCE, lobe);
     }
-    lobes *= inverse_m2;
-    float value = mix(lobes.y, lobes.x, weight) * sec2 * (masked.x * inverse);
+    // not mix: where it is x + a (y - x), a high lobe of share 0 would take the digits of the other
+    vec2 shares = vec2(weight * inverse_m2.x, inverse_m2.y - weight * inverse_m2.y);
+    float value = dot(shares, lobes) * sec2 * (masked.x * inverse);
     float reflectance = fr_fresnel_of(f0, 0.5 * sqrt(h_dot_h), fresnel);
     bool above = min(n_dot_l, n_dot_v) > FR_MIN_COSINE;  // a minimum that V-cavities have as well
     return above ? reflectance * value * (0.25 / FR_PI) : 0.0;
