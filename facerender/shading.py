@@ -20,6 +20,7 @@ from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
 Changes = tuple[tuple[str, Any], ...]  # of a term's fields
 
 OUTSIDE = ("error", "exact")
+DIFFUSE = ("lambert", "coupled")
 SMALL_SLOPE = 0.2  # from here on the exact lobe is accurate without FR_SMALL_SLOPE
 MAX_WEIGHT = 1e6
 FRONTAL: Changes = (("fresnel", "constant"), ("masking", "none"))
@@ -148,6 +149,8 @@ class Shading:
     outside : what a material gets whose m leaves the domain of the lobe: "error", or "exact" for
         the exact lobe in its place
     ks : one specular weight in place of the materials' and of specular maps
+    diffuse : "lambert", or "coupled" for the light that the specular term leaves, as
+        Cook-Torrance with the exact lobe, Schlick's Fresnel term and V-cavities reflects it
     normal_map, ambient, two_lobes : whether they count; without the second lobes of materials, the
         first ones stand alone
 
@@ -164,6 +167,7 @@ class Shading:
     normal_map: bool
     ambient: bool
     two_lobes: bool
+    diffuse: str
 
     def __init__(
         self,
@@ -183,6 +187,7 @@ class Shading:
         normal_map: bool = True,
         ambient: bool = True,
         two_lobes: bool = True,
+        diffuse: str = "lambert",
     ) -> None:
         if not isinstance(term, Term):
             raise InputError(f"term = {term!r}: give a Term")
@@ -213,11 +218,14 @@ class Shading:
             ("normal_map", normal_map),
             ("ambient", ambient),
             ("two_lobes", two_lobes),
+            ("diffuse", diffuse),
         ):
             object.__setattr__(self, name, value)
         if outside not in OUTSIDE:
             known = ", ".join(OUTSIDE)
             raise InputError(f"unknown choice outside the domain {outside!r}; known: {known}")
+        if diffuse not in DIFFUSE:
+            raise InputError(f"unknown diffuse term {diffuse!r}; known: {', '.join(DIFFUSE)}")
         for name in ("normal_map", "ambient", "two_lobes"):
             _check_switch(name, getattr(self, name))
         if ks is not None:
@@ -274,6 +282,7 @@ class Shading:
             "normal_map": self.normal_map,
             "ambient": self.ambient,
             "two_lobes": self.two_lobes,
+            "diffuse": self.diffuse,
             "specular_lights": None if self.specular_lights is None else [*self.specular_lights],
             "frontal_lights": list(self.frontal_lights),
             "lights": {light: changes for light, changes in own.items() if changes},
@@ -303,7 +312,8 @@ class Shading:
 # As TOML and JSON name what a shading is made of, and what it is where nothing is said.
 _KEYS = (
     *("model", "lobe", "fresnel", "outside", "masking", "small_slope", "m", "ks"),
-    *("normal_map", "ambient", "two_lobes", "specular_lights", "frontal_lights", "lights"),
+    *("normal_map", "ambient", "two_lobes", "diffuse"),
+    *("specular_lights", "frontal_lights", "lights"),
 )
 _DEFAULTS = asdict(Term()) | {
     "outside": "error",
@@ -311,6 +321,7 @@ _DEFAULTS = asdict(Term()) | {
     "normal_map": True,
     "ambient": True,
     "two_lobes": True,
+    "diffuse": "lambert",
     "specular_lights": None,
     "frontal_lights": [],
     "lights": {},

@@ -30,8 +30,7 @@ SHADINGS = [
     fr.Shading(),
     fr.Shading(lobe="fitted", fresnel="dielectric", masking="kelemen"),
     fr.Shading("ward", "d16"),
-    fr.Shading("ward-printed", m=0.25),
-    fr.Shading(m=0.1),
+    fr.Shading("ward-printed", m=0.1),
     fr.Shading(lights={0: {"lobe": "d8"}, 1: {"m": 0.2}}, frontal_lights=[2]),
 ]
 
@@ -45,8 +44,9 @@ def grey(level: int) -> Texture:
     return Texture(lambda: Image.new("L", (4, 4), level), f"grey {level}")
 
 
-@pytest.mark.parametrize("deferred", [False, True])
-@pytest.mark.parametrize("shading", SHADINGS, ids=lambda each: str(each.as_dict()))
+@pytest.mark.parametrize(
+    ("shading", "deferred"), [*((each, True) for each in SHADINGS), (SHADINGS[-1], False)], ids=str
+)
 def test_every_pixel_agrees_with_float64(renderer, head, shading, deferred, monkeypatch):
     monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
     first, *others = head.with_material(**SWEAT, lobe_map=ramp()).materials
@@ -157,7 +157,7 @@ def test_job_scene_file_and_command_line(tmp_path, head):
 
 def test_a_plan_of_two_lobes_is_sound_and_may_take_one(head):
     mesh = head.with_material(normal_map=None, m=0.3, **SKIN)
-    scene = fr.Scene(mesh, lights=fr.Scene(mesh).lights[:1], ambient=0.0)
+    scene = fr.Scene(mesh, fr.Camera(-35.0), fr.Scene(mesh).lights[1:2], ambient=0.0)
     with fr.Renderer((64, 64), samples=1) as renderer:
         plans = [
             fr.plan(scene, budget, renderer=renderer, cost="navi21")
@@ -185,7 +185,7 @@ def test_a_second_lobe_has_its_price(head):
     for kind in ("navi21", "vega10", "llvmpipe"):
         prices = load_prices(kind, two, [])
         constants = Constants(0.3, 1.0, (0, 1, 2), (0, 1, 2), (0.32,))
-        for shading in candidates(two, fr.Shading(), constants):
+        for shading in [*candidates(two, fr.Shading(), constants)][::23]:
             dear, cheap = prices.cost(two, shading)[0], prices.cost(one, shading)[0]
             if shading.two_lobes and shading.specular_lights != ():
                 assert dear > cheap

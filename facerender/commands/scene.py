@@ -15,7 +15,7 @@ from facerender.scenes.camera import Camera, turntable
 from facerender.scenes.file import load_scene
 from facerender.scenes.light import LIGHTS, parse_light
 from facerender.scenes.scene import Scene
-from facerender.shading import Shading
+from facerender.shading import DIFFUSE, Shading
 from facerender.terms import FRESNEL, MASKING, MODELS
 
 CAMERAS = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
@@ -38,6 +38,9 @@ def add_scene(
     )
     terms.add_argument("--f0", type=float, help="reflectance at normal incidence (0.028)")
     terms.add_argument("--ks", type=float, help="specular weight (1)")
+    terms.add_argument(
+        "--diffuse", choices=DIFFUSE, help="coupled: what the specular term leaves (lambert)"
+    )
     terms.add_argument("--kd", type=float, help="diffuse weight (1)")
     terms.add_argument(
         "--second-slope", type=float, metavar="F", help="second lobe: m of it over m (1: none)"
@@ -78,7 +81,7 @@ def job_of(
     if options.m is not None and options.roughness_map is not None:
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
     settings = load_scene(options.scene) if options.scene else {}
-    names = ("model", "lobe", "fresnel", "masking", "outside")
+    names = ("model", "lobe", "fresnel", "masking", "diffuse", "outside")
     terms = {name: value for name in names if (value := getattr(options, name, None)) is not None}
     pinned = settings.pop("shading", {})
     _check_unpinned(options, pinned)

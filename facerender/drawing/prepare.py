@@ -28,9 +28,8 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
     """
     shading.check_lights(len(scene.lights))
     changes: dict[str, Any] = {}
-    own = [shading.of(light) for light in range(len(scene.lights))]
-    if shading.term.m is not None and all(term is None or term.m is not None for term in own):
-        changes["m"] = shading.term.m
+    if (m := constant_slope(scene, shading)) is not None:
+        changes["m"] = m
     if shading.ks is not None:
         changes |= {"ks": shading.ks, "specular_map": None}
     if not shading.two_lobes and any(each.two_lobes for each in scene.mesh.materials):
@@ -49,6 +48,13 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
             del known[next(iter(known))]
         known[key] = scene.mesh.with_material(**changes)
     return replace(scene, mesh=known[key])
+
+
+def constant_slope(scene: Scene, shading: Shading) -> float | None:
+    """Return the slope that takes the place of all materials', if there is one."""
+    own = [shading.of(light) for light in range(len(scene.lights))]
+    pinned = all(term is None or term.m is not None for term in own)
+    return shading.term.m if pinned else None
 
 
 def part_maps(part: Part, material: Material, albedo: Kind) -> list[tuple[str, Texture, Kind]]:

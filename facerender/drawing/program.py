@@ -171,6 +171,7 @@ def shade_program(
     terms: Sequence[Term],
     smallest_m: float,
     diffuse: bool = True,
+    coupled: bool = False,
 ) -> Program:
     """Return the program that shades a part of a simplified scene.
 
@@ -179,10 +180,12 @@ def shade_program(
     terms : of the lighting, as this part's slopes let them be; none for a program without
     smallest_m : of the part
     diffuse : whether diffuse light counts
+    coupled : whether it is what the specular term leaves
     """
     features = surface_features(part, material)
     features += ("AMBIENT",) * any(scene.ambient)  # type: ignore[arg-type]
     features += ("DIFFUSE",) * (diffuse and material.kd > 0.0)
+    features += ("COUPLED",) * (coupled and "DIFFUSE" in features and material.ks > 0.0)
     shines = bool(terms) and material.ks > 0.0
     second = material.second_slope if material.two_lobes else None
     return Program(

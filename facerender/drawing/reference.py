@@ -3,16 +3,20 @@ OpenGL here."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender import brdf
 from facerender.drawing.frame import GBuffer
-from facerender.drawing.prepare import simplify
+from facerender.drawing.prepare import constant_slope, simplify
+from facerender.scenes.material import Material
 from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
+
+Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +64,7 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
     """Return the terms that :func:`shade` sums up, the specular one of every light; parameters and
     errors as there."""
     scene = simplify(scene, shading)
+    pinned = constant_slope(scene, shading)
     ambient, diffuse = np.zeros((2, *gbuffer.position.shape))
     specular = np.zeros((len(scene.lights), *gbuffer.position.shape))
     terms = [shading.of(light) or shading.term for light in range(len(scene.lights))]
@@ -78,11 +83,18 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
         v = _normalised(gbuffer.view.eye - position)
 
         occlusion = gbuffer.occlusion[covered].astype(np.float64)
-        ambient[covered] = albedo * occlusion[:, None] * np.asarray(scene.ambient)
+        coupling = None
+        if shading.diffuse == "coupled" and material.ks > 0.0:
+            n_dot_v = np.einsum("...i,...i", n, v)
+            coupling = _Coupling.at(gbuffer, covered, material, n_dot_v, pinned)
+        left = coupling.left(coupling.mean) if coupling else 1.0
+        ambient[covered] = albedo * occlusion[:, None] * np.asarray(scene.ambient) * left
         for light, (source, term) in enumerate(zip(scene.lights, own, strict=True)):
             l, irradiance = source.kind.lighting(source, scene.mesh, position)
             received = irradiance * np.maximum(np.einsum("...i,...i", n, l), 0.0)[:, None]
-            diffuse[covered] += albedo * received
+            if coupling:
+                left = coupling.left(coupling.towards(np.einsum("...i,...i", n, l)))
+            diffuse[covered] += albedo * received * left
             value = term.brdf(n, l, v, m, material.f0)
             if material.two_lobes:
                 assert gbuffer.second_m is not None
@@ -93,6 +105,56 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
                 value = share * value + (1.0 - share) * second.brdf(n, l, v, second_m, material.f0)
             specular[light][covered] = received * (weight * value)[:, None]
     return Layers(ambient, diffuse, specular)
+
+
+@dataclass(frozen=True, eq=False)
+class _Coupling:
+    """What specular terms leave to diffuse ones.
+
+    Attributes
+    ----------
+    lobes : slope and weight of each lobe, (N,)
+    f0 : of the material
+    eye, mean : albedo towards the eye, and over the hemisphere, (N,)
+    """
+
+    lobes: list[tuple[Float, Float]]
+    f0: float
+    eye: Float
+    mean: Float
+
+    @classmethod
+    def at(
+        cls,
+        gbuffer: GBuffer,
+        covered: NDArray[np.bool_],
+        material: Material,
+        n_dot_v: Float,
+        m: float | None,
+    ) -> _Coupling:
+        """m : in place of the G-buffer's"""
+        weight = gbuffer.specular_weight[covered].astype(np.float64)
+        slope = gbuffer.m[covered].astype(np.float64) if m is None else np.full_like(weight, m)
+        lobes = [(slope, weight)]
+        if material.two_lobes:
+            assert gbuffer.second_m is not None
+            assert gbuffer.lobe_weight is not None
+            second = gbuffer.second_m[covered].astype(np.float64)
+            second = second if m is None else slope * material.second_slope
+            share = gbuffer.lobe_weight[covered].astype(np.float64)
+            lobes = [(slope, share * weight), (second, (1.0 - share) * weight)]
+        means = (w * brdf.cook_torrance_albedo_mean(each, material.f0) for each, w in lobes)
+        bare = cls(lobes, material.f0, weight, np.sum([*means], axis=0))
+        return replace(bare, eye=bare.towards(n_dot_v))
+
+    def towards(self, cosine: Float) -> Float:
+        """Return the albedo towards directions."""
+        each = (w * brdf.cook_torrance_albedo(cosine, m, self.f0) for m, w in self.lobes)
+        return np.asarray(np.sum([*each], axis=0))
+
+    def left(self, albedo: Float) -> Float:
+        """Return the share that is left to light of this albedo, (N, 1)."""
+        return brdf.diffuse_coupled(albedo, self.eye, self.mean)[:, None]
 
 
 def data_view(

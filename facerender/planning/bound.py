@@ -47,6 +47,9 @@ def bound(scene: Scene, shading: Shading, full: Shading, budget: Budget) -> floa
         radiance = 0.0
         if shading.ambient != full.ambient:
             radiance = material.kd / np.pi * max(material.albedo) * np.max(scene.ambient)
+        if _coupling(shading) != _coupling(full):  # two factors in [0, 2]
+            received = sum(_highest(light) for light, *_ in lit) + np.max(scene.ambient)
+            radiance += 2.0 * material.kd / np.pi * max(material.albedo) * received
         if shading.normal_map != full.normal_map and material.normal_map is not None:
             radiance = np.inf
         weight = max(_weight(material, each) for each in (shading, full))
@@ -67,6 +70,13 @@ def bound(scene: Scene, shading: Shading, full: Shading, budget: Budget) -> floa
                 radiance += irradiance * share
         worst = max(worst, float(radiance))
     return budget.bound(worst)
+
+
+def _coupling(shading: Shading) -> object:
+    """What diffuse light depends on beside the material."""
+    if shading.diffuse == "lambert":
+        return None
+    return shading.term.m, shading.lights, shading.ks, shading.two_lobes
 
 
 def _slopes(term: Term, slopes: Range, material: Material) -> Range:

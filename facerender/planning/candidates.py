@@ -28,6 +28,7 @@ DECISIONS = {
     "slope": "term.m",
     "specular weight": "ks",
     "ambient": "ambient",
+    "diffuse": "diffuse",
     "model": "term.model",
     "lobe": "term.lobe",
     "Fresnel": "term.fresnel",
@@ -80,16 +81,16 @@ def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Sh
     kinds: list[tuple[int, ...] | None] = [full.specular_lights]
     kept = [light for light in constants.faintest if full.of(light)]
     kinds += [tuple(sorted(kept[gone:])) for gone in range(1, len(kept) + 1)]
-    for (two_lobes, m), ks, normal_map, ambient in product(
+    for (two_lobes, m), ks, normal_map, ambient, diffuse in product(
         slopes,
         weights,
         {full.normal_map, full.normal_map and not textured["normal_map"]},
         {full.ambient, full.ambient and not any(scene.ambient)},  # type: ignore[arg-type]
+        dict.fromkeys((full.diffuse, "lambert")),
     ):
         term = replace(full.term, m=m)
-        surface = replace(
-            full, term=term, two_lobes=two_lobes, ks=ks, normal_map=normal_map, ambient=ambient
-        )
+        own: dict[str, Any] = {"two_lobes": two_lobes, "normal_map": normal_map, "ambient": ambient}
+        surface = replace(full, term=term, ks=ks, diffuse=diffuse, **own)
         for shading in _terms(scene, surface):
             for lights in kinds:
                 if lights == () and shading != surface:

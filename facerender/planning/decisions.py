@@ -19,7 +19,8 @@ from facerender.scenes.light import LIGHTS
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
-_OF_THE_WHOLE = ("normal map", "ambient")  # what they save is no share of the specular terms
+# What they save is no share of the specular terms.
+_OF_THE_WHOLE = ("normal map", "ambient", "diffuse")
 
 
 @dataclass(frozen=True)
@@ -166,6 +167,7 @@ def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:
         "slope": "the material's" if term.m is None else f"constant {term.m:.4g}",
         "specular weight": "the material's" if shading.ks is None else f"constant {shading.ks:.4g}",
         "ambient": "on" if shading.ambient else "off",
+        "diffuse": shading.diffuse,
         "model": term.model,
         "lobe": f"lobe {term.lobe}",
         "Fresnel": f"Fresnel {term.fresnel}",

@@ -91,8 +91,13 @@ class Prices:
                 if material.two_lobes:
                     shine += self._specular([second_name(each, smallest) for each in lit])
             ambient = material.kd > 0.0 and any(simple.ambient)  # type: ignore[arg-type]
+            coupled = shading.diffuse == "coupled" and material.kd > 0.0 and material.ks > 0.0
             sum_ = self.parts["base program"] + shine + lights
-            sum_ += self._maps(part, material, ambient, shine > 0.0)
+            if coupled:
+                sum_ += self._priced(self.parts, "coupled diffuse")
+                each = self._priced(self.parts, "light of coupled diffuse")
+                sum_ += len(simple.lights) * each
+            sum_ += self._maps(part, material, ambient, shine > 0.0 or coupled)
             sum_ += self.parts["ambient term"] * ambient
             faces += len(part.faces)
             total += len(part.faces) * sum_

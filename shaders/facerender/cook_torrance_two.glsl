@@ -61,6 +61,7 @@ float fr_cook_torrance_two_terms(
         inverse = 1.0 / (masked.y * h_dot_h);
         float c = n_dot_h * sqrt(h_dot_h) * (masked.y * inverse);
         slope = max(slope, vec2(FR_MIN_SLOPE));
+        inverse_m2 = 1.0 / (slope * slope);
         lobes.x = fr_lobe_of(c, slope.x, FR_K_COOK_TORRANCE, lobe);
         lobes.y = fr_lobe_of(c, slope.y, FR_K_COOK_TORRANCE, lobe);
     }

@@ -4,6 +4,9 @@
 // SPECULAR and specular_term(term, n, l, v, m, f0), with TWO_LOBES of second_m and lobe_weight before
 // f0.
 #include "facerender/constants.glsl"
+#ifdef COUPLED
+#include "facerender/albedo.glsl"
+#endif
 #include "host/light/light.glsl"
 #include "host/surface.glsl"
 
@@ -19,10 +22,20 @@ out vec4 radiance;
 
 vec3 diffuse;
 vec3 specular;
+#ifdef COUPLED
+mat2x4 specular_albedo;  // as fr_albedo_fit has it
+float eye_albedo;
+float mean_albedo;
+#endif
 
 void add_light(Surface s, vec3 v, Light light, int term) {
     vec3 received = light.irradiance * max(dot(s.normal, light.direction), 0.0);
+#ifdef COUPLED
+    float towards = fr_albedo_of(specular_albedo, dot(s.normal, light.direction));
+    diffuse += received * fr_diffuse_coupled(towards, eye_albedo, mean_albedo);
+#else
     diffuse += received;
+#endif
 #ifdef SPECULAR
     if (term >= 0) {
 #ifdef TWO_LOBES
@@ -40,8 +53,22 @@ vec3 shaded(Point p) {
     vec3 v = normalize(eye - s.position);
     diffuse = vec3(0.0);
     specular = vec3(0.0);
+#ifdef COUPLED
+    specular_albedo = fr_albedo_fit(s.m, f0);
+#ifdef TWO_LOBES
+    specular_albedo *= s.lobe_weight;
+    specular_albedo += (1.0 - s.lobe_weight) * fr_albedo_fit(s.second_m, f0);
+#endif
+    specular_albedo *= s.specular_weight;
+    mean_albedo = fr_albedo_mean(specular_albedo);
+    eye_albedo = fr_albedo_of(specular_albedo, dot(s.normal, v));
+#endif
 #ifdef AMBIENT
+#ifdef COUPLED
+    diffuse += ambient * s.occlusion * fr_diffuse_coupled(mean_albedo, eye_albedo, mean_albedo);
+#else
     diffuse += ambient * s.occlusion;
+#endif
 #endif
     ADD_EVERY_LIGHT
     vec3 result = vec3(0.0);

@@ -40,8 +40,9 @@ def shade_pass(
         if only != "diffuse":
             smallest, largest = slope_range(part, material)
             terms = [term.for_slopes(smallest, largest, shading.outside) for term in lighting.terms]
+        coupled = shading.diffuse == "coupled"
         program = shade_program(
-            part, material, scene, lighting, terms, smallest, diffuse=only != "specular"
+            part, material, scene, lighting, terms, smallest, only != "specular", coupled
         )
         draws.append(Draw(program, part_uniforms(part, material), part, material))
     background = scene.background if scene.background and only is None else (0.0, 0.0, 0.0)
