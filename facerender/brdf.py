@@ -1,11 +1,11 @@
 """BRDFs, Fresnel and masking terms in float64, for users. ``brdf.f`` is ``fr_f`` in GLSL, with the
 same arguments in the same order; see ``terms/model.py``."""
 
-from facerender.terms.albedo import (
-    cook_torrance_albedo,
-    cook_torrance_albedo_mean,
-    diffuse_coupled,
-)
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from facerender.terms.fresnel import (
     fresnel,
     fresnel_dielectric,
@@ -21,13 +21,20 @@ from facerender.terms.model import (
     ward,
     ward_printed,
 )
-from facerender.terms.sampling import (
-    cook_torrance_pdf,
-    cook_torrance_sample,
-    slope_sample,
-    ward_pdf,
-    ward_sample,
-)
+
+if TYPE_CHECKING:
+    from facerender.terms.albedo import (
+        cook_torrance_albedo,
+        cook_torrance_albedo_mean,
+        diffuse_coupled,
+    )
+    from facerender.terms.sampling import (
+        cook_torrance_pdf,
+        cook_torrance_sample,
+        slope_sample,
+        ward_pdf,
+        ward_sample,
+    )
 
 __all__ = [
     "K_COOK_TORRANCE",
@@ -51,3 +58,20 @@ __all__ = [
     "ward_printed",
     "ward_sample",
 ]
+
+# What an image needs only where it is asked for, by its module.
+_LATER = {
+    **dict.fromkeys(
+        ("cook_torrance_albedo", "cook_torrance_albedo_mean", "diffuse_coupled"), "albedo"
+    ),
+    **dict.fromkeys(
+        ("cook_torrance_pdf", "cook_torrance_sample", "slope_sample", "ward_pdf", "ward_sample"),
+        "sampling",
+    ),
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"facerender.terms.{_LATER[name]}"), name)

@@ -7,7 +7,6 @@ integral that is fitted is here as well.
 from __future__ import annotations
 
 import numpy as np
-from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
 Float = NDArray[np.float64]
@@ -117,6 +116,8 @@ def _integrals(mu: float, m: float, nodes: int) -> tuple[float, float]:
 def fitted(degrees: tuple[int, int] = (7, 4), turns: int = 300) -> tuple[Float, Float]:
     """Return FITS anew, and their largest errors, by least squares whose weights grow where the
     error is large."""
+    from numpy.polynomial import chebyshev
+
     x = 0.5 * (1.0 + LOWEST) - 0.5 * (1.0 - LOWEST) * np.cos(np.linspace(0.0, np.pi, 48))
     t = -np.cos(np.linspace(0.0, np.pi, 24))
     m = 0.5 * (sum(ENDS) + (ENDS[1] - ENDS[0]) * t)
@@ -142,6 +143,8 @@ def fitted(degrees: tuple[int, int] = (7, 4), turns: int = 300) -> tuple[Float, 
 
 
 def _power_series(coefficients: Float) -> Float:
+    from numpy.polynomial import chebyshev
+
     series = chebyshev.cheb2poly(coefficients)
     return np.pad(series, (0, len(coefficients) - len(series)))
 
