@@ -36,6 +36,7 @@ DECISIONS = {
     "small slopes": "term.small_slope",
 }
 _GET = {name: attrgetter(path) for name, path in DECISIONS.items()}
+SINGLE = ("two lobes", "slope")  # decided together: a single lobe has a slope of its own
 TERM = ("model", "lobe", "Fresnel", "masking", "small slopes", "frontal")
 
 
@@ -154,7 +155,7 @@ def groups(shading: Shading, full: Shading) -> dict[str, tuple[str, ...]]:
     """Return the decisions in which two shadings differ, each with those that go with it: the whole
     term with the model, the slope with a single lobe."""
     differs = changed(shading, full)
-    together = {"two lobes": ("two lobes", "slope"), "model": TERM}
+    together = {"two lobes": SINGLE, "model": TERM}
     made = {name: together[name] for name in differs if name in together}
     inside = {each for names in made.values() for each in names}
     return {name: (name,) for name in differs if name not in inside} | made
@@ -179,6 +180,5 @@ def with_decisions(shading: Shading, other: Shading, names: Sequence[str]) -> Sh
 def alone(shading: Shading, full: Shading, names: Sequence[str]) -> Shading:
     """Return the full shading with some decisions of another by themselves."""
     # a g-power is fitted to the slope that was chosen, and means nothing at another
-    slopes = ("slope", "two lobes")
-    base = with_decisions(full, shading, slopes) if "lobe" in names else full
+    base = with_decisions(full, shading, SINGLE) if "lobe" in names else full
     return with_decisions(base, shading, names)

@@ -8,6 +8,7 @@ from itertools import islice
 
 from facerender.planning.candidates import (
     DECISIONS,
+    SINGLE,
     alone,
     changed,
     groups,
@@ -127,16 +128,19 @@ def _kept(
     might: str,
 ) -> Decision | None:
     own = choice.total(shading)
+    names = SINGLE if name == "two lobes" else (name,)
     others = [
         each
         for each in choice.ordered
-        if changed(each, shading) == [name] and choice.total(each) < own
+        if name in (differs := changed(each, shading))
+        and set(differs) <= set(names)
+        and choice.total(each) < own
     ]
     if not others:
         return None
     errors = [otherwise(each) for each in others]
     nearest = others[errors.index(min(errors))]
-    chosen, other = (_words(choice.scene, each, (name,)) for each in (shading, nearest))
+    chosen, other = (_words(choice.scene, each, names) for each in (shading, nearest))
     saved = choice.saved(nearest, shading)
     text = f"{chosen}: {other} {might} {choice.budget.text(min(errors))}, and save "
     text += _share(choice, name, saved)
