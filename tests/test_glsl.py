@@ -474,7 +474,7 @@ def test_errors_name_file_and_line(tmp_path):
 
 def test_choices_that_cannot_be(tmp_path):
     for message, arguments in (
-        ("unknown shader 'ggx'; known: constants, cook_torrance, ", {"name": "ggx"}),
+        ("unknown shader 'ggx'; known: albedo, constants, cook_torrance, ", {"name": "ggx"}),
         ("unknown target '120'; known: 330, es300, vulkan", {"name": "ward", "target": "120"}),
         ("unknown lobe 'd32'; known: exact, ", {"name": "ward", "lobe": "d32"}),
         (r"m = 0.9 is outside .* give m in \[0.0001, 0.7071\)", COOK_TORRANCE | {"m": 0.9}),
@@ -484,6 +484,8 @@ def test_choices_that_cannot_be(tmp_path):
         ("m = 0.3 without a lobe", {"name": "ward", "m": 0.3}),
         ("fresnel does not use FR_LOBE: leave lobe d16 out", {"name": "fresnel", "lobe": "d16"}),
         ("masking does not use a slope: leave m = 0.3 out", {"name": "masking", "m": 0.3}),
+        ("cook_torrance_two has two slopes: leave m = 0.3 out",
+         {"name": "cook_torrance_two", "lobe": "d16", "m": 0.3}),
         ("cannot read .*none.frag: no such file", {"name": str(tmp_path / "none.frag")}),
     ):  # fmt: skip
         with pytest.raises(InputError, match=message):
