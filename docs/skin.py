@@ -83,8 +83,8 @@ its share of what it is without the filter. Anisotropy is 1, curvature off. Wors
 {energy}, L1 {l1} of without, FLIP {flip} of without.
 
 L1 stays above 0.75 of what it is without where little is lost either way: 256 and 512 pixels with m
-0.4, or 512 pixels with the scan's own pores, whose L1 is 2 to 9 %. What is left there is the blur of
-isotropic texture filtering, which `--anisotropy` narrows.
+0.4, or 512 pixels with the scan's own pores, whose L1 is 2 to 9 %. What is left there is the blur
+of isotropic texture filtering, which `--anisotropy` narrows.
 
 {filtered}
 

@@ -36,6 +36,7 @@ class MeshFile:
     roughness_map: str | None = None
     flip_v: bool = False
     triangles: int | None = None
+    lobe_map: str | None = None
 
     def __post_init__(self) -> None:
         for each in fields(self):

@@ -609,6 +609,40 @@ def model_by_macros(model: str, lobe: AnyLobe, fresnel: str, masking: str) -> Ca
     return in_domain(term, code.defines(macros) + flat(files), call)
 
 
+def two_lobes(term: Term, prelude: str, call: str) -> Case:
+    """Two lobes in one, of any slopes and shares; each has its share of its own bound."""
+    inputs = directions_and_extremes(lobe_entry(term.lobe).end(term.entry.k))
+    m = inputs["m"]
+    share = singles(np.random.default_rng(3).choice([0.0, 0.001, 0.15, 0.5, 0.85, 1.0], m.size))
+    both = {**inputs, "second_m": np.roll(m, 5), "lobe_weight": share}
+    first, second = (brdf_case(term, inputs | {"m": both[name]}) for name in ("m", "second_m"))
+    w = share.astype(float)
+    return Case(
+        f"const float f0 = {F0};\n" + prelude,
+        call,
+        both,
+        w * first.expected + (1.0 - w) * second.expected,
+        0.0,
+        w * first.absolute + (1.0 - w) * second.absolute,
+    )
+
+
+def two_lobes_among_all(
+    model: str, lobe: AnyLobe, fresnel: str, masking: str, small_slope: bool = True
+) -> Case:
+    term = Term(model, lobe, fresnel, masking, small_slope=small_slope)
+    terms = [term, *(replace(term, lobe=name) for name in LOBES)]
+    return two_lobes(term, flat(code.prelude(terms, 0.0, True)), code.call(term, 1.0))
+
+
+def two_lobes_by_macros(model: str, lobe: AnyLobe, fresnel: str, masking: str) -> Case:
+    term = Term(model, lobe, fresnel, masking)
+    entry = term.entry.two
+    assert entry is not None
+    call = f"fr_{entry.file}(n, l, v, m, second_m, lobe_weight, f0)"
+    return two_lobes(term, include(entry.file, **code.term_macros(term, 0.0)), call)
+
+
 DEFAULT = (Term.fresnel, Term.masking)
 FACTORS = [(fresnel, Term.masking) for fresnel in FRESNEL]
 FACTORS += [(Term.fresnel, masking) for masking in MASKING]
@@ -621,5 +655,125 @@ for _model, _entry in MODELS.items():
             if _factors == DEFAULT or _lobe == Term.lobe:
                 add("models-by-macros", model_by_macros, _model, _lobe, *_factors)
         add(f"fr_{_entry.file}_terms", term_among_all, _model, Term.lobe, *_factors, False)
+    for _lobe in ALL_LOBES:
+        group = f"fr_{_entry.two.file}_terms" if _entry.two else "two-calls"
+        add(group, two_lobes_among_all, _model, _lobe, *DEFAULT)
+        if _entry.two:
+            add(f"fr_{_entry.two.file}", two_lobes_by_macros, _model, _lobe, *DEFAULT)
+    if _entry.two:
+        add(group, two_lobes_among_all, _model, Term.lobe, *DEFAULT, False)
+        for _factors in FACTORS[1:]:
+            add(group, two_lobes_among_all, _model, Term.lobe, *_factors)
+
+# --- sampling ------------------------------------------------------------------------------------
+
+
+@cache
+def directions_and_numbers() -> dict[str, Singles]:
+    """Directions, with random numbers that leave no doubt of which side of a cavity is seen."""
+    inputs = directions(np.resize(singles([1e-3, 0.01, *np.linspace(0.05, 2.0, 8)]), DIRECTIONS))
+    u = np.random.default_rng(5).random((DIRECTIONS, 3), dtype=np.float32)
+    n, v, m = (inputs[name].astype(float) for name in "nvm")
+    across = brdf.slope_sample(unit(n), m, u[:, :2])
+    first, second = (
+        (unit(v) * h).sum(axis=-1).clip(0) for h in (unit(n) + across, unit(n) - across)
+    )
+    doubt = np.abs(u[:, 2] * (first + second) - first) < 1e-5 * (1.0 + np.abs(first))
+    u[doubt, 2] = 0.0
+    u[doubt & (first < 1e-4), 2] = 0.99
+    return {**inputs, "p": u}
+
+
+def unit(x: Floats) -> Floats:
+    return np.asarray(x / np.linalg.norm(x, axis=-1, keepdims=True))
+
+
+@case(*((axis,) for axis in "xyz"))
+def slope_sample(axis: str) -> Case:
+    inputs = directions_and_numbers()
+    n, u, m = (inputs[name].astype(float) for name in "npm")
+    slopes_ = brdf.slope_sample(unit(n), m, u[:, :2])
+    length = np.linalg.norm(slopes_, axis=-1)
+    call = f"10.0 + fr_slope_sample(n, m, p.xy).{axis}"
+    absolute = 2e-6 * (2.0 + length)
+    return Case(
+        include("slope_sample"), call, inputs, 10.0 + slopes_[:, "xyz".index(axis)], 0.0, absolute
+    )
+
+
+@case(*((axis,) for axis in "xyz"))
+def cook_torrance_sample(axis: str) -> Case:
+    inputs = directions_and_numbers()
+    n, v, u, m = (inputs[name].astype(float) for name in "nvpm")
+    l = brdf.cook_torrance_sample(unit(n), unit(v), m, u)
+    call = f"2.0 + fr_cook_torrance_sample(n, v, m, p).{axis}"
+    prelude = include("cook_torrance_sample")
+    return Case(prelude, call, inputs, 2.0 + l[:, "xyz".index(axis)], 0.0, 1e-5)
+
+
+@case(*((axis,) for axis in "xyz"))
+def ward_sample(axis: str) -> Case:
+    inputs = directions_and_numbers()
+    n, v, u, m = (inputs[name].astype(float) for name in "nvpm")
+    l = brdf.ward_sample(unit(n), unit(v), m, u[:, :2])
+    # where the half vector is about to turn away, either is right
+    turned = np.abs((unit(v) * (unit(n) + brdf.slope_sample(unit(n), m, u[:, :2]))).sum(axis=-1))
+    call = f"2.0 + fr_ward_sample(n, v, m, p.xy).{axis}"
+    absolute = np.where(turned < 1e-5, 4.0, 1e-5)
+    return Case(include("ward_sample"), call, inputs, 2.0 + l[:, "xyz".index(axis)], 0.0, absolute)
+
+
+@case(("cook_torrance",), ("ward",))
+def pdf(model: str) -> Case:
+    inputs = directions_and_extremes(lobes.MAX_SLOPE)
+    n, l, v, m = (inputs[name].astype(float) for name in "nlvm")
+    expected = getattr(brdf, f"{model}_pdf")(n, l, v, m)
+    n_dot_l, n_dot_v = ((n * x).sum(axis=-1) for x in (l, v))
+    n_dot_h = n_dot_l + n_dot_v
+    above = (
+        np.minimum(n_dot_l, n_dot_v) if model == "ward" else np.minimum(n_dot_h, n_dot_v)
+    ) > brdf.MIN_COSINE
+    safe = np.where(above, n_dot_h, 1.0), np.where(above, n_dot_v, 1.0)
+    seen = np.minimum(
+        1.0, 4.0 * safe[0] * safe[1] / np.where(above, ((l + v) ** 2).sum(axis=-1), 1.0)
+    )
+    peak = 0.5 / safe[0] if model == "ward" else seen / (4.0 * safe[1])
+    slope, place = np.unique(m, return_inverse=True)
+    highest = lobe_entry("exact").highest
+    assert highest is not None
+    peak *= np.array([highest(each, 4) for each in slope.tolist()])[place] / (np.pi * m**2)
+    e = 4e-7 * (1.0 + 1.0 / safe[0])
+    bound = 1e-5 + 2e-7 / safe[1] + e / m
+    call = f"fr_{model}_pdf(n, l, v, m)"
+    return Case(
+        include(f"{model}_sample"), call, inputs, expected, 0.0, np.where(above, peak * bound, 0.0)
+    )
+
+
+# --- albedo --------------------------------------------------------------------------------------
+
+
+@cache
+def cosines_slopes_and_reflectances() -> dict[str, Singles]:
+    axes = grid(
+        [*np.linspace(0.0, 1.0, 101), 1e-4, 1e-3],
+        [1e-3, *np.linspace(0.05, 1.5, 20)],
+        [0.0, F0, 0.9],
+    )
+    return dict(zip(("c", "m", "f0"), axes, strict=True))
+
+
+@case(
+    ("cook_torrance_albedo(c, m, f0)",),
+    ("cook_torrance_albedo_mean(m, f0)",),
+    ("diffuse_coupled(m, c, f0)",),
+)
+def albedo(call: str) -> Case:
+    inputs = cosines_slopes_and_reflectances()
+    name, words = call.rstrip(")").split("(")
+    values = (inputs[word].astype(float) for word in words.split(", "))
+    expected = getattr(brdf, name)(*values)
+    return Case(include("albedo"), f"fr_{call}", inputs, expected, 4 * ULP, 2e-6)
+
 
 GROUPS = tuple(dict.fromkeys(name.split()[0] for name in CASES))

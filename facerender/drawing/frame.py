@@ -103,6 +103,8 @@ class GBuffer:
     uv : (H, W, 2) float32
     visibility : (H, W, lights) float32, how much of each light of the scene is not in shadow
     view : the camera that saw it
+    second_m, lobe_weight : (H, W) float32, slope of the second lobe and share of the first; None
+        where no material has two lobes
     """
 
     part: NDArray[np.int64]
@@ -115,3 +117,5 @@ class GBuffer:
     uv: NDArray[np.float32]
     visibility: NDArray[np.float32]
     view: View
+    second_m: NDArray[np.float32] | None = None
+    lobe_weight: NDArray[np.float32] | None = None

@@ -202,7 +202,7 @@ class Renderer:
         visibility = self._visibility(scene, view, 1)
         surface = surface_pass(scene, view, shading, visibility)
         passes = [visibility.drawn(), surface] if visibility else [surface]
-        position, normal, albedo, uv = self._draw(passes, scene)
+        position, normal, albedo, uv, *lobes = self._draw(passes, scene)
         seen = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
         lighting = Lighting.of(scene, shading)
         if shadows := shadow_passes(scene, lighting):
@@ -221,6 +221,8 @@ class Renderer:
             uv=uv[..., :2],
             visibility=seen,
             view=view,
+            second_m=lobes[0][..., 0] if lobes else None,
+            lobe_weight=lobes[0][..., 1] if lobes else None,
         )
 
     def _shaded(
