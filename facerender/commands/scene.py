@@ -16,7 +16,7 @@ from facerender.scenes.file import load_scene
 from facerender.scenes.light import LIGHTS, parse_light
 from facerender.scenes.scene import Scene
 from facerender.scenes.texture import Kind
-from facerender.shading import DIFFUSE, SWITCHES, Shading
+from facerender.shading import DIFFUSE, Shading
 from facerender.terms import FRESNEL, MASKING, MODELS
 
 CAMERAS = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
@@ -98,7 +98,16 @@ def job_of(
     if options.m is not None and options.roughness_map is not None:
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
     settings = load_scene(options.scene) if options.scene else {}
-    names = ("model", "lobe", "fresnel", "masking", "diffuse", "outside", *SWITCHES)
+    names = (
+        "model",
+        "lobe",
+        "fresnel",
+        "masking",
+        "diffuse",
+        "outside",
+        "slope_filter",
+        "curvature",
+    )
     terms = {name: value for name in names if (value := getattr(options, name, None)) is not None}
     pinned = settings.pop("shading", {})
     _check_unpinned(options, pinned)
