@@ -12,8 +12,8 @@
 //   unit      none; of the density 1/sr
 //   result    of the sample a unit vector, below the surface where N.L <= 0: the BRDF is 0 there.
 //             The weight, BRDF (N.L)/density, is F G/G1, at most F
-//   error     of the sample's components in float32 1e-5, but where the choice of a cavity's side is
-//             that close
+//   error     of the sample's components in float32 1e-5, or where sine and cosine are as Vulkan asks
+//             for 2^-10, but where the choice of a cavity's side is that close
 //   source    Heitz and d'Eon (2014), "Importance sampling microfacet-based BSDFs using the
 //             distribution of visible normals"; frame: Duff et al. (2017)
 #ifndef FR_COOK_TORRANCE_SAMPLE_GLSL

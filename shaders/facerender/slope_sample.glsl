@@ -6,7 +6,8 @@
 //   m         rms slope, in [1e-4, 2]
 //   u         two random numbers x and y, even in [0, 1); x from 1 on counts as 1 - 2^-24
 //   unit      none: the tangent of the angle between normal and microfacet, and its direction
-//   error     in float32 2e-6 (2 + its length) of each component
+//   error     in float32 2e-6 (2 + its length) of each component, and where sine and cosine are as
+//             Vulkan asks for, 2^-11, as much of its length: it is a slope of the distribution still
 //   source    Walter et al. (2007), eq. 28; frame: Duff et al. (2017), "Building an orthonormal
 //             basis, revisited"
 #ifndef FR_SLOPE_SAMPLE_GLSL

@@ -11,7 +11,8 @@
 //   result    of the sample a unit vector, below the surface where N.L <= 0: there the BRDF is 0;
 //             -n where the half vector is turned away. The weight, BRDF (N.L)/density, is
 //             c^3 (V.H) sqrt((N.L)/(N.V)), which grows without bound only at grazing N.V
-//   error     of the sample's components in float32 1e-5
+//   error     of the sample's components in float32 1e-5, or where sine and cosine are as Vulkan asks
+//             for 2^-10
 //   source    Ward (1992); Walter (2005), "Notes on the Ward BRDF"
 #ifndef FR_WARD_SAMPLE_GLSL
 #define FR_WARD_SAMPLE_GLSL
