@@ -720,7 +720,7 @@ def test_shaders_flatten(cli):
 def test_shaders_errors(cli, write):
     own = write("own.frag", '#include "other.glsl"')
     for message, *arguments in (
-        ("unknown shader 'ggx'; known: constants, cook_torrance", "ggx"),
+        ("unknown shader 'ggx'; known: albedo, constants, cook_torrance", "ggx"),
         ("argument --target: invalid choice: '120'", "ward", "--target", "120"),
         ("argument --lobe: invalid choice: 'd32'", "ward", "--lobe", "d32"),
         ("m = 0.9 is outside", "cook_torrance", "--lobe", "d16", "--m", "0.9"),
@@ -736,5 +736,5 @@ def test_shaders_errors(cli, write):
 def test_a_reader_that_has_enough_is_no_error():
     command = f"{sys.executable} -m facerender shaders list | head -n 1"
     shell = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
-    assert shell.stdout.startswith("float fr_cook_torrance")
+    assert shell.stdout.startswith("mat2x4 fr_albedo_fit")
     assert shell.stderr == ""

@@ -29,6 +29,7 @@ OWN_INPUTS = (  # what is called with other inputs here than in trials/cases.py
     *("fr_masking_v_cavity", "fr_masking_kelemen", "fr_masking_of", "fr_masking_v_cavity_ratio"),
     *("fr_lobe_fitted_coefficients", "fr_slope_filtered", "fr_slope_variance_map"),
     *("fr_slope_variance_pixel", "fr_slope_variance_disc", "fr_cosine_disc"),
+    *("fr_shadow_hard", "fr_shadow_lit", "fr_shadow_disc"),
 )
 TO_DIVIDE = "p.y + p.z, 4.0 * p.x, p.y, p.z"  # dot(n, h), dot(h, h), dot(n, l), dot(n, v)
 OTHERS = (
@@ -43,8 +44,14 @@ OTHERS = (
     ("slope_variance", "fr_slope_variance_pixel(tan2 * n, n - l)"),
     ("slope_variance", "fr_slope_variance_disc(0.34 * c, 0.97, p.x)"),
     ("slope_variance", "fr_cosine_disc(dot(n, l), 0.5 * c, 1.0 - 0.06 * c)"),
+    ("shadow", "fr_shadow_lit(c_texels, ivec3(7, 0, 64), 1.2 * n.xy, n.z)"),
+    ("shadow", "fr_shadow_hard(c_texels, ivec3(7, 0, 64), 1.2 * n, 0.004)"),
+    (
+        "shadow",
+        "fr_shadow_disc(c_texels, ivec3(7, 0, 64), 1.2 * n, 8.0 * l.xy, 0.36 * c, 2.0, 0.004, m)",
+    ),
 )
-BRDF = re.compile(r"\bfr_\w+\(n, l, v, m\b")
+BRDF = re.compile(r"\bfr_(?!\w+_pdf)\w+\(n, l, v, m\b")
 
 
 def cases_of(group: str) -> dict[str, Case]:

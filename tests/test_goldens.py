@@ -100,8 +100,19 @@ def test_meshes_in_ward(small, meshes, agrees, mesh):
 @pytest.mark.parametrize("only", ONLY)
 def test_terms(small, meshes, agrees, only: Only):
     mesh = "head" if only == "albedo" else "bare"
-    frame = small.render(fr.Scene(meshes[mesh], CLOSE), only=only)
+    scene = fr.Scene(meshes[mesh], CLOSE)
+    if only == "visibility":
+        scene = replace(scene, lights=(replace(LIGHTS["key"], radius=4.0, shadow=True),))
+    frame = small.render(scene, only=only)
     agrees(frame, f"{mesh}-only-{only}", maps=only == "albedo")
+
+
+def test_shadows(small, meshes, agrees):
+    mesh = meshes["bare"]
+    lights = [replace(light, shadow=True) for light in fr.Scene(mesh).lights]
+    place = tuple(mesh.center + mesh.radius * np.array([0.4, 2.0, 1.5]))
+    near = fr.Light(irradiance=1.0, position=place, radius=6.0, shadow=True)
+    agrees(small.render(fr.Scene(mesh, CLOSE, (*lights, near))), "bare-shadows")
 
 
 def test_point_light_before_nothing(small, meshes, agrees):
