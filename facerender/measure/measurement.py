@@ -199,7 +199,7 @@ class Measurement:
                 }
                 for measured in self.variants
             ],
-            "samples": [asdict(sampled) for sampled in self.samples],
+            **({"samples": [asdict(each) for each in self.samples]} if self.samples else {}),
             "curves": {"degrees": list(self.degrees), **self.curves},
             "not_measured": list(self.not_measured),
         }

@@ -41,7 +41,7 @@ METHODS = {
     "AMD Navi 21, Vega 10": _ACO,
     "samples": "The time of a frame over that of one with one sample, in turns, the median; the"
     " error of the displayed image against 64 samples, at pixels that the mesh covers in part, and"
-    " inside.",
+    " inside. Shaded once: one triangle of a pixel for all that its samples see.",
     "error of the lobe": "Percent of the lobe's peak: the largest difference from the exact lobe,"
     " both in float64, over 0 to 90 degrees of the half vector's angle γ.",
     "error of the BRDF": "Percent of the largest exact f N.L: the largest difference, in float64,"
