@@ -1,5 +1,6 @@
 """Renders the pictures of the README and docs/lobes.md: ``python docs/figures.py``."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +21,10 @@ def main() -> None:
     head = fr.load_mesh()
     oblique = fr.Camera(-35.0, 4.0)
     with fr.Renderer((960, 960)) as renderer:
-        front, side = (renderer.render(fr.Scene(head, c)) for c in (fr.Camera(), oblique))
-        specular = renderer.render(fr.Scene(head, oblique), only="specular")
+        soft = tuple(replace(each, radius=5.0, shadow=True) for each in fr.Scene(head).lights)
+        scenes = [fr.Scene(head, camera, soft) for camera in (fr.Camera(), oblique)]
+        front, side = map(renderer.render, scenes)
+        specular = renderer.render(scenes[1], only="specular")
         save("head.jpg", [front.srgb8(), side.srgb8(), encode_srgb8(specular.linear[..., :3], 1.0)])
 
         # One m for the whole face, so that the caption can name it.
