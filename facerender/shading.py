@@ -23,6 +23,7 @@ OUTSIDE = ("error", "exact")
 SMALL_SLOPE = 0.2  # from here on the exact lobe is accurate without FR_SMALL_SLOPE
 MAX_WEIGHT = 1e6
 SWITCHES = {"normal_map": True, "ambient": True, "slope_filter": True, "curvature": False}
+SCATTER_SAMPLES = (0, 8, 16, 32, 64)
 FRONTAL: Changes = (("fresnel", "constant"), ("masking", "none"))
 
 
@@ -149,6 +150,8 @@ class Shading:
     normal_map, ambient : whether they count
     slope_filter : whether slopes of the normal map that a pixel does not resolve widen the lobe
     curvature : whether the mesh's own curvature over a pixel does
+    scatter_samples : pixels at which materials that scatter look for the light around each: 8, 16,
+        32 or 64; 0 to leave scattering out
 
     What widens the lobe leaves a term's own m as it is.
 
@@ -167,6 +170,7 @@ class Shading:
     ambient: bool
     slope_filter: bool
     curvature: bool
+    scatter_samples: int
 
     def __init__(
         self,
@@ -188,6 +192,7 @@ class Shading:
         ambient: bool = True,
         slope_filter: bool = True,
         curvature: bool = False,
+        scatter_samples: int = 16,
     ) -> None:
         if not isinstance(term, Term):
             raise InputError(f"term = {term!r}: give a Term")
@@ -222,6 +227,7 @@ class Shading:
             ("ambient", ambient),
             ("slope_filter", slope_filter),
             ("curvature", curvature),
+            ("scatter_samples", scatter_samples),
         ):
             object.__setattr__(self, name, value)
         if outside not in OUTSIDE:
@@ -229,6 +235,9 @@ class Shading:
             raise InputError(f"unknown choice outside the domain {outside!r}; known: {known}")
         for name in SWITCHES:
             _check_switch(name, getattr(self, name))
+        if scatter_samples not in SCATTER_SAMPLES or isinstance(scatter_samples, bool):
+            known = ", ".join(map(str, SCATTER_SAMPLES))
+            raise InputError(f"scatter_samples = {scatter_samples!r}: give one of {known}")
         if ks is not None:
             check_range("ks", ks, 0.0, MAX_WEIGHT)
         terms = (term, *self._own.values())
@@ -282,6 +291,7 @@ class Shading:
             "outside": self.outside,
             "ks": self.ks,
             **{name: getattr(self, name) for name in SWITCHES},
+            "scatter_samples": self.scatter_samples,
             "specular_lights": None if self.specular_lights is None else [*self.specular_lights],
             "shadow_lights": None if self.shadow_lights is None else [*self.shadow_lights],
             "frontal_lights": list(self.frontal_lights),
@@ -312,12 +322,14 @@ class Shading:
 # As TOML and JSON name what a shading is made of, and what it is where nothing is said.
 _KEYS = (
     *("model", "lobe", "fresnel", "outside", "masking", "small_slope", "m", "ks"),
-    *(*SWITCHES, "specular_lights", "shadow_lights", "frontal_lights", "lights"),
+    *(*SWITCHES, "scatter_samples"),
+    *("specular_lights", "shadow_lights", "frontal_lights", "lights"),
 )
 _DEFAULTS = asdict(Term()) | {
     "outside": "error",
     "ks": None,
     **SWITCHES,
+    "scatter_samples": 16,
     "specular_lights": None,
     "shadow_lights": None,
     "frontal_lights": [],

@@ -23,4 +23,7 @@ void main() {
 #else
     uv_occlusion = vec4(0.0, 0.0, s.occlusion, 1.0);
 #endif
+#ifdef SCATTER
+    uv_occlusion.a = dot(normalize(p.normal), normalize(eye - s.position));
+#endif
 }
