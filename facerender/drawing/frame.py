@@ -103,6 +103,8 @@ class GBuffer:
     uv : (H, W, 2) float32
     visibility : (H, W, lights) float32, how much of each light of the scene is not in shadow
     view : the camera that saw it
+    facing : (H, W) float32, cosine between the mesh's normal, without its map, and the eye; 1 where
+        the scene does not scatter
     """
 
     part: NDArray[np.int64]
@@ -115,3 +117,4 @@ class GBuffer:
     uv: NDArray[np.float32]
     visibility: NDArray[np.float32]
     view: View
+    facing: NDArray[np.float32]

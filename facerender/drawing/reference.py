@@ -24,11 +24,15 @@ class Layers:
     ----------
     ambient, diffuse : (H, W, 3) float64
     specular : (lights, H, W, 3) float64
+    light, albedo : (H, W, 3) float64, irradiance of the diffuse term and of the ambient one
+        together, and what makes radiance of it; None where nothing scatters
     """
 
     ambient: NDArray[np.float64]
     diffuse: NDArray[np.float64]
     specular: NDArray[np.float64]
+    light: NDArray[np.float64] | None = None
+    albedo: NDArray[np.float64] | None = None
 
     def sum(self, shading: Shading) -> NDArray[np.float64]:
         """Return the image (H, W, 3) of the lights and the ambient term that a shading has."""
@@ -40,7 +44,8 @@ class Layers:
 
 
 def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float64]:
-    """Shade every covered pixel of a G-buffer as ``shaders/host/shade.frag`` does.
+    """Shade every covered pixel of a G-buffer as ``shaders/host/shade.frag`` does, and scatter its
+    light as ``scatter.frag`` does.
 
     Parameters
     ----------
@@ -54,7 +59,38 @@ def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float6
     ------
     InputError : m lies outside the lobe's domain, and the shading asks for an error then
     """
-    return layers(gbuffer, scene, shading).sum(shading)
+    terms = layers(gbuffer, scene, shading)
+    return terms.sum(shading) + scattered(gbuffer, scene, shading, terms)
+
+
+def scattered(
+    gbuffer: GBuffer, scene: Scene, shading: Shading, terms: Layers
+) -> NDArray[np.float64]:
+    """Return how scattering changes the radiance of a whole G-buffer's pixels, (H, W, 3).
+
+    Parameters
+    ----------
+    terms : of the G-buffer, as :func:`layers` has them
+    """
+    change = np.zeros(gbuffer.position.shape)
+    height, width = gbuffer.part.shape
+    if terms.light is None or terms.albedo is None:
+        return change
+    from facerender.scenes.scattering import scattering_of
+    from facerender.terms.scattering import scatter, scatter_area
+
+    if (found := scattering_of(simplify(scene, shading), (width, height))) is None:
+        return change
+    number = np.array([*found.numbers, 0])[gbuffer.part]
+    place, area = gbuffer.position.astype(np.float64), scatter_area(gbuffer.facing)
+    for index, gaussians in enumerate(found.profiles, 1):
+        own = number == index
+        depth = (place[own] - gbuffer.view.eye) @ gbuffer.view.forward
+        scale = found.pixels / (depth * found.millimetres)
+        size = scale, found.millimetres, gaussians, shading.scatter_samples
+        light = scatter(terms.light, place, number, area, *size, own)
+        change[own] = terms.albedo[own] * (light - terms.light[own])
+    return change
 
 
 def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
@@ -63,6 +99,8 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
     scene = simplify(scene, shading)
     ambient, diffuse = np.zeros((2, *gbuffer.position.shape))
     specular = np.zeros((len(scene.lights), *gbuffer.position.shape))
+    scatters = any(material.scattering for material in scene.mesh.materials)
+    light_of, albedo_of = np.zeros((2, *gbuffer.position.shape)) if scatters else (None, None)
     terms = [shading.of(light) or shading.term for light in range(len(scene.lights))]
     for index, (material, slopes) in enumerate(
         zip(scene.mesh.materials, slope_ranges(scene, shading), strict=True)
@@ -79,7 +117,8 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
         v = _normalised(gbuffer.view.eye - position)
 
         occlusion = gbuffer.occlusion[covered].astype(np.float64)
-        ambient[covered] = albedo * occlusion[:, None] * np.asarray(scene.ambient)
+        entered = occlusion[:, None] * np.asarray(scene.ambient)
+        ambient[covered] = albedo * entered
         for light, (source, term) in enumerate(zip(scene.lights, own, strict=True)):
             l, irradiance = source.kind.lighting(source, scene.mesh, position)
             if source.shadow:
@@ -94,9 +133,12 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
                 v_dot_h = 0.5 * np.linalg.norm(l + v, axis=-1)
                 widened = slope_filtered(m, slope_variance_disc(s, k, v_dot_h))
             diffuse[covered] += albedo * spread
+            entered = entered + spread
             value = weight * term.brdf(n, l, v, widened, material.f0)
             specular[light][covered] = received * value[:, None]
-    return Layers(ambient, diffuse, specular)
+        if light_of is not None and albedo_of is not None:
+            light_of[covered], albedo_of[covered] = entered, albedo
+    return Layers(ambient, diffuse, specular, light_of, albedo_of)
 
 
 def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]:

@@ -204,7 +204,8 @@ class Renderer:
         start_maps(scene.mesh, self.albedo_kind, shading.slope_filter)
         view = view_of(scene, self.size[0] / self.size[1])
         visibility = self._visibility(scene, view, 1)
-        surface = surface_pass(scene, view, shading, visibility)
+        scatters = _scattering(scene, self.size) is not None
+        surface = surface_pass(scene, view, shading, visibility, scatters)
         passes = [visibility.drawn(), surface] if visibility else [surface]
         position, normal, albedo, uv = self._draw(passes, scene)
         seen = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
@@ -225,6 +226,7 @@ class Renderer:
             uv=uv[..., :2],
             visibility=seen,
             view=view,
+            facing=uv[..., 3],
         )
 
     def _shaded(

@@ -16,15 +16,20 @@ from facerender.shading import Shading
 
 
 def surface_pass(
-    scene: Scene, view: View, shading: Shading, visibility: Visibility | None = None
+    scene: Scene,
+    view: View,
+    shading: Shading,
+    visibility: Visibility | None = None,
+    scatters: bool = False,
 ) -> Pass:
     """Return the pass that draws position and part, normal and m, albedo and specular weight,
-    texture coordinates and occlusion of a simplified scene; visibility as of the pass that
-    shades."""
+    texture coordinates and occlusion of a simplified scene; where it scatters how the mesh faces
+    the eye as well. Visibility as of the pass that shades."""
     parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
+    scatter = ("SCATTER",) * scatters
     draws = [
         Draw(
-            Program("gbuffer.frag", features=surface_features(part, material, shading)),
+            Program("gbuffer.frag", features=surface_features(part, material, shading) + scatter),
             {**part_uniforms(part, material), "part": number},
             part,
             material,
