@@ -35,6 +35,7 @@ class MeshFile:
     specular_map: str | None = None
     roughness_map: str | None = None
     flip_v: bool = False
+    millimetres: float | None = None
     triangles: int | None = None
 
     def __post_init__(self) -> None:
@@ -42,10 +43,12 @@ class MeshFile:
             value = getattr(self, each.name)
             if isinstance(value, os.PathLike):
                 object.__setattr__(self, each.name, os.fspath(value))
-            elif each.name not in ("flip_v", "triangles") and not isinstance(value, str | None):
+            elif each.name not in ("flip_v", "millimetres", "triangles") and not isinstance(value, str | None):
                 raise InputError(f"mesh {each.name} = {value!r}: give a path as text")
         if not isinstance(self.flip_v, bool):
             raise InputError(f"mesh flip_v = {self.flip_v!r}: give true or false")
+        if self.millimetres is not None:
+            check_range("millimetres", self.millimetres, 1e-6, 1e6)
         if self.triangles is not None:
             check_triangles(self.triangles)
 

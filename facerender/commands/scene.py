@@ -51,6 +51,16 @@ def add_scene(
         help="widen it by the mesh's curvature over a pixel too, for small images (off)",
     )
 
+    terms.add_argument(
+        "--scattering", choices=("skin", "none"), help="light that enters and leaves beside (none)"
+    )
+    terms.add_argument(
+        "--scatter-samples",
+        type=int,
+        metavar="N",
+        help="pixels at which it is looked for: 8, 16, 32 or 64; 0 leaves it out (16)",
+    )
+
     maps = command.add_argument_group("maps, in place of those of the mesh file")
     for name in ("albedo", "normal-map", "specular-map", "roughness-map"):
         maps.add_argument(f"--{name}", metavar="FILE")
@@ -59,6 +69,12 @@ def add_scene(
     maps.add_argument("--float-albedo", action="store_true", help="albedo as linear float16")
 
     scene = command.add_argument_group("scene")
+    scene.add_argument(
+        "--millimetres",
+        type=float,
+        metavar="MM",
+        help="that a unit of the mesh is, for scattering (1000 in glTF)",
+    )
     scene.add_argument("--fov", type=float, help="vertical angle of view in degrees (25)")
     scene.add_argument(
         "--light",
@@ -90,6 +106,7 @@ def job_of(
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
     settings = load_scene(options.scene) if options.scene else {}
     names = ("model", "lobe", "fresnel", "masking", "outside", "slope_filter", "curvature")
+    names += ("scatter_samples",)
     terms = {name: value for name in names if (value := getattr(options, name, None)) is not None}
     pinned = settings.pop("shading", {})
     _check_unpinned(options, pinned)
@@ -111,7 +128,7 @@ def job_of(
         )
     material.update(
         (name, value)
-        for name in ("m", "f0", "ks", "kd")
+        for name in ("m", "f0", "ks", "kd", "scattering")
         if (value := getattr(options, name)) is not None
     )
     mesh = MeshFile(
@@ -121,6 +138,7 @@ def job_of(
         options.specular_map,
         options.roughness_map,
         options.flip_v,
+        options.millimetres,
         getattr(options, "triangles", None),
     )
     job = Job(

@@ -83,7 +83,7 @@ def by_rays(
     ------
     NotMeasured : embreex is missing
     """
-    tracer = _tracer(mesh)
+    tracer = tracer_of(mesh)
     origin = gbuffer.position[pixels].astype(np.float64)
     origin += _OFFSET * gbuffer.normal[pixels]
     axes = light_axes(light, mesh)
@@ -102,7 +102,8 @@ def by_rays(
     return seen / rays
 
 
-def _tracer(mesh: Mesh) -> Any:
+def tracer_of(mesh: Mesh) -> Any:
+    """Return what traces rays in the renderer's space; errors as of :func:`by_rays`."""
     import trimesh
 
     try:

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from weakref import WeakSet
 
 import numpy as np
 
-from facerender.errors import InputError
+from facerender.errors import InputError, warn
+from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import view_of
 from facerender.terms.scattering import Gaussians, wide_gaussians
+
+
+_HEADS = (40.0, 1200.0)  # mm, of radii around heads and whole people
+_told: WeakSet[Mesh] = WeakSet()
 
 
 @dataclass(frozen=True)
@@ -48,10 +54,16 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
             f"scattering needs the size of {mesh.name}, which does not say how long its unit is: "
             "give --millimetres, such as 1 or 1000 (load_mesh(..., millimetres=1))"
         )
+    millimetres = mesh.radius * mesh.millimetres
+    if not _HEADS[0] <= millimetres <= _HEADS[1] and mesh not in _told:
+        _told.add(mesh)
+        warn(
+            f"{mesh.name} is {2.0 * millimetres:.3g} mm across if its unit is {mesh.millimetres:g} "
+            "mm, and scatters as such: give --millimetres if it is not"
+        )
     target = scene.camera.target
     middle = np.zeros(3) if target is None else mesh.normalised(target)
     distance = float(np.linalg.norm(view_of(scene, size[0] / size[1]).eye - middle))
-    millimetres = mesh.radius * mesh.millimetres
     pixels = 0.5 * size[1] / math.tan(math.radians(scene.camera.fov) / 2.0)
     wide = [each and wide_gaussians(each, millimetres * distance / pixels) for each in given]
     profiles = tuple(dict.fromkeys(filter(None, wide)))

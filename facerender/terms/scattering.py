@@ -33,7 +33,7 @@ MOST_VARIANCE = 1e4  # mm^2
 NARROW = 0.5  # pixels: Gaussians whose deviation is less stay where they are
 _OWN = 1e-3
 _ANGLE = 2.39996323
-_LAST = 0.998  # of the distribution of radii
+_LAST = 0.98  # of the distribution of radii: the rest is too far away to be noise
 
 
 def profile_of(given: Any) -> str | Gaussians:
