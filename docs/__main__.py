@@ -14,7 +14,7 @@ from importlib import import_module
 
 GENERATED = (
     *("accuracy", "comparison", "figures", "frame", "levels", "plan", "reproduction", "shaders"),
-    *("targets", "trade"),
+    *("skin", "targets", "trade"),
 )
 
 

@@ -50,8 +50,9 @@ Choices are macros, said before the include (or given to `flatten`):
 | FR_FITTED_COEFFICIENTS(m, k) | a vec3 | computed from m |
 | FR_FITTED_FINE_COEFFICIENTS(m, k) | a vec4 | computed from m |
 
-For two lobes in one program, or lights with terms of their own, `#define FR_LOBE FR_LOBE_EVERY` and
-name the terms call by call, as constants, which the compiler folds, and a slope that is one too:
+For several kinds of lobes in one program, or lights with terms of their own,
+`#define FR_LOBE FR_LOBE_EVERY` and name the terms call by call, as constants, which the compiler
+folds, and a slope that is one too:
 `fr_cook_torrance_terms(n, l, v, m, f0, FR_LOBE_D16, FR_FRESNEL_SCHLICK, FR_MASKING_NONE)`.
 
 Radiance is `fr_cook_torrance(n, l, v, m, f0) * irradiance * max(dot(n, l), 0.0)` for a light of

@@ -1,6 +1,11 @@
 """BRDFs, Fresnel and masking terms, slope variance in float64, for users. ``brdf.f`` is ``fr_f`` in
 GLSL, with the same arguments in the same order; see ``terms/``."""
 
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from facerender.terms.fresnel import (
     fresnel,
     fresnel_dielectric,
@@ -12,6 +17,7 @@ from facerender.terms.model import (
     K_WARD,
     MIN_COSINE,
     cook_torrance,
+    cook_torrance_two,
     ward,
     ward_printed,
 )
@@ -23,21 +29,61 @@ from facerender.terms.slope_variance import (
     slope_variance_pixel,
 )
 
+if TYPE_CHECKING:
+    from facerender.terms.albedo import (
+        cook_torrance_albedo,
+        cook_torrance_albedo_mean,
+        diffuse_coupled,
+    )
+    from facerender.terms.sampling import (
+        cook_torrance_pdf,
+        cook_torrance_sample,
+        slope_sample,
+        ward_pdf,
+        ward_sample,
+    )
+
 __all__ = [
     "K_COOK_TORRANCE",
     "K_WARD",
     "MIN_COSINE",
     "cook_torrance",
+    "cook_torrance_albedo",
+    "cook_torrance_albedo_mean",
+    "cook_torrance_pdf",
+    "cook_torrance_sample",
+    "cook_torrance_two",
     "cosine_disc",
+    "diffuse_coupled",
     "fresnel",
     "fresnel_dielectric",
     "fresnel_schlick",
     "masking_kelemen",
     "masking_v_cavity",
     "slope_filtered",
+    "slope_sample",
     "slope_variance_disc",
     "slope_variance_map",
     "slope_variance_pixel",
     "ward",
+    "ward_pdf",
     "ward_printed",
+    "ward_sample",
 ]
+
+# What an image needs only where it is asked for, by its module.
+_LATER = {
+    **dict.fromkeys(
+        ("cook_torrance_albedo", "cook_torrance_albedo_mean", "diffuse_coupled"), "albedo"
+    ),
+    **dict.fromkeys(
+        ("cook_torrance_pdf", "cook_torrance_sample", "slope_sample", "ward_pdf", "ward_sample"),
+        "sampling",
+    ),
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"facerender.terms.{_LATER[name]}"), name)

@@ -24,6 +24,9 @@ from facerender.scenes.vectors import Vector, non_negative
 from facerender.shading import Shading
 
 
+_NO_PATHS = ("flip_v", "triangles", "millimetres")  # of a mesh file's fields
+
+
 @dataclass(frozen=True)
 class MeshFile:
     """A mesh by its files, and how much of it; parameters as of :func:`facerender.load_mesh` and
@@ -35,15 +38,16 @@ class MeshFile:
     specular_map: str | None = None
     roughness_map: str | None = None
     flip_v: bool = False
-    millimetres: float | None = None
     triangles: int | None = None
+    lobe_map: str | None = None
+    millimetres: float | None = None
 
     def __post_init__(self) -> None:
         for each in fields(self):
             value = getattr(self, each.name)
             if isinstance(value, os.PathLike):
                 object.__setattr__(self, each.name, os.fspath(value))
-            elif each.name not in ("flip_v", "millimetres", "triangles") and not isinstance(value, str | None):
+            elif each.name not in _NO_PATHS and not isinstance(value, str | None):
                 raise InputError(f"mesh {each.name} = {value!r}: give a path as text")
         if not isinstance(self.flip_v, bool):
             raise InputError(f"mesh flip_v = {self.flip_v!r}: give true or false")

@@ -20,9 +20,16 @@ from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
 Changes = tuple[tuple[str, Any], ...]  # of a term's fields
 
 OUTSIDE = ("error", "exact")
+DIFFUSE = ("lambert", "coupled")
 SMALL_SLOPE = 0.2  # from here on the exact lobe is accurate without FR_SMALL_SLOPE
 MAX_WEIGHT = 1e6
-SWITCHES = {"normal_map": True, "ambient": True, "slope_filter": True, "curvature": False}
+SWITCHES = {
+    "normal_map": True,
+    "ambient": True,
+    "two_lobes": True,
+    "slope_filter": True,
+    "curvature": False,
+}
 SCATTER_SAMPLES = (0, 8, 16, 32, 64)
 FRONTAL: Changes = (("fresnel", "constant"), ("masking", "none"))
 
@@ -95,6 +102,10 @@ class Term:
         lobe.check(slopes, self.entry.k)
         return self
 
+    def second(self, factor: float) -> Term:
+        """Return the term of a second lobe, whose slope is so many times the first one's."""
+        return self if self.m is None else replace(self, m=self.m * factor)
+
     def keeps_small_slopes(self, smallest_m: float) -> bool:
         """Tell whether small angles keep their digits, for m >= smallest_m where it has none of its
         own."""
@@ -147,7 +158,10 @@ class Shading:
     outside : what a material gets whose m leaves the domain of the lobe: "error", or "exact" for
         the exact lobe in its place
     ks : one specular weight in place of the materials' and of specular maps
-    normal_map, ambient : whether they count
+    diffuse : "lambert", or "coupled" for the light that the specular term leaves, as
+        Cook-Torrance with the exact lobe, Schlick's Fresnel term and V-cavities reflects it
+    normal_map, ambient, two_lobes : whether they count; without the second lobes of materials, the
+        first ones stand alone
     slope_filter : whether slopes of the normal map that a pixel does not resolve widen the lobe
     curvature : whether the mesh's own curvature over a pixel does
     scatter_samples : pixels at which materials that scatter look for the light around each: 8, 16,
@@ -170,6 +184,8 @@ class Shading:
     ambient: bool
     slope_filter: bool
     curvature: bool
+    two_lobes: bool
+    diffuse: str
     scatter_samples: int
 
     def __init__(
@@ -192,6 +208,8 @@ class Shading:
         ambient: bool = True,
         slope_filter: bool = True,
         curvature: bool = False,
+        two_lobes: bool = True,
+        diffuse: str = "lambert",
         scatter_samples: int = 16,
     ) -> None:
         if not isinstance(term, Term):
@@ -227,12 +245,16 @@ class Shading:
             ("ambient", ambient),
             ("slope_filter", slope_filter),
             ("curvature", curvature),
+            ("two_lobes", two_lobes),
+            ("diffuse", diffuse),
             ("scatter_samples", scatter_samples),
         ):
             object.__setattr__(self, name, value)
         if outside not in OUTSIDE:
             known = ", ".join(OUTSIDE)
             raise InputError(f"unknown choice outside the domain {outside!r}; known: {known}")
+        if diffuse not in DIFFUSE:
+            raise InputError(f"unknown diffuse term {diffuse!r}; known: {', '.join(DIFFUSE)}")
         for name in SWITCHES:
             _check_switch(name, getattr(self, name))
         if scatter_samples not in SCATTER_SAMPLES or isinstance(scatter_samples, bool):
@@ -259,6 +281,12 @@ class Shading:
         if self.specular_lights is not None and light not in self.specular_lights:
             return None
         return self._own.get(light, self.term)
+
+    @property
+    def constant_slope(self) -> float | None:
+        """The slope that takes the place of all materials', where every term has one of its own."""
+        pinned = all(term.m is not None for term in self._own.values())
+        return self.term.m if pinned else None
 
     @cached_property
     def _own(self) -> dict[int, Term]:
@@ -291,6 +319,7 @@ class Shading:
             "outside": self.outside,
             "ks": self.ks,
             **{name: getattr(self, name) for name in SWITCHES},
+            "diffuse": self.diffuse,
             "scatter_samples": self.scatter_samples,
             "specular_lights": None if self.specular_lights is None else [*self.specular_lights],
             "shadow_lights": None if self.shadow_lights is None else [*self.shadow_lights],
@@ -322,13 +351,14 @@ class Shading:
 # As TOML and JSON name what a shading is made of, and what it is where nothing is said.
 _KEYS = (
     *("model", "lobe", "fresnel", "outside", "masking", "small_slope", "m", "ks"),
-    *(*SWITCHES, "scatter_samples"),
+    *(*SWITCHES, "diffuse", "scatter_samples"),
     *("specular_lights", "shadow_lights", "frontal_lights", "lights"),
 )
 _DEFAULTS = asdict(Term()) | {
     "outside": "error",
     "ks": None,
     **SWITCHES,
+    "diffuse": "lambert",
     "scatter_samples": 16,
     "specular_lights": None,
     "shadow_lights": None,

@@ -36,6 +36,8 @@ OTHERS = (
     ("masking", "fr_masking_kelemen(max(p.x, 0.5 * (p.y + p.z)), p.y, p.z)"),
     ("masking", f"length(fr_masking_v_cavity_ratio({TO_DIVIDE}))"),
     *(("masking", f"length(fr_masking_of({TO_DIVIDE}, {x.macro}))") for x in MASKING.values()),
+    ("albedo", "fr_albedo_of(fr_albedo_fit(m, f0), c)"),
+    ("albedo", "fr_albedo_mean(fr_albedo_fit(m, f0))"),
     *(("lobe/fitted", f"length(fr_lobe_fitted_coefficients(m, {k}) * m * m)") for k in (0, 4)),
     *(("lobe/fitted", f"length(fr_lobe_fitted_fine_coefficients(m, {k}) * m * m)") for k in (0, 4)),
     ("slope_variance", "fr_slope_filtered(m, tan2)"),
@@ -120,6 +122,7 @@ class Random:
         tan2 = np.select([kind == 0, kind > 4], [np.float32(0), 1 / tan2], tan2)
         vectors = {"n": n, "l": l, "v": v, "p": p}
         scalars = {"m": m, "f0": f0, "c": self.cosine()}
+        scalars |= {"second_m": np.roll(m, 1), "lobe_weight": self.even()}
         return vectors | scalars | dict.fromkeys(("tan2", "x", "steepness"), tan2)
 
 

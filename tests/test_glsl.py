@@ -25,12 +25,20 @@ from trials.cases import directions
 WITH_A_LOBE = ("cook_torrance", "lobe", "ward", "ward_printed")
 COOK_TORRANCE = {"name": "cook_torrance", "lobe": "d16"}
 ARGUMENTS = {"vec3": "vec3(0.0, 0.6, 0.8)", "float": "0.5", "int": "4"}
+ARGUMENTS |= {"vec2": "vec2(0.5, 0.2)", "mat2x4": "mat2x4(0.5)", "ivec3": "ivec3(0, 0, 8)"}
+ARGUMENTS |= {"sampler2D": "texels", "ivec2": "ivec2(1)"}
+ARGUMENTS |= {
+    f"{kind}[{count}]": f"{kind}[{n}]({', '.join([f'{kind}(0.5)'] * n)})"
+    for kind, count, n in (("vec4", "FR_SCATTER_GAUSSIANS", 4), ("vec3", "FR_SCATTER_SAMPLES", 16))
+}
+SAMPLER = {"vulkan": "layout(binding = 0) uniform sampler2D texels;"}
 OUTPUT = {"330": "", "es300": "", "vulkan": "layout(location = 0) "}
 LOBES = (*lobes.NAMES, GPower(11, 0.2, 0.5))
 # Every file, open and with its choices made.
 CHOICES: list[tuple[str, lobes.AnyLobe | None, float | None]] = [
     *((name, None, None) for name in glsl.library()),
     *((name, lobe, m) for name in WITH_A_LOBE for lobe in LOBES for m in (None, 0.15, 0.3)),
+    *(("cook_torrance_two", lobe, None) for lobe in LOBES),
     *((f"lobe/{name}", None, 0.3) for name in ("cosine", "exact", "fitted", "g_power")),
 ]
 SHADINGS = (
@@ -63,9 +71,9 @@ def calls(name: str) -> str:
         parameters = re.search(r"\((.*)\)", function.signature)[1].split(", ")
         call = f"{function.name}({', '.join(ARGUMENTS[word.split()[0]] for word in parameters)})"
         if function.file == f"facerender/{name}.glsl":
-            values.append(
-                call if function.signature.startswith("float") else f"dot({call}, {call})"
-            )
+            kind = function.signature.split()[0]
+            other = f"{call}[0][0]" if kind.startswith("mat") else f"dot({call}, {call})"
+            values.append(call if kind == "float" else other)
     return " + ".join(values) or "0.0"
 
 
@@ -96,6 +104,7 @@ def compile_all(target: glsl.Target, folder: Path, files: Sequence[tuple[str, st
     for number, (name, text) in enumerate(files):
         stage = [*stages][number % len(stages)]
         declared, main = stages[stage]
+        declared += SAMPLER.get(target, "uniform highp sampler2D texels;")
         paths.append(folder / f"{number // len(stages)}.{stage}")
         body = main.format(calls(name))
         paths[-1].write_text(f"{text}\n{declared}\nvoid main() {{ {body} }}\n", encoding="ascii")
@@ -472,7 +481,7 @@ def test_errors_name_file_and_line(tmp_path):
 
 def test_choices_that_cannot_be(tmp_path):
     for message, arguments in (
-        ("unknown shader 'ggx'; known: constants, cook_torrance, ", {"name": "ggx"}),
+        ("unknown shader 'ggx'; known: albedo, constants, cook_torrance, ", {"name": "ggx"}),
         ("unknown target '120'; known: 330, es300, vulkan", {"name": "ward", "target": "120"}),
         ("unknown lobe 'd32'; known: exact, ", {"name": "ward", "lobe": "d32"}),
         (r"m = 0.9 is outside .* give m in \[0.0001, 0.7071\)", COOK_TORRANCE | {"m": 0.9}),
@@ -482,6 +491,8 @@ def test_choices_that_cannot_be(tmp_path):
         ("m = 0.3 without a lobe", {"name": "ward", "m": 0.3}),
         ("fresnel does not use FR_LOBE: leave lobe d16 out", {"name": "fresnel", "lobe": "d16"}),
         ("masking does not use a slope: leave m = 0.3 out", {"name": "masking", "m": 0.3}),
+        ("cook_torrance_two has two slopes: leave m = 0.3 out",
+         {"name": "cook_torrance_two", "lobe": "d16", "m": 0.3}),
         ("cannot read .*none.frag: no such file", {"name": str(tmp_path / "none.frag")}),
     ):  # fmt: skip
         with pytest.raises(InputError, match=message):
@@ -526,7 +537,7 @@ def test_every_symbol_carries_the_prefix():
         text = (fr.shader_dir() / f"facerender/{name}.glsl").read_text()
         code = re.sub(r"//[^\n]*", "", text)
         macros = re.findall(r"^\s*#\s*define\s+(\w+)", code, re.MULTILINE)
-        outside = re.sub(r"^\s*#[^\n]*|precision highp float;", "", code, flags=re.MULTILINE)
+        outside = re.sub(r"^\s*#[^\n]*|precision highp \w+;", "", code, flags=re.MULTILINE)
         while "{" in outside:
             outside = re.sub(r"\([^()]*\)\s*\{[^{}]*\}|\{[^{}]*\}", ";", outside)
         declared = re.findall(r"\w+(?=\s*;)", outside)

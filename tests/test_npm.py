@@ -16,6 +16,11 @@ ROOT = Path(__file__).parents[1]
 
 FUNCTIONS = {
     "cookTorrance": "fr_cook_torrance",
+    "cookTorranceTwo": "fr_cook_torrance_two",
+    "cookTorranceSample": "fr_cook_torrance_sample",
+    "wardSample": "fr_ward_sample",
+    "slopeSample": "fr_slope_sample",
+    "albedo": "fr_cook_torrance_albedo",
     "ward": "fr_ward",
     "wardPrinted": "fr_ward_printed",
     "lobe": "fr_lobe",

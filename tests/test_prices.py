@@ -109,11 +109,11 @@ def test_the_table_is_what_the_command_writes(monkeypatch, tmp_path):
         assert set(rows) == {"source", "unit", "parts", "terms"}
         assert set(rows["parts"]) == {part for part in fragment.PARTS if "specular" not in part}
         assert min(rows["parts"].values()) > 0.0
-        assert set(rows["terms"]) == set(all_terms())
+        assert set(rows["terms"]) == {*all_terms(), *prices.all_seconds()}
         assert all(first > 0.0 and further > 0.0 for first, further in rows["terms"].values())
         rows["terms"] = {name: tuple(both) for name, both in rows["terms"].items()}
-    monkeypatch.setattr(prices, "compiled", lambda family, terms: Prices(**table[family]))
-    monkeypatch.setattr(prices, "measured", lambda terms, repeats: Prices(**table["llvmpipe"]))
+    monkeypatch.setattr(prices, "compiled", lambda family, *terms: Prices(**table[family]))
+    monkeypatch.setattr(prices, "measured", lambda terms, **options: Prices(**table["llvmpipe"]))
     monkeypatch.setattr(prices, "TABLE", tmp_path / "prices.json")
     prices.main()
     assert (tmp_path / "prices.json").read_bytes() == text
@@ -209,7 +209,7 @@ def test_what_is_asked_for_is_priced_as_it_is_compiled(monkeypatch, bare):
     """Small slopes as such, and what a decision is taken back to."""
     asked = {}
 
-    def spy(family, wanted):
+    def spy(family, wanted, seconds):
         asked.update(wanted)
         return load_prices(family, None, [])
 

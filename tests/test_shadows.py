@@ -10,11 +10,11 @@ import pytest
 import facerender as fr
 from facerender.drawing import reference
 from facerender.drawing.passes.shadow import MOST
-from facerender.measure.shadows import shadow_error
 from facerender.scenes.light import parse_light
 from facerender.scenes.mesh import Part
 from facerender.scenes.shadow import light_space
 from tests.conftest import require_backend
+from trials.shadows import shadow_error
 
 
 @pytest.fixture(scope="module")

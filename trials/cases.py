@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender import brdf, lobes, resolve_includes
-from facerender.drawing.evaluate import Inputs
+from facerender.drawing.evaluate import WIDTH, Inputs
 from facerender.glsl import code
 from facerender.lobes import AnyLobe, GPower
 from facerender.shading import Term
-from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, lobe_entry
+from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, lobe_entry, scattering, shadow
 from facerender.terms.entry import ULP
 from facerender.terms.lobe import TINY, power_error
 
@@ -385,7 +385,7 @@ def slope_filtered() -> Case:
 
 @case()
 def slope_variance_map() -> Case:
-    return variance_case("slope_variance_map", 2e-7, alpha=np.linspace(0.0, 1.0, 511))
+    return variance_case("slope_variance_map", 3e-7, alpha=np.linspace(0.0, 1.0, 511))
 
 
 @case()
@@ -426,6 +426,122 @@ def slope_variance_disc() -> Case:
 @case()
 def cosine_disc() -> Case:
     return disc_case("cosine_disc", 30.0, 0.0, "c", [*np.linspace(-1.0, 1.0, 401), 1e-9, -1e-9])
+
+
+DISC = (0.2, 1.0, 0.004, 0.7)  # tangent of the radius, top, bias, turn
+
+
+@cache
+def shadows() -> tuple[tuple[int, int, int], dict[str, Singles], Floats]:
+    """A tile of a map, its texels with places, and the map. Depths are multiples of 1/4, places lie
+    between, and none looks at the map where two texels meet."""
+    random = np.random.default_rng(11)
+    tile, count = (700, 3, 16), 20 * WIDTH
+    map_ = singles(random.integers(-3, 3, count) / 4.0)
+    p = np.hstack([random.uniform(-1.2, 1.2, (count, 2)), np.zeros((count, 1))])
+    p[:, 2] = random.integers(-4, 3, count) / 4.0 + 0.12
+    plane = np.hstack([random.uniform(-0.1, 0.1, (count, 2)), np.zeros((count, 1))])
+    image = map_.reshape(-1, WIDTH).astype(float)
+    ends = [
+        shadow.shadow_disc(image, tile, p + aside, plane[:, :2], *DISC)
+        for aside in (-1e-5, [1e-5, -1e-5, 0.0], [-1e-5, 1e-5, 0.0], 1e-5)
+    ]
+    p[np.ptp(ends, axis=0) > 1e-3] = p[0]
+    return tile, {"map": map_, "p": singles(p), "plane": singles(plane)}, image
+
+
+@case(("fr_shadow_hard", "p, 0.004"), ("fr_shadow_lit", "p.xy, p.z + 0.004"))
+def shadow_hard(function: str, arguments: str) -> Case:
+    tile, inputs, map_ = shadows()
+    expected = shadow.shadow_hard(map_, tile, inputs["p"], 0.004)
+    call = f"{function}(map_texels, ivec3{tile}, {arguments})"
+    return Case(include("shadow"), call, inputs, expected, 0.0, 2e-5)
+
+
+@case()
+def shadow_disc() -> Case:
+    tile, inputs, map_ = shadows()
+    places = inputs["p"], inputs["plane"][:, :2]
+    expected = shadow.shadow_disc(map_, tile, *places, *DISC)
+    call = f"fr_shadow_disc(map_texels, ivec3{tile}, p, plane.xy, {', '.join(map(str, DISC))})"
+    return Case(include("shadow"), call, inputs, expected, 0.0, 1e-4)
+
+
+# --- scattering ----------------------------------------------------------------------------------
+
+
+GAUSSIANS = ((0.6, 0.2, 0.1, 0.0), (2.0, 0.5, 0.2, 0.05))
+SIXTEEN = scattering.spiral(GAUSSIANS, 16)
+
+
+def array(kind: str, rows: ArrayLike) -> str:
+    """Return an array of vectors as GLSL."""
+    vectors = [f"{kind}({', '.join(map(repr, map(float, row)))})" for row in np.asarray(rows)]
+    return f"{kind}[{len(vectors)}]({', '.join(vectors)})"
+
+
+def gaussians() -> str:
+    rows = [(*(np.divide(w, 2.0 * np.pi * v)), -0.5 / (v * np.log(2.0))) for v, *w in GAUSSIANS]
+    return array("vec4", rows)
+
+
+@case((0,), (1,), (2,))
+def scatter_profile(channel: int) -> Case:
+    r2 = singles([0.0, *np.logspace(-6, 18, 500)])
+    expected = scattering.scatter_profile(r2, GAUSSIANS)[:, channel]
+    call = f"fr_scatter_profile(r2, {gaussians()})[{channel}]"
+    prelude = include("scatter", FR_SCATTER_GAUSSIANS="2")
+    highest = scattering.scatter_profile(0.0, GAUSSIANS)[channel]
+    return Case(prelude, call, {"r2": r2}, expected, 0.0, 1e-6 * highest)
+
+
+@case()
+def scatter_area() -> Case:
+    c = singles(np.linspace(-1.0, 1.0, 401))
+    expected = scattering.scatter_area(c.astype(float))
+    return Case(include("scatter"), "fr_scatter_area(c)", {"c": c}, expected, 4 * ULP)
+
+
+@case()
+def scatter_turn() -> Case:
+    x, y = (each.ravel() for each in np.mgrid[0:16000:37, 0:16000:311])
+    inputs = {"x": singles(x), "y": singles(y)}
+    call = "fr_scatter_turn(ivec2(int(x), int(y))) + 4.0"
+    return Case(include("scatter"), call, inputs, scattering.scatter_turn(x, y) + 4.0, 4 * ULP)
+
+
+@cache
+def scattered() -> tuple[dict[str, Singles], Floats, Floats]:
+    """Places of a wavy surface with light, what it scatters, and how far the GPU may be from that:
+    any way where a place lies so near to a border of pixels that rounding decides."""
+    random = np.random.default_rng(13)
+    shape = 20, WIDTH
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    place = np.stack([x, y, 9.0 * np.sin(0.1 * x) + 5.0 * (x > 700)], axis=-1) / 4.0
+    light = random.uniform(0.0, 3.0, (*shape, 3))
+    place, light = (singles(each).astype(float) for each in (place, light))
+    one, every = np.ones(shape), np.ones(shape, dtype=bool)
+    scale = 4.0 * one.ravel()
+    expected = scattering.scatter(light, place, one, one, scale, 1.0, GAUSSIANS, 16, every)
+    spiral = 4.0 * (SIXTEEN[:, 0] + 1j * SIXTEEN[:, 1])
+    turned = spiral * np.exp(1j * scattering.scatter_turn(x, y))[..., None]
+    borders = np.stack([turned.real, turned.imag]) + 0.5
+    reach = 1e-4 + 2.0**-11 * np.abs(spiral)  # Vulkan's sine and cosine err by 2^-11
+    unsure = (np.abs(borders - np.round(borders)) < reach).any(axis=(0, -1))
+    inputs = {"light": singles(light.reshape(-1, 3)), "place": singles(place.reshape(-1, 3))}
+    return inputs, expected, np.where(unsure.ravel(), 3.0, 3e-5)
+
+
+@case((0,), (1,), (2,))
+def scatter(channel: int) -> Case:
+    inputs, expected, bounds = scattered()
+    rest = f"vec3({', '.join(map(repr, map(float, scattering.rest(GAUSSIANS))))})"
+    call = (
+        f"fr_scatter(light_texels, place_texels, ivec2(gl_FragCoord.xy), 4.0, {gaussians()}, "
+        f"{rest}, {array('vec3', SIXTEEN)})[{channel}] + 0.0 * (light.x + place.x)"
+    )
+    prelude = include("scatter", FR_SCATTER_GAUSSIANS="2")
+    return Case(prelude, call, inputs, expected[:, channel], 0.0, bounds)
 
 
 # --- models --------------------------------------------------------------------------------------
@@ -570,6 +686,40 @@ def model_by_macros(model: str, lobe: AnyLobe, fresnel: str, masking: str) -> Ca
     return in_domain(term, code.defines(macros) + flat(files), call)
 
 
+def two_lobes(term: Term, prelude: str, call: str) -> Case:
+    """Two lobes in one, of any slopes and shares; each has its share of its own bound."""
+    inputs = directions_and_extremes(lobe_entry(term.lobe).end(term.entry.k))
+    m = inputs["m"]
+    share = singles(np.random.default_rng(3).choice([0.0, 0.001, 0.15, 0.5, 0.85, 1.0], m.size))
+    both = {**inputs, "second_m": np.roll(m, 5), "lobe_weight": share}
+    first, second = (brdf_case(term, inputs | {"m": both[name]}) for name in ("m", "second_m"))
+    w = share.astype(float)
+    return Case(
+        f"const float f0 = {F0};\n" + prelude,
+        call,
+        both,
+        w * first.expected + (1.0 - w) * second.expected,
+        0.0,
+        w * first.absolute + (1.0 - w) * second.absolute,
+    )
+
+
+def two_lobes_among_all(
+    model: str, lobe: AnyLobe, fresnel: str, masking: str, small_slope: bool = True
+) -> Case:
+    term = Term(model, lobe, fresnel, masking, small_slope=small_slope)
+    terms = [term, *(replace(term, lobe=name) for name in LOBES)]
+    return two_lobes(term, flat(code.prelude(terms, 0.0, True)), code.call(term, 1.0))
+
+
+def two_lobes_by_macros(model: str, lobe: AnyLobe, fresnel: str, masking: str) -> Case:
+    term = Term(model, lobe, fresnel, masking)
+    entry = term.entry.two
+    assert entry is not None
+    call = f"fr_{entry.file}(n, l, v, m, second_m, lobe_weight, f0)"
+    return two_lobes(term, include(entry.file, **code.term_macros(term, 0.0)), call)
+
+
 DEFAULT = (Term.fresnel, Term.masking)
 FACTORS = [(fresnel, Term.masking) for fresnel in FRESNEL]
 FACTORS += [(Term.fresnel, masking) for masking in MASKING]
@@ -582,5 +732,125 @@ for _model, _entry in MODELS.items():
             if _factors == DEFAULT or _lobe == Term.lobe:
                 add("models-by-macros", model_by_macros, _model, _lobe, *_factors)
         add(f"fr_{_entry.file}_terms", term_among_all, _model, Term.lobe, *_factors, False)
+    for _lobe in ALL_LOBES:
+        group = f"fr_{_entry.two.file}_terms" if _entry.two else "two-calls"
+        add(group, two_lobes_among_all, _model, _lobe, *DEFAULT)
+        if _entry.two:
+            add(f"fr_{_entry.two.file}", two_lobes_by_macros, _model, _lobe, *DEFAULT)
+    if _entry.two:
+        add(group, two_lobes_among_all, _model, Term.lobe, *DEFAULT, False)
+        for _factors in FACTORS[1:]:
+            add(group, two_lobes_among_all, _model, Term.lobe, *_factors)
+
+# --- sampling ------------------------------------------------------------------------------------
+
+
+@cache
+def directions_and_numbers() -> dict[str, Singles]:
+    """Directions, with random numbers that leave no doubt of which side of a cavity is seen."""
+    inputs = directions(np.resize(singles([1e-3, 0.01, *np.linspace(0.05, 2.0, 8)]), DIRECTIONS))
+    u = np.random.default_rng(5).random((DIRECTIONS, 3), dtype=np.float32)
+    n, v, m = (inputs[name].astype(float) for name in "nvm")
+    across = brdf.slope_sample(unit(n), m, u[:, :2])
+    first, second = (
+        (unit(v) * h).sum(axis=-1).clip(0) for h in (unit(n) + across, unit(n) - across)
+    )
+    doubt = np.abs(u[:, 2] * (first + second) - first) < 1e-5 * (1.0 + np.abs(first))
+    u[doubt, 2] = 0.0
+    u[doubt & (first < 1e-4), 2] = 0.99
+    return {**inputs, "p": u}
+
+
+def unit(x: Floats) -> Floats:
+    return np.asarray(x / np.linalg.norm(x, axis=-1, keepdims=True))
+
+
+@case(*((axis,) for axis in "xyz"))
+def slope_sample(axis: str) -> Case:
+    inputs = directions_and_numbers()
+    n, u, m = (inputs[name].astype(float) for name in "npm")
+    slopes_ = brdf.slope_sample(unit(n), m, u[:, :2])
+    length = np.linalg.norm(slopes_, axis=-1)
+    call = f"10.0 + fr_slope_sample(n, m, p.xy).{axis}"
+    absolute = 2e-6 * (2.0 + length)
+    return Case(
+        include("slope_sample"), call, inputs, 10.0 + slopes_[:, "xyz".index(axis)], 0.0, absolute
+    )
+
+
+@case(*((axis,) for axis in "xyz"))
+def cook_torrance_sample(axis: str) -> Case:
+    inputs = directions_and_numbers()
+    n, v, u, m = (inputs[name].astype(float) for name in "nvpm")
+    l = brdf.cook_torrance_sample(unit(n), unit(v), m, u)
+    call = f"2.0 + fr_cook_torrance_sample(n, v, m, p).{axis}"
+    prelude = include("cook_torrance_sample")
+    return Case(prelude, call, inputs, 2.0 + l[:, "xyz".index(axis)], 0.0, 1e-5)
+
+
+@case(*((axis,) for axis in "xyz"))
+def ward_sample(axis: str) -> Case:
+    inputs = directions_and_numbers()
+    n, v, u, m = (inputs[name].astype(float) for name in "nvpm")
+    l = brdf.ward_sample(unit(n), unit(v), m, u[:, :2])
+    # where the half vector is about to turn away, either is right
+    turned = np.abs((unit(v) * (unit(n) + brdf.slope_sample(unit(n), m, u[:, :2]))).sum(axis=-1))
+    call = f"2.0 + fr_ward_sample(n, v, m, p.xy).{axis}"
+    absolute = np.where(turned < 1e-5, 4.0, 1e-5)
+    return Case(include("ward_sample"), call, inputs, 2.0 + l[:, "xyz".index(axis)], 0.0, absolute)
+
+
+@case(("cook_torrance",), ("ward",))
+def pdf(model: str) -> Case:
+    inputs = directions_and_extremes(lobes.MAX_SLOPE)
+    n, l, v, m = (inputs[name].astype(float) for name in "nlvm")
+    expected = getattr(brdf, f"{model}_pdf")(n, l, v, m)
+    n_dot_l, n_dot_v = ((n * x).sum(axis=-1) for x in (l, v))
+    n_dot_h = n_dot_l + n_dot_v
+    above = (
+        np.minimum(n_dot_l, n_dot_v) if model == "ward" else np.minimum(n_dot_h, n_dot_v)
+    ) > brdf.MIN_COSINE
+    safe = np.where(above, n_dot_h, 1.0), np.where(above, n_dot_v, 1.0)
+    seen = np.minimum(
+        1.0, 4.0 * safe[0] * safe[1] / np.where(above, ((l + v) ** 2).sum(axis=-1), 1.0)
+    )
+    peak = 0.5 / safe[0] if model == "ward" else seen / (4.0 * safe[1])
+    slope, place = np.unique(m, return_inverse=True)
+    highest = lobe_entry("exact").highest
+    assert highest is not None
+    peak *= np.array([highest(each, 4) for each in slope.tolist()])[place] / (np.pi * m**2)
+    e = 4e-7 * (1.0 + 1.0 / safe[0])
+    bound = 1e-5 + 2e-7 / safe[1] + e / m
+    call = f"fr_{model}_pdf(n, l, v, m)"
+    return Case(
+        include(f"{model}_sample"), call, inputs, expected, 0.0, np.where(above, peak * bound, 0.0)
+    )
+
+
+# --- albedo --------------------------------------------------------------------------------------
+
+
+@cache
+def cosines_slopes_and_reflectances() -> dict[str, Singles]:
+    axes = grid(
+        [*np.linspace(0.0, 1.0, 101), 1e-4, 1e-3],
+        [1e-3, *np.linspace(0.05, 1.5, 20)],
+        [0.0, F0, 0.9],
+    )
+    return dict(zip(("c", "m", "f0"), axes, strict=True))
+
+
+@case(
+    ("cook_torrance_albedo(c, m, f0)",),
+    ("cook_torrance_albedo_mean(m, f0)",),
+    ("diffuse_coupled(m, c, f0)",),
+)
+def albedo(call: str) -> Case:
+    inputs = cosines_slopes_and_reflectances()
+    name, words = call.rstrip(")").split("(")
+    values = (inputs[word].astype(float) for word in words.split(", "))
+    expected = getattr(brdf, name)(*values)
+    return Case(include("albedo"), f"fr_{call}", inputs, expected, 4 * ULP, 2e-6)
+
 
 GROUPS = tuple(dict.fromkeys(name.split()[0] for name in CASES))

@@ -6,6 +6,11 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.ndimage import gaussian_filter, zoom
+
 import facerender as fr
 
 TEST_DATA = Path(
@@ -28,3 +33,22 @@ def load_scan(folder: Path) -> fr.Mesh:
         specular_map=folder / "Map-SPEC.jpg",
         flip_v=True,
     )
+
+
+def pores(folder: Path, size: int = 2048) -> NDArray[np.float64]:
+    """Return slopes (size, size, 2) of the scan, row 0 on top: those of its tangent map, and above
+    its band those of the displacement, scaled to match where both have the band."""
+    with Image.open(folder / "Infinite-Level_02_Tangent_SmoothUV.jpg") as tangents:
+        normals = np.asarray(tangents.convert("RGB"), dtype=np.float64) / 127.5 - 1.0
+    slopes = -normals[..., :2] / np.maximum(normals[..., 2:], 0.25)
+    slopes -= slopes.mean(axis=(0, 1))
+    with Image.open(folder / "Infinite-Level_02_Disp_NoSmoothUV-4096.jpg") as displacement:
+        height = np.asarray(displacement.convert("L"), dtype=np.float64) / 255.0
+    fine = gaussian_filter(height, 0.7) - gaussian_filter(height, 4.0)
+    down, right = np.gradient(fine)
+    wide = len(height) // len(slopes)
+    whole = zoom(slopes, (wide, wide, 1), order=1)
+    whole += 38.0 * np.stack([right, -down], axis=-1)
+    shrink = len(height) // size
+    blocks = np.clip(whole, -1.5, 1.5).reshape(size, shrink, size, shrink, 2)
+    return np.asarray(blocks.mean(axis=(1, 3)))

@@ -16,7 +16,7 @@ from facerender.scenes.file import load_scene
 from facerender.scenes.light import LIGHTS, parse_light
 from facerender.scenes.scene import Scene
 from facerender.scenes.texture import Kind
-from facerender.shading import Shading
+from facerender.shading import DIFFUSE, SWITCHES, Shading
 from facerender.terms import FRESNEL, MASKING, MODELS
 
 CAMERAS = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
@@ -39,6 +39,9 @@ def add_scene(
     )
     terms.add_argument("--f0", type=float, help="reflectance at normal incidence (0.028)")
     terms.add_argument("--ks", type=float, help="specular weight (1)")
+    terms.add_argument(
+        "--diffuse", choices=DIFFUSE, help="coupled: what the specular term leaves (lambert)"
+    )
     terms.add_argument("--kd", type=float, help="diffuse weight (1)")
     terms.add_argument(
         "--slope-filter",
@@ -50,7 +53,12 @@ def add_scene(
         action=argparse.BooleanOptionalAction,
         help="widen it by the mesh's curvature over a pixel too, for small images (off)",
     )
-
+    terms.add_argument(
+        "--second-slope", type=float, metavar="F", help="second lobe: m of it over m (1: none)"
+    )
+    terms.add_argument(
+        "--lobe-weight", type=float, metavar="W", help="share of the first lobe (1: the only one)"
+    )
     terms.add_argument(
         "--scattering", choices=("skin", "none"), help="light that enters and leaves beside (none)"
     )
@@ -62,7 +70,7 @@ def add_scene(
     )
 
     maps = command.add_argument_group("maps, in place of those of the mesh file")
-    for name in ("albedo", "normal-map", "specular-map", "roughness-map"):
+    for name in ("albedo", "normal-map", "specular-map", "roughness-map", "lobe-map"):
         maps.add_argument(f"--{name}", metavar="FILE")
     maps.add_argument("--flip-v", action="store_true", help="turn texture coordinates upside down")
     maps.add_argument("--anisotropy", type=float, default=1.0, help="of texture filtering (1)")
@@ -105,7 +113,7 @@ def job_of(
     if options.m is not None and options.roughness_map is not None:
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
     settings = load_scene(options.scene) if options.scene else {}
-    names = ("model", "lobe", "fresnel", "masking", "outside", "slope_filter", "curvature")
+    names = ("model", "lobe", "fresnel", "masking", "diffuse", "outside", *SWITCHES)
     names += ("scatter_samples",)
     terms = {name: value for name in names if (value := getattr(options, name, None)) is not None}
     pinned = settings.pop("shading", {})
@@ -128,7 +136,7 @@ def job_of(
         )
     material.update(
         (name, value)
-        for name in ("m", "f0", "ks", "kd", "scattering")
+        for name in ("m", "f0", "ks", "kd", "second_slope", "lobe_weight", "scattering")
         if (value := getattr(options, name)) is not None
     )
     mesh = MeshFile(
@@ -138,8 +146,9 @@ def job_of(
         options.specular_map,
         options.roughness_map,
         options.flip_v,
-        options.millimetres,
         getattr(options, "triangles", None),
+        options.lobe_map,
+        options.millimetres,
     )
     job = Job(
         mesh,
@@ -170,6 +179,7 @@ def _check_unpinned(options: argparse.Namespace, pinned: Mapping[str, Any]) -> N
         ("m", ("m", "roughness_map")),
         ("ks", ("ks", "specular_map")),
         ("normal_map", ("normal_map",)),
+        ("two_lobes", ("second_slope", "lobe_weight", "lobe_map")),
         ("ambient", ("ambient",)),
         ("specular_lights", ("light",)),
         ("frontal_lights", ("light",)),

@@ -1,4 +1,4 @@
-"""``facerender shaders list``, ``path`` and ``flatten``."""
+"""``facerender shaders list``, ``path``, ``flatten`` and ``prepare-normal-map``."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import dataclasses
 import json
 import textwrap
 
+from facerender.commands.common import clean_up_on_interrupt
 from facerender.glsl.library import TARGETS, shader_dir, shader_source
 from facerender.terms import LOBES
 
@@ -32,6 +33,12 @@ def add(shaders: argparse.ArgumentParser) -> None:
     flatten.add_argument("--lobe", choices=tuple(LOBES), help="leave the others out")
     flatten.add_argument("--m", type=float, help="rms slope, as a constant")
     flatten.set_defaults(command=run_flatten)
+    prepare = actions.add_parser(
+        "prepare-normal-map", help="a normal map with the mip levels that slope_variance.glsl reads"
+    )
+    prepare.add_argument("source", metavar="IN", help="an image: .png .jpg .tif .webp")
+    prepare.add_argument("output", metavar="OUT", help=".ktx2")
+    prepare.set_defaults(command=run_prepare_normal_map)
 
 
 def run_list(options: argparse.Namespace) -> int:
@@ -56,4 +63,13 @@ def run_path(options: argparse.Namespace) -> int:
 
 def run_flatten(options: argparse.Namespace) -> int:
     print(shader_source(options.name, options.target, lobe=options.lobe, m=options.m), end="")
+    return 0
+
+
+def run_prepare_normal_map(options: argparse.Namespace) -> int:
+    from facerender.scenes.prepared import prepare_normal_map
+
+    clean_up_on_interrupt()
+    prepare_normal_map(options.source, options.output)
+    print(options.output)
     return 0

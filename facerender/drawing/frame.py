@@ -103,8 +103,10 @@ class GBuffer:
     uv : (H, W, 2) float32
     visibility : (H, W, lights) float32, how much of each light of the scene is not in shadow
     view : the camera that saw it
-    facing : (H, W) float32, cosine between the mesh's normal, without its map, and the eye; 1 where
-        the scene does not scatter
+    second_m, lobe_weight : (H, W) float32, slope of the second lobe and share of the first; None
+        where no material has two lobes
+    facing : (H, W) float32, cosine between the mesh's normal, without its map, and the eye; None
+        where nothing scatters
     """
 
     part: NDArray[np.int64]
@@ -117,4 +119,6 @@ class GBuffer:
     uv: NDArray[np.float32]
     visibility: NDArray[np.float32]
     view: View
-    facing: NDArray[np.float32]
+    second_m: NDArray[np.float32] | None = None
+    lobe_weight: NDArray[np.float32] | None = None
+    facing: NDArray[np.float32] | None = None

@@ -29,11 +29,12 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
     """
     shading.check_lights(len(scene.lights))
     changes: dict[str, Any] = {}
-    own = [shading.of(light) for light in range(len(scene.lights))]
-    if shading.term.m is not None and all(term is None or term.m is not None for term in own):
-        changes["m"] = shading.term.m
+    if (m := shading.constant_slope) is not None:
+        changes["m"] = m
     if shading.ks is not None:
         changes |= {"ks": shading.ks, "specular_map": None}
+    if not shading.two_lobes and any(each.two_lobes for each in scene.mesh.materials):
+        changes["lobe_weight"] = 1.0
     if not shading.normal_map:
         changes["normal_map"] = None
     if not shading.scatter_samples and any(each.scattering for each in scene.mesh.materials):
@@ -69,6 +70,7 @@ def part_maps(
         ("albedo_map", material.albedo_map, albedo),
         ("normal_map", material.normal_map, "normal" if slope_filter else "data"),
         ("property_map", material.property_map, "data"),
+        ("lobe_map", material.lobe_map if material.two_lobes else None, "data"),
     ]
     return [(name, texture, kind) for name, texture, kind in candidates if texture is not None]
 

@@ -142,11 +142,14 @@ class Program:
         if not self.calls:
             return ""
         *branches, last = self.calls
+        slopes = "float m, float f0"
+        if "TWO_LOBES" in self.features:
+            slopes = "float m, float second_m, float lobe_weight, float f0"
         lines = [f"    if (term == {i}) return {each};" for i, each in enumerate(branches)]
         return "\n".join(
             [
                 f"{self.prelude}#define SPECULAR",
-                "float specular_term(int term, vec3 n, vec3 l, vec3 v, float m, float f0) {",
+                f"float specular_term(int term, vec3 n, vec3 l, vec3 v, {slopes}) {{",
                 *lines,
                 f"    return {last};",
                 "}\n",
@@ -180,6 +183,7 @@ def surface_features(part: Part, material: Material, shading: Shading) -> tuple[
     names = [name.upper() for name, _, _ in maps]
     names += ["SLOPE_FILTER"] * any(kind == "normal" for _, _, kind in maps)
     names += ["CURVATURE"] * shading.curvature
+    names += ["CONSTANT_SLOPE"] * (shading.constant_slope is not None)
     if part.uv is not None:
         names.append("UV")
         names += [name.upper() for name in PROPERTY_MAPS if getattr(material, name) is not None]
@@ -187,6 +191,8 @@ def surface_features(part: Part, material: Material, shading: Shading) -> tuple[
         names.append("VERTEX_COLORS")
     if material.albedo != (1.0, 1.0, 1.0):
         names.append("ALBEDO_FACTOR")
+    if material.two_lobes:
+        names.append("TWO_LOBES")
     return tuple(names)
 
 
@@ -212,13 +218,16 @@ def shade_program(
     features += shadow_features(lighting)
     features += ("AMBIENT",) * any(scene.ambient)  # type: ignore[arg-type]
     features += ("DIFFUSE",) * (diffuse and material.kd > 0.0)
+    if shading.diffuse == "coupled" and "DIFFUSE" in features and material.ks > 0.0:
+        features += ("COUPLED",)
     shines = bool(terms) and material.ks > 0.0
+    second = material.second_slope if material.two_lobes else None
     return Program(
         "shade.frag",
         features=features,
         lights=lighting.groups,
-        prelude=prelude(terms, smallest_m) if shines else "",
-        calls=tuple(map(call, terms)) if shines else (),
+        prelude=prelude(terms, smallest_m, material.two_lobes) if shines else "",
+        calls=tuple(call(term, second) for term in terms) if shines else (),
     )
 
 
@@ -254,6 +263,8 @@ def part_uniforms(part: Part, material: Material) -> Uniforms:
         "albedo_factor": np.asarray(material.albedo),
         "slope": material.roughness_factor**2 if mapped else material.m,
         "specular_weight": material.ks,
+        "second_slope": material.second_slope,
+        "lobe_weight": material.lobe_weight,
         "diffuse_weight": material.kd,
         "f0": material.f0,
     }

@@ -3,17 +3,21 @@ OpenGL here."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender import brdf
 from facerender.drawing.frame import GBuffer
 from facerender.drawing.prepare import simplify
 from facerender.scenes.light import half_sum
+from facerender.scenes.material import Material
 from facerender.scenes.scene import Only, Scene, slope_ranges
 from facerender.shading import Shading
 from facerender.terms.slope_variance import cosine_disc, slope_filtered, slope_variance_disc
+
+Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +78,7 @@ def scattered(
     """
     change = np.zeros(gbuffer.position.shape)
     height, width = gbuffer.part.shape
-    if terms.light is None or terms.albedo is None:
+    if terms.light is None or terms.albedo is None or gbuffer.facing is None:
         return change
     from facerender.scenes.scattering import scattering_of
     from facerender.terms.scattering import scatter, scatter_area
@@ -97,6 +101,7 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
     """Return the terms that :func:`shade` sums up, the specular one of every light; parameters and
     errors as there."""
     scene = simplify(scene, shading)
+    pinned = shading.constant_slope
     ambient, diffuse = np.zeros((2, *gbuffer.position.shape))
     specular = np.zeros((len(scene.lights), *gbuffer.position.shape))
     scatters = any(material.scattering for material in scene.mesh.materials)
@@ -117,7 +122,12 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
         v = _normalised(gbuffer.view.eye - position)
 
         occlusion = gbuffer.occlusion[covered].astype(np.float64)
-        entered = occlusion[:, None] * np.asarray(scene.ambient)
+        coupling = None
+        if shading.diffuse == "coupled" and material.ks > 0.0:
+            n_dot_v = np.einsum("...i,...i", n, v)
+            coupling = _Coupling.at(gbuffer, covered, material, n_dot_v, pinned)
+        left = coupling.left(coupling.mean) if coupling else 1.0
+        entered = occlusion[:, None] * np.asarray(scene.ambient) * left
         ambient[covered] = albedo * entered
         for light, (source, term) in enumerate(zip(scene.lights, own, strict=True)):
             l, irradiance = source.kind.lighting(source, scene.mesh, position)
@@ -125,20 +135,77 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
                 irradiance = irradiance * gbuffer.visibility[covered][:, light, None]
             cosine = np.einsum("...i,...i", n, l)
             received = irradiance * np.maximum(cosine, 0.0)[:, None]
-            spread, widened = received, m
+            spread, variance = received, np.zeros(len(m))
             if source.kind.sine is not None:
                 s = source.kind.sine(source, scene.mesh, position)[..., 0]
                 k = half_sum(s)
                 spread = irradiance * cosine_disc(cosine, s, k)[:, None]
-                v_dot_h = 0.5 * np.linalg.norm(l + v, axis=-1)
-                widened = slope_filtered(m, slope_variance_disc(s, k, v_dot_h))
-            diffuse[covered] += albedo * spread
-            entered = entered + spread
-            value = weight * term.brdf(n, l, v, widened, material.f0)
-            specular[light][covered] = received * value[:, None]
+                variance = slope_variance_disc(s, k, 0.5 * np.linalg.norm(l + v, axis=-1))
+            left = coupling.left(coupling.towards(cosine)) if coupling else 1.0
+            diffuse[covered] += albedo * spread * left
+            entered = entered + spread * left
+            value = term.brdf(n, l, v, slope_filtered(m, variance), material.f0)
+            if material.two_lobes:
+                assert gbuffer.second_m is not None
+                assert gbuffer.lobe_weight is not None
+                second = term.second(material.second_slope)
+                second_m = slope_filtered(gbuffer.second_m[covered], variance)
+                share = gbuffer.lobe_weight[covered].astype(np.float64)
+                value = share * value + (1.0 - share) * second.brdf(n, l, v, second_m, material.f0)
+            specular[light][covered] = received * (weight * value)[:, None]
         if light_of is not None and albedo_of is not None:
             light_of[covered], albedo_of[covered] = entered, albedo
     return Layers(ambient, diffuse, specular, light_of, albedo_of)
+
+
+@dataclass(frozen=True, eq=False)
+class _Coupling:
+    """What specular terms leave to diffuse ones.
+
+    Attributes
+    ----------
+    lobes : slope and weight of each lobe, (N,)
+    f0 : of the material
+    eye, mean : albedo towards the eye, and over the hemisphere, (N,)
+    """
+
+    lobes: list[tuple[Float, Float]]
+    f0: float
+    eye: Float
+    mean: Float
+
+    @classmethod
+    def at(
+        cls,
+        gbuffer: GBuffer,
+        covered: NDArray[np.bool_],
+        material: Material,
+        n_dot_v: Float,
+        m: float | None,
+    ) -> _Coupling:
+        """m : in place of the G-buffer's"""
+        weight = gbuffer.specular_weight[covered].astype(np.float64)
+        slope = gbuffer.m[covered].astype(np.float64) if m is None else np.full_like(weight, m)
+        lobes = [(slope, weight)]
+        if material.two_lobes:
+            assert gbuffer.second_m is not None
+            assert gbuffer.lobe_weight is not None
+            second = gbuffer.second_m[covered].astype(np.float64)
+            second = second if m is None else slope * material.second_slope
+            share = gbuffer.lobe_weight[covered].astype(np.float64)
+            lobes = [(slope, share * weight), (second, (1.0 - share) * weight)]
+        means = (w * brdf.cook_torrance_albedo_mean(each, material.f0) for each, w in lobes)
+        bare = cls(lobes, material.f0, weight, np.sum([*means], axis=0))
+        return replace(bare, eye=bare.towards(n_dot_v))
+
+    def towards(self, cosine: Float) -> Float:
+        """Return the albedo towards directions."""
+        each = (w * brdf.cook_torrance_albedo(cosine, m, self.f0) for m, w in self.lobes)
+        return np.asarray(np.sum([*each], axis=0))
+
+    def left(self, albedo: Float) -> Float:
+        """Return the share that is left to light of this albedo, (N, 1)."""
+        return brdf.diffuse_coupled(albedo, self.eye, self.mean)[:, None]
 
 
 def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]:

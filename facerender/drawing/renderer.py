@@ -207,7 +207,7 @@ class Renderer:
         scatters = _scattering(scene, self.size) is not None
         surface = surface_pass(scene, view, shading, visibility, scatters)
         passes = [visibility.drawn(), surface] if visibility else [surface]
-        position, normal, albedo, uv = self._draw(passes, scene)
+        position, normal, albedo, uv, *lobes = self._draw(passes, scene)
         seen = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
         lighting = Lighting.of(scene, shading)
         if shadows := shadow_passes(scene, lighting):
@@ -226,7 +226,9 @@ class Renderer:
             uv=uv[..., :2],
             visibility=seen,
             view=view,
-            facing=uv[..., 3],
+            second_m=lobes[0][..., 0] if lobes else None,
+            lobe_weight=lobes[0][..., 1] if lobes else None,
+            facing=uv[..., 3] if scatters else None,
         )
 
     def _shaded(

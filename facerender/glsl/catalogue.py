@@ -53,7 +53,7 @@ def _functions(name: str) -> list[Function]:
         own = _comment(comment)
         known = _keyed(header) | _keyed(own)
         parameters = " ".join(parameters.split())
-        names = [parameter.split()[-1] for parameter in parameters.split(", ")]
+        names = [parameter.split()[1] for parameter in parameters.split(", ")]
         result.append(
             Function(
                 function,

@@ -31,21 +31,38 @@ def term_macros(term: Term, smallest_m: float) -> dict[str, str]:
     return macros
 
 
-def prelude(terms: Sequence[Term], smallest_m: float) -> str:
+def prelude(terms: Sequence[Term], smallest_m: float, two_lobes: bool = False) -> str:
     """Return what stands before the calls of terms in one program, for m >= smallest_m."""
-    files = dict.fromkeys(term.entry.file for term in terms)
+    files = dict.fromkeys(file_of(term, two_lobes) for term in terms)
     includes = "".join(f'#include "facerender/{file}.glsl"\n' for file in files)
     return defines(_shared_macros(terms, smallest_m)) + includes
 
 
-def call(term: Term) -> str:
-    """Return the GLSL of a term, in 1/sr, of vec3 n, l, v and float m, f0."""
-    return term.entry.call.format(
-        m="m" if term.m is None else repr(float(term.m)),
-        lobe=lobe_entry(term.lobe).macro,
-        fresnel=FRESNEL[term.fresnel].macro,
-        masking=MASKING[term.masking].macro,
-    )
+def file_of(term: Term, two_lobes: bool) -> str:
+    """Return the file of the library that a term needs."""
+    return term.entry.two.file if two_lobes and term.entry.two else term.entry.file
+
+
+def call(term: Term, second_slope: float | None = None) -> str:
+    """Return the GLSL of a term, in 1/sr, of vec3 n, l, v and float m, f0.
+
+    second_slope : of a material with two lobes, the factor on m; the call is then of float second_m
+        and lobe_weight as well
+    """
+    macros = {
+        "lobe": lobe_entry(term.lobe).macro,
+        "fresnel": FRESNEL[term.fresnel].macro,
+        "masking": MASKING[term.masking].macro,
+    }
+    m = "m" if term.m is None else repr(float(term.m))
+    first = term.entry.call.format(m=m, **macros)
+    if second_slope is None:
+        return first
+    second = "second_m" if term.m is None else repr(float(term.m * second_slope))
+    if term.entry.two:
+        return term.entry.two.call.format(m=m, second=second, **macros)
+    other = term.entry.call.format(m=second, **macros)
+    return f"lobe_weight * {first} + (1.0 - lobe_weight) * {other}"
 
 
 def _shared_macros(terms: Sequence[Term], smallest_m: float) -> dict[str, str]:

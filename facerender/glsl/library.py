@@ -4,6 +4,7 @@ What its functions are, ``catalogue.py`` tells; no OpenGL here."""
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 from facerender._version import __version__
 from facerender.data import data_dir
 from facerender.errors import InputError
-from facerender.glsl.code import defines, lobe_macros, term_macros
+from facerender.glsl.code import defines, file_of, lobe_macros, term_macros
 from facerender.glsl.includes import Expansion
 from facerender.shading import SMALL_SLOPE, Term
 from facerender.terms import LOBES, MODELS, AnyLobe, GPower, lobe_entry
@@ -72,10 +73,14 @@ def shader_source(
     return _flat(name, target, macros, lobe, m)
 
 
-def term_source(term: Term, smallest_m: float, target: Target | None = None) -> str:
-    """Return the file of a term's model with all its choices made, for m >= smallest_m; target and
-    errors as in :func:`shader_source`."""
-    return _flat(term.entry.file, target, term_macros(term, smallest_m), term.lobe, term.m)
+def term_source(
+    term: Term, smallest_m: float, target: Target | None = None, two_lobes: bool = False
+) -> str:
+    """Return the file of a term's model with all its choices made, for m >= smallest_m; with two
+    lobes the slopes stay arguments. Target and errors as in :func:`shader_source`."""
+    one = replace(term, m=None) if two_lobes else term
+    macros = term_macros(one, smallest_m)
+    return _flat(file_of(term, two_lobes), target, macros, term.lobe, one.m)
 
 
 def _flat(
@@ -167,6 +172,8 @@ def _constant_slope(
     def has(entry: Entry) -> bool:
         return f"facerender/{entry.file}.glsl" in expansion.files
 
+    if any(model.two and has(model.two) for model in MODELS.values()):
+        raise InputError(f"{name} has two slopes: leave m = {m:g} out")
     used = sorted(filter(has, LOBES.values()), key=lambda each: each.name)
     if not used:
         raise InputError(f"{name} does not use a slope: leave m = {m:g} out")

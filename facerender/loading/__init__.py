@@ -27,6 +27,7 @@ def load_mesh(
     normal_map: Path_ | None = None,
     specular_map: Path_ | None = None,
     roughness_map: Path_ | None = None,
+    lobe_map: Path_ | None = None,
     flip_v: bool = False,
     millimetres: float | None = None,
     cache: bool = False,
@@ -38,7 +39,8 @@ def load_mesh(
     Parameters
     ----------
     path : .glb, .gltf, .obj (with .mtl), .ply or .stl; None for the built-in head
-    albedo, normal_map, specular_map, roughness_map : image files that replace the file's own maps
+    albedo, normal_map, specular_map, roughness_map, lobe_map : image files that replace the file's
+        own maps; see :class:`facerender.Material`
     flip_v : turn the texture coordinates upside down, for files that store v the other way
     millimetres : that a unit of the file is, which scattering needs; None for what the format says:
         1000 in .glb and .gltf, nothing in others
@@ -50,7 +52,7 @@ def load_mesh(
     InputError : the file or a map is missing, empty, damaged, of no known format, or has no faces;
         millimetres outside [1e-6, 1e6]
     """
-    files = _files(path, albedo, normal_map, specular_map, roughness_map, flip_v)
+    files = _files(path, albedo, normal_map, specular_map, roughness_map, flip_v, lobe_map)
     if not cache:
         return _scaled(_read(files)[0], millimetres)
     if (found := files.find()) is not None:
@@ -82,12 +84,14 @@ def _files(
     specular_map: Path_ | None,
     roughness_map: Path_ | None,
     flip_v: bool,
+    lobe_map: Path_ | None,
 ) -> Files:
     maps = {
         "albedo_map": albedo,
         "normal_map": normal_map,
         "specular_map": specular_map,
         "roughness_map": roughness_map,
+        "lobe_map": lobe_map,
     }
     return Files(
         Path(path) if path is not None else data_dir("assets") / "head.glb",

@@ -34,7 +34,11 @@ _LENGTH = struct.Struct("<Q")
 _PACKAGE = Path(__file__).parents[1]
 _LIBRARIES = ("numpy", "scipy", "trimesh", "PIL", "DracoPy")
 # What the maps of a material are drawn from.
-_CHAINS: dict[str, Kind] = {"albedo_map": "color", "normal_map": "normal", "property_map": "data"}
+_CHAINS: dict[str, Kind] = {
+    "albedo_map": "color",
+    "normal_map": "normal",
+    **dict.fromkeys(("property_map", "lobe_map"), "data"),
+}
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,9 @@ def bound(scene: Scene, shading: Shading, full: Shading, budget: Budget) -> floa
         radiance = 0.0
         if shading.ambient != full.ambient:
             radiance = material.kd / np.pi * max(material.albedo) * np.max(scene.ambient)
+        if _coupling(shading) != _coupling(full):  # two factors in [0, 2]
+            received = sum(_highest(light) for light, *_ in lit) + np.max(scene.ambient)
+            radiance += 2.0 * material.kd / np.pi * max(material.albedo) * received
         switches = ["curvature"]
         if material.normal_map is not None:
             switches += ["normal_map", "slope_filter"]
@@ -58,13 +61,16 @@ def bound(scene: Scene, shading: Shading, full: Shading, budget: Budget) -> floa
         weight = max(_weight(material, each) for each in (shading, full))
         same_weight = _same_weight(material, shading, full)
         for light, own, other in lit:
-            terms = {term: _slopes(term, slopes) for term in (own, other) if term is not None}
+            terms = {
+                term: _slopes(term, slopes, material) for term in (own, other) if term is not None
+            }
             irradiance = _highest(light)
             if not terms or not irradiance:
                 continue
             # radiance is not negative: two differ by the larger one at most
             share = weight * max(_ceiling(term, ends) for term, ends in terms.items())
-            if own and other and _alike(own, other, terms) and same_weight:
+            lobes = shading.two_lobes == full.two_lobes or not material.two_lobes
+            if own and other and _alike(own, other, terms) and same_weight and lobes:
                 share = weight * _specular(material, terms[own], own, other)
             if share:
                 radiance += irradiance * share
@@ -72,8 +78,16 @@ def bound(scene: Scene, shading: Shading, full: Shading, budget: Budget) -> floa
     return budget.bound(worst)
 
 
-def _slopes(term: Term, slopes: Range) -> Range:
-    return slopes if term.m is None else (term.m, term.m)
+def _coupling(shading: Shading) -> object:
+    """What diffuse light depends on beside the material."""
+    if shading.diffuse == "lambert":
+        return None
+    return shading.term.m, shading.lights, shading.ks, shading.two_lobes
+
+
+def _slopes(term: Term, slopes: Range, material: Material) -> Range:
+    """Of all lobes that there may be: two together are between what each alone would be."""
+    return slopes if term.m is None else material.with_second(term.m, term.m)
 
 
 def _alike(term: Term, other: Term, slopes: Mapping[Term, Range]) -> bool:

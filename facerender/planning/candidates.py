@@ -21,6 +21,7 @@ SMALLEST_PLAIN_SLOPE = 0.1
 # A decision's name, and what of a shading it is about; those of a term are decided together where
 # the model changes.
 DECISIONS = {
+    "two lobes": "two_lobes",
     "lights": "specular_lights",
     "frontal": "frontal_lights",
     "shadows": "shadow_lights",
@@ -28,6 +29,7 @@ DECISIONS = {
     "slope": "term.m",
     "specular weight": "ks",
     "ambient": "ambient",
+    "diffuse": "diffuse",
     "model": "term.model",
     "lobe": "term.lobe",
     "Fresnel": "term.fresnel",
@@ -35,6 +37,7 @@ DECISIONS = {
     "small slopes": "term.small_slope",
 }
 _GET = {name: attrgetter(path) for name, path in DECISIONS.items()}
+SINGLE = ("two lobes", "slope")  # decided together: a single lobe has a slope of its own
 TERM = ("model", "lobe", "Fresnel", "masking", "small slopes", "frontal")
 
 
@@ -48,6 +51,7 @@ class Constants:
     faintest : indices of the lights by how bright their highlights are, the faintest first
     frontal : indices of the lights by how much the term of frontal light loses, the least first
     shadows : indices of the lights that cast shadows by how much those darken, the least first
+    single : slopes of one lobe in place of two
     """
 
     m: float
@@ -55,6 +59,7 @@ class Constants:
     faintest: tuple[int, ...]
     frontal: tuple[int, ...] = ()
     shadows: tuple[int, ...] = ()
+    single: tuple[float, ...] = ()
 
 
 def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Shading]:
@@ -69,9 +74,11 @@ def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Sh
         name: any(getattr(each, name) is not None for each in materials)
         for name in ("normal_map", "specular_map")
     }
-    slopes: list[float | None] = [full.term.m]
+    slopes: list[tuple[bool, float | None]] = [(full.two_lobes, full.term.m)]
     if full.term.m is None:
-        slopes.append(constants.m)
+        slopes.append((full.two_lobes, constants.m))
+    if full.two_lobes:
+        slopes += [(False, m) for m in constants.single]
     weights: list[float | None] = [full.ks]
     if full.ks is None and textured["specular_map"]:
         weights.append(constants.ks)
@@ -80,17 +87,18 @@ def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Sh
     kinds += [tuple(sorted(kept[gone:])) for gone in range(1, len(kept) + 1)]
     cast: list[tuple[int, ...] | None] = [full.shadow_lights]
     cast += [tuple(sorted(constants.shadows[n:])) for n in range(1, len(constants.shadows) + 1)]
-    for m, ks, shadows, normal_map, ambient in product(
+    for (two_lobes, m), ks, shadows, normal_map, ambient, diffuse in product(
         slopes,
         weights,
         cast,
         {full.normal_map, full.normal_map and not textured["normal_map"]},
         {full.ambient, full.ambient and not any(scene.ambient)},  # type: ignore[arg-type]
+        dict.fromkeys((full.diffuse, "lambert")),
     ):
         term = replace(full.term, m=m)
-        surface = replace(
-            full, term=term, ks=ks, shadow_lights=shadows, normal_map=normal_map, ambient=ambient
-        )
+        own: dict[str, Any] = {"two_lobes": two_lobes, "normal_map": normal_map, "ambient": ambient}
+        own |= {"shadow_lights": shadows, "diffuse": diffuse}
+        surface = replace(full, term=term, ks=ks, **own)
         for shading in _terms(scene, surface):
             for lights in kinds:
                 if lights == () and shading != surface:
@@ -158,11 +166,12 @@ def changed(shading: Shading, full: Shading) -> list[str]:
 
 def groups(shading: Shading, full: Shading) -> dict[str, tuple[str, ...]]:
     """Return the decisions in which two shadings differ, each with those that go with it: the whole
-    term with the model."""
+    term with the model, the slope with a single lobe."""
     differs = changed(shading, full)
-    if "model" not in differs:
-        return {name: (name,) for name in differs}
-    return {name: (name,) for name in differs if name not in TERM} | {"model": TERM}
+    together = {"two lobes": SINGLE, "model": TERM}
+    made = {name: together[name] for name in differs if name in together}
+    inside = {each for names in made.values() for each in names}
+    return {name: (name,) for name in differs if name not in inside} | made
 
 
 def values(shading: Shading, names: Sequence[str]) -> dict[str, Any]:
@@ -184,5 +193,5 @@ def with_decisions(shading: Shading, other: Shading, names: Sequence[str]) -> Sh
 def alone(shading: Shading, full: Shading, names: Sequence[str]) -> Shading:
     """Return the full shading with some decisions of another by themselves."""
     # a g-power is fitted to the slope that was chosen, and means nothing at another
-    base = with_decisions(full, shading, ("slope",)) if "lobe" in names else full
+    base = with_decisions(full, shading, SINGLE) if "lobe" in names else full
     return with_decisions(base, shading, names)

@@ -8,7 +8,7 @@ from itertools import islice
 
 from facerender.planning.candidates import (
     DECISIONS,
-    TERM,
+    SINGLE,
     alone,
     changed,
     groups,
@@ -22,7 +22,7 @@ from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
 # What they save is no share of the specular terms.
-_OF_THE_WHOLE = ("normal map", "ambient", "shadows")
+_OF_THE_WHOLE = ("normal map", "ambient", "diffuse", "shadows")
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ def decisions(
     for name in DECISIONS:
         if name in made:
             yield _made(choice, shading, name, made[name], error)
-        elif name in TERM and "model" in made:
-            continue  # told with the model
+        elif any(name in names for names in made.values()):
+            continue  # told with another
         elif (kept := _kept(choice, shading, name, otherwise, might)) is not None:
             yield kept
 
@@ -133,16 +133,19 @@ def _kept(
     might: str,
 ) -> Decision | None:
     own = choice.total(shading)
+    names = SINGLE if name == "two lobes" else (name,)
     others = [
         each
         for each in choice.ordered
-        if changed(each, shading) == [name] and choice.total(each) < own
+        if name in (differs := changed(each, shading))
+        and set(differs) <= set(names)
+        and choice.total(each) < own
     ]
     if not others:
         return None
     errors = [otherwise(each) for each in others]
     nearest = others[errors.index(min(errors))]
-    chosen, other = (_words(choice.scene, each, (name,)) for each in (shading, nearest))
+    chosen, other = (_words(choice.scene, each, names) for each in (shading, nearest))
     saved = choice.saved(nearest, shading)
     text = f"{chosen}: {other} {might} {choice.budget.text(min(errors))}, and save "
     text += _share(choice, name, saved)
@@ -168,6 +171,7 @@ def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:
     dark = [lights[i] for i in shadowed(scene, shading)]
     near = [lights[i] for i in shading.frontal_lights]
     words = {
+        "two lobes": "two" if shading.two_lobes else "one",
         "lights": f"specular of {', '.join(lit) or 'none'}",
         "shadows": f"of {', '.join(dark) or 'none'}",
         "frontal": f"{', '.join(near)} with Fresnel f0, not masked" if near else "none",
@@ -175,13 +179,14 @@ def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:
         "slope": "the material's" if term.m is None else f"constant {term.m:.4g}",
         "specular weight": "the material's" if shading.ks is None else f"constant {shading.ks:.4g}",
         "ambient": "on" if shading.ambient else "off",
+        "diffuse": shading.diffuse,
         "model": term.model,
         "lobe": f"lobe {term.lobe}",
         "Fresnel": f"Fresnel {term.fresnel}",
         "masking": f"masking {term.masking}",
         "small slopes": "small slopes " + ("plain" if term.small_slope is False else "exact"),
     }
-    told = names if term.entry.factors else names[:2]
+    told = names if term.entry.factors or "model" not in names else names[:2]
     if len(names) == 1:
         return words[names[0]].removeprefix(names[0]).strip()
     return ", ".join(words[name] for name in told if name not in ("small slopes", "frontal"))

@@ -138,13 +138,14 @@ class Plan:
         ------
         InputError : an unknown target
         """
-        smallest = min(
-            low for low, _ in slope_ranges(simplify(self.scene, self.shading), self.shading)
-        )
-        flat = term_source(self.shading.term, smallest, target)
+        simple = simplify(self.scene, self.shading)
+        smallest = min(low for low, _ in slope_ranges(simple, self.shading))
+        two = any(each.two_lobes for each in simple.mesh.materials)
+        flat = term_source(self.shading.term, smallest, target, two)
         version, _, rest = flat.partition("\n") if flat.startswith("#") else ("", "", flat)
         terms = [self.shading.of(light) for light in range(len(self.scene.lights))]
-        calls = [call(replace(term, m=None)) if term else "none" for term in terms]
+        second = 1.0 if two else None
+        calls = [call(replace(term, m=None), second) if term else "none" for term in terms]
         lines = [f"BRDF of light {light}: {text}" for light, text in enumerate(calls)]
         notes = [f"// {line}" for line in [*self.explain().splitlines(), *lines]]
         return "\n".join(filter(None, [version, *notes, rest]))

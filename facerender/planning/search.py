@@ -284,14 +284,16 @@ class Region:
 
 
 def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:
-    arrays = [each.name for each in fields(gbuffer) if each.name != "view"]
-    return replace(gbuffer, **{name: getattr(gbuffer, name)[index] for name in arrays})
+    values = {each.name: getattr(gbuffer, each.name) for each in fields(gbuffer)}
+    arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+    return replace(gbuffer, **{name: value[index] for name, value in arrays.items()})
 
 
 def constants_seen(scene: Scene, full: Shading, views: Sequence[Region]) -> Constants:
     """Return what stands for the maps, their means weighted by the highlights, and how bright those
     of each light are."""
-    ends = {end for slopes in slope_ranges(simplify(scene, full), full) for end in slopes}
+    single = simplify(scene, replace(full, two_lobes=False))
+    ends = {end for slopes in slope_ranges(single, full) for end in slopes}
     peaks, losses, darkened = np.zeros((3, len(scene.lights)))
     cast = shadowed(scene, full)
     m, ks, light = [], [], []
@@ -314,5 +316,22 @@ def constants_seen(scene: Scene, full: Shading, views: Sequence[Region]) -> Cons
         tuple(int(light) for light in np.argsort(each, kind="stable")) for each in (peaks, losses)
     )
     shadows = tuple(sorted(cast, key=lambda light: darkened[light]))
-    m_of_all = ends.pop() if len(ends) == 1 else means[0]
-    return Constants(m_of_all, means[1], faintest, frontal, shadows)
+    slope = ends.pop() if len(ends) == 1 else means[0]
+    return Constants(slope, means[1], faintest, frontal, shadows, _single(views, weights))
+
+
+def _single(views: Sequence[Region], weights: Float) -> tuple[float, ...]:
+    """Slopes of one lobe in place of two, from the narrow one of the same peak to the broad one of
+    the same variance of slopes, of means so weighted."""
+    if any(view.mapped.second_m is None for view in views):
+        return ()
+    share, first, second = (
+        np.concatenate([getattr(view.mapped, name)[view.counted] for view in views]).astype(float)
+        for name in ("lobe_weight", "m", "second_m")
+    )
+    peak, variance = (
+        float(np.average(share * first**power + (1 - share) * second**power, weights=weights))
+        ** (1 / power)
+        for power in (-2, 2)
+    )
+    return tuple(np.geomspace(peak, variance, 4).tolist())

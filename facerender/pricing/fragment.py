@@ -86,7 +86,9 @@ def scene_with(
     return Scene(mesh, lights=tuple(sources), ambient=(0.2, 0.3, 0.4) if ambient else 0.0)
 
 
-def program_of(scene: Scene, shading: Shading | None = None, stub: str = "") -> Program:
+def program_of(
+    scene: Scene, shading: Shading | None = None, stub: str = "", coupled: bool = False
+) -> Program:
     """Return the host's program of a scene's first part, for m >= SLOPE.
 
     Parameters
@@ -98,6 +100,8 @@ def program_of(scene: Scene, shading: Shading | None = None, stub: str = "") -> 
     lighting = Lighting.of(scene, chosen)
     terms = lighting.terms if shading else ()
     (part, *_), (material, *_) = scene.mesh.parts, scene.mesh.materials
+    if coupled:
+        chosen = chosen.replace(diffuse="coupled")
     program = shade_program(part, material, scene, chosen, lighting, terms, SLOPE)
     return replace(program, calls=(stub,)) if stub else program
 
@@ -125,6 +129,8 @@ def parts_of(program: Program) -> dict[str, int]:
         "ambient term": int("AMBIENT" in program.features),
         **{kind.price: counts[name] for name, kind in sorted(LIGHT_KINDS.items())},
         **{price: dark[price] for price in SHADOWS},
+        "coupled diffuse": int("COUPLED" in program.features),
+        "light of coupled diffuse": counts.total() * ("COUPLED" in program.features),
         "first specular term": min(specular, 1),
         "further specular term": max(specular - 1, 0),
     }
@@ -163,8 +169,10 @@ def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
         scene_with((*albedo, *PROPERTY_MAPS), ambient=True),
     ]
     stub = "" if shading else amd.EMPTY
-    return [(scene, program_of(scene)) for scene in dull] + [
-        (scene, program_of(scene, shading, stub)) for scene in specular
+    return [
+        *((scene, program_of(scene)) for scene in dull),
+        *((scene, program_of(scene, coupled=True)) for scene in dull[:2]),
+        *((scene, program_of(scene, shading, stub)) for scene in specular),
     ]
 
 

@@ -53,7 +53,8 @@ class Prices:
     source : what they are and where they are from, in words
     unit : of all of them
     parts : those of ``fragment.PARTS`` apart from specular terms
-    terms : by :func:`term_name`, of a specular term in the first light that has one, and in another
+    terms : by :func:`term_name`, of a specular term in the first light that has one, and in
+        another; by :func:`second_name`, of its second lobe
     """
 
     source: str
@@ -91,16 +92,26 @@ class Prices:
         ):
             shine = 0.0
             if material.ks:
-                terms = [self._priced(self.terms, term_name(each, smallest)) for each in lit]
-                shine = sum(first if i == 0 else more for i, (first, more) in enumerate(terms))
+                shine = self._specular([term_name(each, smallest) for each in lit])
+                if material.two_lobes:
+                    shine += self._specular([second_name(each, smallest) for each in lit])
             ambient = material.kd > 0.0 and any(simple.ambient)  # type: ignore[arg-type]
+            coupled = shading.diffuse == "coupled" and material.kd > 0.0 and material.ks > 0.0
             sum_ = self.parts["base program"] + shine + lights
-            sum_ += self._maps(part, material, ambient, shine > 0.0)
+            if coupled:
+                sum_ += self._priced(self.parts, "coupled diffuse")
+                each = self._priced(self.parts, "light of coupled diffuse")
+                sum_ += len(simple.lights) * each
+            sum_ += self._maps(part, material, ambient, shine > 0.0 or coupled)
             sum_ += self.parts["ambient term"] * ambient
             faces += len(part.faces)
             total += len(part.faces) * sum_
             specular += len(part.faces) * shine
         return total / faces, specular / faces
+
+    def _specular(self, names: Iterable[str]) -> float:
+        terms = (self._priced(self.terms, name) for name in names)
+        return sum(first if i == 0 else more for i, (first, more) in enumerate(terms))
 
     def _priced(self, prices: Mapping[str, P], name: str) -> P:
         if name not in prices:
@@ -120,7 +131,10 @@ class Prices:
             "normal map": material.normal_map is not None,
             "property map": any(each is not None for each in read),
         }
-        return sum(self.parts[name] for name, is_there in has.items() if is_there)
+        cost = sum(self.parts[name] for name, is_there in has.items() if is_there)
+        if shines and material.two_lobes and material.lobe_map is not None:
+            cost += self.parts["property map"]  # another texture of the kind
+        return cost
 
 
 def load_prices(
@@ -148,10 +162,17 @@ def load_prices(
         return Prices(**table[kind])
     if kind == HERE or kind in COMPILED:
         wanted: dict[str, Term] = {}
+        seconds: dict[str, Term] = {}
+        two_lobes = any(material.two_lobes for material in scene.mesh.materials)
         for shading in shadings:
             for term in Lighting.of(scene, shading).terms:
                 wanted |= _variants(term)
-        return measured(wanted) if kind == HERE else compiled(COMPILED[kind], wanted)
+                if two_lobes and shading.two_lobes:
+                    seconds |= _seconds(term)
+        wanted |= {term_name(each, SLOPE): each for each in seconds.values()}
+        if kind == HERE:
+            return measured(wanted, seconds=seconds)
+        return compiled(COMPILED[kind], wanted, seconds)
     known = ", ".join([FRAME, "auto", *table, HERE, *COMPILED])
     raise InputError(f"unknown cost {kind!r}; known: {known}")
 
@@ -167,6 +188,21 @@ def term_name(term: Term, smallest_m: float) -> str:
     if term.m is not None:
         words.append("constant")
     return " ".join(words)
+
+
+def second_name(term: Term, smallest_m: float) -> str:
+    """Name the second lobe of a term, as far as its cost depends on it: it shares the Fresnel and
+    the masking term."""
+    return f"second lobe of {term_name(_unfactored(term), smallest_m)}"
+
+
+def _unfactored(term: Term) -> Term:
+    return replace(term, fresnel=Term.fresnel, masking=Term.masking)
+
+
+def _seconds(term: Term) -> dict[str, Term]:
+    """The terms whose second lobes cost what those of a term's variants do, by name."""
+    return {second_name(each, SLOPE): _unfactored(each) for each in _variants(term).values()}
 
 
 def _variants(term: Term) -> dict[str, Term]:
@@ -188,8 +224,22 @@ def all_terms() -> dict[str, Term]:
     return terms
 
 
-def compiled(family: str, wanted: Mapping[str, Term]) -> Prices:
+def all_seconds() -> dict[str, Term]:
+    """Return every term whose second lobe has a price of its own, by name."""
+    seconds: dict[str, Term] = {}
+    for term in all_terms().values():
+        seconds |= _seconds(term)
+    return seconds
+
+
+def compiled(
+    family: str, wanted: Mapping[str, Term], seconds: Mapping[str, Term] | None = None
+) -> Prices:
     """Have RADV compile the host's program with each term, for one light and for two.
+
+    Parameters
+    ----------
+    seconds : terms, all of them wanted, whose second lobes are priced
 
     Raises
     ------
@@ -199,24 +249,45 @@ def compiled(family: str, wanted: Mapping[str, Term]) -> Prices:
 
     parts = fragment.by_compiler(family)
     scenes = [fragment.scene_with(), fragment.scene_with(directional=2)]
-    rows = fragment.cycles(
-        [
-            fragment.program_of(scene, Shading(term=term))
-            for term in wanted.values()
-            for scene in scenes
-        ],
-        family,
-    )
     dull = [fragment.estimate(fragment.program_of(scene), parts) for scene in scenes]
-    terms = {}
-    for name, first, both in zip(wanted, rows[::2], rows[1::2], strict=True):
-        terms[name] = (first - dull[0], (both - dull[1]) - (first - dull[0]))
+
+    def specular(terms: Mapping[str, Term], **material: float) -> dict[str, tuple[float, float]]:
+        drawn = [replace(each, mesh=each.mesh.with_material(**material)) for each in scenes]
+        programs = [
+            fragment.program_of(scene, Shading(term=term))
+            for term in terms.values()
+            for scene in drawn
+        ]
+        rows = fragment.cycles(programs, family)
+        pairs = zip(terms, rows[::2], rows[1::2], strict=True)
+        return {
+            name: (first - dull[0], (both - dull[1]) - (first - dull[0]))
+            for name, first, both in pairs
+        }
+
+    terms = specular(wanted)
+    if seconds:
+        terms |= _added(specular(seconds, **_TWO_LOBES), terms, seconds)
     source = f"{amd.driver()}'s estimate for {FAMILY_NAMES[family]}"
     return Prices(source, "cycles of a wave", _without_specular(parts), terms)
 
 
-def measured(wanted: Mapping[str, Term], repeats: int = 7) -> Prices:
-    """Measure every part and term here, by slope.
+_TWO_LOBES = {"second_slope": 1.5, "lobe_weight": 0.5}
+
+
+def _added(two: Terms, one: Terms, seconds: Mapping[str, Term]) -> dict[str, tuple[float, float]]:
+    """What second lobes add, of what terms cost with two lobes and with one."""
+    added = {}
+    for name, term in seconds.items():
+        first, further = one[term_name(term, SLOPE)]
+        added[name] = (two[name][0] - first, two[name][1] - further)
+    return added
+
+
+def measured(
+    wanted: Mapping[str, Term], repeats: int = 7, seconds: Mapping[str, Term] | None = None
+) -> Prices:
+    """Measure every part and term here, by slope; seconds as of :func:`compiled`.
 
     Raises
     ------
@@ -227,17 +298,24 @@ def measured(wanted: Mapping[str, Term], repeats: int = 7) -> Prices:
 
     parts = {name: each.value for name, each in fragment.by_slope(repeats=repeats).items()}
     calls = {name: (prelude([term], SLOPE), call(term)) for name, term in wanted.items()}
+    calls |= {
+        name: (_LOBES + prelude([term], SLOPE, two_lobes=True), call(term, 1.5))
+        for name, term in (seconds or {}).items()
+    }
     times = cost.by_slope(calls, repeats=repeats)
     terms = {
         name: (parts[_SPECULAR[0]] + time.value, parts[_SPECULAR[1]] + time.value)
         for name, time in times.items()
     }
+    terms |= _added(terms, terms, seconds or {})
     context = create_context()
     context.release()
     source = f"measured on {context.renderer}, OpenGL {context.version}"
     return Prices(source, "ns", _without_specular(parts), terms)
 
 
+# What a second lobe reads, for a program that has no uniforms.
+_LOBES = "#define second_m (1.5 * m)\n#define lobe_weight (0.5 + f0)\n"
 _SPECULAR = ("first specular term", "further specular term")
 
 
@@ -248,9 +326,9 @@ def _without_specular(parts: Mapping[str, float]) -> dict[str, float]:
 def main() -> None:
     from facerender.pricing import amd
 
-    terms = all_terms()
-    prices_of = {family: compiled(family, terms) for family in amd.FAMILIES}
-    prices_of["llvmpipe"] = measured(terms, repeats=15)
+    terms, seconds = all_terms(), all_seconds()
+    prices_of = {family: compiled(family, terms, seconds) for family in amd.FAMILIES}
+    prices_of["llvmpipe"] = measured(terms, repeats=15, seconds=seconds)
     rows = {kind: _rounded(asdict(prices)) for kind, prices in prices_of.items()}
     text = json.dumps(rows, indent=1)
     text = re.sub(r"\[\s+(\S+),\s+(\S+)\s+\]", r"[\1, \2]", text)  # a term on a line

@@ -20,7 +20,11 @@ if TYPE_CHECKING:
 SKIN_ALBEDO: Vector = (0.48, 0.28, 0.21)  # linear; where a mesh brings no colour of its own
 
 
-MAPS = ("albedo_map", "normal_map", "roughness_map", "specular_map", "occlusion_map")
+MAPS = (
+    *("albedo_map", "normal_map", "roughness_map", "specular_map", "occlusion_map"),
+    "lobe_map",
+)
+MAX_SECOND_SLOPE = 100.0
 
 
 @dataclass(frozen=True)
@@ -35,8 +39,12 @@ class Material:
     f0 : Fresnel reflectance at normal incidence, in [0, 1)
     ks, kd : specular and diffuse weights, >= 0. 1 is a bare dielectric; 0.18, from GPU Gems 3
         chapter 14, suits powdered skin
+    second_slope, lobe_weight : of a second lobe, the factor on m, in [0.01, 100], and the share of
+        the first lobe, in [0, 1]; with 1 for either there is one lobe
     albedo_map, normal_map, roughness_map, specular_map, occlusion_map : textures or None; only the
         albedo is sRGB-encoded; green of the normal map points up; occlusion dims ambient light
+    lobe_map : texture or None; its red multiplies the share of the second lobe, 1 - lobe_weight:
+        white where sweat or oil is, black where there is none
     scattering : how light enters and leaves beside: "skin", or Gaussians, each as its variance in
         mm^2 and its weights of red, green and blue, which add up to 1 at most; what they lack to 1
         leaves where it enters. None or "none" for a surface that does not scatter
@@ -48,11 +56,14 @@ class Material:
     f0: float = 0.028
     ks: float = 1.0
     kd: float = 1.0
+    second_slope: float = 1.0
+    lobe_weight: float = 1.0
     albedo_map: Texture | None = None
     normal_map: Texture | None = None
     roughness_map: Texture | None = None
     specular_map: Texture | None = None
     occlusion_map: Texture | None = None
+    lobe_map: Texture | None = None
     scattering: str | Gaussians | None = None
 
     def __post_init__(self) -> None:
@@ -62,6 +73,10 @@ class Material:
         check_range("f0", self.f0, 0.0, 0.999)
         check_range("ks", self.ks, 0.0, MAX_WEIGHT)
         check_range("kd", self.kd, 0.0, MAX_WEIGHT)
+        check_range("second_slope", self.second_slope, 1.0 / MAX_SECOND_SLOPE, MAX_SECOND_SLOPE)
+        check_range("lobe_weight", self.lobe_weight, 0.0, 1.0)
+        if self.two_lobes and self.roughness_map is None:
+            check_range("m times second_slope", self.m * self.second_slope, MIN_SLOPE, MAX_SLOPE)
         for name in MAPS:
             value = getattr(self, name)
             if value is not None and not isinstance(value, Texture):
@@ -76,19 +91,32 @@ class Material:
         """Pickles no more than the parameters."""
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
+    @property
+    def two_lobes(self) -> bool:
+        """Whether there is a second lobe that differs from the first."""
+        return self.second_slope != 1.0 and self.lobe_weight < 1.0
+
+    def with_second(self, low: float, high: float) -> tuple[float, float]:
+        """Return the smallest and largest slope of the lobes, of those of the first."""
+        if not self.two_lobes:
+            return low, high
+        second = (max(end * self.second_slope, MIN_SLOPE) for end in (low, high))
+        ends = (low, high, *second)
+        return min(ends), max(ends)
+
     @cached_property
     def slopes(self) -> tuple[float, float]:
-        """The smallest and largest m, of the roughness map if there is one, which is then
-        decoded."""
+        """The smallest and largest m of all lobes, of the roughness map if there is one, which is
+        then decoded."""
         if self.roughness_map is None or self.property_map is None:
-            return self.m, self.m
+            return self.with_second(self.m, self.m)
         roughness = self.property_map.levels("data").result()[0][..., 1]
         ends = (
             self.roughness_factor * float(end) / 255.0
             for end in (np.min(roughness), np.max(roughness))
         )
         low, high = (max(end**2, MIN_SLOPE) for end in ends)
-        return low, high
+        return self.with_second(low, high)
 
     @cached_property
     def property_map(self) -> Texture | None:

@@ -92,5 +92,6 @@ class Mesh:
 
 
 def slope_range(part: Part, material: Material) -> tuple[float, float]:
-    """Return the smallest and the largest m; without texture coordinates no map counts."""
-    return (material.m, material.m) if part.uv is None else material.slopes
+    """Return the smallest and the largest m of all lobes; without texture coordinates no map
+    counts."""
+    return material.with_second(material.m, material.m) if part.uv is None else material.slopes

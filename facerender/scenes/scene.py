@@ -11,10 +11,10 @@ from facerender.scenes.mesh import Mesh, slope_range
 from facerender.scenes.vectors import Vector, non_negative
 from facerender.shading import Shading
 from facerender.terms.slope_variance import (
-    MAP_DEVIATION,
     MAX_PIXEL_VARIANCE,
     slope_filtered,
     slope_variance_disc,
+    slope_variance_map,
 )
 
 Only = Literal["specular", "diffuse", "albedo", "normal", "depth", "cosines", "visibility"]
@@ -63,8 +63,10 @@ def slope_ranges(scene: Scene, shading: Shading) -> list[tuple[float, float]]:
     ranges = []
     for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
         smallest, largest = slope_range(part, material)
-        mapped = part.uv is not None and material.normal_map is not None and shading.normal_map
-        if variance := shared + MAP_DEVIATION**2 * (mapped and shading.slope_filter):
+        variance = shared
+        if part.uv is not None and material.normal_map and shading.normal_map:
+            variance += float(slope_variance_map(1.0)) * shading.slope_filter
+        if variance:
             largest = float(slope_filtered(largest, variance))
         ranges.append((smallest, largest))
     return ranges

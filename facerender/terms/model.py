@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError
+from facerender.errors import InputError, check_range
 from facerender.terms.entry import Entry, named, registry
 from facerender.terms.fresnel import fresnel
 from facerender.terms.lobe import AnyLobe, lobe_entry
@@ -62,6 +62,8 @@ class Model(Entry):
     family : models of one stand for each other in a plan; they agree where normal, light and eye
         coincide
     printed : call of the paper's literal form of it, where it is another
+    two : the same with two lobes in one, also of ``{second}``, the second slope, and of float
+        lobe_weight; None where the mean of two calls is as good
     at_most : of the smallest m, the largest f N.L N.V there and at every larger m, for a lobe and
         terms that are at most 1; None where nobody knows: a guarantee then refuses the model
     """
@@ -72,21 +74,24 @@ class Model(Entry):
     factors: bool = False
     family: str
     printed: str = ""
+    two: Entry | None = None
     at_most: Callable[[float], float] | None = None
 
 
-def _checked_unit(name: str, vectors: ArrayLike) -> Float:
+def checked_unit(name: str, vectors: ArrayLike) -> Float:
+    """Return vectors (..., 3) as float64, or raise InputError where one is no unit vector."""
     array = np.asarray(vectors, dtype=np.float64)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise InputError(f"{name} has shape {array.shape}: its last axis must hold x, y, z")
-    length = np.sqrt(_dot(array, array))
+    length = np.sqrt(dot(array, array))
     if not (np.abs(length - 1.0) <= 1e-5).all():
         worst = length.flat[np.argmax(np.abs(length - 1.0))]
         raise InputError(f"{name} holds a vector of length {worst:g}: give unit vectors")
     return array
 
 
-def _dot(a: Float, b: Float) -> Float:
+def dot(a: Float, b: Float) -> Float:
+    """Return the dot products of vectors (..., 3)."""
     return np.asarray(np.einsum("...i,...i", a, b))  # six times as fast as a sum
 
 
@@ -94,18 +99,18 @@ class _Geometry:
     """The cosines that the BRDFs share; placeholders of 1 where the result is 0."""
 
     def __init__(self, n: ArrayLike, l: ArrayLike, v: ArrayLike) -> None:
-        normal, light, eye = _checked_unit("n", n), _checked_unit("l", l), _checked_unit("v", v)
+        normal, light, eye = checked_unit("n", n), checked_unit("l", l), checked_unit("v", v)
         half = light + eye
-        n_dot_l, n_dot_v, n_dot_h = _dot(normal, light), _dot(normal, eye), _dot(normal, half)
+        n_dot_l, n_dot_v, n_dot_h = dot(normal, light), dot(normal, eye), dot(normal, half)
         self.above = (n_dot_l > MIN_COSINE) & (n_dot_v > MIN_COSINE)
-        length = np.where(self.above, np.sqrt(_dot(half, half)), 1.0)
+        length = np.where(self.above, np.sqrt(dot(half, half)), 1.0)
         self.n_dot_l = np.where(self.above, n_dot_l, 1.0)
         self.n_dot_v = np.where(self.above, n_dot_v, 1.0)
         self.n_dot_h = np.minimum(np.where(self.above, n_dot_h / length, 1.0), 1.0)
         self.v_dot_h = np.where(self.above, 0.5 * length, 1.0)  # |l + v| = 2 V.H
         # From the cross product: 1 - c^2 would lose the digits of a small angle.
         cross = np.cross(normal, half)
-        self.tan2 = np.where(self.above, _dot(cross, cross), 0.0) / (self.n_dot_h * length) ** 2
+        self.tan2 = np.where(self.above, dot(cross, cross), 0.0) / (self.n_dot_h * length) ** 2
 
     def masking(self, name: str) -> Float:
         term = named("masking term", MASKING, name)
@@ -151,6 +156,41 @@ def cook_torrance(
     g = at.masking(masking_term)
     d = at.lobe(lobe, m, K_COOK_TORRANCE) / (4.0 * np.asarray(m, dtype=np.float64) ** 2)
     return np.where(at.above, f * g * d / (np.pi * at.n_dot_l * at.n_dot_v), 0.0)
+
+
+def cook_torrance_two(
+    n: ArrayLike,
+    l: ArrayLike,
+    v: ArrayLike,
+    m0: ArrayLike,
+    m1: ArrayLike,
+    weight: ArrayLike,
+    f0: ArrayLike,
+    *,
+    lobe: AnyLobe = "exact",
+    fresnel_term: str = "schlick",
+    masking_term: str = "v-cavity",
+) -> Float:
+    """Cook-Torrance specular BRDF with two lobes, F G (w D(m0) + (1 - w) D(m1))/(π (N.L)(N.V)), in
+    1/sr.
+
+    Parameters
+    ----------
+    m0, m1 : rms slopes of the lobes, in the domain of the lobe
+    weight : share w of the first lobe, in [0, 1]
+
+    Others and errors as in :func:`cook_torrance`.
+    """
+    w = np.asarray(weight, dtype=np.float64)
+    check_range("weight", float(w.min()), 0.0, 1.0)
+    check_range("weight", float(w.max()), 0.0, 1.0)
+    first, second = (
+        cook_torrance(
+            n, l, v, m, f0, lobe=lobe, fresnel_term=fresnel_term, masking_term=masking_term
+        )
+        for m in (m0, m1)
+    )
+    return w * first + (1.0 - w) * second
 
 
 def ward(
@@ -229,6 +269,12 @@ MODELS: dict[str, Model] = registry(
         factors=True,
         family="physical",
         printed="fr_printed_cook_torrance(n, l, v, m, f0)",
+        two=Entry(
+            name="cook-torrance-two",
+            file="cook_torrance_two",
+            call="fr_cook_torrance_two_terms("
+            "n, l, v, {m}, {second}, lobe_weight, f0, {lobe}, {fresnel}, {masking})",
+        ),
         at_most=_at_most,
     ),
     Model(

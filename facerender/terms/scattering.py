@@ -118,11 +118,11 @@ def scatter_area(c: ArrayLike) -> Float:
 
 
 def scatter_turn(x: ArrayLike, y: ArrayLike) -> Float:
-    """Return the angle of a pixel, in [0, 2 pi]; x and y are its column and row."""
+    """Return the angle of a pixel, in [-pi, pi]; x and y are its column and row."""
     column, row = (np.asarray(each).astype(np.uint32) for each in (x, y))
     inner = column * np.uint32(288237660) + row * np.uint32(25070368)
     outer = inner * np.uint32(53) - inner // np.uint32(59)
-    return np.asarray((outer >> np.uint32(8)) * (2.0 * math.pi / 16777216.0))
+    return np.asarray(((outer >> np.uint32(8)) - 8388608.0) * (math.pi / 8388608.0))
 
 
 def scatter(

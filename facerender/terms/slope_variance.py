@@ -11,7 +11,7 @@ from facerender.terms.lobe import MAX_SLOPE
 
 Float = NDArray[np.float64]
 
-MAP_DEVIATION = 0.35  # FR_MAP_DEVIATION
+MAP_DEVIATION, MAP_SHARE = 0.35, 0.5  # FR_MAP_DEVIATION, FR_MAP_SHARE
 MAX_PIXEL_VARIANCE = 0.1  # FR_MAX_PIXEL_VARIANCE
 MAX_RADIUS = 20.0  # degrees, of a disc
 _LEAST_V_DOT_H2 = 0.05
@@ -30,8 +30,8 @@ def slope_filtered(m: ArrayLike, variance: ArrayLike) -> Float:
 
 
 def slope_variance_map(alpha: ArrayLike) -> Float:
-    """Return the variance that a prepared normal map's alpha, in [0, 1], stands for."""
-    return (MAP_DEVIATION * np.asarray(alpha, dtype=np.float64)) ** 2
+    """Return the variance by which a prepared normal map's alpha, in [0, 1], widens the lobe."""
+    return np.asarray(MAP_SHARE * (MAP_DEVIATION * np.asarray(alpha, dtype=np.float64)) ** 2)
 
 
 def slope_variance_pixel(n_x: ArrayLike, n_y: ArrayLike) -> Float:
@@ -42,7 +42,8 @@ def slope_variance_pixel(n_x: ArrayLike, n_y: ArrayLike) -> Float:
     n_x, n_y : (..., 3), how much the unit normal changes from a pixel to the next
     """
     x, y = np.asarray(n_x, dtype=np.float64), np.asarray(n_y, dtype=np.float64)
-    return np.minimum(((x * x).sum(axis=-1) + (y * y).sum(axis=-1)) / 24.0, MAX_PIXEL_VARIANCE)
+    variance = ((x * x).sum(axis=-1) + (y * y).sum(axis=-1)) / 24.0
+    return np.asarray(np.minimum(variance, MAX_PIXEL_VARIANCE))
 
 
 def slope_variance_disc(s: ArrayLike, k: ArrayLike, v_dot_h: ArrayLike) -> Float:

@@ -24,17 +24,21 @@
 
 #include "facerender/constants.glsl"
 
+#ifdef GL_ES
+precision highp sampler2D;
+#endif
+
 // How many places fr_shadow_disc looks at for what stands before the light, and again for how much
 // of it is seen.
 #ifndef FR_SHADOW_SAMPLES
 #define FR_SHADOW_SAMPLES 16
 #endif
 
-// Whether a place of the map is lit at the depth z, 0 or 1, interpolated between four texels.
+// Whether a place of the map is lit at a depth, 0 or 1, interpolated between four texels.
 //
 //   formula   step(map, z), bilinear
-//   at        x and y in the light's space
-float fr_shadow_lit(highp sampler2D map, ivec3 tile, vec2 at, float z) {
+//   at, z     place and depth in the light's space
+float fr_shadow_lit(sampler2D map, ivec3 tile, vec2 at, float z) {
     vec2 texel = (at * 0.5 + 0.5) * float(tile.z) - 0.5;
     vec2 share = fract(texel);
     ivec2 low = ivec2(floor(texel));
@@ -55,7 +59,7 @@ float fr_shadow_lit(highp sampler2D map, ivec3 tile, vec2 at, float z) {
 // How much of a light without size a place sees.
 //
 //   formula   fr_shadow_lit at p, with the bias
-float fr_shadow_hard(highp sampler2D map, ivec3 tile, vec3 p, float bias) {
+float fr_shadow_hard(sampler2D map, ivec3 tile, vec3 p, float bias) {
     return fr_shadow_lit(map, tile, p.xy, p.z + bias);
 }
 
@@ -74,7 +78,7 @@ float fr_shadow_hard(highp sampler2D map, ivec3 tile, vec3 p, float bias) {
 //   turn         radians, of the spiral; another one at each pixel makes noise of what else were
 //                bands
 float fr_shadow_disc(
-    highp sampler2D map, ivec3 tile, vec3 p, vec2 plane, float tan_radius, float top, float bias,
+    sampler2D map, ivec3 tile, vec3 p, vec2 plane, float tan_radius, float top, float bias,
     float turn
 ) {
     const mat2 next = mat2(-0.73736888, 0.67549029, -0.67549029, -0.73736888);

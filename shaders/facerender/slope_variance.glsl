@@ -14,6 +14,10 @@
 // The deviation of slopes that alpha = 1 stands for in a prepared normal map.
 #define FR_MAP_DEVIATION 0.35
 
+// The share of a map's variance that widens the lobe. Relief such as pores is mostly flat with few
+// steep walls: the normal distribution of all its variance has a lower peak than its highlight.
+#define FR_MAP_SHARE 0.5
+
 // The largest variance that fr_slope_variance_pixel gives: at a silhouette the normal turns without
 // end, and lobes have a domain.
 #define FR_MAX_PIXEL_VARIANCE 0.1
@@ -31,13 +35,13 @@ float fr_slope_filtered(float m, float variance) {
 // Slope variance of the texels that one of a prepared normal map's levels stands for (facerender
 // shaders prepare-normal-map).
 //
-//   formula   (0.35 alpha)^2, alpha = sqrt((1 - |N|)/|N|)/0.35 of the mean N of unit normals
+//   formula   0.5 (0.35 alpha)^2, alpha = sqrt((1 - |N|)/|N|)/0.35 of the mean N of unit normals
 //   alpha     of the map, filtered with its red, green and blue, in [0, 1]
-//   error     docs/skin.md has what remains of a highlight's error; float32 adds 2e-7 of the result
+//   error     docs/skin.md has what remains of a highlight's error; float32 adds 3e-7 of the result
 //   source    Toksvig (2005), "Mipmapping normal maps", with the variance kept in place of |N|
 float fr_slope_variance_map(float alpha) {
     float deviation = FR_MAP_DEVIATION * alpha;
-    return deviation * deviation;
+    return FR_MAP_SHARE * deviation * deviation;
 }
 
 // Slope variance of a curved mesh over a pixel.

@@ -7,6 +7,9 @@ layout(location = 0) out vec4 position_part;
 layout(location = 1) out vec4 normal_slope;
 layout(location = 2) out vec4 albedo_weight;
 layout(location = 3) out vec4 uv_occlusion;
+#ifdef TWO_LOBES
+layout(location = 4) out vec4 second_slope_weight;
+#endif
 
 void main() {
 #ifdef VISIBLE
@@ -22,6 +25,9 @@ void main() {
     uv_occlusion = vec4(p.uv, s.occlusion, 1.0);
 #else
     uv_occlusion = vec4(0.0, 0.0, s.occlusion, 1.0);
+#endif
+#ifdef TWO_LOBES
+    second_slope_weight = vec4(s.second_m, s.lobe_weight, 0.0, 1.0);
 #endif
 #ifdef SCATTER
     uv_occlusion.a = dot(normalize(p.normal), normalize(eye - s.position));

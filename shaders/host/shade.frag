@@ -1,8 +1,12 @@
 // Radiance of a point: the sum over the lights of irradiance x N.L x BRDF, and the ambient term.
 // drawing/program.py writes what stands before: the lights' kinds, EVERY_LIGHT, which calls
 // add_light for each of them with the number of its term, -1 for none, and, where a light has a term,
-// SPECULAR and specular_term(term, n, l, v, m, f0).
+// SPECULAR and specular_term(term, n, l, v, m, f0), with TWO_LOBES of second_m and lobe_weight before
+// f0.
 #include "facerender/constants.glsl"
+#ifdef COUPLED
+#include "facerender/albedo.glsl"
+#endif
 #include "host/light/light.glsl"
 #include "host/surface.glsl"
 #ifdef SHADOWS
@@ -39,32 +43,47 @@ out vec4 radiance;
 
 vec3 diffuse;
 vec3 specular;
+#ifdef COUPLED
+mat2x4 specular_albedo;  // as fr_albedo_fit has it
+float eye_albedo;
+float mean_albedo;
+#endif
+
+// Adds light from l: `spread` is what a diffuse surface receives, `received` what lights a highlight.
+void add(Surface s, vec3 v, vec3 l, vec3 spread, vec3 received, int term) {
+#ifdef COUPLED
+    float towards = fr_albedo_of(specular_albedo, dot(s.normal, l));
+    spread *= fr_diffuse_coupled(towards, eye_albedo, mean_albedo);
+#endif
+    diffuse += spread;
+#ifdef SPECULAR
+    if (term < 0) return;
+#ifdef TWO_LOBES
+    specular +=
+        received * specular_term(term, s.normal, l, v, s.m, s.second_m, s.lobe_weight, f0);
+#else
+    specular += received * specular_term(term, s.normal, l, v, s.m, f0);
+#endif
+#endif
+}
 
 void add_light(Surface s, vec3 v, Light light, int term) {
     vec3 received = light.irradiance * max(dot(s.normal, light.direction), 0.0);
-    diffuse += received;
-#ifdef SPECULAR
-    if (term >= 0) {
-        specular += received * specular_term(term, s.normal, light.direction, v, s.m, f0);
-    }
-#endif
+    add(s, v, light.direction, received, received, term);
 }
 
 #if defined(DISC_LIGHTS) || defined(SPHERE_LIGHTS)
 void add_light(Surface s, vec3 v, Disc light, int term) {
     vec3 l = light.center.direction;
     float cosine = dot(s.normal, l);
-    diffuse += light.center.irradiance * fr_cosine_disc(cosine, light.size.x, light.size.y);
-#ifdef SPECULAR
-    if (term >= 0) {
-        float v_dot_h = 0.5 * length(l + v);
-        float m = fr_slope_filtered(
-            s.m, fr_slope_variance_disc(light.size.x, light.size.y, v_dot_h)
-        );
-        vec3 received = light.center.irradiance * max(cosine, 0.0);
-        specular += received * specular_term(term, s.normal, l, v, m, f0);
-    }
+    float variance =
+        fr_slope_variance_disc(light.size.x, light.size.y, 0.5 * length(l + v));
+    s.m = fr_slope_filtered(s.m, variance);
+#ifdef TWO_LOBES
+    s.second_m = fr_slope_filtered(s.second_m, variance);
 #endif
+    vec3 spread = light.center.irradiance * fr_cosine_disc(cosine, light.size.x, light.size.y);
+    add(s, v, l, spread, light.center.irradiance * max(cosine, 0.0), term);
 }
 #endif
 
@@ -73,8 +92,22 @@ vec3 shaded(Point p) {
     vec3 v = normalize(eye - s.position);
     diffuse = vec3(0.0);
     specular = vec3(0.0);
+#ifdef COUPLED
+    specular_albedo = fr_albedo_fit(s.m, f0);
+#ifdef TWO_LOBES
+    specular_albedo *= s.lobe_weight;
+    specular_albedo += (1.0 - s.lobe_weight) * fr_albedo_fit(s.second_m, f0);
+#endif
+    specular_albedo *= s.specular_weight;
+    mean_albedo = fr_albedo_mean(specular_albedo);
+    eye_albedo = fr_albedo_of(specular_albedo, dot(s.normal, v));
+#endif
 #ifdef AMBIENT
+#ifdef COUPLED
+    diffuse += ambient * s.occlusion * fr_diffuse_coupled(mean_albedo, eye_albedo, mean_albedo);
+#else
     diffuse += ambient * s.occlusion;
+#endif
 #endif
     EVERY_LIGHT
 #ifdef SCATTER

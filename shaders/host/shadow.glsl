@@ -2,7 +2,7 @@
 // SHADOW_DISCS that some have a size.
 #include "facerender/shadow.glsl"
 
-uniform highp sampler2D shadow_map;  // a square tile for each light, side by side
+uniform sampler2D shadow_map;  // a square tile for each light, side by side
 uniform mat4 shadow_view[SHADOWS];   // from the renderer's space to that of the light
 uniform vec2 shadow_size[SHADOWS];   // tangent of the light's radius, largest z
 

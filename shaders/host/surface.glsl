@@ -20,6 +20,13 @@ uniform sampler2D normal_map;
 #ifdef PROPERTY_MAP
 uniform sampler2D property_map;  // occlusion, roughness, specular weight
 #endif
+#ifdef TWO_LOBES
+uniform float second_slope;  // factor on m
+uniform float lobe_weight;   // of the first lobe
+#endif
+#ifdef LOBE_MAP
+uniform sampler2D lobe_map;  // in red the factor on the second lobe's share, 1 - lobe_weight
+#endif
 
 #if defined(SLOPE_FILTER) || defined(CURVATURE)
 #include "facerender/slope_variance.glsl"
@@ -32,6 +39,10 @@ struct Surface {
     float m;
     float specular_weight;
     float occlusion;
+#ifdef TWO_LOBES
+    float second_m;
+    float lobe_weight;
+#endif
 };
 
 #ifdef NORMAL_MAP
@@ -76,7 +87,11 @@ Surface surface(Point p) {
 #else
     vec3 albedo = vec3(1.0);
 #endif
+#ifdef TWO_LOBES
+    Surface s = Surface(p.position, n, albedo, slope, specular_weight, 1.0, slope, lobe_weight);
+#else
     Surface s = Surface(p.position, n, albedo, slope, specular_weight, 1.0);
+#endif
 #ifdef VERTEX_COLORS
     s.albedo *= p.color;
 #endif
@@ -95,9 +110,18 @@ Surface surface(Point p) {
     s.specular_weight *= properties.b;
 #endif
 #endif
+#ifdef TWO_LOBES
+    s.second_m = max(s.m * second_slope, FR_MIN_SLOPE);
+#ifdef LOBE_MAP
+    s.lobe_weight = 1.0 - (1.0 - lobe_weight) * TEXEL(lobe_map, p).r;
+#endif
+#endif
     s.m = max(s.m, FR_MIN_SLOPE);
-#if defined(SLOPE_FILTER) || defined(CURVATURE)
+#if (defined(SLOPE_FILTER) || defined(CURVATURE)) && !defined(CONSTANT_SLOPE)
     s.m = fr_slope_filtered(s.m, variance);
+#ifdef TWO_LOBES
+    s.second_m = fr_slope_filtered(s.second_m, variance);
+#endif
 #endif
     return s;
 }

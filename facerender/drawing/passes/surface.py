@@ -10,6 +10,8 @@ from facerender.drawing.program import (
     scene_uniforms,
     surface_features,
 )
+from facerender.scenes.material import Material
+from facerender.scenes.mesh import Part
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
 from facerender.shading import Shading
@@ -23,13 +25,15 @@ def surface_pass(
     scatters: bool = False,
 ) -> Pass:
     """Return the pass that draws position and part, normal and m, albedo and specular weight,
-    texture coordinates and occlusion of a simplified scene; where it scatters how the mesh faces
-    the eye as well. Visibility as of the pass that shades."""
+    texture coordinates and occlusion of a simplified scene, where a part has two lobes second m and
+    lobe weight, and where it scatters how the mesh faces the eye; visibility as of the pass that
+    shades."""
+    two = any(material.two_lobes for material in scene.mesh.materials)
     parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
     scatter = ("SCATTER",) * scatters
     draws = [
         Draw(
-            Program("gbuffer.frag", features=surface_features(part, material, shading) + scatter),
+            Program("gbuffer.frag", features=_features(part, material, shading, two) + scatter),
             {**part_uniforms(part, material), "part": number},
             part,
             material,
@@ -37,5 +41,11 @@ def surface_pass(
         for number, (part, material) in enumerate(parts, 1)
     ]
     uniforms = scene_uniforms(scene, view)
-    drawn = Pass("surface", Target(colors=4), tuple(draws), uniforms=uniforms)
+    drawn = Pass("surface", Target(colors=5 if two else 4), tuple(draws), uniforms=uniforms)
     return visibility.shaded(drawn) if visibility else drawn
+
+
+def _features(part: Part, material: Material, shading: Shading, two_lobes: bool) -> tuple[str, ...]:
+    """What a part has; every program of a pass writes to all of its targets."""
+    names = surface_features(part, material, shading)
+    return (*names, "TWO_LOBES") if two_lobes and not material.two_lobes else names

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
+from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from facerender.drawing.frame import GBuffer
 from facerender.drawing.renderer import Renderer
-from facerender.errors import NotMeasured
 from facerender.scenes.light import Light
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
@@ -45,12 +45,7 @@ class ShadowError:
 
 
 def shadow_error(renderer: Renderer, scene: Scene, light: Light, rays: int = 64) -> ShadowError:
-    """Measure the shadow of one light at every pixel's centre.
-
-    Raises
-    ------
-    NotMeasured : embreex is missing
-    """
+    """Measure the shadow of one light at every pixel's centre."""
     lit = replace(scene, lights=(replace(light, shadow=True),))
     gbuffer = renderer.gbuffer(lit, _PLAIN)
     position = gbuffer.position.astype(np.float64)
@@ -78,10 +73,6 @@ def by_rays(
     Parameters
     ----------
     gbuffer : whose normals are those of the mesh
-
-    Raises
-    ------
-    NotMeasured : embreex is missing
     """
     tracer = tracer_of(mesh)
     origin = gbuffer.position[pixels].astype(np.float64)
@@ -102,14 +93,8 @@ def by_rays(
     return seen / rays
 
 
-def tracer_of(mesh: Mesh) -> Any:
-    """Return what traces rays in the renderer's space; errors as of :func:`by_rays`."""
-    import trimesh
-
-    try:
-        from trimesh.ray.ray_pyembree import RayMeshIntersector
-    except ImportError:
-        raise NotMeasured("rays need embreex: pip install 'facerender[rays]'") from None
+def tracer_of(mesh: Mesh) -> RayMeshIntersector:
+    """Return what traces rays in the renderer's space."""
     positions = [mesh.normalised(part.positions) for part in mesh.parts]
     firsts = np.cumsum([0, *map(len, positions)])
     faces = [part.faces + first for part, first in zip(mesh.parts, firsts[:-1], strict=True)]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.image import linear_to_srgb
-from facerender.measure.shadows import tracer_of
+from trials.shadows import tracer_of
 from facerender.scenes.light import Light
 from facerender.scenes.material import SKIN_ALBEDO
 from facerender.scenes.mesh import Mesh

@@ -1,0 +1,69 @@
+"""Normal maps with their slope deviation, for other programs, as KTX files: Khronos Group, "KTX
+File Format Specification", version 2."""
+
+from __future__ import annotations
+
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from facerender._version import __version__
+from facerender.errors import InputError
+from facerender.image import write_bytes
+from facerender.scenes.texture import Texture
+
+_IDENTIFIER = b"\xabKTX 20\xbb\r\n\x1a\n"
+_R8G8B8A8_UNORM = 37  # VkFormat
+_CHANNELS = (0, 1, 2, 15)  # red, green, blue, alpha
+
+
+def prepare_normal_map(source: str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
+    """Write the mip chain of a normal map with its slope deviation, for ``fr_slope_variance_map``.
+
+    Parameters
+    ----------
+    source : an image, as of :meth:`Texture.open`
+    path : .ktx2, of RGBA with 8 bits; rows from the top down, linear
+
+    Raises
+    ------
+    InputError : the image is missing, damaged or too large; another suffix; a place that cannot be
+        written
+    """
+    if Path(path).suffix.lower() != ".ktx2":
+        raise InputError(f"{path}: unknown format {Path(path).suffix!r}; give .ktx2")
+    levels = Texture.open(source).levels("normal").result()
+    texels = [np.ascontiguousarray(level[::-1]).tobytes() for level in levels]
+    height, width = levels[0].shape[:2]
+    described, told = _description(), _told()
+    start = 80 + 24 * len(levels)
+    at = start + len(described) + len(told)
+    places = []
+    for each in reversed(texels):  # the smallest comes first
+        places.append(struct.pack("<3Q", at, len(each), len(each)))
+        at += len(each)
+    head = struct.pack("<9I", _R8G8B8A8_UNORM, 1, width, height, 0, 0, 1, len(levels), 0)
+    index = struct.pack("<4I2Q", start, len(described), start + len(described), len(told), 0, 0)
+    content = [_IDENTIFIER, head, index, *reversed(places), described, told, *reversed(texels)]
+    write_bytes(path, b"".join(content))
+
+
+def _description() -> bytes:
+    """What a texel is made of: the basic block of a Khronos data format descriptor."""
+    samples = [
+        struct.pack("<HBB4BII", 8 * i, 7, channel, 0, 0, 0, 0, 0, 255)
+        for i, channel in enumerate(_CHANNELS)
+    ]
+    rgb, bt709, linear = 1, 1, 1
+    block = struct.pack("<IHH4B4B8B", 0, 2, 88, rgb, bt709, linear, 0, *(0,) * 4, 4, *(0,) * 7)
+    return struct.pack("<I", 92) + block + b"".join(samples)
+
+
+def _told() -> bytes:
+    pieces = []
+    for key, value in (("KTXorientation", "rd"), ("KTXwriter", f"facerender {__version__}")):
+        pair = f"{key}\0{value}\0".encode()
+        pieces.append(struct.pack("<I", len(pair)) + pair + bytes(-len(pair) % 4))
+    return b"".join(pieces)

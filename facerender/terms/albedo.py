@@ -1,0 +1,161 @@
+"""Directional albedo of Cook-Torrance, as a fit, and what couples a diffuse term with it. The
+integral that is fitted is here as well.
+
+    python -m facerender.terms.albedo      prints the fit anew, in two minutes
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Float = NDArray[np.float64]
+
+ENDS = (0.05, 1.0)  # of m; what lies outside counts as the nearer one
+LOWEST = 0.02  # square root of the cosine; the same
+RAISED = 0.0061  # by which the fit was raised, so that it is nowhere below the integral
+# Of s^i t^j, s = 2 sqrt(cosine) - 1 and t = m scaled to -1 to 1, row i and column j: what f0
+# multiplies, and the rest.
+FITS = np.array(
+    [
+        [
+            (0.863348, 0.0781893, -0.12987, -0.0220138, 0.0837679),
+            (0.0726275, -0.135827, 0.369948, -0.308854, -0.0602395),
+            (-0.313448, -0.321842, 0.878571, 0.427615, -1.03386),
+            (0.189434, -0.568655, -1.02757, 0.877151, 0.367696),
+            (0.290153, 0.2594, -1.82168, -0.57507, 1.86765),
+            (-0.22919, 0.62927, 1.10468, -0.822087, -0.544213),
+            (-0.078561, -0.114966, 0.914632, 0.308167, -0.932605),
+            (0.0763889, -0.212311, -0.517819, 0.236421, 0.336868),
+        ],
+        [
+            (0.0798003, -0.0509785, 0.0701351, -0.0488855, -0.00373464),
+            (-0.2461, 0.0662001, 0.143383, 0.229181, -0.36135),
+            (0.298349, -0.15041, -0.518808, 0.134066, 0.467996),
+            (0.126182, 0.361314, -1.55276, -0.77729, 1.9972),
+            (-0.369746, 0.207035, 1.60055, -0.415289, -1.32783),
+            (-0.147346, -0.64708, 2.69811, 1.22936, -3.37024),
+            (0.178681, -0.113359, -1.13989, 0.283205, 0.944013),
+            (0.0918043, 0.327341, -1.34385, -0.634385, 1.69686),
+        ],
+    ]
+)
+# The mean of s^i over the hemisphere, weighted by the cosine: of 4 x^3 (2 x - 1)^i from 0 to 1.
+MEANS = np.array([1, 3 / 5, 7 / 15, 13 / 35, 11 / 35, 17 / 63, 5 / 21, 7 / 33])
+
+
+def cook_torrance_albedo(n_dot_v: ArrayLike, m: ArrayLike, f0: ArrayLike) -> Float:
+    """Return the share of the light from a direction that Cook-Torrance reflects, with the exact
+    lobe, Schlick's Fresnel term and V-cavities, by a fit: 0 to 0.0125 above the integral.
+
+    Parameters
+    ----------
+    n_dot_v : cosine of the direction and the normal, in [0, 1]; below 4e-4 it counts as that
+    m : rms slope; outside [0.05, 1] it counts as the nearer end
+    f0 : Fresnel reflectance at normal incidence, in [0, 0.1]; what is larger adds 0.008 f0
+
+    References: Kelemen and Szirmay-Kalos (2001), who tabulate it.
+    """
+    x = np.clip(np.sqrt(np.clip(n_dot_v, 0.0, 1.0)), LOWEST, 1.0)
+    powers = (2.0 * x - 1.0)[..., None] ** np.arange(len(MEANS))
+    return np.asarray((_coefficients(m, f0) * powers).sum(axis=-1))
+
+
+def cook_torrance_albedo_mean(m: ArrayLike, f0: ArrayLike) -> Float:
+    """Return the mean of :func:`cook_torrance_albedo` over the hemisphere, weighted by the cosine,
+    with the same parameters."""
+    return np.asarray(_coefficients(m, f0) @ MEANS)
+
+
+def diffuse_coupled(albedo_l: ArrayLike, albedo_v: ArrayLike, mean: ArrayLike) -> Float:
+    """Return by what a Lambertian term is multiplied so that it has what a specular term leaves,
+    (1 - albedo_l) (1 - albedo_v)/(1 - mean), which is as good in both directions.
+
+    Parameters
+    ----------
+    albedo_l, albedo_v, mean : of the specular term towards light and eye, and over the hemisphere,
+        times its weight; above 1, and a mean above 0.5, they count as that
+
+    References: Kelemen and Szirmay-Kalos (2001).
+    """
+    left = (1.0 - np.minimum(albedo_l, 1.0)) * (1.0 - np.minimum(albedo_v, 1.0))
+    return np.asarray(left / (1.0 - np.minimum(mean, 0.5)))
+
+
+def _coefficients(m: ArrayLike, f0: ArrayLike) -> Float:
+    """Of the powers of s, (..., 8)."""
+    slope = np.clip(np.asarray(m, dtype=np.float64), *ENDS)
+    t = (2.0 * slope - sum(ENDS)) / (ENDS[1] - ENDS[0])
+    powers = t[..., None] ** np.arange(FITS.shape[2])
+    first, rest = (powers @ fit.T for fit in FITS)
+    return np.asarray(np.asarray(f0, dtype=np.float64)[..., None] * first + rest)
+
+
+def albedo_integral(n_dot_v: float, m: float, f0: float, nodes: int = 128) -> float:
+    """Return the directional albedo by quadrature over half vectors, as their slopes are
+    distributed: Schlick's Fresnel term, masking by V-cavities."""
+    first, rest = _integrals(n_dot_v, m, nodes)
+    return f0 * first + rest
+
+
+def _integrals(mu: float, m: float, nodes: int) -> tuple[float, float]:
+    """The integrals of (1 - s) and of s = (1 - V.H)^5."""
+    u, weight = np.polynomial.legendre.leggauss(nodes)
+    r = m * np.sqrt(-np.log(0.5 * (u + 1.0)))[:, None]
+    turn = (np.arange(nodes) + 0.5) / nodes * 2.0 * np.pi
+    n_dot_h = 1.0 / np.sqrt(1.0 + r * r)
+    v_dot_h = (r * np.cos(turn) * np.sqrt(1.0 - mu * mu) + mu) * n_dot_h
+    n_dot_l = 2.0 * v_dot_h * n_dot_h - mu
+    seen = (v_dot_h > 0.0) & (n_dot_l > 0.0)
+    masked = np.minimum(1.0, 2.0 * n_dot_h * np.minimum(n_dot_l, mu) / np.where(seen, v_dot_h, 1.0))
+    share = np.where(seen, masked * v_dot_h / (mu * n_dot_h), 0.0) * weight[:, None] / (2.0 * nodes)
+    s = np.clip(1.0 - v_dot_h, 0.0, 1.0) ** 5
+    return float((share * (1.0 - s)).sum()), float((share * s).sum())
+
+
+def fitted(degrees: tuple[int, int] = (7, 4), turns: int = 300) -> tuple[Float, Float]:
+    """Return FITS anew, and their largest errors, by least squares whose weights grow where the
+    error is large."""
+    from numpy.polynomial import chebyshev
+
+    x = 0.5 * (1.0 + LOWEST) - 0.5 * (1.0 - LOWEST) * np.cos(np.linspace(0.0, np.pi, 48))
+    t = -np.cos(np.linspace(0.0, np.pi, 24))
+    m = 0.5 * (sum(ENDS) + (ENDS[1] - ENDS[0]) * t)
+    values = np.array([[_integrals(each * each, slope, 128) for slope in m] for each in x])
+    basis = chebyshev.chebvander2d(*np.meshgrid(2.0 * x - 1.0, t, indexing="ij"), degrees)
+    basis = basis.reshape(values[..., 0].size, -1)
+    fits, errors = [], []
+    for wanted in (values[..., 0].ravel(), values[..., 1].ravel()):
+        weights, least = np.ones(wanted.size), np.inf
+        for _ in range(turns):
+            found = np.linalg.lstsq(basis * weights[:, None], wanted * weights, rcond=None)[0]
+            error = np.abs(basis @ found - wanted)
+            weights *= np.sqrt(0.4 + error / error.max())
+            weights /= weights.mean()
+            if error.max() < least:
+                least, best = float(error.max()), found
+        table = best.reshape(degrees[0] + 1, degrees[1] + 1)
+        for axis in (0, 1):
+            table = np.apply_along_axis(_power_series, axis, table)
+        fits.append(table)
+        errors.append(least)
+    return np.array(fits), np.array(errors)
+
+
+def _power_series(coefficients: Float) -> Float:
+    from numpy.polynomial import chebyshev
+
+    series = chebyshev.cheb2poly(coefficients)
+    return np.pad(series, (0, len(coefficients) - len(series)))
+
+
+def main() -> None:
+    fits, errors = fitted()
+    print(f"errors {errors}")
+    for fit in fits:
+        for row in fit:
+            print("(" + ", ".join(f"{value:.6g}" for value in row) + "),")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,142 @@
+"""Directions drawn as the models reflect light, and their densities, in float64: the reference for
+``shaders/facerender/*_sample.glsl``. Of the exact lobe; of Cook-Torrance with V-cavities.
+
+Vectors and random numbers are arrays of shape (..., 3) or (..., 2) that broadcast against one
+another, m of shape (...). ``brdf.f`` is ``fr_f`` in GLSL, with the same arguments in the same
+order.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from facerender.errors import InputError
+from facerender.terms.lobe import check_slope
+from facerender.terms.model import K_COOK_TORRANCE, MIN_COSINE, checked_unit, dot
+
+Float = NDArray[np.float64]
+
+_LAST = 2.0**-24  # the least that 1 - x is for a float32 x < 1
+
+
+def slope_sample(n: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:
+    """Return slopes of the Beckmann distribution as vectors (..., 3) across the normal: n plus one
+    points along a microfacet's normal.
+
+    Parameters
+    ----------
+    n : unit vectors, normal
+    m : rms slope, in [1e-4, 2]
+    u : two random numbers, even in [0, 1)
+
+    References: Walter et al. (2007), eq. 28; Duff et al. (2017) for the frame.
+    """
+    normal, slope = checked_unit("n", n), check_slope(m, "exact", K_COOK_TORRANCE)
+    first, second = _checked_random(u, 2)
+    x, y, z = (normal[..., i] for i in range(3))
+    side = np.where(z >= 0.0, 1.0, -1.0)
+    a = -1.0 / (side + z)
+    b = x * y * a
+    tangent = np.stack([1.0 + side * x * x * a, side * b, -side * x], axis=-1)
+    bitangent = np.stack([b, side + y * y * a, -y], axis=-1)
+    length = slope * np.sqrt(-np.log(np.maximum(1.0 - first, _LAST)))
+    angle = 2.0 * np.pi * second
+    along, beside = length * np.cos(angle), length * np.sin(angle)
+    return np.asarray(along[..., None] * tangent + beside[..., None] * bitangent)
+
+
+def cook_torrance_sample(n: ArrayLike, v: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:
+    """Return unit vectors (..., 3) towards the light, drawn by the visible normals of V-cavities.
+
+    Those with N.L <= 0 are lost: the BRDF is 0 there. BRDF times N.L over the density is F G/G1, at
+    most F.
+
+    Parameters
+    ----------
+    n, v : unit vectors: normal, and towards the eye, with N.V > 0
+    m : rms slope, in [1e-4, 2]
+    u : three random numbers, even in [0, 1)
+
+    References: Heitz and d'Eon (2014).
+    """
+    random = np.asarray(u, dtype=np.float64)
+    third = _checked_random(random, 3)[2]
+    normal, eye = checked_unit("n", n), checked_unit("v", v)
+    across = slope_sample(normal, m, random[..., :2])
+    sides = normal + across, normal - across
+    seen, other_seen = (np.maximum(dot(*np.broadcast_arrays(eye, h)), 0.0) for h in sides)
+    return _mirrored(eye, np.where((third * (seen + other_seen) < seen)[..., None], *sides))
+
+
+def cook_torrance_pdf(n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike) -> Float:
+    """Return the density of :func:`cook_torrance_sample` at l, in 1/sr: G1 D/(4 N.V); 0 where N.V
+    or N.H is not above 1e-6.
+
+    Parameters
+    ----------
+    n, l, v : unit vectors: normal, towards the light, towards the eye
+    m : rms slope, in [1e-4, 2]
+    """
+    n_dot_v, n_dot_h, h_dot_h, tan2, slope = _half(n, l, v, m)
+    above = np.minimum(n_dot_v, n_dot_h) > MIN_COSINE
+    seen = np.minimum(1.0, 4.0 * n_dot_h * n_dot_v / np.where(above, h_dot_h, 1.0))
+    d = np.exp(-tan2 / slope**2) * (1.0 + tan2) ** 2 / (np.pi * slope**2)
+    return np.where(above, d * seen / (4.0 * np.where(above, n_dot_v, 1.0)), 0.0)
+
+
+def ward_sample(n: ArrayLike, v: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:
+    """Return unit vectors (..., 3) towards the light, by half vectors of Ward's distribution.
+
+    Those with N.L <= 0 are lost: the BRDF is 0 there; so is -n, where the half vector is turned
+    away.
+
+    Parameters
+    ----------
+    n, v, m : as of :func:`cook_torrance_sample`
+    u : two random numbers, even in [0, 1)
+
+    References: Walter (2005).
+    """
+    normal, eye = checked_unit("n", n), checked_unit("v", v)
+    h = normal + slope_sample(normal, m, u)
+    towards = dot(*np.broadcast_arrays(eye, h)) > 0.0
+    return np.where(towards[..., None], _mirrored(eye, h), -normal)
+
+
+def ward_pdf(n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike) -> Float:
+    """Return the density of :func:`ward_sample` at l, in 1/sr: E/(4 π m² c³ (V.H)); 0 where N.L or
+    N.V is not above 1e-6. Parameters as of :func:`cook_torrance_pdf`."""
+    n_dot_v, n_dot_h, _, tan2, slope = _half(n, l, v, m)
+    above = np.minimum(n_dot_v, n_dot_h - n_dot_v) > MIN_COSINE
+    e = np.exp(-tan2 / slope**2) * (1.0 + tan2)
+    return np.where(above, e / (2.0 * np.pi * slope**2 * np.where(above, n_dot_h, 1.0)), 0.0)
+
+
+def _half(
+    n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike
+) -> tuple[Float, Float, Float, Float, Float]:
+    """N.V; of h = l + v, which keeps its length, N.h, h.h and tan² γ; m. Of what lies below the
+    surface tan² is 0."""
+    normal, light, eye = checked_unit("n", n), checked_unit("l", l), checked_unit("v", v)
+    h = light + eye
+    n_dot_v, n_dot_h = dot(normal, eye), dot(normal, light) + dot(normal, eye)
+    cross = np.cross(normal, h)
+    above = n_dot_h > MIN_COSINE
+    tan2 = np.where(above, dot(cross, cross) / np.where(above, n_dot_h, 1.0) ** 2, 0.0)
+    return n_dot_v, n_dot_h, dot(h, h), tan2, check_slope(m, "exact", K_COOK_TORRANCE)
+
+
+def _mirrored(v: Float, h: Float) -> Float:
+    v, h = np.broadcast_arrays(v, h)
+    return np.asarray((2.0 * dot(v, h) / dot(h, h))[..., None] * h - v)
+
+
+def _checked_random(u: ArrayLike, count: int) -> list[Float]:
+    numbers = np.asarray(u, dtype=np.float64)
+    if numbers.ndim == 0 or numbers.shape[-1] != count:
+        raise InputError(f"u has shape {numbers.shape}: its last axis must hold {count} numbers")
+    if not ((numbers >= 0.0) & (numbers <= 1.0)).all():
+        worst = numbers.flat[np.argmax(np.abs(numbers - 0.5))]
+        raise InputError(f"u holds {worst:g}: give numbers in [0, 1)")
+    return [numbers[..., i] for i in range(count)]

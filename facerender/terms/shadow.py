@@ -1,0 +1,92 @@
+"""How much of a light a place sees, from the map of what stands nearest to the light: the float64
+twin of ``shaders/facerender/shadow.glsl``, which tells what the light's space is."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Float = NDArray[np.float64]
+Tile = tuple[int, int, int]
+
+SAMPLES = 16  # FR_SHADOW_SAMPLES
+_TURN = 2.39996323
+
+
+def shadow_lit(map: ArrayLike, tile: Tile, at: ArrayLike, z: ArrayLike) -> Float:
+    """Return whether places of a map are lit at a depth, 0 or 1, interpolated between four texels.
+
+    Parameters
+    ----------
+    map : (H, W), z of what is nearest to the light
+    tile : column and row of the light's first texel, and how many it has a side
+    at : (..., 2), x and y in the light's space
+    z : (...) there
+    """
+    texel = (0.5 * np.asarray(at, dtype=np.float64) + 0.5) * tile[2] - 0.5
+    low = np.floor(texel)
+    share = texel - low
+    depth = np.asarray(z, dtype=np.float64)
+    lit = np.zeros(low.shape[:-1])
+    for corner in np.ndindex(2, 2):
+        weight = np.where(corner, share, 1.0 - share).prod(axis=-1)
+        lit += weight * (depth >= _fetch(map, tile, low + corner))
+    return lit
+
+
+def shadow_hard(map: ArrayLike, tile: Tile, p: ArrayLike, bias: float) -> Float:
+    """Return how much of a light without size places see.
+
+    Parameters
+    ----------
+    map, tile : see :func:`shadow_lit`
+    p : (..., 3), places in the light's space
+    bias : by how much more z counts
+    """
+    place = np.asarray(p, dtype=np.float64)
+    return shadow_lit(map, tile, place[..., :2], place[..., 2] + bias)
+
+
+def shadow_disc(
+    map: ArrayLike,
+    tile: Tile,
+    p: ArrayLike,
+    plane: ArrayLike,
+    tan_radius: float,
+    top: float,
+    bias: float,
+    turn: ArrayLike,
+) -> Float:
+    """Return how much of a disc or a sphere of light places see.
+
+    Parameters
+    ----------
+    map, tile, p, bias : see :func:`shadow_hard`
+    plane : (..., 2), change of z with x and y on the surface
+    tan_radius : tangent of the light's radius, in [0, tan(20 degrees)]
+    top : largest z of what casts shadows
+    turn : radians, of the spiral of samples
+    """
+    place = np.asarray(p, dtype=np.float64)[..., None, :]  # before the samples
+    slope = np.asarray(plane, dtype=np.float64)[..., None, :]
+    angle = _TURN * np.arange(SAMPLES) + np.asarray(turn, dtype=np.float64)[..., None]
+    spiral = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    spiral *= np.sqrt((np.arange(SAMPLES) + 0.5) / SAMPLES)[:, None]
+    z = place[..., 2] + bias
+
+    aside = tan_radius * np.clip(top - place[..., 2:], 0.0, 1.0) * spiral
+    other = _fetch(map, tile, np.floor((0.5 * (place[..., :2] + aside) + 0.5) * tile[2]))
+    blocks = other > z + np.maximum((slope * aside).sum(axis=-1), 0.0) + bias
+    count = blocks.sum(axis=-1)
+    depth = np.where(blocks, other, 0.0).sum(axis=-1) / np.maximum(count, 1)
+
+    radius = np.maximum(tan_radius * (depth - place[..., 0, 2]), 2.0 / tile[2])
+    aside = radius[..., None, None] * spiral
+    raised = z + np.maximum((slope * aside).sum(axis=-1), 0.0)
+    seen = shadow_lit(map, tile, place[..., :2] + aside, raised).mean(axis=-1)
+    return np.where(count == 0, 1.0, seen)
+
+
+def _fetch(map: ArrayLike, tile: Tile, texel: Float) -> Float:
+    column, row = (np.clip(texel[..., i], 0, tile[2] - 1).astype(int) + tile[i] for i in (0, 1))
+    return np.asarray(np.asarray(map, dtype=np.float64)[row, column])

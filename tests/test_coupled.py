@@ -1,0 +1,131 @@
+"""The albedo of Cook-Torrance, and the diffuse term that has what the specular one leaves."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import facerender as fr
+from facerender import InputError, brdf
+from facerender.drawing import reference
+from facerender.planning.bound import bound
+from facerender.planning.budget import Budget
+from facerender.pricing.table import load_prices
+from facerender.terms.albedo import albedo_integral
+
+COUPLED = fr.Shading(diffuse="coupled")
+TWO = {"second_slope": 0.5, "lobe_weight": 0.6}
+
+
+def test_the_fit_is_near_the_integral_and_never_below():
+    random = np.random.default_rng(1)
+    cosines = random.random(80) ** 2 * 0.9996 + 4e-4
+    slopes, reflectances = random.uniform(0.05, 1.0, 80), random.uniform(0.0, 0.1, 80)
+    above = [
+        float(brdf.cook_torrance_albedo(*at)) - albedo_integral(*at)
+        for at in zip(cosines.tolist(), slopes.tolist(), reflectances.tolist(), strict=True)
+    ]
+    assert min(above) >= 0.0
+    assert 0.008 < max(above) <= 0.0125
+
+
+@pytest.mark.parametrize("m", [0.1, 0.3, 0.6])
+def test_the_integral_is_what_the_brdf_reflects(m):
+    """By another way: the mean weight of directions that are drawn."""
+    n, v = np.array([0.0, 0.0, 1.0]), np.array([0.8, 0.0, 0.6])
+    l = brdf.cook_torrance_sample(n, v, m, np.random.default_rng(0).random((100_000, 3)))
+    value = brdf.cook_torrance(n, l, v, m, 0.028) * np.maximum(l[:, 2], 0.0)
+    density = brdf.cook_torrance_pdf(n, l, v, m)
+    weight = np.divide(value, density, out=np.zeros_like(value), where=value > 0.0)
+    assert weight.mean() == pytest.approx(albedo_integral(0.6, m, 0.028), rel=0.01)
+
+
+@pytest.mark.parametrize("second", [None, 0.12])
+@pytest.mark.parametrize("m", [0.05, 0.15, 0.3, 0.6, 1.0])
+def test_both_terms_reflect_at_most_all_light(m, second):
+    """A white diffuse surface, by the sum of both terms over the light's directions."""
+    f0, share = 0.05, 1.0 if second is None else 0.7
+    lobes = [(m, share), (second or m, 1.0 - share)]
+
+    def albedo(cosine):
+        return sum(w * brdf.cook_torrance_albedo(cosine, each, f0) for each, w in lobes)
+
+    x, weight = np.polynomial.legendre.leggauss(64)
+    cosines, weight = 0.5 * (x + 1.0), 0.5 * weight
+    mean = sum(w * brdf.cook_torrance_albedo_mean(each, f0) for each, w in lobes)
+    for n_dot_v in (0.02, 0.1, 0.3, 0.6, 0.9, 1.0):
+        left = brdf.diffuse_coupled(albedo(cosines), albedo(n_dot_v), mean)
+        diffuse = (2.0 * weight * cosines * left).sum()
+        specular = sum(w * albedo_integral(n_dot_v, each, f0, 64) for each, w in lobes)
+        assert 0.98 < diffuse + specular <= 1.0 + 1e-3
+        assert 1.0 + specular > 1.0 + 1e-3  # so much would be a sum without coupling
+
+
+@pytest.mark.parametrize(
+    ("material", "changes", "deferred"),
+    [
+        ({}, {}, True),
+        ({**TWO, "ks": 0.7}, {}, False),
+        ({**TWO, "ks": 0.7}, {"lobe": "d8", "m": 0.25}, True),
+        (TWO, {"model": "ward", "ambient": False, "ks": 0.5}, True),
+    ],
+    ids=str,
+)
+def test_every_pixel_agrees_with_float64(renderer, head, material, changes, deferred, monkeypatch):
+    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
+    scene = fr.Scene(head.with_material(**material), fr.Camera(35.0), background=None)
+    shading = COUPLED.replace(**changes)
+    gbuffer = renderer.gbuffer(scene, shading)
+    image = renderer.render(scene, shading).linear
+    covered = gbuffer.part >= 0
+    expected = reference.shade(gbuffer, scene, shading)[covered]
+    error = np.abs(image[covered][:, :3] - expected) / np.maximum(expected, 0.01)
+    assert error.max() < 1e-4
+    plain = renderer.render(scene, shading.replace(diffuse="lambert")).linear[covered][:, :3]
+    taken = plain - image[covered][:, :3]
+    assert taken.mean() > 0.002
+    assert taken.min() > -0.02
+
+
+def test_without_a_specular_weight_it_is_lambert(renderer, head):
+    scene = fr.Scene(head.with_material(ks=0.0))
+    images = [renderer.render(scene, each).linear for each in (fr.Shading(), COUPLED)]
+    np.testing.assert_array_equal(*images)
+
+
+def test_shading_tells_and_refuses():
+    assert fr.Shading.from_dict(json.loads(json.dumps(COUPLED.as_dict()))) == COUPLED
+    assert "diffuse" not in fr.Shading().as_dict()
+    with pytest.raises(InputError, match="unknown diffuse term 'oren'; known: lambert, coupled"):
+        fr.Shading(diffuse="oren")
+
+
+def test_a_plan_may_leave_it_out(head):
+    mesh = head.with_material(normal_map=None, m=0.3, albedo_map=None, kd=0.1)
+    scene = fr.Scene(mesh, lights=fr.Scene(mesh).lights[:1], ambient=0.0)
+    with fr.Renderer((48, 48), samples=1) as renderer:
+        near, far = (
+            fr.plan(scene, budget, full=COUPLED, renderer=renderer, cost="navi21")
+            for budget in ("0.5/255", "20/255")
+        )
+        full = renderer.render(scene, COUPLED).linear[..., :3].astype(float)
+        for plan in (near, far):
+            drawn = renderer.render(scene, plan.shading).linear[..., :3].astype(float)
+            assert plan.budget.errors(drawn, full).max() <= plan.budget.limit
+    assert near.shading.diffuse == "coupled"
+    assert far.shading.diffuse == "lambert"
+    assert "lambert instead of coupled" in far.explain()
+
+
+def test_it_has_its_price_and_bound(renderer, head):
+    scene = fr.Scene(head.with_material(ks=1e-3, normal_map=None), fr.Camera(35.0))
+    for kind in ("navi21", "vega10", "llvmpipe"):
+        prices = load_prices(kind, scene, [])
+        dear, cheap = (prices.cost(scene, each)[0] for each in (COUPLED, fr.Shading()))
+        assert dear > cheap
+    gbuffer = renderer.gbuffer(scene)
+    images = [reference.shade(gbuffer, scene, each) for each in (fr.Shading(), COUPLED)]
+    error = Budget(1.0, "display").errors(*images)[gbuffer.part >= 0].max()
+    assert 0.0 < error <= bound(scene, fr.Shading(), COUPLED, Budget(1.0, "display"))

@@ -1,0 +1,227 @@
+"""The slope filter, curvature and disc lights: what is stored, what is drawn, and how far it is
+from many samples (all of it: trials/skin.py)."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import facerender as fr
+from facerender.commands import main
+from facerender.drawing import reference
+from facerender.drawing.program import surface_features
+from facerender.image import read_image
+from facerender.planning.bound import bound
+from facerender.planning.budget import Budget
+from facerender.scenes.light import parse_light
+from facerender.scenes.scene import slope_ranges
+from tests.conftest import require_module
+from trials.slope_filter import disc, filtered, flicker, relief, slopes_of
+
+SIDE = fr.Camera(azimuth=35.0, elevation=8.0)
+
+
+def levels_of(texels: np.ndarray) -> list[np.ndarray]:
+    image = Image.fromarray(np.asarray(texels, dtype=np.uint8))
+    return fr.Texture(lambda: image, "relief").levels("normal").result()
+
+
+def tilted(angle: float) -> tuple[float, float, float]:
+    """The texel of a normal at an angle in degrees from straight up."""
+    radians = np.radians(angle)
+    return (127.5 + 127.5 * np.sin(radians), 127.5, 127.5 + 127.5 * np.cos(radians))
+
+
+def lit(mesh: fr.Mesh) -> fr.Scene:
+    """Every kind of light with a size, and without."""
+    place = tuple(mesh.center + mesh.radius * np.array([-1.0, 1.2, 2.5]))
+    key, rim, fill = fr.Scene(mesh).lights
+    lights = (
+        *(replace(key, radius=8.0), rim, replace(fill, radius=20.0)),
+        fr.Light(irradiance=1.0, position=place, radius=10.0),
+        fr.Light(irradiance=0.3, position=place),
+    )
+    return fr.Scene(mesh, SIDE, lights, background=None)
+
+
+def test_levels_hold_the_mean_normal_and_the_deviation():
+    texels = np.empty((4, 4, 3))
+    texels[:, 0::2], texels[:, 1::2] = tilted(20.0), tilted(-20.0)
+    finest, *coarser = levels_of(texels)
+    np.testing.assert_array_equal(finest[..., :3], texels.astype(np.uint8))
+    assert not finest[..., 3].any()
+    length = np.cos(np.radians(20.0))
+    for level in coarser:
+        assert np.abs(level[..., :3].astype(int) - (127, 127, 255)).max() <= 1
+        expected = 255.0 * np.sqrt((1.0 - length) / length) / 0.35
+        np.testing.assert_allclose(level[..., 3], expected, atol=1.5)
+    assert [level.shape[:2] for level in coarser] == [(2, 2), (1, 1)]
+
+
+def test_lengths_of_texels_do_not_count():
+    """A JPEG's normals are of any length."""
+    random = np.random.default_rng(2)
+    short = 127.5 + np.array([0.0, 0.0, 127.0]) * random.uniform(0.6, 1.0, (17, 9, 1))
+    for level in levels_of(short):
+        assert level[..., 3].max() <= 3
+    assert [level.shape for level in levels_of(short[:1, :1])] == [(1, 1, 4)]
+
+
+def test_steep_relief_is_cut_off():
+    texels = np.empty((2, 2, 3))
+    texels[0], texels[1] = tilted(89.0), tilted(-89.0)
+    assert levels_of(texels)[1][0, 0, 3] == 255
+
+
+@pytest.mark.parametrize("curvature", [False, True])
+@pytest.mark.parametrize("deferred", [False, True])
+def test_pixels_agree_with_float64(egl, head, monkeypatch, curvature, deferred):
+    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
+    shading = fr.Shading(outside="exact", curvature=curvature, lights={1: {"lobe": "fitted"}})
+    scene = lit(head.with_material(m=0.2))
+    with fr.Renderer((200, 150), samples=1, backend=egl, float_albedo=True) as renderer:
+        frame, gbuffer = renderer.render(scene, shading), renderer.gbuffer(scene, shading)
+    expected = reference.shade(gbuffer, scene, shading)
+    error = np.abs(frame.linear[..., :3] - expected) / np.maximum(expected, 0.01)
+    covered = gbuffer.part >= 0
+    assert error[covered].max() < 1e-4
+    m = gbuffer.m[covered]
+    ((low, high),) = slope_ranges(scene, shading)
+    assert low * (1.0 - 1e-6) <= m.min()
+    assert 0.21 < m.max() <= high
+
+
+def test_deferred_curvature_is_that_of_triangles(egl, head, monkeypatch):
+    scene = fr.Scene(head.with_material(m=0.2, normal_map=None), SIDE)
+    slopes = []
+    for deferred in (False, True):
+        monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_, on=deferred: on)
+        with fr.Renderer((128, 128), samples=1, backend=egl) as renderer:
+            slopes.append(renderer.gbuffer(scene, fr.Shading(curvature=True)).m)
+    covered = slopes[0] > 0.0
+    assert slopes[0][covered].max() > 0.3
+    assert np.quantile(np.abs(slopes[0] - slopes[1])[covered], 0.99) < 3e-3
+
+
+def test_off_is_off(renderer, head):
+    off = fr.Shading(slope_filter=False)
+    (part,), (material,) = head.parts, head.materials
+    assert "SLOPE_FILTER" in surface_features(part, material, fr.Shading())
+    features = surface_features(part, material, off)
+    assert not {"SLOPE_FILTER", "CURVATURE"}.intersection(features)
+    mesh = head.with_material(m=0.3)
+    covered = renderer.gbuffer(fr.Scene(mesh), off).part >= 0
+    assert np.ptp(renderer.gbuffer(fr.Scene(mesh), off).m[covered]) == 0.0
+    assert np.ptp(renderer.gbuffer(fr.Scene(mesh), fr.Shading()).m[covered]) > 0.01
+    assert slope_ranges(fr.Scene(mesh), off) == [(0.3, 0.3)]
+    light = fr.Light(irradiance=2.0)
+    assert light.kind.name == "directional"
+    assert replace(light, radius=0.1).kind.name == "disc"
+
+
+def test_a_slope_of_a_term_is_not_widened(renderer, head):
+    pinned = fr.Shading(m=0.25)
+    images = [
+        renderer.render(lit(head), each, "specular").linear
+        for each in (pinned, pinned.replace(slope_filter=False))
+    ]
+    assert np.abs(images[0] - images[1]).max() < 0.05 * images[0].max()
+
+
+def test_a_guarantee_knows_the_filter(head):
+    scene = fr.Scene(head)
+    budget = Budget.parse("1/255")
+    for changes in ({"slope_filter": False}, {"curvature": True}):
+        assert bound(scene, fr.Shading(**changes), fr.Shading(), budget) > 0.99
+    assert bound(scene, fr.Shading(), fr.Shading(), budget) == 0.0
+
+
+@pytest.mark.parametrize("radius", [-1.0, 20.001, float("nan"), "wide"])
+def test_radii_that_cannot_be(radius):
+    with pytest.raises(fr.InputError, match=r"light radius = .* is outside \[0, 20\]"):
+        fr.Light(radius=radius)
+
+
+def test_a_sphere_that_is_too_near_is_refused(renderer, head):
+    place = tuple(head.center + head.radius * np.array([0.0, 0.0, 1.5]))
+    near = fr.Light(position=place, radius=10.0)
+    for shading in (fr.Shading(), fr.Shading(specular_lights=())):
+        with pytest.raises(fr.InputError, match="radius 10 is too near: .* a smaller one, or"):
+            renderer.render(fr.Scene(head, lights=(near,)), shading)
+    renderer.render(fr.Scene(head, lights=(replace(near, radius=5.0),)))
+
+
+def test_lights_are_read_with_their_radius():
+    assert parse_light("key,radius=5").radius == 5.0
+    assert parse_light("10,20,1,2,3,radius=0.27") == fr.Light(10.0, 20.0, (1, 2, 3), radius=0.27)
+    assert parse_light("point:1,2,3,radius=2").position == (1.0, 2.0, 3.0)
+    with pytest.raises(fr.InputError, match="radius = 30"):
+        parse_light("key,radius=30")
+    for text in ("key,radius", "radius=5", "key,radius=x"):
+        with pytest.raises(fr.InputError, match="unknown light"):
+            parse_light(text)
+
+
+def test_the_command_line_says_what_python_does(tmp_path, egl, capsys):
+    options = ["--size", "48", "--samples", "1", "--light", "key,radius=12", "--no-cache"]
+    path = tmp_path / "head.exr"
+    require_module("OpenEXR")
+    assert main(["render", "-o", str(path), *options, "--no-slope-filter", "--curvature"]) == 0
+    shading = fr.Shading(slope_filter=False, curvature=True)
+    scene = fr.Scene(fr.load_mesh(), lights=(parse_light("key,radius=12"),))
+    with fr.Renderer((48, 48), samples=1, backend=egl) as renderer:
+        expected = renderer.render(scene, shading).linear
+    np.testing.assert_array_equal(read_image(path).pixels[..., :3], expected[..., :3])
+
+
+def test_prepared_maps_hold_the_levels(tmp_path, capsys):
+    random = np.random.default_rng(4)
+    texels = random.integers(90, 166, (6, 10, 3), dtype=np.uint8)
+    Image.fromarray(texels).save(tmp_path / "in.png")
+    place = tmp_path / "out.ktx2"
+    command = ["shaders", "prepare-normal-map", str(tmp_path / "in.png"), str(place)]
+    assert main(command) == 0
+    content = place.read_bytes()
+    assert content[:12] == b"\xabKTX 20\xbb\r\n\x1a\n"
+    assert struct.unpack_from("<9I", content, 12) == (37, 1, 10, 6, 0, 0, 1, 4, 0)
+    expected = fr.Texture.open(tmp_path / "in.png").levels("normal").result()
+    for number, level in enumerate(expected):
+        at, length, whole = struct.unpack_from("<3Q", content, 80 + 24 * number)
+        assert (at % 4, length, whole) == (0, level.nbytes, level.nbytes)
+        stored = np.frombuffer(content, np.uint8, length, at).reshape(level.shape)
+        np.testing.assert_array_equal(stored[::-1], level)
+    assert content[-expected[0].nbytes :] == expected[0][::-1].tobytes()  # the finest is last
+    assert main([*command[:-1], str(tmp_path / "out.png")]) == 2
+    assert "unknown format '.png'; give .ktx2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("strength", "m"), [(1.0, 0.15), (3.0, 0.15), (3.0, 0.3)])
+def test_the_filter_is_near_many_samples(egl, scan_mesh, strength, m):
+    require_module("flip_evaluator")
+    slopes = slopes_of(scan_mesh.materials[0].normal_map)
+    found = filtered(scan_mesh, relief(slopes, 1.5 * strength), m, 64)
+    none, own = found["none"], found["filter"]
+    assert abs(own.energy) <= 0.1
+    assert own.l1 <= 0.75 * none.l1
+    assert own.flip < none.flip
+
+
+def test_a_turning_head_flickers_less(egl, scan_mesh):
+    texture = relief(slopes_of(scan_mesh.materials[0].normal_map), 4.0)
+    beyond = flicker(scan_mesh, texture, 0.15, 96, (-20.0, -19.8, -19.6))
+    assert beyond["none"] > 0.0
+    assert beyond["filter and curvature"] < 0.5 * beyond["none"]
+
+
+@pytest.mark.parametrize("m", [0.15, 0.3])
+@pytest.mark.parametrize(
+    ("angle", "radius", "most"), [(20.0, 20.0, 0.03), (60.0, 20.0, 0.07), (110.0, 10.0, 0.1)]
+)
+def test_discs_are_near_their_integral(angle, radius, most, m):
+    none, own = disc(angle, radius, m, points=150, side=40)
+    assert own <= most
+    assert own < none

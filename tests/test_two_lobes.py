@@ -1,0 +1,203 @@
+"""Materials with two lobes: drawn as float64 has them, off where they are one, priced, planned."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import facerender as fr
+from facerender import InputError, brdf
+from facerender.drawing import reference
+from facerender.drawing.passes.shade import shade_pass
+from facerender.planning.bound import bound
+from facerender.planning.budget import Budget
+from facerender.planning.candidates import Constants, candidates
+from facerender.pricing import amd
+from facerender.pricing.table import load_prices
+from facerender.scenes.scene import slope_ranges
+from facerender.scenes.texture import Texture
+from facerender.scenes.view import view_of
+from tests.conftest import missing
+
+SWEAT = {"second_slope": 0.4, "lobe_weight": 0.3}
+SKIN = {"second_slope": 1.7, "lobe_weight": 0.85}
+SIDE = fr.Camera(azimuth=35.0)
+SHADINGS = [
+    fr.Shading(),
+    fr.Shading(lobe="fitted", fresnel="dielectric", masking="kelemen"),
+    fr.Shading("ward", "d16"),
+    fr.Shading("ward-printed", m=0.1),
+    fr.Shading(lights={0: {"lobe": "d8"}, 1: {"m": 0.2}}, frontal_lights=[2]),
+]
+
+
+def ramp() -> Texture:
+    rows = np.add.outer(np.arange(64), np.arange(64)) * 2
+    return Texture(lambda: Image.fromarray(rows.astype(np.uint8)), "ramp")
+
+
+def grey(level: int) -> Texture:
+    return Texture(lambda: Image.new("L", (4, 4), level), f"grey {level}")
+
+
+@pytest.mark.parametrize(
+    ("shading", "deferred"), [*((each, True) for each in SHADINGS), (SHADINGS[-1], False)], ids=str
+)
+def test_every_pixel_agrees_with_float64(renderer, head, shading, deferred, monkeypatch):
+    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
+    first, *others = head.with_material(**SWEAT, lobe_map=ramp()).materials
+    mesh = replace(head, materials=(first, *(replace(each, **SKIN) for each in others)))
+    scene = fr.Scene(mesh, SIDE, background=None)
+    gbuffer = renderer.gbuffer(scene, shading)
+    image = renderer.render(scene, shading).linear
+    covered = gbuffer.part >= 0
+    expected = reference.shade(gbuffer, scene, shading)[covered]
+    error = np.abs(image[covered][:, :3] - expected) / np.maximum(expected, 0.01)
+    assert error.max() < 1e-4
+    assert np.ptp(gbuffer.lobe_weight[covered]) > 0.3
+    one = reference.shade(gbuffer, scene, replace(shading, two_lobes=False))[covered]
+    assert np.abs(one - expected).max() > 0.05
+
+
+@pytest.mark.parametrize("off", [{"second_slope": 0.5}, {"lobe_weight": 0.5}])
+def test_off_is_the_program_of_one_lobe(renderer, head, off):
+    def programs(mesh):
+        scene = fr.Scene(mesh)
+        drawn = shade_pass(scene, view_of(scene, 1.0), fr.Shading(), 1)
+        return [draw.program.sources("330 core") for draw in drawn.draws]
+
+    plain = programs(head)
+    assert programs(head.with_material(**off, lobe_map=ramp())) == plain
+    assert programs(head.with_material(**SKIN)) != plain
+    one, other = (fr.Scene(each) for each in (head, head.with_material(**off)))
+    np.testing.assert_array_equal(renderer.render(one).linear, renderer.render(other).linear)
+    left_out = fr.Scene(head.with_material(**SKIN))
+    image = renderer.render(left_out, fr.Shading(two_lobes=False)).linear
+    np.testing.assert_array_equal(renderer.render(one).linear, image)
+    assert renderer.gbuffer(one).second_m is None
+
+
+def test_the_mask_is_white_where_the_second_lobe_is(renderer, head):
+    def specular(**material):
+        return renderer.render(fr.Scene(head.with_material(**material)), only="specular").linear
+
+    whole, none = (specular(**SWEAT, lobe_map=grey(level)) for level in (255, 0))
+    np.testing.assert_allclose(whole, specular(**SWEAT), atol=1e-5)
+    np.testing.assert_allclose(none, specular(), atol=1e-5)
+    half = specular(**SWEAT, lobe_map=grey(51))  # 0.2 of the second lobe's 0.7
+    np.testing.assert_allclose(half, 0.8 * none + 0.2 * whole, atol=1e-4)
+
+
+def test_both_slopes_lie_in_the_domain_of_the_lobe(renderer, head):
+    mesh = head.with_material(m=0.3, second_slope=3.0, lobe_weight=0.5)
+    assert slope_ranges(fr.Scene(mesh))[0] == pytest.approx((0.3, 0.9))
+    with pytest.raises(InputError, match=r"m = 0.9 is outside the domain of lobe d8"):
+        renderer.render(fr.Scene(mesh), fr.Shading(lobe="d8"))
+    frame = renderer.render(fr.Scene(mesh), fr.Shading(lobe="d8", outside="exact"))
+    assert frame.metadata["lobe of each part"].startswith("exact")
+    sharp = head.with_material(second_slope=0.3, lobe_weight=0.5)
+    low, high = slope_ranges(fr.Scene(head))[0]
+    assert slope_ranges(fr.Scene(sharp))[0] == pytest.approx((0.3 * low, high))
+
+
+@pytest.mark.parametrize(
+    ("material", "message"),
+    [
+        ({"second_slope": 0.0}, r"second_slope = 0.0 is outside \[0.01, 100\]"),
+        ({"lobe_weight": 1.1}, r"lobe_weight = 1.1 is outside \[0, 1\]"),
+        (
+            {"m": 0.5, "second_slope": 5.0, "lobe_weight": 0.5},
+            r"m times second_slope = 2.5 is outside \[0.0001, 2\]",
+        ),
+        ({"lobe_map": "mask.png"}, r"lobe_map = 'mask.png': give facerender.Texture.open"),
+    ],
+)
+def test_values_outside_their_domain(head, material, message):
+    with pytest.raises(InputError, match=message):
+        head.with_material(**material)
+
+
+def test_float64_is_the_weighted_sum_of_two_calls():
+    n = v = (0.0, 0.0, 1.0)
+    l = np.array([(0.6, 0.0, 0.8), (0.1, -0.1, 0.98**0.5)])
+    first, second = (brdf.cook_torrance(n, l, v, m, 0.028) for m in (0.3, 0.12))
+    two = brdf.cook_torrance_two(n, l, v, 0.3, 0.12, (0.25, 1.0), 0.028)
+    np.testing.assert_allclose(two, (0.25, 1.0) * first + (0.75, 0.0) * second, rtol=1e-15)
+    with pytest.raises(InputError, match=r"weight = 1.5 is outside \[0, 1\]"):
+        brdf.cook_torrance_two(n, l, v, 0.3, 0.12, 1.5, 0.028)
+
+
+def test_cycles_on_rdna2():
+    files = ("cook_torrance", "cook_torrance_two")
+    prelude = "".join(f'#include "facerender/{name}.glsl"\n' for name in files)
+    terms = {
+        "one": (prelude, "fr_cook_torrance(n, l, v, m, f0)"),
+        "two": (prelude, "fr_cook_torrance_two(n, l, v, m, n.x * m, l.x * v.x, f0)"),
+    }
+    try:
+        cost = amd.statistics(terms, "navi21")
+    except amd.NotMeasured as error:
+        missing(str(error))
+    assert cost["two"].inverse_throughput <= 1.2 * cost["one"].inverse_throughput
+
+
+def test_job_scene_file_and_command_line(tmp_path, head):
+    job = fr.Job(fr.MeshFile(lobe_map="mask.png"), SWEAT, shading=fr.Shading(two_lobes=False))
+    again = fr.Job.from_dict(json.loads(json.dumps(job.as_dict())))
+    assert again == job
+    assert job.scene(head).mesh.materials[0].lobe_weight == 0.3
+    scene = tmp_path / "scene.toml"
+    scene.write_text("[material]\nsecond_slope = 0.4\n[shading]\ntwo_lobes = false\n")
+    assert fr.load_scene(scene)["material"] == {"second_slope": 0.4}
+
+
+def test_a_plan_of_two_lobes_is_sound_and_may_take_one(head):
+    mesh = head.with_material(normal_map=None, m=0.3, **SKIN)
+    scene = fr.Scene(mesh, fr.Camera(-35.0), fr.Scene(mesh).lights[1:2], ambient=0.0)
+    with fr.Renderer((64, 64), samples=1) as renderer:
+        plans = [
+            fr.plan(scene, budget, renderer=renderer, cost="navi21")
+            for budget in ("1/255", "6/255")
+        ]
+        full = renderer.render(scene).linear[..., :3]
+        for plan in plans:
+            drawn = renderer.render(scene, plan.shading).linear[..., :3]
+            error = plan.budget.errors(drawn.astype(float), full.astype(float))
+            assert error.max() <= plan.budget.limit
+            assert plan.cost.total < plan.cost.full_total
+    near, far = plans
+    assert near.shading.two_lobes
+    assert not far.shading.two_lobes
+    assert 0.3 < far.shading.term.m < 0.51
+    assert "two, constant 0.3: one, constant" in near.explain()
+    assert "one, constant 0.3" in far.explain()
+    assert "fr_cook_torrance_two_terms(" in near.shader() or near.shading.term.model == "ward"
+    assert fr.Shading.from_dict(json.loads(json.dumps(far.shading.as_dict()))) == far.shading
+
+
+def test_a_second_lobe_has_its_price(head):
+    lights = fr.Scene(head).lights
+    one, two = (fr.Scene(each, lights=lights) for each in (head, head.with_material(**SKIN)))
+    for kind in ("navi21", "vega10", "llvmpipe"):
+        prices = load_prices(kind, two, [])
+        constants = Constants(0.3, 1.0, (0, 1, 2), (0, 1, 2), (0.32,))
+        for shading in [*candidates(two, fr.Shading(), constants)][::23]:
+            dear, cheap = prices.cost(two, shading)[0], prices.cost(one, shading)[0]
+            if shading.two_lobes and shading.specular_lights != ():
+                assert dear > cheap
+            else:
+                assert dear == cheap
+
+
+def test_the_bound_of_a_single_lobe_is_above_its_error(renderer, head):
+    mesh = head.with_material(m=0.3, normal_map=None, ks=1e-7, **SKIN)
+    scene = fr.Scene(mesh, SIDE)
+    gbuffer, full = renderer.gbuffer(scene), fr.Shading()
+    for other in (fr.Shading(two_lobes=False), fr.Shading(lobe="d8"), fr.Shading(m=0.2)):
+        images = [reference.shade(gbuffer, scene, each) for each in (other, full)]
+        error = Budget(1.0).errors(*images)[gbuffer.part >= 0].max()
+        assert 0.0 < error <= bound(scene, other, full, Budget(1.0))
