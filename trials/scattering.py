@@ -14,6 +14,7 @@ from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.image import linear_to_srgb
 from trials.shadows import tracer_of
+from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light
 from facerender.scenes.material import SKIN_ALBEDO
 from facerender.scenes.mesh import Mesh
@@ -28,6 +29,21 @@ _OFFSET = 2e-3  # of rays from the surface, in radii of the mesh's bounding sphe
 _POINTS = 300  # of a Gaussian, within three deviations of its middle
 _AT_ONCE = 20_000  # pixels
 _LIT = 1.1  # of a white diffuse surface that faces the light
+
+
+
+
+def _subject(mesh: Mesh, millimetres: float, zoom: float) -> tuple[Scene, Light]:
+    skin = replace(mesh, millimetres=millimetres).with_material(scattering="skin")
+    return Scene(skin, Camera(-20.0, zoom=zoom)), Light(-50.0, 42.0)
+
+
+# By the name of a mesh's fixture, the scene in which it is measured: 512 x 512 pixels, 1.8 of a
+# millimetre. A unit of the scan's file is 53 mm, for its head to be as large as that of its OBJ.
+SUBJECTS = {
+    "head": lambda mesh: _subject(mesh, 1000.0, 1.12),
+    "scan_mesh": lambda mesh: _subject(mesh, 53.0, 1.68),
+}
 
 
 @dataclass(frozen=True)
