@@ -272,7 +272,8 @@ class Renderer:
         visibility = self._visibility(scene, view, 1)
         shaded = shade_pass(scene, view, shading, 1, "diffuse", visibility, scattering, apart=True)
         passes = _from_visibility(shaded, visibility, backs)
-        return [*passes, scatter_pass(view, scattering, shading.scatter_samples)]
+        count = shading.scatter_samples
+        return [*passes, scatter_pass(view, scattering, count, several=True)]
 
     def _visibility(
         self, scene: Scene, view: View, samples: int, once: bool = False

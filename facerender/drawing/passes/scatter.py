@@ -20,7 +20,11 @@ LAYERS = ("light", "place")  # that shade.frag draws besides
 
 
 def scatter_pass(
-    view: View, scattering: Scattering, samples: int, background: Vector | None = None
+    view: View,
+    scattering: Scattering,
+    samples: int,
+    background: Vector | None = None,
+    several: bool = False,
 ) -> Pass:
     """Return the pass that scatters the light of an image.
 
@@ -28,6 +32,7 @@ def scatter_pass(
     ----------
     samples : pixels that are looked at for each
     background : that the image lacks; None where it lacks none
+    several : whether a pixel of the image has several samples
     """
     uniforms = {
         "eye": view.eye,
@@ -35,18 +40,21 @@ def scatter_pass(
         "pixels": scattering.pixels,
         "background": np.asarray(background or (0.0, 0.0, 0.0)),
     }
-    draws = tuple(_draws(scattering, samples))
+    composed = Draw(Program("composed.frag", "screen.vert"), {"depth": 1.0})
+    draws = (composed, *_draws(scattering, samples, ("SEVERAL",) * several))
     return Pass("scatter", Target(), draws, uniforms=uniforms)
 
 
-def _draws(scattering: Scattering, samples: int) -> Iterator[Draw]:
+def _draws(scattering: Scattering, samples: int, several: tuple[str, ...]) -> Iterator[Draw]:
     unit = scattering.millimetres
     for number, gaussians in enumerate(scattering.profiles, 1):
+        own = {"profile": number, "depth": 1.0 / (1.0 + number)}
+        yield Draw(Program("scattered.frag", "screen.vert", several), own, depth="mark")
         table = np.array(gaussians)
         variance = table[:, :1] / unit**2
         weight = table[:, 1:] / (2.0 * math.pi * variance)
         uniforms = {
-            "profile": number,
+            **own,
             "gaussians": np.hstack([weight, -math.log2(math.e) / (2.0 * variance)]),
             "rest": rest(gaussians),
             "spiral": spiral(gaussians, samples) / (unit, unit, unit**2),
@@ -54,6 +62,6 @@ def _draws(scattering: Scattering, samples: int) -> Iterator[Draw]:
         features = (
             f"FR_SCATTER_SAMPLES {samples}",
             f"FR_SCATTER_GAUSSIANS {len(gaussians)}",
-            *(("OTHERS",) * (number == 1)),
+            *several,
         )
-        yield Draw(Program("scatter.frag", "screen.vert", features), uniforms)
+        yield Draw(Program("scatter.frag", "screen.vert", features), uniforms, depth="marked")
