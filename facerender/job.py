@@ -23,7 +23,6 @@ from facerender.scenes.scene import ONLY, Only, Scene
 from facerender.scenes.vectors import Vector, non_negative
 from facerender.shading import Shading
 
-
 _NO_PATHS = ("flip_v", "triangles", "millimetres")  # of a mesh file's fields
 
 

@@ -38,9 +38,7 @@ def face(head) -> fr.Scene:
     return fr.Scene(mesh, fr.Camera(-35.0, zoom=2.5), lights, background=None)
 
 
-@pytest.mark.parametrize(
-    "name", ["head", pytest.param("scan_mesh", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("name", ["head", pytest.param("scan_mesh", marks=pytest.mark.slow)])
 def test_bounds_against_the_integral_over_the_mesh(egl, name, request):
     """``python -m docs.skin_scattering`` measures more pixels."""
     mesh = request.getfixturevalue(name)
@@ -73,7 +71,9 @@ def test_pixels_are_those_of_float64(renderer, face, deferred, shading, monkeypa
 
 
 def test_views_are_parts_of_the_image(renderer, face):
-    whole, diffuse, shine = (renderer.render(face, only=each).linear for each in (None, "diffuse", "specular"))
+    whole, diffuse, shine = (
+        renderer.render(face, only=each).linear for each in (None, "diffuse", "specular")
+    )
     np.testing.assert_allclose((diffuse + shine)[..., :3], whole[..., :3], atol=1e-6)
     np.testing.assert_array_equal(renderer.render(face, OFF, "specular").linear, shine)
 
@@ -86,8 +86,12 @@ def test_several_samples_keep_the_coverage(egl, face, deferred, background, monk
     scene = replace(face, background=background, camera=fr.Camera(-35.0, zoom=1.3))
     with fr.Renderer((160, 160), samples=4, backend=egl, float_albedo=True) as renderer:
         image, plain = renderer.render(scene).linear, renderer.render(scene, OFF).linear
-        one, one_plain = (renderer.render(scene, each, samples=1).linear for each in (fr.Shading(), OFF))
-        fine, fine_plain = (renderer.render(scene, each, samples=16).linear for each in (fr.Shading(), OFF))
+        one, one_plain = (
+            renderer.render(scene, each, samples=1).linear for each in (fr.Shading(), OFF)
+        )
+        fine, fine_plain = (
+            renderer.render(scene, each, samples=16).linear for each in (fr.Shading(), OFF)
+        )
     np.testing.assert_array_equal(image[..., 3], plain[..., 3])
     assert (image[plain[..., 3] == 0.0] == plain[plain[..., 3] == 0.0]).all()
     change, single = (image - plain)[..., :3], (one - one_plain)[..., :3]
@@ -97,15 +101,19 @@ def test_several_samples_keep_the_coverage(egl, face, deferred, background, monk
     expected = (fine - fine_plain)[..., :3]
     assert edge.sum() > 100
     assert np.abs(change - expected)[edge].mean() < 0.75 * np.abs(expected)[edge].mean()
-    shown = [linear_to_srgb(each[edge, :3].astype(float)) for each in (image, fine, plain, fine_plain)]
+    shown = [
+        linear_to_srgb(each[edge, :3].astype(float)) for each in (image, fine, plain, fine_plain)
+    ]
     worst = [np.quantile(np.abs(a - b), 0.99) for a, b in (shown[:2], shown[2:])]
     assert worst[0] < 1.15 * worst[1]
 
 
 def wall(*squares: tuple[float, float, float, fr.Material]) -> fr.Mesh:
-    """Squares of 60 mm before each other or side by side, each at x, y and z in mm, of a part of its
+    """Squares of 60 mm, each at x, y and z in mm, of a part of its
     own."""
-    corners = np.array([(-30.0, -30.0, 0.0), (30.0, -30.0, 0.0), (30.0, 30.0, 0.0), (-30.0, 30.0, 0.0)])
+    corners = np.array(
+        [(-30.0, -30.0, 0.0), (30.0, -30.0, 0.0), (30.0, 30.0, 0.0), (-30.0, 30.0, 0.0)]
+    )
     faces = np.array([(0, 1, 2), (0, 2, 3)], dtype=np.uint32)
     up = np.tile((0.0, 0.0, 1.0), (4, 1))
     parts = tuple(Part(corners + place, up, faces) for *place, _ in squares)
@@ -168,7 +176,9 @@ def test_other_parts_and_what_is_far_away_do_not_bleed(renderer):
         made = wall(*(parts[i] for i in which))
         lean = [i % 2 for i in which]
         turned = zip(made.parts, lean, strict=True)
-        return replace(made, parts=tuple(replace(p, normals=tilted) if on else p for p, on in turned))
+        return replace(
+            made, parts=tuple(replace(p, normals=tilted) if on else p for p, on in turned)
+        )
 
     together = renderer.render(of_wall(mesh(0, 1, 2, 3)))
     part = renderer.gbuffer(of_wall(mesh(0, 1, 2, 3))).part
@@ -176,7 +186,9 @@ def test_other_parts_and_what_is_far_away_do_not_bleed(renderer):
     np.testing.assert_array_equal(together.linear[part == 3], plain.linear[part == 3])
     for index in (0, 1):
         alone = renderer.render(of_wall(mesh(index)))
-        seen = (part == index) & (np.roll(part, 40, axis=0) != 3) & (np.roll(part, -40, axis=0) != 3)
+        seen = (
+            (part == index) & (np.roll(part, 40, axis=0) != 3) & (np.roll(part, -40, axis=0) != 3)
+        )
         assert seen.sum() > 1000
         np.testing.assert_allclose(together.linear[seen], alone.linear[seen], rtol=1e-5)
 
@@ -184,9 +196,7 @@ def test_other_parts_and_what_is_far_away_do_not_bleed(renderer):
 def test_nothing_scatters_that_pixels_do_not_resolve(renderer, head):
     scene = fr.Scene(head.with_material(scattering="skin"), fr.Camera(zoom=0.05))
     assert scattering_of(scene, renderer.size) is None
-    np.testing.assert_array_equal(
-        renderer.render(scene).linear, renderer.render(scene, OFF).linear
-    )
+    np.testing.assert_array_equal(renderer.render(scene).linear, renderer.render(scene, OFF).linear)
 
 
 def test_without_scattering_nothing_is_imported_and_nothing_changes(renderer, head, face):
@@ -239,10 +249,14 @@ def test_profiles(head):
             fr.Material(scattering=given)
     assert fr.Material(scattering="none").scattering is None
     for samples in (5, True, 16.5, "16"):
-        with pytest.raises(fr.InputError, match="scatter_samples = .*: give one of 0, 8, 16, 32, 64"):
+        with pytest.raises(
+            fr.InputError, match="scatter_samples = .*: give one of 0, 8, 16, 32, 64"
+        ):
             fr.Shading(scatter_samples=samples)
     radius = np.linspace(0.0, 30.0, 60001)
-    whole = np.trapezoid(scatter_profile(radius**2, PROFILES["skin"]).T * 2 * np.pi * radius, radius)
+    whole = np.trapezoid(
+        scatter_profile(radius**2, PROFILES["skin"]).T * 2 * np.pi * radius, radius
+    )
     np.testing.assert_allclose(whole, 1.0, atol=2e-3)
     places = spiral(PROFILES["skin"], 64)
     assert np.isfinite(places).all()

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.image import linear_to_srgb
-from trials.shadows import tracer_of
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light
 from facerender.scenes.material import SKIN_ALBEDO
@@ -22,6 +21,7 @@ from facerender.scenes.scattering import scattering_of
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 from facerender.terms.scattering import Gaussians, rest, scatter, scatter_area
+from trials.shadows import tracer_of
 
 Float = NDArray[np.float64]
 
@@ -29,8 +29,6 @@ _OFFSET = 2e-3  # of rays from the surface, in radii of the mesh's bounding sphe
 _POINTS = 300  # of a Gaussian, within three deviations of its middle
 _AT_ONCE = 20_000  # pixels
 _LIT = 1.1  # of a white diffuse surface that faces the light
-
-
 
 
 def _subject(mesh: Mesh, millimetres: float, zoom: float) -> tuple[Scene, Light]:
@@ -102,6 +100,7 @@ def scatter_errors(
     gaussians, unit = found.profiles[0], found.millimetres
     truth = by_points(scene.mesh, gaussians, unit, lit, place[pixels], entered[pixels])
     scale = found.pixels / (((place[pixels] - gbuffer.view.eye) @ gbuffer.view.forward) * unit)
+    assert gbuffer.facing is not None
     number, area = covered.astype(int), scatter_area(gbuffer.facing)
     errors = []
     for each in samples:
@@ -176,7 +175,9 @@ def _points(
         size = np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1)
         away = near.query(middle)[0]  # type: ignore[attr-defined]
         wanted = density * area * (away < reach + size)
-        face = np.repeat(np.arange(len(area)), np.floor(wanted + random.random(len(area))).astype(int))
+        face = np.repeat(
+            np.arange(len(area)), np.floor(wanted + random.random(len(area))).astype(int)
+        )
         u = random.random((len(face), 2))
         u = np.where(u.sum(axis=1, keepdims=True) > 1.0, 1.0 - u, u)
         share = np.stack([1.0 - u.sum(axis=1), u[:, 0], u[:, 1]], axis=-1)

@@ -14,7 +14,6 @@ from facerender.scenes.scene import Scene
 from facerender.scenes.view import view_of
 from facerender.terms.scattering import Gaussians, wide_gaussians
 
-
 _HEADS = (40.0, 1200.0)  # mm, of radii around heads and whole people
 _told: WeakSet[Mesh] = WeakSet()
 
@@ -65,7 +64,8 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
     middle = np.zeros(3) if target is None else mesh.normalised(target)
     distance = float(np.linalg.norm(view_of(scene, size[0] / size[1]).eye - middle))
     pixels = 0.5 * size[1] / math.tan(math.radians(scene.camera.fov) / 2.0)
-    wide = [each and wide_gaussians(each, millimetres * distance / pixels) for each in given]
+    pixel = millimetres * distance / pixels
+    wide = [wide_gaussians(each, pixel) if each else () for each in given]
     profiles = tuple(dict.fromkeys(filter(None, wide)))
     if not profiles:
         return None

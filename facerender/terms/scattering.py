@@ -32,6 +32,7 @@ MOST = 16  # Gaussians of a profile
 MOST_VARIANCE = 1e4  # mm^2
 NARROW = 0.5  # pixels: Gaussians whose deviation is less stay where they are
 _OWN = 1e-3
+_WORD = 1 << 32  # of GLSL's uint
 _ANGLE = 2.39996323
 _LAST = 0.98  # of the distribution of radii: the rest is too far away to be noise
 
@@ -54,7 +55,7 @@ def profile_of(given: Any) -> str | Gaussians:
     except (TypeError, ValueError):
         values = np.empty((0, 4))
     variances, weights = values[:, 0], values[:, 1:]
-    if not 0 < len(values) <= MOST or not ((0.0 < variances) & (variances <= MOST_VARIANCE)).all():
+    if not 0 < len(values) <= MOST or not ((variances > 0.0) & (variances <= MOST_VARIANCE)).all():
         raise InputError(
             f"scattering = {given!r}: give a name, or 1 to {MOST} Gaussians, each as a variance in "
             f"(0, {MOST_VARIANCE:g}] mm^2 and weights of red, green and blue"
@@ -88,12 +89,12 @@ def scatter_profile(r2: ArrayLike, gaussians: Gaussians) -> Float:
     """
     variance, weight = _columns(gaussians)
     falloff = np.exp(-np.asarray(r2, dtype=np.float64)[..., None] / (2.0 * variance))
-    return np.asarray((falloff / (2.0 * math.pi * variance)) @ weight)
+    return np.asarray((falloff / (2.0 * math.pi * variance)) @ weight, dtype=np.float64)
 
 
 def rest(gaussians: Gaussians) -> Float:
     """Return the share of each channel that these Gaussians do not scatter, (3,)."""
-    return np.maximum(1.0 - _columns(gaussians)[1].sum(axis=0), 0.0)
+    return np.asarray(np.maximum(1.0 - _columns(gaussians)[1].sum(axis=0), 0.0))
 
 
 @lru_cache(maxsize=64)
@@ -119,10 +120,10 @@ def scatter_area(c: ArrayLike) -> Float:
 
 def scatter_turn(x: ArrayLike, y: ArrayLike) -> Float:
     """Return the angle of a pixel, in [-pi, pi]; x and y are its column and row."""
-    column, row = (np.asarray(each).astype(np.uint32) for each in (x, y))
-    inner = column * np.uint32(288237660) + row * np.uint32(25070368)
-    outer = inner * np.uint32(53) - inner // np.uint32(59)
-    return np.asarray(((outer >> np.uint32(8)) - 8388608.0) * (math.pi / 8388608.0))
+    column, row = (np.asarray(each, dtype=np.int64) for each in (x, y))
+    inner = (column * 288237660 + row * 25070368) % _WORD
+    outer = (inner * 53 - inner // 59) % _WORD
+    return np.asarray((outer // 256 - 8388608) * (math.pi / 8388608.0))
 
 
 def scatter(
@@ -152,7 +153,7 @@ def scatter(
     for across, up, weight in spiral(gaussians, samples):
         column = np.floor(x + 0.5 + cosine * across - sine * up).astype(np.int64)
         row = np.floor(y + 0.5 + sine * across + cosine * up).astype(np.int64)
-        inside = (0 <= column) & (column < width) & (0 <= row) & (row < height)
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         at = row.clip(0, height - 1), column.clip(0, width - 1)
         away = place[at] - own
         counts = weight * area[at] * (inside & (number[at] == kind))
