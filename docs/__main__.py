@@ -14,7 +14,7 @@ from importlib import import_module
 
 GENERATED = (
     *("accuracy", "comparison", "figures", "frame", "levels", "plan", "reproduction", "shaders"),
-    *("skin", "skin_shadows", "targets", "trade"),
+    *("skin", "skin_scattering", "skin_shadows", "targets", "trade"),
 )
 
 
@@ -33,7 +33,10 @@ def main() -> int:
             continue
         for fault in document.stale() if name != "figures" else ():
             found = 1
-            print(f"docs/{name}.md: {fault}: run python -m docs.{name}", file=sys.stderr)
+            print(
+                f"docs/{name.replace('_', '-')}.md: {fault}: run python -m docs.{name}",
+                file=sys.stderr,
+            )
     return found
 
 

@@ -23,6 +23,8 @@ from facerender.scenes.scene import ONLY, Only, Scene
 from facerender.scenes.vectors import Vector, non_negative
 from facerender.shading import Shading
 
+_NO_PATHS = ("flip_v", "triangles", "millimetres")  # of a mesh file's fields
+
 
 @dataclass(frozen=True)
 class MeshFile:
@@ -37,16 +39,19 @@ class MeshFile:
     flip_v: bool = False
     triangles: int | None = None
     lobe_map: str | None = None
+    millimetres: float | None = None
 
     def __post_init__(self) -> None:
         for each in fields(self):
             value = getattr(self, each.name)
             if isinstance(value, os.PathLike):
                 object.__setattr__(self, each.name, os.fspath(value))
-            elif each.name not in ("flip_v", "triangles") and not isinstance(value, str | None):
+            elif each.name not in _NO_PATHS and not isinstance(value, str | None):
                 raise InputError(f"mesh {each.name} = {value!r}: give a path as text")
         if not isinstance(self.flip_v, bool):
             raise InputError(f"mesh flip_v = {self.flip_v!r}: give true or false")
+        if self.millimetres is not None:
+            check_range("millimetres", self.millimetres, 1e-6, 1e6)
         if self.triangles is not None:
             check_triangles(self.triangles)
 

@@ -30,6 +30,7 @@ SWITCHES = {
     "slope_filter": True,
     "curvature": False,
 }
+SCATTER_SAMPLES = (0, 8, 16, 32, 64)
 FRONTAL: Changes = (("fresnel", "constant"), ("masking", "none"))
 
 
@@ -163,6 +164,8 @@ class Shading:
         first ones stand alone
     slope_filter : whether slopes of the normal map that a pixel does not resolve widen the lobe
     curvature : whether the mesh's own curvature over a pixel does
+    scatter_samples : pixels at which materials that scatter look for the light around each: 8, 16,
+        32 or 64; 0 to leave scattering out
 
     What widens the lobe leaves a term's own m as it is.
 
@@ -183,6 +186,7 @@ class Shading:
     curvature: bool
     two_lobes: bool
     diffuse: str
+    scatter_samples: int
 
     def __init__(
         self,
@@ -206,6 +210,7 @@ class Shading:
         curvature: bool = False,
         two_lobes: bool = True,
         diffuse: str = "lambert",
+        scatter_samples: int = 16,
     ) -> None:
         if not isinstance(term, Term):
             raise InputError(f"term = {term!r}: give a Term")
@@ -242,6 +247,7 @@ class Shading:
             ("curvature", curvature),
             ("two_lobes", two_lobes),
             ("diffuse", diffuse),
+            ("scatter_samples", scatter_samples),
         ):
             object.__setattr__(self, name, value)
         if outside not in OUTSIDE:
@@ -251,6 +257,9 @@ class Shading:
             raise InputError(f"unknown diffuse term {diffuse!r}; known: {', '.join(DIFFUSE)}")
         for name in SWITCHES:
             _check_switch(name, getattr(self, name))
+        if scatter_samples not in SCATTER_SAMPLES or isinstance(scatter_samples, bool):
+            known = ", ".join(map(str, SCATTER_SAMPLES))
+            raise InputError(f"scatter_samples = {scatter_samples!r}: give one of {known}")
         if ks is not None:
             check_range("ks", ks, 0.0, MAX_WEIGHT)
         terms = (term, *self._own.values())
@@ -311,6 +320,7 @@ class Shading:
             "ks": self.ks,
             **{name: getattr(self, name) for name in SWITCHES},
             "diffuse": self.diffuse,
+            "scatter_samples": self.scatter_samples,
             "specular_lights": None if self.specular_lights is None else [*self.specular_lights],
             "shadow_lights": None if self.shadow_lights is None else [*self.shadow_lights],
             "frontal_lights": list(self.frontal_lights),
@@ -341,13 +351,15 @@ class Shading:
 # As TOML and JSON name what a shading is made of, and what it is where nothing is said.
 _KEYS = (
     *("model", "lobe", "fresnel", "outside", "masking", "small_slope", "m", "ks"),
-    *(*SWITCHES, "diffuse", "specular_lights", "shadow_lights", "frontal_lights", "lights"),
+    *(*SWITCHES, "diffuse", "scatter_samples"),
+    *("specular_lights", "shadow_lights", "frontal_lights", "lights"),
 )
 _DEFAULTS = asdict(Term()) | {
     "outside": "error",
     "ks": None,
     **SWITCHES,
     "diffuse": "lambert",
+    "scatter_samples": 16,
     "specular_lights": None,
     "shadow_lights": None,
     "frontal_lights": [],

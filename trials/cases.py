@@ -22,7 +22,7 @@ from facerender.drawing.evaluate import WIDTH, Inputs
 from facerender.glsl import code
 from facerender.lobes import AnyLobe, GPower
 from facerender.shading import Term
-from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, lobe_entry, shadow
+from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, lobe_entry, scattering, shadow
 from facerender.terms.entry import ULP
 from facerender.terms.lobe import TINY, power_error
 
@@ -465,6 +465,83 @@ def shadow_disc() -> Case:
     expected = shadow.shadow_disc(map_, tile, *places, *DISC)
     call = f"fr_shadow_disc(map_texels, ivec3{tile}, p, plane.xy, {', '.join(map(str, DISC))})"
     return Case(include("shadow"), call, inputs, expected, 0.0, 1e-4)
+
+
+# --- scattering ----------------------------------------------------------------------------------
+
+
+GAUSSIANS = ((0.6, 0.2, 0.1, 0.0), (2.0, 0.5, 0.2, 0.05))
+SIXTEEN = scattering.spiral(GAUSSIANS, 16)
+
+
+def array(kind: str, rows: ArrayLike) -> str:
+    """Return an array of vectors as GLSL."""
+    vectors = [f"{kind}({', '.join(map(repr, map(float, row)))})" for row in np.asarray(rows)]
+    return f"{kind}[{len(vectors)}]({', '.join(vectors)})"
+
+
+def gaussians() -> str:
+    rows = [(*(np.divide(w, 2.0 * np.pi * v)), -0.5 / (v * np.log(2.0))) for v, *w in GAUSSIANS]
+    return array("vec4", rows)
+
+
+@case((0,), (1,), (2,))
+def scatter_profile(channel: int) -> Case:
+    r2 = singles([0.0, *np.logspace(-6, 18, 500)])
+    expected = scattering.scatter_profile(r2, GAUSSIANS)[:, channel]
+    call = f"fr_scatter_profile(r2, {gaussians()})[{channel}]"
+    prelude = include("scatter", FR_SCATTER_GAUSSIANS="2")
+    highest = scattering.scatter_profile(0.0, GAUSSIANS)[channel]
+    return Case(prelude, call, {"r2": r2}, expected, 0.0, 1e-6 * highest)
+
+
+@case()
+def scatter_area() -> Case:
+    c = singles(np.linspace(-1.0, 1.0, 401))
+    expected = scattering.scatter_area(c.astype(float))
+    return Case(include("scatter"), "fr_scatter_area(c)", {"c": c}, expected, 4 * ULP)
+
+
+@case()
+def scatter_turn() -> Case:
+    x, y = (each.ravel() for each in np.mgrid[0:16000:37, 0:16000:311])
+    inputs = {"x": singles(x), "y": singles(y)}
+    call = "fr_scatter_turn(ivec2(int(x), int(y))) + 4.0"
+    return Case(include("scatter"), call, inputs, scattering.scatter_turn(x, y) + 4.0, 4 * ULP)
+
+
+@cache
+def scattered() -> tuple[dict[str, Singles], Floats, Floats]:
+    """Places of a wavy surface with light, what it scatters, and how far the GPU may be from that:
+    any way where a place lies so near to a border of pixels that rounding decides."""
+    random = np.random.default_rng(13)
+    shape = 20, WIDTH
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    place = np.stack([x, y, 9.0 * np.sin(0.1 * x) + 5.0 * (x > 700)], axis=-1) / 4.0
+    light = random.uniform(0.0, 3.0, (*shape, 3))
+    place, light = (singles(each).astype(float) for each in (place, light))
+    one, every = np.ones(shape), np.ones(shape, dtype=bool)
+    scale = 4.0 * one.ravel()
+    expected = scattering.scatter(light, place, one, one, scale, 1.0, GAUSSIANS, 16, every)
+    spiral = 4.0 * (SIXTEEN[:, 0] + 1j * SIXTEEN[:, 1])
+    turned = spiral * np.exp(1j * scattering.scatter_turn(x, y))[..., None]
+    borders = np.stack([turned.real, turned.imag]) + 0.5
+    reach = 1e-4 + 2.0**-11 * np.abs(spiral)  # Vulkan's sine and cosine err by 2^-11
+    unsure = (np.abs(borders - np.round(borders)) < reach).any(axis=(0, -1))
+    inputs = {"light": singles(light.reshape(-1, 3)), "place": singles(place.reshape(-1, 3))}
+    return inputs, expected, np.where(unsure.ravel(), 3.0, 3e-5)
+
+
+@case((0,), (1,), (2,))
+def scatter(channel: int) -> Case:
+    inputs, expected, bounds = scattered()
+    rest = f"vec3({', '.join(map(repr, map(float, scattering.rest(GAUSSIANS))))})"
+    call = (
+        f"fr_scatter(light_texels, place_texels, ivec2(gl_FragCoord.xy), 4.0, {gaussians()}, "
+        f"{rest}, {array('vec3', SIXTEEN)})[{channel}] + 0.0 * (light.x + place.x)"
+    )
+    prelude = include("scatter", FR_SCATTER_GAUSSIANS="2")
+    return Case(prelude, call, inputs, expected[:, channel], 0.0, bounds)
 
 
 # --- models --------------------------------------------------------------------------------------

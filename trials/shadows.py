@@ -74,7 +74,7 @@ def by_rays(
     ----------
     gbuffer : whose normals are those of the mesh
     """
-    tracer = _tracer(mesh)
+    tracer = tracer_of(mesh)
     origin = gbuffer.position[pixels].astype(np.float64)
     origin += _OFFSET * gbuffer.normal[pixels]
     axes = light_axes(light, mesh)
@@ -93,7 +93,8 @@ def by_rays(
     return seen / rays
 
 
-def _tracer(mesh: Mesh) -> RayMeshIntersector:
+def tracer_of(mesh: Mesh) -> RayMeshIntersector:
+    """Return what traces rays in the renderer's space."""
     positions = [mesh.normalised(part.positions) for part in mesh.parts]
     firsts = np.cumsum([0, *map(len, positions)])
     faces = [part.faces + first for part, first in zip(mesh.parts, firsts[:-1], strict=True)]

@@ -59,6 +59,15 @@ def add_scene(
     terms.add_argument(
         "--lobe-weight", type=float, metavar="W", help="share of the first lobe (1: the only one)"
     )
+    terms.add_argument(
+        "--scattering", choices=("skin", "none"), help="light that enters and leaves beside (none)"
+    )
+    terms.add_argument(
+        "--scatter-samples",
+        type=int,
+        metavar="N",
+        help="pixels at which it is looked for: 8, 16, 32 or 64; 0 leaves it out (16)",
+    )
 
     maps = command.add_argument_group("maps, in place of those of the mesh file")
     for name in ("albedo", "normal-map", "specular-map", "roughness-map", "lobe-map"):
@@ -68,6 +77,12 @@ def add_scene(
     maps.add_argument("--float-albedo", action="store_true", help="albedo as linear float16")
 
     scene = command.add_argument_group("scene")
+    scene.add_argument(
+        "--millimetres",
+        type=float,
+        metavar="MM",
+        help="that a unit of the mesh is, for scattering (1000 in glTF)",
+    )
     scene.add_argument("--fov", type=float, help="vertical angle of view in degrees (25)")
     scene.add_argument(
         "--light",
@@ -98,16 +113,8 @@ def job_of(
     if options.m is not None and options.roughness_map is not None:
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
     settings = load_scene(options.scene) if options.scene else {}
-    names = (
-        "model",
-        "lobe",
-        "fresnel",
-        "masking",
-        "diffuse",
-        "outside",
-        "slope_filter",
-        "curvature",
-    )
+    names = ("model", "lobe", "fresnel", "masking", "diffuse", "outside")
+    names += ("slope_filter", "curvature", "scatter_samples")
     terms = {name: value for name in names if (value := getattr(options, name, None)) is not None}
     pinned = settings.pop("shading", {})
     _check_unpinned(options, pinned)
@@ -129,7 +136,7 @@ def job_of(
         )
     material.update(
         (name, value)
-        for name in ("m", "f0", "ks", "kd", "second_slope", "lobe_weight")
+        for name in ("m", "f0", "ks", "kd", "second_slope", "lobe_weight", "scattering")
         if (value := getattr(options, name)) is not None
     )
     mesh = MeshFile(
@@ -141,6 +148,7 @@ def job_of(
         options.flip_v,
         getattr(options, "triangles", None),
         options.lobe_map,
+        options.millimetres,
     )
     job = Job(
         mesh,

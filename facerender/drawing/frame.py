@@ -105,6 +105,8 @@ class GBuffer:
     view : the camera that saw it
     second_m, lobe_weight : (H, W) float32, slope of the second lobe and share of the first; None
         where no material has two lobes
+    facing : (H, W) float32, cosine between the mesh's normal, without its map, and the eye; None
+        where nothing scatters
     """
 
     part: NDArray[np.int64]
@@ -119,3 +121,4 @@ class GBuffer:
     view: View
     second_m: NDArray[np.float32] | None = None
     lobe_weight: NDArray[np.float32] | None = None
+    facing: NDArray[np.float32] | None = None

@@ -170,7 +170,7 @@ _SWITCH = ("glDisable", "glEnable")
 _TEXTURE_0, _ACTIVE_TEXTURE, _MOST_UNITS = 0x84C0, 0x84E0, 0x8B4D
 _TEXTURES = ((0x0DE1, 0x8069), (0x9100, 0x9104))  # target and binding: 2D, with several samples
 _SAMPLER_BINDING = 0x8919
-_UNITS = 6  # that drawing binds: what was drawn, four maps, facets
+_UNITS = 7  # that drawing binds: what was drawn, shadow maps, four maps, facets
 
 
 def put_aside_state(load: Callable[[str], int]) -> Callable[[], None]:

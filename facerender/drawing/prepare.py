@@ -18,8 +18,8 @@ _simplified: WeakKeyDictionary[Mesh, dict[tuple[Any, ...], Mesh]] = WeakKeyDicti
 
 
 def simplify(scene: Scene, shading: Shading) -> Scene:
-    """Return the scene without the maps, the shadows and the ambient light that a shading leaves
-    out.
+    """Return the scene without the maps, the shadows, the scattering and the ambient light that a
+    shading leaves out.
 
     The same mesh gives the same simplified mesh again, so that a renderer keeps its maps.
 
@@ -37,6 +37,8 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
         changes["lobe_weight"] = 1.0
     if not shading.normal_map:
         changes["normal_map"] = None
+    if not shading.scatter_samples and any(each.scattering for each in scene.mesh.materials):
+        changes["scattering"] = None
     if shading.shadow_lights is not None:
         cast = [light.shadow and i in shading.shadow_lights for i, light in enumerate(scene.lights)]
         lights = zip(scene.lights, cast, strict=True)

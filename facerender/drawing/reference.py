@@ -28,11 +28,15 @@ class Layers:
     ----------
     ambient, diffuse : (H, W, 3) float64
     specular : (lights, H, W, 3) float64
+    light, albedo : (H, W, 3) float64, irradiance of the diffuse term and of the ambient one
+        together, and what makes radiance of it; None where nothing scatters
     """
 
     ambient: NDArray[np.float64]
     diffuse: NDArray[np.float64]
     specular: NDArray[np.float64]
+    light: NDArray[np.float64] | None = None
+    albedo: NDArray[np.float64] | None = None
 
     def sum(self, shading: Shading) -> NDArray[np.float64]:
         """Return the image (H, W, 3) of the lights and the ambient term that a shading has."""
@@ -44,7 +48,8 @@ class Layers:
 
 
 def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float64]:
-    """Shade every covered pixel of a G-buffer as ``shaders/host/shade.frag`` does.
+    """Shade every covered pixel of a G-buffer as ``shaders/host/shade.frag`` does, and scatter its
+    light as ``scatter.frag`` does.
 
     Parameters
     ----------
@@ -58,7 +63,38 @@ def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float6
     ------
     InputError : m lies outside the lobe's domain, and the shading asks for an error then
     """
-    return layers(gbuffer, scene, shading).sum(shading)
+    terms = layers(gbuffer, scene, shading)
+    return terms.sum(shading) + scattered(gbuffer, scene, shading, terms)
+
+
+def scattered(
+    gbuffer: GBuffer, scene: Scene, shading: Shading, terms: Layers
+) -> NDArray[np.float64]:
+    """Return how scattering changes the radiance of a whole G-buffer's pixels, (H, W, 3).
+
+    Parameters
+    ----------
+    terms : of the G-buffer, as :func:`layers` has them
+    """
+    change = np.zeros(gbuffer.position.shape)
+    height, width = gbuffer.part.shape
+    if terms.light is None or terms.albedo is None or gbuffer.facing is None:
+        return change
+    from facerender.scenes.scattering import scattering_of
+    from facerender.terms.scattering import scatter, scatter_area
+
+    if (found := scattering_of(simplify(scene, shading), (width, height))) is None:
+        return change
+    number = np.array([*found.numbers, 0])[gbuffer.part]
+    place, area = gbuffer.position.astype(np.float64), scatter_area(gbuffer.facing)
+    for index, gaussians in enumerate(found.profiles, 1):
+        own = number == index
+        depth = (place[own] - gbuffer.view.eye) @ gbuffer.view.forward
+        scale = found.pixels / (depth * found.millimetres)
+        size = scale, found.millimetres, gaussians, shading.scatter_samples
+        light = scatter(terms.light, place, number, area, *size, own)
+        change[own] = terms.albedo[own] * (light - terms.light[own])
+    return change
 
 
 def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
@@ -68,6 +104,8 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
     pinned = shading.constant_slope
     ambient, diffuse = np.zeros((2, *gbuffer.position.shape))
     specular = np.zeros((len(scene.lights), *gbuffer.position.shape))
+    scatters = any(material.scattering for material in scene.mesh.materials)
+    light_of, albedo_of = np.zeros((2, *gbuffer.position.shape)) if scatters else (None, None)
     terms = [shading.of(light) or shading.term for light in range(len(scene.lights))]
     for index, (material, slopes) in enumerate(
         zip(scene.mesh.materials, slope_ranges(scene, shading), strict=True)
@@ -89,7 +127,8 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
             n_dot_v = np.einsum("...i,...i", n, v)
             coupling = _Coupling.at(gbuffer, covered, material, n_dot_v, pinned)
         left = coupling.left(coupling.mean) if coupling else 1.0
-        ambient[covered] = albedo * occlusion[:, None] * np.asarray(scene.ambient) * left
+        entered = occlusion[:, None] * np.asarray(scene.ambient) * left
+        ambient[covered] = albedo * entered
         for light, (source, term) in enumerate(zip(scene.lights, own, strict=True)):
             l, irradiance = source.kind.lighting(source, scene.mesh, position)
             if source.shadow:
@@ -104,6 +143,7 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
                 variance = slope_variance_disc(s, k, 0.5 * np.linalg.norm(l + v, axis=-1))
             left = coupling.left(coupling.towards(cosine)) if coupling else 1.0
             diffuse[covered] += albedo * spread * left
+            entered = entered + spread * left
             value = term.brdf(n, l, v, slope_filtered(m, variance), material.f0)
             if material.two_lobes:
                 assert gbuffer.second_m is not None
@@ -113,7 +153,9 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
                 share = gbuffer.lobe_weight[covered].astype(np.float64)
                 value = share * value + (1.0 - share) * second.brdf(n, l, v, second_m, material.f0)
             specular[light][covered] = received * (weight * value)[:, None]
-    return Layers(ambient, diffuse, specular)
+        if light_of is not None and albedo_of is not None:
+            light_of[covered], albedo_of[covered] = entered, albedo
+    return Layers(ambient, diffuse, specular, light_of, albedo_of)
 
 
 @dataclass(frozen=True, eq=False)

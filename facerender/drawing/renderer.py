@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 import moderngl
 import numpy as np
@@ -33,6 +34,9 @@ from facerender.scenes.texture import Kind
 from facerender.scenes.view import View, sample_grid, view_of
 from facerender.shading import Shading
 from facerender.terms import AnyLobe
+
+if TYPE_CHECKING:
+    from facerender.scenes.scattering import Scattering
 
 MAX_SIZE = 16384
 MAX_SAMPLES = 64
@@ -200,7 +204,8 @@ class Renderer:
         start_maps(scene.mesh, self.albedo_kind, shading.slope_filter)
         view = view_of(scene, self.size[0] / self.size[1])
         visibility = self._visibility(scene, view, 1)
-        surface = surface_pass(scene, view, shading, visibility)
+        scatters = _scattering(scene, self.size) is not None
+        surface = surface_pass(scene, view, shading, visibility, scatters)
         passes = [visibility.drawn(), surface] if visibility else [surface]
         position, normal, albedo, uv, *lobes = self._draw(passes, scene)
         seen = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
@@ -223,6 +228,7 @@ class Renderer:
             view=view,
             second_m=lobes[0][..., 0] if lobes else None,
             lobe_weight=lobes[0][..., 1] if lobes else None,
+            facing=uv[..., 3] if scatters else None,
         )
 
     def _shaded(
@@ -236,10 +242,38 @@ class Renderer:
         once: bool = False,
     ) -> NDArray[np.float32]:
         visibility = self._visibility(scene, view, samples, once)
-        shaded = shade_pass(scene, view, shading, samples, only, visibility)
-        first, *others = [visibility.drawn(), shaded] if visibility else [shaded]
-        shadows = shadow_passes(scene, Lighting.of(scene, shading))
-        return self._draw([*shadows, replace(first, backs=backs), *others], scene)[0]
+        scattering = None if only == "specular" else _scattering(scene, self.size)
+        beside = scattering if samples == 1 else None
+        shaded = shade_pass(scene, view, shading, samples, only, visibility, beside)
+        if scattering and not beside:
+            shaded = replace(shaded, name="image", target=replace(shaded.target, sampled=True))
+        passes = _from_visibility(shaded, visibility, backs)
+        if scattering:
+            passes += self._scattered(scene, view, shading, scattering, only, backs, bool(beside))
+        return self._draw([*shadow_passes(scene, Lighting.of(scene, shading)), *passes], scene)[0]
+
+    def _scattered(
+        self,
+        scene: Scene,
+        view: View,
+        shading: Shading,
+        scattering: Scattering,
+        only: Only | None,
+        backs: bool,
+        drawn: bool,
+    ) -> list[Pass]:
+        """What follows an image for its light to scatter: with several samples a pixel, which see
+        several places, its centre stands for all. drawn : whether what scatters has been."""
+        from facerender.drawing.passes.scatter import scatter_pass
+
+        if drawn:
+            background = scene.background if only is None else None
+            return [scatter_pass(view, scattering, shading.scatter_samples, background)]
+        visibility = self._visibility(scene, view, 1)
+        shaded = shade_pass(scene, view, shading, 1, "diffuse", visibility, scattering, apart=True)
+        passes = _from_visibility(shaded, visibility, backs)
+        count = shading.scatter_samples
+        return [*passes, scatter_pass(view, scattering, count, several=True)]
 
     def _visibility(
         self, scene: Scene, view: View, samples: int, once: bool = False
@@ -280,9 +314,24 @@ class Renderer:
                     gl.copy_framebuffer(single, target)
                     target = single
                 if step.target.sampled:
-                    (texture, *_) = target.color_attachments
-                    drawn[step.name] = texture  # type: ignore[assignment]
+                    names = (step.name, *step.others)
+                    drawn |= zip(names, target.color_attachments, strict=False)  # type: ignore[arg-type]
             return [read(target, index) for index in range(step.target.colors)]
+
+
+def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:
+    """How a scene scatters, for which nothing is imported where it does not."""
+    if not any(material.scattering for material in scene.mesh.materials):
+        return None
+    from facerender.scenes.scattering import scattering_of
+
+    return scattering_of(scene, size)
+
+
+def _from_visibility(shaded: Pass, visibility: Visibility | None, backs: bool) -> list[Pass]:
+    """A pass that shades, behind what it reads."""
+    first, *others = [visibility.drawn(), shaded] if visibility else [shaded]
+    return [replace(first, backs=backs), *others]
 
 
 def _check_samples(samples: int) -> None:

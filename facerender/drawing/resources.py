@@ -176,7 +176,8 @@ class Resources:
                 textures[name] = self.texture(name, source, kind)  # before binding: it uses unit 0
         if draw.facets is not None and draw.depth == "marked":
             textures["facets"] = self.facet_texture(draw.facets)
-        for unit, (name, texture) in enumerate(textures.items()):
+        used = [(name, texture) for name, texture in textures.items() if name in program]
+        for unit, (name, texture) in enumerate(used):
             texture.use(unit)
             set_uniforms(program, {name: unit})
 

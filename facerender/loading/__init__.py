@@ -4,6 +4,7 @@ Materials and maps come along. No OpenGL here."""
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ def load_mesh(
     roughness_map: Path_ | None = None,
     lobe_map: Path_ | None = None,
     flip_v: bool = False,
+    millimetres: float | None = None,
     cache: bool = False,
 ) -> Mesh:
     """Read a mesh file, or the built-in head.
@@ -40,29 +42,39 @@ def load_mesh(
     albedo, normal_map, specular_map, roughness_map, lobe_map : image files that replace the file's
         own maps; see :class:`facerender.Material`
     flip_v : turn the texture coordinates upside down, for files that store v the other way
+    millimetres : that a unit of the file is, which scattering needs; None for what the format says:
+        1000 in .glb and .gltf, nothing in others
     cache : take the mesh with its decoded maps from ``~/.cache/facerender`` if no file has changed
         since it was put there, or else decode all of its maps, and put it there in the background
 
     Raises
     ------
-    InputError : the file or a map is missing, empty, damaged, of no known format, or has no faces
+    InputError : the file or a map is missing, empty, damaged, of no known format, or has no faces;
+        millimetres outside [1e-6, 1e6]
     """
     files = _files(path, albedo, normal_map, specular_map, roughness_map, flip_v, lobe_map)
     if not cache:
-        return _read(files)[0]
+        return _scaled(_read(files)[0], millimetres)
     if (found := files.find()) is not None:
-        return found
+        return _scaled(found, millimetres)
     name = files.digest()
     with noting() as warnings:
         mesh, referred = _read(files)
     if name is not None:
         files.keep(name, mesh, referred, warnings)
-    return mesh
+    return _scaled(mesh, millimetres)
 
 
-def kept_mesh(path: Path_ | None = None, **files: Any) -> Mesh | None:
+def kept_mesh(
+    path: Path_ | None = None, millimetres: float | None = None, **files: Any
+) -> Mesh | None:
     """Return the mesh that :func:`load_mesh` would take from the cache, if it is there."""
-    return _files(path, **files).find()
+    mesh = _files(path, **files).find()
+    return None if mesh is None else _scaled(mesh, millimetres)
+
+
+def _scaled(mesh: Mesh, millimetres: float | None) -> Mesh:
+    return mesh if millimetres is None else replace(mesh, millimetres=millimetres)
 
 
 def _files(
@@ -105,4 +117,5 @@ def _read(files: Files) -> tuple[Mesh, dict[str, bytes | None]]:
                 piece.uv[:, 1] = 1.0 - piece.uv[:, 1]
     if overrides:
         override(pieces, overrides, source)
-    return assemble(clean(pieces, source.name), source.name), referred
+    millimetres = 1000.0 if source.suffix.lower() in (".glb", ".gltf") else None
+    return assemble(clean(pieces, source.name), source.name, millimetres), referred

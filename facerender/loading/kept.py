@@ -178,6 +178,7 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
         "bounds": number(mesh.bounds),
         "radius": mesh.radius,
         "profile": number(mesh.profile),
+        "millimetres": mesh.millimetres,
         "textures": textures,
     }
     facts["arrays"] = [(each.dtype.str, each.shape) for each in arrays]
@@ -228,6 +229,7 @@ def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
         arrays[facts["bounds"]],
         facts["radius"],
         arrays[facts["profile"]],
+        facts["millimetres"],
     )
 
 

@@ -44,7 +44,7 @@ def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
     return pieces
 
 
-def assemble(pieces: Sequence[Piece], name: str) -> Mesh:
+def assemble(pieces: Sequence[Piece], name: str, millimetres: float | None = None) -> Mesh:
     used = np.concatenate([piece.positions[_used(piece)] for piece in pieces])
     bounds = np.array([used.min(axis=0), used.max(axis=0)])
     offsets = used - bounds.mean(axis=0)
@@ -65,6 +65,7 @@ def assemble(pieces: Sequence[Piece], name: str) -> Mesh:
         bounds,
         radius,
         _profile(offsets / radius),
+        millimetres,
     )
 
 

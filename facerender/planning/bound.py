@@ -58,6 +58,8 @@ def bound(scene: Scene, shading: Shading, full: Shading, budget: Budget) -> floa
             radiance = np.inf
         if shadowed(scene, shading) != shadowed(scene, full):
             radiance = np.inf
+        if material.scattering and shading.scatter_samples != full.scatter_samples:
+            radiance = np.inf
         weight = max(_weight(material, each) for each in (shading, full))
         same_weight = _same_weight(material, shading, full)
         for light, own, other in lit:

@@ -11,7 +11,7 @@ from typing import Any
 
 from facerender.drawing.prepare import simplify
 from facerender.scenes.scene import Scene, slope_ranges
-from facerender.shading import SMALL_SLOPE, Shading, Term
+from facerender.shading import SCATTER_SAMPLES, SMALL_SLOPE, Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe
 from facerender.terms.fitting import G_POWERS, fit_g_power
 
@@ -25,6 +25,7 @@ DECISIONS = {
     "lights": "specular_lights",
     "frontal": "frontal_lights",
     "shadows": "shadow_lights",
+    "scattering": "scatter_samples",
     "normal map": "normal_map",
     "slope": "term.m",
     "specular weight": "ks",
@@ -87,10 +88,13 @@ def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Sh
     kinds += [tuple(sorted(kept[gone:])) for gone in range(1, len(kept) + 1)]
     cast: list[tuple[int, ...] | None] = [full.shadow_lights]
     cast += [tuple(sorted(constants.shadows[n:])) for n in range(1, len(constants.shadows) + 1)]
-    for (two_lobes, m), ks, shadows, normal_map, ambient, diffuse in product(
+    scatters = any(each.scattering and each.kd > 0.0 for each in materials)
+    fewer = [count for count in SCATTER_SAMPLES if scatters and count < full.scatter_samples]
+    for (two_lobes, m), ks, shadows, scatter_samples, normal_map, ambient, diffuse in product(
         slopes,
         weights,
         cast,
+        (full.scatter_samples, *fewer),
         {full.normal_map, full.normal_map and not textured["normal_map"]},
         {full.ambient, full.ambient and not any(scene.ambient)},  # type: ignore[arg-type]
         dict.fromkeys((full.diffuse, "lambert")),
@@ -98,6 +102,7 @@ def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Sh
         term = replace(full.term, m=m)
         own: dict[str, Any] = {"two_lobes": two_lobes, "normal_map": normal_map, "ambient": ambient}
         own |= {"shadow_lights": shadows, "diffuse": diffuse}
+        own |= {"scatter_samples": scatter_samples}
         surface = replace(full, term=term, ks=ks, **own)
         for shading in _terms(scene, surface):
             for lights in kinds:

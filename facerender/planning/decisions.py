@@ -22,7 +22,7 @@ from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
 # What they save is no share of the specular terms.
-_OF_THE_WHOLE = ("normal map", "ambient", "diffuse", "shadows")
+_OF_THE_WHOLE = ("normal map", "ambient", "diffuse", "shadows", "scattering")
 
 
 @dataclass(frozen=True)
@@ -180,6 +180,7 @@ def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:
         "specular weight": "the material's" if shading.ks is None else f"constant {shading.ks:.4g}",
         "ambient": "on" if shading.ambient else "off",
         "diffuse": shading.diffuse,
+        "scattering": f"{shading.scatter_samples or 'no'} samples",
         "model": term.model,
         "lobe": f"lobe {term.lobe}",
         "Fresnel": f"Fresnel {term.fresnel}",

@@ -22,6 +22,7 @@ from facerender.shading import Shading
 Float = NDArray[np.float64]
 
 _FEWEST = 500  # triangles of a level of detail
+_MOST_SCATTERED = 8  # images of a place that are kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +45,33 @@ def _saves_shading(place: Place, samples: int) -> bool:
     scene, renderer = place.scene, place.renderer
     known = pays(scene, renderer.size, samples, renderer.context.renderer)
     return known and renderer.can_shade_once(scene, samples)
+
+
+class Scattered:
+    """How scattering changes the pixels of a place, drawn: a pixel's light depends on others, and
+    float64 would take seconds for them."""
+
+    def __init__(self, place: Place) -> None:
+        self.place = place
+        self.known: dict[Shading, Float] = {}
+
+    def __call__(self, shading: Shading) -> Float:
+        """Return the change of the radiance, (H, W, 3)."""
+        names = ["scatter_samples", "shadow_lights", "normal_map", "ambient", "diffuse"]
+        if shading.diffuse == "coupled":
+            names += ["term", "ks", "two_lobes", "slope_filter", "curvature"]
+        light = Shading(**{name: getattr(shading, name) for name in names})
+        if light not in self.known:
+            if len(self.known) >= _MOST_SCATTERED:
+                del self.known[next(iter(self.known))]
+            both = (light, light.replace(scatter_samples=0))
+            images = [self._drawn(each).astype(np.float64) for each in both]
+            self.known[light] = images[0] - images[1]
+        return self.known[light]
+
+    def _drawn(self, shading: Shading) -> NDArray[np.float32]:
+        renderer, scene = self.place.renderer, self.place.scene
+        return renderer.render(scene, shading, "diffuse", samples=1).linear[..., :3]
 
 
 class Drawn:

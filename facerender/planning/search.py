@@ -28,7 +28,7 @@ from facerender.planning.candidates import (
     shadowed,
     with_lights,
 )
-from facerender.planning.drawn import Drawn, Place
+from facerender.planning.drawn import Drawn, Place, Scattered
 from facerender.pricing.frame import Frames
 from facerender.pricing.table import NoPrice, load_prices
 from facerender.scenes.scene import Scene, slope_ranges
@@ -201,12 +201,15 @@ class Region:
         budget: Budget,
         spared: int,
         kept: int = 1,
+        scattered: Callable[[Shading], Float] | None = None,
     ) -> None:
         """mapped and plain have normals with and without the normal map; of the pixels that are
         counted errors are told, but of so many spared as the whole image has; of the terms that
-        were evaluated so many are kept, those of the full shading first."""
+        were evaluated so many are kept, those of the full shading first. scattered gives how
+        scattering changes the pixels, which depends on others; None where nothing scatters."""
         self.scene, self.mapped, self.plain, self.counted = scene, mapped, plain, counted
         self.full, self.budget, self.spared, self.kept = full, budget, spared, kept
+        self.scattered = scattered
         self.known: dict[Shading, Layers] = {}
         self.terms = self.layers(full)
         self.exact = self.image(full)
@@ -221,11 +224,13 @@ class Region:
             plain = renderer.gbuffer(scene, replace(full, normal_map=False))
         counted = mapped.part >= 0
         spared = budget.spared(int(np.count_nonzero(counted)))
-        return cls(scene, mapped, plain, counted, full, budget, spared)
+        scatters = mapped.facing is not None
+        scattered = Scattered(place) if scatters else None
+        return cls(scene, mapped, plain, counted, full, budget, spared, scattered=scattered)
 
     def layers(self, shading: Shading) -> Layers:
         """Return the terms of a shading, of all lights and the ambient one, none frontal."""
-        whole = with_lights(replace(shading, ambient=True), None, ())
+        whole = with_lights(replace(shading, ambient=True, scatter_samples=0), None, ())
         if whole in self.known:
             return self.known[whole]
         gbuffer = self.mapped if whole.normal_map else self.plain
@@ -245,6 +250,8 @@ class Region:
             frontal = self.layers(replace(shading, term=shading.term.frontal))
             for light in shading.frontal_lights:
                 image += frontal.specular[light] - terms.specular[light]
+        if self.scattered is not None:
+            image += self.scattered(shading)
         if self.scene.background is not None:
             image[~self.counted] = self.scene.background
         return image
@@ -280,7 +287,14 @@ class Region:
         if budget.unit == "flip":
             budget = Budget(1.0, "display", budget.exposure)
         counted, kept = self.counted[index], 1 + _KEPT // flat.size
-        return Region(self.scene, mapped, plain, counted, self.full, budget, self.spared, kept)
+        scattered, whole = None, self.scattered
+        if whole is not None:
+
+            def scattered(shading: Shading) -> Float:
+                return whole(shading)[index]
+
+        own = self.full, budget, self.spared, kept, scattered
+        return Region(self.scene, mapped, plain, counted, *own)
 
 
 def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:

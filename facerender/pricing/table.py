@@ -104,6 +104,10 @@ class Prices:
                 sum_ += len(simple.lights) * each
             sum_ += self._maps(part, material, ambient, shine > 0.0 or coupled)
             sum_ += self.parts["ambient term"] * ambient
+            if material.scattering and material.kd > 0.0:
+                sum_ += self._priced(self.parts, "scattering")
+                each = self._priced(self.parts, "sample of scattering")
+                sum_ += shading.scatter_samples * each
             faces += len(part.faces)
             total += len(part.faces) * sum_
             specular += len(part.faces) * shine
@@ -245,7 +249,7 @@ def compiled(
     ------
     NotMeasured : a tool is missing; the message says which, and how to get it
     """
-    from facerender.pricing import amd, fragment
+    from facerender.pricing import amd, fragment, scatter
 
     parts = fragment.by_compiler(family)
     scenes = [fragment.scene_with(), fragment.scene_with(directional=2)]
@@ -269,7 +273,8 @@ def compiled(
     if seconds:
         terms |= _added(specular(seconds, **_TWO_LOBES), terms, seconds)
     source = f"{amd.driver()}'s estimate for {FAMILY_NAMES[family]}"
-    return Prices(source, "cycles of a wave", _without_specular(parts), terms)
+    parts = _without_specular(parts) | scatter.by_compiler(family)
+    return Prices(source, "cycles of a wave", parts, terms)
 
 
 _TWO_LOBES = {"second_slope": 1.5, "lobe_weight": 0.5}
@@ -294,7 +299,7 @@ def measured(
     ContextError : no OpenGL context
     """
     from facerender.drawing.context import create_context
-    from facerender.pricing import cost, fragment
+    from facerender.pricing import cost, fragment, scatter
 
     parts = {name: each.value for name, each in fragment.by_slope(repeats=repeats).items()}
     calls = {name: (prelude([term], SLOPE), call(term)) for name, term in wanted.items()}
@@ -311,7 +316,7 @@ def measured(
     context = create_context()
     context.release()
     source = f"measured on {context.renderer}, OpenGL {context.version}"
-    return Prices(source, "ns", _without_specular(parts), terms)
+    return Prices(source, "ns", _without_specular(parts) | scatter.by_frames(repeats), terms)
 
 
 # What a second lobe reads, for a program that has no uniforms.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from facerender.scenes.texture import Texture, pack
 from facerender.scenes.vectors import Vector, non_negative
 from facerender.shading import MAX_WEIGHT
 from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
+
+if TYPE_CHECKING:
+    from facerender.terms.scattering import Gaussians
 
 SKIN_ALBEDO: Vector = (0.48, 0.28, 0.21)  # linear; where a mesh brings no colour of its own
 
@@ -42,6 +45,9 @@ class Material:
         albedo is sRGB-encoded; green of the normal map points up; occlusion dims ambient light
     lobe_map : texture or None; its red multiplies the share of the second lobe, 1 - lobe_weight:
         white where sweat or oil is, black where there is none
+    scattering : how light enters and leaves beside: "skin", or Gaussians, each as its variance in
+        mm^2 and its weights of red, green and blue, which add up to 1 at most; what they lack to 1
+        leaves where it enters. None or "none" for a surface that does not scatter
     """
 
     albedo: Vector = SKIN_ALBEDO
@@ -58,6 +64,7 @@ class Material:
     specular_map: Texture | None = None
     occlusion_map: Texture | None = None
     lobe_map: Texture | None = None
+    scattering: str | Gaussians | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "albedo", non_negative("albedo", self.albedo))
@@ -74,6 +81,11 @@ class Material:
             value = getattr(self, name)
             if value is not None and not isinstance(value, Texture):
                 raise InputError(f"{name} = {value!r}: give facerender.Texture.open(FILE) or None")
+        if self.scattering is not None:
+            from facerender.terms.scattering import profile_of
+
+            own = None if self.scattering == "none" else profile_of(self.scattering)
+            object.__setattr__(self, "scattering", own)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickles no more than the parameters."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from facerender.errors import check_range
 from facerender.scenes.material import Material
 
 
@@ -44,6 +45,8 @@ class Mesh:
     radius : the largest distance of a vertex from the centre of the bounds
     profile : (K, 2) float64, the outline that the mesh has when it turns about the vertical axis
         through its centre: distance from the axis and height, in the renderer's space
+    millimetres : that a unit of its space is, as a glTF file says; None where no file has said so.
+        Scattering needs it
     """
 
     name: str
@@ -52,6 +55,11 @@ class Mesh:
     bounds: NDArray[np.float64]
     radius: float
     profile: NDArray[np.float64]
+    millimetres: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.millimetres is not None:
+            check_range("millimetres", self.millimetres, 1e-6, 1e6)
 
     @property
     def center(self) -> NDArray[np.float64]:

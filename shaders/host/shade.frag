@@ -24,7 +24,22 @@ uniform vec3 ambient;  // irradiance, the same from every direction
 #ifdef VISIBLE
 uniform vec3 background;
 #endif
+#ifdef SCATTER
+// What scatter.frag reads besides the radiance; APART from it, the radiance is another pass's.
+#include "facerender/scatter.glsl"
+#ifdef APART
+vec4 radiance;
+layout(location = 0) out vec4 albedo;
+#else
+layout(location = 0) out vec4 radiance;
+layout(location = 3) out vec4 albedo;
+#endif
+layout(location = 1) out vec4 light;  // as facerender/scatter.glsl has it
+layout(location = 2) out vec4 place;
+uniform float profile;  // number of what the part scatters by, -1 for none
+#else
 out vec4 radiance;
+#endif
 
 vec3 diffuse;
 vec3 specular;
@@ -95,6 +110,11 @@ vec3 shaded(Point p) {
 #endif
 #endif
     EVERY_LIGHT
+#ifdef SCATTER
+    light = vec4(diffuse, fr_scatter_area(dot(normalize(p.normal), v)));
+    place = vec4(s.position, profile);
+    albedo = vec4(diffuse_weight / FR_PI * s.albedo, 1.0);
+#endif
     vec3 result = vec3(0.0);
 #ifdef DIFFUSE
     result += diffuse_weight / FR_PI * s.albedo * diffuse;

@@ -24,7 +24,7 @@ class Target:
     colors : how many images at once
     samples : per pixel
     size : width and height in pixels; None for the frame's
-    sampled : whether later passes read its first image as the texture of the pass's name
+    sampled : whether later passes read its images as textures
     values : float32, RGBA or one number
     """
 
@@ -63,7 +63,8 @@ class Pass:
 
     Attributes
     ----------
-    name : for passes that read what it drew
+    name : for passes that read its first image
+    others : names of its other images, for passes that read them
     clear : linear RGB and coverage where nothing is drawn
     uniforms : that all draws share
     added : whether draws add to what is there
@@ -80,3 +81,4 @@ class Pass:
     added: bool = False
     backs: bool = True
     key: Hashable = None
+    others: tuple[str, ...] = ()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from facerender.drawing.passes import Draw, Pass, Target
@@ -11,6 +14,9 @@ from facerender.scenes.scene import Only, Scene, slope_ranges
 from facerender.scenes.view import View
 from facerender.shading import Shading
 
+if TYPE_CHECKING:
+    from facerender.scenes.scattering import Scattering
+
 
 def shade_pass(
     scene: Scene,
@@ -19,6 +25,8 @@ def shade_pass(
     samples: int,
     only: Only | None = None,
     visibility: Visibility | None = None,
+    scattering: Scattering | None = None,
+    apart: bool = False,
 ) -> Pass:
     """Return the pass that shades a simplified scene.
 
@@ -27,6 +35,9 @@ def shade_pass(
     only : "specular" or "diffuse" in place of the whole image
     visibility : what was drawn before, with so many samples; None to shade triangles as they are
         drawn
+    scattering : whose profiles are drawn beside the image, which has no background then; None to
+        draw the image alone
+    apart : draw what scatters without the image
 
     Raises
     ------
@@ -46,5 +57,30 @@ def shade_pass(
         draws.append(Draw(program, part_uniforms(part, material), part, material))
     background = scene.background if scene.background and only is None else (0.0, 0.0, 0.0)
     uniforms = scene_uniforms(scene, view, lighting)
+    if scattering:
+        background = (0.0, 0.0, 0.0)
     drawn = Pass("shade", Target(samples=samples), tuple(draws), (*background, 0.0), uniforms)
+    if scattering:
+        drawn = _beside(drawn, scattering, apart)
     return visibility.shaded(drawn, {"background": np.asarray(background)}) if visibility else drawn
+
+
+def _beside(drawn: Pass, scattering: Scattering, apart: bool) -> Pass:
+    """Return a pass that draws what scatters as well."""
+    from facerender.drawing.passes.scatter import ALBEDO, IMAGE, LAYERS
+
+    features = ("SCATTER", *(("APART",) * apart))
+    return replace(
+        drawn,
+        name=ALBEDO if apart else IMAGE,
+        target=replace(drawn.target, colors=3 if apart else 4, sampled=True),
+        draws=tuple(
+            replace(
+                draw,
+                program=replace(draw.program, features=draw.program.features + features),
+                uniforms={**draw.uniforms, "profile": number},
+            )
+            for draw, number in zip(drawn.draws, scattering.numbers, strict=True)
+        ),
+        others=LAYERS if apart else (*LAYERS, ALBEDO),
+    )

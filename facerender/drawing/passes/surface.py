@@ -18,16 +18,22 @@ from facerender.shading import Shading
 
 
 def surface_pass(
-    scene: Scene, view: View, shading: Shading, visibility: Visibility | None = None
+    scene: Scene,
+    view: View,
+    shading: Shading,
+    visibility: Visibility | None = None,
+    scatters: bool = False,
 ) -> Pass:
     """Return the pass that draws position and part, normal and m, albedo and specular weight,
-    texture coordinates and occlusion of a simplified scene, and where a part has two lobes second m
-    and lobe weight; visibility as of the pass that shades."""
+    texture coordinates and occlusion of a simplified scene, where a part has two lobes second m and
+    lobe weight, and where it scatters how the mesh faces the eye; visibility as of the pass that
+    shades."""
     two = any(material.two_lobes for material in scene.mesh.materials)
     parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
+    scatter = ("SCATTER",) * scatters
     draws = [
         Draw(
-            Program("gbuffer.frag", features=_features(part, material, shading, two)),
+            Program("gbuffer.frag", features=_features(part, material, shading, two) + scatter),
             {**part_uniforms(part, material), "part": number},
             part,
             material,

@@ -1,0 +1,67 @@
+"""Light that scatters below the surface, drawn by ``shaders/host/scatter.frag`` from an image and
+what the pass that shades has drawn beside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.program import Program
+from facerender.scenes.scattering import Scattering
+from facerender.scenes.vectors import Vector
+from facerender.scenes.view import View
+from facerender.terms.scattering import rest, spiral
+
+IMAGE, ALBEDO = "image", "albedo"
+LAYERS = ("light", "place")  # that shade.frag draws besides
+
+
+def scatter_pass(
+    view: View,
+    scattering: Scattering,
+    samples: int,
+    background: Vector | None = None,
+    several: bool = False,
+) -> Pass:
+    """Return the pass that scatters the light of an image.
+
+    Parameters
+    ----------
+    samples : pixels that are looked at for each
+    background : that the image lacks; None where it lacks none
+    several : whether a pixel of the image has several samples
+    """
+    uniforms = {
+        "eye": view.eye,
+        "forward": view.forward,
+        "pixels": scattering.pixels,
+        "background": np.asarray(background or (0.0, 0.0, 0.0)),
+    }
+    composed = Draw(Program("composed.frag", "screen.vert"), {"depth": 1.0})
+    draws = (composed, *_draws(scattering, samples, ("SEVERAL",) * several))
+    return Pass("scatter", Target(), draws, uniforms=uniforms)
+
+
+def _draws(scattering: Scattering, samples: int, several: tuple[str, ...]) -> Iterator[Draw]:
+    unit = scattering.millimetres
+    for number, gaussians in enumerate(scattering.profiles, 1):
+        own = {"profile": number, "depth": 1.0 / (1.0 + number)}
+        yield Draw(Program("scattered.frag", "screen.vert", several), own, depth="mark")
+        table = np.array(gaussians)
+        variance = table[:, :1] / unit**2
+        weight = table[:, 1:] / (2.0 * math.pi * variance)
+        uniforms = {
+            **own,
+            "gaussians": np.hstack([weight, -math.log2(math.e) / (2.0 * variance)]),
+            "rest": rest(gaussians),
+            "spiral": spiral(gaussians, samples) / (unit, unit, unit**2),
+        }
+        features = (
+            f"FR_SCATTER_SAMPLES {samples}",
+            f"FR_SCATTER_GAUSSIANS {len(gaussians)}",
+            *several,
+        )
+        yield Draw(Program("scatter.frag", "screen.vert", features), uniforms, depth="marked")

@@ -1,0 +1,170 @@
+"""Light that enters skin and leaves it beside: profiles of diffusion, and the float64 twin of
+``shaders/facerender/scatter.glsl``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from facerender.errors import InputError
+
+Float = NDArray[np.float64]
+Gaussians = tuple[tuple[float, float, float, float], ...]  # variance in mm^2; red, green, blue
+
+# What a material may call by a name. d'Eon and Luebke (2007), GPU Gems 3, chapter 14: three layers
+# of skin.
+PROFILES: dict[str, Gaussians] = {
+    "skin": (
+        (0.0064, 0.233, 0.455, 0.649),
+        (0.0484, 0.100, 0.336, 0.344),
+        (0.187, 0.118, 0.198, 0.0),
+        (0.567, 0.113, 0.007, 0.007),
+        (1.99, 0.358, 0.004, 0.0),
+        (7.41, 0.078, 0.0, 0.0),
+    )
+}
+MOST = 16  # Gaussians of a profile
+MOST_VARIANCE = 1e4  # mm^2
+NARROW = 0.5  # pixels: Gaussians whose deviation is less stay where they are
+_OWN = 1e-3
+_WORD = 1 << 32  # of GLSL's uint
+_ANGLE = 2.39996323
+_LAST = 0.98  # of the distribution of radii: the rest is too far away to be noise
+
+
+def profile_of(given: Any) -> str | Gaussians:
+    """Return what a material scatters by, as it holds it: a name, or Gaussians.
+
+    Raises
+    ------
+    InputError : an unknown name, variances or weights outside their domains
+    """
+    if isinstance(given, str):
+        if given not in PROFILES:
+            known = ", ".join((*PROFILES, "none"))
+            raise InputError(f"unknown scattering {given!r}; known: {known}")
+        return given
+    try:
+        rows = tuple(tuple(float(number) for number in row) for row in given)
+        values = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    except (TypeError, ValueError):
+        values = np.empty((0, 4))
+    variances, weights = values[:, 0], values[:, 1:]
+    if not 0 < len(values) <= MOST or not ((variances > 0.0) & (variances <= MOST_VARIANCE)).all():
+        raise InputError(
+            f"scattering = {given!r}: give a name, or 1 to {MOST} Gaussians, each as a variance in "
+            f"(0, {MOST_VARIANCE:g}] mm^2 and weights of red, green and blue"
+        )
+    if not ((weights >= 0.0).all() and (weights.sum(axis=0) <= 1.0 + 1e-6).all()):
+        raise InputError(
+            f"scattering = {given!r}: give weights of at least 0, and in each channel of no more "
+            "than 1 together"
+        )
+    return tuple((row[0], row[1], row[2], row[3]) for row in rows)
+
+
+def wide_gaussians(given: str | Gaussians, pixel: float) -> Gaussians:
+    """Return the Gaussians of a profile that are wider than half a pixel.
+
+    Parameters
+    ----------
+    pixel : millimetres
+    """
+    gaussians = PROFILES[given] if isinstance(given, str) else given
+    narrow = (NARROW * pixel) ** 2
+    return tuple(each for each in gaussians if each[0] >= narrow and any(each[1:]))
+
+
+def scatter_profile(r2: ArrayLike, gaussians: Gaussians) -> Float:
+    """Return the share of the light that leaves at a distance, for each mm^2 there: (..., 3).
+
+    Parameters
+    ----------
+    r2 : squared distance in mm^2, >= 0; any shape
+    """
+    variance, weight = _columns(gaussians)
+    falloff = np.exp(-np.asarray(r2, dtype=np.float64)[..., None] / (2.0 * variance))
+    return np.asarray((falloff / (2.0 * math.pi * variance)) @ weight, dtype=np.float64)
+
+
+def rest(gaussians: Gaussians) -> Float:
+    """Return the share of each channel that these Gaussians do not scatter, (3,)."""
+    return np.asarray(np.maximum(1.0 - _columns(gaussians)[1].sum(axis=0), 0.0))
+
+
+@lru_cache(maxsize=64)
+def spiral(gaussians: Gaussians, samples: int) -> Float:
+    """Return places around a pixel and 1 over the density of places there, (samples, 3) in mm and
+    mm^2: their radii are distributed as the light of the channel that scatters farthest."""
+    variance, weight = _columns(gaussians)
+    share = weight[:, int(np.argmax(variance @ weight / np.maximum(weight.sum(axis=0), 1e-30)))]
+    share = share / share.sum()
+    radius = np.sqrt(variance.max()) * np.linspace(0.0, 1.0, 8193) ** 2 * 8.0
+    below = 1.0 - np.exp(-(radius[:, None] ** 2) / (2.0 * variance)) @ share
+    index = np.arange(samples)
+    r = np.interp(_LAST * (index + 0.5) / samples, below, radius)
+    density = (np.exp(-(r[:, None] ** 2) / (2.0 * variance)) / (2.0 * math.pi * variance)) @ share
+    angle = _ANGLE * index
+    return np.stack([r * np.cos(angle), r * np.sin(angle), 1.0 / density], axis=-1)
+
+
+def scatter_area(c: ArrayLike) -> Float:
+    """Return how much more surface a pixel shows than if it faced the eye, of N.V in [-1, 1]."""
+    return np.asarray(1.0 / np.maximum(np.abs(np.asarray(c, dtype=np.float64)), 0.2))
+
+
+def scatter_turn(x: ArrayLike, y: ArrayLike) -> Float:
+    """Return the angle of a pixel, in [-pi, pi]; x and y are its column and row."""
+    column, row = (np.asarray(each, dtype=np.int64) for each in (x, y))
+    inner = (column * 288237660 + row * 25070368) % _WORD
+    outer = (inner * 53 - inner // 59) % _WORD
+    return np.asarray((outer // 256 - 8388608) * (math.pi / 8388608.0))
+
+
+def scatter(
+    light: Float, place: Float, number: NDArray[Any], area: Float, scale: Float, unit: float,
+    gaussians: Gaussians, samples: int, pixels: NDArray[np.bool_],
+) -> Float:  # fmt: skip
+    """Return the irradiance of some pixels after scattering, (N, 3).
+
+    Parameters
+    ----------
+    light : irradiance (H, W, 3)
+    place : positions (H, W, 3)
+    number : (H, W), the same for surfaces that scatter into each other
+    area : (H, W), how much more surface a pixel shows than if it faced the eye
+    scale : pixels of a millimetre (N,)
+    unit : millimetres of a unit of the positions
+    gaussians, samples : of the profile; how many pixels are looked at
+    pixels : (H, W), N of them
+    """
+    height, width = number.shape
+    y, x = np.nonzero(pixels)
+    entered, own, kind = light[pixels], place[pixels], number[pixels]
+    turn = scatter_turn(x, y)
+    cosine, sine = scale * np.cos(turn), scale * np.sin(turn)
+    norm = np.full_like(entered, _OWN)
+    sum_ = norm * entered
+    for across, up, weight in spiral(gaussians, samples):
+        column = np.floor(x + 0.5 + cosine * across - sine * up).astype(np.int64)
+        row = np.floor(y + 0.5 + sine * across + cosine * up).astype(np.int64)
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        at = row.clip(0, height - 1), column.clip(0, width - 1)
+        away = place[at] - own
+        counts = weight * area[at] * (inside & (number[at] == kind))
+        r2 = unit**2 * np.einsum("ij,ij->i", away, away)
+        share = counts[:, None] * scatter_profile(r2, gaussians)
+        sum_ += share * light[at]
+        norm += share
+    stays = rest(gaussians)
+    return np.asarray(stays * entered + (1.0 - stays) * sum_ / norm)
+
+
+def _columns(gaussians: Sequence[Sequence[float]]) -> tuple[Float, Float]:
+    values = np.array(gaussians, dtype=np.float64).reshape(-1, 4)
+    return values[:, 0], values[:, 1:]

@@ -1,0 +1,21 @@
+// Which pixels scatter, and by what: a texture of places, as facerender/scatter.glsl has it. SEVERAL
+// says that a pixel has several samples.
+uniform sampler2D image;
+uniform sampler2D place;
+uniform float profile;
+
+// The pixel that stands for one: itself, or, where its centre sees nothing and its other samples do,
+// a neighbour.
+ivec2 stand_in(ivec2 pixel) {
+#ifdef SEVERAL
+    if (texelFetch(image, pixel, 0).a == 0.0) return pixel;
+    ivec2 last = textureSize(place, 0) - 1;
+    ivec2 beside = pixel;
+    for (int i = 0; i < 9 && texelFetch(place, beside, 0).w == 0.0; ++i) {
+        beside = clamp(pixel + ivec2(i % 3, i / 3) - 1, ivec2(0), last);
+    }
+    return beside;
+#else
+    return pixel;
+#endif
+}

@@ -1,0 +1,278 @@
+"""Subsurface scattering: against the integral of the profile over the mesh and closed forms, in
+float64, with several samples and parts, and absent where nothing scatters."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import facerender as fr
+from facerender.drawing import reference
+from facerender.image import linear_to_srgb
+from facerender.scenes.file import scene_toml
+from facerender.scenes.mesh import Part
+from facerender.scenes.scattering import scattering_of
+from facerender.terms.scattering import PROFILES, scatter_profile, spiral
+from trials.scattering import SUBJECTS, scatter_errors
+
+KEY = fr.Light(-50.0, 42.0, 3.0, shadow=True)
+OFF = fr.Shading(scatter_samples=0)
+
+
+@pytest.fixture(scope="module")
+def renderer(egl):
+    with fr.Renderer((160, 160), samples=1, backend=egl, float_albedo=True) as renderer:
+        yield renderer
+
+
+@pytest.fixture(scope="module")
+def face(head) -> fr.Scene:
+    """The built-in head, near enough for four Gaussians."""
+    lights = (KEY, fr.Light(80.0, 20.0, (0.2, 0.4, 0.3)))
+    mesh = head.with_material(scattering="skin")
+    return fr.Scene(mesh, fr.Camera(-35.0, zoom=2.5), lights, background=None)
+
+
+@pytest.mark.parametrize("name", ["head", pytest.param("scan_mesh", marks=pytest.mark.slow)])
+def test_bounds_against_the_integral_over_the_mesh(egl, name, request):
+    """``python -m docs.skin_scattering`` measures more pixels."""
+    mesh = request.getfixturevalue(name)
+    few = (0, 16, 32)
+    with fr.Renderer((512, 512), samples=1, backend=egl) as renderer:
+        scale, errors = scatter_errors(renderer, *SUBJECTS[name](mesh), few, 400)
+    none, sixteen, more = (error.p99 for error in errors)
+    assert scale == pytest.approx(1.8, abs=0.05)
+    assert sixteen <= 13.0
+    assert more <= 10.0
+    assert none > 2.0 * sixteen
+
+
+@pytest.mark.parametrize(
+    ("deferred", "shading"),
+    [(False, fr.Shading()), (True, fr.Shading(scatter_samples=8, diffuse="coupled"))],
+)
+def test_pixels_are_those_of_float64(renderer, face, deferred, shading, monkeypatch):
+    """But where a place rounds into another pixel: one pixel in a thousand."""
+    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
+    gbuffer = renderer.gbuffer(face, shading)
+    image = renderer.render(face, shading).linear[..., :3]
+    expected = reference.shade(gbuffer, face, shading)
+    error = (np.abs(image - expected) / np.maximum(expected, 0.01)).max(axis=-1)
+    error = error[gbuffer.part >= 0]
+    assert np.quantile(error, 0.999) < 1e-4
+    assert error.max() < 0.5
+    plain = renderer.render(face, shading.replace(scatter_samples=0)).linear[..., :3]
+    assert np.abs(image - plain).max() > 0.1
+
+
+def test_views_are_parts_of_the_image(renderer, face):
+    whole, diffuse, shine = (
+        renderer.render(face, only=each).linear for each in (None, "diffuse", "specular")
+    )
+    np.testing.assert_allclose((diffuse + shine)[..., :3], whole[..., :3], atol=1e-6)
+    np.testing.assert_array_equal(renderer.render(face, OFF, "specular").linear, shine)
+
+
+@pytest.mark.parametrize(("deferred", "background"), [(False, None), (True, (0.3, 0.2, 0.1))])
+def test_several_samples_keep_the_coverage(egl, face, deferred, background, monkeypatch):
+    """Where a pixel sees one surface they are as one sample of each; against 64 shaded samples the
+    silhouette errs no more than without scattering."""
+    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
+    scene = replace(face, background=background, camera=fr.Camera(-35.0, zoom=1.3))
+    with fr.Renderer((160, 160), samples=4, backend=egl, float_albedo=True) as renderer:
+        image, plain = renderer.render(scene).linear, renderer.render(scene, OFF).linear
+        one, one_plain = (
+            renderer.render(scene, each, samples=1).linear for each in (fr.Shading(), OFF)
+        )
+        fine, fine_plain = (
+            renderer.render(scene, each, samples=16).linear for each in (fr.Shading(), OFF)
+        )
+    np.testing.assert_array_equal(image[..., 3], plain[..., 3])
+    assert (image[plain[..., 3] == 0.0] == plain[plain[..., 3] == 0.0]).all()
+    change, single = (image - plain)[..., :3], (one - one_plain)[..., :3]
+    seen = (plain[..., 3] == 1.0) & (one[..., 3] == 1.0)
+    np.testing.assert_allclose(change[seen], single[seen], atol=2e-6)
+    edge = (plain[..., 3] > 0.0) & (plain[..., 3] < 1.0)
+    expected = (fine - fine_plain)[..., :3]
+    assert edge.sum() > 100
+    assert np.abs(change - expected)[edge].mean() < 0.75 * np.abs(expected)[edge].mean()
+    shown = [
+        linear_to_srgb(each[edge, :3].astype(float)) for each in (image, fine, plain, fine_plain)
+    ]
+    worst = [np.quantile(np.abs(a - b), 0.99) for a, b in (shown[:2], shown[2:])]
+    assert worst[0] < 1.15 * worst[1]
+
+
+def wall(*squares: tuple[float, float, float, fr.Material]) -> fr.Mesh:
+    """Squares of 60 mm, each at x, y and z in mm, of a part of its
+    own."""
+    corners = np.array(
+        [(-30.0, -30.0, 0.0), (30.0, -30.0, 0.0), (30.0, 30.0, 0.0), (-30.0, 30.0, 0.0)]
+    )
+    faces = np.array([(0, 1, 2), (0, 2, 3)], dtype=np.uint32)
+    up = np.tile((0.0, 0.0, 1.0), (4, 1))
+    parts = tuple(Part(corners + place, up, faces) for *place, _ in squares)
+    materials = tuple(material for *_, material in squares)
+    bounds = np.array([(-100.0, -100.0, -100.0), (100.0, 100.0, 100.0)])
+    return fr.Mesh("wall", parts, materials, bounds, 174.0, np.array([(0.5, 0.5)]), 1.0)
+
+
+def of_wall(mesh: fr.Mesh, **changes: object) -> fr.Scene:
+    camera = fr.Camera(position=(0.0, 0.0, 400.0), target=(0.0, 0.0, 0.0), fov=14.0)
+    lights = (fr.Light(-40.0, 0.0, 2.0), fr.Light(30.0, 30.0, (0.5, 0.2, 0.1)))
+    return replace(fr.Scene(mesh, camera, lights, ambient=0.2), **changes)
+
+
+def test_even_light_stays_even(renderer):
+    skin = fr.Material(scattering="skin", ks=0.0)
+    scene = of_wall(wall((0.0, 0.0, 0.0, skin)))
+    plain = renderer.render(scene, OFF).linear
+    np.testing.assert_allclose(renderer.render(scene).linear, plain, rtol=2e-6)
+
+
+def test_an_edge_of_light_is_the_profiles_integral(egl):
+    """Left of x = 0 the normals lean to the light, right of it away, and all alike to the eye."""
+    lean = np.array([(-0.6, 0.0, 0.8), (0.6, 0.0, 0.8)])
+    sides = wall((-30.0, 0.0, 0.0, fr.Material()), (30.0, 0.0, 0.0, fr.Material())).parts
+    both = Part(
+        np.concatenate([side.positions for side in sides]),
+        np.repeat(lean, 4, axis=0),
+        np.concatenate([sides[0].faces, sides[1].faces + 4]),
+    )
+    skin = fr.Material((1.0, 1.0, 1.0), scattering="skin", ks=0.0)
+    light = fr.Light(-90.0, 0.0, np.pi / 0.6)
+    mesh = replace(wall((0.0, 0.0, 0.0, skin)), parts=(both,))
+    scene = of_wall(mesh, lights=(light,), ambient=0.0)
+    with fr.Renderer((512, 512), samples=1, backend=egl) as renderer:
+        found = scattering_of(scene, renderer.size)
+        image = renderer.render(scene, fr.Shading(scatter_samples=64)).linear
+        x = renderer.gbuffer(scene).position[256, :, 0].astype(float) * mesh.radius
+    seen = np.abs(x) < 12.0
+    columns = image[128:384, seen, :3].mean(axis=0)
+    expected = np.zeros_like(columns)
+    wide = found.profiles[0]
+    for variance, *weights in PROFILES["skin"]:
+        lit = [0.5 * math.erfc(each / math.sqrt(2.0 * variance)) for each in x[seen]]
+        if (variance, *weights) not in wide:
+            lit = x[seen] < 0.0
+        expected += np.outer(lit, weights)
+    assert np.abs(columns - expected).mean() < 0.004
+    assert np.abs(columns - expected).max() < 0.04
+
+
+def test_other_parts_and_what_is_far_away_do_not_bleed(renderer):
+    skin, wax = fr.Material(scattering="skin"), fr.Material(scattering=((3.0, 0.8, 0.8, 0.8),))
+    stone = fr.Material(albedo=(0.9, 0.9, 0.9))
+    places = ((-30.0, 0.0, 0.0), (31.0, 0.0, 0.0), (10.0, 0.0, -80.0), (0.0, 40.0, 0.0))
+    parts = [(*place, each) for place, each in zip(places, (skin, wax, skin, stone), strict=True)]
+    tilted = np.tile((0.6, 0.0, 0.8), (4, 1))  # another irradiance than its neighbours'
+
+    def mesh(*which: int) -> fr.Mesh:
+        made = wall(*(parts[i] for i in which))
+        lean = [i % 2 for i in which]
+        turned = zip(made.parts, lean, strict=True)
+        return replace(
+            made, parts=tuple(replace(p, normals=tilted) if on else p for p, on in turned)
+        )
+
+    together = renderer.render(of_wall(mesh(0, 1, 2, 3)))
+    part = renderer.gbuffer(of_wall(mesh(0, 1, 2, 3))).part
+    plain = renderer.render(of_wall(mesh(0, 1, 2, 3)), OFF)
+    np.testing.assert_array_equal(together.linear[part == 3], plain.linear[part == 3])
+    for index in (0, 1):
+        alone = renderer.render(of_wall(mesh(index)))
+        seen = (
+            (part == index) & (np.roll(part, 40, axis=0) != 3) & (np.roll(part, -40, axis=0) != 3)
+        )
+        assert seen.sum() > 1000
+        np.testing.assert_allclose(together.linear[seen], alone.linear[seen], rtol=1e-5)
+
+
+def test_nothing_scatters_that_pixels_do_not_resolve(renderer, head):
+    scene = fr.Scene(head.with_material(scattering="skin"), fr.Camera(zoom=0.05))
+    assert scattering_of(scene, renderer.size) is None
+    np.testing.assert_array_equal(renderer.render(scene).linear, renderer.render(scene, OFF).linear)
+
+
+def test_without_scattering_nothing_is_imported_and_nothing_changes(renderer, head, face):
+    bare = replace(face, mesh=head)
+    np.testing.assert_array_equal(renderer.render(face, OFF).linear, renderer.render(bare).linear)
+    code = (
+        "import sys, facerender as fr\n"
+        "with fr.Renderer((32, 32), samples=4, backend='egl') as renderer:\n"
+        "    renderer.render(fr.Scene(fr.load_mesh()))\n"
+        "print([name for name in sys.modules if 'scatter' in name])\n"
+    )
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
+
+
+def test_the_size_of_a_mesh(head, renderer, tmp_path, mini_obj):
+    assert head.millimetres == 1000.0
+    mesh = fr.load_mesh(mini_obj)
+    assert mesh.millimetres is None
+    with pytest.raises(fr.InputError, match=r"needs the size of head.obj, .* give --millimetres"):
+        renderer.render(fr.Scene(mesh.with_material(scattering="skin")))
+    assert fr.load_mesh(mini_obj, millimetres=2.0).millimetres == 2.0
+    assert fr.MeshFile(str(mini_obj), millimetres=2.0).load().millimetres == 2.0
+    for size in (0.0, -1.0, math.nan, "1"):
+        with pytest.raises(fr.InputError, match="millimetres = .* is outside"):
+            fr.load_mesh(mini_obj, millimetres=size)
+    large = replace(head, millimetres=1e5).with_material(scattering="skin")
+    with pytest.warns(fr.FacerenderWarning, match=r"head.glb is 3.65e\+04 mm across if its unit"):
+        renderer.render(fr.Scene(large))
+
+
+@pytest.fixture
+def mini_obj(tmp_path):
+    path = tmp_path / "head.obj"
+    path.write_text("v -1 -1 0\nv 1 -1 0\nv 0 1 0\nv 2 2 0\nf 1 2 3\nf 2 4 3\n")
+    return path
+
+
+def test_profiles(head):
+    for given, message in (
+        ("wax", "unknown scattering 'wax'; known: skin, none"),
+        ([(0.0, 1.0, 1.0, 1.0)], "give a name, or 1 to 16 Gaussians"),
+        ([(1.0, 0.5)], "give a name, or 1 to 16 Gaussians"),
+        ([], "give a name, or 1 to 16 Gaussians"),
+        (3, "give a name, or 1 to 16 Gaussians"),
+        ([(1.0, 0.6, 0.1, 0.1), (2.0, 0.6, 0.1, 0.1)], "no more than 1 together"),
+        ([(1.0, -0.1, 0.1, 0.1)], "weights of at least 0"),
+        ([(math.nan, 0.1, 0.1, 0.1)], "give a name, or 1 to 16 Gaussians"),
+    ):
+        with pytest.raises(fr.InputError, match=message):
+            fr.Material(scattering=given)
+    assert fr.Material(scattering="none").scattering is None
+    for samples in (5, True, 16.5, "16"):
+        with pytest.raises(
+            fr.InputError, match="scatter_samples = .*: give one of 0, 8, 16, 32, 64"
+        ):
+            fr.Shading(scatter_samples=samples)
+    radius = np.linspace(0.0, 30.0, 60001)
+    whole = np.trapezoid(
+        scatter_profile(radius**2, PROFILES["skin"]).T * 2 * np.pi * radius, radius
+    )
+    np.testing.assert_allclose(whole, 1.0, atol=2e-3)
+    places = spiral(PROFILES["skin"], 64)
+    assert np.isfinite(places).all()
+    assert (np.diff(np.hypot(*places.T[:2])) > 0.0).all()
+
+
+@pytest.mark.parametrize("given", ["skin", ((0.5, 0.3, 0.2, 0.1), (2.0, 0.5, 0.0, 0.0))])
+def test_scene_files_and_jobs_keep_it(head, tmp_path, given):
+    scene = fr.Scene(head.with_material(scattering=given))
+    shading = fr.Shading(scatter_samples=32)
+    path = tmp_path / "scene.toml"
+    path.write_text(scene_toml(scene, shading))
+    loaded = fr.load_scene(path)
+    assert head.with_material(**loaded["material"]).materials == scene.mesh.materials
+    assert fr.Shading.from_dict(loaded["shading"]) == shading
+    job = fr.Job(fr.MeshFile(millimetres=3.0), {"scattering": given}, shading=shading)
+    again = fr.Job.from_dict(job.as_dict())
+    assert again.mesh.millimetres == 3.0
+    assert again.scene(head).mesh.materials == scene.mesh.materials
