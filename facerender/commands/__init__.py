@@ -29,7 +29,7 @@ _COMMANDS = {
 
 class _Parser(argparse.ArgumentParser):
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
-        super().__init__(*arguments, **keywords, allow_abbrev=False)
+        super().__init__(*arguments, **{"allow_abbrev": False, **keywords})
         # Values such as -35,10 are no options either.
         self._negative_number_matcher = re.compile(r"-[\d.]")
 

@@ -113,8 +113,10 @@ def job_of(
     if options.m is not None and options.roughness_map is not None:
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
     settings = load_scene(options.scene) if options.scene else {}
-    names = ("model", "lobe", "fresnel", "masking", "diffuse", "outside")
-    names += ("slope_filter", "curvature", "scatter_samples")
+    names = (
+        *("model", "lobe", "fresnel", "masking", "diffuse", "outside"),
+        *("slope_filter", "curvature", "scatter_samples"),
+    )
     terms = {name: value for name in names if (value := getattr(options, name, None)) is not None}
     pinned = settings.pop("shading", {})
     _check_unpinned(options, pinned)
