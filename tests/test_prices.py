@@ -16,7 +16,7 @@ from facerender.errors import NotMeasured
 from facerender.glsl.code import term_macros
 from facerender.lobes import GPower
 from facerender.planning.candidates import Constants, candidates
-from facerender.pricing import amd, fragment
+from facerender.pricing import amd, fragment, scatter
 from facerender.pricing import table as prices
 from facerender.pricing.table import Prices, all_terms, load_prices, term_name
 from facerender.scenes.light import LIGHTS
@@ -25,6 +25,7 @@ from facerender.shading import Shading
 from tests.conftest import missing
 
 KEY = (LIGHTS["key"],)
+PARTS = {part for part in (*fragment.PARTS, *scatter.PARTS) if "specular" not in part}
 POINT = fr.Light(irradiance=3.0, position=(0.2, 0.3, 0.5))
 
 
@@ -107,7 +108,7 @@ def test_the_table_is_what_the_command_writes(monkeypatch, tmp_path):
     assert set(table) == {*amd.FAMILIES, "llvmpipe"}
     for rows in table.values():
         assert set(rows) == {"source", "unit", "parts", "terms"}
-        assert set(rows["parts"]) == {part for part in fragment.PARTS if "specular" not in part}
+        assert set(rows["parts"]) == PARTS
         assert min(rows["parts"].values()) > 0.0
         assert set(rows["terms"]) == {*all_terms(), *prices.all_seconds()}
         assert all(first > 0.0 and further > 0.0 for first, further in rows["terms"].values())
@@ -176,7 +177,7 @@ def test_prices_of_this_machine(egl, bare, monkeypatch):
     here = load_prices("here", scene, wanted)
     assert here.unit == "ns"
     assert here.source.startswith("measured on ")
-    assert set(here.parts) == {part for part in fragment.PARTS if "specular" not in part}
+    assert set(here.parts) == PARTS
     for shading in wanted:
         assert np.isfinite(here.cost(scene, shading)).all()  # on a busy machine even negative
 

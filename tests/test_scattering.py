@@ -14,6 +14,10 @@ import pytest
 import facerender as fr
 from facerender.drawing import reference
 from facerender.image import linear_to_srgb
+from facerender.planning.bound import bound
+from facerender.planning.budget import Budget
+from facerender.planning.candidates import Constants, candidates
+from facerender.pricing.table import load_prices
 from facerender.scenes.file import scene_toml
 from facerender.scenes.mesh import Part
 from facerender.scenes.scattering import scattering_of
@@ -276,3 +280,19 @@ def test_scene_files_and_jobs_keep_it(head, tmp_path, given):
     again = fr.Job.from_dict(job.as_dict())
     assert again.mesh.millimetres == 3.0
     assert again.scene(head).mesh.materials == scene.mesh.materials
+
+
+def test_plans_may_look_at_fewer_pixels(head, face):
+    def counts(scene: fr.Scene, full: fr.Shading) -> set[int]:
+        few = candidates(scene, full, Constants(0.3, 1.0, (0, 1)))
+        return {shading.scatter_samples for shading in few}
+
+    assert counts(face, fr.Shading()) == {0, 8, 16}
+    assert counts(face, fr.Shading(scatter_samples=8)) == {0, 8}
+    assert counts(replace(face, mesh=head), fr.Shading()) == {16}
+    unshadowed = replace(face, lights=(fr.Light(),))
+    assert bound(unshadowed, OFF, fr.Shading(), Budget.parse("1/255")) > 0.99
+    prices = load_prices("navi21", unshadowed, [OFF])
+    costs = [prices.cost(unshadowed, fr.Shading(scatter_samples=n))[0] for n in (0, 8, 16, 64)]
+    assert costs == sorted(costs)
+    assert costs[1] < costs[2] < costs[3]
