@@ -187,8 +187,8 @@ def test_compiled_prices_serve_a_whole_plan(cost, egl, bare, tmp_path, monkeypat
     """A constant in place of a map may have lobes in its domain that the map's slopes leave."""
     wanted_terms = []
 
-    def priced(*arguments):
-        wanted = arguments[-1]
+    def priced(*arguments, **_):
+        wanted = next(each for each in arguments if not isinstance(each, str))
         wanted_terms.extend(wanted)
         table = load_prices("navi21", None, [])
         return replace(table, terms={name: table.terms[name] for name in wanted})
