@@ -23,12 +23,14 @@ OUTSIDE = ("error", "exact")
 DIFFUSE = ("lambert", "coupled")
 SMALL_SLOPE = 0.2  # from here on the exact lobe is accurate without FR_SMALL_SLOPE
 MAX_WEIGHT = 1e6
+MAX_ENVIRONMENT_SAMPLES = 4096
 SWITCHES = {
     "normal_map": True,
     "ambient": True,
     "two_lobes": True,
     "slope_filter": True,
     "curvature": False,
+    "environment": True,
 }
 FRONTAL: Changes = (("fresnel", "constant"), ("masking", "none"))
 
@@ -159,8 +161,10 @@ class Shading:
     ks : one specular weight in place of the materials' and of specular maps
     diffuse : "lambert", or "coupled" for the light that the specular term leaves, as
         Cook-Torrance with the exact lobe, Schlick's Fresnel term and V-cavities reflects it
-    normal_map, ambient, two_lobes : whether they count; without the second lobes of materials, the
-        first ones stand alone
+    normal_map, ambient, environment, two_lobes : whether they count; without the second lobes of
+        materials, the first ones stand alone
+    environment_samples : how many directions of the environment each lobe reflects, an even number
+        up to 4096; 0 leaves its specular part out
     slope_filter : whether slopes of the normal map that a pixel does not resolve widen the lobe
     curvature : whether the mesh's own curvature over a pixel does
 
@@ -183,6 +187,8 @@ class Shading:
     curvature: bool
     two_lobes: bool
     diffuse: str
+    environment: bool
+    environment_samples: int
 
     def __init__(
         self,
@@ -206,6 +212,8 @@ class Shading:
         curvature: bool = False,
         two_lobes: bool = True,
         diffuse: str = "lambert",
+        environment: bool = True,
+        environment_samples: int = 32,
     ) -> None:
         if not isinstance(term, Term):
             raise InputError(f"term = {term!r}: give a Term")
@@ -242,6 +250,8 @@ class Shading:
             ("curvature", curvature),
             ("two_lobes", two_lobes),
             ("diffuse", diffuse),
+            ("environment", environment),
+            ("environment_samples", environment_samples),
         ):
             object.__setattr__(self, name, value)
         if outside not in OUTSIDE:
@@ -251,6 +261,12 @@ class Shading:
             raise InputError(f"unknown diffuse term {diffuse!r}; known: {', '.join(DIFFUSE)}")
         for name in SWITCHES:
             _check_switch(name, getattr(self, name))
+        even = range(0, MAX_ENVIRONMENT_SAMPLES + 1, 2)
+        if type(environment_samples) is not int or environment_samples not in even:
+            raise InputError(
+                f"environment_samples = {environment_samples!r}: give an even number up to "
+                f"{MAX_ENVIRONMENT_SAMPLES}"
+            )
         if ks is not None:
             check_range("ks", ks, 0.0, MAX_WEIGHT)
         terms = (term, *self._own.values())
@@ -311,6 +327,7 @@ class Shading:
             "ks": self.ks,
             **{name: getattr(self, name) for name in SWITCHES},
             "diffuse": self.diffuse,
+            "environment_samples": self.environment_samples,
             "specular_lights": None if self.specular_lights is None else [*self.specular_lights],
             "shadow_lights": None if self.shadow_lights is None else [*self.shadow_lights],
             "frontal_lights": list(self.frontal_lights),
@@ -341,13 +358,14 @@ class Shading:
 # As TOML and JSON name what a shading is made of, and what it is where nothing is said.
 _KEYS = (
     *("model", "lobe", "fresnel", "outside", "masking", "small_slope", "m", "ks"),
-    *(*SWITCHES, "diffuse", "specular_lights", "shadow_lights", "frontal_lights", "lights"),
+    *(*SWITCHES, "diffuse", "environment_samples", "specular_lights", "shadow_lights", "frontal_lights", "lights"),
 )
 _DEFAULTS = asdict(Term()) | {
     "outside": "error",
     "ks": None,
     **SWITCHES,
     "diffuse": "lambert",
+    "environment_samples": 32,
     "specular_lights": None,
     "shadow_lights": None,
     "frontal_lights": [],

@@ -4,6 +4,7 @@ OpenGL here."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from facerender.drawing.prepare import simplify
 from facerender.scenes.light import half_sum
 from facerender.scenes.material import Material
 from facerender.scenes.scene import Only, Scene, slope_ranges
-from facerender.shading import Shading
+from facerender.shading import Shading, Term
 from facerender.terms.slope_variance import cosine_disc, slope_filtered, slope_variance_disc
 
 Float = NDArray[np.float64]
@@ -28,15 +29,19 @@ class Layers:
     ----------
     ambient, diffuse : (H, W, 3) float64
     specular : (lights, H, W, 3) float64
+    environment : (H, W, 3) float64, diffuse and specular
     """
 
     ambient: NDArray[np.float64]
     diffuse: NDArray[np.float64]
     specular: NDArray[np.float64]
+    environment: NDArray[np.float64]
 
     def sum(self, shading: Shading) -> NDArray[np.float64]:
         """Return the image (H, W, 3) of the lights and the ambient term that a shading has."""
-        image = self.diffuse + self.ambient if shading.ambient else self.diffuse.copy()
+        image = self.diffuse + self.environment
+        if shading.ambient:
+            image += self.ambient
         for light, specular in enumerate(self.specular):
             if shading.of(light) is not None:
                 image += specular
@@ -61,9 +66,19 @@ def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float6
     return layers(gbuffer, scene, shading).sum(shading)
 
 
-def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
+def layers(
+    gbuffer: GBuffer,
+    scene: Scene,
+    shading: Shading,
+    environment: NDArray[np.float64] | None = None,
+) -> Layers:
     """Return the terms that :func:`shade` sums up, the specular one of every light; parameters and
-    errors as there."""
+    errors as there.
+
+    environment : what :func:`environment_layer` gave, where that is known
+    """
+    if environment is None:
+        environment = environment_layer(gbuffer, scene, shading)
     scene = simplify(scene, shading)
     pinned = shading.constant_slope
     ambient, diffuse = np.zeros((2, *gbuffer.position.shape))
@@ -113,7 +128,52 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
                 share = gbuffer.lobe_weight[covered].astype(np.float64)
                 value = share * value + (1.0 - share) * second.brdf(n, l, v, second_m, material.f0)
             specular[light][covered] = received * (weight * value)[:, None]
-    return Layers(ambient, diffuse, specular)
+    return Layers(ambient, diffuse, specular, environment)
+
+
+def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float64]:
+    """Return the radiance (H, W, 3) that the environment adds; parameters and errors as of
+    :func:`shade`. No light, no lobe and no digits of small angles count."""
+    scene = simplify(scene, shading)
+    image = np.zeros(gbuffer.position.shape)
+    if scene.environment is None:
+        return image
+    from facerender.terms.environment import environment_irradiance, reflected
+
+    panorama, turn = scene.environment.panorama, scene.environment.turn
+    map_ = panorama.map
+    term, samples = replace(shading.term, lobe="exact"), shading.environment_samples
+    for index, material in enumerate(scene.mesh.materials):
+        covered = gbuffer.part == index
+        if not covered.any():
+            continue
+        n = gbuffer.normal[covered].astype(np.float64)
+        v = _normalised(gbuffer.view.eye - gbuffer.position[covered].astype(np.float64))
+        albedo = material.kd / np.pi * gbuffer.albedo[covered].astype(np.float64)
+        occlusion = gbuffer.occlusion[covered].astype(np.float64)[:, None]
+        total = albedo * occlusion * environment_irradiance(panorama.coefficients, n @ turn.T)
+        if shading.diffuse == "coupled" and material.ks > 0.0:
+            n_dot_v = np.einsum("...i,...i", n, v)
+            coupling = _Coupling.at(gbuffer, covered, material, n_dot_v, shading.constant_slope)
+            total *= coupling.left(coupling.mean)
+        lobes = [(gbuffer.m, gbuffer.specular_weight, term)]
+        if material.two_lobes:
+            assert gbuffer.second_m is not None
+            assert gbuffer.lobe_weight is not None
+            first, share = gbuffer.specular_weight.astype(np.float64), gbuffer.lobe_weight
+            second = gbuffer.second_m, first * (1.0 - share), term.second(material.second_slope)
+            lobes = [(gbuffer.m, first * share, term), second]
+        for slopes, weight, own in lobes * bool(samples and material.ks > 0.0):
+            m = slopes[covered].astype(np.float64) if own.m is None else own.m
+            brdf = partial(_brdf, replace(own, m=None), material.f0)
+            seen = reflected(map_, len(map_) - 2, n @ turn.T, v @ turn.T, m, brdf, samples)
+            total += weight[covered].astype(np.float64)[:, None] * seen
+        image[covered] = scene.environment.scale * total
+    return image
+
+
+def _brdf(term: Term, f0: float, n: Float, l: Float, v: Float, m: Float) -> Float:
+    return term.brdf(n, l, v, m, f0)
 
 
 @dataclass(frozen=True, eq=False)
