@@ -123,6 +123,9 @@ class Random:
         vectors = {"n": n, "l": l, "v": v, "p": p}
         scalars = {"m": m, "f0": f0, "c": self.cosine()}
         scalars |= {"second_m": np.roll(m, 1), "lobe_weight": self.even()}
+        vectors["map"] = np.stack([self.cosine(), self.even(), self.small()], -1)
+        vectors["plane"] = 16.0 * vectors["map"] - 8.0
+        scalars["w"] = 12.6 * self.small()
         return vectors | scalars | dict.fromkeys(("tan2", "x", "steepness"), tan2)
 
 
@@ -133,7 +136,8 @@ def unit(x: NDArray[np.float32]) -> NDArray[np.float32]:
 def faults(evaluator: Evaluator, tried: Mapping[str, Case], inputs: Inputs) -> list[str]:
     """Tell what is wrong with the values of cases at other inputs than theirs, and the inputs of
     the first value that is."""
-    words = {name: re.findall(r"\w+", case.expression) for name, case in tried.items()}
+    calls = {name: case.expression.replace("_texels", "") for name, case in tried.items()}
+    words = {name: re.findall(r"\w+", call) for name, call in calls.items()}
     used = {x: inputs[x] for x in inputs if any(x in each for each in words.values())}
     there = {name: replace(case, inputs=used) for name, case in tried.items()}
     below = np.minimum(*((inputs["n"] * inputs[name]).sum(axis=-1) for name in "lv")) <= 0.0

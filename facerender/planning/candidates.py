@@ -29,6 +29,7 @@ DECISIONS = {
     "slope": "term.m",
     "specular weight": "ks",
     "ambient": "ambient",
+    "environment": "environment_samples",
     "diffuse": "diffuse",
     "model": "term.model",
     "lobe": "term.lobe",
@@ -38,6 +39,7 @@ DECISIONS = {
 }
 _GET = {name: attrgetter(path) for name, path in DECISIONS.items()}
 SINGLE = ("two lobes", "slope")  # decided together: a single lobe has a slope of its own
+ENVIRONMENT_SAMPLES = (0, 8, 16, 32)
 TERM = ("model", "lobe", "Fresnel", "masking", "small slopes", "frontal")
 
 
@@ -87,17 +89,21 @@ def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Sh
     kinds += [tuple(sorted(kept[gone:])) for gone in range(1, len(kept) + 1)]
     cast: list[tuple[int, ...] | None] = [full.shadow_lights]
     cast += [tuple(sorted(constants.shadows[n:])) for n in range(1, len(constants.shadows) + 1)]
-    for (two_lobes, m), ks, shadows, normal_map, ambient, diffuse in product(
+    samples = [full.environment_samples]
+    if scene.environment is not None and full.environment:
+        samples += [each for each in ENVIRONMENT_SAMPLES if each < full.environment_samples]
+    for (two_lobes, m), ks, shadows, normal_map, ambient, diffuse, around in product(
         slopes,
         weights,
         cast,
         {full.normal_map, full.normal_map and not textured["normal_map"]},
         {full.ambient, full.ambient and not any(scene.ambient)},  # type: ignore[arg-type]
         dict.fromkeys((full.diffuse, "lambert")),
+        samples,
     ):
         term = replace(full.term, m=m)
         own: dict[str, Any] = {"two_lobes": two_lobes, "normal_map": normal_map, "ambient": ambient}
-        own |= {"shadow_lights": shadows, "diffuse": diffuse}
+        own |= {"shadow_lights": shadows, "diffuse": diffuse, "environment_samples": around}
         surface = replace(full, term=term, ks=ks, **own)
         for shading in _terms(scene, surface):
             for lights in kinds:

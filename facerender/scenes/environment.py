@@ -153,11 +153,11 @@ def studio() -> Panorama:
     elevation = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)[:, None]
     azimuth = np.pi * (1.0 - (np.arange(2 * rows) + 0.5) / rows)
     directions = _directions(elevation, azimuth)
-    room = np.array([0.10, 0.11, 0.12]) * (1.2 + 0.8 * directions[..., 1:2])
+    room = np.array([0.060, 0.066, 0.072]) * (1.2 + 0.8 * directions[..., 1:2])
     for azimuth_, elevation_, width, height, color in (
-        (-48.0, 38.0, 0.45, 0.6, (7.0, 6.7, 6.2)),
-        (70.0, 8.0, 0.22, 0.9, (1.9, 2.0, 2.2)),
-        (145.0, 30.0, 0.2, 0.7, (5.0, 5.2, 5.6)),
+        (-48.0, 38.0, 0.45, 0.6, (4.4, 4.2, 3.9)),
+        (70.0, 8.0, 0.22, 0.9, (1.2, 1.3, 1.4)),
+        (145.0, 30.0, 0.2, 0.7, (3.2, 3.3, 3.6)),
     ):
         center = direction_to(azimuth_, elevation_)
         right = np.cross([0.0, 1.0, 0.0], center)

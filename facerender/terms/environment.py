@@ -68,11 +68,12 @@ def environment_radiance(map: ArrayLike, size: int, l: ArrayLike, solid_angle: A
     level = np.clip(0.5 * np.log2(np.maximum(texels, 1e-30)), 0.0, last)
     low = np.minimum(np.floor(level), last - 1).astype(int)
     share = (level - low)[..., None]
-    near, far = (_level(np.asarray(map), size, place, low + i) for i in (0, 1))
+    near, far = (level_at(np.asarray(map), size, place, low + i) for i in (0, 1))
     return np.asarray((1.0 - share) * near + share * far)
 
 
-def _level(map: NDArray[np.generic], size: int, place: Float, level: NDArray[np.int64]) -> Float:
+def level_at(map: NDArray[np.generic], size: int, place: Float, level: NDArray[np.int64]) -> Float:
+    """Return what levels (...) of a map hold at places (..., 2) in [0, 1]: (..., 3)."""
     side = size >> level
     texel = place * side[..., None] + 0.5
     low = np.floor(texel)
@@ -147,32 +148,39 @@ def reflected(
     """
     normal, eye = np.broadcast_arrays(checked_unit("n", n), checked_unit("v", v))
     slope = np.broadcast_to(check_slope(m, "exact", K_COOK_TORRANCE), normal.shape[:-1])
-    n_dot_v = dot(normal, eye)
-    tangent, bitangent = _axes(normal, eye, n_dot_v)
+    n_dot_v, axes = dot(normal, eye), environment_axes(normal, eye)
     total = np.zeros(normal.shape)
     for i in range(samples):
-        rest = 1.0 - (i // 2 + 0.5) / (samples // 2)
-        angle = _TURN * (i // 2) + np.pi * (i % 2)
-        radius = slope * np.sqrt(-np.log(rest))
-        across = np.cos(angle) * tangent + np.sin(angle) * bitangent
-        h = normal + radius[..., None] * across
-        v_dot_h, h_dot_h = dot(eye, h), dot(h, h)
-        l = 2.0 * (v_dot_h / h_dot_h)[..., None] * h - eye
+        l, steradians = environment_sample(normal, eye, slope, axes, i, samples=samples)
         n_dot_l = dot(normal, l)
-        seen = (v_dot_h > 0.0) & (np.minimum(n_dot_l, n_dot_v) > MIN_COSINE)
-        steradians = 4.0 * np.pi * slope**2 * v_dot_h / (h_dot_h**2 * rest * samples)
+        seen = (steradians > 0.0) & (np.minimum(n_dot_l, n_dot_v) > MIN_COSINE)
         light = environment_radiance(map, size, l[seen], steradians[seen])
         weight = brdf(normal[seen], l[seen], eye[seen], slope[seen])
         total[seen] += (weight * n_dot_l[seen] * steradians[seen])[:, None] * light
     return total
 
 
-def _axes(n: Float, v: Float, n_dot_v: Float) -> tuple[Float, Float]:
-    """Axes across the normal: the first one away from the eye, if that is not on the normal."""
-    aside = v - n_dot_v[..., None] * n
+def environment_axes(n: Float, v: Float) -> tuple[Float, Float]:
+    """Return axes across normals (..., 3): along what the eye sees of it, and across; where it looks
+    along the normal, others."""
+    aside = v - dot(n, v)[..., None] * n
     length = np.sqrt(dot(aside, aside))[..., None]
     side = np.where(np.abs(n[..., :1]) < 0.5, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
     other = np.cross(n, side)
     other /= np.sqrt(dot(other, other))[..., None]
     tangent = np.where(length > _NEAR, aside / np.maximum(length, _NEAR), other)
     return tangent, np.cross(n, tangent)
+
+
+def environment_sample(
+    n: Float, v: Float, m: Float, axes: tuple[Float, Float], i: int, *, samples: int = SAMPLES
+) -> tuple[Float, Float]:
+    """Return the direction (..., 3) of one of a lobe's samples, and how many steradians (...) it
+    stands for; axes as of :func:`environment_axes`."""
+    rest = 1.0 - (i // 2 + 0.5) / (samples // 2)
+    angle = _TURN * (i // 2) + np.pi * (i % 2)
+    radius = m * np.sqrt(-np.log(rest))
+    h = n + radius[..., None] * (np.cos(angle) * axes[0] + np.sin(angle) * axes[1])
+    v_dot_h, h_dot_h = dot(v, h), dot(h, h)
+    steradians = 4.0 * np.pi * m**2 * v_dot_h / (h_dot_h**2 * rest * samples)
+    return 2.0 * (v_dot_h / h_dot_h)[..., None] * h - v, steradians
