@@ -358,7 +358,15 @@ class Shading:
 # As TOML and JSON name what a shading is made of, and what it is where nothing is said.
 _KEYS = (
     *("model", "lobe", "fresnel", "outside", "masking", "small_slope", "m", "ks"),
-    *(*SWITCHES, "diffuse", "environment_samples", "specular_lights", "shadow_lights", "frontal_lights", "lights"),
+    *(
+        *SWITCHES,
+        "diffuse",
+        "environment_samples",
+        "specular_lights",
+        "shadow_lights",
+        "frontal_lights",
+        "lights",
+    ),
 )
 _DEFAULTS = asdict(Term()) | {
     "outside": "error",

@@ -540,9 +540,9 @@ def environment_sample(what: str) -> Case:
     call = "fr_environment_sample(n, v, m, fr_environment_axes(n, v), 11)"
     across = (0.6 * axes[0] + 0.8 * axes[1])[:, 1]
     expression, expected = {
-        "direction": (f"1.0 + {call}.x", 1.0 + l[:, 0]),
+        "direction": (f"2.0 + {call}.x", 2.0 + l[:, 0]),
         "steradians": (f"max({call}.w, 0.0)", np.maximum(steradians, 0.0)),
-        "axes": ("1.0 + (fr_environment_axes(n, v) * vec2(0.6, 0.8)).y", 1.0 + across),
+        "axes": ("2.0 + (fr_environment_axes(n, v) * vec2(0.6, 0.8)).y", 2.0 + across),
     }[what]
     return Case(include("environment"), expression, inputs, expected, 0.0, 2e-5)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ Float32 = NDArray[np.float32]
 SIDE = 256  # texels of the map's first level; of the last one 4
 LEVELS = 7
 HIGHEST = 1e9  # radiance: sums stay in float32
-_INSIDE = 2  # places a side at which a texel of the map looks at the panorama
+_INSIDE = 4  # places a side at which a texel of the map looks at the panorama
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +63,9 @@ class Panorama:
     def coefficients(self) -> Float:
         """(9, 3): factors of the harmonics of a normal, whose sum is the irradiance."""
         seen, directions, solid_angle = self._seen
-        received = np.tensordot(harmonics(directions) * solid_angle[..., None], seen, ((0, 1), (0, 1)))
+        received = np.tensordot(
+            harmonics(directions) * solid_angle[..., None], seen, ((0, 1), (0, 1))
+        )
         return np.array([16, 32, 32, 32, 60, 60, 5, 60, 15])[:, None] / 64.0 * received
 
     @cached_property
@@ -87,13 +90,11 @@ class Panorama:
     def _seen(self) -> tuple[Float, Float, Float]:
         """Radiance in at most 2 SIDE rows, with the direction and the solid angle of each value."""
         height, rows = len(self.radiance), min(len(self.radiance), 2 * SIDE)
-        ends = np.cos(np.pi * np.arange(height + 1) / height)
-        bands = (ends[:-1] - ends[1:])[:, None]
-        first, left = (np.arange(n * rows) * height // rows for n in (1, 2))
-        seen = np.add.reduceat(self.radiance, left, axis=1, dtype=np.float64)
-        seen = np.add.reduceat(seen * bands[..., None], first, axis=0)
-        solid_angle = np.add.reduceat(bands, first) * (np.pi / rows)
-        seen /= np.diff([*left, 2 * height])[:, None] * np.add.reduceat(bands, first)[..., None]
+        own, ends = (-np.cos(np.pi * np.arange(count + 1) / count) for count in (height, rows))
+        seen = _means(self.radiance, own, ends).swapaxes(0, 1)
+        seen = _means(seen, np.arange(2 * height + 1.0), np.linspace(0.0, 2 * height, 2 * rows + 1))
+        seen = seen.swapaxes(0, 1)
+        solid_angle = np.diff(ends)[:, None] * (np.pi / rows)
         elevation = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)[:, None]
         azimuth = np.pi * (1.0 - (np.arange(2 * rows) + 0.5) / rows)
         return seen, _directions(elevation, azimuth), solid_angle
@@ -163,7 +164,9 @@ def studio() -> Panorama:
         right = np.cross([0.0, 1.0, 0.0], center)
         right /= np.linalg.norm(right)
         depth = directions @ center
-        places = (directions @ axis / np.maximum(depth, 1e-3) for axis in (right, np.cross(center, right)))
+        places = (
+            directions @ axis / np.maximum(depth, 1e-3) for axis in (right, np.cross(center, right))
+        )
         box = (depth > 0.0).astype(np.float64)
         for place, half in zip(places, (width, height), strict=True):
             box *= np.clip((half - np.abs(place)) / 0.08 + 0.5, 0.0, 1.0)
@@ -186,6 +189,18 @@ def _unfolded(x: Float, z: Float) -> tuple[Float, Float, Float, Float]:
     )
     length = np.sqrt(x * x + y * y + z * z)
     return x / length, y / length, z / length, length
+
+
+def _means(values: NDArray[np.floating], own: Float, ends: Float) -> Float:
+    """Means of the rows of values, which meet at the places own, between other places."""
+    if len(ends) == len(own):
+        return values.astype(np.float64)
+    means = np.empty((len(ends) - 1, *values.shape[1:]))
+    for i, (low, high) in enumerate(pairwise(ends)):
+        first, last = np.searchsorted(own, low, "right") - 1, np.searchsorted(own, high)
+        shares = np.diff(np.clip(own[first : last + 1], low, high)) / (high - low)
+        means[i] = np.tensordot(shares, values[first:last], 1)
+    return means
 
 
 def _between(values: Float, row: Float, column: Float) -> Float:
