@@ -524,8 +524,8 @@ def environment_level() -> Case:
 def environment_cook_torrance(fresnel: str) -> Case:
     inputs, map_ = around()
     masking = {"schlick": "v-cavity", "dielectric": "kelemen"}.get(fresnel, "none")
-    own = (inputs[name] for name in ("n", "v", "m"))
-    expected = environment.environment_cook_torrance(map_, AROUND, *own, F0, fresnel, masking)
+    n, v, m = (inputs[name] for name in ("n", "v", "m"))
+    expected = environment.environment_cook_torrance(map_, AROUND, n, v, m, F0, fresnel, masking)
     macros = f"{FRESNEL[fresnel].macro}, {MASKING[masking].macro}"
     call = f"fr_environment_cook_torrance(map_texels, {AROUND}, n, v, m, {F0}, {macros}).y"
     return Case(include("environment"), call, inputs, expected[:, 1], 1e-4, 1e-6)
@@ -550,8 +550,8 @@ def environment_sample(what: str) -> Case:
 @case()
 def environment_ward() -> Case:
     inputs, map_ = around()
-    own = (inputs[name] for name in ("n", "v", "m"))
-    expected = environment.environment_ward(map_, AROUND, *own)[:, 1]
+    n, v, m = (inputs[name] for name in ("n", "v", "m"))
+    expected = environment.environment_ward(map_, AROUND, n, v, m)[:, 1]
     call = f"fr_environment_ward(map_texels, {AROUND}, n, v, m).y"
     return Case(include("environment"), call, inputs, expected, 1e-4, 1e-6)
 

@@ -110,8 +110,8 @@ def job_of(
     if options.m is not None and options.roughness_map is not None:
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
     settings = load_scene(options.scene) if options.scene else {}
-    names = ("model", "lobe", "fresnel", "masking", "diffuse", "outside", "environment_samples")
-    names += tuple(name for name in SWITCHES if name != "environment")  # a file here
+    own = ("model", "lobe", "fresnel", "masking", "diffuse", "outside", "environment_samples")
+    names = {*own, *SWITCHES} - {"environment"}  # which is a file here
     terms = {name: value for name in names if (value := getattr(options, name, None)) is not None}
     pinned = settings.pop("shading", {})
     _check_unpinned(options, pinned)
@@ -127,7 +127,8 @@ def job_of(
     settings["camera"] = cameras[0] if places else camera
     settings.update(_scene_settings(options))
     if "environment" in settings:
-        settings = {"lights": (), "ambient": 0.0} | settings
+        settings.setdefault("lights", ())
+        settings.setdefault("ambient", 0.0)
     if options.shadows is not None:
         lights = settings.get("lights", Job.lights)
         settings["lights"] = tuple(

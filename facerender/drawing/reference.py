@@ -156,18 +156,19 @@ def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArr
             n_dot_v = np.einsum("...i,...i", n, v)
             coupling = _Coupling.at(gbuffer, covered, material, n_dot_v, shading.constant_slope)
             total *= coupling.left(coupling.mean)
-        lobes = [(gbuffer.m, gbuffer.specular_weight, term)]
+        weight = gbuffer.specular_weight[covered].astype(np.float64)
+        lobes = [(gbuffer.m, weight, term)]
         if material.two_lobes:
             assert gbuffer.second_m is not None
             assert gbuffer.lobe_weight is not None
-            first, share = gbuffer.specular_weight.astype(np.float64), gbuffer.lobe_weight
-            second = gbuffer.second_m, first * (1.0 - share), term.second(material.second_slope)
-            lobes = [(gbuffer.m, first * share, term), second]
-        for slopes, weight, own in lobes * bool(samples and material.ks > 0.0):
+            first = gbuffer.lobe_weight[covered] * weight
+            second = gbuffer.second_m, weight - first, term.second(material.second_slope)
+            lobes = [(gbuffer.m, first, term), second]
+        for slopes, share, own in lobes * bool(samples and material.ks > 0.0):
             m = slopes[covered].astype(np.float64) if own.m is None else own.m
             brdf = partial(_brdf, replace(own, m=None), material.f0)
             seen = reflected(map_, len(map_) - 2, n @ turn.T, v @ turn.T, m, brdf, samples)
-            total += weight[covered].astype(np.float64)[:, None] * seen
+            total += share[:, None] * seen
         image[covered] = scene.environment.scale * total
     return image
 

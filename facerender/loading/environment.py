@@ -31,7 +31,8 @@ def _read(path: Path) -> NDArray[np.float32]:
         return _read_hdr(path)
     if suffix not in (".exr", ".npy", ".npz"):
         raise InputError(
-            f"environment {path}: unknown format {suffix!r}; give .hdr, .exr, .npy, .npz, or {STUDIO}"
+            f"environment {path}: unknown format {suffix!r}; give .hdr, .exr, .npy, .npz, or "
+            f"{STUDIO}"
         )
     picture = read_image(path)
     if picture.encoding != "linear":

@@ -1,5 +1,5 @@
-"""Light from all around a mesh: a panorama, what shading reads of it (a map with its levels and nine
-coefficients), and a studio made by code. Files are read in ``loading/environment.py``."""
+"""Light from all around a mesh: a panorama, what shading reads of it (a map with its levels, and
+nine coefficients), and a studio made by code. Files are read in ``loading/environment.py``."""
 
 from __future__ import annotations
 
@@ -213,7 +213,8 @@ def _between(values: Float, row: Float, column: Float) -> Float:
 
 def _blocks(values: Float) -> Float:
     """Sums of two by two texels."""
-    return values.reshape(len(values) // 2, 2, len(values) // 2, 2, -1).sum(axis=(1, 3))
+    half = len(values) // 2
+    return np.asarray(values.reshape(half, 2, half, 2, -1).sum(axis=(1, 3)))
 
 
 def _bordered(level: Float) -> Float:

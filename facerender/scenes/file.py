@@ -80,9 +80,9 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
     Returns
     -------
     dict with any of: camera (Camera), cameras (tuple of Camera, a path for ``facerender plan``),
-    lights (tuple of Light), environment (EnvironmentFile), ambient, background, material (dict of the factors of
-    :class:`Material`), shading (dict for :meth:`Shading.from_dict`), planned (Planned: the images
-    that the shading was planned for)
+    lights (tuple of Light), environment (EnvironmentFile), ambient, background, material (dict of
+    the factors of :class:`Material`), shading (dict for :meth:`Shading.from_dict`), planned
+    (Planned: the images that the shading was planned for)
 
     Raises
     ------
@@ -144,8 +144,8 @@ def scene_value(key: str, value: Any) -> Any:
 
 def scene_toml(scene: Scene, shading: Shading, planned: Planned | None = None) -> str:
     """Return the text of a TOML file that :func:`load_scene` reads: camera, lights, environment,
-    ambient, background, shading, the images that it was planned for, and the factors of the material that
-    all parts share. Mesh and maps are not in it."""
+    ambient, background, shading, the images that it was planned for, and the factors of the
+    material that all parts share. Mesh and maps are not in it."""
     background = "none" if scene.background is None else scene.background
     dark: dict[str, Any] = {} if scene.lights else {"lights": []}
     tables: list[tuple[str, Mapping[str, Any]]] = [

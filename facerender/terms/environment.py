@@ -110,7 +110,7 @@ def environment_cook_torrance(
     samples : an even number
     """
     factors = {"fresnel_term": fresnel_term, "masking_term": masking_term}
-    brdf = partial(cook_torrance, f0=f0, **factors)  # type: ignore[arg-type]
+    brdf = partial(cook_torrance, f0=f0, **factors)
     return reflected(map, size, n, v, m, brdf, samples)
 
 
@@ -161,8 +161,8 @@ def reflected(
 
 
 def environment_axes(n: Float, v: Float) -> tuple[Float, Float]:
-    """Return axes across normals (..., 3): along what the eye sees of it, and across; where it looks
-    along the normal, others."""
+    """Return axes across normals (..., 3): along what the eye sees of them, and across; where it
+    looks along the normal, others."""
     aside = v - dot(n, v)[..., None] * n
     length = np.sqrt(dot(aside, aside))[..., None]
     side = np.where(np.abs(n[..., :1]) < 0.5, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
