@@ -14,7 +14,7 @@ from importlib import import_module
 
 GENERATED = (
     *("accuracy", "comparison", "figures", "frame", "levels", "plan", "reproduction", "shaders"),
-    *("skin", "targets", "trade"),
+    *("skin", "skin_environment", "targets", "trade"),
 )
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 import facerender as fr
 from facerender.drawing import reference
 from facerender.image import encode_srgb8
+from facerender.pricing import fragment
 from facerender.scenes.environment import studio
 from facerender.scenes.vectors import direction_to
 from facerender.terms.environment import environment_irradiance
@@ -142,7 +143,15 @@ def main() -> None:
                     lost = {str(count): asdict(error) for count, error in errors.items()}
                     rows.append({"mesh": name, "environment": panorama.name, "m": m, "lost": lost})
                     print(name, panorama.name, m, errors[32], flush=True)
-    measured = {"environment": facts, "diffuse": diffuse, "samples": rows, "float64": worst}
+    parts = fragment.by_compiler("navi21")
+    cycles = {"sample": parts["environment sample"], "base": parts["environment"]}
+    measured = {
+        "environment": facts,
+        "diffuse": diffuse,
+        "samples": rows,
+        "float64": worst,
+        "cycles": {name: round(value) for name, value in cycles.items()},
+    }
     options.output.write_text(json.dumps(measured, indent=1) + "\n", encoding="utf-8")
 
 
