@@ -304,6 +304,25 @@ def test_a_plan_may_take_fewer_samples(small, head):
         assert table.cost(own, shading)[0] == pytest.approx(total)
 
 
+def test_a_plan_is_sound(small, head, monkeypatch):
+    parts = {"base program": 50.0, "albedo map": 10.0, "normal map": 100.0, "property map": 10.0}
+    parts |= {"environment": 90.0, "environment sample": 200.0, "ambient term": 10.0}
+    table = Prices("by hand", "beans", parts, {})
+    monkeypatch.setattr("facerender.planning.search.load_prices", lambda *_: table)
+    scene = around(head.with_material(m=0.3, normal_map=None), fr.Environment(studio()))
+    full = small.render(scene).linear[..., :3].astype(float)
+    taken = []
+    for budget in ("0.5/255", "12/255"):
+        plan = fr.plan(scene, budget, renderer=small, cost="navi21")
+        drawn = small.render(scene, plan.shading).linear[..., :3].astype(float)
+        assert plan.budget.errors(drawn, full).max() <= plan.budget.limit
+        taken.append(plan.shading.environment_samples)
+        assert "samples" in plan.explain()
+    near, far = taken
+    assert near == 32
+    assert far < 32
+
+
 def test_a_guarantee_refuses_what_changes_the_environment(head):
     scene, full = around(head, fr.Environment(studio())), fr.Shading()
     for other in (

@@ -49,7 +49,7 @@ from facerender.scenes.view import View
 from facerender.shading import Shading
 
 SIZE = (512, 256)
-_FEW = 2  # samples of the environment: so few that compilers unroll their loop
+FEW = 2  # samples of the environment: so few that compilers unroll their loop
 SHADOWS = tuple(sorted({kind.shadow_price for kind in LIGHT_KINDS.values()}))
 Timed = Callable[[int], float]  # draws as often as it is told, and returns the seconds
 
@@ -194,7 +194,7 @@ def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
     return [
         *((scene, program_of(scene)) for scene in dull),
         *((scene, program_of(scene, coupled=True)) for scene in dull[:2]),
-        *((around, program_of(around, environment_samples=count)) for count in (0, _FEW)),
+        *((around, program_of(around, environment_samples=count)) for count in (0, FEW)),
         *((scene, program_of(scene, shading, stub)) for scene in specular),
     ]
 
