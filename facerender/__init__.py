@@ -7,7 +7,8 @@
 render          one image in one call; Renderer keeps what it uploads, for several
 load_mesh       a mesh file with its materials; Mesh.with_material changes them
 simplified      a mesh with fewer triangles
-Scene           mesh, Camera, Light, ambient, background
+Scene           mesh, Camera, Light, ambient, background, environment
+Environment     light from all around: load_environment reads an EnvironmentFile; of a Panorama
 Shading         the specular Term of each light, what is left out
 Job             what to render as plain data, for files and other machines
 Frame, GBuffer  what a renderer returns
@@ -29,7 +30,7 @@ from facerender.glsl.library import moderngl_includes, resolve_includes, shader_
 from facerender.job import ImageSettings, Job, MeshFile, Output
 from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera, turntable
-from facerender.scenes.file import load_scene
+from facerender.scenes.file import EnvironmentFile, load_scene
 from facerender.scenes.levels import simplified
 from facerender.scenes.light import Light
 from facerender.scenes.material import Material
@@ -41,11 +42,15 @@ from facerender.shading import Shading, Term
 
 if TYPE_CHECKING:
     from facerender.comparison.gates import compare
+    from facerender.loading.environment import load_environment
     from facerender.planning.plan import Plan, plan
+    from facerender.scenes.environment import Environment, Panorama
 
 __all__ = [
     "Camera",
     "ContextError",
+    "Environment",
+    "EnvironmentFile",
     "FacerenderError",
     "FacerenderWarning",
     "Frame",
@@ -58,6 +63,7 @@ __all__ = [
     "Mesh",
     "MeshFile",
     "Output",
+    "Panorama",
     "Plan",
     "Renderer",
     "Scene",
@@ -68,6 +74,7 @@ __all__ = [
     "__version__",
     "brdf",
     "compare",
+    "load_environment",
     "load_mesh",
     "load_scene",
     "lobes",
@@ -89,6 +96,14 @@ def __getattr__(name: str) -> Any:
         from facerender.planning import plan as planner
 
         return getattr(planner, name)
+    if name in ("Environment", "Panorama"):
+        from facerender.scenes import environment
+
+        return getattr(environment, name)
+    if name == "load_environment":
+        from facerender.loading.environment import load_environment
+
+        return load_environment
     if name == "compare":
         from facerender.comparison.gates import compare
 

@@ -35,6 +35,12 @@ if TYPE_CHECKING:
         cook_torrance_albedo_mean,
         diffuse_coupled,
     )
+    from facerender.terms.environment import (
+        environment_cook_torrance,
+        environment_irradiance,
+        environment_radiance,
+        environment_ward,
+    )
     from facerender.terms.sampling import (
         cook_torrance_pdf,
         cook_torrance_sample,
@@ -55,6 +61,10 @@ __all__ = [
     "cook_torrance_two",
     "cosine_disc",
     "diffuse_coupled",
+    "environment_cook_torrance",
+    "environment_irradiance",
+    "environment_radiance",
+    "environment_ward",
     "fresnel",
     "fresnel_dielectric",
     "fresnel_schlick",
@@ -73,6 +83,15 @@ __all__ = [
 
 # What an image needs only where it is asked for, by its module.
 _LATER = {
+    **dict.fromkeys(
+        (
+            "environment_cook_torrance",
+            "environment_irradiance",
+            "environment_radiance",
+            "environment_ward",
+        ),
+        "environment",
+    ),
     **dict.fromkeys(
         ("cook_torrance_albedo", "cook_torrance_albedo_mean", "diffuse_coupled"), "albedo"
     ),

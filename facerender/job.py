@@ -13,7 +13,7 @@ from typing import Any
 from facerender.errors import InputError, check_range
 from facerender.loading import kept_mesh, load_mesh
 from facerender.scenes.camera import Camera
-from facerender.scenes.file import KEYS, from_table, scene_value, toml_text
+from facerender.scenes.file import KEYS, EnvironmentFile, from_table, scene_value, toml_text
 from facerender.scenes.levels import check_triangles, simplified
 from facerender.scenes.light import Light
 from facerender.scenes.material import MAPS, Material
@@ -132,6 +132,7 @@ class Job:
     mesh : the files
     material : factors of :class:`facerender.Material` for all parts, in place of the file's
     camera, lights, ambient, background : of :class:`facerender.Scene`
+    environment : its file, or None
     shading : see there
     planned : the images that the shading was planned for, or None
     image : how the images are drawn
@@ -152,6 +153,7 @@ class Job:
     planned: Planned | None = None
     image: ImageSettings = ImageSettings()
     outputs: tuple[Output, ...] = ()
+    environment: EnvironmentFile | None = None
 
     def __post_init__(self) -> None:
         for name, kind in (
@@ -165,6 +167,10 @@ class Job:
         if not isinstance(self.planned, Planned | None):
             raise InputError(
                 f"planned = {self.planned!r}: give a facerender.scenes.planned.Planned"
+            )
+        if not isinstance(self.environment, EnvironmentFile | None):
+            raise InputError(
+                f"environment = {self.environment!r}: give a facerender.EnvironmentFile"
             )
         for name, each in (("lights", Light), ("outputs", Output)):
             values = getattr(self, name)
@@ -193,12 +199,18 @@ class Job:
         InputError : a file that cannot be used; warnings as of :func:`facerender.load_mesh`
         """
         loaded = self.mesh.load() if mesh is None else mesh
+        environment = None
+        if self.environment is not None:
+            from facerender.loading.environment import load_environment
+
+            environment = load_environment(self.environment)
         return Scene(
             loaded.with_material(**self.material) if self.material else loaded,
             self.camera,
             self.lights,
             self.ambient,
             self.background,
+            environment,
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -208,6 +220,7 @@ class Job:
             "material": dict(self.material),
             "camera": _told(self.camera),
             "lights": [_told(light) for light in self.lights],
+            **({"environment": _told(self.environment)} if self.environment else {}),
             "ambient": self.ambient,
             "background": "none" if self.background is None else self.background,
             "shading": self.shading.as_dict(),

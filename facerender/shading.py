@@ -23,12 +23,14 @@ OUTSIDE = ("error", "exact")
 DIFFUSE = ("lambert", "coupled")
 SMALL_SLOPE = 0.2  # from here on the exact lobe is accurate without FR_SMALL_SLOPE
 MAX_WEIGHT = 1e6
+MAX_ENVIRONMENT_SAMPLES = 4096
 SWITCHES = {
     "normal_map": True,
     "ambient": True,
     "two_lobes": True,
     "slope_filter": True,
     "curvature": False,
+    "environment": True,
 }
 SCATTER_SAMPLES = (0, 8, 16, 32, 64)
 FRONTAL: Changes = (("fresnel", "constant"), ("masking", "none"))
@@ -160,8 +162,10 @@ class Shading:
     ks : one specular weight in place of the materials' and of specular maps
     diffuse : "lambert", or "coupled" for the light that the specular term leaves, as
         Cook-Torrance with the exact lobe, Schlick's Fresnel term and V-cavities reflects it
-    normal_map, ambient, two_lobes : whether they count; without the second lobes of materials, the
-        first ones stand alone
+    normal_map, ambient, environment, two_lobes : whether they count; without the second lobes of
+        materials, the first ones stand alone
+    environment_samples : how many directions of the environment each lobe reflects, an even number
+        up to 4096; 0 leaves its specular part out
     slope_filter : whether slopes of the normal map that a pixel does not resolve widen the lobe
     curvature : whether the mesh's own curvature over a pixel does
     scatter_samples : pixels at which materials that scatter look for the light around each: 8, 16,
@@ -187,6 +191,8 @@ class Shading:
     two_lobes: bool
     diffuse: str
     scatter_samples: int
+    environment: bool
+    environment_samples: int
 
     def __init__(
         self,
@@ -211,6 +217,8 @@ class Shading:
         two_lobes: bool = True,
         diffuse: str = "lambert",
         scatter_samples: int = 16,
+        environment: bool = True,
+        environment_samples: int = 32,
     ) -> None:
         if not isinstance(term, Term):
             raise InputError(f"term = {term!r}: give a Term")
@@ -248,6 +256,8 @@ class Shading:
             ("two_lobes", two_lobes),
             ("diffuse", diffuse),
             ("scatter_samples", scatter_samples),
+            ("environment", environment),
+            ("environment_samples", environment_samples),
         ):
             object.__setattr__(self, name, value)
         if outside not in OUTSIDE:
@@ -260,6 +270,12 @@ class Shading:
         if scatter_samples not in SCATTER_SAMPLES or isinstance(scatter_samples, bool):
             known = ", ".join(map(str, SCATTER_SAMPLES))
             raise InputError(f"scatter_samples = {scatter_samples!r}: give one of {known}")
+        even = range(0, MAX_ENVIRONMENT_SAMPLES + 1, 2)
+        if type(environment_samples) is not int or environment_samples not in even:
+            raise InputError(
+                f"environment_samples = {environment_samples!r}: give an even number up to "
+                f"{MAX_ENVIRONMENT_SAMPLES}"
+            )
         if ks is not None:
             check_range("ks", ks, 0.0, MAX_WEIGHT)
         terms = (term, *self._own.values())
@@ -321,6 +337,7 @@ class Shading:
             **{name: getattr(self, name) for name in SWITCHES},
             "diffuse": self.diffuse,
             "scatter_samples": self.scatter_samples,
+            "environment_samples": self.environment_samples,
             "specular_lights": None if self.specular_lights is None else [*self.specular_lights],
             "shadow_lights": None if self.shadow_lights is None else [*self.shadow_lights],
             "frontal_lights": list(self.frontal_lights),
@@ -351,7 +368,7 @@ class Shading:
 # As TOML and JSON name what a shading is made of, and what it is where nothing is said.
 _KEYS = (
     *("model", "lobe", "fresnel", "outside", "masking", "small_slope", "m", "ks"),
-    *(*SWITCHES, "diffuse", "scatter_samples"),
+    *(*SWITCHES, "diffuse", "scatter_samples", "environment_samples"),
     *("specular_lights", "shadow_lights", "frontal_lights", "lights"),
 )
 _DEFAULTS = asdict(Term()) | {
@@ -360,6 +377,7 @@ _DEFAULTS = asdict(Term()) | {
     **SWITCHES,
     "diffuse": "lambert",
     "scatter_samples": 16,
+    "environment_samples": 32,
     "specular_lights": None,
     "shadow_lights": None,
     "frontal_lights": [],

@@ -30,9 +30,19 @@ OWN_INPUTS = (  # what is called with other inputs here than in trials/cases.py
     *("fr_lobe_fitted_coefficients", "fr_slope_filtered", "fr_slope_variance_map"),
     *("fr_slope_variance_pixel", "fr_slope_variance_disc", "fr_cosine_disc"),
     *("fr_shadow_hard", "fr_shadow_lit", "fr_shadow_disc"),
+    *("fr_scatter_profile", "fr_scatter_turn", "fr_scatter"),
 )
 TO_DIVIDE = "p.y + p.z, 4.0 * p.x, p.y, p.z"  # dot(n, h), dot(h, h), dot(n, l), dot(n, v)
+WIDE, NARROW = "vec4(0.1, 0.2, 0.0, -0.01)", "vec4(0.3, 0.2, 0.1, -9.0)"
+GAUSSIANS = f"vec4[4]({WIDE}, {NARROW}, {WIDE}, {NARROW})"
+SPIRAL = f"vec3[16]({', '.join(['vec3(3.0 * n.xy, tan2)', 'vec3(-40.0 * l.xy, c)'] * 8)})"
 OTHERS = (
+    ("scatter", f"fr_scatter_profile(tan2, {GAUSSIANS})[0]"),
+    ("scatter", "fr_scatter_turn(ivec2(16384.0 * p.xy)) + 4.0"),
+    (
+        "scatter",
+        f"fr_scatter(p_texels, n_texels, ivec2(gl_FragCoord.xy), 2.0, {GAUSSIANS}, p, {SPIRAL})[1]",
+    ),
     ("masking", "fr_masking_v_cavity(c, p.x, p.y, p.z)"),
     ("masking", "fr_masking_kelemen(max(p.x, 0.5 * (p.y + p.z)), p.y, p.z)"),
     ("masking", f"length(fr_masking_v_cavity_ratio({TO_DIVIDE}))"),
@@ -128,6 +138,9 @@ class Random:
         vectors = {"n": n, "l": l, "v": v, "p": p}
         scalars = {"m": m, "f0": f0, "c": self.cosine()}
         scalars |= {"second_m": np.roll(m, 1), "lobe_weight": self.even()}
+        vectors["map"] = np.stack([self.cosine(), self.even(), self.small()], -1)
+        vectors["plane"] = 16.0 * vectors["map"] - 8.0
+        scalars["w"] = 12.6 * self.small()
         return vectors | scalars | dict.fromkeys(("tan2", "x", "steepness"), tan2)
 
 
@@ -138,7 +151,8 @@ def unit(x: NDArray[np.float32]) -> NDArray[np.float32]:
 def faults(evaluator: Evaluator, tried: Mapping[str, Case], inputs: Inputs) -> list[str]:
     """Tell what is wrong with the values of cases at other inputs than theirs, and the inputs of
     the first value that is."""
-    words = {name: re.findall(r"\w+", case.expression) for name, case in tried.items()}
+    calls = {name: case.expression.replace("_texels", "") for name, case in tried.items()}
+    words = {name: re.findall(r"\w+", call) for name, call in calls.items()}
     used = {x: inputs[x] for x in inputs if any(x in each for each in words.values())}
     there = {name: replace(case, inputs=used) for name, case in tried.items()}
     below = np.minimum(*((inputs["n"] * inputs[name]).sum(axis=-1) for name in "lv")) <= 0.0

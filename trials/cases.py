@@ -22,7 +22,16 @@ from facerender.drawing.evaluate import WIDTH, Inputs
 from facerender.glsl import code
 from facerender.lobes import AnyLobe, GPower
 from facerender.shading import Term
-from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, lobe_entry, scattering, shadow
+from facerender.terms import (
+    FRESNEL,
+    LOBES,
+    MASKING,
+    MODELS,
+    environment,
+    lobe_entry,
+    scattering,
+    shadow,
+)
 from facerender.terms.entry import ULP
 from facerender.terms.lobe import TINY, power_error
 
@@ -542,6 +551,98 @@ def scatter(channel: int) -> Case:
     )
     prelude = include("scatter", FR_SCATTER_GAUSSIANS="2")
     return Case(prelude, call, inputs, expected[:, channel], 0.0, bounds)
+
+
+# --- environment ---------------------------------------------------------------------------------
+
+
+AROUND = 16  # texels of a map's first level
+
+
+@cache
+def around() -> tuple[dict[str, Singles], Floats]:
+    """A map, its texels with directions, and the map."""
+    random = np.random.default_rng(12)
+    count = (AROUND + 2) * WIDTH
+    map_ = singles(random.uniform(0.0, 1.0, (count, 3)))
+    n, v, l = (random.normal(size=(count, 3)) for _ in range(3))
+    n, v, l = (each / np.linalg.norm(each, axis=-1, keepdims=True) for each in (n, v, l))
+    cosine = np.einsum("...i,...i", n, v)[:, None]
+    v = np.where(cosine < 0.0, -v, v)
+    v[np.abs(cosine[:, 0]) < 0.05] = n[np.abs(cosine[:, 0]) < 0.05]
+    inputs = {
+        "map": map_,
+        "n": singles(n),
+        "v": singles(v),
+        "l": singles(l),
+        "m": singles(random.choice([1e-4, 0.02, 0.1, 0.3, 0.6, 2.0], count)),
+        "w": singles(np.exp(random.uniform(-12.0, 3.0, count))),
+    }
+    return inputs, map_.reshape(-1, WIDTH, 3).astype(float)
+
+
+@case()
+def environment_irradiance() -> Case:
+    inputs, _ = around()
+    sh = np.random.default_rng(13).normal(size=(9, 3)) + [[4.0], *[[0.0]] * 8]
+    code_ = ", ".join(f"vec3({', '.join(map(str, row))})" for row in sh)
+    expected = environment.environment_irradiance(sh, inputs["n"])[:, 1]
+    call = f"fr_environment_irradiance(vec3[9]({code_}), n).y"
+    return Case(include("environment"), call, inputs, expected, 0.0, 1e-6 * np.abs(sh).sum())
+
+
+@case()
+def environment_radiance() -> Case:
+    inputs, map_ = around()
+    expected = environment.environment_radiance(map_, AROUND, inputs["l"], inputs["w"])[:, 1]
+    call = f"fr_environment_radiance(map_texels, {AROUND}, l, w).y"
+    return Case(include("environment"), call, inputs, expected, 0.0, 2e-5)
+
+
+@case()
+def environment_level() -> Case:
+    inputs, map_ = around()
+    place = np.abs(inputs["l"][:, :2]).astype(float)
+    level = np.full(len(place), 1)
+    expected = environment.level_at(map_, AROUND, place, level)[:, 1]
+    call = f"fr_environment_level(map_texels, {AROUND}, abs(l.xy), 1).y"
+    return Case(include("environment"), call, inputs, expected, 0.0, 1e-5)
+
+
+@case(*((name,) for name in FRESNEL))
+def environment_cook_torrance(fresnel: str) -> Case:
+    inputs, map_ = around()
+    masking = {"schlick": "v-cavity", "dielectric": "kelemen"}.get(fresnel, "none")
+    n, v, m = (inputs[name] for name in ("n", "v", "m"))
+    expected = environment.environment_cook_torrance(map_, AROUND, n, v, m, F0, fresnel, masking)
+    macros = f"{FRESNEL[fresnel].macro}, {MASKING[masking].macro}"
+    call = f"fr_environment_cook_torrance(map_texels, {AROUND}, n, v, m, {F0}, {macros}).y"
+    return Case(include("environment"), call, inputs, expected[:, 1], 1e-4, 1e-6)
+
+
+@case(("direction",), ("steradians",), ("axes",))
+def environment_sample(what: str) -> Case:
+    inputs, _ = around()
+    n, v, m = (inputs[name].astype(float) for name in ("n", "v", "m"))
+    axes = environment.environment_axes(n, v)
+    l, steradians = environment.environment_sample(n, v, m, axes, 11)
+    call = "fr_environment_sample(n, v, m, fr_environment_axes(n, v), 11)"
+    across = (0.6 * axes[0] + 0.8 * axes[1])[:, 1]
+    expression, expected = {
+        "direction": (f"2.0 + {call}.x", 2.0 + l[:, 0]),
+        "steradians": (f"max({call}.w, 0.0)", np.maximum(steradians, 0.0)),
+        "axes": ("2.0 + (fr_environment_axes(n, v) * vec2(0.6, 0.8)).y", 2.0 + across),
+    }[what]
+    return Case(include("environment"), expression, inputs, expected, 0.0, 2e-5)
+
+
+@case()
+def environment_ward() -> Case:
+    inputs, map_ = around()
+    n, v, m = (inputs[name] for name in ("n", "v", "m"))
+    expected = environment.environment_ward(map_, AROUND, n, v, m)[:, 1]
+    call = f"fr_environment_ward(map_texels, {AROUND}, n, v, m).y"
+    return Case(include("environment"), call, inputs, expected, 1e-4, 1e-6)
 
 
 # --- models --------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from facerender.drawing.prepare import start_maps
 from facerender.errors import InputError
 from facerender.job import ImageSettings, Job, MeshFile, Output
 from facerender.scenes.camera import Camera, turntable
-from facerender.scenes.file import load_scene
+from facerender.scenes.file import STUDIO, load_scene, parse_environment
 from facerender.scenes.light import LIGHTS, parse_light
 from facerender.scenes.scene import Scene
 from facerender.scenes.texture import Kind
@@ -97,6 +97,18 @@ def add_scene(
         action=argparse.BooleanOptionalAction,
         help="have every light cast shadows, or none (as each light says)",
     )
+    scene.add_argument(
+        "--environment",
+        metavar="FILE[,ROTATION[,SCALE]]",
+        help=f".hdr, .exr or {STUDIO}: light from all around, in place of lights and ambient light "
+        "where none are given; rotation in degrees",
+    )
+    scene.add_argument(
+        "--environment-samples",
+        type=int,
+        metavar="N",
+        help="directions of it that a lobe reflects, even; 0 for its diffuse part alone (32)",
+    )
     scene.add_argument("--ambient", metavar="E", help="irradiance from everywhere, E or R,G,B")
     scene.add_argument("--background", metavar="RGB", help="linear R,G,B, or none: transparent")
     return terms, scene
@@ -115,7 +127,7 @@ def job_of(
     settings = load_scene(options.scene) if options.scene else {}
     names = (
         *("model", "lobe", "fresnel", "masking", "diffuse", "outside"),
-        *("slope_filter", "curvature", "scatter_samples"),
+        *("slope_filter", "curvature", "scatter_samples", "environment_samples"),
     )
     terms = {name: value for name in names if (value := getattr(options, name, None)) is not None}
     pinned = settings.pop("shading", {})
@@ -131,6 +143,9 @@ def job_of(
     cameras = tuple(each for place in places for each in _cameras(place, camera)) or path
     settings["camera"] = cameras[0] if places else camera
     settings.update(_scene_settings(options))
+    if "environment" in settings:
+        settings.setdefault("lights", ())
+        settings.setdefault("ambient", 0.0)
     if options.shadows is not None:
         lights = settings.get("lights", Job.lights)
         settings["lights"] = tuple(
@@ -183,6 +198,8 @@ def _check_unpinned(options: argparse.Namespace, pinned: Mapping[str, Any]) -> N
         ("normal_map", ("normal_map",)),
         ("two_lobes", ("second_slope", "lobe_weight", "lobe_map")),
         ("ambient", ("ambient",)),
+        ("environment", ("environment",)),
+        ("environment_samples", ("environment_samples",)),
         ("specular_lights", ("light",)),
         ("frontal_lights", ("light",)),
         ("lights", ("light", "m", "lobe", "model", "fresnel", "masking")),
@@ -220,6 +237,8 @@ def _scene_settings(options: argparse.Namespace) -> dict[str, Any]:
     settings: dict[str, Any] = {}
     if options.light:
         settings["lights"] = tuple(parse_light(text) for text in options.light)
+    if options.environment is not None:
+        settings["environment"] = parse_environment(options.environment)
     if options.ambient is not None:
         numbers = numbers_of("ambient", options.ambient, (1, 3))
         settings["ambient"] = tuple(numbers) if len(numbers) == 3 else numbers[0]

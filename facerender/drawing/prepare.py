@@ -18,8 +18,8 @@ _simplified: WeakKeyDictionary[Mesh, dict[tuple[Any, ...], Mesh]] = WeakKeyDicti
 
 
 def simplify(scene: Scene, shading: Shading) -> Scene:
-    """Return the scene without the maps, the shadows, the scattering and the ambient light that a
-    shading leaves out.
+    """Return the scene without the maps, the shadows, the scattering, the environment and the
+    ambient light that a shading leaves out.
 
     The same mesh gives the same simplified mesh again, so that a renderer keeps its maps.
 
@@ -43,9 +43,12 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
         cast = [light.shadow and i in shading.shadow_lights for i, light in enumerate(scene.lights)]
         lights = zip(scene.lights, cast, strict=True)
         scene = replace(scene, lights=tuple(replace(each, shadow=on) for each, on in lights))
+    if scene.environment is not None and not shading.environment:
+        scene = replace(scene, environment=None)
     if not shading.ambient:
         scene = replace(scene, ambient=0.0)
-        changes["occlusion_map"] = None
+        if scene.environment is None:
+            changes["occlusion_map"] = None
     if not changes:
         return scene
     known = _simplified.setdefault(scene.mesh, {})

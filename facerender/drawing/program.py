@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from facerender.drawing.prepare import part_maps
-from facerender.glsl.code import call, prelude
+from facerender.glsl.code import call, environment_call, prelude
 from facerender.glsl.library import resolve_includes
 from facerender.scenes.light import LIGHT_KINDS, Light
 from facerender.scenes.material import Material
@@ -22,6 +22,7 @@ from facerender.shading import Shading, Term
 
 ATTRIBUTES = {"in_position": 3, "in_normal": 3, "in_uv": 2, "in_color": 3}
 SHADOW_MAP = "shadow_map"  # the texture of all maps
+ENVIRONMENT_MAP = "environment_map"
 PROPERTY_MAPS = ("occlusion_map", "roughness_map", "specular_map")
 
 Uniforms = Mapping[str, Any]
@@ -120,6 +121,7 @@ class Program:
     lights : see :class:`Lighting`; None for a program that knows no light
     prelude, calls : GLSL that stands before the specular terms, and that of each term; without
         calls nothing is specular
+    environment : GLSL of what a lobe reflects of the environment; "" for nothing
     """
 
     fragment: str
@@ -128,10 +130,12 @@ class Program:
     lights: tuple[LightGroup, ...] | None = None
     prelude: str = ""
     calls: tuple[str, ...] = ()
+    environment: str = ""
 
     def sources(self, version: str) -> dict[str, str]:
         """Return the GLSL of both stages, "vert" and "frag", for a ``#version``."""
         head = "".join(f"#define {name}\n" for name in self.features)
+        head += f"#define ENVIRONMENT_RADIANCE {self.environment}\n" * bool(self.environment)
         light = "" if self.lights is None else self._terms() + self._lights()
         return {
             stage: resolve_includes(f'#version {version}\n{head}{own}#include "host/{file}"\n')
@@ -222,12 +226,19 @@ def shade_program(
         features += ("COUPLED",)
     shines = bool(terms) and material.ks > 0.0
     second = material.second_slope if material.two_lobes else None
+    environment = ""
+    if scene.environment is not None:
+        features += ("ENVIRONMENT",)
+        if shading.environment_samples and material.ks > 0.0:
+            features += (f"ENVIRONMENT_SAMPLES {shading.environment_samples}",)
+            environment = environment_call(shading.term, second)
     return Program(
         "shade.frag",
         features=features,
         lights=lighting.groups,
         prelude=prelude(terms, smallest_m, material.two_lobes) if shines else "",
         calls=tuple(call(term, second) for term in terms) if shines else (),
+        environment=environment,
     )
 
 
@@ -248,7 +259,14 @@ def shadow_features(lighting: Lighting) -> tuple[str, ...]:
 
 def scene_uniforms(scene: Scene, view: View, lighting: Lighting | None = None) -> Uniforms:
     """Return the uniforms that all parts of a scene share."""
+    around: dict[str, Any] = {}
+    if lighting is not None and scene.environment is not None:
+        around["environment_sh"] = scene.environment.panorama.coefficients
+        around["environment_turn"] = scene.environment.turn.T  # column by column
+        around["environment_scale"] = scene.environment.scale
+        around["environment_size"] = len(scene.environment.panorama.map) - 2
     return {
+        **around,
         "view_projection": view.matrix,
         "eye": view.eye,
         "ambient": np.asarray(scene.ambient),

@@ -4,6 +4,7 @@ OpenGL here."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from facerender.drawing.prepare import simplify
 from facerender.scenes.light import half_sum
 from facerender.scenes.material import Material
 from facerender.scenes.scene import Only, Scene, slope_ranges
-from facerender.shading import Shading
+from facerender.shading import Shading, Term
 from facerender.terms.slope_variance import cosine_disc, slope_filtered, slope_variance_disc
 
 Float = NDArray[np.float64]
@@ -28,6 +29,7 @@ class Layers:
     ----------
     ambient, diffuse : (H, W, 3) float64
     specular : (lights, H, W, 3) float64
+    environment : (H, W, 3) float64, diffuse and specular
     light, albedo : (H, W, 3) float64, irradiance of the diffuse term and of the ambient one
         together, and what makes radiance of it; None where nothing scatters
     """
@@ -35,12 +37,15 @@ class Layers:
     ambient: NDArray[np.float64]
     diffuse: NDArray[np.float64]
     specular: NDArray[np.float64]
+    environment: NDArray[np.float64]
     light: NDArray[np.float64] | None = None
     albedo: NDArray[np.float64] | None = None
 
     def sum(self, shading: Shading) -> NDArray[np.float64]:
         """Return the image (H, W, 3) of the lights and the ambient term that a shading has."""
-        image = self.diffuse + self.ambient if shading.ambient else self.diffuse.copy()
+        image = self.diffuse + self.environment
+        if shading.ambient:
+            image += self.ambient
         for light, specular in enumerate(self.specular):
             if shading.of(light) is not None:
                 image += specular
@@ -97,9 +102,19 @@ def scattered(
     return change
 
 
-def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
+def layers(
+    gbuffer: GBuffer,
+    scene: Scene,
+    shading: Shading,
+    environment: NDArray[np.float64] | None = None,
+) -> Layers:
     """Return the terms that :func:`shade` sums up, the specular one of every light; parameters and
-    errors as there."""
+    errors as there.
+
+    environment : what :func:`environment_layer` gave, where that is known
+    """
+    if environment is None:
+        environment = environment_layer(gbuffer, scene, shading)
     scene = simplify(scene, shading)
     pinned = shading.constant_slope
     ambient, diffuse = np.zeros((2, *gbuffer.position.shape))
@@ -155,7 +170,53 @@ def layers(gbuffer: GBuffer, scene: Scene, shading: Shading) -> Layers:
             specular[light][covered] = received * (weight * value)[:, None]
         if light_of is not None and albedo_of is not None:
             light_of[covered], albedo_of[covered] = entered, albedo
-    return Layers(ambient, diffuse, specular, light_of, albedo_of)
+    return Layers(ambient, diffuse, specular, environment, light_of, albedo_of)
+
+
+def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float64]:
+    """Return the radiance (H, W, 3) that the environment adds; parameters and errors as of
+    :func:`shade`. No light, no lobe and no digits of small angles count."""
+    scene = simplify(scene, shading)
+    image = np.zeros(gbuffer.position.shape)
+    if scene.environment is None:
+        return image
+    from facerender.terms.environment import environment_irradiance, reflected
+
+    panorama, turn = scene.environment.panorama, scene.environment.turn
+    map_ = panorama.map
+    term, samples = replace(shading.term, lobe="exact"), shading.environment_samples
+    for index, material in enumerate(scene.mesh.materials):
+        covered = gbuffer.part == index
+        if not covered.any():
+            continue
+        n = gbuffer.normal[covered].astype(np.float64)
+        v = _normalised(gbuffer.view.eye - gbuffer.position[covered].astype(np.float64))
+        albedo = material.kd / np.pi * gbuffer.albedo[covered].astype(np.float64)
+        occlusion = gbuffer.occlusion[covered].astype(np.float64)[:, None]
+        total = albedo * occlusion * environment_irradiance(panorama.coefficients, n @ turn.T)
+        if shading.diffuse == "coupled" and material.ks > 0.0:
+            n_dot_v = np.einsum("...i,...i", n, v)
+            coupling = _Coupling.at(gbuffer, covered, material, n_dot_v, shading.constant_slope)
+            total *= coupling.left(coupling.mean)
+        weight = gbuffer.specular_weight[covered].astype(np.float64)
+        lobes = [(gbuffer.m, weight, term)]
+        if material.two_lobes:
+            assert gbuffer.second_m is not None
+            assert gbuffer.lobe_weight is not None
+            first = gbuffer.lobe_weight[covered] * weight
+            second = gbuffer.second_m, weight - first, term.second(material.second_slope)
+            lobes = [(gbuffer.m, first, term), second]
+        for slopes, share, own in lobes * bool(samples and material.ks > 0.0):
+            m = slopes[covered].astype(np.float64) if own.m is None else own.m
+            brdf = partial(_brdf, replace(own, m=None), material.f0)
+            seen = reflected(map_, len(map_) - 2, n @ turn.T, v @ turn.T, m, brdf, samples)
+            total += share[:, None] * seen
+        image[covered] = scene.environment.scale * total
+    return image
+
+
+def _brdf(term: Term, f0: float, n: Float, l: Float, v: Float, m: Float) -> Float:
+    return term.brdf(n, l, v, m, f0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from facerender.drawing.passes.shadow import seen_pass, shadow_passes
 from facerender.drawing.passes.surface import surface_pass
 from facerender.drawing.passes.visibility import Visibility, can_defer, pays
 from facerender.drawing.prepare import simplify, start_maps
-from facerender.drawing.program import Lighting
+from facerender.drawing.program import ENVIRONMENT_MAP, Lighting
 from facerender.drawing.reference import data_view
 from facerender.drawing.resources import Resources, read
 from facerender.errors import ContextError, InputError
@@ -307,6 +307,8 @@ class Renderer:
         drawn: dict[str, moderngl.Texture] = {}
         self._resources.settle()
         with self.context.drawing() as gl:
+            if scene.environment is not None:
+                drawn[ENVIRONMENT_MAP] = self._resources.environment(scene.environment.panorama)
             for step in passes:
                 target = self._resources.draw(step, scene.mesh, drawn)
                 if step.target.samples > 1 and step.target.values == "color":

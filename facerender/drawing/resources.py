@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import moderngl
@@ -23,6 +23,9 @@ from facerender.drawing.program import Program, part_columns
 from facerender.errors import ContextError, InputError
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.texture import Kind, Texture
+
+if TYPE_CHECKING:
+    from facerender.scenes.environment import Panorama
 
 _TEXTURE_2D = 0x0DE1
 _SRGB8_ALPHA8 = 0x8C43
@@ -85,6 +88,7 @@ class Resources:
         self.facets: WeakKeyDictionary[Facets, moderngl.Texture] = WeakKeyDictionary()
         self.textures: WeakKeyDictionary[Texture, dict[Kind, moderngl.Texture]]
         self.textures = WeakKeyDictionary()
+        self.environments: WeakKeyDictionary[Panorama, moderngl.Texture] = WeakKeyDictionary()
         self.programs: dict[Program, moderngl.Program] = {}
         self.targets: dict[Target, moderngl.Framebuffer] = {}
         self.held: dict[Target, Hashable] = {}  # the keys of what targets hold
@@ -94,7 +98,7 @@ class Resources:
     def release(self) -> None:
         """Free everything on the GPU; the context is current."""
         caches = (self.geometries, self.facets, self.textures, self.programs, self.targets)
-        for made in (*caches, self.screens, self.held):
+        for made in (*caches, self.environments, self.screens, self.held):
             made.clear()
         self.context.gl.gc()
 
@@ -245,6 +249,15 @@ class Resources:
             texture.filter = moderngl.NEAREST, moderngl.NEAREST
             self.facets[facets] = texture
         return self.facets[facets]
+
+    def environment(self, panorama: Panorama) -> moderngl.Texture:
+        """Upload the map of a panorama, once."""
+        if panorama not in self.environments:
+            texels = panorama.map
+            texture = self.context.gl.texture(texels.shape[1::-1], 3, texels, dtype="f4")
+            texture.filter = moderngl.NEAREST, moderngl.NEAREST
+            self.environments[panorama] = texture
+        return self.environments[panorama]
 
     def texture(self, name: str, source: Texture, kind: Kind) -> moderngl.Texture:
         """Upload a mip chain. moderngl uploads level 0; its build_mipmaps would take 65 ms for

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from facerender.errors import InputError
 from facerender.shading import Term
 from facerender.terms import FRESNEL, MASKING, AnyLobe, lobe_entry
 
@@ -62,6 +63,29 @@ def call(term: Term, second_slope: float | None = None) -> str:
     if term.entry.two:
         return term.entry.two.call.format(m=m, second=second, **macros)
     other = term.entry.call.format(m=second, **macros)
+    return f"lobe_weight * {first} + (1.0 - lobe_weight) * {other}"
+
+
+def environment_call(term: Term, second_slope: float | None = None) -> str:
+    """Return the GLSL of the radiance (vec3) that a term reflects of an environment, of vec3 n, v
+    and float m, f0; second_slope as of :func:`call`.
+
+    Raises
+    ------
+    InputError : a model of which nobody has written it
+    """
+    if term.entry.environment is None:
+        raise InputError(
+            f"the model {term.model} has no specular term of an environment: set "
+            "environment_samples to 0, or take another model"
+        )
+    code = term.entry.environment.call
+    macros = {"fresnel": FRESNEL[term.fresnel].macro, "masking": MASKING[term.masking].macro}
+    first = code.format(m="m" if term.m is None else repr(float(term.m)), **macros)
+    if second_slope is None:
+        return first
+    second = "second_m" if term.m is None else repr(float(term.m * second_slope))
+    other = code.format(m=second, **macros)
     return f"lobe_weight * {first} + (1.0 - lobe_weight) * {other}"
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -90,7 +91,8 @@ def measure(
                 lobe_terms(model), cost.OF_COSINE, repeats, backend, stage("lobes")
             )
         drawn = [variant for variant in _drawn(model) if _inside(variant, m)]
-        shadings = [variant.shading for variant in drawn]
+        # m alone: a wider one may leave a lobe's domain
+        shadings = [replace(variant.shading, slope_filter=False) for variant in drawn]
         frames = cost.frames(scene, shadings, size, repeats, backend, stage("frames"))
         frame_ms = dict(zip(drawn, frames, strict=True))
         renderings = error.image_errors(scene, shadings, size, backend)

@@ -60,6 +60,8 @@ def bound(scene: Scene, shading: Shading, full: Shading, budget: Budget) -> floa
             radiance = np.inf
         if material.scattering and shading.scatter_samples != full.scatter_samples:
             radiance = np.inf
+        if scene.environment is not None and _around(shading) != _around(full):
+            radiance = np.inf
         weight = max(_weight(material, each) for each in (shading, full))
         same_weight = _same_weight(material, shading, full)
         for light, own, other in lit:
@@ -85,6 +87,14 @@ def _coupling(shading: Shading) -> object:
     if shading.diffuse == "lambert":
         return None
     return shading.term.m, shading.lights, shading.ks, shading.two_lobes
+
+
+def _around(shading: Shading) -> object:
+    """What the radiance of the environment depends on beside the material."""
+    term = shading.term
+    reflecting = (term.model, term.fresnel, term.masking, term.m, shading.ks, shading.two_lobes)
+    samples = shading.environment_samples
+    return shading.environment, samples, reflecting if samples else (), _coupling(shading)
 
 
 def _slopes(term: Term, slopes: Range, material: Material) -> Range:

@@ -30,6 +30,7 @@ DECISIONS = {
     "slope": "term.m",
     "specular weight": "ks",
     "ambient": "ambient",
+    "environment": "environment_samples",
     "diffuse": "diffuse",
     "model": "term.model",
     "lobe": "term.lobe",
@@ -39,6 +40,7 @@ DECISIONS = {
 }
 _GET = {name: attrgetter(path) for name, path in DECISIONS.items()}
 SINGLE = ("two lobes", "slope")  # decided together: a single lobe has a slope of its own
+ENVIRONMENT_SAMPLES = (0, 8, 16, 32)
 TERM = ("model", "lobe", "Fresnel", "masking", "small slopes", "frontal")
 
 
@@ -90,7 +92,10 @@ def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Sh
     cast += [tuple(sorted(constants.shadows[n:])) for n in range(1, len(constants.shadows) + 1)]
     scatters = any(each.scattering and each.kd > 0.0 for each in materials)
     fewer = [count for count in SCATTER_SAMPLES if scatters and count < full.scatter_samples]
-    for (two_lobes, m), ks, shadows, scatter_samples, normal_map, ambient, diffuse in product(
+    samples = [full.environment_samples]
+    if scene.environment is not None and full.environment:
+        samples += [each for each in ENVIRONMENT_SAMPLES if each < full.environment_samples]
+    for (two_lobes, m), ks, shadows, scattered, normal_map, ambient, diffuse, around in product(
         slopes,
         weights,
         cast,
@@ -98,11 +103,12 @@ def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Sh
         {full.normal_map, full.normal_map and not textured["normal_map"]},
         {full.ambient, full.ambient and not any(scene.ambient)},  # type: ignore[arg-type]
         dict.fromkeys((full.diffuse, "lambert")),
+        samples,
     ):
         term = replace(full.term, m=m)
         own: dict[str, Any] = {"two_lobes": two_lobes, "normal_map": normal_map, "ambient": ambient}
         own |= {"shadow_lights": shadows, "diffuse": diffuse}
-        own |= {"scatter_samples": scatter_samples}
+        own |= {"scatter_samples": scattered, "environment_samples": around}
         surface = replace(full, term=term, ks=ks, **own)
         for shading in _terms(scene, surface):
             for lights in kinds:

@@ -179,6 +179,7 @@ def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:
         "slope": "the material's" if term.m is None else f"constant {term.m:.4g}",
         "specular weight": "the material's" if shading.ks is None else f"constant {shading.ks:.4g}",
         "ambient": "on" if shading.ambient else "off",
+        "environment": f"{shading.environment_samples} samples",
         "diffuse": shading.diffuse,
         "scattering": f"{shading.scatter_samples or 'no'} samples",
         "model": term.model,

@@ -296,7 +296,7 @@ def plan(
         raise InputError(f"a plan chooses the lobe: leave {full.term.lobe} out")
     if full != full.replace(lights={}, frontal_lights=full.frontal_lights):
         raise InputError("a plan chooses the lights' terms: leave lights out of the shading")
-    if not scene.lights:
+    if not scene.lights and scene.environment is None:
         raise InputError("the scene has no lights: there is no shading to plan")
     full = replace(full, term=replace(full.term, small_slope=None))  # as the slopes need it
     if guarantee:

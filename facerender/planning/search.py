@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from facerender.drawing.frame import GBuffer
 from facerender.drawing.prepare import simplify
-from facerender.drawing.reference import Layers, layers
+from facerender.drawing.reference import Layers, environment_layer, layers
 from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import (
     Constants,
@@ -39,6 +39,7 @@ Float = NDArray[np.float64]
 # Pixels of a witness, and those of them with the largest errors, beside those that are spared.
 _SPREAD, _WORST = 256, 64
 _KEPT = 2**18  # pixels of all that is kept of a witness
+_ENVIRONMENTS = 8  # what the environment adds is kept so many times more often: most terms share it
 
 
 @dataclass(frozen=True)
@@ -211,6 +212,7 @@ class Region:
         self.full, self.budget, self.spared, self.kept = full, budget, spared, kept
         self.scattered = scattered
         self.known: dict[Shading, Layers] = {}
+        self.environments: dict[Shading, Float] = {}
         self.terms = self.layers(full)
         self.exact = self.image(full)
 
@@ -237,7 +239,15 @@ class Region:
         if whole.ks is not None:
             weight = np.full_like(gbuffer.specular_weight, whole.ks)
             gbuffer = replace(gbuffer, specular_weight=weight)
-        terms = layers(gbuffer, self.scene, whole)
+        bare = replace(whole.term, lobe="exact", small_slope=None)
+        around = replace(whole, term=bare, shadow_lights=())
+        if around in self.environments:
+            environment = self.environments[around]
+        else:
+            environment = environment_layer(gbuffer, self.scene, around)
+            if len(self.environments) < _ENVIRONMENTS * self.kept:
+                self.environments[around] = environment
+        terms = layers(gbuffer, self.scene, whole, environment)
         if len(self.known) < self.kept:
             self.known[whole] = terms
         return terms

@@ -25,6 +25,7 @@ from facerender.drawing.passes import Draw, Target
 from facerender.drawing.passes.shadow import shadow_passes
 from facerender.drawing.program import (
     ATTRIBUTES,
+    ENVIRONMENT_MAP,
     PROPERTY_MAPS,
     Lighting,
     Program,
@@ -38,6 +39,7 @@ from facerender.pricing import amd
 from facerender.pricing.cost import clock_of, slopes
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import SLOPE
+from facerender.scenes.environment import Environment, studio
 from facerender.scenes.light import LIGHT_KINDS
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh, Part
@@ -47,6 +49,7 @@ from facerender.scenes.view import View
 from facerender.shading import Shading
 
 SIZE = (512, 256)
+FEW = 2  # samples of the environment: so few that compilers unroll their loop
 SHADOWS = tuple(sorted({kind.shadow_price for kind in LIGHT_KINDS.values()}))
 Timed = Callable[[int], float]  # draws as often as it is told, and returns the seconds
 
@@ -66,6 +69,7 @@ def scene_with(
     maps: Sequence[str] = ("albedo_map",),
     ambient: bool = False,
     shadow: bool = False,
+    environment: bool = False,
     **lights: int,
 ) -> Scene:
     """Return a patch with some of a material's maps, of 1024 x 1024 texels.
@@ -74,6 +78,7 @@ def scene_with(
     ----------
     ambient : whether there is ambient light
     shadow : whether the lights cast shadows
+    environment : whether there is light from all around
     lights : by kind, how many there are; one directional light where nothing is said
     """
     textures: dict[str, Any] = {name: _texture(name) for name in maps}
@@ -83,11 +88,17 @@ def scene_with(
     counts = lights or {"directional": 1}
     examples = [LIGHT_KINDS[kind].example for kind, n in counts.items() for _ in range(n)]
     sources = [replace(light, shadow=shadow) for light in examples]
-    return Scene(mesh, lights=tuple(sources), ambient=(0.2, 0.3, 0.4) if ambient else 0.0)
+    around = Environment(studio()) if environment else None
+    irradiance = (0.2, 0.3, 0.4) if ambient else 0.0
+    return Scene(mesh, lights=tuple(sources), ambient=irradiance, environment=around)
 
 
 def program_of(
-    scene: Scene, shading: Shading | None = None, stub: str = "", coupled: bool = False
+    scene: Scene,
+    shading: Shading | None = None,
+    stub: str = "",
+    coupled: bool = False,
+    environment_samples: int = 0,
 ) -> Program:
     """Return the host's program of a scene's first part, for m >= SLOPE.
 
@@ -102,6 +113,7 @@ def program_of(
     (part, *_), (material, *_) = scene.mesh.parts, scene.mesh.materials
     if coupled:
         chosen = chosen.replace(diffuse="coupled")
+    chosen = chosen.replace(environment_samples=environment_samples)
     program = shade_program(part, material, scene, chosen, lighting, terms, SLOPE)
     return replace(program, calls=(stub,)) if stub else program
 
@@ -131,9 +143,18 @@ def parts_of(program: Program) -> dict[str, int]:
         **{price: dark[price] for price in SHADOWS},
         "coupled diffuse": int("COUPLED" in program.features),
         "light of coupled diffuse": counts.total() * ("COUPLED" in program.features),
+        "environment": int("ENVIRONMENT" in program.features),
+        "environment sample": environment_samples(program),
         "first specular term": min(specular, 1),
         "further specular term": max(specular - 1, 0),
     }
+
+
+def environment_samples(program: Program) -> int:
+    """Return how many samples of the environment all lobes of a program take."""
+    own = (each.split()[1:] for each in program.features if each.startswith("ENVIRONMENT_SAMPLES"))
+    lobes = program.environment.count("environment_map")
+    return lobes * sum(int(count) for (count,) in own)
 
 
 def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
@@ -168,10 +189,12 @@ def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
         scene_with(ambient=True),
         scene_with((*albedo, *PROPERTY_MAPS), ambient=True),
     ]
+    around = scene_with(environment=True)
     stub = "" if shading else amd.EMPTY
     return [
         *((scene, program_of(scene)) for scene in dull),
         *((scene, program_of(scene, coupled=True)) for scene in dull[:2]),
+        *((around, program_of(around, environment_samples=count)) for count in (0, FEW)),
         *((scene, program_of(scene, shading, stub)) for scene in specular),
     ]
 
@@ -262,6 +285,8 @@ def by_slope(
                     step.name: resources.draw(step, scene.mesh, {}).color_attachments[0]
                     for step in shadow_passes(scene, lighting)
                 }
+                if scene.environment is not None:
+                    drawn[ENVIRONMENT_MAP] = resources.environment(scene.environment.panorama)
                 array = resources.geometry(part, scene.mesh).array(gl, own)
 
                 def seconds(count: int) -> float:

@@ -102,7 +102,15 @@ class Prices:
                 sum_ += self._priced(self.parts, "coupled diffuse")
                 each = self._priced(self.parts, "light of coupled diffuse")
                 sum_ += len(simple.lights) * each
-            sum_ += self._maps(part, material, ambient, shine > 0.0 or coupled)
+            around = simple.environment is not None
+            if around:
+                sum_ += self._priced(self.parts, "environment")
+            if around and material.ks and shading.environment_samples:
+                each = shading.environment_samples * self._priced(self.parts, "environment sample")
+                reflected = (1 + material.two_lobes) * each
+                sum_, shine = sum_ + reflected, shine + reflected
+            occluded = ambient or (around and material.kd > 0.0)
+            sum_ += self._maps(part, material, occluded, shine > 0.0 or coupled)
             sum_ += self.parts["ambient term"] * ambient
             if material.scattering and material.kd > 0.0:
                 sum_ += self._priced(self.parts, "scattering")

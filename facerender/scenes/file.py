@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import MISSING, asdict, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from facerender.errors import InputError, reason
+from facerender.errors import InputError, check_range, reason
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light, parse_light
 from facerender.scenes.material import MAPS, Material
@@ -20,7 +20,58 @@ from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import vector
 from facerender.shading import Shading
 
-KEYS = ("camera", "cameras", "lights", "material", "shading", "planned", "ambient", "background")
+if TYPE_CHECKING:
+    from facerender.scenes.environment import Environment
+
+KEYS = (
+    *("camera", "cameras", "lights", "environment", "material", "shading", "planned"),
+    *("ambient", "background"),
+)
+STUDIO = "studio"  # an environment that is no file
+
+
+@dataclass(frozen=True)
+class EnvironmentFile:
+    """An environment by its file.
+
+    Parameters
+    ----------
+    file : .hdr, .exr, .npy or .npz, or "studio" for one made by code
+    rotation : degrees about the vertical axis, which add to azimuths
+    scale : factor on the radiance
+    """
+
+    file: str
+    rotation: float = 0.0
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.file, str | os.PathLike) or not os.fspath(self.file):
+            raise InputError(f"environment file = {self.file!r}: give a path, or {STUDIO}")
+        object.__setattr__(self, "file", os.fspath(self.file))
+        check_range("environment rotation", self.rotation, -3600.0, 3600.0)
+        check_range("environment scale", self.scale, 0.0, 1e9)
+
+
+def parse_environment(text: str) -> EnvironmentFile:
+    """Read an environment from ``FILE[,ROTATION[,SCALE]]``.
+
+    Raises
+    ------
+    InputError : no such words, or a value outside its domain
+    """
+    file, *numbers = text.split(",")
+    try:
+        if len(numbers) > 2:
+            raise ValueError
+        return EnvironmentFile(file, *map(float, numbers))
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            f"environment {text!r}: give FILE or {STUDIO}, and behind it ,ROTATION in degrees and "
+            ",SCALE"
+        ) from None
 
 
 def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -29,9 +80,9 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
     Returns
     -------
     dict with any of: camera (Camera), cameras (tuple of Camera, a path for ``facerender plan``),
-    lights (tuple of Light), ambient, background, material (dict of the factors of
-    :class:`Material`), shading (dict for :meth:`Shading.from_dict`), planned (Planned: the images
-    that the shading was planned for)
+    lights (tuple of Light), environment (EnvironmentFile), ambient, background, material (dict of
+    the factors of :class:`Material`), shading (dict for :meth:`Shading.from_dict`), planned
+    (Planned: the images that the shading was planned for)
 
     Raises
     ------
@@ -78,6 +129,10 @@ def scene_value(key: str, value: Any) -> Any:
     if key == "material":
         from_table(Material, key, value, without=MAPS)  # validates
         return value
+    if key == "environment":
+        if isinstance(value, str):
+            return parse_environment(value)
+        return from_table(EnvironmentFile, key, value)
     if key == "planned":
         return from_table(Planned, key, value)
     if key == "background" and value == "none":
@@ -88,15 +143,16 @@ def scene_value(key: str, value: Any) -> Any:
 
 
 def scene_toml(scene: Scene, shading: Shading, planned: Planned | None = None) -> str:
-    """Return the text of a TOML file that :func:`load_scene` reads: camera, lights, ambient,
-    background, shading, the images that it was planned for, and the factors of the material that
-    all parts share. Mesh and maps are not in it."""
+    """Return the text of a TOML file that :func:`load_scene` reads: camera, lights, environment,
+    ambient, background, shading, the images that it was planned for, and the factors of the
+    material that all parts share. Mesh and maps are not in it."""
     background = "none" if scene.background is None else scene.background
     dark: dict[str, Any] = {} if scene.lights else {"lights": []}
     tables: list[tuple[str, Mapping[str, Any]]] = [
         ("", {"ambient": scene.ambient, "background": background} | dark),
         ("[camera]", _changes(scene.camera)),
         *(("[[lights]]", _changes(light)) for light in scene.lights),
+        *([("[environment]", _environment(scene.environment))] if scene.environment else []),
         ("[material]", _shared_factors(scene.mesh.materials)),
         ("[shading]", shading.as_dict()),
         *([("[planned]", asdict(planned))] if planned else []),
@@ -119,6 +175,14 @@ def _changes(value: Camera | Light) -> dict[str, Any]:
         each.name: getattr(value, each.name)
         for each in fields(value)
         if getattr(value, each.name) != each.default
+    }
+
+
+def _environment(value: Environment) -> dict[str, Any]:
+    return {
+        "file": value.panorama.name,
+        "rotation": value.rotation,
+        "scale": value.scale,
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import LIGHTS, Light, disc_of
@@ -16,6 +16,9 @@ from facerender.terms.slope_variance import (
     slope_variance_disc,
     slope_variance_map,
 )
+
+if TYPE_CHECKING:
+    from facerender.scenes.environment import Environment
 
 Only = Literal["specular", "diffuse", "albedo", "normal", "depth", "cosines", "visibility"]
 
@@ -33,6 +36,7 @@ class Scene:
     camera, lights : see there
     ambient : irradiance from everywhere, one number or linear RGB
     background : linear RGB behind the mesh, or None for transparent
+    environment : light from all around, or None; it is not seen behind the mesh
     """
 
     mesh: Mesh
@@ -40,6 +44,7 @@ class Scene:
     lights: tuple[Light, ...] = (LIGHTS["key"], LIGHTS["rim"], LIGHTS["fill"])
     ambient: float | Vector = (0.26, 0.28, 0.31)
     background: Vector | None = (0.012, 0.013, 0.016)
+    environment: Environment | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lights", tuple(self.lights))

@@ -64,6 +64,9 @@ class Model(Entry):
     printed : call of the paper's literal form of it, where it is another
     two : the same with two lobes in one, also of ``{second}``, the second slope, and of float
         lobe_weight; None where the mean of two calls is as good
+    environment : the radiance (vec3) that it reflects of ``environment_map``, with the exact lobe,
+        of the call's variables but l and the lobe, and of environment_size; None where nobody has
+        written it: an environment then has no specular part
     at_most : of the smallest m, the largest f N.L N.V there and at every larger m, for a lobe and
         terms that are at most 1; None where nobody knows: a guarantee then refuses the model
     """
@@ -75,6 +78,7 @@ class Model(Entry):
     family: str
     printed: str = ""
     two: Entry | None = None
+    environment: Entry | None = None
     at_most: Callable[[float], float] | None = None
 
 
@@ -275,6 +279,12 @@ MODELS: dict[str, Model] = registry(
             call="fr_cook_torrance_two_terms("
             "n, l, v, {m}, {second}, lobe_weight, f0, {lobe}, {fresnel}, {masking})",
         ),
+        environment=Entry(
+            name="cook-torrance-environment",
+            file="environment",
+            call="fr_environment_cook_torrance("
+            "environment_map, environment_size, n, v, {m}, f0, {fresnel}, {masking})",
+        ),
         at_most=_at_most,
     ),
     Model(
@@ -286,6 +296,11 @@ MODELS: dict[str, Model] = registry(
         evaluate=_without_factors(ward),
         family="physical",
         printed="fr_printed_ward(n, l, v, m)",
+        environment=Entry(
+            name="ward-environment",
+            file="environment",
+            call="f0 * fr_environment_ward(environment_map, environment_size, n, v, {m})",
+        ),
         at_most=_at_most,
     ),
     Model(

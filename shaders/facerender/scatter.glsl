@@ -56,7 +56,9 @@ vec3 fr_scatter_profile(float r2, vec4[FR_SCATTER_GAUSSIANS] gaussians) {
 //   unit      none, in [1, 5]
 //   error     none but float32's, 2e-7; of cosines below 0.2 it is too little, for few pixels show
 //             what is there
-float fr_scatter_area(float c) { return 1.0 / max(abs(c), 0.2); }
+float fr_scatter_area(float c) {
+    return 1.0 / max(abs(c), 0.2);
+}
 
 // An angle of its own for each pixel, different from that of its neighbours: noise of what else were
 // bands.

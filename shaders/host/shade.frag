@@ -2,7 +2,7 @@
 // drawing/program.py writes what stands before: the lights' kinds, EVERY_LIGHT, which calls
 // add_light for each of them with the number of its term, -1 for none, and, where a light has a term,
 // SPECULAR and specular_term(term, n, l, v, m, f0), with TWO_LOBES of second_m and lobe_weight before
-// f0.
+// f0; with ENVIRONMENT_SAMPLES, ENVIRONMENT_RADIANCE, which is what they reflect, of n, v and those.
 #include "facerender/constants.glsl"
 #ifdef COUPLED
 #include "facerender/albedo.glsl"
@@ -11,6 +11,9 @@
 #include "host/surface.glsl"
 #ifdef SHADOWS
 #include "host/shadow.glsl"
+#endif
+#ifdef ENVIRONMENT
+#include "host/environment.glsl"
 #endif
 #if defined(DISC_LIGHTS) || defined(SPHERE_LIGHTS)
 #include "facerender/slope_variance.glsl"
@@ -87,6 +90,23 @@ void add_light(Surface s, vec3 v, Disc light, int term) {
 }
 #endif
 
+#ifdef ENVIRONMENT
+void add_environment(Surface s, vec3 v) {
+    vec3 received = s.occlusion * environment_irradiance(s.normal);
+#ifdef COUPLED
+    received *= fr_diffuse_coupled(mean_albedo, eye_albedo, mean_albedo);
+#endif
+    diffuse += received;
+#ifdef ENVIRONMENT_SAMPLES
+#ifdef TWO_LOBES
+    specular += environment_specular(s.normal, v, s.m, s.second_m, s.lobe_weight, f0);
+#else
+    specular += environment_specular(s.normal, v, s.m, f0);
+#endif
+#endif
+}
+#endif
+
 vec3 shaded(Point p) {
     Surface s = surface(p);
     vec3 v = normalize(eye - s.position);
@@ -115,11 +135,14 @@ vec3 shaded(Point p) {
     place = vec4(s.position, profile);
     albedo = vec4(diffuse_weight / FR_PI * s.albedo, 1.0);
 #endif
+#ifdef ENVIRONMENT
+    add_environment(s, v);  // it varies slowly, and does not scatter
+#endif
     vec3 result = vec3(0.0);
 #ifdef DIFFUSE
     result += diffuse_weight / FR_PI * s.albedo * diffuse;
 #endif
-#ifdef SPECULAR
+#if defined(SPECULAR) || defined(ENVIRONMENT_SAMPLES)
     result += s.specular_weight * specular;
 #endif
     return result;

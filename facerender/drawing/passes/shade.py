@@ -47,11 +47,12 @@ def shade_pass(
     lighting = Lighting.of(scene, shading)
     draws = []
     specular = only != "diffuse"
+    counted = shading if specular else shading.replace(environment_samples=0)
     ranges = slope_ranges(scene, shading) if specular else [(0.0, 0.0)] * len(scene.mesh.parts)
     for part, material, ends in zip(scene.mesh.parts, scene.mesh.materials, ranges, strict=True):
         terms = [term.for_slopes(*ends, shading.outside) for term in lighting.terms * specular]
         program = shade_program(
-            *(part, material, scene, shading, lighting, terms, ends[0]),
+            *(part, material, scene, counted, lighting, terms, ends[0]),
             diffuse=only != "specular",
         )
         draws.append(Draw(program, part_uniforms(part, material), part, material))

@@ -1,0 +1,61 @@
+"""Environments from .hdr, .exr and NumPy files, and the one made by code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError, reason
+from facerender.image import read_image
+from facerender.scenes.environment import Environment, Panorama, studio
+from facerender.scenes.file import STUDIO, EnvironmentFile
+
+
+def load_environment(file: EnvironmentFile) -> Environment:
+    """Read an environment.
+
+    Raises
+    ------
+    InputError : a file that is missing, damaged, of another kind or shape, or holds a radiance that
+        is no number in [0, 1e9]; .hdr without OpenImageIO, .exr without OpenEXR
+    """
+    panorama = studio() if file.file == STUDIO else Panorama(file.file, _read(Path(file.file)))
+    return Environment(panorama, file.rotation, file.scale)
+
+
+def _read(path: Path) -> NDArray[np.float32]:
+    suffix = path.suffix.lower()
+    if suffix == ".hdr":
+        return _read_hdr(path)
+    if suffix not in (".exr", ".npy", ".npz"):
+        raise InputError(
+            f"environment {path}: unknown format {suffix!r}; give .hdr, .exr, .npy, .npz, or "
+            f"{STUDIO}"
+        )
+    picture = read_image(path)
+    if picture.encoding != "linear":
+        raise InputError(f"environment {path} holds 8-bit values: give linear radiance")
+    channels = picture.pixels.shape[2]
+    return picture.pixels[..., : channels - 1 + channels % 2]  # an even number ends with alpha
+
+
+def _read_hdr(path: Path) -> NDArray[np.float32]:
+    try:
+        with path.open("rb"):
+            pass
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {reason(error)}") from None
+    try:
+        import OpenImageIO as oiio
+    except ImportError:
+        raise InputError(
+            f"{path}: .hdr needs the package OpenImageIO; pip install 'facerender[hdr]'"
+        ) from None
+    file = oiio.ImageInput.open(str(path))
+    pixels = file.read_image(oiio.FLOAT) if file else None
+    if pixels is None:
+        why = (file.geterror() if file else oiio.geterror()).strip()
+        raise InputError(f"{path} is no image that OpenImageIO reads ({why}); write it anew")
+    return np.asarray(pixels, dtype=np.float32)

@@ -1,0 +1,223 @@
+"""Light from all around a mesh: a panorama, what shading reads of it (a map with its levels, and
+nine coefficients), and a studio made by code. Files are read in ``loading/environment.py``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError, check_range
+from facerender.scenes.vectors import direction_to
+from facerender.terms.environment import harmonics
+
+Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+SIDE = 256  # texels of the map's first level; of the last one 4
+LEVELS = 7
+HIGHEST = 1e9  # radiance: sums stay in float32
+_INSIDE = 4  # places a side at which a texel of the map looks at the panorama
+
+
+@dataclass(frozen=True, eq=False)
+class Panorama:
+    """Radiance from every direction.
+
+    Parameters
+    ----------
+    name : for messages and scene files: a file, or "studio"
+    radiance : (H, 2 H, 3), linear, latitude and longitude: the top row is above, the middle column
+        is what a face that looks along +z sees before it, as it sees it
+
+    Raises
+    ------
+    InputError : another shape, or a radiance that is no number in [0, 1e9]
+    """
+
+    name: str
+    radiance: Float32
+
+    def __post_init__(self) -> None:
+        values = np.asarray(self.radiance, dtype=np.float32)
+        if values.ndim != 3 or values.shape[1:] != (2 * len(values), 3) or len(values) < 2:
+            shape = " x ".join(map(str, values.shape[1::-1] + values.shape[2:]))
+            raise InputError(
+                f"environment {self.name} has {shape} values: give twice as many columns as rows, "
+                "of red, green and blue"
+            )
+        inside = (values >= 0.0) & (values <= HIGHEST)
+        if not inside.all():
+            row, column, _ = np.unravel_index(int(inside.argmin()), values.shape)
+            worst = values[row, column].tolist()
+            raise InputError(
+                f"environment {self.name} has the radiance {worst} in column {column} of row {row}:"
+                f" give numbers in [0, {HIGHEST:g}]"
+            )
+        object.__setattr__(self, "radiance", values)
+
+    @cached_property
+    def coefficients(self) -> Float:
+        """(9, 3): factors of the harmonics of a normal, whose sum is the irradiance."""
+        seen, directions, solid_angle = self._seen
+        received = np.tensordot(
+            harmonics(directions) * solid_angle[..., None], seen, ((0, 1), (0, 1))
+        )
+        return np.array([16, 32, 32, 32, 60, 60, 5, 60, 15])[:, None] / 64.0 * received
+
+    @cached_property
+    def map(self) -> Float32:
+        """(SIDE + 2, W, 3): octahedral levels of half the side each, side by side, each within a
+        border of one texel that repeats what lies across its edge."""
+        level, solid_angle = self._octahedron()
+        levels = [_bordered(level)]
+        for _ in range(LEVELS - 1):
+            whole = _blocks(solid_angle)
+            level = _blocks(level * solid_angle) / whole
+            solid_angle = whole
+            levels.append(_bordered(level))
+        map = np.zeros((SIDE + 2, sum(each.shape[1] for each in levels), 3), dtype=np.float32)
+        column = 0
+        for each in levels:
+            map[: len(each), column : column + len(each)] = each
+            column += len(each)
+        return map
+
+    @cached_property
+    def _seen(self) -> tuple[Float, Float, Float]:
+        """Radiance in at most 2 SIDE rows, with the direction and the solid angle of each value."""
+        height, rows = len(self.radiance), min(len(self.radiance), 2 * SIDE)
+        own, ends = (-np.cos(np.pi * np.arange(count + 1) / count) for count in (height, rows))
+        seen = _means(self.radiance, own, ends).swapaxes(0, 1)
+        seen = _means(seen, np.arange(2 * height + 1.0), np.linspace(0.0, 2 * height, 2 * rows + 1))
+        seen = seen.swapaxes(0, 1)
+        solid_angle = np.diff(ends)[:, None] * (np.pi / rows)
+        elevation = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)[:, None]
+        azimuth = np.pi * (1.0 - (np.arange(2 * rows) + 0.5) / rows)
+        return seen, _directions(elevation, azimuth), solid_angle
+
+    def _octahedron(self) -> tuple[Float, Float]:
+        """The first level (SIDE, SIDE, 3), and the solid angle of each texel."""
+        seen = np.pad(self._seen[0], ((1, 1), (0, 0), (0, 0)), "edge")
+        rows = len(seen) - 2
+        seen = np.pad(seen, ((0, 0), (1, 1), (0, 0)), "wrap")
+        total, weights = np.zeros((SIDE, SIDE, 3)), np.zeros((SIDE, SIDE, 1))
+        for i, j in np.ndindex(_INSIDE, _INSIDE):
+            z, x = (2.0 * (np.arange(SIDE) + (k + 0.5) / _INSIDE) / SIDE - 1.0 for k in (i, j))
+            x, y, z, length = _unfolded(x, z[:, None])
+            row = np.arccos(y) / np.pi * rows + 0.5
+            column = (0.5 - np.arctan2(x, z) / (2.0 * np.pi)) * 2 * rows + 0.5
+            weight = length[..., None] ** -3
+            total += weight * _between(seen, row, column)
+            weights += weight
+        return total / weights, weights * (2.0 / (SIDE * _INSIDE)) ** 2
+
+
+@dataclass(frozen=True)
+class Environment:
+    """Light from all around.
+
+    Parameters
+    ----------
+    panorama : what is there
+    rotation : degrees about the vertical axis, which add to azimuths
+    scale : factor on the radiance; a radiance of 1 from everywhere shows a white surface as 1
+
+    Raises
+    ------
+    InputError : a value outside its domain
+    """
+
+    panorama: Panorama
+    rotation: float = 0.0
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_range("environment rotation", self.rotation, -3600.0, 3600.0)
+        check_range("environment scale", self.scale, 0.0, HIGHEST)
+
+    @property
+    def turn(self) -> Float:
+        """(3, 3): takes directions of the mesh to those of the panorama."""
+        cos, sin = np.cos(np.radians(self.rotation)), np.sin(np.radians(self.rotation))
+        return np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
+
+
+@lru_cache(maxsize=1)
+def studio() -> Panorama:
+    """Return a studio made by code: a dim room with a large soft box above on the left of the
+    picture, a strip on its right and a rim light behind."""
+    rows = 128
+    elevation = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)[:, None]
+    azimuth = np.pi * (1.0 - (np.arange(2 * rows) + 0.5) / rows)
+    directions = _directions(elevation, azimuth)
+    room = np.array([0.060, 0.066, 0.072]) * (1.2 + 0.8 * directions[..., 1:2])
+    for azimuth_, elevation_, width, height, color in (
+        (-48.0, 38.0, 0.45, 0.6, (4.4, 4.2, 3.9)),
+        (70.0, 8.0, 0.22, 0.9, (1.2, 1.3, 1.4)),
+        (145.0, 30.0, 0.2, 0.7, (3.2, 3.3, 3.6)),
+    ):
+        center = direction_to(azimuth_, elevation_)
+        right = np.cross([0.0, 1.0, 0.0], center)
+        right /= np.linalg.norm(right)
+        depth = directions @ center
+        places = (
+            directions @ axis / np.maximum(depth, 1e-3) for axis in (right, np.cross(center, right))
+        )
+        box = (depth > 0.0).astype(np.float64)
+        for place, half in zip(places, (width, height), strict=True):
+            box *= np.clip((half - np.abs(place)) / 0.08 + 0.5, 0.0, 1.0)
+        room = room + box[..., None] * color
+    return Panorama("studio", room.astype(np.float32))
+
+
+def _directions(elevation: Float, azimuth: Float) -> Float:
+    across, up = np.cos(elevation), np.sin(elevation) + 0.0 * azimuth
+    return np.stack([across * np.sin(azimuth), up, across * np.cos(azimuth)], axis=-1)
+
+
+def _unfolded(x: Float, z: Float) -> tuple[Float, Float, Float, Float]:
+    """The direction at places of an octahedron's map, from -1 to 1, and the length that it had."""
+    y = 1.0 - np.abs(x) - np.abs(z)
+    folded = y < 0.0
+    x, z = (
+        np.where(folded, (1.0 - np.abs(other)) * np.where(own >= 0.0, 1.0, -1.0), own)
+        for own, other in ((x, z), (z, x))
+    )
+    length = np.sqrt(x * x + y * y + z * z)
+    return x / length, y / length, z / length, length
+
+
+def _means(values: NDArray[np.floating], own: Float, ends: Float) -> Float:
+    """Means of the rows of values, which meet at the places own, between other places."""
+    if len(ends) == len(own):
+        return values.astype(np.float64)
+    means = np.empty((len(ends) - 1, *values.shape[1:]))
+    for i, (low, high) in enumerate(pairwise(ends)):
+        first, last = np.searchsorted(own, low, "right") - 1, np.searchsorted(own, high)
+        shares = np.diff(np.clip(own[first : last + 1], low, high)) / (high - low)
+        means[i] = np.tensordot(shares, values[first:last], 1)
+    return means
+
+
+def _between(values: Float, row: Float, column: Float) -> Float:
+    i, j = np.floor(row).astype(int), np.floor(column).astype(int)
+    down, right = (row - i)[..., None], (column - j)[..., None]
+    upper = (1.0 - right) * values[i, j] + right * values[i, j + 1]
+    lower = (1.0 - right) * values[i + 1, j] + right * values[i + 1, j + 1]
+    return np.asarray((1.0 - down) * upper + down * lower)
+
+
+def _blocks(values: Float) -> Float:
+    """Sums of two by two texels."""
+    half = len(values) // 2
+    return np.asarray(values.reshape(half, 2, half, 2, -1).sum(axis=(1, 3)))
+
+
+def _bordered(level: Float) -> Float:
+    """Beyond an edge of the map lies what is beside it, mirrored at the edge's middle."""
+    beside = np.concatenate([level[:, :1][::-1], level, level[:, -1:][::-1]], axis=1)
+    return np.concatenate([beside[:1, ::-1], beside, beside[-1:, ::-1]])

@@ -1,0 +1,186 @@
+"""Light from all around in float64: the reference for ``shaders/facerender/environment.glsl``. Maps
+and coefficients are made in ``scenes/environment.py``.
+
+Vectors are arrays of shape (..., 3) that broadcast against one another, m of shape (...).
+``brdf.f`` is ``fr_f`` in GLSL, with the same arguments in the same order; the number of samples
+takes the place of a macro.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from facerender.terms.lobe import check_slope
+from facerender.terms.model import (
+    K_COOK_TORRANCE,
+    MIN_COSINE,
+    checked_unit,
+    cook_torrance,
+    dot,
+    ward,
+)
+
+Float = NDArray[np.float64]
+
+SAMPLES = 32  # FR_ENVIRONMENT_SAMPLES
+_COARSEST = 2  # log2 of a side of the last level
+_NEAR = 1e-3  # a sine between eye and normal below which no direction is told from it
+_TURN = 1.94161104  # radians from sample to sample: pi over the golden ratio
+
+
+def harmonics(n: ArrayLike) -> Float:
+    """Return 1, y, z, x, xy, yz, 3 z² - 1, xz, x² - y² of vectors, (..., 9)."""
+    x, y, z = np.moveaxis(np.asarray(n, dtype=np.float64), -1, 0)
+    of_degree_2 = (x * y, y * z, 3.0 * z * z - 1.0, x * z, x * x - y * y)
+    return np.stack([np.ones_like(x), y, z, x, *of_degree_2], axis=-1)
+
+
+def environment_irradiance(sh: ArrayLike, n: ArrayLike) -> Float:
+    """Return the irradiance (..., 3) of surfaces, by nine coefficients (9, 3); not below 0.
+
+    References: Ramamoorthi and Hanrahan (2001), "An efficient representation for irradiance
+    environment maps".
+    """
+    return np.maximum(harmonics(checked_unit("n", n)) @ np.asarray(sh, dtype=np.float64), 0.0)
+
+
+def environment_radiance(map: ArrayLike, size: int, l: ArrayLike, solid_angle: ArrayLike) -> Float:
+    """Return the mean radiance (..., 3) of so many steradians around directions.
+
+    Parameters
+    ----------
+    map : (size + 2, W, 3), all levels side by side, as ``scenes.environment.atlas`` has them
+    size : side of the first level in texels, a power of two
+    l : unit vectors
+    solid_angle : (...)
+    """
+    x, y, z = np.moveaxis(np.asarray(l, dtype=np.float64), -1, 0)
+    norm = np.abs(x) + np.abs(y) + np.abs(z)
+    place = np.stack([x, z], axis=-1) / norm[..., None]
+    folded = (1.0 - np.abs(place[..., ::-1])) * np.where(place >= 0.0, 1.0, -1.0)
+    place = 0.5 * np.where((y < 0.0)[..., None], folded, place) + 0.5
+    texels = np.asarray(solid_angle) * (0.5 * size) ** 2 / norm**3
+    last = int(size).bit_length() - 1 - _COARSEST
+    level = np.clip(0.5 * np.log2(np.maximum(texels, 1e-30)), 0.0, last)
+    low = np.minimum(np.floor(level), last - 1).astype(int)
+    share = (level - low)[..., None]
+    near, far = (level_at(np.asarray(map), size, place, low + i) for i in (0, 1))
+    return np.asarray((1.0 - share) * near + share * far)
+
+
+def level_at(map: NDArray[np.generic], size: int, place: Float, level: NDArray[np.int64]) -> Float:
+    """Return what levels (...) of a map hold at places (..., 2) in [0, 1]: (..., 3)."""
+    side = size >> level
+    texel = place * side[..., None] + 0.5
+    low = np.floor(texel)
+    share = texel - low
+    column = low[..., 0].astype(int) + 2 * (size - side + level)
+    row = low[..., 1].astype(int)
+    value = np.zeros((*side.shape, 3))
+    for i, j in np.ndindex(2, 2):
+        weight = np.where([i, j], share, 1.0 - share).prod(axis=-1)
+        value += weight[..., None] * map[row + j, column + i]
+    return value
+
+
+def environment_cook_torrance(
+    map: ArrayLike,
+    size: int,
+    n: ArrayLike,
+    v: ArrayLike,
+    m: ArrayLike,
+    f0: float,
+    fresnel_term: str = "schlick",
+    masking_term: str = "v-cavity",
+    *,
+    samples: int = SAMPLES,
+) -> Float:
+    """Return the radiance (..., 3) that Cook-Torrance with the exact lobe reflects.
+
+    Parameters
+    ----------
+    map, size : see :func:`environment_radiance`
+    n, v : unit vectors: normal, and towards the eye
+    m : rms slope, in [1e-4, 2]
+    f0, fresnel_term, masking_term : see :func:`facerender.brdf.cook_torrance`
+    samples : an even number
+    """
+    factors = {"fresnel_term": fresnel_term, "masking_term": masking_term}
+    brdf = partial(cook_torrance, f0=f0, **factors)
+    return reflected(map, size, n, v, m, brdf, samples)
+
+
+def environment_ward(
+    map: ArrayLike,
+    size: int,
+    n: ArrayLike,
+    v: ArrayLike,
+    m: ArrayLike,
+    *,
+    samples: int = SAMPLES,
+) -> Float:
+    """Return the radiance (..., 3) that Ward's BRDF with the exact lobe reflects; parameters as of
+    :func:`environment_cook_torrance`."""
+    return reflected(map, size, n, v, m, ward, samples)
+
+
+def reflected(
+    map: ArrayLike,
+    size: int,
+    n: ArrayLike,
+    v: ArrayLike,
+    m: ArrayLike,
+    brdf: Callable[[Float, Float, Float, Float], Float],
+    samples: int = SAMPLES,
+) -> Float:
+    """Return the radiance (..., 3) that a BRDF with the exact lobe reflects: the mean of BRDF (N.L)
+    radiance over the density of the samples, E/(4 π m² (N.H)³ (V.H)).
+
+    Parameters
+    ----------
+    brdf : of n, l, v and m, which are (K, 3) and (K,)
+
+    Others as of :func:`environment_cook_torrance`.
+    """
+    normal, eye = np.broadcast_arrays(checked_unit("n", n), checked_unit("v", v))
+    slope = np.broadcast_to(check_slope(m, "exact", K_COOK_TORRANCE), normal.shape[:-1])
+    n_dot_v, axes = dot(normal, eye), environment_axes(normal, eye)
+    total = np.zeros(normal.shape)
+    for i in range(samples):
+        l, steradians = environment_sample(normal, eye, slope, axes, i, samples=samples)
+        n_dot_l = dot(normal, l)
+        seen = (steradians > 0.0) & (np.minimum(n_dot_l, n_dot_v) > MIN_COSINE)
+        light = environment_radiance(map, size, l[seen], steradians[seen])
+        weight = brdf(normal[seen], l[seen], eye[seen], slope[seen])
+        total[seen] += (weight * n_dot_l[seen] * steradians[seen])[:, None] * light
+    return total
+
+
+def environment_axes(n: Float, v: Float) -> tuple[Float, Float]:
+    """Return axes across normals (..., 3): along what the eye sees of them, and across; where it
+    looks along the normal, others."""
+    aside = v - dot(n, v)[..., None] * n
+    length = np.sqrt(dot(aside, aside))[..., None]
+    side = np.where(np.abs(n[..., :1]) < 0.5, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    other = np.cross(n, side)
+    other /= np.sqrt(dot(other, other))[..., None]
+    tangent = np.where(length > _NEAR, aside / np.maximum(length, _NEAR), other)
+    return tangent, np.cross(n, tangent)
+
+
+def environment_sample(
+    n: Float, v: Float, m: Float, axes: tuple[Float, Float], i: int, *, samples: int = SAMPLES
+) -> tuple[Float, Float]:
+    """Return the direction (..., 3) of one of a lobe's samples, and how many steradians (...) it
+    stands for; axes as of :func:`environment_axes`."""
+    rest = 1.0 - (i // 2 + 0.5) / (samples // 2)
+    angle = _TURN * (i // 2) + np.pi * (i % 2)
+    radius = m * np.sqrt(-np.log(rest))
+    h = n + radius[..., None] * (np.cos(angle) * axes[0] + np.sin(angle) * axes[1])
+    v_dot_h, h_dot_h = dot(v, h), dot(h, h)
+    steradians = 4.0 * np.pi * m**2 * v_dot_h / (h_dot_h**2 * rest * samples)
+    return 2.0 * (v_dot_h / h_dot_h)[..., None] * h - v, steradians

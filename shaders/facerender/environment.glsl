@@ -1,0 +1,188 @@
+// Light from all around: what a diffuse surface receives by nine coefficients, and what a specular
+// one reflects by filtered samples of the lobe.
+//
+//   unit      radiance in that of the map, irradiance in as much times sr
+//   error     of 32 samples 0.5 % of all light in the mean, of the irradiance 3 % in the mean and
+//             10 % at worst (docs/skin-environment.md); float32 adds 1e-4 of the radiance that is
+//             reflected, and 1e-6 of the map's highest value
+//   source    Ramamoorthi and Hanrahan (2001), "An efficient representation for irradiance
+//             environment maps"; Krivanek and Colbert (2008), "Real-time shading with filtered
+//             importance sampling"; map: Praun and Hoppe (2003), "Spherical parametrization"
+//
+//   map       radiance over the octahedron |x| + |y| + |z| = 1, seen from +y, its lower half folded
+//             out: x to the right, z upwards in the rows. Levels lie side by side from the lower left,
+//             each of half the side of the one before, down to 4 texels, the means of four texels
+//             weighted by their solid angles; around each is a border of one texel that repeats
+//             what lies across the edge. A float texture without filtering and levels of its own
+//   size      side of the first level in texels, a power of two from 8 on
+//   n, v, l   unit vectors in the map's space: normal, towards the eye, towards the light
+//   m         rms slope, in [1e-4, 2]
+#ifndef FR_ENVIRONMENT_GLSL
+#define FR_ENVIRONMENT_GLSL
+
+#include "facerender/constants.glsl"
+#include "facerender/fresnel.glsl"
+#include "facerender/masking.glsl"
+
+#ifdef GL_ES
+precision highp sampler2D;
+#endif
+
+// How many directions a lobe looks at: an even number.
+#ifndef FR_ENVIRONMENT_SAMPLES
+#define FR_ENVIRONMENT_SAMPLES 32
+#endif
+
+// Irradiance of a surface, from all around.
+//
+//   formula   the sum of sh[i] times 1, y, z, x, xy, yz, 3 z^2 - 1, xz, x^2 - y^2 of n
+//   sh        of the map's harmonics to the second degree
+//   result    >= 0
+//   error     float32 adds 1e-6 of the sum of the coefficients' sizes
+vec3 fr_environment_irradiance(vec3[9] sh, vec3 n) {
+    vec3 first = sh[0] + n.y * sh[1] + n.z * sh[2] + n.x * sh[3];
+    vec3 mixed = n.x * n.y * sh[4] + n.y * n.z * sh[5] + n.x * n.z * sh[7];
+    vec3 second = (3.0 * n.z * n.z - 1.0) * sh[6] + (n.x * n.x - n.y * n.y) * sh[8];
+    return max(first + mixed + second, 0.0);
+}
+
+// One level of a map at a place of it, interpolated between four texels.
+//
+//   formula   bilinear
+//   place     from the lower left to the upper right of the level, in [0, 1]
+//   level     its number, from 0 on
+//   error     float32 adds 3e-7 times the side of the level, of the largest difference between two
+//             texels that meet
+vec3 fr_environment_level(sampler2D map, int size, vec2 place, int level) {
+    int side = size >> level;
+    vec2 texel = place * float(side) + 0.5;
+    vec2 low = floor(texel);
+    vec2 share = texel - low;
+    ivec2 at = ivec2(low) + ivec2(2 * (size - side + level), 0);
+    vec3 left = mix(
+        texelFetch(map, at, 0).rgb, texelFetch(map, at + ivec2(0, 1), 0).rgb, share.y
+    );
+    vec3 right = mix(
+        texelFetch(map, at + ivec2(1, 0), 0).rgb, texelFetch(map, at + ivec2(1, 1), 0).rgb, share.y
+    );
+    return mix(left, right, share.x);
+}
+
+// Mean radiance around a direction.
+//
+//   formula       of the level whose texels are as large, and the next one
+//   solid_angle   in sr, of what is around
+//   result        within the range of the map
+//   error         float32 adds 2e-6 times the side of the level, of the largest difference between
+//                 two texels that meet
+vec3 fr_environment_radiance(sampler2D map, int size, vec3 l, float solid_angle) {
+    float inverse = 1.0 / (abs(l.x) + abs(l.y) + abs(l.z));
+    vec2 place = l.xz * inverse;
+    vec2 folded = (1.0 - abs(place.yx)) * vec2(place.x < 0.0 ? -1.0 : 1.0, place.y < 0.0 ? -1.0 : 1.0);
+    place = 0.5 * (l.y < 0.0 ? folded : place) + 0.5;
+    // a texel of 2/size a side at the distance 1/inverse of the octahedron is seen under
+    // 4/size^2 / distance^3
+    float texels = solid_angle * (0.25 * float(size * size)) * (inverse * inverse * inverse);
+    float last = floor(log2(float(size)) - 1.5);
+    float level = clamp(0.5 * log2(max(texels, 1e-30)), 0.0, last);
+    int low = int(min(level, last - 1.0));
+    vec3 near = fr_environment_level(map, size, place, low);
+    vec3 far = fr_environment_level(map, size, place, low + 1);
+    return mix(near, far, level - float(low));
+}
+
+// Axes across a normal.
+//
+//   formula   the first one along v - (N.V) n, the second one across both; where the eye looks along
+//             the normal to 1e-3, others
+//   unit      none: two columns of length 1
+//   error     float32 adds 2e-7 over the sine between n and v
+mat2x3 fr_environment_axes(vec3 n, vec3 v) {
+    vec3 aside = v - dot(n, v) * n;
+    float length_ = length(aside);
+    vec3 other = cross(n, abs(n.x) < 0.5 ? vec3(1.0, 0.0, 0.0) : vec3(0.0, 1.0, 0.0));
+    vec3 tangent = length_ > 1e-3 ? aside / length_ : normalize(other);
+    return mat2x3(tangent, cross(n, tangent));
+}
+
+// One of the samples of a lobe: slopes of the Beckmann distribution on a spiral, each with its
+// opposite, which is the other side of the cavity.
+//
+//   formula   half vector n + s, |s|^2 = -m^2 ln(rest), and l = 2 (V.H) H - V, which stands for
+//             4 pi m^2 (V.H) (N.H)^3/(N rest) sr; rest = 1 - (j + 1/2)/(N/2), j = i/2, at an angle
+//             of 1.94161104 j
+//   axes      from fr_environment_axes
+//   i         number of the sample, from 0 to N - 1, N = FR_ENVIRONMENT_SAMPLES
+//   unit      none, and sr
+//   result    l, and how many sr it stands for; not above 0 where half vector and eye are turned
+//             away from one another
+//   error     float32 adds 2e-6, of the sr their share
+vec4 fr_environment_sample(vec3 n, vec3 v, float m, mat2x3 axes, int i) {
+    float rest = 1.0 - (float(i / 2) + 0.5) / float(FR_ENVIRONMENT_SAMPLES / 2);
+    float radius = m * sqrt(-log(rest));
+    float angle = 1.94161104 * float(i / 2) + FR_PI * float(i % 2);
+    vec3 h = n + axes * (radius * vec2(cos(angle), sin(angle)));
+    float inverse = 1.0 / dot(h, h);
+    float v_dot_h = dot(v, h);
+    float steradians = 4.0 * FR_PI * m * m * v_dot_h * inverse * inverse;
+    return vec4(
+        2.0 * v_dot_h * inverse * h - v, steradians / (float(FR_ENVIRONMENT_SAMPLES) * rest)
+    );
+}
+
+// Radiance that Cook-Torrance with the exact lobe reflects to the eye, for a specular weight of 1.
+//
+//   formula   the mean over the samples of F G (V.H)/((N.V)(N.H)) times the radiance around l
+//   f0        Fresnel reflectance at normal incidence, in [0, 1)
+//   fresnel   FR_FRESNEL_SCHLICK, _DIELECTRIC or _CONSTANT, a constant
+//   masking   FR_MASKING_V_CAVITY, _KELEMEN or _NONE, a constant
+//   result    finite and >= 0, of V-cavities at most twice the map's highest value; 0 where N.V is
+//             not above FR_MIN_COSINE
+vec3 fr_environment_cook_torrance(
+    sampler2D map, int size, vec3 n, vec3 v, float m, float f0, int fresnel, int masking
+) {
+    vec3 total = vec3(0.0);
+    float slope = max(FR_SLOPE(m), FR_MIN_SLOPE);
+    float n_dot_v = dot(n, v);
+    if (n_dot_v <= FR_MIN_COSINE) return total;
+    mat2x3 axes = fr_environment_axes(n, v);
+    for (int i = 0; i < FR_ENVIRONMENT_SAMPLES; ++i) {
+        vec4 s = fr_environment_sample(n, v, slope, axes, i);
+        float n_dot_l = dot(n, s.xyz);
+        if (n_dot_l <= FR_MIN_COSINE || s.w <= 0.0) continue;
+        vec3 h = s.xyz + v;
+        float n_dot_h = n_dot_l + n_dot_v;
+        float h_dot_h = dot(h, h);
+        vec2 masked = fr_masking_of(n_dot_h, h_dot_h, n_dot_l, n_dot_v, masking);
+        float weight = fr_fresnel_of(f0, 0.5 * sqrt(h_dot_h), fresnel)
+            * masked.x * n_dot_l / (2.0 * masked.y * n_dot_h);
+        total += weight * fr_environment_radiance(map, size, s.xyz, s.w);
+    }
+    return total / float(FR_ENVIRONMENT_SAMPLES);
+}
+
+// Radiance that Ward's BRDF with the exact lobe reflects to the eye, for a reflectance of 1.
+//
+//   formula   the mean over the samples of (N.H)^3 (V.H) sqrt((N.L)/(N.V)) times the radiance
+//             around l
+//   result    finite and >= 0; 0 where N.V is not above FR_MIN_COSINE
+vec3 fr_environment_ward(sampler2D map, int size, vec3 n, vec3 v, float m) {
+    vec3 total = vec3(0.0);
+    float slope = max(FR_SLOPE(m), FR_MIN_SLOPE);
+    float n_dot_v = dot(n, v);
+    if (n_dot_v <= FR_MIN_COSINE) return total;
+    mat2x3 axes = fr_environment_axes(n, v);
+    for (int i = 0; i < FR_ENVIRONMENT_SAMPLES; ++i) {
+        vec4 s = fr_environment_sample(n, v, slope, axes, i);
+        float n_dot_l = dot(n, s.xyz);
+        if (n_dot_l <= FR_MIN_COSINE || s.w <= 0.0) continue;
+        vec3 h = s.xyz + v;
+        float n_dot_h = n_dot_l + n_dot_v;
+        float cubed = n_dot_h * n_dot_h * n_dot_h;
+        float weight = 0.5 * cubed / dot(h, h) * sqrt(n_dot_l / n_dot_v);
+        total += weight * fr_environment_radiance(map, size, s.xyz, s.w);
+    }
+    return total / float(FR_ENVIRONMENT_SAMPLES);
+}
+
+#endif
