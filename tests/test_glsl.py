@@ -26,7 +26,8 @@ WITH_A_LOBE = ("cook_torrance", "lobe", "ward", "ward_printed")
 COOK_TORRANCE = {"name": "cook_torrance", "lobe": "d16"}
 ARGUMENTS = {"vec3": "vec3(0.0, 0.6, 0.8)", "float": "0.5", "int": "4"}
 ARGUMENTS |= {"vec2": "vec2(0.5, 0.2)", "mat2x4": "mat2x4(0.5)", "ivec3": "ivec3(0, 0, 8)"}
-ARGUMENTS |= {"sampler2D": "texels"}
+ARGUMENTS |= {"sampler2D": "texels", "mat2x3": "mat2x3(0.5)"}
+ARGUMENTS |= {"vec3[9]": f"vec3[9]({', '.join(9 * ['vec3(0.5)'])})"}
 SAMPLER = {"vulkan": "layout(binding = 0) uniform sampler2D texels;"}
 OUTPUT = {"330": "", "es300": "", "vulkan": "layout(location = 0) "}
 LOBES = (*lobes.NAMES, GPower(11, 0.2, 0.5))
