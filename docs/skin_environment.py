@@ -1,11 +1,12 @@
 """Writes docs/skin-environment.md: light from all around, what it is for, and how far few samples
 of it are from many, and its pictures.
 
-python -m trials.environment -o docs/measurements/environment.json && python -m docs.skin_environment
+python -m trials.environment -o docs/measurements/environment.json
+python -m docs.skin_environment
 
 The second takes half a minute; both need an OpenGL context, the first one the head scan of the
 tests.
-"""  # noqa: E501
+"""
 
 from __future__ import annotations
 
@@ -47,9 +48,9 @@ alone, four times as bright.
 
 | | command line | Python, scene file |
 |---|---|---|
-| a panorama | `--environment FILE[,ROTATION[,SCALE]]` | `fr.EnvironmentFile(file, rotation, scale)` |
+| a panorama | `--environment FILE[,ROTATION[,SCALE]]` | `fr.EnvironmentFile(file, 30.0, 0.5)` |
 | one made by code | `--environment studio` | `fr.EnvironmentFile("studio")` |
-| how many directions a lobe reflects | `--environment-samples N` (32) | `fr.Shading(environment_samples=32)` |
+| directions of a lobe | `--environment-samples N` (32) | `fr.Shading(environment_samples=32)` |
 
 ```python
 environment = fr.load_environment(fr.EnvironmentFile("room.hdr", rotation=30.0, scale=0.5))
@@ -85,21 +86,22 @@ Diffuse, against the whole panorama, over {directions} directions, as shares of 
 
 {diffuse}
 
-Specular, on the built-in head and the scan, 192 pixels, at several slopes, against 4096 samples: the
-mean error over the mean of the whole image; for 32 samples also over the mean of the specular part,
-how much energy is too much, and the 99th percentile of what is displayed. Worst of 32: {worst} of
-all light.
+Specular, on the built-in head and the scan (Lee Perry-Smith, Infinite-Realities, CC BY 3.0), 192
+pixels, at several slopes, against 4096 samples: the mean error over the mean of the whole image;
+for 32 samples also over the mean of the specular part, how much energy is too much, and the 99th
+percentile of what is displayed. Worst of 32: {worst} of all light.
 
 {samples}
 
 Every covered pixel agrees with float64 on the same G-buffer within 1e-4 of the larger of it and
 0.01; the largest difference here was {float64}. Nothing depends on a driver's texture filter: the
 map is octahedral, its levels lie side by side in one float texture, and the shader interpolates
-between eight texels itself. So it also runs where float textures cannot be filtered, as in WebGL 2.
+between eight texels itself. So it also runs where float textures cannot be filtered, as in
+WebGL 2.
 
-**Plans.** The number of samples is a decision of `facerender plan`: 0, 8, 16 or 32. The AMD compiler
-counts {sample} cycles for a sample of a lobe on RDNA2, {base} for the coefficients. A guarantee over
-all views refuses whatever changes the environment's light.
+**Plans.** The number of samples is a decision of `facerender plan`: 0, 8, 16 or 32. The AMD
+compiler counts {sample} cycles for a sample of a lobe on RDNA2, {base} for the coefficients. A
+guarantee over all views refuses whatever changes the environment's light.
 
 ## What was left out
 
@@ -109,7 +111,7 @@ all views refuses whatever changes the environment's light.
 - Noise: another turn of the directions at each pixel hides what 8 samples leave, and leaves grain
   that several samples a pixel do not smooth, for a pixel is shaded once.
 - Shadows of the environment: an occlusion map darkens the diffuse part alone.
-"""  # noqa: E501
+"""
 
 
 def percent(value: float, sign: str = "", digits: int = 1) -> str:

@@ -151,7 +151,7 @@ def test_nine_coefficients_are_near_the_irradiance():
     assert error.max() < 0.13 * expected.mean()
 
 
-@pytest.mark.parametrize("height", [64, 600, 1500])
+@pytest.mark.parametrize("height", [64, 600])
 def test_the_map_keeps_what_a_small_light_sends(height):
     panorama = spot(-50.0, 42.0, height)
     received = np.linalg.norm(panorama.coefficients[1:4], axis=0) * 2.0 / np.pi
@@ -165,11 +165,11 @@ def test_the_map_keeps_what_a_small_light_sends(height):
     assert sent == pytest.approx(np.pi, rel=0.03)
 
 
-def test_32_samples_are_near_4096(small, head):
+def test_32_samples_are_near_many(small, head):
     scene = around(head, fr.Environment(studio(), 120.0))
     few, many = (
         small.render(scene, fr.Shading(environment_samples=count)).linear[..., :3]
-        for count in (32, 4096)
+        for count in (32, 1024)
     )
     inside = small.gbuffer(scene).part >= 0
     error = np.abs(few - many)[inside].sum() / many[inside].sum()

@@ -26,10 +26,13 @@ WITH_A_LOBE = ("cook_torrance", "lobe", "ward", "ward_printed")
 COOK_TORRANCE = {"name": "cook_torrance", "lobe": "d16"}
 ARGUMENTS = {"vec3": "vec3(0.0, 0.6, 0.8)", "float": "0.5", "int": "4"}
 ARGUMENTS |= {"vec2": "vec2(0.5, 0.2)", "mat2x4": "mat2x4(0.5)", "ivec3": "ivec3(0, 0, 8)"}
-ARGUMENTS |= {"sampler2D": "texels", "ivec2": "ivec2(1)"}
+ARGUMENTS |= {"sampler2D": "texels", "ivec2": "ivec2(1)", "mat2x3": "mat2x3(0.5)"}
 ARGUMENTS |= {
     f"{kind}[{count}]": f"{kind}[{n}]({', '.join([f'{kind}(0.5)'] * n)})"
-    for kind, count, n in (("vec4", "FR_SCATTER_GAUSSIANS", 4), ("vec3", "FR_SCATTER_SAMPLES", 16))
+    for kind, count, n in (
+        *(("vec4", "FR_SCATTER_GAUSSIANS", 4), ("vec3", "FR_SCATTER_SAMPLES", 16)),
+        ("vec3", "9", 9),
+    )
 }
 SAMPLER = {"vulkan": "layout(binding = 0) uniform sampler2D texels;"}
 OUTPUT = {"330": "", "es300": "", "vulkan": "layout(location = 0) "}

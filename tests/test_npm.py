@@ -21,6 +21,7 @@ FUNCTIONS = {
     "wardSample": "fr_ward_sample",
     "slopeSample": "fr_slope_sample",
     "albedo": "fr_cook_torrance_albedo",
+    "environment": "fr_environment_cook_torrance",
     "ward": "fr_ward",
     "wardPrinted": "fr_ward_printed",
     "lobe": "fr_lobe",

@@ -625,8 +625,8 @@ def environment_sample(what: str) -> Case:
     inputs, _ = around()
     n, v, m = (inputs[name].astype(float) for name in ("n", "v", "m"))
     axes = environment.environment_axes(n, v)
-    l, steradians = environment.environment_sample(n, v, m, axes, 11)
-    call = "fr_environment_sample(n, v, m, fr_environment_axes(n, v), 11)"
+    l, steradians = environment.environment_sample(n, v, m, axes, np.array([0.6, -0.8]), 11)
+    call = "fr_environment_sample(n, v, m, fr_environment_axes(n, v), vec2(0.6, -0.8), 11)"
     across = (0.6 * axes[0] + 0.8 * axes[1])[:, 1]
     expression, expected = {
         "direction": (f"2.0 + {call}.x", 2.0 + l[:, 0]),

@@ -1,7 +1,7 @@
 """Measures what docs/skin-environment.md says: light from all around by few samples against many,
 and by nine coefficients against the whole panorama.
 
-python -m trials.environment -o docs/measurements/environment.json      ten minutes
+python -m trials.environment -o docs/measurements/environment.json      three minutes
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ against float64."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -101,7 +101,7 @@ def image_errors(
     ContextError : no OpenGL context
     InputError : the scene cannot be drawn with a shading
     """
-    scene = Scene(scene.mesh, scene.camera, scene.lights, scene.ambient, None)
+    scene = replace(scene, background=None)
     exact = shadings[0].replace(lobe="exact")
     with Renderer(size, samples=1, backend=backend) as renderer:
         gbuffer = renderer.gbuffer(scene)

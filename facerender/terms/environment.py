@@ -29,7 +29,7 @@ Float = NDArray[np.float64]
 SAMPLES = 32  # FR_ENVIRONMENT_SAMPLES
 _COARSEST = 2  # log2 of a side of the last level
 _NEAR = 1e-3  # a sine between eye and normal below which no direction is told from it
-_TURN = 1.94161104  # radians from sample to sample: pi over the golden ratio
+_TURN = 1.94161104  # radians from slope to slope: pi over the golden ratio
 
 
 def harmonics(n: ArrayLike) -> Float:
@@ -151,7 +151,10 @@ def reflected(
     n_dot_v, axes = dot(normal, eye), environment_axes(normal, eye)
     total = np.zeros(normal.shape)
     for i in range(samples):
-        l, steradians = environment_sample(normal, eye, slope, axes, i, samples=samples)
+        towards = (-1.0) ** i * np.array([np.cos(_TURN * (i // 2)), np.sin(_TURN * (i // 2))])
+        l, steradians = environment_sample(
+            normal, eye, slope, axes, towards, i // 2, samples=samples
+        )
         n_dot_l = dot(normal, l)
         seen = (steradians > 0.0) & (np.minimum(n_dot_l, n_dot_v) > MIN_COSINE)
         light = environment_radiance(map, size, l[seen], steradians[seen])
@@ -173,14 +176,21 @@ def environment_axes(n: Float, v: Float) -> tuple[Float, Float]:
 
 
 def environment_sample(
-    n: Float, v: Float, m: Float, axes: tuple[Float, Float], i: int, *, samples: int = SAMPLES
+    n: Float,
+    v: Float,
+    m: Float,
+    axes: tuple[Float, Float],
+    towards: Float,
+    i: int,
+    *,
+    samples: int = SAMPLES,
 ) -> tuple[Float, Float]:
     """Return the direction (..., 3) of one of a lobe's samples, and how many steradians (...) it
-    stands for; axes as of :func:`environment_axes`."""
-    rest = 1.0 - (i // 2 + 0.5) / (samples // 2)
-    angle = _TURN * (i // 2) + np.pi * (i % 2)
+    stands for; axes as of :func:`environment_axes`, and where the slope of number i points in them,
+    (2,)."""
+    rest = 1.0 - (i + 0.5) / (samples // 2)
     radius = m * np.sqrt(-np.log(rest))
-    h = n + radius[..., None] * (np.cos(angle) * axes[0] + np.sin(angle) * axes[1])
+    h = n + radius[..., None] * (towards[0] * axes[0] + towards[1] * axes[1])
     v_dot_h, h_dot_h = dot(v, h), dot(h, h)
     steradians = 4.0 * np.pi * m**2 * v_dot_h / (h_dot_h**2 * rest * samples)
     return 2.0 * (v_dot_h / h_dot_h)[..., None] * h - v, steradians

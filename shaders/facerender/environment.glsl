@@ -28,6 +28,9 @@
 precision highp sampler2D;
 #endif
 
+// From one slope of the samples to the next: 1.94161104 radians, pi over the golden ratio.
+#define FR_ENVIRONMENT_TURN mat2(-0.36237489, 0.93203242, -0.93203242, -0.36237489)
+
 // How many directions a lobe looks at: an even number.
 #ifndef FR_ENVIRONMENT_SAMPLES
 #define FR_ENVIRONMENT_SAMPLES 32
@@ -109,19 +112,19 @@ mat2x3 fr_environment_axes(vec3 n, vec3 v) {
 // opposite, which is the other side of the cavity.
 //
 //   formula   half vector n + s, |s|^2 = -m^2 ln(rest), and l = 2 (V.H) H - V, which stands for
-//             4 pi m^2 (V.H) (N.H)^3/(N rest) sr; rest = 1 - (j + 1/2)/(N/2), j = i/2, at an angle
-//             of 1.94161104 j
+//             4 pi m^2 (V.H) (N.H)^3/(N rest) sr; rest = 1 - (i + 1/2)/(N/2)
 //   axes      from fr_environment_axes
-//   i         number of the sample, from 0 to N - 1, N = FR_ENVIRONMENT_SAMPLES
+//   towards   unit vector, where the slope points in those axes: at an angle of 1.94161104 i, and
+//             opposite. Turned from slope to slope, for no driver owes digits of sin and cos
+//   i         number of the slope, from 0 to N/2 - 1, N = FR_ENVIRONMENT_SAMPLES
 //   unit      none, and sr
 //   result    l, and how many sr it stands for; not above 0 where half vector and eye are turned
 //             away from one another
 //   error     float32 adds 2e-6, of the sr their share
-vec4 fr_environment_sample(vec3 n, vec3 v, float m, mat2x3 axes, int i) {
-    float rest = 1.0 - (float(i / 2) + 0.5) / float(FR_ENVIRONMENT_SAMPLES / 2);
+vec4 fr_environment_sample(vec3 n, vec3 v, float m, mat2x3 axes, vec2 towards, int i) {
+    float rest = 1.0 - (float(i) + 0.5) / float(FR_ENVIRONMENT_SAMPLES / 2);
     float radius = m * sqrt(-log(rest));
-    float angle = 1.94161104 * float(i / 2) + FR_PI * float(i % 2);
-    vec3 h = n + axes * (radius * vec2(cos(angle), sin(angle)));
+    vec3 h = n + axes * (radius * towards);
     float inverse = 1.0 / dot(h, h);
     float v_dot_h = dot(v, h);
     float steradians = 4.0 * FR_PI * m * m * v_dot_h * inverse * inverse;
@@ -146,8 +149,10 @@ vec3 fr_environment_cook_torrance(
     float n_dot_v = dot(n, v);
     if (n_dot_v <= FR_MIN_COSINE) return total;
     mat2x3 axes = fr_environment_axes(n, v);
+    vec2 towards = vec2(1.0, 0.0);
     for (int i = 0; i < FR_ENVIRONMENT_SAMPLES; ++i) {
-        vec4 s = fr_environment_sample(n, v, slope, axes, i);
+        vec4 s = fr_environment_sample(n, v, slope, axes, towards, i / 2);
+        towards = i % 2 == 0 ? -towards : -(FR_ENVIRONMENT_TURN * towards);
         float n_dot_l = dot(n, s.xyz);
         if (n_dot_l <= FR_MIN_COSINE || s.w <= 0.0) continue;
         vec3 h = s.xyz + v;
@@ -172,8 +177,10 @@ vec3 fr_environment_ward(sampler2D map, int size, vec3 n, vec3 v, float m) {
     float n_dot_v = dot(n, v);
     if (n_dot_v <= FR_MIN_COSINE) return total;
     mat2x3 axes = fr_environment_axes(n, v);
+    vec2 towards = vec2(1.0, 0.0);
     for (int i = 0; i < FR_ENVIRONMENT_SAMPLES; ++i) {
-        vec4 s = fr_environment_sample(n, v, slope, axes, i);
+        vec4 s = fr_environment_sample(n, v, slope, axes, towards, i / 2);
+        towards = i % 2 == 0 ? -towards : -(FR_ENVIRONMENT_TURN * towards);
         float n_dot_l = dot(n, s.xyz);
         if (n_dot_l <= FR_MIN_COSINE || s.w <= 0.0) continue;
         vec3 h = s.xyz + v;
