@@ -554,9 +554,9 @@ def test_renderers_leave_nothing_behind(backend, head):
         with fr.Renderer((256, 256), backend=backend) as renderer:
             renderer.render(scene)
         gc.collect()
+        ctypes.CDLL(None).malloc_trim(0)  # what it has not given back comes and goes
         return _resident()
 
-    # The least of several: what malloc has not given back yet comes and goes.
     first, last = ([resident() for _ in range(8)] for _ in range(2))
     assert min(last) - min(first) < 24
 

@@ -104,7 +104,7 @@ def image_errors(
     scene = replace(scene, background=None)
     exact = shadings[0].replace(lobe="exact")
     with Renderer(size, samples=1, backend=backend) as renderer:
-        gbuffer = renderer.gbuffer(scene)
+        gbuffer = renderer.gbuffer(scene, exact)
         reference = shade(gbuffer, scene, exact)
         images = [renderer.render(scene, shading).linear[..., :3] for shading in shadings]
     covered = gbuffer.part >= 0
