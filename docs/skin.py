@@ -35,6 +35,10 @@ Written by `python -m docs.skin` from [measurements/skin.json](measurements/skin
 `python -m trials.skin` measured, on {GL_RENDERER}, OpenGL
 {GL_VERSION}. Each part here is off where a scene does not need it, and then costs nothing.
 
+Others have pages of their own: [shadows](skin-shadows.md), [two lobes, sampling, coupled diffuse
+light](skin-lobes.md), [light below the skin](skin-scattering.md), [light from all
+around](skin-environment.md).
+
 ## Slope variance
 
 **What it is for.** Pores are smaller than a pixel unless the face fills the frame. Where a pixel
