@@ -91,7 +91,7 @@ float seen = fr_shadow_disc(
 );
 ```
 
-`FR_SHADOW_SAMPLES` (16) is how often it looks, twice.
+`FR_SHADOW_SAMPLES` (12) is how often it looks, twice.
 
 **Plans.** `facerender plan` leaves shadows out that nobody sees, such as those of a light beside
 the camera, and tells so under "shadows".

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 Float = NDArray[np.float64]
 Tile = tuple[int, int, int]
 
-SAMPLES = 16  # FR_SHADOW_SAMPLES
+SAMPLES = 12  # FR_SHADOW_SAMPLES
 _TURN = 2.39996323
 
 
@@ -63,8 +63,8 @@ def shadow_disc(
     ----------
     map, tile, p, bias : see :func:`shadow_hard`
     plane : (..., 2), change of z with x and y on the surface
-    tan_radius : tangent of the light's radius, in [0, tan(20 degrees)]
-    top : largest z of what casts shadows
+    tan_radius : tangent of the light's radius, in (0, tan(20 degrees)]
+    top : largest z of what casts shadows; all of the light is seen where z is not below it
     turn : radians, of the spiral of samples
     """
     place = np.asarray(p, dtype=np.float64)[..., None, :]  # before the samples
@@ -77,6 +77,7 @@ def shadow_disc(
     aside = tan_radius * np.clip(top - place[..., 2:], 0.0, 1.0) * spiral
     other = _fetch(map, tile, np.floor((0.5 * (place[..., :2] + aside) + 0.5) * tile[2]))
     blocks = other > z + np.maximum((slope * aside).sum(axis=-1), 0.0) + bias
+    blocks &= place[..., 2] < top
     count = blocks.sum(axis=-1)
     depth = np.where(blocks, other, 0.0).sum(axis=-1) / np.maximum(count, 1)
 
@@ -84,7 +85,7 @@ def shadow_disc(
     aside = radius[..., None, None] * spiral
     raised = z + np.maximum((slope * aside).sum(axis=-1), 0.0)
     seen = shadow_lit(map, tile, place[..., :2] + aside, raised).mean(axis=-1)
-    return np.where(count == 0, 1.0, seen)
+    return np.select([count == 0, count == SAMPLES], [1.0, 0.0], seen)
 
 
 def _fetch(map: ArrayLike, tile: Tile, texel: Float) -> Float:

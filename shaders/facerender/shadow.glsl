@@ -31,7 +31,7 @@ precision highp sampler2D;
 // How many places fr_shadow_disc looks at for what stands before the light, and again for how much
 // of it is seen.
 #ifndef FR_SHADOW_SAMPLES
-#define FR_SHADOW_SAMPLES 16
+#define FR_SHADOW_SAMPLES 12
 #endif
 
 // Whether a place of the map is lit at a depth, 0 or 1, interpolated between four texels.
@@ -68,13 +68,14 @@ float fr_shadow_hard(sampler2D map, ivec3 tile, vec3 p, float bias) {
 //   formula      with the mean z of what stands before the light, within the tangent times the
 //                largest difference of z: the mean of fr_shadow_lit over the disc that the light
 //                becomes when it is seen from p through a hole there; of both, at points of a spiral
-//                (Vogel 1979), at sqrt((i + 1/2)/N) and the angle 2.39996 i + turn
+//                (Vogel 1979), at sqrt((i + 1/2)/N) and the angle 2.39996 i + turn. 1 where nothing
+//                stands before the light, and 0 where something does at every point
 //   plane        change of z with x and y on the plane through p that touches the surface, of at
 //                most 8
 //   tan_radius   tangent of the angle between the centre and the rim of the light, as seen from the
-//                centre of the mesh, in [0, tan(20 degrees)]
+//                centre of the mesh, in (0, tan(20 degrees)]
 //   top          largest z of what casts shadows: 1 for a distant light, s d/(d - 1) for a point
-//                light
+//                light; p.z where nothing needs to be looked at, and the answer is 1
 //   turn         radians, of the spiral; another one at each pixel makes noise of what else were
 //                bands
 float fr_shadow_disc(
@@ -84,26 +85,28 @@ float fr_shadow_disc(
     const mat2 next = mat2(-0.73736888, 0.67549029, -0.67549029, -0.73736888);
     float z = p.z + bias;
     float reach = tan_radius * clamp(top - p.z, 0.0, 1.0);
-    float count = 0.0;
-    float depth = 0.0;
     vec2 start = vec2(cos(turn), sin(turn)) * inversesqrt(float(FR_SHADOW_SAMPLES));
+    // Loops of no turns, for drivers that execute what a branch leaves out as well.
+    int turns = reach > 0.0 ? FR_SHADOW_SAMPLES : 0;
+    int blocked = 0;
+    float depth = 0.0;
     vec2 towards = start;
-    for (int i = 0; i < FR_SHADOW_SAMPLES; ++i) {
+    for (int i = 0; i < turns; ++i) {
         vec2 aside = reach * sqrt(float(i) + 0.5) * towards;
         towards = next * towards;
         ivec2 texel = ivec2(floor(((p.xy + aside) * 0.5 + 0.5) * float(tile.z)));
         texel = clamp(texel, ivec2(0), ivec2(tile.z - 1)) + tile.xy;
         float other = texelFetch(map, texel, 0).r;
         if (other > z + max(dot(plane, aside), 0.0) + bias) {
-            count += 1.0;
+            ++blocked;
             depth += other;
         }
     }
-    if (count == 0.0) return 1.0;
-    float radius = max(tan_radius * (depth / count - p.z), 2.0 / float(tile.z));
-    float seen = 0.0;
+    if (blocked == turns || blocked == 0) turns = 0;
+    float radius = max(tan_radius * (depth / float(max(blocked, 1)) - p.z), 2.0 / float(tile.z));
+    float seen = blocked > 0 ? 0.0 : float(FR_SHADOW_SAMPLES);
     towards = start;
-    for (int i = 0; i < FR_SHADOW_SAMPLES; ++i) {
+    for (int i = 0; i < turns; ++i) {
         vec2 aside = radius * sqrt(float(i) + 0.5) * towards;
         towards = next * towards;
         seen += fr_shadow_lit(map, tile, p.xy + aside, z + max(dot(plane, aside), 0.0));

@@ -24,7 +24,7 @@ vec2 plane_of(mat4 view, vec3 at, Point p) {
 
 // What a surface sees of a light, which is seen to `below` its horizon, as a sine.
 float visibility(int i, Surface s, Point p, vec3 direction, float below) {
-    if (dot(s.normal, direction) <= -below) return 1.0;  // it is dark in any case
+    bool dark = dot(s.normal, direction) <= -below;
     int texels = textureSize(shadow_map, 0).y;
     ivec3 tile = ivec3(i * texels, 0, texels);
     vec3 n = normalize(p.normal);
@@ -35,12 +35,13 @@ float visibility(int i, Surface s, Point p, vec3 direction, float below) {
     if (shadow_size[i].x > 0.0) {
         float turn = 6.2831853 * fract(52.9829189 * fract(dot(gl_FragCoord.xy, NOISE)));
         vec2 plane = plane_of(shadow_view[i], at, p);
+        float top = dark ? at.z : shadow_size[i].y;
         return fr_shadow_disc(
-            shadow_map, tile, at, plane, shadow_size[i].x, shadow_size[i].y, BIAS, turn
+            shadow_map, tile, at, plane, shadow_size[i].x, top, BIAS, turn
         );
     }
 #endif
-    return fr_shadow_hard(shadow_map, tile, at, BIAS);
+    return dark ? 1.0 : fr_shadow_hard(shadow_map, tile, at, BIAS);
 }
 
 float share(Light light, int shadow, Surface s, Point p) {
