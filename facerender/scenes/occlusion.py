@@ -15,6 +15,9 @@ from facerender._version import __version__
 from facerender.errors import InputError, warn
 from facerender.scenes.mesh import Mesh
 
+Floats = NDArray[np.float32]
+Numbers = NDArray[np.int64]
+
 DIRECTIONS = 512  # half of them above the plane of each vertex
 _OFFSET = 1e-4  # of rays from the surface, in radii of the mesh; float32 knows places to 1e-7
 _AT_ONCE = 1 << 16  # rays
@@ -70,9 +73,9 @@ def _values(
     used, corners = np.unique(faces, return_inverse=True)
     rows = vertices[used].astype(np.float32)
     different, numbers = np.unique(rows, axis=0, return_inverse=True)
-    share = _open_share(different, rows[:, :3], corners.reshape(-1, 3).astype(np.int32))
+    corners, numbers = corners.reshape(-1, 3), numbers.reshape(-1)
     values = np.ones(len(vertices))
-    values[used] = share[numbers.reshape(-1)]
+    values[used] = _open_share(rows[:, :3], corners, different, numbers[corners])[numbers]
     if cache:
         store.write("occlusion", name, [values.data])
     return values
@@ -88,10 +91,16 @@ def _digest(*arrays: NDArray[Any]) -> str:
 
 
 def _open_share(
-    vertices: NDArray[np.float32], positions: NDArray[np.float32], faces: NDArray[np.int32]
+    positions: Floats, faces: Numbers, vertices: Floats, corners: Numbers
 ) -> NDArray[np.float64]:
-    """Return the share of a light from everywhere that triangles let through to places and normals
-    (N, 6), in [0, 1]."""
+    """Return the share of a light from everywhere that triangles let through, in [0, 1].
+
+    Parameters
+    ----------
+    positions, faces : what stands in the way
+    vertices : places and normals (N, 6) that the light is to reach
+    corners : of the faces, among the vertices
+    """
     try:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
@@ -100,16 +109,18 @@ def _open_share(
             "baked occlusion needs the package embreex; pip install 'facerender[rays]'"
         ) from None
     scene = EmbreeScene()
-    TriangleMesh(scene, np.ascontiguousarray(positions), faces)
+    TriangleMesh(scene, np.ascontiguousarray(positions), faces.astype(np.int32))
+    starts = vertices[:, :3] + np.float32(_OFFSET) * _off_surface(
+        positions, faces, vertices, corners
+    )
     shares = []
-    for start in range(0, len(vertices), _AT_ONCE):
-        places, normals = np.split(vertices[start : start + _AT_ONCE], 2, axis=1)
-        origins = places + np.float32(_OFFSET) * normals
-        through, total = np.zeros((2, len(places)))
+    for first in range(0, len(vertices), _AT_ONCE):
+        origins, normals = (each[first : first + _AT_ONCE] for each in (starts, vertices[:, 3:]))
+        through, total = np.zeros((2, len(origins)))
         for direction in _directions():
             cosines = normals @ direction
             above = cosines > 0.0
-            towards = np.tile(direction.astype(np.float32), (int(above.sum()), 1))
+            towards = np.tile(direction, (int(above.sum()), 1))
             missed = scene.run(origins[above], towards, query="OCCLUDED") < 0
             through[above] += cosines[above] * missed
             total[above] += cosines[above]
@@ -117,11 +128,26 @@ def _open_share(
     return np.concatenate(shares)
 
 
-def _directions() -> NDArray[np.float64]:
+def _off_surface(positions: Floats, faces: Numbers, vertices: Floats, corners: Numbers) -> Floats:
+    """Return where rays of vertices start from them: along the normal, and towards the middle of
+    their faces, so that none starts in the plane of a face behind a sharp edge."""
+    sums, lengths = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
+    middles = positions[faces].mean(axis=1)
+    for its, face in zip(corners.T, faces.T, strict=True):
+        inwards = middles - positions[face]
+        np.add.at(sums, its, inwards)
+        np.add.at(lengths, its, np.linalg.norm(inwards, axis=1))
+    normals = vertices[:, 3:]
+    sums -= normals * np.einsum("ij,ij->i", normals, sums)[:, None]
+    return (normals + sums / np.maximum(lengths, 1e-30)[:, None]).astype(np.float32)
+
+
+def _directions() -> Floats:
     """Return unit vectors spread evenly over the sphere, by a spiral of the golden ratio:
     (DIRECTIONS, 3)."""
     numbers = np.arange(DIRECTIONS) + 0.5
     heights = 1.0 - 2.0 * numbers / DIRECTIONS
     angles = numbers * (np.pi * (3.0 - np.sqrt(5.0)))
     radii = np.sqrt(1.0 - heights**2)
-    return np.stack([radii * np.cos(angles), heights, radii * np.sin(angles)], axis=1)
+    spiral = np.stack([radii * np.cos(angles), heights, radii * np.sin(angles)], axis=1)
+    return spiral.astype(np.float32)
