@@ -16,6 +16,7 @@ from facerender.planning.cache import _digest
 from facerender.scenes import occlusion
 from facerender.scenes.mesh import Part
 from tests.awkward_files import MINI_HEAD
+from tests.test_cli import Cli
 from tests.test_levels import grid, mesh_of, torus
 from trials.occlusion import occlusion_error
 
@@ -232,6 +233,22 @@ def test_vertices_that_no_face_uses_do_no_harm(bare, baked):
         (own,) = fr.with_occlusion(replace(bare, parts=(more,))).parts
     np.testing.assert_array_equal(own.occlusion[:-3], baked.parts[0].occlusion)
     np.testing.assert_array_equal(own.occlusion[-3:], 1.0)
+
+
+def test_render_draws_it(tmp_path, capsys, egl, baked, place, monkeypatch):
+    (tmp_path / "out").mkdir()
+    cli = Cli(tmp_path / "out", capsys)
+    options = ("--ambient", "2", "--occlusion")
+    images = [cli.render(*options, "--no-cache")]
+    assert not place.exists()
+    images += [cli.render(*options), cli.render(*options)]
+    assert len([*place.iterdir()]) == 1
+    with fr.Renderer((48, 48), backend=egl) as renderer:
+        own = renderer.render(fr.Scene(baked, ambient=2.0)).srgb8()
+    for image in images:
+        np.testing.assert_array_equal(image, own)
+    monkeypatch.setitem(sys.modules, "embreex.mesh_construction", None)
+    cli.fail_to_render(r"baked occlusion needs .* pip install .*", *options, "--no-cache")
 
 
 def test_a_mesh_file_is_baked_before_it_is_simplified(baked):
