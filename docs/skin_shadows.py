@@ -126,8 +126,9 @@ its mesh: name `--occlusion` with the mesh again.
 
 What a pixel receives, at 4000 pixels of 512 x 512 against 512 rays for each, Embree's too: the mean
 error, in shares of the whole light, of taking it for 1 and of what is baked; and frames with it
-over those without, in ambient light and one other, 1024 x 1024, readback included, medians in turns
-(the head without its own map).
+over those without, in ambient light and one other, 1024 x 1024, readback included, medians in
+turns. The head is without its own map, the scan Lee Perry-Smith's (Infinite-Realities, CC BY 3.0),
+as in the picture.
 
 {occlusion}
 
