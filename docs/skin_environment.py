@@ -110,7 +110,8 @@ guarantee over all views refuses whatever changes the environment's light.
   where the mirror's direction is.
 - Noise: another turn of the directions at each pixel hides what 8 samples leave, and leaves grain
   that several samples a pixel do not smooth, for a pixel is shaded once.
-- Shadows of the environment: an occlusion map darkens the diffuse part alone.
+- Shadows of the environment: an occlusion map, or what `--occlusion` bakes where there is none,
+  darkens the diffuse part alone.
 """
 
 

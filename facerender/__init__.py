@@ -6,7 +6,7 @@
 
 render          one image in one call; Renderer keeps what it uploads, for several
 load_mesh       a mesh file with its materials; Mesh.with_material changes them
-simplified      a mesh with fewer triangles
+simplified      a mesh with fewer triangles; with_occlusion: what it hides of the light around it
 Scene           mesh, Camera, Light, ambient, background, environment
 Environment     light from all around: load_environment reads an EnvironmentFile; of a Panorama
 Shading         the specular Term of each light, what is left out
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from facerender.loading.environment import load_environment
     from facerender.planning.plan import Plan, plan
     from facerender.scenes.environment import Environment, Panorama
+    from facerender.scenes.occlusion import with_occlusion
 
 __all__ = [
     "Camera",
@@ -87,6 +88,7 @@ __all__ = [
     "simplified",
     "turntable",
     "view_of",
+    "with_occlusion",
 ]
 
 
@@ -104,6 +106,10 @@ def __getattr__(name: str) -> Any:
         from facerender.loading.environment import load_environment
 
         return load_environment
+    if name == "with_occlusion":
+        from facerender.scenes.occlusion import with_occlusion
+
+        return with_occlusion
     if name == "compare":
         from facerender.comparison.gates import compare
 

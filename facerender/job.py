@@ -23,13 +23,14 @@ from facerender.scenes.scene import ONLY, Only, Scene
 from facerender.scenes.vectors import Vector, non_negative
 from facerender.shading import Shading
 
-_NO_PATHS = ("flip_v", "triangles", "millimetres")  # of a mesh file's fields
+_NO_PATHS = ("flip_v", "triangles", "millimetres", "occlusion")  # of a mesh file's fields
 
 
 @dataclass(frozen=True)
 class MeshFile:
     """A mesh by its files, and how much of it; parameters as of :func:`facerender.load_mesh` and
-    :func:`facerender.simplified`, paths as text."""
+    :func:`facerender.simplified`, paths as text; occlusion, whether it is baked, as of
+    :func:`facerender.with_occlusion`."""
 
     path: str | None = None
     albedo: str | None = None
@@ -40,6 +41,7 @@ class MeshFile:
     triangles: int | None = None
     lobe_map: str | None = None
     millimetres: float | None = None
+    occlusion: bool = False
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -48,8 +50,9 @@ class MeshFile:
                 object.__setattr__(self, each.name, os.fspath(value))
             elif each.name not in _NO_PATHS and not isinstance(value, str | None):
                 raise InputError(f"mesh {each.name} = {value!r}: give a path as text")
-        if not isinstance(self.flip_v, bool):
-            raise InputError(f"mesh flip_v = {self.flip_v!r}: give true or false")
+        for name in ("flip_v", "occlusion"):
+            if not isinstance(switch := getattr(self, name), bool):
+                raise InputError(f"mesh {name} = {switch!r}: give true or false")
         if self.millimetres is not None:
             check_range("millimetres", self.millimetres, 1e-6, 1e6)
         if self.triangles is not None:
@@ -57,18 +60,23 @@ class MeshFile:
 
     def load(self, cache: bool = False) -> Mesh:
         """Read the files; errors and warnings as of the functions named above."""
-        return self._level(load_mesh(**self._files, cache=cache))
+        return self._made(load_mesh(**self._files, cache=cache), cache)
 
     def kept(self) -> Mesh | None:
         """Return the mesh if it is in the cache; warnings as of :meth:`load`."""
         mesh = kept_mesh(**self._files)
-        return None if mesh is None else self._level(mesh)
+        return None if mesh is None else self._made(mesh, True)
 
     @property
     def _files(self) -> dict[str, Any]:
-        return {name: value for name, value in asdict(self).items() if name != "triangles"}
+        others = ("triangles", "occlusion")
+        return {name: value for name, value in asdict(self).items() if name not in others}
 
-    def _level(self, mesh: Mesh) -> Mesh:
+    def _made(self, mesh: Mesh, cache: bool) -> Mesh:
+        if self.occlusion:
+            from facerender.scenes.occlusion import with_occlusion
+
+            mesh = with_occlusion(mesh, cache=cache)
         return mesh if self.triangles is None else simplified(mesh, self.triangles)
 
 

@@ -110,6 +110,12 @@ def add_scene(
         help="directions of it that a lobe reflects, even; 0 for its diffuse part alone (32)",
     )
     scene.add_argument("--ambient", metavar="E", help="irradiance from everywhere, E or R,G,B")
+    scene.add_argument(
+        "--occlusion",
+        action="store_true",
+        help="dim ambient and environment light by what the mesh hides of it, found by rays to its "
+        "vertices, where the file has no occlusion map (off)",
+    )
     scene.add_argument("--background", metavar="RGB", help="linear R,G,B, or none: transparent")
     return terms, scene
 
@@ -166,6 +172,7 @@ def job_of(
         getattr(options, "triangles", None),
         options.lobe_map,
         options.millimetres,
+        options.occlusion,
     )
     job = Job(
         mesh,

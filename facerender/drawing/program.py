@@ -20,7 +20,7 @@ from facerender.scenes.shadow import LightSpace, light_space
 from facerender.scenes.view import View
 from facerender.shading import Shading, Term
 
-ATTRIBUTES = {"in_position": 3, "in_normal": 3, "in_uv": 2, "in_color": 3}
+ATTRIBUTES = {"in_position": 3, "in_normal": 3, "in_uv": 2, "in_occlusion": 1, "in_color": 3}
 SHADOW_MAP = "shadow_map"  # the texture of all maps
 ENVIRONMENT_MAP = "environment_map"
 PROPERTY_MAPS = ("occlusion_map", "roughness_map", "specular_map")
@@ -191,6 +191,8 @@ def surface_features(part: Part, material: Material, shading: Shading) -> tuple[
     if part.uv is not None:
         names.append("UV")
         names += [name.upper() for name in PROPERTY_MAPS if getattr(material, name) is not None]
+    if part.occlusion is not None:
+        names.append("VERTEX_OCCLUSION")
     if part.colors is not None:
         names.append("VERTEX_COLORS")
     if material.albedo != (1.0, 1.0, 1.0):
@@ -294,6 +296,7 @@ def part_columns(part: Part, mesh: Mesh) -> dict[str, np.ndarray[Any, Any]]:
         "in_position": mesh.normalised(part.positions),
         "in_normal": part.normals,
         "in_uv": part.uv,
+        "in_occlusion": None if part.occlusion is None else part.occlusion[:, None],
         "in_color": part.colors,
     }
     return {name: values for name, values in columns.items() if values is not None}

@@ -237,7 +237,7 @@ def cycles(programs: Sequence[Program], family: str) -> list[int]:
     """Return RADV's estimate of whole programs; unit and errors as in :func:`by_compiler`."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         modules = list(pool.map(lambda program: amd.spirv(**program.sources("450")), programs))
-    attributes = list(ATTRIBUTES.values())[:3]  # of a part without vertex colours
+    attributes = list(ATTRIBUTES.values())[:3]  # of a part without values at vertices
     rows = amd.compile_programs(modules, family, attributes)[1]
     return [row["Inverse Throughput"] for row in rows]
 

@@ -23,8 +23,10 @@ if TYPE_CHECKING:
 Float = NDArray[np.float64]
 
 # What errors count beside a distance of the mesh's extent: of normals; of places on a map, measured
-# on the surface in radii; of linear colours. Chosen by images such as those of docs/levels.md.
+# on the surface in radii; of linear colours, and of occlusion. Chosen by images such as those of
+# docs/levels.md.
 _NORMAL, _PLACE, _COLOR = 1.0, 20.0, 1.0
+_WEIGHTS = [_NORMAL] * 3 + [_PLACE] * 2 + [_COLOR] * 4
 _ANY_ERROR = 1e9  # the number of triangles alone ends it
 # Of what goes in, of the 4 GiB that WebAssembly has: 8 million triangles that share their vertices,
 # which take 3 GiB.
@@ -37,10 +39,11 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     """Return the mesh with at most so many triangles, where that can be.
 
     Edges collapse in the order of their quadric error (Garland and Heckbert 1997), which counts
-    normals, texture coordinates and colours beside distances (Hoppe 1999); what is left of them
-    moves to where the error is least. Open borders, seams of texture coordinates and normals, and
-    borders between parts collapse along themselves, both sides at once: no crack opens. Materials,
-    the number of parts, bounds, radius and profile stay, so that a camera sees both meshes alike.
+    normals, texture coordinates, colours and occlusion beside distances (Hoppe 1999); what is left
+    of them moves to where the error is least. Open borders, seams of texture coordinates and
+    normals, and borders between parts collapse along themselves, both sides at once: no crack
+    opens. Materials, the number of parts, bounds, radius and profile stay, so that a camera sees
+    both meshes alike.
 
     The result is the same in every process, and the same object for the same arguments. Kapoulkine
     (2016-2026), meshoptimizer 1.3: meshopt_simplifyWithUpdate.
@@ -102,26 +105,28 @@ def _simplify(mesh: Mesh, triangles: int) -> Mesh:
                 normals[kept],
                 numbers.reshape(chosen.shape).astype(np.uint32),
                 None if part.uv is None else _within(changed[kept, 3:5] / scale, part.uv),
-                None if part.colors is None else _within(changed[kept, 5:], part.colors),
+                None if part.colors is None else _within(changed[kept, 5:8], part.colors),
+                None if part.occlusion is None else _within(changed[kept, 8], part.occlusion),
             )
         )
     return replace(mesh, parts=tuple(parts))
 
 
 def _vertices(mesh: Mesh, index: int, scale: float) -> Float:
-    """Return number of the part, position, normal, scaled place on the maps, colour: (N, 12)."""
+    """Return number of the part, position, normal, scaled place on the maps, colour: (N, 12), and
+    occlusion where a part of the mesh has it: (N, 13)."""
     part = mesh.parts[index]
     count = len(part.positions)
-    return np.concatenate(
-        [
-            np.full((count, 1), index),
-            mesh.normalised(part.positions),
-            part.normals,
-            np.zeros((count, 2)) if part.uv is None else part.uv * scale,
-            np.ones((count, 3)) if part.colors is None else part.colors,
-        ],
-        axis=1,
-    )
+    columns = [
+        np.full((count, 1), index),
+        mesh.normalised(part.positions),
+        part.normals,
+        np.zeros((count, 2)) if part.uv is None else part.uv * scale,
+        np.ones((count, 3)) if part.colors is None else part.colors,
+    ]
+    if any(each.occlusion is not None for each in mesh.parts):
+        columns.append((np.ones(count) if part.occlusion is None else part.occlusion)[:, None])
+    return np.concatenate(columns, axis=1)
 
 
 def _scale(part: Part) -> float:
@@ -176,7 +181,7 @@ def _run(
         faces.astype(np.uint32),
         positions.astype(np.float32),
         attributes.astype(np.float32),
-        np.array([_NORMAL] * 3 + [_PLACE] * 2 + [_COLOR] * 3, dtype=np.float32),
+        np.array(_WEIGHTS[: attributes.shape[1]], dtype=np.float32),
         np.zeros(1, dtype=np.float32),  # the error
     ]
     places = [library["sbrk"](store, -(-array.nbytes // 16) * 16) for array in arrays]

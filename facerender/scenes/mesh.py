@@ -23,6 +23,8 @@ class Part:
     faces : (F, 3) uint32, counter-clockwise seen from outside
     uv : (N, 2) float64 with v upwards, or None
     colors : (N, 3) linear RGB, or None
+    occlusion : (N,) in [0, 1], what reaches a vertex of a light that is the same from everywhere,
+        or None; see :func:`facerender.with_occlusion`
     """
 
     positions: NDArray[np.float64]
@@ -30,6 +32,7 @@ class Part:
     faces: NDArray[np.uint32]
     uv: NDArray[np.float64] | None = None
     colors: NDArray[np.float64] | None = None
+    occlusion: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -110,6 +110,9 @@ Surface surface(Point p) {
     s.specular_weight *= properties.b;
 #endif
 #endif
+#ifdef VERTEX_OCCLUSION
+    s.occlusion *= clamp(p.occlusion, 0.0, 1.0);  // beyond a triangle's edge it is extrapolated
+#endif
 #ifdef TWO_LOBES
     s.second_m = max(s.m * second_slope, FR_MIN_SLOPE);
 #ifdef LOBE_MAP

@@ -8,6 +8,10 @@ out vec3 vertex_normal;
 in vec2 in_uv;
 out vec2 uv;
 #endif
+#ifdef VERTEX_OCCLUSION
+in float in_occlusion;
+out float vertex_occlusion;
+#endif
 #ifdef VERTEX_COLORS
 in vec3 in_color;
 out vec3 vertex_color;
@@ -18,6 +22,9 @@ void main() {
     vertex_normal = in_normal;
 #ifdef UV
     uv = in_uv;
+#endif
+#ifdef VERTEX_OCCLUSION
+    vertex_occlusion = in_occlusion;
 #endif
 #ifdef VERTEX_COLORS
     vertex_color = in_color;

@@ -6,6 +6,9 @@ in vec3 vertex_normal;
 #ifdef UV
 in vec2 uv;
 #endif
+#ifdef VERTEX_OCCLUSION
+in float vertex_occlusion;
+#endif
 #ifdef VERTEX_COLORS
 in vec3 vertex_color;
 #endif
@@ -31,6 +34,9 @@ Point point() {
     p.uv_x = dFdx(uv);
     p.uv_y = dFdy(uv);
 #endif
+#endif
+#ifdef VERTEX_OCCLUSION
+    p.occlusion = vertex_occlusion;
 #endif
 #ifdef VERTEX_COLORS
     p.color = vertex_color;

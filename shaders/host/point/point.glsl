@@ -21,6 +21,9 @@ struct Point {
     vec2 uv_y;
 #endif
 #endif
+#ifdef VERTEX_OCCLUSION
+    float occlusion;
+#endif
 #ifdef VERTEX_COLORS
     vec3 color;
 #endif

@@ -68,6 +68,13 @@ Point point(uint facet) {
     p.position_x = position_x;
     p.position_y = position_y;
 #endif
+#ifdef VERTEX_OCCLUSION
+#ifdef UV
+    p.occlusion = affine(facet, 6, p.position);
+#else
+    p.occlusion = affine(facet, 4, p.position);
+#endif
+#endif
 #ifdef VERTEX_COLORS
     p.color = vec3(
         affine(facet, FACET_TEXELS - 3, p.position),
