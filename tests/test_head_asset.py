@@ -130,6 +130,15 @@ def test_no_face_is_degenerate(head: Head):
     assert np.linalg.norm(head.face_normals, axis=1).min() > 1e-10  # m^2
 
 
+def test_rims_of_the_ears_are_round(head: Head):
+    """Where an edge turns far, shading between its ends leaves notches in the silhouette."""
+    edges = head.mesh.edges_unique
+    outer = np.abs(head.mesh.vertices[edges].mean(1)[:, 0]) > 0.078
+    start, end = np.moveaxis(head.mesh.vertex_normals[edges[outer]], 1, 0)
+    turn = np.degrees(np.arccos(np.clip((start * end).sum(1), -1, 1)))
+    assert (turn > 45).mean() < 0.01
+
+
 def test_it_is_a_head_in_metres_that_looks_along_z(head: Head):
     width, height, depth = np.ptp(head.mesh.vertices, axis=0)
     assert 0.14 < width < 0.24

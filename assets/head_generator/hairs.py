@@ -14,7 +14,7 @@ CANVAS = (-7.5, 7.5, -9.0, 5.0)  # left, right, bottom, top of the drawing, cm
 PIXELS_PER_CM = 160
 
 BROW_HAIRS = 900  # per side
-LASH_HAIRS = 130  # per side
+LASH_HAIRS = 150  # per side
 STEPS = np.linspace(0, 1, 6)  # points along each hair
 
 Hair = tuple[Floats, float, float]  # points (N, 2) in cm, width in cm, opacity
@@ -81,12 +81,15 @@ def _lash_hairs(random: np.random.Generator) -> Iterator[Hair]:
         roots = np.sort(random.uniform(inner + 0.15, outer + 0.02, LASH_HAIRS))
         for root in roots:
             share = (root - inner) / (outer - inner)
-            length = random.uniform(0.22, 0.40) * (0.60 + 0.55 * share)
-            direction = np.radians(-104 + 62 * share + random.normal(0, 6))
-            lift = random.uniform(0.05, 0.12)
+            length = random.uniform(0.26, 0.42) * (0.55 + 0.65 * share)
+            direction = np.radians(-112 + 76 * share + random.normal(0, 8))
+            lift = random.uniform(0.06, 0.14)
             side = root + np.cos(direction) * length * STEPS
             up = landmarks.lid_line(root) - 0.02 + np.sin(direction) * length * STEPS
-            yield np.stack([mirror * side, up + lift * STEPS**2], 1), 0.010, 0.72
+            points = np.stack([mirror * side, up + lift * STEPS**2], 1)
+            # Thick at the root, thin at the tip.
+            yield points, 0.007, 0.60
+            yield points[:3], 0.013, 0.80
 
 
 def brow_cover(points: Floats, random: np.random.Generator) -> tuple[Floats, Floats]:

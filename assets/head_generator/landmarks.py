@@ -13,7 +13,7 @@ MOUTH_HEIGHT = -6.86  # where the lips meet, cm
 UPPER_LIP_HEIGHT = 0.74  # tallest red of the upper lip before its dip, cm
 LOWER_LIP_HEIGHT = 0.98
 
-EYE_CENTRE = (3.22, 0.05, 6.50)  # middle of the eyeball, cm
+EYE_CENTRE = (3.22, 0.05, 6.82)  # middle of the eyeball, cm
 LID_HALF_WIDTH = 1.58  # middle of the closed eye to its corners, cm
 INNER_CORNER = EYE_CENTRE[0] - LID_HALF_WIDTH
 OUTER_CORNER = EYE_CENTRE[0] + LID_HALF_WIDTH
@@ -44,7 +44,7 @@ HAIRLINE = (
 def mouth_line(side: Floats) -> Floats:
     """Line where the closed lips meet."""
     share = np.clip(side / MOUTH_HALF_WIDTH, 0, 1.3)
-    middle_dip = 0.10 * np.exp(-((side / 0.35) ** 2))
+    middle_dip = 0.10 * np.exp(-((side / 0.55) ** 2))
     wave = 0.03 * np.cos(np.pi * share)
     return np.asarray(MOUTH_HEIGHT - middle_dip + wave - 0.10 * share**2, np.float32)
 
@@ -53,8 +53,8 @@ def upper_lip_border(side: Floats) -> Floats:
     """Upper edge of the red of the upper lip, with the dip and peaks of its bow."""
     share = np.clip(side / MOUTH_HALF_WIDTH, 0, 1)
     border = mouth_line(side) + UPPER_LIP_HEIGHT * (1 - share**1.75) ** 0.9
-    dip = 0.10 * np.exp(-((side / 0.34) ** 2))
-    peak = 0.04 * np.exp(-(((side - 0.58) / 0.30) ** 2))
+    dip = 0.09 * np.exp(-((side / 0.45) ** 2))
+    peak = 0.03 * np.exp(-(((side - 0.62) / 0.40) ** 2))
     return np.asarray(border - dip + peak, np.float32)
 
 
@@ -90,7 +90,7 @@ def lid_presence(side: Floats) -> Floats:
 
 def crease_presence(side: Floats) -> Floats:
     """1 along the fold of the upper lid, fading towards both corners."""
-    return ramp(1.55, 2.6, side) * ramp(5.2, 4.2, side)
+    return ramp(1.65, 2.9, side) * ramp(5.1, 3.8, side)
 
 
 def hairline(points: Floats) -> Floats:

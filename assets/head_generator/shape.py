@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from . import landmarks
 from .fields import (
+    SMALLEST,
     Capsule,
     Ellipsoid,
     Floats,
@@ -37,10 +38,10 @@ MASK_OUTLINES = (
     (2.0, 9.35, 7.20, -0.5, -9.7, 2.40),  # brows
     (0.0, 8.95, 7.00, 0.0, -9.1, 2.40),  # eyes
     (-2.0, 8.85, 6.90, 0.6, -8.2, 2.30),
-    (-4.0, 9.15, 6.60, 0.9, -6.5, 2.15),  # below the cheekbones
-    (-6.0, 9.40, 6.22, 0.8, -3.5, 2.00),  # upper lip
-    (-8.0, 8.95, 5.70, 1.3, -1.5, 1.95),  # under the lower lip
-    (-9.5, 8.45, 5.10, 2.4, -0.2, 1.95),
+    (-4.0, 9.15, 6.55, 0.9, -6.5, 2.15),  # below the cheekbones
+    (-6.0, 9.40, 6.05, 0.8, -3.5, 2.00),  # upper lip
+    (-8.0, 8.95, 5.40, 1.3, -1.5, 1.95),  # under the lower lip
+    (-9.5, 8.45, 4.75, 2.4, -0.2, 1.95),
     (-10.4, 8.20, 4.40, 3.5, 0.8, 2.00),  # chin
     (-11.2, 7.60, 3.50, 4.4, 1.8, 2.00),
     (-12.0, 6.50, 2.70, 4.8, 2.4, 2.00),
@@ -56,19 +57,20 @@ CRANIUM_RADII_FRONT = (7.35, 9.0, 9.55)
 CRANIUM_RADII_BACK = (7.35, 9.0, 9.35)
 CRANIUM_SQUARENESS = 2.3
 
-JAW_RAMUS = Capsule((5.5, -3.2, 0.7), (4.4, -6.4, 1.5), 0.6, 0.6)  # ear to angle of the jaw
-JAW_BODY = Capsule((4.3, -6.8, 1.7), (0.0, -10.0, 6.9), 0.6, 0.80)  # angle of the jaw to chin
-JAW_PLANE_CHIN = -11.15  # height of the underside of the jaw at z = 8
-JAW_PLANE_SLOPE = 0.50  # how fast the underside rises towards the ears
+JAW_RAMUS = Capsule((5.4, -3.2, 0.7), (4.1, -6.0, 1.9), 0.6, 0.6)  # ear to angle of the jaw
+JAW_BODY = Capsule((3.7, -6.9, 2.6), (0.0, -10.0, 6.9), 0.6, 0.80)  # angle of the jaw to chin
+JAW_PLANE_CHIN = -11.42  # height of the underside of the jaw at z = 8
+JAW_PLANE_SLOPE = 0.44  # how fast the underside rises towards the ears
+JAW_EDGE = 3.0  # radius of the blend between the sides of the jaw and its underside
 
 # Soft bumps and dents of the mask: height out of the surface, where.
 FACE_RELIEF = {
     "brow ridge": (0.34, Spot(2.7, 1.85, 1.7, 0.50, 5)),
     "glabella": (0.12, Spot(0.0, 1.75, 1.1, 0.7)),
-    "orbit": (-0.58, Spot(2.7, 0.0, 1.45, 0.80)),
-    "inner corner of the eye": (-0.34, Spot(1.55, 0.10, 0.50, 0.65)),
+    "orbit": (-0.86, Spot(2.95, 0.0, 1.50, 0.86)),
+    "inner corner of the eye": (-0.28, Spot(1.55, 0.05, 0.50, 0.65)),
     "outer orbit": (-0.22, Spot(4.8, -0.10, 0.80, 0.80)),
-    "brow fat": (0.16, Spot(3.7, 1.15, 1.0, 0.38, -10)),
+    "brow fat": (0.24, Spot(3.5, 1.10, 1.1, 0.36, -8)),
     "cheekbone": (0.36, Spot(5.0, -2.3, 1.35, 0.95, -25)),
     "cheek fat": (0.30, Spot(3.4, -3.0, 1.4, 1.1, -25)),
     "hollow of the cheek": (-0.12, Spot(4.7, -6.0, 1.3, 1.9, 15)),
@@ -84,13 +86,13 @@ FACE_RELIEF = {
     "ridges of the philtrum": (0.07, Spot(0.42, -5.60, 0.16, 0.55, 8)),
     "frontal bone": (0.14, Spot(2.6, 5.2, 1.8, 1.3)),
     "cornea": (0.05, Spot(3.25, -0.10, 0.55, 0.45)),
-    "tear trough": (-0.06, Spot(2.5, -1.30, 1.2, 0.28, -18)),
+    "tear trough": (-0.12, Spot(2.4, -1.30, 1.2, 0.26, -20)),
 }
 
 # --- eyes ---------------------------------------------------------------------------------------
 
-EYEBALL = Ellipsoid(landmarks.EYE_CENTRE, (1.72, 1.46, 1.60))  # with the lids on it
-EYEBALL_BLEND = 0.75  # radius of the blend between lids and orbit
+EYEBALL = Ellipsoid(landmarks.EYE_CENTRE, (1.42, 1.14, 1.36))  # with the lids on it
+EYEBALL_BLEND = 0.55  # radius of the blend between lids and orbit
 
 # --- nose ---------------------------------------------------------------------------------------
 
@@ -113,11 +115,11 @@ _bridge_height = curve([(row[0], row[1]) for row in BRIDGE])
 _bridge_width = curve([(row[0], row[2]) for row in BRIDGE])
 
 NOSE_TIP = Ellipsoid((0.0, -3.55, 10.20), (0.90, 0.80, 0.95))
-NOSE_TIP_DOME = Ellipsoid((0.38, -3.72, 10.42), (0.50, 0.46, 0.58))
+NOSE_TIP_DOME = Ellipsoid((0.38, -3.80, 10.42), (0.50, 0.46, 0.58))
 COLUMELLA = Capsule((0.0, -4.05, 10.55), (0.0, -4.74, 9.5), 0.34, 0.42)
-NOSE_WING = Ellipsoid((1.10, -4.02, 9.42), (0.66, 0.64, 0.96))
-NOSTRIL = Capsule((0.52, -4.62, 10.32), (0.82, -4.74, 9.66), 0.17, 0.24)
-NOSTRIL_DEPTH = Capsule((0.66, -4.70, 9.95), (0.52, -3.95, 9.75), 0.21, 0.16)
+NOSE_WING = Ellipsoid((1.10, -4.08, 9.42), (0.66, 0.64, 0.96))
+NOSTRIL = Capsule((0.50, -4.76, 10.08), (0.82, -4.84, 9.55), 0.15, 0.22)
+NOSTRIL_DEPTH = Capsule((0.65, -4.78, 9.82), (0.58, -4.15, 9.70), 0.22, 0.22)
 WING_GROOVE_CENTRE = (1.12, -3.98)  # of the circle that the groove around a wing follows
 WING_GROOVE_RADIUS = 0.76
 
@@ -129,7 +131,7 @@ MOUTH_FLOOR = Capsule((0.0, -9.6, 5.0), (0.0, -11.2, 2.4), 1.0, 1.2)  # soft, un
 LARYNX = Ellipsoid((0.0, -12.6, 2.6), (0.75, 1.1, 0.85))
 NAPE = Capsule((0.0, -3.0, -5.0), (0.0, -14.0, -5.3), 2.7, 3.0)  # muscles up to the skull
 NECK_MUSCLE = Capsule((5.4, -4.2, -2.6), (1.2, -17.5, 1.5), 0.8, 0.85)  # ear to collarbone
-TRAPEZIUS = Capsule((2.5, -13.0, -4.7), (11.0, -22.0, -4.4), 3.0, 3.4)  # nape to shoulder
+TRAPEZIUS = Capsule((2.0, -12.5, -4.7), (7.6, -22.0, -4.5), 3.0, 3.2)  # nape to shoulder
 
 # --- ear ----------------------------------------------------------------------------------------
 
@@ -137,16 +139,39 @@ EAR_CENTRE = (7.60, -1.35, -1.05)
 EAR_LEAN = 12.0  # degrees that its top is further back than its lobe
 EAR_FLARE = 26.0  # degrees that its back edge stands off the head
 EAR_HALF_HEIGHT = 3.10
+EAR_BOX = (2.3, 4.5, 3.0)  # half sizes of a box around an ear, with EAR_MARGIN to spare
+EAR_MARGIN = 0.6
+EAR_THICKNESS = 0.17  # half of the plate's
+EAR_RIM, EAR_ROLLED_RIM = 0.19, 0.29  # radius of the rim at the lobe, and on top
 # Solids in the frame of the ear: (out of the ear's plate, up, forward).
-EAR_BOWL = Ellipsoid((0.62, -0.45, 0.36), (0.95, 1.02, 0.82))
-EAR_UPPER_BOWL = Ellipsoid((0.72, 0.72, 0.48), (0.62, 0.40, 0.78))
-EAR_FOSSA = Ellipsoid((0.66, 1.50, 0.35), (0.42, 0.34, 0.50))
-EAR_HELIX_ROOT = Capsule((0.06, 0.16, 0.30), (0.30, 0.62, 1.42), 0.15, 0.22)
+EAR_BOWL = Ellipsoid((0.62, -0.45, 0.36), (0.90, 1.02, 0.82))
+EAR_UPPER_BOWL = Ellipsoid((0.70, 0.70, 0.42), (0.62, 0.46, 0.80))
+EAR_HELIX_ROOT = Capsule((-0.10, 0.14, 0.35), (0.30, 0.62, 1.40), 0.16, 0.22)
 EAR_TRAGUS = Capsule((0.22, -0.25, 1.22), (0.30, -0.80, 1.08), 0.30, 0.26)
-EAR_ANTITRAGUS = Capsule((0.30, -1.62, 0.62), (0.36, -1.36, 0.02), 0.18, 0.22)
+EAR_ANTITRAGUS = Capsule((0.26, -1.62, 0.66), (0.30, -1.36, 0.08), 0.20, 0.22)
 EAR_LOBE = Ellipsoid((0.22, -2.38, 0.58), (0.32, 0.76, 0.66))
 EAR_BACKING = Ellipsoid((-0.42, -0.30, 0.45), (0.55, 1.35, 1.15))  # the bowl seen from behind
 EAR_ATTACHMENT = Ellipsoid((-0.50, -0.30, 1.12), (0.66, 2.1, 0.72))  # joins the ear to the skull
+# The antihelix: (height; forward, radius) from the antitragus up the back of the bowl into the
+# upper one of its two legs, how far it stands on the plate, and the lower leg.
+EAR_ANTIHELIX = (
+    (-2.60, 0.80, -1.50),
+    (-2.00, 0.50, -0.20),
+    (-1.75, 0.35, 0.10),
+    (-1.45, 0.10, 0.20),
+    (-1.00, -0.32, 0.24),
+    (-0.40, -0.58, 0.26),
+    (0.10, -0.62, 0.26),
+    (0.65, -0.47, 0.26),
+    (1.20, -0.20, 0.23),
+    (2.00, 0.22, 0.12),
+    (2.40, 0.42, -0.20),
+    (3.00, 0.75, -1.50),
+)
+EAR_ANTIHELIX_LIFT = 0.18
+EAR_LOWER_LEG = Capsule((0.22, 0.75, -0.42), (0.18, 1.30, 0.90), 0.22, 0.12)
+_antihelix_forward = curve([(row[0], row[1]) for row in EAR_ANTIHELIX])
+_antihelix_radius = curve([(row[0], row[2]) for row in EAR_ANTIHELIX])
 
 FACE_BACK, FACE_FRONT = 1.0, 5.0  # z between which relief of the face fades in
 MIDDLE_ROUNDING = 0.14  # how far from the middle plane the mirroring is rounded off
@@ -217,7 +242,7 @@ def _lid_relief(side: Floats, y: Floats, *, fine: bool) -> Floats:
     """Folds of the closed eyelids; ``fine`` gives them their true, sharp width."""
     above_line = y - landmarks.lid_line(side)
     above_crease = y - landmarks.lid_crease(side)
-    edge, fold = (0.05, 0.11) if fine else (0.20, 0.24)
+    edge, fold = (0.05, 0.13) if fine else (0.20, 0.24)
     on_lid = landmarks.lid_presence(side)
     # The upper lid ends in an edge that overlaps the lower one, and its own skin hangs over the
     # crease: two steps, each steep below and fading above.
@@ -225,9 +250,11 @@ def _lid_relief(side: Floats, y: Floats, *, fine: bool) -> Floats:
     hanging = ramp(-fold, fold, above_crease) * np.exp(-np.maximum(above_crease, 0) / 0.45)
     seam = bell((above_line + 0.4 * edge) / edge)
     crease = bell((above_crease + 0.5 * fold) / fold)
-    lower_edge = bell((above_line + 0.16) / 0.10)
-    relief = on_lid * (0.06 * upper_edge - 0.06 * seam + 0.02 * lower_edge)
-    relief += landmarks.crease_presence(side) * (0.045 * hanging - 0.030 * crease)
+    # The lower lid: a roll below the line, and the furrow that parts it from the cheek.
+    roll = bell((above_line + 0.26) / 0.17)
+    furrow = bell((above_line + 0.66) / 0.17)
+    relief = on_lid * (0.08 * upper_edge - 0.08 * seam + 0.06 * roll - 0.05 * furrow)
+    relief += landmarks.crease_presence(side) * (0.07 * hanging - 0.040 * crease)
     return np.asarray(relief, np.float32)
 
 
@@ -260,49 +287,64 @@ def _neck(x: Floats, side: Floats, y: Floats, z: Floats) -> Floats:
     return smooth_minimum(neck, NECK_MUSCLE.distance(side, y, z), 0.9)
 
 
-def ear_distance(points: Floats) -> Floats:
-    """Signed distance of points (N, 3) to the outer ears alone, cm."""
-    side, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
-    out, up, ahead = side - EAR_CENTRE[0], y - EAR_CENTRE[1], z - EAR_CENTRE[2]
+def _near_ear_distance(out: Floats, up: Floats, ahead: Floats) -> Floats:
+    """Distance to an ear from its middle, along the axes of the head."""
     cosine, sine = np.cos(np.radians(EAR_LEAN)), np.sin(np.radians(EAR_LEAN))
     up, ahead = cosine * up - sine * ahead, sine * up + cosine * ahead
     cosine, sine = np.cos(np.radians(EAR_FLARE)), np.sin(np.radians(EAR_FLARE))
     out, ahead = cosine * out + sine * ahead, cosine * ahead - sine * out
     frame = (np.asarray(out), np.asarray(up), np.asarray(ahead))
 
-    # The plate: an egg, wider on top, slightly dished, thick at the lobe.
+    # The plate: an egg, wider on top, slightly dished; ``edge`` is the distance to its outline.
     half_width = 1.66 + 0.34 * np.clip(up / 3, -1.1, 1)
     centred = ahead - 0.18 * np.clip(-up - 0.8, 0, 2)
-    size = np.sqrt((centred / half_width) ** 2 + (up / EAR_HALF_HEIGHT) ** 2) + 1e-5
+    across, along = centred / half_width, up / EAR_HALF_HEIGHT
+    size = np.hypot(across, along) + SMALLEST
+    edge = (size - 1) * size / np.hypot(across / half_width, along / EAR_HALF_HEIGHT + SMALLEST)
     plate = 0.26 * size * size + 0.10 * np.clip(-centred, 0, 2)
-    thickness = 0.17 + 0.09 * ramp(-1.6, -2.6, up)
-    ear = smooth_maximum(np.abs(out - plate) - thickness, (size - 1) * 1.55, 0.38)
+    ear = smooth_maximum(np.abs(out - plate) - EAR_THICKNESS, edge + EAR_RIM, 0.2)
     ear = smooth_minimum(ear, EAR_LOBE.distance(*frame), 0.4)
 
-    # The helix: the rolled rim, from the front over the top down to the lobe.
-    angle = np.arctan2(up / EAR_HALF_HEIGHT, centred / half_width)
+    # The helix: the rim, rolled from the front over the top; never thinner than cells of the grid.
+    angle = np.arctan2(along, across)
     angle = np.where(angle < -1.4, angle + 2 * np.pi, angle)
     rolled = ramp(2.9, 1.2, np.abs(angle - 2.0))
-    helix = np.hypot((size - 0.89) * 1.6, out - plate - 0.20 * rolled) - (0.36 * rolled - 0.08)
-    ear = smooth_minimum(ear, np.asarray(helix, np.float32), 0.12)
+    rim = EAR_RIM + (EAR_ROLLED_RIM - EAR_RIM) * rolled
+    helix = np.hypot(edge + rim, out - plate - 0.20 * rolled) - rim
+    ear = smooth_minimum(ear, np.asarray(helix, np.float32), 0.15)
 
-    # The antihelix: the ridge inside the helix, ending in two legs at the top.
-    ring = np.hypot((centred - 0.42) / 1.06, (up + 0.10) / 1.62)
-    raised = ramp(0.95, 0.15, centred) * ramp(1.9, 1.2, up)
-    ridge = np.hypot((ring - 1) * 1.2, out - plate - 0.12 * raised) - (0.38 * raised - 0.10)
-    ear = smooth_minimum(ear, np.asarray(ridge, np.float32), 0.18)
-
-    for hollow in (EAR_BOWL, EAR_UPPER_BOWL, EAR_FOSSA):
-        ear = smooth_maximum(ear, -hollow.distance(*frame), 0.16)
+    for hollow in (EAR_BOWL, EAR_UPPER_BOWL):
+        ear = smooth_maximum(ear, -hollow.distance(*frame), 0.2)
+    step = np.float32(0.05)
+    lean = (_antihelix_forward(up + step) - _antihelix_forward(up - step)) / (2 * step)
+    beside = (ahead - _antihelix_forward(up)) / np.hypot(1, lean)
+    ridge = np.hypot(beside, out - plate - EAR_ANTIHELIX_LIFT) - _antihelix_radius(up)
+    ear = smooth_minimum(ear, np.asarray(ridge, np.float32), 0.25)
     for part, blend in (
-        (EAR_HELIX_ROOT, 0.16),
+        (EAR_LOWER_LEG, 0.30),
+        (EAR_HELIX_ROOT, 0.20),
         (EAR_TRAGUS, 0.30),
-        (EAR_ANTITRAGUS, 0.16),
+        (EAR_ANTITRAGUS, 0.20),
         (EAR_BACKING, 0.15),
         (EAR_ATTACHMENT, 0.40),
     ):
         ear = smooth_minimum(ear, part.distance(*frame), blend)
     return ear
+
+
+def ear_distance(points: Floats) -> Floats:
+    """Signed distance of points (N, 3) to the outer ears alone, cm.
+
+    Outside a box around each ear it is only roughly that: farther than any blend reaches.
+    """
+    places = np.abs(points[:, 0]), points[:, 1], points[:, 2]
+    offsets = [place - middle for place, middle in zip(places, EAR_CENTRE, strict=True)]
+    past = [np.maximum(np.abs(o) - half, 0) for o, half in zip(offsets, EAR_BOX, strict=True)]
+    beyond = np.sqrt(sum(p * p for p in past))
+    distance = np.asarray(beyond + EAR_MARGIN, np.float32)
+    near = beyond == 0
+    distance[near] = _near_ear_distance(*(o[near] for o in offsets))
+    return distance
 
 
 def _bent(points: Floats) -> tuple[Floats, Floats, Floats]:
@@ -319,7 +361,7 @@ def _without_ears(x: Floats, y: Floats, z: Floats, *, fine: bool) -> Floats:
 
     head = smooth_minimum(_mask(side, y, z), _cranium(side, y, z), 1.2)
     underside = (JAW_PLANE_CHIN + (8.0 - z) * JAW_PLANE_SLOPE - y) / np.hypot(1, JAW_PLANE_SLOPE)
-    head = smooth_maximum(head, underside, 1.7)
+    head = smooth_maximum(head, underside, JAW_EDGE)
     head = smooth_minimum(head, JAW_RAMUS.distance(side, y, z), 2.6)
     head = smooth_minimum(head, JAW_BODY.distance(side, y, z), 2.2)
 
@@ -340,7 +382,7 @@ def _without_ears(x: Floats, y: Floats, z: Floats, *, fine: bool) -> Floats:
     seam = bell((y - landmarks.mouth_line(side)) / width)
     head = head + depth * seam * landmarks.mouth_presence(side) * ramp(6, 8, z)
 
-    head = smooth_minimum(head, _neck(x, side, y, z), 1.7)
+    head = smooth_minimum(head, _neck(x, side, y, z), 2.2)
     return smooth_minimum(head, TRAPEZIUS.distance(side, y, z), 2.6)
 
 

@@ -26,30 +26,30 @@ SIDE_SPACING = (
     (2, 0.21),
     (3, 0.23),
     (5, 0.32),
-    (6.3, 0.165),
-    (9, 0.165),
+    (6.3, 0.20),
+    (9, 0.20),
     (12, 1.0),
     (17, 1.3),
 )
 HEIGHT_SPACING = (
-    (NECK_CUT, 0.80),
-    (-13, 0.65),
-    (-11.5, 0.33),
-    (-8.5, 0.22),
+    (NECK_CUT, 0.85),
+    (-13, 0.70),
+    (-11.5, 0.36),
+    (-8.5, 0.23),
     (-6.6, 0.20),
     (-4.8, 0.17),
     (-3.5, 0.20),
     (-2, 0.22),
     (0.9, 0.20),
-    (3, 0.41),
-    (7, 0.66),
-    (12.6, 0.82),
+    (3, 0.46),
+    (7, 0.70),
+    (12.6, 0.90),
 )
 DEPTH_SPACING = (
-    (-11.5, 0.82),
-    (-5, 0.65),
-    (-3.4, 0.175),
-    (0.8, 0.18),
+    (-11.5, 0.90),
+    (-5, 0.70),
+    (-3.4, 0.20),
+    (0.8, 0.20),
     (5, 0.33),
     (7.5, 0.22),
     (9, 0.19),
@@ -58,6 +58,11 @@ DEPTH_SPACING = (
 COARSE_STRIDE = 4  # every how many grid points the distance is evaluated first
 NEAR_SURFACE = 1.3  # coarse distance below which it is evaluated at every grid point, cm
 RELAXING_STEPS = 12
+SHARPEST_TURN = 26.0  # degrees between the normals at both ends of an edge that is left whole
+SHORTEST_EDGE = 0.10  # of those that are halved, cm
+REFINEMENTS = 2
+REFINED_RELAXING_STEPS = 2
+SETTLING_STEPS = 3  # at the end, straight onto the surface
 GRADIENT_STEP = 0.05  # cm; about a quarter of a cell, so that edges of the ear get one normal
 
 
@@ -120,24 +125,58 @@ def _adjacency(faces: Faces, count: int) -> csr_matrix:
     return matrix
 
 
-def _relax(positions: Floats, faces: Faces) -> Floats:
+def _relax(positions: Floats, faces: Faces, steps: int) -> Floats:
     """Slide vertices along the surface to even out triangles, then put them back onto it."""
     neighbours = _adjacency(faces, len(positions))
     counts = np.asarray(neighbours.sum(1)).reshape(-1, 1)
-    on_cut = positions[:, 1] < NECK_CUT + 1e-3
-    for _ in range(RELAXING_STEPS):
-        shift = (neighbours @ positions) / counts - positions
-        normals = unit(gradient(head_distance, positions, GRADIENT_STEP))
-        shift -= (shift * normals).sum(1, keepdims=True) * normals
-        shift[on_cut] = 0
-        positions = (positions + 0.5 * shift).astype(np.float32)
-    for _ in range(3):
-        distance = in_blocks(head_distance, positions)
+    on_cut = positions[:, 1] <= np.float32(NECK_CUT)
+    for step in range(steps + SETTLING_STEPS):
         slope = gradient(head_distance, positions, GRADIENT_STEP)
-        step = distance / np.maximum((slope * slope).sum(1), 0.05)
-        positions = positions - np.clip(step, -0.15, 0.15)[:, None] * slope
+        distance = in_blocks(head_distance, positions)
+        # One step of Newton's method: chords across a thin rim would otherwise shave it off.
+        back = np.clip(distance / np.maximum((slope * slope).sum(1), 0.05), -0.15, 0.15)
+        shift = -back[:, None] * slope
+        if step < steps:
+            slide = (neighbours @ positions) / counts - positions
+            normals = unit(slope)
+            slide -= (slide * normals).sum(1, keepdims=True) * normals
+            slide[on_cut, 1] = 0
+            shift += 0.5 * slide
+        positions = (positions + shift).astype(np.float32)
     positions[on_cut, 1] = NECK_CUT
     return np.asarray(positions, np.float32)
+
+
+def _refine(positions: Floats, faces: Faces) -> tuple[Floats, Faces]:
+    """Halve the edges along which the surface turns by more than ``SHARPEST_TURN``.
+
+    Short edges stay whole, as in folds that no mesh resolves.  A face is parted in two, three or
+    four, by how many of its edges are halved.
+    """
+    normals = unit(gradient(head_distance, positions, GRADIENT_STEP))
+    sides = np.stack([faces, np.roll(faces, -1, 1)], 2).reshape(-1, 2)
+    edges, edge_of_side = np.unique(np.sort(sides, 1), axis=0, return_inverse=True)
+    turned = normals[edges].prod(1).sum(1) < np.cos(np.radians(SHARPEST_TURN))
+    turned &= np.linalg.norm(np.subtract(*positions[edges.T]), axis=1) > SHORTEST_EDGE
+    middles = np.where(turned, len(positions) - 1 + np.cumsum(turned), -1)
+    positions = np.concatenate([positions, positions[edges[turned]].mean(1)])
+
+    middle = middles[edge_of_side].reshape(-1, 3)
+    halved = middle >= 0
+    count = halved.sum(1)
+    # Turn each face so that its first edge is halved and, of two, the second one as well.
+    first = np.where(count == 1, halved.argmax(1), (halved.argmin(1) + 1) % 3)
+    order = (first[:, None] + np.arange(3)) % 3
+    a, b, c = np.take_along_axis(faces, order, 1).T
+    ab, bc, ca = np.take_along_axis(middle, order, 1).T
+    parts = (
+        (count == 0, ((a, b, c),)),
+        (count == 1, ((a, ab, c), (ab, b, c))),
+        (count == 2, ((ab, b, bc), (a, ab, bc), (a, bc, c))),
+        (count == 3, ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))),
+    )
+    found = [np.stack(part, 1)[where] for where, group in parts for part in group]
+    return positions, np.concatenate(found).astype(np.int32)
 
 
 def face_normals(positions: Floats, faces: Faces) -> Floats:
@@ -151,7 +190,10 @@ def face_normals(positions: Floats, faces: Faces) -> Floats:
 def build_mesh() -> Mesh:
     """The head as a mesh, open at the cut of the neck."""
     positions, faces = _extract()
-    positions = _relax(positions, faces)
+    positions = _relax(positions, faces, RELAXING_STEPS)
+    for _ in range(REFINEMENTS):
+        positions, faces = _refine(positions, faces)
+        positions = _relax(positions, faces, REFINED_RELAXING_STEPS)
     normals = unit(gradient(head_distance, positions, GRADIENT_STEP))
     if (face_normals(positions, faces) * normals[faces[:, 0]]).sum() < 0:
         faces = faces[:, ::-1]

@@ -48,7 +48,7 @@ PORE_DEPTH = 0.0075
 NOSE_PORE_DEPTH = 0.0085
 LUMP_HEIGHT = 0.0030
 SKIN_LINE_HEIGHT = 0.0020
-LIP_FURROW_HEIGHT = 0.009
+LIP_FURROW_HEIGHT = 0.006
 LID_LINE_HEIGHT = 0.004
 FOREHEAD_LINE_DEPTH = 0.005
 UNDER_EYE_LINE_DEPTH = 0.003
@@ -275,7 +275,7 @@ def _skin_colour(points: Floats, regions: Regions, marks: Marks, noise: Noise) -
     blood += 0.75 * regions.eyelid + 0.35 * regions.under_eye - 0.15 * regions.forehead
     melanin = 0.06 * noise(points, 0.22, 61, layers=3) + 0.07 * noise(points, 1.4, 63, layers=4)
     melanin += 0.05 * noise(points, 9, 65, layers=2)
-    melanin += 0.34 * regions.eyelid + 0.22 * regions.under_eye
+    melanin += 0.26 * regions.eyelid + 0.22 * regions.under_eye
     melanin += 0.10 * bell((points[:, 1] + 12.5) / 1.5)
     carotene = 0.12 * regions.forehead + 0.08 * regions.neck
     vein = np.clip(1 - 9 * np.abs(noise(points, 0.75, 81, layers=3)), 0, 1)
@@ -335,7 +335,7 @@ def _albedo(
     colour = _add_hair(colour, points, regions, marks, noise)
     # Little light leaves a pit, and what leaves is redder.
     open_share = 0.60 + 0.40 * occlusion
-    open_share = open_share * (1 - 0.45 * regions.nostril) * (1 - 0.42 * regions.mouth_seam)
+    open_share = open_share * (1 - 0.45 * regions.nostril) * (1 - 0.36 * regions.mouth_seam)
     return np.asarray(colour * np.stack([open_share**0.75, open_share, open_share], 1))
 
 

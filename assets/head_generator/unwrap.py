@@ -57,6 +57,9 @@ POCKETS = (
     # Bowls of the ears from behind, where they face back and a little outward.
     Pocket((0, 0, -1), (-1, 0, 0), (0, 1, 0), (5.0, -6.0, -5.5), (7.7, 3.0, -0.8), True),
     Pocket((0, 0, -1), (-1, 0, 0), (0, 1, 0), (-7.7, -6.0, -5.5), (-5.0, 3.0, -0.8), True),
+    # The walls of the bowls that face forward, and a little inward.
+    Pocket((0, 0, 1), (1, 0, 0), (0, 1, 0), (5.0, -6.0, -5.5), (12, 3.0, 2.5), True),
+    Pocket((0, 0, 1), (1, 0, 0), (0, 1, 0), (-12, -6.0, -5.5), (-5.0, 3.0, 2.5), True),
     # Inside of the nostrils, seen from below.
     Pocket((0, -1, 0), (1, 0, 0), (0, 0, 1), (-2.0, -5.5, 8.0), (2.0, -3.0, 11.5), False),
 )
