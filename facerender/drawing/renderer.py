@@ -249,7 +249,8 @@ class Renderer:
             shaded = replace(shaded, name="image", target=replace(shaded.target, sampled=True))
         passes = _from_visibility(shaded, visibility, backs)
         if scattering:
-            passes += self._scattered(scene, view, shading, scattering, only, backs, bool(beside))
+            drawn = beside, visibility
+            passes += self._scattered(scene, view, shading, scattering, only, backs, *drawn)
         return self._draw([*shadow_passes(scene, Lighting.of(scene, shading)), *passes], scene)[0]
 
     def _scattered(
@@ -260,19 +261,22 @@ class Renderer:
         scattering: Scattering,
         only: Only | None,
         backs: bool,
-        drawn: bool,
+        beside: Scattering | None,
+        visibility: Visibility | None,
     ) -> list[Pass]:
         """What follows an image for its light to scatter: with several samples a pixel, which see
-        several places, its centre stands for all. drawn : whether what scatters has been."""
+        several places, its centre stands for all. beside : what the image has been drawn with;
+        visibility : what it was deferred to."""
         from facerender.drawing.passes.scatter import scatter_pass
 
-        if drawn:
+        count = shading.scatter_samples
+        if beside:
             background = scene.background if only is None else None
-            return [scatter_pass(view, scattering, shading.scatter_samples, background)]
+            area = visibility.area if visibility else None
+            return [scatter_pass(view, scattering, count, background, area=area)]
         visibility = self._visibility(scene, view, 1)
         shaded = shade_pass(scene, view, shading, 1, "diffuse", visibility, scattering, apart=True)
         passes = _from_visibility(shaded, visibility, backs)
-        count = shading.scatter_samples
         return [*passes, scatter_pass(view, scattering, count, several=True)]
 
     def _visibility(

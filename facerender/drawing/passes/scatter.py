@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
-from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.program import Program
 from facerender.scenes.scattering import Scattering
 from facerender.scenes.vectors import Vector
@@ -25,6 +26,7 @@ def scatter_pass(
     samples: int,
     background: Vector | None = None,
     several: bool = False,
+    area: Area | None = None,
 ) -> Pass:
     """Return the pass that scatters the light of an image.
 
@@ -33,16 +35,19 @@ def scatter_pass(
     samples : pixels that are looked at for each
     background : that the image lacks; None where it lacks none
     several : whether a pixel of the image has several samples
+    area : outside of which nothing is in the image; None where it may be anywhere
     """
+    behind = background or (0.0, 0.0, 0.0)
     uniforms = {
         "eye": view.eye,
         "forward": view.forward,
         "pixels": scattering.pixels,
-        "background": np.asarray(background or (0.0, 0.0, 0.0)),
+        "background": np.asarray(behind),
     }
     composed = Draw(Program("composed.frag", "screen.vert"), {"depth": 1.0})
     draws = (composed, *_draws(scattering, samples, ("SEVERAL",) * several))
-    return Pass("scatter", Target(), draws, uniforms=uniforms)
+    within = tuple(replace(draw, area=area) for draw in draws)
+    return Pass("scatter", Target(), within, (*behind, 0.0), uniforms)
 
 
 def _draws(scattering: Scattering, samples: int, several: tuple[str, ...]) -> Iterator[Draw]:

@@ -86,6 +86,14 @@ class Visibility:
             first += len(facets.faces)
         return cls(view, size, samples, tuple(parts), once)
 
+    @property
+    def area(self) -> Area:
+        """What all parts together may cover."""
+        seen = [part.area for part in self.parts if all(part.area[2:])] or [(0, 0, 0, 0)]
+        left, low = min(area[0] for area in seen), min(area[1] for area in seen)
+        right = max(area[0] + area[2] for area in seen)
+        return left, low, right - left, max(area[1] + area[3] for area in seen) - low
+
     def drawn(self) -> Pass:
         """Return the pass that draws it."""
         program = Program("visibility.frag", "visibility.vert")
