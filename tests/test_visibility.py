@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import facerender as fr
-from facerender.drawing.facets import Facets
+from facerender.drawing.facets import IN_ROW, Facets
 from facerender.drawing.passes import visibility
 from facerender.image import linear_to_srgb
 from facerender.scenes.material import Material
@@ -264,7 +264,8 @@ def test_where_it_pays(head):
 
 def test_what_is_too_large_is_drawn_as_it_comes(head):
     assert visibility.can_defer(fr.Scene(head), 16384)
-    assert not visibility.can_defer(fr.Scene(head), 255)
+    too_few = (len(head.parts[0].faces) - 1) // IN_ROW
+    assert not visibility.can_defer(fr.Scene(head), too_few)
 
 
 def test_areas_hold_what_is_covered(head, egl):
