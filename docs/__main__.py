@@ -14,7 +14,8 @@ from importlib import import_module
 
 GENERATED = (
     *("accuracy", "comparison", "figures", "frame", "levels", "plan", "reproduction", "shaders"),
-    *("skin", "skin_environment", "skin_scattering", "skin_shadows", "targets", "trade"),
+    *("skin", "skin_environment", "skin_scattering", "skin_shadows", "skin_together"),
+    *("targets", "trade"),
 )
 
 

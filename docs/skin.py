@@ -37,7 +37,7 @@ Written by `python -m docs.skin` from [measurements/skin.json](measurements/skin
 
 Others have pages of their own: [shadows](skin-shadows.md), [two lobes, sampling, coupled diffuse
 light](skin-lobes.md), [light below the skin](skin-scattering.md), [light from all
-around](skin-environment.md).
+around](skin-environment.md); and one tells [what all of it costs together](skin-together.md).
 
 ## Slope variance
 

@@ -76,7 +76,7 @@ def subject(bare):
     known = {
         "constant m": (bare.with_material(m=0.3), KEY, Shading()),
         "m and ks of maps": (varying, KEY, Shading()),
-        "point light": (bare.with_material(m=0.15), (POINT,), Shading()),
+        "point light": (bare.with_material(m=0.2), (POINT,), Shading()),
         "frontal": (bare.with_material(m=0.3, ks=0.3), three, Shading()),
         "frontal, point": (bare, (LIGHTS["rim"], POINT, *KEY), Shading(m=0.25)),
         "Ward": (bare.with_material(m=0.45), KEY, Shading("ward")),
@@ -160,7 +160,7 @@ def test_of_several_cameras_all_count(small, subject, monkeypatch):
         ("m and ks of maps", ("1/255",), 0.9, ()),
         ("frontal", ("0.5/255", "2/255"), 0.98, ()),
         ("point light", ("0.5/255", "2/255"), 0.9, CAMERAS),  # of each, not of both together
-        ("as printed", ("0.02 flip",), 0.95, ()),
+        ("as printed", ("0.02 flip",), 0.9, ()),
     ],
 )
 def test_no_candidate_that_fits_a_share_of_the_pixels_is_cheaper(
@@ -177,18 +177,18 @@ def test_no_candidate_that_fits_a_share_of_the_pixels_is_cheaper(
 
 def test_at_every_size_the_budget_holds(small, egl, subject):
     at = subject("point light")
-    with fr.Renderer((21, 27), samples=1, backend=egl) as other:
-        (plan,) = planned([small, other], at, ["1/255"])
+    with fr.Renderer((40, 30), samples=1, backend=egl) as other:
+        (plan,) = planned([small, other], at, ["0.7/255"])
         (share,) = planned([small, other], at, ["0.5/255"], cameras=CAMERAS, within=0.98)
-        alone = [fr.plan(at.scene, "1/255", cost="navi21", renderer=each)
+        alone = [fr.plan(at.scene, "0.7/255", cost="navi21", renderer=each)
                  for each in (small, other)]  # fmt: skip
         drawing = {small.size: small, other.size: other}[share.error.size]
         camera = CAMERAS[share.error.camera]
         (worst,) = brute_force(drawing, at, [share.shading], cameras=[camera])
     assert share.error.maximum == pytest.approx(worst, rel=1e-9)
-    assert plan.sizes == ((32, 32), (21, 27))
+    assert plan.sizes == ((32, 32), (40, 30))
     assert share.sizes == plan.sizes
-    assert "1 camera of 32 x 32, 21 x 27 pixels; no guarantee" in plan.explain()
+    assert "1 camera of 32 x 32, 40 x 30 pixels; no guarantee" in plan.explain()
     for found, camera in ((plan, ""), (share, f" of camera {share.error.camera}")):
         width, height = found.error.size
         assert found.error_map.shape == (height, width)

@@ -84,8 +84,8 @@ def test_views_are_parts_of_the_image(renderer, face):
 
 @pytest.mark.parametrize(("deferred", "background"), [(False, None), (True, (0.3, 0.2, 0.1))])
 def test_several_samples_keep_the_coverage(egl, face, deferred, background, monkeypatch):
-    """Where a pixel sees one surface they are as one sample of each; against 64 shaded samples the
-    silhouette errs no more than without scattering."""
+    """Where a pixel sees one surface they are as one sample of each; a silhouette whose centre
+    sees nothing scatters as a neighbour, and errs by 1 % of its light against 16 shaded samples."""
     monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
     scene = replace(face, background=background, camera=fr.Camera(-35.0, zoom=1.3))
     with fr.Renderer((160, 160), samples=4, backend=egl, float_albedo=True) as renderer:
@@ -104,7 +104,9 @@ def test_several_samples_keep_the_coverage(egl, face, deferred, background, monk
     edge = (plain[..., 3] > 0.0) & (plain[..., 3] < 1.0)
     expected = (fine - fine_plain)[..., :3]
     assert edge.sum() > 100
-    assert np.abs(change - expected)[edge].mean() < 0.75 * np.abs(expected)[edge].mean()
+    assert np.abs(change - expected)[edge].mean() < 0.01 * fine[edge][:, :3].mean()
+    outside = edge & (one[..., 3] == 0.0)
+    assert change[outside].any(axis=-1).mean() > 0.9
     shown = [
         linear_to_srgb(each[edge, :3].astype(float)) for each in (image, fine, plain, fine_plain)
     ]
@@ -227,7 +229,7 @@ def test_the_size_of_a_mesh(head, renderer, tmp_path, mini_obj):
         with pytest.raises(fr.InputError, match="millimetres = .* is outside"):
             fr.load_mesh(mini_obj, millimetres=size)
     large = replace(head, millimetres=1e5).with_material(scattering="skin")
-    with pytest.warns(fr.FacerenderWarning, match=r"head.glb is 3.65e\+04 mm across if its unit"):
+    with pytest.warns(fr.FacerenderWarning, match=r"head.glb is 3.46e\+04 mm across if its unit"):
         renderer.render(fr.Scene(large))
 
 

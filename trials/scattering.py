@@ -39,7 +39,7 @@ def _subject(mesh: Mesh, millimetres: float, zoom: float) -> tuple[Scene, Light]
 # By the name of a mesh's fixture, the scene in which it is measured: 512 x 512 pixels, 1.8 of a
 # millimetre. A unit of the scan's file is 53 mm, for its head to be as large as that of its OBJ.
 SUBJECTS = {
-    "head": lambda mesh: _subject(mesh, 1000.0, 1.12),
+    "head": lambda mesh: _subject(mesh, 1000.0, 1.09),
     "scan_mesh": lambda mesh: _subject(mesh, 53.0, 1.68),
 }
 

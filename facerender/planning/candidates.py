@@ -3,7 +3,7 @@ No OpenGL here, and nothing of what they cost or lose."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from operator import attrgetter
@@ -65,12 +65,19 @@ class Constants:
     single: tuple[float, ...] = ()
 
 
-def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Shading]:
+def candidates(
+    scene: Scene,
+    full: Shading,
+    constants: Constants,
+    fits: Callable[[Shading], bool] = lambda _: True,
+) -> Iterator[Shading]:
     """Yield every shading that may take the place of the full one, which is among them.
 
     Parameters
     ----------
     full : the exact lobe, and all that is to count
+    fits : whether a single lobe, fewer samples, shadows left out and Lambert's diffuse light, each
+        by itself, may be combined with others: with all of them there were a million
     """
     materials = scene.mesh.materials
     textured = {
@@ -81,34 +88,37 @@ def candidates(scene: Scene, full: Shading, constants: Constants) -> Iterator[Sh
     if full.term.m is None:
         slopes.append((full.two_lobes, constants.m))
     if full.two_lobes:
-        slopes += [(False, m) for m in constants.single]
+        slopes += [(False, m) for m in constants.single if fits(full.replace(two_lobes=False, m=m))]
     weights: list[float | None] = [full.ks]
     if full.ks is None and textured["specular_map"]:
         weights.append(constants.ks)
     kinds: list[tuple[int, ...] | None] = [full.specular_lights]
     kept = [light for light in constants.faintest if full.of(light)]
     kinds += [tuple(sorted(kept[gone:])) for gone in range(1, len(kept) + 1)]
-    cast: list[tuple[int, ...] | None] = [full.shadow_lights]
-    cast += [tuple(sorted(constants.shadows[n:])) for n in range(1, len(constants.shadows) + 1)]
+    cast = [tuple(sorted(constants.shadows[n:])) for n in range(1, len(constants.shadows) + 1)]
     scatters = any(each.scattering and each.kd > 0.0 for each in materials)
     fewer = [count for count in SCATTER_SAMPLES if scatters and count < full.scatter_samples]
-    samples = [full.environment_samples]
-    if scene.environment is not None and full.environment:
-        samples += [each for each in ENVIRONMENT_SAMPLES if each < full.environment_samples]
-    for (two_lobes, m), ks, shadows, scattered, normal_map, ambient, diffuse, around in product(
+    around = scene.environment is not None and full.environment
+    samples = [each for each in ENVIRONMENT_SAMPLES if around and each < full.environment_samples]
+
+    def of(name: str, others: Iterable[Any]) -> list[Any]:
+        whole = getattr(full, name)
+        return [whole, *(each for each in others if fits(replace(full, **{name: each})))]
+
+    for (two_lobes, m), ks, shadows, scattered, normal_map, ambient, diffuse, sampled in product(
         slopes,
         weights,
-        cast,
-        (full.scatter_samples, *fewer),
+        of("shadow_lights", cast),
+        of("scatter_samples", fewer),
         {full.normal_map, full.normal_map and not textured["normal_map"]},
         {full.ambient, full.ambient and not any(scene.ambient)},  # type: ignore[arg-type]
-        dict.fromkeys((full.diffuse, "lambert")),
-        samples,
+        of("diffuse", {"lambert"} - {full.diffuse}),
+        of("environment_samples", samples),
     ):
         term = replace(full.term, m=m)
         own: dict[str, Any] = {"two_lobes": two_lobes, "normal_map": normal_map, "ambient": ambient}
         own |= {"shadow_lights": shadows, "diffuse": diffuse}
-        own |= {"scatter_samples": scattered, "environment_samples": around}
+        own |= {"scatter_samples": scattered, "environment_samples": sampled}
         surface = replace(full, term=term, ks=ks, **own)
         for shading in _terms(scene, surface):
             for lights in kinds:

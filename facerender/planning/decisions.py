@@ -134,9 +134,14 @@ def _kept(
 ) -> Decision | None:
     own = choice.total(shading)
     names = SINGLE if name == "two lobes" else (name,)
+    refused = [
+        with_decisions(shading, each, names)
+        for each in choice.refused
+        if name in changed(each, choice.full) and shading.term.lobe == "exact"
+    ]
     others = [
         each
-        for each in choice.ordered
+        for each in (*choice.ordered, *filter(choice.is_priced, refused))
         if name in (differs := changed(each, shading))
         and set(differs) <= set(names)
         and choice.total(each) < own

@@ -57,10 +57,10 @@ class Scattered:
 
     def __call__(self, shading: Shading) -> Float:
         """Return the change of the radiance, (H, W, 3)."""
-        names = ["scatter_samples", "shadow_lights", "normal_map", "ambient", "diffuse"]
-        if shading.diffuse == "coupled":
-            names += ["term", "ks", "two_lobes", "slope_filter", "curvature"]
-        light = Shading(**{name: getattr(shading, name) for name in names})
+        names, m = ["scatter_samples", "shadow_lights", "normal_map", "ambient", "diffuse"], None
+        if shading.diffuse == "coupled":  # by an albedo that depends on nothing else of the term
+            names, m = [*names, "ks", "two_lobes", "slope_filter", "curvature"], shading.term.m
+        light = Shading(**{name: getattr(shading, name) for name in names}, m=m)
         if light not in self.known:
             if len(self.known) >= _MOST_SCATTERED:
                 del self.known[next(iter(self.known))]

@@ -319,7 +319,8 @@ def plan(
         if not any(view.counted.any() for view in views):
             raise InputError(f"the cameras see nothing of {scene.mesh.name}")
         constants = constants_seen(scene, full, views)
-        choice = Choice(scene, full, allowed, constants, cost, drawing.context.software)
+        software = drawing.context.software
+        choice = Choice(scene, full, allowed, constants, cost, software, views)
         return _measured(choice, at, places, views, cost == FRAME, verify_cost)
 
 

@@ -79,6 +79,7 @@ class Choice:
     ----------
     ordered : the shadings that cost less than the full one, and the full one
     count : how many cost less
+    refused : the full shading with changes that are too large by themselves
     limit : of the error in float64, which rounding may raise to the budget
     frames : what frames cost by what a fragment costs; None where fragments alone are priced
     """
@@ -93,21 +94,32 @@ class Choice:
         constants: Constants,
         cost: str,
         software: bool,
+        views: Sequence[Region] = (),
     ) -> None:
+        """views : where changes that are too large by themselves are ruled out; none to try all"""
         self.scene, self.full, self.budget, self.constants = scene, full, budget, constants
         self.limit = budget.limit - ROUNDING[budget.unit]
-        listed = list(candidates(scene, full, constants))
+        self.refused: list[Shading] = []
+
+        def fits(shading: Shading) -> bool:
+            if all(view.error(shading) <= self.limit for view in views):
+                return True
+            self.refused.append(shading)
+            return False
+
+        listed = list(candidates(scene, full, constants, fits))
         self.prices = load_prices(cost, scene, [*listed, full], software)
         self.costs: dict[Shading, float] = {}
         full_cost = self.total(full)
-        priced = filter(self._is_priced, listed)
+        priced = filter(self.is_priced, listed)
         cheaper = [each for each in priced if self.total(each) < full_cost]
         # of the same cost, those with the fewest changes first
         cheaper.sort(key=lambda each: (self.total(each), len(changed(each, full))))
         self.ordered = [*cheaper, full]
         self.count = len(cheaper)
 
-    def _is_priced(self, shading: Shading) -> bool:
+    def is_priced(self, shading: Shading) -> bool:
+        """Tell whether there are prices of all that it has."""
         try:
             self.total(shading)
         except NoPrice:
