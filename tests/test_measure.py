@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,8 @@ from facerender.drawing.context import is_software
 from facerender.errors import InputError, NotMeasured
 from facerender.measure import error, run
 from facerender.measure.measurement import MODELS, SCHEMA, ImageError, Measurement
-from facerender.measure.tables import sample_table
+from facerender.measure.skin import skin_parts
+from facerender.measure.tables import sample_table, skin_table
 from facerender.pricing import amd, cost
 from facerender.pricing.interval import Interval, bootstrap
 from facerender.pricing.variants import Variant, lobe_terms, of_model, terms
@@ -143,6 +145,30 @@ def test_json_of_samples_says_how_often_pixels_are_shaded():
     assert [each.once for each in measurement.samples] == [False, True]
     assert measurement.as_dict()["samples"][1] == row | {"once": True}
     assert [cells[0] for cells in sample_table(measurement).rows] == ["4", "4, shaded once"]
+
+
+def test_parts_of_skin_cost_and_lose(head, egl):
+    scene = fr.Scene(head, fr.Camera(-35.0))
+    with fr.Renderer((96, 96), backend=egl) as renderer:
+        rows = skin_parts(renderer, scene, repeats=3)
+        unknown = skin_parts(renderer, replace(scene, mesh=replace(head, millimetres=None)), 3)
+    parts = {part: [row for row in rows if row.part == part] for part in {r.part: 0 for r in rows}}
+    assert len(parts) == 5
+    for settings in parts.values():
+        assert settings[0].time.value == 1.0
+        assert settings[0].lost.percentile > 1 / 255
+        assert settings[-1].lost.mean == 0.0
+    for name in ("samples of scattering", "samples of an environment"):
+        lost = [row.lost.mean for row in parts[name]]
+        assert lost == sorted(lost, reverse=True)
+    assert "samples of scattering" not in {row.part for row in unknown}
+    content = json.loads(MEASUREMENT.read_text(encoding="utf-8"))
+    measurement = replace(Measurement.from_dict(content), skin=rows)
+    assert Measurement.from_dict(measurement.as_dict()) == measurement
+    assert [row[:2] for row in skin_table(measurement).rows][:2] == [
+        ["shadow of a light of 5 degrees", "none"],
+        ["shadow of a light of 5 degrees", "hard"],
+    ]
 
 
 def test_json_that_is_no_measurement_of_this_version_is_refused():

@@ -43,7 +43,7 @@ def antialiasing(
     def lost(draw: Callable[[], Frame]) -> tuple[Lost, Lost]:
         linear = draw().linear[..., :3].astype(np.float64)
         error = np.abs(linear_to_srgb(linear) - shown).max(axis=-1)
-        return _lost(error[silhouette]), _lost(error[inside])
+        return lost_of(error[silhouette]), lost_of(error[inside])
 
     ways = [
         (count, once)
@@ -65,7 +65,8 @@ def antialiasing(
     ]
 
 
-def _lost(errors: NDArray[np.float64]) -> Lost:
+def lost_of(errors: NDArray[np.float64]) -> Lost:
+    """Return what errors of the displayed image come to, (N,) from 0 to 1."""
     if not errors.size:
         return Lost(0.0, 0.0, 0.0)
     return Lost(

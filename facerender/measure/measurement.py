@@ -144,6 +144,23 @@ class Sampled:
     once: bool = False
 
 
+@dataclass(frozen=True)
+class PartSetting:
+    """What a setting of a part of skin costs and loses.
+
+    Attributes
+    ----------
+    part, setting : names, such as "samples of scattering" and "16"
+    time : of a frame with readback, over that of the part's first setting
+    lost : against its last setting, at pixels that the mesh covers
+    """
+
+    part: str
+    setting: str
+    time: Interval
+    lost: Lost
+
+
 @dataclass(frozen=True, eq=False)
 class Triptych:
     """What is drawn with the exact lobe in float64, what OpenGL draws with this one, and their
@@ -168,6 +185,7 @@ class Measurement:
     curves : by model, lobe and slope, the lobe less the exact one in percent of the peak, one for
         each angle; a slope outside the domain is left out
     not_measured : what is missing, and why
+    skin : what parts of skin cost and lose
     """
 
     environment: Environment
@@ -178,6 +196,7 @@ class Measurement:
     degrees: Sequence[float]
     curves: Mapping[str, Curves]
     not_measured: Sequence[str]
+    skin: Sequence[PartSetting] = ()
 
     def of_model(self, model: str) -> list[MeasuredVariant]:
         """Return the variants of a model."""
@@ -200,6 +219,7 @@ class Measurement:
                 for measured in self.variants
             ],
             **({"samples": [asdict(each) for each in self.samples]} if self.samples else {}),
+            **({"skin": [asdict(each) for each in self.skin]} if self.skin else {}),
             "curves": {"degrees": list(self.degrees), **self.curves},
             "not_measured": list(self.not_measured),
         }
@@ -226,6 +246,7 @@ class Measurement:
             degrees=curves.pop("degrees"),
             curves=curves,
             not_measured=content["not_measured"],
+            skin=[_part_setting(row) for row in content.get("skin", ())],
         )
 
 
@@ -247,6 +268,10 @@ def _measured_variant(row: Mapping[str, Any]) -> MeasuredVariant:
 def _sampled(row: Mapping[str, Any]) -> Sampled:
     lost = Lost(**row["silhouette"]), Lost(**row["inside"])
     return Sampled(row["samples"], Interval(**row["time"]), *lost, row.get("once", False))
+
+
+def _part_setting(row: Mapping[str, Any]) -> PartSetting:
+    return PartSetting(row["part"], row["setting"], Interval(**row["time"]), Lost(**row["lost"]))
 
 
 def _variant(model: str, name: str) -> Variant:

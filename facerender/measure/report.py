@@ -21,6 +21,7 @@ from facerender.measure.tables import (
     cost_tables,
     error_tables,
     sample_table,
+    skin_table,
 )
 from facerender.page.document import document, figure, row
 from facerender.page.document import table as page_table
@@ -42,6 +43,8 @@ METHODS = {
     "samples": "The time of a frame over that of one with one sample, in turns, the median; the"
     " error of the displayed image against 64 samples, at pixels that the mesh covers in part, and"
     " inside. Shaded once: one triangle of a pixel for all that its samples see.",
+    "parts of skin": "The time of a frame with one sample over that of the part's first setting, in"
+    " turns, the median; the error of the displayed image against the part's last setting.",
     "error of the lobe": "Percent of the lobe's peak: the largest difference from the exact lobe,"
     " both in float64, over 0 to 90 degrees of the half vector's angle γ.",
     "error of the BRDF": "Percent of the largest exact f N.L: the largest difference, in float64,"
@@ -109,8 +112,8 @@ def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
 
 def table(measurement: Measurement) -> str:
     """Return cost beside error for a terminal: a table for each kind of cost and each model, and
-    one for samples."""
-    tables = [*cost_tables(measurement), sample_table(measurement)]
+    one each for samples and for parts of skin."""
+    tables = [*cost_tables(measurement), sample_table(measurement), skin_table(measurement)]
     return "\n\n".join(table.text() for table in tables)
 
 
@@ -182,6 +185,7 @@ def _page(
         "<h2>Errors</h2>",
         *(_html(table, "numbers") for table in error_tables(measurement)),
         _html(sample_table(measurement), "numbers"),
+        _html(skin_table(measurement), "numbers"),
         "<h2>Images</h2>",
         _figures(strips),
         "<h2>Not measured</h2>",

@@ -34,6 +34,7 @@ from facerender.measure.measurement import (
     Settings,
     Triptych,
 )
+from facerender.measure.skin import skin_parts
 from facerender.pricing import amd, cost
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import Variant, lobe_terms, of_model, terms
@@ -113,6 +114,8 @@ def measure(
     progress("samples", 0.0)
     with Renderer(size, backend=backend) as renderer:
         samples = antialiasing(renderer, scene, repeats=repeats)
+        progress("skin", 0.0)
+        skin = skin_parts(renderer, scene, repeats)
     if any(row.error.image and row.error.image.flip is None for row in measured):
         not_measured.append("FLIP needs flip-evaluator: pip install 'facerender[measure]'")
     measurement = Measurement(
@@ -124,6 +127,7 @@ def measure(
         DEGREES.tolist(),
         {model: _curves(model, slopes) for model in MODELS},
         not_measured,
+        skin,
     )
     return measurement, triptychs
 

@@ -44,6 +44,8 @@ SAMPLES_HEAD = (
     "over 1/255, %",
 )
 
+SKIN_HEAD = ("part", "setting", "frame", "mean, 1/255", "99 %, 1/255", "over 1/255, %")
+
 
 @dataclass(frozen=True)
 class Table:
@@ -173,6 +175,21 @@ def sample_cells(sampled: Sampled) -> list[str]:
     figures = (sampled.time.value, *steps, 100.0 * sampled.inside.over)
     name = f"{sampled.samples}, shaded once" if sampled.once else str(sampled.samples)
     return [name, *(_number(figure) for figure in figures)]
+
+
+def skin_table(measurement: Measurement) -> Table:
+    """Return what parts of skin cost and lose; without rows where they were not measured."""
+    rows = []
+    for each in measurement.skin:
+        lost = each.lost
+        figures = (each.time.value, 255.0 * lost.mean, 255.0 * lost.percentile, 100.0 * lost.over)
+        rows.append([each.part, each.setting, *(_number(figure) for figure in figures)])
+    return Table(
+        "Parts of skin: {} x {}".format(*measurement.settings.size),
+        "Frames over the part's first setting; errors of the displayed image against its last.",
+        SKIN_HEAD,
+        rows,
+    )
 
 
 def _slope_table(title: str, note: str, errors: Mapping[str, BySlope]) -> Table:
