@@ -47,7 +47,7 @@ SHADINGS = [
     for lobe in fr.lobes.NAMES
 ] + [fr.Shading(fresnel="dielectric")]
 REDUCED = [  # every choice that leaves something out of a scene of five lights
-    fr.Shading(lobe=GPower(11, 0.2, 0.5), masking="none"),
+    fr.Shading(lobe=GPower(11, 0.2, 0.4), masking="none"),
     fr.Shading(fresnel="constant", masking="kelemen", m=0.25, small_slope=False),
     fr.Shading(fresnel="constant", masking="none", m=0.1, small_slope=True, ks=0.6),
     fr.Shading(lobe=GPower(8, 0.25, 0.5), m=0.3, ks=0.6, normal_map=False),
