@@ -249,35 +249,26 @@ class Renderer:
             shaded = replace(shaded, name="image", target=replace(shaded.target, sampled=True))
         passes = _from_visibility(shaded, visibility, backs)
         if scattering:
-            drawn = beside, visibility
-            passes += self._scattered(scene, view, shading, scattering, only, backs, *drawn)
+            from facerender.drawing.passes.scatter import scatter_pass
+
+            background, area = None, None
+            if beside:
+                background = scene.background if only is None else None
+                area = visibility.area if visibility else None
+            else:
+                passes += self._apart(scene, view, shading, scattering, backs)
+            how = scattering, shading.scatter_samples, background, not beside, area
+            passes.append(scatter_pass(view, *how))
         return self._draw([*shadow_passes(scene, Lighting.of(scene, shading)), *passes], scene)[0]
 
-    def _scattered(
-        self,
-        scene: Scene,
-        view: View,
-        shading: Shading,
-        scattering: Scattering,
-        only: Only | None,
-        backs: bool,
-        beside: Scattering | None,
-        visibility: Visibility | None,
+    def _apart(
+        self, scene: Scene, view: View, shading: Shading, scattering: Scattering, backs: bool
     ) -> list[Pass]:
-        """What follows an image for its light to scatter: with several samples a pixel, which see
-        several places, its centre stands for all. beside : what the image has been drawn with;
-        visibility : what it was deferred to."""
-        from facerender.drawing.passes.scatter import scatter_pass
-
-        count = shading.scatter_samples
-        if beside:
-            background = scene.background if only is None else None
-            area = visibility.area if visibility else None
-            return [scatter_pass(view, scattering, count, background, area=area)]
+        """What draws the light that scatters apart from an image whose pixels have several samples,
+        and see several places: the centre stands for all."""
         visibility = self._visibility(scene, view, 1)
         shaded = shade_pass(scene, view, shading, 1, "diffuse", visibility, scattering, apart=True)
-        passes = _from_visibility(shaded, visibility, backs)
-        return [*passes, scatter_pass(view, scattering, count, several=True)]
+        return _from_visibility(shaded, visibility, backs)
 
     def _visibility(
         self, scene: Scene, view: View, samples: int, once: bool = False

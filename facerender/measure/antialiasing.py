@@ -13,8 +13,7 @@ from facerender.drawing.renderer import MAX_SAMPLES, Renderer
 from facerender.errors import InputError
 from facerender.image import linear_to_srgb
 from facerender.measure.measurement import Lost, Sampled
-from facerender.pricing.frame import seconds
-from facerender.pricing.interval import bootstrap
+from facerender.pricing.frame import ratios
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
@@ -55,13 +54,10 @@ def antialiasing(
         partial(renderer.render, scene, shading, samples=count, once=once)
         for count, once in ((1, False), *ways)
     ]
-    times = seconds(draws, repeats)
-    ratios = bootstrap(
-        lambda turns: np.median((times[:, 1:] / times[:, :1])[turns], axis=0), repeats
-    )
+    _, *times = ratios(draws, repeats)
     return [
         Sampled(count, ratio, *lost(draw), once)
-        for (count, once), ratio, draw in zip(ways, ratios, draws[1:], strict=True)
+        for (count, once), ratio, draw in zip(ways, times, draws[1:], strict=True)
     ]
 
 

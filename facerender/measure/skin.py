@@ -7,15 +7,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.image import linear_to_srgb
 from facerender.measure.antialiasing import lost_of
 from facerender.measure.measurement import PartSetting
-from facerender.pricing.frame import seconds
-from facerender.pricing.interval import bootstrap
+from facerender.pricing.frame import ratios
 from facerender.scenes.environment import Environment, studio
 from facerender.scenes.scene import Scene
 from facerender.shading import SCATTER_SAMPLES, Shading
@@ -47,18 +45,11 @@ def skin_parts(renderer: Renderer, scene: Scene, repeats: int = 9) -> list[PartS
         if not seen.any():
             raise InputError(f"the camera sees nothing of {scene.mesh.name}")
         exact = linear_to_srgb(finest[seen][:, :3].astype(np.float64))
-        times = seconds(draws, repeats)
-        over_first = times / times[:, :1]
-        ratios = bootstrap(partial(_medians, over_first), repeats)
-        for way, ratio, draw in zip(ways, ratios, draws, strict=True):
+        for way, time, draw in zip(ways, ratios(draws, repeats), draws, strict=True):
             shown = linear_to_srgb(draw().linear[seen][:, :3].astype(np.float64))
             error = np.abs(shown - exact).max(axis=-1)
-            measured.append(PartSetting(part, way.name, ratio, lost_of(error)))
+            measured.append(PartSetting(part, way.name, time, lost_of(error)))
     return measured
-
-
-def _medians(ratios: NDArray[np.float64], turns: NDArray[np.int64]) -> NDArray[np.float64]:
-    return np.asarray(np.median(ratios[turns], axis=0))
 
 
 def _parts(scene: Scene) -> Iterator[tuple[str, list[_Way]]]:

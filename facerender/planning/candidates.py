@@ -77,7 +77,7 @@ def candidates(
     ----------
     full : the exact lobe, and all that is to count
     fits : whether a single lobe, fewer samples, shadows left out and Lambert's diffuse light, each
-        by itself, may be combined with others: with all of them there were a million
+        by itself, may be combined with others; there are too many combinations of them all
     """
     materials = scene.mesh.materials
     textured = {

@@ -29,6 +29,13 @@ def seconds(draws: Sequence[Draw], repeats: int) -> NDArray[np.float64]:
     return times
 
 
+def ratios(draws: Sequence[Draw], repeats: int) -> list[Interval]:
+    """Return of each draw the median of the ratios of its time to the first one's within a turn."""
+    times = seconds(draws, repeats)
+    over_first = times / times[:, :1]
+    return bootstrap(lambda turns: np.median(over_first[turns], axis=0), repeats)
+
+
 def ratio(draw: Draw, full: Draw, repeats: int) -> Interval:
     """Return the median of the ratios of two frames' times within a turn."""
     own, other = seconds([draw, full], repeats).T
