@@ -137,7 +137,8 @@ def _kept(
     refused = [
         with_decisions(shading, each, names)
         for each in choice.refused
-        if name in changed(each, choice.full) and shading.term.lobe == "exact"
+        if name in changed(each, choice.full)
+        and (names != SINGLE or shading.term.lobe == "exact")  # others are fitted to a slope
     ]
     others = [
         each
