@@ -157,18 +157,26 @@ def _umask() -> int:
 def save_png(
     path: str | os.PathLike[str], pixels: NDArray[np.uint8], metadata: Mapping[str, str]
 ) -> None:
-    """Write 8-bit pixels, (H, W), (H, W, 3) or (H, W, 4) with straight alpha, as PNG.
+    """Write pixels as PNG; parameters as of :func:`png_bytes`."""
+    write_bytes(path, png_bytes(pixels, metadata))
 
-    Every row is the difference to the one above, and level 1 of the compression takes a quarter
-    of the default's time: half of Pillow's time for fewer bytes, without the import.
+
+def png_bytes(pixels: NDArray[np.uint8] | NDArray[np.uint16], metadata: Mapping[str, str]) -> bytes:
+    """Return a PNG of 8-bit or 16-bit pixels: (H, W), (H, W, 3) or (H, W, 4) with straight alpha.
+
+    The same pixels and metadata give the same bytes. Every row is the difference to the one above,
+    and level 1 of the compression takes a quarter of the default's time: half of Pillow's time for
+    fewer bytes, without the import.
     """
     height, width = pixels.shape[:2]
     kind = {1: 0, 3: 2, 4: 6}[pixels[0, 0].size]  # grey, RGB, RGBA
-    rows = pixels.reshape(height, -1)
+    big_endian = pixels.astype(pixels.dtype.newbyteorder(">"), order="C", copy=False)
+    rows = big_endian.reshape(height, -1).view(np.uint8)
     filtered = np.full((height, 1 + rows.shape[1]), 2, dtype=np.uint8)  # 2: "Up"
     filtered[0, 1:] = rows[0]
     np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
-    chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, kind, 0, 0, 0))]
+    depth = 8 * pixels.itemsize
+    chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, kind, 0, 0, 0))]
     for key, value in metadata.items():
         try:
             chunks.append((b"tEXt", f"{key}\0{value}".encode("latin-1")))
@@ -179,17 +187,42 @@ def save_png(
         struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
         for name, data in chunks
     ]
-    write_bytes(path, b"".join([b"\x89PNG\r\n\x1a\n", *packed]))
+    return b"".join([b"\x89PNG\r\n\x1a\n", *packed])
 
 
 def save_exr(
     path: str | os.PathLike[str], linear: NDArray[np.float32], metadata: Mapping[str, str]
 ) -> None:
     """Write linear float32 pixels (H, W, 3 or 4) as OpenEXR; needs the extra ``exr``."""
-    OpenEXR = _openexr(path)
-    channels = {"RGBA"[: linear.shape[-1]]: np.ascontiguousarray(linear)}
+    _write_exr(path, {"RGBA"[: linear.shape[-1]]: linear}, metadata)
+
+
+def exr_bytes(
+    name: str, channels: Mapping[str, NDArray[np.float32]], metadata: Mapping[str, str]
+) -> bytes:
+    """Return an OpenEXR file of float32 channels (H, W), by their names; needs the extra ``exr``.
+
+    name : of the file, for messages
+
+    The same channels and metadata give the same bytes. OpenEXR before 3.5 writes files alone: they
+    go through the folder of temporary files.
+    """
+    openexr(name)  # the temporary name says nothing to a user
+    with tempfile.TemporaryDirectory(prefix="facerender-") as folder:
+        path = Path(folder, name)
+        _write_exr(path, channels, metadata)
+        return path.read_bytes()
+
+
+def _write_exr(
+    path: str | os.PathLike[str],
+    channels: Mapping[str, NDArray[np.float32]],
+    metadata: Mapping[str, str],
+) -> None:
+    OpenEXR = openexr(path)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    file = OpenEXR.File({**header, **metadata}, channels)
+    pixels = {key: np.ascontiguousarray(values) for key, values in channels.items()}
+    file = OpenEXR.File({**header, **metadata}, pixels)
 
     def write(name: str) -> None:
         try:
@@ -248,7 +281,7 @@ def picture_of(values: NDArray[Any], name: str) -> Picture:
 
 
 def _read_exr(path: Path) -> Picture:
-    OpenEXR = _openexr(path)
+    OpenEXR = openexr(path)
     try:
         with _silence():
             file = OpenEXR.File(str(path), separate_channels=True)
@@ -306,7 +339,15 @@ def _silence() -> Iterator[None]:
             os.close(kept)
 
 
-def _openexr(path: str | os.PathLike[str]) -> Any:
+def openexr(path: str | os.PathLike[str]) -> Any:
+    """Return the package OpenEXR.
+
+    path : of a file that needs it, for the message
+
+    Raises
+    ------
+    InputError : it is not installed
+    """
     try:
         import OpenEXR
     except ImportError:

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import io
+
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
 
 from facerender import InputError
-from facerender.image import encode_srgb8, linear_to_srgb, save_exr, save_png, srgb_to_linear
+from facerender.image import (
+    encode_srgb8,
+    exr_bytes,
+    linear_to_srgb,
+    png_bytes,
+    save_exr,
+    save_png,
+    srgb_to_linear,
+)
 from facerender.image import write_whole as write
 
 
@@ -52,6 +63,42 @@ def test_png(shape, tmp_path):
         assert image.mode == {1: "L", 3: "RGB", 4: "RGBA"}[pixels[0, 0].size]
         np.testing.assert_array_equal(np.asarray(image), pixels)
         assert image.info == metadata
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (1, 1), (300, 200), (5, 7, 3), (5, 7, 4)])
+def test_png_of_16_bits(shape):
+    pixels = np.random.default_rng(1).integers(0, 65536, shape, dtype=np.uint16)
+    content = png_bytes(pixels, {"samples": "1"})
+    read = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert read.dtype == np.uint16
+    order = [2, 1, 0, 3][: shape[2]] if len(shape) > 2 else slice(None)  # OpenCV's is BGR
+    np.testing.assert_array_equal(read, pixels[..., order] if len(shape) > 2 else pixels)
+    if len(shape) == 2:  # of more channels Pillow drops the lower byte
+        with Image.open(io.BytesIO(content)) as image:
+            np.testing.assert_array_equal(np.asarray(image), pixels)
+            assert image.info == {"samples": "1"}
+
+
+def test_png_of_pixels_that_are_no_whole_array():
+    pixels = np.random.default_rng(1).integers(0, 65536, (12, 10), dtype=np.uint16)
+    for turned in (pixels.T, pixels[::2, ::3], pixels[::-1]):
+        for kind in (np.uint8, np.uint16):
+            view = turned.astype(kind)
+            assert png_bytes(turned.astype(kind, order="K"), {}) == png_bytes(view.copy("C"), {})
+
+
+def test_exr_of_layers(tmp_path):
+    import OpenEXR
+
+    values = np.random.default_rng(1).normal(size=(3, 5, 7)).astype(np.float32) * 1e3
+    channels = dict(zip(["R", "normal.X", "Z"], values, strict=True))
+    content = exr_bytes("a.exr", channels, {"samples": "4"})
+    assert content == exr_bytes("b.exr", channels, {"samples": "4"})
+    (tmp_path / "a.exr").write_bytes(content)
+    with OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True) as file:
+        assert file.header()["samples"] == "4"
+        for name, pixels in channels.items():
+            np.testing.assert_array_equal(file.channels()[name].pixels, pixels)
 
 
 def test_exr(tmp_path):

@@ -73,6 +73,28 @@ def test_the_frustum_of_a_camera_fills_the_clip_space(head):
                 assert clip == pytest.approx(depth * np.array([x, -y, z, 1.0]), abs=1e-9)
 
 
+def test_pixels_of_an_intrinsic_matrix(head):
+    size = (640, 200)
+    scene = fr.Scene(head, fr.Camera(azimuth=20.0, fov=40.0))
+    view = view_of(scene, size[0] / size[1])
+    focal = 100.0 / math.tan(math.radians(20.0))
+    pixels = np.array([[focal, 0.0, 320.0], [0.0, focal, 100.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(view.intrinsics(size), pixels, rtol=0, atol=1e-9)
+    # An image that is moved has its principal point elsewhere, and its camera where it was.
+    shifted = view.shifted((0.25, -0.375), size)
+    pixels[:2, 2] += 0.25, -0.375
+    np.testing.assert_allclose(shifted.intrinsics(size), pixels, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(shifted.extrinsics(head), view.extrinsics(head), atol=1e-12)
+
+
+def test_a_camera_before_the_face(head):
+    """x to the right, y down, z forward, in the mesh's units."""
+    eye = head.center + [0.0, 0.0, 1.0]
+    pose = view_of(fr.Scene(head, fr.Camera(position=tuple(eye))), 1.0).extrinsics(head)
+    np.testing.assert_allclose(pose[:, :3], np.diag([1.0, -1.0, -1.0]), atol=1e-12)
+    np.testing.assert_allclose(pose[:, :3] @ eye + pose[:, 3], 0.0, atol=1e-12)
+
+
 def test_numbers_of_numpy_are_numbers():
     assert fr.Camera(azimuth=np.arange(0, 90, 30)[1], zoom=np.float32(2.0)).zoom == 2.0
     with pytest.raises(fr.InputError, match="camera azimuth = True"):

@@ -13,6 +13,8 @@ from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import direction_to
 
+_XYW = [0, 1, 3]  # of clip coordinates, without the depth buffer's
+
 
 @dataclass(frozen=True)
 class View:
@@ -31,10 +33,42 @@ class View:
     matrix: NDArray[np.float64]
 
     def shifted(self, pixels: tuple[float, float], size: tuple[int, int]) -> View:
-        """Return the view whose image, of this size, lies so many pixels to the right and up."""
+        """Return the view whose image, of this size, lies so many pixels to the right and down."""
         move = np.eye(4)
         move[3, :2] = 2.0 * np.asarray(pixels) / size
         return replace(self, matrix=self.matrix @ move)
+
+    def intrinsics(self, size: tuple[int, int]) -> NDArray[np.float64]:
+        """Return K, (3, 3), of images of this size: from the camera's space, see
+        :meth:`extrinsics`, to pixels x to the right and y down.
+
+        The corner of the top left pixel is (0, 0) and its centre (0.5, 0.5). Rounded to 1e-9 of a
+        pixel, so that a principal point in the middle is there to the last digit.
+        """
+        width, height = np.divide(size, 2.0)
+        pixels = np.array([[width, 0.0, width], [0.0, height, height], [0.0, 0.0, 1.0]])
+        return np.round(pixels @ self._lens, 9)
+
+    def extrinsics(self, mesh: Mesh) -> NDArray[np.float64]:
+        """Return [R|t], (3, 4), from a mesh's space to the camera's: the eye at 0, x to the right,
+        y down, z forward, lengths in the mesh's units.
+
+        mesh : whose bounds are those of the scene that the camera sees
+        """
+        pose = np.asarray(np.linalg.solve(self._lens, self.matrix[:, _XYW].T), np.float64)
+        pose[:, 3] = mesh.radius * pose[:, 3] - pose[:, :3] @ mesh.center
+        return pose
+
+    @property
+    def _lens(self) -> NDArray[np.float64]:
+        """The matrix (3, 3) from the camera's space to clip x, y and w: w is the depth, and what
+        else is in x and y is the camera's own x and y, scaled."""
+        x, y, w = self.matrix[:3, _XYW].T
+        lens = np.eye(3)
+        for row, axis in enumerate((x, y)):
+            lens[row, 2] = axis @ w
+            lens[row, row] = np.linalg.norm(axis - lens[row, 2] * w)
+        return lens
 
 
 def sample_grid(count: int) -> NDArray[np.float64]:
