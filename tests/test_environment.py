@@ -4,6 +4,7 @@ planned."""
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -193,6 +194,17 @@ def test_files_are_read(tmp_path):
         environment = fr.load_environment(asked)
         assert (environment.rotation, environment.scale) == (30.0, 2.0)
         np.testing.assert_allclose(environment.panorama.radiance, radiance, atol=error)
+
+
+def test_a_file_is_read_once_until_it_changes(tmp_path):
+    path = tmp_path / "a.npy"
+    np.save(path, np.ones((4, 8, 3)))
+    first = fr.load_environment(fr.EnvironmentFile(str(path)))
+    turned = fr.load_environment(fr.EnvironmentFile(str(path), 30.0, 2.0))
+    assert turned.panorama is first.panorama
+    np.save(path, np.full((4, 8, 3), 2.0))
+    os.utime(path, ns=(1, 1))
+    assert fr.load_environment(fr.EnvironmentFile(str(path))).panorama.radiance.max() == 2.0
 
 
 def faulty(folder, name):

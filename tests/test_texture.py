@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import gc
+import time
+import weakref
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -114,3 +118,18 @@ def test_huge_image_is_refused_before_it_is_decoded():
     huge = Texture(lambda: Image.new("L", (16385, 1)), "huge.png")
     with pytest.raises(InputError, match="huge.png is 16385 x 1 texels: at most 16384"):
         huge.levels("data").result()
+
+
+def test_a_texture_goes_with_its_last_reference():
+    texture = Texture.known(np.zeros((4, 4, 3), np.uint8), "zeros", {})
+    gone = weakref.ref(texture)
+    gc.disable()  # a circle would wait for it, with all its levels
+    try:
+        texture.levels("color").result()
+        del texture
+        end = time.monotonic() + 20.0  # for the thread that made them lets go a little later
+        while gone() is not None and time.monotonic() < end:
+            time.sleep(0.01)
+        assert gone() is None
+    finally:
+        gc.enable()

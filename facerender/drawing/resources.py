@@ -93,7 +93,7 @@ class Resources:
         self.targets: dict[Target, moderngl.Framebuffer] = {}
         self.held: dict[Target, Hashable] = {}  # the keys of what targets hold
         self.screens: dict[moderngl.Program, moderngl.VertexArray] = {}
-        self._settled = 0
+        self._settled = True
 
     def release(self) -> None:
         """Free everything on the GPU; the context is current."""
@@ -105,10 +105,9 @@ class Resources:
     def settle(self) -> None:
         """Give memory back to the system that decoding, uploads and compilers took and freed, once
         after frames that needed any: 110 MiB for the built-in head, which malloc would keep."""
-        made = len(self.textures) + len(self.programs) + len(self.targets)
-        if made != self._settled and (trim := _malloc_trim()):
+        if not self._settled and (trim := _malloc_trim()):
             trim(0)
-        self._settled = made
+        self._settled = True
 
     def draw(
         self, step: Pass, mesh: Mesh, drawn: Mapping[str, moderngl.Texture]
@@ -188,6 +187,7 @@ class Resources:
     def target(self, kind: Target) -> moderngl.Framebuffer:
         """Return a framebuffer, made once for each kind."""
         if kind not in self.targets:
+            self._settled = False
             gl, size = self.context.gl, kind.size or self.size
             samples = kind.samples if kind.samples > 1 else 0
             try:
@@ -212,6 +212,7 @@ class Resources:
     def program(self, source: Program) -> moderngl.Program:
         """Compile a program, once."""
         if source not in self.programs:
+            self._settled = False
             stages = source.sources("330 core")
             try:
                 self.programs[source] = self.context.gl.program(
@@ -253,6 +254,8 @@ class Resources:
     def environment(self, panorama: Panorama) -> moderngl.Texture:
         """Upload the map of a panorama, once."""
         if panorama not in self.environments:
+            self._settled = False
+            self.context.gl.gc()
             texels = panorama.map
             texture = self.context.gl.texture(texels.shape[1::-1], 3, texels, dtype="f4")
             texture.filter = moderngl.NEAREST, moderngl.NEAREST
@@ -265,6 +268,7 @@ class Resources:
         known = self.textures.setdefault(source, {})
         if kind in known:
             return known[kind]
+        self._settled = False
         levels = source.levels(kind).result()
         gl = self.context.gl
         internal, components, layout, data_type, dtype = _FORMATS[kind]

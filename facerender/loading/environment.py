@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -14,15 +15,30 @@ from facerender.scenes.file import STUDIO, EnvironmentFile
 
 
 def load_environment(file: EnvironmentFile) -> Environment:
-    """Read an environment.
+    """Read an environment; the last two files that were read are kept, and what is drawn with them
+    shares what it makes of them.
 
     Raises
     ------
     InputError : a file that is missing, damaged, of another kind or shape, or holds a radiance that
         is no number in [0, 1e9]; .hdr without OpenImageIO, .exr without OpenEXR
     """
-    panorama = studio() if file.file == STUDIO else Panorama(file.file, _read(Path(file.file)))
+    panorama = studio() if file.file == STUDIO else _panorama(file.file, *_state(file.file))
     return Environment(panorama, file.rotation, file.scale)
+
+
+def _state(path: str) -> tuple[int, int]:
+    """What tells a file from what it was: when it was written, in ns, and its size."""
+    try:
+        found = Path(path).stat()
+    except (OSError, ValueError):
+        return 0, 0  # who reads it is told
+    return found.st_mtime_ns, found.st_size
+
+
+@lru_cache(2)
+def _panorama(path: str, written: int, size: int) -> Panorama:
+    return Panorama(path, _read(Path(path)))
 
 
 def _read(path: Path) -> NDArray[np.float32]:

@@ -11,7 +11,7 @@ from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
-from weakref import WeakValueDictionary
+from weakref import WeakMethod, WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,7 +125,8 @@ class Texture:
                 future = _executor().submit(lambda: _CHAINS[kind](self.rgb()))
                 self._levels[kind] = future
                 if kind != "linear-color":
-                    future.add_done_callback(self._drop_image)
+                    drop = WeakMethod(self._drop_image)  # a future keeps what it has called
+                    future.add_done_callback(lambda chain: (own := drop()) and own(chain))
             return self._levels[kind]
 
     def _drop_image(self, chain: Future[Levels]) -> None:
