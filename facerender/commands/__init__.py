@@ -18,6 +18,7 @@ from facerender.errors import FacerenderError, FacerenderWarning, InputError
 
 _COMMANDS = {
     "render": "render a mesh file, or the built-in head",
+    "batch": "many images: on all cores, or on a Dask cluster",
     "plan": "a cheaper frame within a budget, with its proof",
     "measure": "what each approximation costs and loses, here",
     "reproduce": "the paper's figures and claims, measured here",

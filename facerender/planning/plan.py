@@ -155,13 +155,18 @@ class Plan:
         ``facerender render --scene``."""
         lines = ["Mesh and maps are not in here: name them again.", *self.explain().splitlines()]
         notes = [f"# {line}\n" for line in lines]
-        planned = None
-        if self.samples is not None and not self._is_full:
-            detail = self.detail or Detail(self.samples, None)
-            fewer = detail.samples if detail.samples < self.samples else None
-            fine = (fewer, detail.triangles, detail.backs, detail.once)
-            planned = Planned(self.sizes, self.samples, *fine)
-        return "".join(notes) + "\n" + scene_toml(self.scene, self.shading, planned)
+        return "".join(notes) + "\n" + scene_toml(self.scene, self.shading, self.planned)
+
+    @property
+    def planned(self) -> Planned | None:
+        """For which images it holds, and how finely they are drawn; None with a guarantee, and
+        where nothing was taken away."""
+        if self.samples is None or self._is_full:
+            return None
+        detail = self.detail or Detail(self.samples, None)
+        fewer = detail.samples if detail.samples < self.samples else None
+        fine = (fewer, detail.triangles, detail.backs, detail.once)
+        return Planned(self.sizes, self.samples, *fine)
 
     def as_dict(self) -> dict[str, Any]:
         """Return every figure, for JSON."""

@@ -1,0 +1,1 @@
+"""Batches: many jobs from a table, drawn in chunks by several workers."""

@@ -1,0 +1,190 @@
+"""What a batch writes: what a chunk will be, files of jobs or a tar, and its record, last."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import os
+import tarfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from io import BytesIO
+from pathlib import Path
+
+from facerender.batch.chunk import Chunk, Record, Settings
+from facerender.batch.jobs import file_name
+from facerender.batch.place import Place
+
+ABOUT = "batch.json"  # what was asked for, by which run
+BEGUN = "begun"  # of chunks that may have no record yet: the files that they will have
+RECORDS = "records"
+STALE = "stale"  # records of jobs that are no longer asked for as they were
+_BLOCK = 512  # of a tar
+
+
+@dataclass(frozen=True)
+class Head:
+    """The first line of a chunk's record."""
+
+    chunk: int
+    done: int
+    failed: int
+
+
+class Writer:
+    """Files of a chunk's jobs, in their order: each by itself, or one behind the other in a tar.
+
+    Parameters
+    ----------
+    tar : the unfinished tar of layout "shards", and so many bytes of it that count; or None
+    """
+
+    def __init__(self, settings: Settings, chunk: Chunk, tar: Path | None, size: int) -> None:
+        self.place, self.chunk, self._run = Place(settings.output), chunk, settings.run
+        self.size = size
+        self._tar = tar
+        self._get = lru_cache(1)(self.place.get)  # a chunk's jobs were in one tar mostly
+        if tar is not None:
+            with tar.open("r+b" if size else "wb") as file:
+                file.truncate(size)
+
+    def write(self, position: int, files: Mapping[str, bytes], facts: Record) -> Record:
+        """Write the files of a job, and return its record. OSError where they cannot be."""
+        row = self.chunk.rows[position]
+        if self._tar is None and not self.place.remote:  # there it would be a request a job
+            _check_run(self.place, self._run)
+        written: Record = {}
+        for name, content in files.items():
+            if self._tar is None:
+                path = f"data/{row.id}/{name}"
+                self.place.put(path, content)
+            else:
+                path = shard(self.chunk)
+            digest = hashlib.sha256(content).hexdigest()
+            written[name] = {"path": path, "bytes": len(content), "sha256": digest}
+        record = self._record(position, facts, written)
+        if self._tar is not None:
+            about = json.dumps(record).encode()
+            members = {f"{row.id}.{name}": content for name, content in files.items()}
+            members[f"{row.id}.json"] = about
+            self.size = _append(self._tar, itertools.starmap(_member, members.items()))
+        return record
+
+    def keep(self, position: int) -> Record | None:
+        """Take over the files of a job that an earlier run has drawn, and return its record; None
+        where there are none."""
+        if (kept := self.chunk.kept.get(position)) is None:
+            return None
+        try:
+            files = _read_files(self._get, kept)
+        except (OSError, KeyError, tarfile.TarError):
+            return None
+        digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+        if digests != {name: about["sha256"] for name, about in kept["files"].items()}:
+            return None  # another run has drawn over them
+        facts = {key: kept[key] for key in kept if key not in ("id", "number", "key", "files")}
+        if self._tar is None:
+            return self._record(position, facts, kept["files"])
+        return self.write(position, files, facts)
+
+    def _record(self, position: int, facts: Record, files: Record) -> Record:
+        row = self.chunk.rows[position]
+        about = {"id": row.id, "number": row.number, "key": self.chunk.keys[position]}
+        return {**about, **facts, "files": files}
+
+
+class Superseded(OSError):
+    """Another run of a batch writes there now."""
+
+
+def _check_run(place: Place, run: str) -> None:
+    try:
+        about = json.loads(place.get(ABOUT))
+    except FileNotFoundError:  # no driver
+        return
+    if about["run"] != run:
+        raise Superseded("another run of the batch has begun there")
+
+
+def begin(settings: Settings, chunk: Chunk) -> None:
+    """Write down which files a chunk will have, so that they can be removed where it comes to no
+    record and is not asked for again. OSError where it cannot be, or another run has begun."""
+    place = Place(settings.output)
+    _check_run(place, settings.run)
+    named: list[Record] = []
+    for row in chunk.rows:
+        files = {}
+        for name in map(file_name, row.passes):
+            path = shard(chunk) if settings.layout == "shards" else f"data/{row.id}/{name}"
+            files[name] = {"path": path}
+        named.append({"id": row.id, "key": "", "files": files})
+    _put_records(place, f"{BEGUN}/{chunk.name}.jsonl", Head(chunk.number, 0, 0), named)
+
+
+def commit(settings: Settings, chunk: Chunk, tar: Path | None, records: Sequence[Record]) -> None:
+    """Finish the tar of a chunk, and write its record, after which it is done: a line that counts
+    the jobs, and one for each of them. OSError as of :func:`begin`."""
+    place = Place(settings.output)
+    _check_run(place, settings.run)
+    if tar is not None:
+        _append(tar, [bytes(2 * _BLOCK)])
+        place.move(tar, shard(chunk))
+    failed = sum("error" in record for record in records)
+    head = Head(chunk.number, len(records) - failed, failed)
+    _put_records(place, f"{RECORDS}/{chunk.name}.jsonl", head, records)
+    place.drop(f"{BEGUN}/{chunk.name}.jsonl")
+
+
+def _put_records(place: Place, name: str, head: Head, records: Iterable[Record]) -> None:
+    lines = "".join(json.dumps(each) + "\n" for each in (asdict(head), *records))
+    place.put(name, lines.encode())
+
+
+def shard(chunk: Chunk) -> str:
+    """Return the name of a chunk's tar."""
+    return f"shards/{chunk.name}.tar"
+
+
+def _read_files(get: Callable[[str], bytes], record: Record) -> dict[str, bytes]:
+    """Return the files of a drawn job; FileNotFoundError or KeyError without them."""
+    files: Mapping[str, Mapping[str, str]] = record["files"]
+    paths = {name: about["path"] for name, about in files.items()}
+    if all(path.startswith("data/") for path in paths.values()):
+        return {name: get(path) for name, path in paths.items()}
+    with tarfile.open(fileobj=BytesIO(get(next(iter(paths.values()))))) as tar:
+        members = {name: tar.extractfile(f"{record['id']}.{name}") for name in paths}
+        return {name: file.read() for name, file in members.items() if file}
+
+
+def _append(tar: Path, pieces: Iterable[bytes]) -> int:
+    """Write to the end of a tar, which is there, and return its size: another driver may have
+    removed it, and a new one would lack what was written before."""
+    with tar.open("r+b") as file:
+        file.seek(0, os.SEEK_END)
+        file.writelines(pieces)
+        return file.tell()
+
+
+def _member(name: str, content: bytes) -> bytes:
+    entry = tarfile.TarInfo(name)  # owner, mode and time stay fixed
+    entry.size = len(content)
+    return entry.tobuf(tarfile.GNU_FORMAT) + content + bytes(-len(content) % _BLOCK)
+
+
+def read_head(place: Place, name: str) -> Head:
+    """Return what the record of a chunk counts."""
+    return Head(**json.loads(place.get(f"{RECORDS}/{name}.jsonl", 200).partition(b"\n")[0]))
+
+
+def records_of(place: Place, name: str, folder: str = RECORDS) -> Iterator[Record]:
+    """Return the records of a chunk's jobs, drawn and failed."""
+    for line in place.get(f"{folder}/{name}.jsonl").splitlines()[1:]:
+        yield json.loads(line)
+
+
+def record_names(place: Place, folder: str = RECORDS) -> set[str]:
+    """Return the names of the chunks that have a record."""
+    suffix = ".jsonl"
+    return {name.removesuffix(suffix) for name in place.names(folder) if name.endswith(suffix)}

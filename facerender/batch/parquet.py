@@ -1,0 +1,90 @@
+"""A table of records as Parquet: a column for each value, however deep it lies, named with dots."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from facerender.errors import InputError
+
+_ROWS = 4096  # in memory at a time
+_NUMBERS = {"int", "float"}
+
+
+def check_parquet() -> None:
+    """Raise InputError where pyarrow is missing."""
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        raise InputError(
+            "jobs.parquet needs pyarrow: pip install 'facerender[batch]', or say --table jsonl"
+        ) from None
+
+
+def write_parquet(lines: Path, target: Path) -> None:
+    """Write records, a line of JSON each, as a Parquet file. A column of several kinds of values,
+    or of lists of tables, holds JSON."""
+    import pyarrow as pa
+    from pyarrow.parquet import ParquetWriter
+
+    number, text = pa.float64(), pa.string()
+    types = {
+        "bool": pa.bool_(),
+        "int": pa.int64(),
+        "float": number,
+        "text": text,
+        "json": text,
+        "vector": pa.list_(number),
+        "matrix": pa.list_(pa.list_(number)),
+    }
+    kinds = _kinds(lines)
+    schema = pa.schema([(name, types[kind]) for name, kind in kinds.items()])
+    rows = _rows(lines)
+    with ParquetWriter(target, schema) as writer:
+        while some := [*islice(rows, _ROWS)]:
+            columns = [
+                [_value(row.get(name), kind) for row in some] for name, kind in kinds.items()
+            ]
+            writer.write_table(pa.table(columns, schema))
+
+
+def _rows(lines: Path) -> Iterator[dict[str, Any]]:
+    with lines.open() as file:
+        for line in file:
+            yield dict(_flat(json.loads(line), ""))
+
+
+def _flat(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        elif value is not None:
+            yield f"{prefix}{key}", value
+
+
+def _kinds(lines: Path) -> dict[str, str]:
+    """Of each column the kind of its values."""
+    kinds: dict[str, str] = {}
+    for row in _rows(lines):
+        for name, value in row.items():
+            kind = _kind(value)
+            known = kinds.setdefault(name, kind)
+            if known != kind:
+                kinds[name] = "float" if {known, kind} == _NUMBERS else "json"
+    return kinds
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, list):
+        inner = {_kind(each) for each in value}
+        if inner <= _NUMBERS:
+            return "vector"
+        return "matrix" if inner == {"vector"} else "json"
+    return {bool: "bool", int: "int", float: "float", str: "text"}.get(type(value), "json")
+
+
+def _value(value: Any, kind: str) -> Any:
+    return json.dumps(value) if kind == "json" and value is not None else value

@@ -1,0 +1,95 @@
+"""What a batch says while it runs: bars on standard error, lines of JSON on standard output."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+from types import TracebackType
+from typing import Any
+
+from tqdm import tqdm
+
+from facerender.batch.supervisor import Outcome
+from facerender.batch.work import Work
+
+_A_MINUTE = 60.0  # between lines in a log
+_FRAME = 0.2  # seconds between those on a terminal
+
+
+class Progress:
+    """Jobs done of all, rate, time left and failures, and on a terminal what each worker does.
+
+    Parameters
+    ----------
+    work : all of it, and what is left
+    workers : of this process, of which every step is heard; 0 where only chunks are
+    lines : whether standard output gets a line of JSON for each chunk and each failed job
+    """
+
+    def __init__(self, work: Work, workers: int, lines: bool) -> None:
+        terminal = sys.stderr.isatty()
+        every = _FRAME if terminal else _A_MINUTE
+        self._bar = tqdm(
+            total=work.jobs,
+            initial=work.jobs - work.left,
+            unit=" jobs",
+            mininterval=every,
+            smoothing=0.05,
+        )
+        shown = range(1, 1 + workers) if terminal else ()
+        self._free = [tqdm(bar_format="{desc}", position=place, leave=False) for place in shown]
+        self._of: dict[int, tqdm[Any]] = {}  # by the supervisor's thread
+        self._workers, self._lines, self._failed = workers, lines, 0
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        for bar in (*self._of.values(), *self._free, self._bar):
+            bar.close()
+
+    def heard(self, worker: str, what: str, job: str) -> None:
+        """Take note of what a worker of this process says, in its supervisor's thread."""
+        if what in ("done", "kept", "failed"):
+            self._bar.update()
+        thread = threading.get_ident()
+        if thread not in self._of and self._free:
+            self._of[thread] = self._free.pop(0)
+        if thread in self._of:
+            self._of[thread].set_description_str(f"{worker}  {what} {job}")
+
+    def finished(self, outcome: Outcome) -> None:
+        """Take note of a chunk that is done."""
+        if not self._workers:
+            self._bar.update(outcome.drawn + outcome.kept + len(outcome.failed))
+        self._failed += len(outcome.failed)
+        if self._failed:
+            self._bar.set_postfix_str(f"{self._failed} failed", refresh=False)
+        for record in outcome.failed:
+            self.say("failed", id=record["id"], error=record["error"])
+        self.say(
+            "chunk",
+            chunk=outcome.chunk,
+            drawn=outcome.drawn,
+            kept=outcome.kept,
+            failed=len(outcome.failed),
+            seconds=round(outcome.seconds, 3),
+            deaths=outcome.deaths,
+            worker=outcome.worker,
+        )
+
+    def say(self, event: str, **facts: Any) -> None:
+        """Print a line of JSON, where they are wanted."""
+        if not self._lines:
+            return
+        try:
+            print(json.dumps({"time": round(time.time(), 3), "event": event, **facts}), flush=True)
+        except BrokenPipeError:  # who reads has read enough
+            self._lines = False

@@ -1,0 +1,196 @@
+"""Rows of a job table as nested plain data: dotted keys, shorthands, one table over another. How
+files hold them is told in ``forms.py``, what a whole row means in ``jobs.py``."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from facerender.errors import InputError
+from facerender.job import MeshFile
+from facerender.scenes.file import EnvironmentFile, parse_environment
+from facerender.scenes.light import parse_light
+
+Table = dict[str, Any]
+
+MESH_PATHS = tuple(each.name for each in fields(MeshFile) if each.type == "str | None")
+_DEEPEST = 10  # tables in tables
+_DIGITS = frozenset("0123456789")
+_MOST_BITS = 64  # of whole numbers
+
+
+def told(value: Any) -> str:
+    """Return a value as messages show it."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # Python does not print numbers of 5000 digits
+        text = f"a {type(value).__name__} that is too long to print"
+    return short(text)
+
+
+def short(text: str, most: int = 120) -> str:
+    """Return text as one line of so many characters at most."""
+    line = " ".join(text.split())
+    return line if len(line) <= most else f"{line[: most - 3]}..."
+
+
+def nested(row: Any) -> Table:
+    """Return a row as tables in tables of plain data.
+
+    Dotted keys become tables, what is None is left out, a mesh or an environment as text becomes
+    its table, lights as text theirs. Places of lists (``lights.0.azimuth``) stay tables with
+    numbers as keys until :func:`listed`.
+
+    Raises
+    ------
+    InputError : no table, a key given twice, a value that is no plain data, text of a light or an
+        environment that is none
+    """
+    if type(row) is not dict and not isinstance(row, Mapping):
+        raise InputError(f"row = {told(row)}: give a table")
+    given = {}
+    for key, value in row.items():
+        if key == "mesh" and isinstance(value, str | os.PathLike):
+            key = "mesh.path"
+        elif key == "environment" and isinstance(value, str):
+            found = parse_environment(value)
+            for name in [each.name for each in fields(EnvironmentFile)][: value.count(",") + 1]:
+                given[f"environment.{name}"] = getattr(found, name)
+            continue
+        if key in given:
+            raise InputError(f"{key} is given twice: leave one out")
+        given[key] = value
+    tables: Table = _plain(given, "", 0)
+    if "lights" in tables:
+        tables["lights"] = _lights(tables["lights"])
+    return tables
+
+
+def placed(keys: Sequence[str], value: Any) -> Any:
+    """Return a value in tables of these keys, the outermost first."""
+    for key in reversed(keys):
+        value = {key: value}
+    return value
+
+
+def merged(base: Table, over: Table) -> Table:
+    """Return one table over another: tables merge, places of a list take the place of its items,
+    all else is replaced. Neither is changed; the result shares what it can."""
+    both = dict(base)
+    for key, value in over.items():
+        if type(value) is dict and key in both:
+            old = both[key]
+            if type(old) is list and _places(value):
+                old = {str(place): item for place, item in enumerate(old)}
+            if type(old) is dict:
+                value = merged(old, value)
+        both[key] = value
+    return both
+
+
+def listed(value: Any, name: str) -> Any:
+    """Return a value with lists where it has tables of places: all but the terms of lights.
+
+    Raises
+    ------
+    InputError : a place is left out
+    """
+    if type(value) is dict:
+        items = {
+            key: listed(each, f"{name}.{key}") if type(each) in (dict, list) else each
+            for key, each in value.items()
+        }
+        if not items or not _places(items) or name == "shading.lights":
+            return items
+        for place in range(len(items)):
+            if str(place) not in items:
+                raise InputError(f"{name} lacks its item {place}: count from 0, leave none out")
+        return [items[str(place)] for place in range(len(items))]
+    if type(value) is list and value and type(value[0]) is dict:
+        return [listed(each, f"{name}.{place}") for place, each in enumerate(value)]
+    return value
+
+
+def _places(table: Table) -> bool:
+    return all(map(_DIGITS.issuperset, table))
+
+
+def _plain(value: Any, name: str, depth: int) -> Any:
+    kind = type(value)
+    if kind is str or kind is bool:
+        return value
+    if kind is float:
+        if not math.isfinite(value):
+            raise InputError(f"{name} = {value!r}: give a finite number")
+        return value
+    if kind is int:
+        if value.bit_length() > _MOST_BITS:
+            raise InputError(
+                f"{name} = {told(value)}: a whole number has {_MOST_BITS} bits at most"
+            )
+        return value
+    if depth > _DEEPEST:
+        raise InputError(f"{name.split('.')[0]} has tables or lists {depth} deep: leave them out")
+    if kind is dict or isinstance(value, Mapping):
+        return _plain_table(value, name, depth)
+    if kind is list or isinstance(value, list | tuple):
+        return [_plain(each, f"{name}.{place}", depth + 1) for place, each in enumerate(value)]
+    if isinstance(value, np.generic | np.ndarray):
+        return _plain(value.tolist(), name, depth + 1)
+    if isinstance(value, os.PathLike):
+        return _plain(os.fspath(value), name, depth + 1)
+    raise InputError(
+        f"{name} = {told(value)}: give a number, true or false, text, a list or a table"
+    )
+
+
+def _plain_table(value: Mapping[Any, Any], name: str, depth: int) -> Table:
+    table: Table = {}
+    for key, each in value.items():
+        if not isinstance(key, str):
+            raise InputError(f"key {told(key)}{f' of {name}' if name else ''}: give text")
+        if each is None:
+            continue
+        full = f"{name}.{key}" if name else key
+        each = _plain(each, full, depth + 1)
+        if each == {} and value[key]:  # nothing but None was in it
+            continue
+        if "." in key:
+            key, *parts = key.split(".")
+            if depth + len(parts) > _DEEPEST:
+                raise InputError(f"key {told(full)} has too many dots: leave it out")
+            each = placed(parts, each)
+        table[key] = _joined(table[key], each, full) if key in table else each
+    return table
+
+
+def _joined(one: Any, other: Any, name: str) -> Any:
+    """Return the first table with what is in the other, where no key is in both."""
+    if type(one) is not dict or type(other) is not dict:
+        raise InputError(f"{short(name)} is given twice, or beside the whole: leave one out")
+    for key, value in other.items():
+        one[key] = _joined(one[key], value, name) if key in one else value
+    return one
+
+
+def _lights(given: Any) -> Any:
+    if isinstance(given, str):
+        given = [given]
+    if type(given) is list:
+        return [_light(each) if isinstance(each, str) else each for each in given]
+    if type(given) is dict:
+        return {k: _light(each) if isinstance(each, str) else each for k, each in given.items()}
+    return given
+
+
+@lru_cache(1024)
+def _light(text: str) -> Table:
+    light = {name: each for name, each in asdict(parse_light(text)).items() if each is not None}
+    table: Table = _plain(light, "", 0)
+    return table

@@ -1,0 +1,599 @@
+"""Batches: every job once, the same bytes however they are drawn, and nothing lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext, suppress
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+import facerender as fr
+from facerender.batch import engine
+from facerender.batch.chunk import Settings, chunks, painter
+from facerender.batch.jobs import Row, read_jobs
+from facerender.batch.place import Place
+from facerender.batch.supervisor import CannotDraw, draw_chunk
+from facerender.commands import main
+from facerender.loading.named import named_files
+from tests.conftest import require_module
+
+COMMAND = [sys.executable, "-m", "facerender", "batch"]
+
+
+@pytest.fixture(autouse=True)
+def _needs_egl(egl):
+    pass
+
+
+def rows(count: int, **more: Any) -> list[dict[str, Any]]:
+    return [
+        {"id": f"job{i:03d}", "image.size": 48, "camera.azimuth": 7.0 * i - 40.0, **more}
+        for i in range(count)
+    ]
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Callable[[Sequence[dict[str, Any]]], str]:
+    def write(jobs: Sequence[dict[str, Any]]) -> str:
+        path = tmp_path / "jobs.jsonl"
+        path.write_text("".join(json.dumps(job) + "\n" for job in jobs))
+        return str(path)
+
+    return write
+
+
+@pytest.fixture(scope="module")
+def thread() -> Iterator[ThreadPoolExecutor]:
+    """What keeps its worker from batch to batch, as a thread of a Dask worker does."""
+    with ThreadPoolExecutor(1) as executor:
+        yield executor
+
+
+@pytest.fixture
+def draw(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    thread: ThreadPoolExecutor,
+) -> Callable[..., dict[str, Any]]:
+    """Run a batch, and return what its last line of JSON says, and its exit status. One worker is
+    that of the batch before, if it need not be fresh."""
+    started = engine.local
+
+    def run(jobs: str, output: str, *options: str, fresh: bool = False) -> dict[str, Any]:
+        kept = nullcontext(engine.Engine(thread, lambda: 1, 1))
+        monkeypatch.setattr(
+            engine, "local", lambda count: started(count) if fresh or count > 1 else kept
+        )
+        words = ["batch", jobs, "-o", str(tmp_path / output), "--workers", "1", "--json", *options]
+        status = main(words)
+        out, err = capsys.readouterr()
+        last = json.loads(out.splitlines()[-1]) if out else {}
+        return {**last, "status": status, "err": err, "lines": out.splitlines()}
+
+    return run
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    """What is in a batch's folder, but for where it was asked for."""
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    names = {str(path.relative_to(folder)): path.read_bytes() for path in files}
+    return {name: data for name, data in names.items() if name not in ("batch.json", ".lock")}
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    """A mesh that is quickly read: a tetrahedron, in a material with a map."""
+    positions = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 0 1\n"
+    faces = "f 1/1 3/3 2/2\nf 1/1 2/2 4/3\nf 1/1 4/3 3/2\nf 2/1 3/2 4/3\n"
+    path = tmp_path / "small.obj"
+    path.write_text(f"mtllib small.mtl\n{positions}usemtl skin\n{faces}")
+    (tmp_path / "small.mtl").write_text("newmtl skin\nmap_Kd -clamp on skin.png\n")
+    image = require_module("PIL.Image")
+    image.fromarray(np.full((4, 4, 3), (200, 150, 120), np.uint8)).save(tmp_path / "skin.png")
+    return path
+
+
+@pytest.mark.parametrize("layout", ["files", "shards"])
+def test_bytes_are_the_same_with_any_workers(table, draw, small, tmp_path, layout):
+    jobs = rows(9, passes="image,mask,depth")
+    for job in jobs[::2]:
+        job["mesh"] = str(small)
+    path = table(jobs)
+    for workers in ("1", "3"):
+        options = ("--workers", workers, "--layout", layout, "--chunk", "4", "--transforms")
+        found = draw(path, workers, *options)
+        assert (found["status"], found["done"], found["drawn"]) == (0, 9, 9)
+    one, three = tree(tmp_path / "1"), tree(tmp_path / "3")
+    assert one == three
+    assert len(one) > 4
+
+
+def test_images_are_those_of_a_renderer(table, draw, tmp_path):
+    draw(table([{"id": "one", "image.size": 64, "camera.azimuth": -30, "material.m": 0.2}]), "out")
+    mesh = fr.load_mesh().with_material(m=0.2)
+    with fr.Renderer((64, 64)) as renderer:
+        renderer.render(fr.Scene(mesh, fr.Camera(-30.0))).save(tmp_path / "alone.png")
+    alone = (tmp_path / "alone.png").read_bytes()
+    assert (tmp_path / "out/data/one/image.png").read_bytes() == alone
+
+
+def test_a_second_run_draws_nothing(table, draw, small):
+    path = table(rows(5, mesh=str(small)))
+    assert draw(path, "out")["drawn"] == 5
+    again = draw(path, "out", "--workers", "2")
+    assert (again["status"], again["drawn"], again["done"]) == (0, 0, 5)
+
+
+@pytest.mark.parametrize("layout", ["files", "shards"])
+def test_what_changed_is_drawn_again_and_nothing_else(table, draw, small, tmp_path, layout):
+    options = ("--layout", layout, "--chunk", "4")
+    jobs = rows(10, mesh=str(small))
+    draw(table(jobs), "out", *options)
+    jobs[3]["material.m"] = 0.5
+    del jobs[7]
+    jobs += [{**jobs[0], "id": "new", "camera.elevation": 20.0}]
+    assert draw(table(jobs), "out", *options)["drawn"] == 2
+    draw(table(jobs), "fresh", *options)
+    assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
+
+
+def test_what_was_drawn_over_is_not_kept(table, draw, small, tmp_path):
+    jobs = rows(4, mesh=str(small))
+    draw(table(jobs), "out", "--chunk", "2")
+    (tmp_path / "out/data/job000/image.png").write_bytes(b"another's")
+    jobs[1]["material.m"] = 0.5
+    assert draw(table(jobs), "out", "--chunk", "2")["drawn"] == 2
+    draw(table(jobs), "fresh", "--chunk", "2")
+    assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
+
+
+@pytest.mark.parametrize("name", ["small.obj", "small.mtl", "skin.png"])
+def test_a_changed_mesh_is_drawn_again(table, draw, small, name):
+    path = table([*rows(2, mesh=str(small)), {"id": "other", "image.size": 48}])
+    draw(path, "out")
+    changed = small.parent / name
+    if name == "skin.png":
+        image = require_module("PIL.Image")
+        image.fromarray(np.full((4, 4, 3), 90, np.uint8)).save(changed)
+    else:
+        changed.write_text(changed.read_text() + "# changed\n")
+    assert draw(path, "out")["drawn"] == 2
+
+
+def test_files_that_a_mesh_names_are_found(tmp_path, small):
+    assert {path.name for path in named_files(small)} >= {"small.mtl", "skin.png"}
+    (tmp_path / "a.gltf").write_text('{"buffers": [{"uri": "a%20b.bin"}], "images": 5}')
+    assert named_files(tmp_path / "a.gltf") == []
+    (tmp_path / "a.gltf").write_text(
+        '{"buffers": [{"uri": "a%20b.bin"}], "images": [{"uri": "data:,"}, {"uri": "c.png"}, 7]}'
+    )
+    assert [path.name for path in named_files(tmp_path / "a.gltf")] == ["a b.bin", "c.png"]
+    (tmp_path / "a.ply").write_text("ply\ncomment TextureFile skin.png\n")
+    assert [path.name for path in named_files(tmp_path / "a.ply")] == ["skin.png"]
+
+
+# --- failures -----------------------------------------------------------------------------------
+
+
+CRASH = """
+import os, signal
+import facerender.job as job
+load = job.load_mesh
+def load_or_die(path, **more):
+    if path and "crash" in path:
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if path and "large" in path:
+        raise MemoryError
+    if path and "hangs" in path:
+        signal.pause()
+    return load(path, **more)
+job.load_mesh = load_or_die
+"""
+
+
+def test_poison_is_isolated_and_named(table, draw, small, tmp_path, monkeypatch):
+    (tmp_path / "garbage.glb").write_bytes(Random(1).randbytes(3000))
+    os.mkfifo(tmp_path / "pipe.obj")
+    (tmp_path / "endless.glb").symlink_to("/dev/zero")
+    (tmp_path / "loop.glb").symlink_to("loop.glb")
+    (tmp_path / "empty.glb").touch()
+    (tmp_path / "folder.glb").mkdir()
+    for name in ("crash.obj", "hangs.obj", "large.obj"):
+        shutil.copy(small, tmp_path / name)
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site/sitecustomize.py").write_text(CRASH)
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    jobs = rows(4, mesh=str(small))
+    named = {
+        "garbage.glb": "garbage.glb is not glTF",
+        "absent.glb": "absent.glb: no such file",
+        "pipe.obj": "pipe.obj is a pipe or a device: give a file",
+        "endless.glb": "endless.glb is a pipe or a device: give a file",
+        "loop.glb": "loop.glb: ",
+        "empty.glb": "empty.glb ",
+        "folder.glb": "folder.glb is a directory; ",
+        "hangs.obj": "the worker said nothing for 8 s, 2 times",
+        "large.obj": "the worker ended with 9, 2 times",
+        "crash.obj": "the worker was killed by SIGSEGV, 2 times",
+    }
+    for name in named:
+        jobs.insert(2, {**jobs[1], "id": name.partition(".")[0], "mesh": str(tmp_path / name)})
+    jobs.insert(3, {**jobs[0], "id": "crash2", "mesh": str(tmp_path / "crash.obj")})
+    path = table(jobs)
+    options = ("--timeout", "8", "--tries", "2", "--chunk", "20")
+    found = draw(path, "out", *options, fresh=True)
+    assert (found["status"], found["done"], found["failed"]) == (3, 4, 11)
+    lines = (tmp_path / "out/failed.jsonl").read_text().splitlines()
+    failed = {record["id"]: record for record in map(json.loads, lines)}
+    for name, error in named.items():
+        assert error in failed[name.partition(".")[0]]["error"]
+    assert failed["crash2"]["error"] == failed["crash"]["error"]
+    told = [each for each in map(json.loads, found["lines"]) if each["event"] == "failed"]
+    assert {each["id"] for each in told} == set(failed)
+    again = draw(path, "out", *options)
+    assert (again["status"], again["drawn"], again["failed"]) == (3, 0, 11)
+
+    (tmp_path / "site/sitecustomize.py").unlink()
+    mended = draw(path, "out", "--retry-failed", *options)
+    assert (mended["drawn"], mended["failed"]) == (4, 7)
+
+
+DIES = """
+import facerender.batch.supervisor as supervisor
+started = supervisor.Supervisor._started
+killed = []
+def started_and_killed(self, *given):
+    connection = started(self, *given)
+    if not killed:
+        killed.append(self._process.kill() or self._process.wait())
+    return connection
+supervisor.Supervisor._started = started_and_killed
+"""
+
+
+def test_a_worker_that_ends_before_it_is_written_to(table, small, tmp_path):
+    (tmp_path / "sitecustomize.py").write_text(DIES)
+    found = subprocess.run(
+        [*COMMAND, table(rows(1, mesh=str(small))), "-o", str(tmp_path / "out"), "--json"],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert found.returncode == 0, found.stderr
+    assert json.loads(found.stdout.splitlines()[0])["deaths"] == 1
+
+
+def test_a_table_that_is_another_each_time(table, draw, small, tmp_path, capsys):
+    path = tmp_path / "jobs.py"
+    path.write_text(
+        "import random\n"
+        "def jobs():\n"
+        f"    for i in range(4):\n"
+        f"        yield {{'mesh': {str(small)!r}, 'camera.azimuth': random.random()}}\n"
+    )
+    found = draw(str(path), "out")
+    assert found["status"] == 2
+    assert "the table of jobs, or a file that it names, has changed" in found["err"]
+    assert not list((tmp_path / "out").glob("records/*"))
+
+
+@pytest.mark.parametrize("layout", ["files", "shards"])
+def test_what_was_cut_off_and_is_no_longer_asked_for_goes(
+    table, draw, small, tmp_path, layout, monkeypatch
+):
+    options = ("--layout", layout, "--chunk", "2")
+    jobs = rows(4, mesh=str(small))
+
+    def die(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:  # between data and record
+        patched.setattr("facerender.batch.output._put_records", die)
+        draw(table(jobs), "out", *options)
+    draw(table(jobs[1:]), "out", *options)
+    draw(table(jobs[1:]), "fresh", *options)
+    assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
+    assert len([*(tmp_path / "out/data").glob("*")]) == (3 if layout == "files" else 0)
+
+
+@pytest.mark.parametrize("step", ["rename", "drop", "move", "put"])
+def test_a_driver_may_end_at_any_step(table, draw, small, tmp_path, monkeypatch, step):
+    """Whichever file of the folder it was about to change."""
+    options = ("--chunk", "2", "--transforms")
+    jobs = rows(4, mesh=str(small))
+    draw(table(jobs[1:]), "fresh", *options)
+    real = getattr(Place, step)
+    for count in range(20):
+        shutil.rmtree(tmp_path / "out", ignore_errors=True)
+        draw(table(jobs), "out", *options)
+        left = iter(range(count))
+
+        def or_die(*given: Any, left: Iterator[int] = left) -> Any:
+            if threading.current_thread() is threading.main_thread() and next(left, None) is None:
+                raise KeyboardInterrupt
+            return real(*given)
+
+        with monkeypatch.context() as patched:
+            patched.setattr(Place, step, or_die)
+            ended = draw(table(jobs[1:]), "out", *options)["status"]
+        assert draw(table(jobs[1:]), "out", *options)["status"] == 0
+        assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
+        if ended == 0:
+            return
+    raise AssertionError("it never came to its end")
+
+
+def test_a_run_that_another_has_followed_writes_nothing(table, draw, small, tmp_path):
+    jobs = rows(2, mesh=str(small))
+    draw(table(jobs), "out", "--chunk", "2")
+    before = tree(tmp_path / "out")
+    (chunk,) = chunks(read_jobs(table([{**job, "material.m": 0.5} for job in jobs])), 2)
+    with pytest.raises(CannotDraw, match="another run of the batch has begun there"):
+        draw_chunk(Settings(str(tmp_path / "out"), painter=painter()), chunk)
+    assert tree(tmp_path / "out") == before
+
+
+def test_a_file_that_is_another_where_it_is_drawn(table, draw, small, tmp_path):
+    (chunk,) = chunks(read_jobs(table(rows(2, mesh=str(small)))), 2)
+    small.write_text(small.read_text() + "# changed\n")
+    outcome = draw_chunk(Settings(str(tmp_path / "out"), painter=painter()), chunk)
+    assert [record["id"] for record in outcome.failed] == ["job000", "job001"]
+    assert "not here what they were where the batch" in outcome.failed[0]["error"]
+
+
+def test_status_and_check(table, draw, small, capsys, tmp_path):
+    path = table(rows(3, mesh=str(small)))
+    draw(path, "out")
+    assert main(["batch", "--status", str(tmp_path / "out")]) == 0
+    assert "3 of 3 jobs are done, 0 have failed" in capsys.readouterr().out
+    assert main(["batch", path, "--check"]) == 0
+    assert capsys.readouterr().out == f"{path}: 3 jobs of 1 meshes\n"
+    assert main(["batch", "--status", str(tmp_path / "none")]) == 2
+    assert main(["batch", table([*rows(1), {"camera.azimuth": "left"}]), "-o", "x"]) == 2
+    assert "row 2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--workers", "0"], "--workers 0: give at least 1"),
+        (["--timeout", "nan"], "--timeout nan: give at least 1"),
+        (["--chunk", "0"], "--chunk 0: give at least 1"),
+        (["--scene", "none.toml"], "cannot read none.toml: no such file"),
+        (["-o", "nowhere://here"], "nowhere://here cannot be reached"),
+        (["--layout", "shards"], "id 'a.1': readers of shards end a name at its first dot"),
+        (["-o", "/dev/null/out"], "cannot write to /dev/null/out: not a directory"),
+    ],
+)
+def test_what_cannot_start_is_one_line(table, draw, options, message):
+    found = draw(table([{"id": "a.1"}]), "out", *options)
+    assert found["status"] == 2
+    assert found["err"].startswith("facerender: error: ")
+    assert message in found["err"]
+    assert found["err"].count("\n") == 1
+
+
+def test_a_folder_has_one_driver(table, draw, small, tmp_path):
+    path = table(rows(400, mesh=str(small)))
+    command = [*COMMAND, path, "-o", str(tmp_path / "out"), "--workers", "1"]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as first:
+        wait_for(lambda: list((tmp_path / "out").glob("records/*.jsonl")))
+        found = draw(path, "out")
+        first.kill()
+    assert (found["status"], "another batch is being written" in found["err"]) == (2, True)
+
+
+def test_a_full_disk_stops_the_batch(table, small, tmp_path):
+    path = table(rows(4, mesh=str(small)))
+    found = subprocess.run(
+        [*COMMAND, path, "-o", str(tmp_path / "out"), "--workers", "1"],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (900, 900)),
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert found.returncode == 2
+    assert "cannot write to" in found.stderr.splitlines()[-1]
+    assert not list((tmp_path / "out").glob("records/*.jsonl"))
+
+
+def test_no_opengl_stops_the_batch(table, small, tmp_path):
+    hidden = {**os.environ, "__EGL_VENDOR_LIBRARY_FILENAMES": "/dev/null"}
+    found = subprocess.run(
+        [
+            *COMMAND,
+            table(rows(4, mesh=str(small))),
+            "-o",
+            str(tmp_path / "out"),
+            "--backend",
+            "egl",
+        ],
+        env=hidden,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert found.returncode == 2
+    assert found.stderr.splitlines()[-1].startswith("facerender: error: no OpenGL context")
+
+
+def wait_for(what: Callable[[], object], seconds: float = 120.0) -> None:
+    end = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize("layout", [pytest.param("files", marks=pytest.mark.slow), "shards"])
+def test_killed_again_and_again(table, draw, small, tmp_path, layout):
+    path = table(rows(60, mesh=str(small)))
+    options = ["--layout", layout, "--chunk", "3", "--workers", "2"]
+    records, kills, random = tmp_path / "out/records", 0, Random(7)
+    for _ in range(4):
+        before = len([*records.glob("*")])
+        command = [*COMMAND, path, "-o", str(tmp_path / "out"), *options]
+        driver = psutil.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        end = time.monotonic() + 60.0
+        while driver.poll() is None and len([*records.glob("*")]) == before:
+            assert time.monotonic() < end
+            time.sleep(0.02)
+        with suppress(psutil.NoSuchProcess):  # it may just have come to its end
+            random.choice([driver, *driver.children()]).kill()
+            kills += 1
+            time.sleep(random.uniform(0.0, 0.5))
+            driver.kill()
+        driver.wait()
+    assert kills > 1
+    found = draw(path, "out", *options)
+    assert (found["status"], found["done"]) == (0, 60)
+    draw(path, "fresh", *options)
+    assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
+
+
+# --- where it is written, and what reads it -----------------------------------------------------
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # it closes no file
+def test_webdataset_reads_shards(table, draw, small, tmp_path):
+    webdataset = require_module("webdataset")
+    draw(table(rows(5, mesh=str(small), passes="image,depth")), "out", "--layout", "shards")
+    shards = sorted(str(path) for path in (tmp_path / "out/shards").glob("*.tar"))
+    found = list(webdataset.WebDataset(shards, shardshuffle=False).decode("rgb8"))
+    assert [each["__key__"] for each in found] == [f"job{i:03d}" for i in range(5)]
+    assert found[0]["image.png"].shape == (48, 48, 3)
+    assert found[2]["json"]["camera"]["width"] == 48
+    assert found[2]["json"]["depth_scale"] > 0.0
+
+
+def test_tables(table, draw, small, tmp_path):
+    parquet = require_module("pyarrow.parquet")
+    path = table([*rows(3, mesh=str(small)), {"id": "lit", "image.size": 48, "lights": ["10,20"]}])
+    draw(path, "out", "--transforms")
+    records = [json.loads(line) for line in (tmp_path / "out/jobs.jsonl").read_text().splitlines()]
+    assert sorted(record["number"] for record in records) == [0, 1, 2, 3]
+    draw(path, "out", "--table", "parquet")
+    found = parquet.read_table(tmp_path / "out/jobs.parquet").to_pylist()
+    assert [row["id"] for row in found] == [record["id"] for record in records]
+    lit = next(row for row in found if row["id"] == "lit")
+    assert json.loads(lit["job.lights"])[0]["azimuth"] == 10.0
+    assert lit["camera.K"] == next(r for r in records if r["id"] == "lit")["camera"]["K"]
+    frames = json.loads((tmp_path / "out/transforms.json").read_text())["frames"]
+    assert [frame["file_path"] for frame in frames] == [
+        f"data/{record['id']}/image.png" for record in records
+    ]
+
+
+@pytest.fixture
+def s3(monkeypatch) -> Iterator[str]:
+    server = require_module("moto.server").ThreadedMotoServer(port=0, verbose=False)
+    server.start()
+    host, port = server.get_host_and_port()
+    for name, value in (
+        ("AWS_ENDPOINT_URL", f"http://{host}:{port}"),
+        ("AWS_ACCESS_KEY_ID", "any"),
+        ("AWS_SECRET_ACCESS_KEY", "any"),
+        ("AWS_DEFAULT_REGION", "us-east-1"),
+    ):
+        monkeypatch.setenv(name, value)
+    require_module("s3fs").S3FileSystem.clear_instance_cache()  # of the server before
+    require_module("s3fs").S3FileSystem().makedirs("heads", exist_ok=True)
+    yield "s3://heads"
+    server.stop()
+
+
+@pytest.mark.parametrize("layout", ["files", "shards"])
+def test_an_object_store_gets_the_same_files(table, draw, small, tmp_path, s3, layout):
+    options = ("--layout", layout, "--chunk", "2")
+    jobs = rows(5, mesh=str(small))
+    path = table(jobs)
+    draw(path, "local", *options)
+    assert draw(path, "x", *options, "-o", f"{s3}/{layout}", fresh=True)["drawn"] == 5
+    assert draw(path, "x", *options, "-o", f"{s3}/{layout}", fresh=True)["drawn"] == 0
+    jobs[0]["material.m"] = 0.5
+    path = table(jobs)
+    assert draw(path, "x", *options, "-o", f"{s3}/{layout}", fresh=True)["drawn"] == 1
+    draw(path, "local", *options)
+    system = require_module("s3fs").S3FileSystem(use_listings_cache=False)
+    system.get(f"heads/{layout}", str(tmp_path / "copy"), recursive=True)
+    assert tree(tmp_path / "copy") == tree(tmp_path / "local")
+
+
+# --- Dask ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[str]:
+    """A scheduler and two workers, started by hand as docs/batch.md does."""
+    require_module("distributed")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    dask = [sys.executable, "-m", "dask"]
+    scheduler = [*dask, "scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+    workers = [*dask, "worker", address, "--nthreads", "1", "--nworkers", "2", "--no-dashboard"]
+    started = [
+        subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        for command in (scheduler, workers)
+    ]
+    yield address
+    for process in reversed(started):
+        process.send_signal(signal.SIGTERM)
+        process.wait()
+
+
+def test_a_cluster_draws_the_same_bytes(table, draw, small, tmp_path, cluster):
+    jobs = rows(8, passes="image,mask")
+    for job in jobs[::2]:
+        job["mesh"] = str(small)
+    jobs.append({**jobs[0], "id": "absent", "mesh": str(tmp_path / "absent.glb")})
+    path = table(jobs)
+    options = ("--layout", "shards", "--chunk", "3")
+    there = draw(path, "there", *options, "--scheduler", cluster)
+    here = draw(path, "here", *options)
+    assert (there["status"], there["done"], there["failed"]) == (3, 8, 1)
+    assert (here["status"], here["done"]) == (3, 8)
+    assert tree(tmp_path / "there") == tree(tmp_path / "here")
+
+
+def test_without_a_scheduler(table, draw, monkeypatch):
+    require_module("distributed")
+    monkeypatch.setattr("facerender.batch.engine._SECONDS", 1)
+    found = draw(table(rows(1)), "out", "--scheduler", "tcp://127.0.0.1:1")
+    assert found["status"] == 2
+    assert "no scheduler at tcp://127.0.0.1:1" in found["err"]
+
+
+# --- chunks -------------------------------------------------------------------------------------
+
+
+def test_chunks_hold_every_job_once_and_few_meshes():
+    random = Random(3)
+    given = [
+        Row(i, f"{i}", {"mesh": {"path": f"/none/{random.randrange(6)}.glb"}}) for i in range(1000)
+    ]
+    made = list(chunks(given, 16))
+    assert sorted(row.number for chunk in made for row in chunk.rows) == list(range(1000))
+    assert [chunk.number for chunk in made] == list(range(len(made)))
+    meshes = [len({str(row.tables) for row in chunk.rows}) for chunk in made]
+    assert sum(count == 1 for count in meshes) >= len(made) - 6
+    assert max(len(chunk.rows) for chunk in made) == 16
+    assert [chunk.name for chunk in chunks(given, 16)] == [chunk.name for chunk in made]

@@ -1,0 +1,936 @@
+"""Tables of jobs: every form gives the same rows, what is drawn at random stays, bad input is one
+line, the schema admits what the reader admits."""
+
+from __future__ import annotations
+
+import builtins
+import csv
+import inspect
+import itertools
+import json
+import re
+import runpy
+import tracemalloc
+from dataclasses import fields
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+
+from facerender.batch.jobs import LIMITS, PASSES, TABLES, Row, check_jobs, read_jobs
+from facerender.batch.schema import schema
+from facerender.drawing.renderer import MAX_SAMPLES, MAX_SIZE
+from facerender.errors import InputError
+from facerender.job import ImageSettings, Job, MeshFile
+from facerender.scenes.camera import Camera
+from facerender.scenes.file import EnvironmentFile
+from facerender.scenes.light import Light, parse_light
+from facerender.scenes.material import MAPS, Material
+from facerender.shading import Shading, Term
+from facerender.terms import FRESNEL, LOBES, MASKING, MODELS
+from tests.conftest import require_module
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture
+def table(tmp_path, monkeypatch):
+    """Write a file of a table in the current folder, and return its name."""
+    monkeypatch.chdir(tmp_path)
+
+    def write(name, content):
+        path = tmp_path / name
+        if isinstance(content, bytes):
+            path.write_bytes(content)
+        else:
+            path.write_text(content, encoding="utf-8")
+        return name
+
+    return write
+
+
+def rows_of(*given, common=MappingProxyType({})):
+    """Rows of tables in Python, by way of a .jsonl file in the current folder."""
+    Path("rows.jsonl").write_text("".join(f"{json.dumps(row)}\n" for row in given))
+    return list(read_jobs("rows.jsonl", common))
+
+
+def toml_rows(table, text, **options):
+    return list(read_jobs(table("rows.toml", text), **options))
+
+
+# --- forms ---------------------------------------------------------------------------------------
+
+ROWS = [
+    {"id": "a", "mesh.path": "a.glb", "camera.azimuth": 30, "lights.0.azimuth": -40.5},
+    {"id": "b", "mesh.path": "a.glb", "mesh.flip_v": True, "material.m": 0.25},
+    {"id": "1e5", "mesh.path": "b.glb", "shading.lobe": "d16", "passes": "image, mask"},
+]
+
+
+def write_csv(rows):
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    with open("rows.csv", "w", encoding="utf-8-sig", newline="") as file:
+        writer = csv.DictWriter(file, names)
+        writer.writeheader()
+        writer.writerows(rows)
+    return "rows.csv"
+
+
+def write_parquet(rows):
+    pa = require_module("pyarrow")
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    table = pa.table({name: [row.get(name) for row in rows] for name in names})
+    require_module("pyarrow.parquet").write_table(table, "rows.parquet", row_group_size=2)
+    return "rows.parquet"
+
+
+def write_text(name, text):
+    Path(name).write_text(text, encoding="utf-8")
+    return name
+
+
+WRITERS = {
+    "jsonl": lambda rows: write_text("rows.jsonl", "\n\n".join(map(json.dumps, rows))),
+    "csv": write_csv,
+    "parquet": write_parquet,
+    "toml": lambda rows: write_text(
+        "rows.toml",
+        "\n".join(
+            "[[jobs]]\n" + "".join(f"{key} = {json.dumps(row[key])}\n" for key in row)
+            for row in rows
+        ),
+    ),
+    "py": lambda rows: write_text("rows.py", f"def jobs():\n    yield from {rows!r}\n"),
+}
+
+
+@pytest.mark.parametrize("form", WRITERS)
+def test_every_form_gives_the_same_rows(form, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = list(read_jobs(WRITERS[form](ROWS), {"image": {"size": "64x32"}, "exposure": 1}))
+    a, b = str(tmp_path / "a.glb"), str(tmp_path / "b.glb")
+    image = {"size": [64, 32]}
+    assert found == [
+        Row(
+            0,
+            "a",
+            {
+                "mesh": {"path": a},
+                "camera": {"azimuth": 30},
+                "lights": [{"azimuth": -40.5}],
+                "image": image,
+            },
+            exposure=1.0,
+        ),
+        Row(
+            1,
+            "b",
+            {"mesh": {"path": a, "flip_v": True}, "material": {"m": 0.25}, "image": image},
+            exposure=1.0,
+        ),
+        Row(
+            2,
+            "1e5",
+            {"mesh": {"path": b}, "shading": {"lobe": "d16"}, "image": image},
+            ("image", "mask"),
+            1.0,
+        ),
+    ]
+    for row in found:
+        assert json.loads(json.dumps(row.tables)) == row.tables
+        Job.from_dict(row.tables)
+
+
+def test_rows_of_parquet_may_be_nested(tmp_path, monkeypatch):
+    pa, pq = require_module("pyarrow"), require_module("pyarrow.parquet")
+    monkeypatch.chdir(tmp_path)
+    lights = [{"azimuth": 1.0, "position": None}, {"azimuth": None, "position": [0.0, 1.0, 2.0]}]
+    rows = {"camera": [{"azimuth": 1, "zoom": None}, None], "lights": [lights, None]}
+    pq.write_table(pa.table(rows | {"environment": [{"file": None}] * 2}), "rows.parquet")
+    assert [row.tables for row in read_jobs("rows.parquet")] == [
+        {
+            "camera": {"azimuth": 1},
+            "lights": [{"azimuth": 1.0}, {"position": [0.0, 1.0, 2.0]}],
+        },
+        {},
+    ]
+
+
+def test_rows_of_a_program_may_hold_arrays_and_paths(table):
+    name = table(
+        "rows.py",
+        "import numpy as np\nfrom pathlib import Path\n"
+        "def jobs():\n"
+        "    yield {'mesh': Path('a.glb'), 'camera.target': np.arange(3) / 2,\n"
+        "           'camera.azimuth': np.float32(1.5), 'image.size': (4, np.int64(5))}\n",
+    )
+    (row,) = read_jobs(name)
+    assert row.tables == {
+        "mesh": {"path": str(Path.cwd() / "a.glb")},
+        "camera": {"target": [0.0, 0.5, 1.0], "azimuth": 1.5},
+        "image": {"size": [4, 5]},
+    }
+
+
+def test_cells_of_csv(table):
+    text = (
+        "\ufeffid,camera.azimuth,mesh.flip_v,camera.zoom,lights,shading.lobe,ambient,passes\r\n"
+        '007,+1.5,TRUE,.5,"[""key""]",d4,"[1, 2, 3]",mask\r\n'
+        "\r\n"
+        ' 1e3 ,1e1, false ,2.,"\n",,0.5,\r\n'
+    )
+    first, second = read_jobs(table("rows.csv", text))
+    assert (first.id, second.id) == ("007", "1e3")
+    assert first.tables["camera"] == {"azimuth": 1.5, "zoom": 0.5}
+    assert first.tables["mesh"] == {"flip_v": True}
+    assert first.tables["ambient"] == [1, 2, 3]
+    assert Job.from_dict(first.tables).lights == (parse_light("key"),)
+    assert second.tables == {
+        "camera": {"azimuth": 10.0, "zoom": 2.0},
+        "mesh": {"flip_v": False},
+        "ambient": 0.5,
+    }
+
+
+def test_a_row_lies_over_what_is_common(table):
+    common = {
+        "mesh": "a.glb",
+        "camera.fov": 30,
+        "lights": ["key", "rim"],
+        "environment": "studio,20",
+        "passes": ["depth"],
+    }
+    first, second, third = rows_of(
+        {"mesh.flip_v": True, "camera": {"zoom": 2}, "lights.1.azimuth": 5, "lights.2": "fill"},
+        {"lights": [], "environment.scale": 2, "passes": "image"},
+        {"mesh": None, "camera": None, "environment": {"file": "x.hdr"}, "lights": "front"},
+        common=common,
+    )
+    assert first.tables["mesh"] == {"path": str(Path.cwd() / "a.glb"), "flip_v": True}
+    assert first.tables["camera"] == {"fov": 30, "zoom": 2}
+    lights = Job.from_dict(first.tables).lights
+    assert lights[0] == parse_light("key")
+    assert lights[1] == parse_light("5,33,2.4,2.5,2.7")
+    assert lights[2] == parse_light("fill")
+    assert first.passes == ("depth",)
+    assert second.tables["lights"] == []
+    assert second.tables["environment"] == {"file": "studio", "rotation": 20.0, "scale": 2}
+    assert second.passes == ("image",)
+    assert third.tables["mesh"] == {"path": str(Path.cwd() / "a.glb")}
+    assert third.tables["environment"] == {"file": str(Path.cwd() / "x.hdr"), "rotation": 20.0}
+    assert Job.from_dict(third.tables).lights == (parse_light("front"),)
+    assert common["lights"] == ["key", "rim"]
+
+
+def test_paths_are_absolute_or_addresses(table):
+    mesh = {"path": "../m/a.glb", "albedo": "s3://b/a.png", "normal_map": "/n.png"}
+    (row,) = rows_of({"mesh": mesh, "environment": "studio"})
+    assert row.tables["mesh"] == {
+        "path": str(Path.cwd().parent / "m/a.glb"),
+        "albedo": "s3://b/a.png",
+        "normal_map": "/n.png",
+    }
+    assert row.tables["environment"] == {"file": "studio"}
+
+
+def test_an_environment_takes_the_place_of_other_light(table):
+    first, second, third = rows_of(
+        {"environment": "studio"},
+        {"environment": "studio", "ambient": 0.1, "lights": "key"},
+        {"environment.file": "studio", "shading.specular_lights": [0]},
+    )
+    assert Job.from_dict(first.tables).lights == ()
+    assert first.tables["ambient"] == 0
+    assert second.tables["ambient"] == 0.1
+    assert Job.from_dict(second.tables).lights == (parse_light("key"),)
+    assert check_jobs("rows.jsonl").faults == (
+        f"rows.jsonl, row {third.number + 1} (line 3): specular_lights names light 0: the scene "
+        "has 0, counted from 0",
+    )
+
+
+def test_places_of_lists_and_terms_of_lights(table):
+    (row,) = rows_of(
+        {
+            "shading": {"lights": {"1": {"lobe": "d16"}}, "specular_lights.0": 1},
+            "material.scattering.0": [1.0, 0.5, 0.5, 0.5],
+            "image.size.1": 20,
+            "image.size.0": 10,
+            **{f"lights.{place}.azimuth": place for place in range(11)},
+        }
+    )
+    assert row.tables["shading"] == {"lights": {"1": {"lobe": "d16"}}, "specular_lights": [1]}
+    assert row.tables["material"] == {"scattering": [[1.0, 0.5, 0.5, 0.5]]}
+    assert row.tables["image"] == {"size": [10, 20]}
+    assert [light["azimuth"] for light in row.tables["lights"]] == [*range(11)]
+
+
+# --- grids and chance ----------------------------------------------------------------------------
+
+
+def test_a_grid_has_every_combination_of_a_mesh_side_by_side(table):
+    rows = toml_rows(
+        table,
+        """
+        camera.fov = 30
+        [[jobs]]
+        material.m = 0.1
+        [[jobs]]
+        material.m = 0.2
+        [grid]
+        "camera.azimuth" = [0, 1]
+        mesh = ["a.glb", "b.glb"]
+        camera.elevation = [5]
+        lights.0.azimuth = { from = 10, to = 20, step = 10 }
+        """,
+    )
+    keys = [
+        (
+            Path(row.tables["mesh"]["path"]).stem,
+            row.tables["material"]["m"],
+            row.tables["camera"]["azimuth"],
+            row.tables["lights"][0]["azimuth"],
+        )
+        for row in rows
+    ]
+    assert keys == [*itertools.product("ab", (0.1, 0.2), (0, 1), (10, 20))]
+    assert all(row.tables["camera"]["fov"] == 30 for row in rows)
+    assert [row.number for row in rows] == [*range(16)]
+
+
+def test_values_of_axes_may_be_tables_and_lists(table):
+    rows = toml_rows(
+        table,
+        """
+        [grid]
+        mesh = ["a.glb", { path = "b.glb", flip_v = true }]
+        lights = [["key"], [], ["rim", { azimuth = 3 }]]
+        [random]
+        environment = { choice = ["studio,20", { file = "studio", scale = 2 }] }
+        """,
+    )
+    names = [Path(row.tables["mesh"]["path"]).name for row in rows]
+    assert names == ["a.glb"] * 3 + ["b.glb"] * 3
+    assert [row.tables["mesh"].get("flip_v") for row in rows] == [None] * 3 + [True] * 3
+    assert [len(row.tables["lights"]) for row in rows] == [1, 0, 2] * 2
+    kinds = ({"file": "studio", "rotation": 20.0}, {"file": "studio", "scale": 2})
+    assert all(row.tables["environment"] in kinds for row in rows)
+    assert check_jobs("rows.toml").faults == ()
+
+
+@pytest.mark.parametrize(
+    ("axis", "values"),
+    [
+        ("{ from = 0, to = 0.3, step = 0.1 }", [0.0, 0.1, 0.2, 0.3]),
+        ("{ from = 0, to = 0.35, step = 0.1 }", [0.0, 0.1, 0.2, 0.3]),
+        ("{ from = 3, to = 1, step = -1 }", [3, 2, 1]),
+        ("{ from = 0, to = 1, count = 5 }", [0.0, 0.25, 0.5, 0.75, 1.0]),
+        ("{ from = -10, to = 10, count = 3 }", [-10, 0, 10]),
+        ("{ from = 0.1, to = 0.1, step = 1 }", [0.1]),
+        ("{ from = 7, to = 9, count = 1 }", [7]),
+        ("[1, 2.5]", [1, 2.5]),
+    ],
+)
+def test_values_of_an_axis(table, axis, values):
+    rows = toml_rows(table, f"[grid]\ncamera.azimuth = {axis}")
+    found = [row.tables["camera"]["azimuth"] for row in rows]
+    assert found == values
+    assert [*map(type, found)] == [*map(type, values)]
+
+
+RANDOM = """
+[grid]
+material.m = [0.1, 0.2]
+[random]
+count = {count}
+seed = {seed}
+camera.azimuth = {{ uniform = [-30, 60] }}
+lights.0.irradiance = {{ log_uniform = [0.1, 10.0] }}
+camera.elevation = {{ normal = [10, 5] }}
+shading.lobe = {{ choice = ["exact", "d4", "fitted"] }}
+"""
+
+
+def drawn(rows):
+    return [
+        (
+            row.tables["camera"]["azimuth"],
+            row.tables["lights"][0]["irradiance"],
+            row.tables["camera"]["elevation"],
+            row.tables["shading"]["lobe"],
+        )
+        for row in rows
+    ]
+
+
+def test_what_is_random_stays(table):
+    """With a seed, a row's values depend on its number and their key alone."""
+    some = drawn(toml_rows(table, RANDOM.format(count=600, seed=3)))
+    more = drawn(toml_rows(table, RANDOM.format(count=1100, seed=3)))
+    assert more[:1200] == some
+    assert some[:600] != some[600:]
+    other = RANDOM.format(count=600, seed=3).replace(
+        "[random]", "[random]\ncamera.fov.uniform = [1, 9]"
+    )
+    assert drawn(toml_rows(table, other)) == some
+    quoted = RANDOM.format(count=600, seed=3).replace("camera.azimuth", '"camera.azimuth"')
+    assert drawn(toml_rows(table, quoted)) == some
+    assert drawn(toml_rows(table, RANDOM.format(count=600, seed=4)))[0] != some[0]
+
+
+def test_what_is_random_is_distributed_as_it_says(table):
+    rows = drawn(toml_rows(table, RANDOM.format(count=2000, seed=0)))
+    azimuth, irradiance, elevation = (np.array(column) for column in [*zip(*rows, strict=True)][:3])
+    deciles = np.arange(0.1, 1.0, 0.1)
+    np.testing.assert_allclose(np.quantile(azimuth, deciles), -30 + 90 * deciles, atol=3)
+    np.testing.assert_allclose(
+        np.quantile(np.log10(irradiance), deciles), -1 + 2 * deciles, atol=0.1
+    )
+    assert azimuth.min() >= -30
+    assert azimuth.max() <= 60
+    assert irradiance.min() >= 0.1
+    assert irradiance.max() <= 10
+    assert abs(elevation.mean() - 10) < 0.3
+    assert abs(elevation.std() - 5) < 0.3
+    assert abs(np.corrcoef([azimuth, irradiance, elevation]) - np.eye(3)).max() < 0.06
+    counts = [sum(row[3] == lobe for row in rows) for lobe in ("exact", "d4", "fitted")]
+    assert min(counts) > 1200
+    assert all(float(f"{value:.12g}") == value for row in rows for value in row[:3])
+
+
+def test_rows_are_made_as_they_are_asked_for(table):
+    text = "[grid]\ncamera.azimuth = { from = 0, to = 9, count = 100000000 }\nimage.size = [8, 9]"
+    rows = itertools.islice(read_jobs(table("rows.toml", text)), 3)
+    assert [row.tables["image"]["size"][0] for row in rows] == [8, 9, 8]
+
+
+@pytest.mark.parametrize("form", ["jsonl", "csv", "toml", "py"])
+def test_a_long_table_takes_no_more_memory(form, table):
+    count = 6_000
+    texts = {
+        "jsonl": '{"mesh": "a.glb", "camera.azimuth": 1.5}\n' * count,
+        "csv": "mesh,camera.azimuth\n" + "a.glb,1.5\n" * count,
+        "toml": f"[random]\ncount = {count}\ncamera.azimuth.uniform = [0, 1]",
+        "py": f"def jobs():\n    for _ in range({count}):\n        yield {{}}",
+    }
+    name = table(f"rows.{form}", texts[form])
+    next(read_jobs(name))
+    tracemalloc.start()
+    assert check_jobs(name).rows == count
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2**19  # a list of the lines takes more
+
+
+# --- ids -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("template", "name"),
+    [
+        ("{number:06d}-{mesh.stem}-{camera.azimuth:+.0f}", "000000-my_head-30"),
+        ("{camera.azimuth:+04.0f}_{lights.0}", None),
+        ("x{lights.0.azimuth:.1f}", "x-5.5"),
+        ("{number}{mesh.path:s}", "0_tmp_my_head.glb"),
+        ("plain", "plain"),
+        (12, "12"),
+        ("{mesh.flip_v}", "true"),
+    ],
+)
+def test_templates_of_ids(table, template, name):
+    row = {"id": template, "mesh.path": "/tmp/my head.glb", "camera.azimuth": 30}
+    row |= {"lights.0.azimuth": -5.5, "mesh.flip_v": True}
+    if name is None:
+        with pytest.raises(InputError, match="cannot be written"):
+            rows_of(row)
+    else:
+        assert rows_of(row)[0].id.startswith(name)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("a b", "id = 'a b': give 1 to 128 letters"),
+        (".a", "id = '.a': give 1 to 128"),
+        ("", "id = '': give 1 to 128"),
+        ("é", "id = 'é': give"),
+        ("a\n", r"id = 'a\\n': give"),
+        ("a" * 129, "give 1 to 128"),
+        (True, "id = True: give"),
+        (1.5, "id = 1.5: give"),
+        (["a"], r"id = \['a'\]: give"),
+        ("{", "is no template: "),
+        ("a}", "is no template: "),
+        ("{number!r}", "is no template: give {NAME} or {NAME:FORMAT}"),
+        ("{}", "is no template: give {NAME}"),
+        ("{number:99999999d}", "is no template: give {NAME}"),
+        ("{number:{number}}", "is no template: give {NAME}"),
+        ("{camera.fov}", "names camera.fov, which the row does not give"),
+        ("{number.__class__}", "names number.__class__, which the row does not give"),
+        ("{mesh.stem:d}", "mesh.stem = 'head' cannot be written as 'd'"),
+        ("../{number}", "id = '../0': give 1 to 128"),
+    ],
+)
+def test_ids_that_are_none(table, given, message):
+    with pytest.raises(InputError, match=f"rows.jsonl, row 1 \\(line 1\\): .*{message}"):
+        rows_of({"id": given})
+
+
+# --- what is checked -----------------------------------------------------------------------------
+
+
+def test_check_counts_and_names_what_is_bad(table):
+    lines = [
+        {"mesh": "a.glb", "id": "same"},
+        {"camera.elevation": 99, "mesh": "c.glb"},
+        {},
+        {"mesh": "b.glb", "image.samples": 4.0},
+        {"mesh": "a.glb", "id": "same"},
+        {"id": "00000002"},
+        {"shading.specular_lights": [1], "lights": ["key"]},
+        {"image.size": 20000},
+        {"material": {"m": 1.5, "second_slope": 1.5, "lobe_weight": 0.5}},
+    ]
+    name = table("rows.jsonl", "\n".join(map(json.dumps, lines)))
+    checked = check_jobs(name)
+    assert (checked.rows, checked.meshes, checked.more) == (9, 2, 0)
+    assert list(checked.faults) == [
+        "rows.jsonl, row 2 (line 2): camera elevation = 99 is outside [-90, 90]",
+        "rows.jsonl, row 4 (line 4): image samples = 4.0: give a whole number",
+        "rows.jsonl, row 7 (line 7): specular_lights names light 1: the scene has 1, "
+        "counted from 0",
+        "rows.jsonl, row 8 (line 8): image size = 20000 is outside [1, 16384]",
+        "rows.jsonl, row 9 (line 9): m times second_slope = 2.25 is outside [0.0001, 2]",
+        "rows.jsonl, row 5 (line 5): id = 'same' is that of row 1: give another",
+        "rows.jsonl, row 6 (line 6): id = '00000002' is that of row 3: give another",
+    ]
+    few = check_jobs(name, most=2)
+    assert few.faults == checked.faults[:2]
+    assert few.more == 5
+    assert check_jobs(name, most=6).more == 1
+
+
+def test_values_that_no_check_expects_are_one_line_too(table):
+    row = {"shading": {"frontal_lights": [0], "lights": {"0": {"fresnel": [[]]}}}}
+    (fault,) = check_jobs(table("rows.jsonl", json.dumps(row))).faults
+    assert fault.startswith("rows.jsonl, row 1 (line 1): ")
+
+
+def test_what_was_good_once_is_not_good_with_other_values(table):
+    """Tables that repeat are checked once: a number outside its domain must not pass for one of
+    another row, nor a whole one for a switch."""
+    rows = [{"camera.azimuth": 1.0}, {"camera.azimuth": 4000.0}, {"mesh.flip_v": True}]
+    rows += [{"mesh.flip_v": 1}, {"lights": ["key", {"radius": 1}]}, {"lights": [{"radius": 21}]}]
+    rows += [{"image.samples": 4}, {"image.samples": 4.0}, {"image.samples": 65}]
+    rows += [{"material": {"m": m, "second_slope": 1.5, "lobe_weight": 0.5}} for m in (0.5, 1.5)]
+    checked = check_jobs(table("rows.jsonl", "\n".join(map(json.dumps, rows * 2))), most=20)
+    assert [fault.split(":")[0] for fault in checked.faults] == [
+        f"rows.jsonl, row {row} (line {row})" for row in (2, 4, 6, 8, 9, 11, 13, 15, 17, 19, 20, 22)
+    ]
+
+
+@pytest.mark.parametrize("key", TABLES)
+def test_check_refuses_what_a_job_refuses(table, key):
+    values = [3, -1.0, "x", [], [1, 2], [[]], {"x": 1}, {}, True, ["x"], [{"x": 1}], "none"]
+    for value in values:
+        try:
+            (row,) = rows_of({key: value})
+            Job.from_dict(row.tables)
+        except InputError:
+            good = False
+        else:
+            good = True
+        assert (not check_jobs("rows.jsonl").faults) == good, value
+
+
+def test_every_key_of_a_job_is_a_key_of_a_row():
+    without = {"planned", "outputs"}
+    assert set(TABLES) == {each.name for each in fields(Job)} - without
+
+
+DEEP = {"a": 1}
+for _ in range(30):
+    DEEP = {"a": DEEP}
+
+BAD_FILES = [
+    ("rows.txt", "", "unknown kind of table '.txt'; give .jsonl, .csv, .parquet, .toml, .py"),
+    ("rows.jsonl", "", "rows.jsonl has no rows"),
+    ("rows.jsonl", "\n \n", "rows.jsonl has no rows"),
+    ("rows.jsonl", "[1]", r"rows.jsonl, row 1 \(line 1\): row = \[1\]: give a table"),
+    ("rows.jsonl", "{}\n\n{", r"row 2 \(line 3\): no JSON: Expecting property name .* column 2"),
+    ("rows.jsonl", '{"a": 1, "a": 2}', "no JSON: key 'a' is given twice"),
+    ("rows.jsonl", '{"ambient": NaN}', "no JSON: NaN is not a finite number"),
+    ("rows.jsonl", '{"ambient": 1e999}', "ambient = inf: give a finite number"),
+    ("rows.jsonl", f'{{"ambient": {"9" * 400}}}', "ambient = 9+[.]{3}: a whole number has 64 bits"),
+    ("rows.jsonl", f'{{"ambient": {"9" * 5000}}}', "no JSON: Exceeds the limit"),
+    ("rows.jsonl", "[" * 100_000, "no JSON: nested too deep"),
+    ("rows.jsonl", json.dumps(DEEP), "a has tables or lists 11 deep: leave them out"),
+    ("rows.jsonl", json.dumps({"a" + ".a" * 1000: 1}), "has too many dots"),
+    ("rows.jsonl", b"{}\n\xff\n", "rows.jsonl, line 2 is not UTF-8 .*save the file as UTF-8"),
+    ("rows.jsonl", b"\xff\xfe{\0}\0", "rows.jsonl, line 1 is not UTF-8"),
+    ("rows.jsonl", " " * 2**21, "line 1 has more than 1048576 bytes"),
+    ("rows.jsonl", '{"colour": 1}', "unknown key 'colour'; known: id, passes, exposure, mesh"),
+    ("rows.jsonl", '{"outputs": []}', "unknown key 'outputs'"),
+    ("rows.jsonl", '{"mesh": ""}', "mesh path = '' is no path"),
+    ("rows.jsonl", '{"mesh": "a\\u0000"}', "mesh path = 'a.x00' is no path"),
+    ("rows.jsonl", '{"mesh": "\\ud800"}', "mesh path = '.ud800' is no path"),
+    ("rows.jsonl", '{"mesh": "a", "mesh.path": "b"}', "mesh.path is given twice"),
+    ("rows.jsonl", '{"camera": 1, "camera.fov": 2}', "camera.fov is given twice, or beside"),
+    ("rows.jsonl", '{"camera.fov": 1, "camera": {"fov": 2}}', "camera is given twice, or beside"),
+    ("rows.jsonl", '{"lights.1.azimuth": 1}', "lights lacks its item 0: count from 0"),
+    ("rows.jsonl", '{"lights": ["sun"]}', "unknown light 'sun'"),
+    ("rows.jsonl", '{"environment": "a,b"}', "environment 'a,b': give FILE"),
+    ("rows.jsonl", '{"image.size": "64x"}', "image size = '64x': give N, WxH"),
+    ("rows.jsonl", '{"passes": []}', r"passes = \[\]: give a list of image, specular"),
+    ("rows.jsonl", '{"passes": "image,shine"}', "unknown pass 'shine'; known: image"),
+    ("rows.jsonl", '{"passes": [["image"]]}', r"unknown pass \['image'\]"),
+    ("rows.jsonl", '{"passes": "mask,mask"}', "pass mask is given twice"),
+    ("rows.jsonl", '{"exposure": "1"}', "exposure = '1' is outside"),
+    ("rows.csv", "", "rows.csv has no rows"),
+    ("rows.csv", "mesh,camera.azimuth\n", "rows.csv has no rows"),
+    ("rows.csv", "mesh,mesh\na,b\n", "rows.csv has two columns 'mesh': leave one out"),
+    ("rows.csv", "mesh,\na,b\n", "rows.csv: a column has no name"),
+    ("rows.csv", "mesh\na\na,b\n", r"row 2 \(line 3\): 2 cells under 1 columns"),
+    ("rows.csv", "mesh,ambient\na\n", r"row 1 \(line 2\): 1 cells under 2 columns"),
+    ("rows.csv", 'mesh\n"a\n', "rows.csv, line 2 is not CSV: unexpected end of data"),
+    ("rows.csv", b"mesh\n\xe9\n", "rows.csv, line 2 is not UTF-8"),
+    ("rows.csv", 'lights\n"[1,"\n', r"row 1 \(line 2\): a cell cannot be read: Expecting value"),
+    ("rows.csv", "ambient\n" + "9" * 5000 + "\n", "a cell cannot be read: Exceeds the limit"),
+    ("rows.csv", "ambient\n" + "9" * 200_000 + "\n", "line 2 is not CSV: field larger than"),
+    ("rows.csv", "mesh;m\na;1\n", "unknown key 'mesh;m'"),
+    ("rows.parquet", "PAR1", "rows.parquet is not Parquet that can be read"),
+    ("rows.parquet", "", "rows.parquet is not Parquet that can be read"),
+    ("rows.toml", "", "rows.toml has no rows"),
+    ("rows.toml", "a = ", "rows.toml is not TOML: Invalid value"),
+    ("rows.toml", b"\xff", "rows.toml is not TOML: 'utf-8' codec"),
+    ("rows.toml", "a = " + "[" * 100_000, "rows.toml is not TOML: nested too deep"),
+    ("rows.toml", "grid" + ".a" * 5000 + " = [1]", "rows.toml: nested too deep"),
+    ("rows.toml", "a" + ".a" * 5000 + " = [1]", "rows.toml: a has tables or lists 11 deep"),
+    ("rows.toml", "ambient = nan", "rows.toml: ambient = nan: give a finite number"),
+    ("rows.toml", "ambient = 1979-05-27", "ambient = datetime.* give a number"),
+    ("rows.toml", "grid = 3", r"rows.toml: grid = 3: give a table, \[grid\]"),
+    ("rows.toml", "random = []", r"random = \[\]: give a table"),
+    ("rows.toml", "jobs = []", r"jobs = \[\]: give tables, \[\[jobs\]\]"),
+    ("rows.toml", "jobs = [3]", "row = 3: give a table"),
+    ("rows.toml", "[grid]\nambient = []", r"grid.ambient = \[\]: give a list of values"),
+    ("rows.toml", "[grid]\nambient = 3", "grid.ambient = 3: give a list of values"),
+    ("rows.toml", "[grid]\ncolour = [3]", "row 1: unknown key 'colour'"),
+    ("rows.toml", "[grid]\nambient = {}", "grid.ambient = {}: give from, to"),
+    ("rows.toml", "[grid]\nambient = {from=0,to=1}", "give from, to, and step or count"),
+    ("rows.toml", "[grid]\nambient = {from=0,to=1,stepp=1}", "give from, to, and step or count"),
+    ("rows.toml", "[grid]\nambient = {from=0,to=1,step=0}", "step = 0 does not lead from 0 to 1"),
+    ("rows.toml", "[grid]\nambient = {from=0,to=1,step=-1}", "step = -1 does not lead from 0 to"),
+    ("rows.toml", "[grid]\nambient = {from=0,to=1,step=nan}", "step = nan: give a finite number"),
+    ("rows.toml", "[grid]\nambient = {from='a',to=1,step=1}", "from = 'a': give a finite number"),
+    ("rows.toml", "[grid]\nambient = {from=0,to=1,count=0}", "count = 0: give a whole number"),
+    ("rows.toml", "[grid]\nambient = {from=0,to=1,count=2.0}", "count = 2.0: give a whole number"),
+    ("rows.toml", "[grid]\nambient = {from=0,to=1,step=1e-300}", "give numbers nearer to each"),
+    ("rows.toml", "[grid]\nambient = {from=0,to=1,step=1e-10}", "10000000001 rows together: give"),
+    (
+        "rows.toml",
+        "[grid]\nambient = {from=0,to=1,count=99999}\n" * 1
+        + "camera.fov = {from=1,to=9,count=99999}",
+        "9999800001 rows together: give 1000000000 at",
+    ),
+    ("rows.toml", "random.count = 0", "random.count = 0: give a whole number from 1"),
+    ("rows.toml", "random.seed = -1", "random.seed = -1: give a whole number from 0"),
+    ("rows.toml", "random.seed = 1.5", "random.seed = 1.5: give a whole number"),
+    ("rows.toml", "random.ambient = 3", "random.ambient = 3: give one of { uniform"),
+    ("rows.toml", "random.ambient.unifrom = [0, 1]", "random.ambient.unifrom = .*: give one of"),
+    ("rows.toml", "random.ambient.uniform = [0]", r"uniform = \[0\]: give two numbers"),
+    ("rows.toml", "random.ambient.uniform = 3", "uniform = 3: give one of"),
+    ("rows.toml", "random.ambient.uniform = [0, 'a']", "uniform = 'a': give a finite number"),
+    ("rows.toml", "random.ambient.uniform = [1, 0]", r"\[1, 0\]: give the lower end first"),
+    ("rows.toml", "random.ambient.log_uniform = [0, 1]", r"\[0, 1\]: give ends above 0"),
+    ("rows.toml", "random.ambient.normal = [0, -1]", "sigma = -1 is negative"),
+    ("rows.toml", "random.ambient.choice = []", r"choice = \[\]: give one of"),
+    ("rows.toml", "grid.ambient = [1]\nrandom.ambient.choice = [1]", "ambient is given twice in"),
+    ("rows.toml", "[grid]\nmesh = ['a']\n'mesh.path' = ['b']", "mesh.path is given twice in"),
+    ("rows.py", "def jobs(:", "rows.py, line 1: SyntaxError"),
+    ("rows.py", "x = 1\n\n1/0", "rows.py, line 3: ZeroDivisionError: division by zero"),
+    ("rows.py", "import sys\nsys.exit('no')", "rows.py, line 2: SystemExit: no"),
+    ("rows.py", "raise StopIteration", "rows.py, line 1: StopIteration"),
+    ("rows.py", "jobs = 3", r"rows.py has no function jobs\(\)"),
+    ("rows.py", "def jobs(): return 3", "rows.py: TypeError: 'int' object is not iterable"),
+    ("rows.py", "def jobs(a): return []", "rows.py: TypeError: jobs.. missing 1 required"),
+    ("rows.py", "def jobs():\n  yield {}\n  raise ValueError('x\\ny')", "line 3: ValueError: x y"),
+    ("rows.py", "def jobs(): yield 3", "rows.py, row 1: row = 3: give a table"),
+    ("rows.py", "def jobs(): yield {1: 2}", "rows.py, row 1: key 1: give text"),
+    ("rows.py", "def jobs(): yield {'ambient': object()}", "ambient = <object .*: give a number"),
+    ("rows.py", "def jobs():\n  a = {}\n  a['a'] = a\n  yield a", "a has tables or lists 11 deep"),
+    ("rows.py", "def jobs(): yield {'ambient': 10**9999}", "ambient = a int that is too long"),
+    ("rows.py", "import facerender as fr\nfr.Camera(fov=0)", "line 2: camera fov = 0 is outside"),
+    ("rows.py", b"\0", "rows.py"),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"), BAD_FILES, ids=[f"{n}-{c[:40]!r}" for n, c, _ in BAD_FILES]
+)
+def test_bad_files_are_one_line(table, name, content, message):
+    if name.endswith(".parquet"):
+        require_module("pyarrow")
+    with pytest.raises(InputError, match=message) as caught:
+        list(read_jobs(table(name, content)))
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 500
+    assert name.split(".")[0] in str(caught.value)
+    try:
+        faults = check_jobs(name).faults
+    except InputError as error:
+        faults = (str(error),)
+    assert re.search(message, faults[0])
+
+
+def test_files_that_are_not_there(tmp_path):
+    for form in ("jsonl", "csv", "toml", "py", "parquet"):
+        for name in (f"none.{form}", f"folder.{form}"):
+            (tmp_path / f"folder.{form}").mkdir(exist_ok=True)
+            with pytest.raises(InputError, match=f"cannot read .*{name}: (no such|is a dir)"):
+                list(read_jobs(tmp_path / name))
+
+
+def test_parquet_without_its_package(table, monkeypatch):
+    real = builtins.__import__
+
+    def without(name, *rest):
+        if name.startswith("pyarrow"):
+            raise ImportError(name)
+        return real(name, *rest)
+
+    monkeypatch.setattr("facerender.batch.forms.importlib.import_module", without)
+    with pytest.raises(InputError, match=r"needs the package pyarrow; pip install 'facerender\[b"):
+        list(read_jobs(table("rows.parquet", "")))
+
+
+def test_columns_of_parquet_that_are_twice_or_no_data(tmp_path, monkeypatch):
+    pa, pq = require_module("pyarrow"), require_module("pyarrow.parquet")
+    monkeypatch.chdir(tmp_path)
+    pq.write_table(pa.table([[1], [2]], names=["ambient", "ambient"]), "twice.parquet")
+    with pytest.raises(InputError, match="two columns 'ambient'"):
+        list(read_jobs("twice.parquet"))
+    pq.write_table(pa.table({"ambient": [b"x"]}), "bytes.parquet")
+    with pytest.raises(InputError, match="bytes.parquet, row 1: ambient = b'x': give a number"):
+        list(read_jobs("bytes.parquet"))
+    pq.write_table(pa.table({"ambient": pa.array([], pa.float32())}), "empty.parquet")
+    with pytest.raises(InputError, match="empty.parquet has no rows"):
+        list(read_jobs("empty.parquet"))
+
+
+# --- the schema ----------------------------------------------------------------------------------
+
+VALID = [
+    {},
+    {"mesh": "a.glb", "id": "a-{number}", "passes": "image,mask", "exposure": -1.5},
+    {"mesh": {"path": "a.glb", "flip_v": True, "triangles": 100}, "passes": ["image"]},
+    {"camera.azimuth": 30, "camera.target": [0, 1, 2], "camera": {"zoom": 2.0}},
+    {"lights": ["key", {"azimuth": 1, "irradiance": [1, 2, 3], "shadow": True}]},
+    {"lights.0.azimuth": 10, "lights.0.irradiance.0": 1, "lights.0.irradiance.1": 1,
+     "lights.0.irradiance.2": 1},
+    {"lights.0": "rim"},
+    {"environment": "studio,20"},
+    {"environment": {"file": "a.hdr", "scale": 0}},
+    {"ambient": 0.5, "background": "none"},
+    {"background": [0, 0, 1]},
+    {"material": {"m": 0.3, "albedo": [1, 1, 1], "scattering": "skin"}},
+    {"material.scattering": [[1, 0.2, 0.2, 0.2]]},
+    {"shading": {"lobe": {"g": 6, "factor": 0.3}, "lights": {"1": {"fresnel": "dielectric"}}}},
+    {"shading.lobe": "d16", "shading.specular_lights": [0, 1], "shading.scatter_samples": 8},
+    {"image": {"size": [10, 20], "samples": 64}},
+    {"image.size": "640x480"},
+    {"image.size": 7},
+]  # fmt: skip
+INVALID = [
+    [],
+    {"colour": 1},
+    {"planned": {"sizes": [[1, 1]], "samples": 1}},
+    {"outputs": []},
+    {"mesh": {"file": "a.glb"}},
+    {"mesh.flip_v": 1},
+    {"mesh.triangles": 0},
+    {"mesh.millimetres": 0},
+    {"camera": 3},
+    {"camera.azimuth": "front"},
+    {"camera.elevation": 90.1},
+    {"camera.target": [1, 2]},
+    {"lights": [3]},
+    {"lights": [{"intensity": 1}]},
+    {"lights.0.radius": 21},
+    {"lights.0.shadow": "yes"},
+    {"environment": {}},
+    {"environment": {"file": 3}},
+    {"ambient": -1},
+    {"background": "transparent"},
+    {"material": {"albedo_map": "a.png"}},
+    {"material.m": 0},
+    {"material.f0": 1},
+    {"material.scattering": "wax"},
+    {"material.scattering": [[1, 2]]},
+    {"shading.lobe": "d32"},
+    {"shading.lobe": {"g": 32, "factor": 1}},
+    {"shading.lobe": {"g": 4}},
+    {"shading.model": "phong"},
+    {"shading.fresnel": "x"},
+    {"shading.masking": "x"},
+    {"shading.diffuse": "x"},
+    {"shading.outside": "x"},
+    {"shading.curvature": 1},
+    {"shading.scatter_samples": 7},
+    {"shading.environment_samples": 3},
+    {"shading.specular_lights": [0.5]},
+    {"shading.lights": {"1": {"ks": 1}}},
+    {"shading.term": {}},
+    {"image.size": 0},
+    {"image.size": [1]},
+    {"image.samples": 65},
+    {"image.anisotropy": 0.5},
+    {"image.float_albedo": 0},
+    {"passes": []},
+    {"passes": ["image", "image"]},
+    {"passes": ["shine"]},
+    {"exposure": 101},
+    {"id": "a b"},
+    {"id": []},
+]
+
+
+@pytest.fixture(scope="module")
+def validator():
+    jsonschema = require_module("jsonschema")
+    jsonschema.Draft202012Validator.check_schema(schema())
+    return jsonschema.Draft202012Validator(schema())
+
+
+@pytest.mark.parametrize("row", VALID, ids=str)
+def test_the_schema_admits_what_the_reader_admits(row, validator, table):
+    validator.validate(row)
+    assert check_jobs(table("rows.jsonl", json.dumps(row))).faults == ()
+
+
+@pytest.mark.parametrize("row", INVALID, ids=str)
+def test_the_schema_refuses_what_the_reader_refuses(row, validator, table):
+    assert not validator.is_valid(row)
+    assert len(check_jobs(table("rows.jsonl", json.dumps(row))).faults) == 1
+
+
+def test_the_schema_has_every_field():
+    told = schema()
+    tables = told["properties"]
+    assert set(tables) == {"id", "passes", "exposure", *TABLES}
+    light = tables["lights"]["anyOf"][1]["items"]["anyOf"][1]
+    shading = tables["shading"]["properties"]
+    names = {
+        "mesh": (MeshFile, tables["mesh"]["anyOf"][1], ()),
+        "material": (Material, tables["material"], MAPS),
+        "camera": (Camera, tables["camera"], ()),
+        r"lights\.[0-9]+": (Light, light, ()),
+        "environment": (EnvironmentFile, tables["environment"]["anyOf"][1], ()),
+        "image": (ImageSettings, tables["image"], ()),
+        r"shading\.lights\.[0-9]+": (
+            Term,
+            shading["lights"]["patternProperties"]["^[0-9]+$"],
+            (),
+        ),
+    }
+    for key, (kind, table, without) in names.items():
+        wanted = {each.name for each in fields(kind)} - set(without)
+        assert set(table["properties"]) == wanted
+        for name in wanted:
+            assert rf"^{key}\.{name}$" in told["patternProperties"]
+    assert set(shading) == set(inspect.signature(Shading).parameters) - {"term"}
+    assert shading["model"]["enum"] == [*MODELS]
+    assert shading["lobe"]["anyOf"][0]["enum"] == [*LOBES]
+    assert shading["fresnel"]["enum"] == [*FRESNEL]
+    assert shading["masking"]["enum"] == [*MASKING]
+    assert tables["passes"]["anyOf"][0]["items"]["enum"] == [*PASSES]
+    assert tables["camera"]["properties"]["fov"]["default"] == Camera().fov
+    assert json.loads(json.dumps(told)) == told
+
+
+def test_a_new_type_cannot_be_forgotten(monkeypatch):
+    monkeypatch.setitem(Camera.__annotations__, "fov", "complex")
+    with pytest.raises(TypeError, match="no schema is known of <class 'complex'>"):
+        schema()
+
+
+@pytest.mark.parametrize(
+    ("key", "low", "high"),
+    [(f"{key}.{name}", *ends) for key, limits in LIMITS.items() for name, ends in limits.items()],
+)
+def test_limits_are_those_of_the_values(table, key, low, high):
+    """Their ends are good, what is beyond is not: numbers between are not checked otherwise."""
+    whole = key in ("mesh.triangles", "image.samples", "image.size")
+    name = key.replace("lights", "lights.0")
+    common = {"environment.file": "studio"} if key.startswith("environment") else {}
+    ends = [end for end in (low, high) if end < 2**63]
+    for end in ends:
+        (row,) = rows_of({name: end}, common=common)
+        Job.from_dict(row.tables)
+        assert check_jobs("rows.jsonl", common).faults == ()
+    beyond = (
+        [low - 1, high + 1] if whole else [np.nextafter(low, -np.inf), np.nextafter(high, np.inf)]
+    )
+    for end in beyond if high < 1e300 and high < 2**63 else beyond[:1]:
+        rows_of({name: end}, common=common)
+        assert len(check_jobs("rows.jsonl", common).faults) == 1
+
+
+def test_limits_of_images_are_the_renderers():
+    assert LIMITS["image"]["size"][1] == MAX_SIZE
+    assert LIMITS["image"]["samples"][1] == MAX_SAMPLES
+
+
+# --- documents -----------------------------------------------------------------------------------
+
+DOCUMENT = (ROOT / "docs" / "jobs.md").read_text(encoding="utf-8")
+EXAMPLES = re.findall(
+    r"^`([a-z_]+\.\w+)`\n\n```\w+\n(.*?)^```\n(.*?)^```\n(.*?)^```$", DOCUMENT, re.M | re.S
+)
+
+
+def test_every_form_has_an_example():
+    assert [Path(name).suffix for name, *_ in EXAMPLES] == [
+        *(".jsonl", ".csv", ".py", ".toml", ".toml", ".toml", ".py")
+    ]
+
+
+@pytest.mark.parametrize(("name", "content", "between", "told"), EXAMPLES, ids=lambda x: x[:20])
+def test_examples_of_the_document(table, name, content, between, told):
+    path = ROOT / "examples" / name
+    if path.exists():
+        assert path.read_text(encoding="utf-8") == content
+    table(name, content)
+    if name == "write_parquet.py":
+        require_module("pyarrow")
+        runpy.run_path(name)
+        name = re.search(r"\w+\.parquet", between)[0]
+    rows = list(read_jobs(name))
+    lines = [f"{row.id} {','.join(row.passes)} {json.dumps(row.tables)}" for row in rows]
+    lines = [line.replace(str(Path.cwd()), "/here") for line in lines]
+    shown = told.splitlines()
+    if shown[-1].startswith("..."):
+        assert shown.pop() == f"... {len(rows)} jobs"
+        lines = lines[: len(shown)]
+    assert lines == shown
+    assert check_jobs(name).faults == ()
+
+
+def test_bad_rows_of_the_document(table):
+    content, told = re.search(
+        r"^## What bad rows get.*?^```csv\n(.*?)^```\n\n```\n(.*?)^```", DOCUMENT, re.M | re.S
+    ).groups()
+    assert list(check_jobs(table("bad.csv", content)).faults) == told.splitlines()
+
+
+def test_the_document_names_every_key():
+    told = schema()
+    for key in told["properties"]:
+        assert f"`{key}`" in DOCUMENT
+    for pattern in told["patternProperties"]:
+        table, *names = pattern.strip("^$").split(r"\.")
+        if table != "shading" and not re.fullmatch(r"\[.*", names[-1]):
+            assert f"`{names[-1]}`" in DOCUMENT, pattern
+    for name in PASSES:
+        assert f"`{name}`" in DOCUMENT
