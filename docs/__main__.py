@@ -13,7 +13,8 @@ import sys
 from importlib import import_module
 
 GENERATED = (
-    *("accuracy", "comparison", "figures", "frame", "levels", "plan", "reproduction", "shaders"),
+    *("accuracy", "comparison", "figures", "frame", "levels", "plan", "reproduction", "scale"),
+    "shaders",
     *("skin", "skin_environment", "skin_scattering", "skin_shadows", "skin_together"),
     *("targets", "trade"),
 )

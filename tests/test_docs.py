@@ -23,6 +23,7 @@ STALE = (  # a document, what it says, what it should not, what is told
     ("levels", "put into the normal map", "put there", "no line '- Relief that is lost"),
     ("plan", "| planned for |", "| plan for |", "no line '| planned for | budget | its cameras |"),
     ("reproduction", "reaches the", "reached the", 'no line "reaches the paper\'s number."'),
+    ("scale", "What this leaves out", "Left out", "no line 'What this leaves out: the table"),
     ("shaders", "gamma is", "Gamma is", "not what the headers say"),
     ("targets", "of its bound the worst", "of its bound a", "no line 'The last two columns tell"),
     ("trade", "# The trade", "# Trade", "not what its measurement says"),
