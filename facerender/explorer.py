@@ -258,12 +258,20 @@ def _words(job: Job) -> dict[str, Any]:
     maps = ("albedo", "normal_map", "specular_map", "roughness_map")
     given = {name: value for name in maps if (value := getattr(file, name)) is not None}
     words = [shlex.quote(file.path)] if file.path else []
-    words += [f"--{name.replace('_', '-')} {shlex.quote(value)}" for name, value in given.items()]
+    options = {
+        name: f"--{name.replace('_', '-')} {shlex.quote(value)}" for name, value in given.items()
+    }
+    roughness = options.pop("roughness_map", "")
+    words += options.values()
     words += ["--flip-v"] * file.flip_v
     called = [repr(file.path)] if file.path else []
     called += [f"{name}={value!r}" for name, value in given.items()]
     called += ["flip_v=True"] * file.flip_v
-    return {"shell": " ".join(words), "python": f"fr.load_mesh({', '.join(called)})"}
+    return {
+        "shell": " ".join(words),
+        "roughness": roughness,
+        "python": f"fr.load_mesh({', '.join(called)})",
+    }
 
 
 def _json(name: str, value: Any) -> str:

@@ -20,9 +20,12 @@ function pointOf(light) {
     .map((x, i) => x + facts.center[i]);
 }
 
+// A roughness map and a slope of one's own exclude each other.
+const meshWords = term => [facts.mesh.shell, term.m === null ? facts.mesh.roughness : ""];
+
 function commandLine(state, which, [width, height]) {
   const term = state[which];
-  const words = ["facerender render", facts.mesh.shell];
+  const words = ["facerender render", ...meshWords(term)];
   const own = term.lobe === "g-power";
   if (own) words.push(`--scene ${which}.toml`);
   for (const [name, value] of Object.entries(shadingFields(term))) {
@@ -57,7 +60,7 @@ function toml(state, which) {
     return `    { ${place}, irradiance = [${rounded(light.irradiance)}]${size} },\n`;
   });
   const lines = [
-    `# ${["facerender render", facts.mesh.shell, `--scene ${which}.toml -o ${which}.png`]
+    `# ${["facerender render", ...meshWords(term), `--scene ${which}.toml -o ${which}.png`]
       .filter(Boolean).join(" ")}`,
     `ambient = [${rounded(state.ambient)}]`,
     `background = [${rounded(facts.background)}]`,

@@ -100,22 +100,18 @@ class Drawing {
     };
   }
 
-  get view() {
-    return this.seen;
-  }
-
   // Draws the parts with a fragment program into the bound target.
   drawParts(state, term, fragmentOf) {
     const {gl} = this;
     const [width, height] = this.size;
-    this.seen = viewOf(state.camera, width / height);
+    const view = viewOf(state.camera, width / height);
     gl.viewport(0, 0, width, height);
     gl.enable(gl.DEPTH_TEST);
     this.parts.forEach((part, i) => {
       const program = this.program(vertexSource(part, term), fragmentOf(part));
       const values = {
         ...part.uniforms, ambient: state.ambient, part: i + 1,
-        view_projection: this.seen.matrix, eye: this.seen.eye,
+        view_projection: view.matrix, eye: view.eye,
       };
       for (const kind of Object.keys(sources.lights)) {
         const lights = state.lights.filter(light => lightKind(light) === kind);
@@ -215,41 +211,41 @@ class Drawing {
     return pixels;
   }
 
-  // What is shaded at a pixel's centre, of one sample, and its radiance in A and B.
-  probe(state, x, y) {
+  // What is shaded at the centres of pixels [x, y], of one sample, and the radiance in A and B.
+  probe(state, places) {
     const {gl} = this;
     const [width, height] = this.size;
-    const pixel = (target, attachment) => {
+    const surface = floatTarget(gl, width, height, {attachments: 4, depth: true});
+    const single = floatTarget(gl, width, height, {depth: true});
+    const pixel = (target, attachment, [x, y]) => {
       const found = new Float32Array(4);
       gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
       gl.readBuffer(gl.COLOR_ATTACHMENT0 + attachment);
       gl.readPixels(x, y, 1, 1, gl.RGBA, gl.FLOAT, found);
-      gl.readBuffer(gl.COLOR_ATTACHMENT0);
       return [...found];
     };
-    gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(x, y, 1, 1);
-    const found = {};
+    const found = places.map(() => ({}));
     for (const which of ["a", "b"]) {
       const term = state[which];
-      const surface = floatTarget(gl, width, height, {attachments: 4, depth: true});
-      for (let i = 0; i < 4; ++i) gl.clearBufferfv(gl.COLOR, i, [0, 0, 0, 0]);
-      gl.clearBufferfv(gl.DEPTH, 0, [1]);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, surface.buffer);
+      gl.clearColor(0, 0, 0, 0);
+      gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
       this.drawParts(state, term, part => gbufferSource(part, term));
-      const [place, normal, albedo, occlusion] = [0, 1, 2, 3].map(i => pixel(surface, i));
-      release(gl, surface);
-      const picture = floatTarget(gl, width, height, {depth: true});
+      gl.bindFramebuffer(gl.FRAMEBUFFER, single.buffer);
       this.clear();
       this.drawParts(state, term, part => shadeSource(part, term, state));
-      found[which] = {
-        part: place[3] - 1, position: place.slice(0, 3), normal: normal.slice(0, 3), m: normal[3],
-        albedo: albedo.slice(0, 3), ks: albedo[3], occlusion: occlusion[2],
-        radiance: pixel(picture, 0).slice(0, 3),
-      };
-      release(gl, picture);
+      places.forEach((place, i) => {
+        const [position, normal, albedo, other] = [0, 1, 2, 3].map(n => pixel(surface, n, place));
+        found[i][which] = {
+          part: position[3] - 1, position: position.slice(0, 3), normal: normal.slice(0, 3),
+          m: normal[3], albedo: albedo.slice(0, 3), specular_weight: albedo[3],
+          occlusion: other[2], radiance: pixel(single, 0, place).slice(0, 3),
+        };
+      });
     }
-    gl.disable(gl.SCISSOR_TEST);
-    return {eye: this.seen.eye, ...found};
+    release(gl, surface);
+    release(gl, single);
+    return found;
   }
 }
 

@@ -153,7 +153,7 @@ function buildControls() {
   });
   const budget = number("budget in 1/255", {low: 0, high: 255, empty: "none"}, () => state.budget, set("budget"));
   byId("sliders").append(
-    slider("gain of |A − B|", {low: 0, high: 6, step: 1}, () => Math.log2(state.gain),
+    slider("gain", {low: 0, high: 6, step: 1}, () => Math.log2(state.gain),
       value => set("gain")(2 ** value), () => `× ${state.gain}`),
     slider("exposure", {low: -4, high: 4, step: 0.25}, () => state.exposure, set("exposure"),
       value => `${value > 0 ? "+" : ""}${value}`),
@@ -266,7 +266,7 @@ function listen() {
     }};
     if (event.ctrlKey || event.metaKey || !(step || keys[event.key])) return;
     event.preventDefault();
-    if (step) orbit(-5 * step[0], 5 * step[1]);
+    if (step) orbit(5 * step[0], 5 * step[1]);
     else keys[event.key]();
   });
   dragged(byId("cut"), (dx, dy, event) => {
@@ -314,15 +314,14 @@ async function attempt(action) {
   }
 }
 
-// For tests, and for the curious: explorer.probe(x, y) in the browser's console.
+// For tests, and for the curious: explorer.probe([[x, y]]) in the browser's console.
 window.explorer = {
   get state() { return state; },
   get size() { return drawing.size; },
   get samples() { return drawing.samples; },
-  get drawing() { return drawing; },
   // errors of what is on screen, once they are known
   errors: () => statisticsNow ?? new Promise(resolve => awaited.push(resolve)),
-  probe: (x, y) => drawing.probe(state, x, y),
+  probe: places => drawing.probe(state, places),
   pixels: which => drawing.read(drawing.targets[which]),
   code: (which, kind) => Object.hasOwn(facts.targets, kind)
     ? flattened(state[which], kind, state[which].m ?? Math.min(...facts.parts.map(part => part.slopes[0])))
