@@ -211,7 +211,7 @@ def octahedral(normals: NDArray[np.float64]) -> NDArray[np.float64]:
     flat = normals / np.abs(normals).sum(axis=1, keepdims=True)
     low = flat[:, 2] < 0.0
     folded = (1.0 - np.abs(flat[:, 1::-1])) * np.where(flat[:, :2] < 0.0, -1.0, 1.0)
-    return np.where(low[:, None], folded, flat[:, :2])
+    return np.asarray(np.where(low[:, None], folded, flat[:, :2]))
 
 
 def _packed(values: NDArray[np.int64]) -> bytes:

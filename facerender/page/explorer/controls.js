@@ -16,9 +16,9 @@ function refresh() {
   for (const each of [...refreshers]) each();
 }
 
-// A choice of few: words side by side.
-function choice(id, names, read, write) {
-  const inputs = Object.entries(names).map(([value, text]) => {
+// A choice of few, pairs of value and text: words side by side.
+function choice(id, pairs, read, write) {
+  const inputs = pairs.map(([value, text]) => {
     const input = element("input", {type: "radio", name: id, value});
     input.addEventListener("change", () => write(value));
     byId(id).append(element("label", {}, input, element("span", {}, text)));
@@ -141,7 +141,7 @@ function termTable(state, changed) {
     return element("div", {className: "ranged"}, typed, range);
   }), "m");
   given("f0", "f0", {low: 0, high: 0.999, empty: ownValue("f0")});
-  given("weight ks", "ks",
+  given("ks", "ks",
     {low: 0, high: registry.largest_weight, empty: ownValue("specular_weight")});
 
   const head = element("tr", {}, element("td", {},

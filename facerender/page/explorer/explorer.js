@@ -142,9 +142,9 @@ function buildControls() {
     state[name] = value;
     changed();
   };
-  choice("show", SHOWS, () => state.show, set("show"));
-  choice("only", ONLY, () => state.only, set("only"));
-  choice("cameras", Object.fromEntries(Object.keys(CAMERAS).map(name => [name, name])), () => {
+  choice("show", Object.entries(SHOWS), () => state.show, set("show"));
+  choice("only", Object.entries(ONLY), () => state.only, set("only"));
+  choice("cameras", Object.keys(CAMERAS).map(name => [name, name]), () => {
     const {azimuth, elevation} = state.camera;
     return elevation === 0 ? Object.keys(CAMERAS).find(name => CAMERAS[name] === azimuth) : undefined;
   }, name => {
@@ -166,10 +166,10 @@ function buildControls() {
     while (handles.children.length > state.lights.length) handles.lastChild.remove();
     while (handles.children.length < state.lights.length) handles.append(handleOf(handles.children.length));
   });
-  choice("code-of", {a: "A", b: "B", diff: "A to B"}, () => codeOf, value => { codeOf = value; writeCode(); });
-  const kinds = {command: "command line", toml: "TOML", python: "Python"};
+  choice("code-of", [["a", "A"], ["b", "B"], ["diff", "A to B"]], () => codeOf, value => { codeOf = value; writeCode(); });
   const names = {330: "GLSL 330", es300: "GLSL ES 300", vulkan: "Vulkan"};
-  for (const target of Object.keys(facts.targets)) kinds[target] = names[target] ?? target;
+  const targets = Object.keys(facts.targets).map(target => [target, names[target] ?? target]);
+  const kinds = [["command", "command line"], ["toml", "TOML"], ["python", "Python"], ...targets];
   choice("code-kind", kinds, () => codeKind, value => { codeKind = value; writeCode(); });
   byId("copy").addEventListener("click", async () => {
     const text = byId("code").textContent;
