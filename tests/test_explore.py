@@ -25,7 +25,7 @@ from facerender.explorer import QUALITIES, encoded, explorer, octahedral
 from facerender.glsl.dispatch import dispatch
 from facerender.glsl.library import TARGETS, term_source
 from facerender.job import Job, MeshFile
-from facerender.lobes import GPower
+from facerender.lobes import GPower, lobe
 from facerender.planning.budget import Budget
 from facerender.scenes.mesh import slope_range
 from facerender.scenes.texture import Texture
@@ -361,6 +361,34 @@ def test_what_a_link_says_wrong_is_told(page):
         assert word in told
     assert page.evaluate("explorer.state.a.f0") == 0.04
     assert page.evaluate("explorer.state.b.lobe") == "d16"
+
+
+@pytest.mark.parametrize(("words", "term", "changes"), TERMS, ids=[each[0] for each in TERMS])
+def test_lobes_are_the_float64_twins(page, words, term, changes):
+    """At the slope of the pixel with the largest error, of 1; and under the pointer."""
+    errors = look(page, f"a={words}&b=lobe:d4")
+    found = page.evaluate("explorer.lobe('a')")
+    angles = np.linspace(0.0, np.pi / 2, 361)
+    cosines = np.cos(angles).astype(np.float32)
+    truth = lobe(term.lobe, cosines, found["m"], MODELS[term.model].k)
+    np.testing.assert_allclose(found["values"], truth, atol=3e-5)
+    place = errors["display"]["at"]
+    assert found["m"] == page.evaluate("place => explorer.probe([place])[0].a.m", place)
+
+
+def test_the_lobe_is_that_under_the_pointer(page):
+    look(page, "a=lobe:exact")
+    box = page.locator("#canvas").bounding_box()
+    page.mouse.move(box["x"] + 0.45 * box["width"], box["y"] + 0.35 * box["height"])
+    page.locator("#here", has_text="Under the pointer").wait_for()
+    place = [int(0.45 * box["width"]), int(0.35 * box["height"])]
+    m = page.evaluate("place => explorer.probe([place])[0].a.m", place)
+    assert page.evaluate("explorer.lobe('a').m") == pytest.approx(m, rel=0.02)
+    for scale in ("log", "polar", "linear"):
+        page.locator("#scale label", has_text=scale).click()
+        assert page.locator("#lobes .curve").count() == 3
+    page.mouse.move(0, 0)
+    page.locator("#here", has_text="At the ring").wait_for()
 
 
 def test_a_slope_outside_the_domain_is_told(page):

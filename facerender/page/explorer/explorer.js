@@ -57,6 +57,7 @@ async function settle() {
   pixels = found;
   statisticsNow = statistics(found, drawing.size[0]);
   readout();
+  plotHere();
   awaited.splice(0).forEach(resolve => resolve(statisticsNow));
 }
 
@@ -107,6 +108,52 @@ function readout() {
     + `${many(statisticsNow.covered)} pixels of ${many(width)} × ${many(height)}, ${samples}.`;
   byId("over").textContent = state.budget === null ? ""
     : `Over ${short(state.budget)}/255: ${figure(100 * shareOver(pixels, state.budget))} % of them.`;
+}
+
+// The pixel whose slope the lobes are drawn at: under the pointer, or else that of the largest error.
+let pointed = null;
+let scale = "linear";
+let lobes = null;
+
+function plotHere() {
+  const at = pointed ?? statisticsNow?.display.at;
+  if (!drawing || !at) return;
+  const [found] = drawing.probe(state, [at]);
+  if (found.a.part < 0) return;
+  const {eye} = viewOf(state.camera, drawing.size[0] / drawing.size[1]);
+  const here = geometryAt(found.a, eye, state.lights);
+  const angles = here.lights.filter(light => light.lit).map(light => light.angle);
+  lobes = Object.fromEntries(["a", "b"].map(which => {
+    const {m} = found[which];
+    return [which, {m, angles, values: lobeValues(drawing, state[which], m)}];
+  }));
+  plotLobes(byId("lobes"), lobes, scale);
+  const slopes = found.a.m === found.b.m ? `m ${figure(found.a.m)}`
+    : `m ${figure(found.a.m)} in A, ${figure(found.b.m)} in B`;
+  const cosines = here.lights.map(light => figure(light.cosine)).join(", ");
+  byId("here").textContent = `${pointed ? "Under the pointer" : "At the ring"}: ${slopes}, `
+    + `N.V ${figure(here.eye)}, N.L ${cosines || "without a light"}.`;
+}
+
+// A pointer that rests on the picture chooses the pixel.
+function watchPointer() {
+  let rest = 0;
+  canvas.addEventListener("pointermove", event => {
+    clearTimeout(rest);
+    if (event.buttons) return;
+    const box = canvas.getBoundingClientRect();
+    const share = [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
+    rest = setTimeout(() => {
+      if (!drawing || drawing.gl.isContextLost()) return;
+      pointed = share.map((each, i) => clamp(Math.floor(each * drawing.size[i]), 0, drawing.size[i] - 1));
+      plotHere();
+    }, 120);
+  });
+  canvas.addEventListener("pointerleave", () => {
+    clearTimeout(rest);
+    pointed = null;
+    plotHere();
+  });
 }
 
 function writeCode() {
@@ -165,6 +212,10 @@ function buildControls() {
     const handles = byId("handles");
     while (handles.children.length > state.lights.length) handles.lastChild.remove();
     while (handles.children.length < state.lights.length) handles.append(handleOf(handles.children.length));
+  });
+  choice("scale", SCALES, () => scale, value => {
+    scale = value;
+    if (lobes) plotLobes(byId("lobes"), lobes, scale);
   });
   choice("code-of", [["a", "A"], ["b", "B"], ["diff", "A to B"]], () => codeOf, value => { codeOf = value; writeCode(); });
   const names = {330: "GLSL 330", es300: "GLSL ES 300", vulkan: "Vulkan"};
@@ -288,6 +339,7 @@ function listen() {
     tell("");
     changed();
   }));
+  watchPointer();
   addEventListener("hashchange", () => restore(location.hash));
   new ResizeObserver(changed).observe(picture);
 }
@@ -323,6 +375,7 @@ window.explorer = {
   errors: () => statisticsNow ?? new Promise(resolve => awaited.push(resolve)),
   probe: places => drawing.probe(state, places),
   pixels: which => drawing.read(drawing.targets[which]),
+  lobe: which => ({m: lobes[which].m, values: [...lobes[which].values]}),
   code: (which, kind) => Object.hasOwn(facts.targets, kind)
     ? flattened(state[which], kind, state[which].m ?? Math.min(...facts.parts.map(part => part.slopes[0])))
     : {command: commandLine, toml, python}[kind](state, which, drawing.size),
