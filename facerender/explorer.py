@@ -42,7 +42,7 @@ LEAST_LOSS = 1.0  # steps of 255 in the mean, below which a map may be a JPEG
 
 _SCRIPTS = (
     *("numbers", "data", "camera", "glsl", "gl", "drawing", "errors", "state"),
-    *("controls", "lobe", "code", "explorer"),
+    *("controls", "lobe", "cost", "code", "explorer"),
 )
 _SHADERS = ("level.frag", "error.glsl", "error.frag", "show.frag", "lobe.frag")
 _HOST = ("shade.frag", "gbuffer.frag", "surface.vert", "screen.vert")

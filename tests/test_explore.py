@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 import shlex
 import shutil
 from contextlib import contextmanager
@@ -494,6 +495,34 @@ def test_a_term_of_the_registry_appears_by_itself(browser, tmp_path, monkeypatch
     for label, entries in (("Fresnel", FRESNEL), ("masking", MASKING)):
         assert f'"{next(iter(entries))}"' in (tmp_path / "explorer.html").read_text(), label
     assert len(MODELS) == 3
+
+
+def test_cost_is_measured_and_saved(page):
+    look(page, "b=lobe:d4&camera=zoom:0.3")
+    page.click("#price")
+    with page.expect_download() as download:
+        page.click("#save", timeout=60_000)
+    saved = json.loads(Path(download.value.path()).read_text())
+    assert saved["size"] == page.evaluate("explorer.size")
+    assert saved["link"] == page.evaluate("location.hash.slice(1)")
+    assert saved["method"] in ("GPU timer", "fence")
+    for name in ("base", "a", "b", "difference"):
+        times = saved[name]["rounds"]
+        assert len(times) == 7
+        assert saved[name]["median"] == pytest.approx(np.median(times))
+        assert [saved[name]["low"], saved[name]["high"]] == pytest.approx(
+            np.quantile(times, (0.25, 0.75))
+        )
+    assert saved["base"]["median"] > 0.0
+    assert saved["gpu"] in page.inner_text("#price-told")
+
+
+def test_a_cost_of_two_pictures_is_not_told(page):
+    look(page)
+    page.click("#price")
+    page.get_by_label("lobe of B").select_option("d4")
+    page.locator("#price-told", has_text="Stopped").wait_for()
+    assert page.locator("#save").is_hidden()
 
 
 NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null;"

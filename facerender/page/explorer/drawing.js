@@ -95,7 +95,7 @@ class Drawing {
     this.targets = {
       a: floatTarget(gl, width, height, plain),
       b: floatTarget(gl, width, height, plain),
-      error: floatTarget(gl, width, height),
+      error: floatTarget(gl, width, height, plain),
       ...this.samples > 1 && {sampled: sampledTarget(gl, width, height, this.samples)},
     };
   }
@@ -155,6 +155,31 @@ class Drawing {
     gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
     // No tile need be stored; and ANGLE on SwiftShader would clear for B before it resolves A.
     gl.invalidateFramebuffer(gl.READ_FRAMEBUFFER, [gl.COLOR_ATTACHMENT0, gl.DEPTH_ATTACHMENT]);
+  }
+
+  // Shades all that is seen of "a", "b" or "base", which has no highlights, so many times more than
+  // once; nothing is shown of it.
+  repeat(state, which, count) {
+    const {gl, targets} = this;
+    const term = state[which === "base" ? "a" : which];
+    gl.bindFramebuffer(gl.FRAMEBUFFER, (targets.sampled ?? targets.error).buffer);
+    this.clear();
+    gl.depthFunc(gl.LEQUAL);
+    for (let i = 0; i <= count; ++i) {
+      this.drawParts(state, term, part => shadeSource(part, term, state, which !== "base"));
+    }
+    gl.depthFunc(gl.LESS);
+  }
+
+  // Makes a pixel of what repeat() drew one that can be read.
+  resolveForReading() {
+    const {gl, targets} = this;
+    if (!targets.sampled) return;
+    const whole = [0, 0, ...this.size];
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, targets.sampled.buffer);
+    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, targets.error.buffer);
+    gl.blitFramebuffer(...whole, ...whole, gl.COLOR_BUFFER_BIT, gl.NEAREST);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, targets.error.buffer);
   }
 
   // Binds both pictures for a program, which is what error.glsl needs.

@@ -58,7 +58,7 @@ async function settle() {
   statisticsNow = statistics(found, drawing.size[0]);
   readout();
   plotHere();
-  awaited.splice(0).forEach(resolve => resolve(statisticsNow));
+  awaited.splice(0).forEach(({resolve}) => resolve(statisticsNow));
 }
 
 // Puts what lies over the picture in its place.
@@ -133,6 +133,35 @@ function plotHere() {
   const cosines = here.lights.map(light => figure(light.cosine)).join(", ");
   byId("here").textContent = `${pointed ? "Under the pointer" : "At the ring"}: ${slopes}, `
     + `N.V ${figure(here.eye)}, N.L ${cosines || "without a light"}.`;
+}
+
+let cost = null;  // what was measured here
+
+async function priceHere() {
+  if (!drawing || drawing.gl.isContextLost()) return;
+  const began = version;
+  byId("price").disabled = true;
+  byId("save").hidden = true;
+  const tellCost = text => { byId("price-told").textContent = text; };
+  tellCost("warming up");
+  try {
+    cost = await priced(drawing, state, tellCost,
+      () => version !== began || drawing.gl.isContextLost());
+    tellCost(cost ? `${cost.gpu}: ${cost.passes} passes of ${cost.size.join(" × ")} pixels a round, by its `
+      + `${cost.method === "fence" ? "fence" : "own clock"}.` : "Stopped: the picture changed.");
+    byId("costs").replaceChildren(...cost ? [costTable(cost)] : []);
+    byId("save").hidden = !cost;
+  } finally {
+    byId("price").disabled = false;
+  }
+  if (began === version) drawing.show(state);
+}
+
+function saveCost() {
+  const blob = new Blob([JSON.stringify(cost, null, 2)], {type: "application/json"});
+  const link = element("a", {href: URL.createObjectURL(blob), download: "explorer-cost.json"});
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
 
 // A pointer that rests on the picture chooses the pixel.
@@ -340,6 +369,8 @@ function listen() {
     changed();
   }));
   watchPointer();
+  byId("price").addEventListener("click", () => attempt(priceHere));
+  byId("save").addEventListener("click", saveCost);
   addEventListener("hashchange", () => restore(location.hash));
   new ResizeObserver(changed).observe(picture);
 }
@@ -354,6 +385,7 @@ function restore(fragment) {
 
 function fail(error) {
   drawing = null;
+  awaited.splice(0).forEach(({reject}) => reject(error));
   tell(error instanceof Unable ? error.message : `The page failed: ${error.message}`);
   if (!(error instanceof Unable)) throw error;
 }
@@ -372,7 +404,7 @@ window.explorer = {
   get size() { return drawing.size; },
   get samples() { return drawing.samples; },
   // errors of what is on screen, once they are known
-  errors: () => statisticsNow ?? new Promise(resolve => awaited.push(resolve)),
+  errors: () => statisticsNow ?? new Promise((resolve, reject) => awaited.push({resolve, reject})),
   probe: places => drawing.probe(state, places),
   pixels: which => drawing.read(drawing.targets[which]),
   lobe: which => ({m: lobes[which].m, values: [...lobes[which].values]}),

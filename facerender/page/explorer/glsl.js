@@ -135,16 +135,20 @@ function vertexSource(part, term) {
   return surfaceHead(part, term) + sources.host["surface.vert"];
 }
 
-function shadeSource(part, term, {lights, ambient, only}) {
+function shadeSource(part, term, {lights, ambient, only}, specular = true) {
   const head = [surfaceHead(part, term)];
   if (only === "all" && part.uniforms.diffuse_weight > 0) head.push("#define DIFFUSE\n");
   if (only === "all" && ambient.some(Boolean)) head.push("#define AMBIENT\n");
   const smallest = term.m ?? part.slopes[0];
-  head.push(
-    defined(lobeMacros(term, smallest)), sources.models[term.model], "#define SPECULAR\n",
-    "float specular_term(int term, vec3 n, vec3 l, vec3 v, float m, float f0) {\n",
-    `    return ${termCall(term)};\n}\n`,
-  );
+  if (!specular) {
+    head.push("precision highp float;\n");
+  } else {
+    head.push(
+      defined(lobeMacros(term, smallest)), sources.models[term.model], "#define SPECULAR\n",
+      "float specular_term(int term, vec3 n, vec3 l, vec3 v, float m, float f0) {\n",
+      `    return ${termCall(term)};\n}\n`,
+    );
+  }
   const loops = [];
   for (const [kind, text] of Object.entries(sources.lights)) {
     const count = lights.filter(light => lightKind(light) === kind).length;
