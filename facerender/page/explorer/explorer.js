@@ -147,7 +147,7 @@ async function priceHere() {
   try {
     cost = await priced(drawing, state, tellCost,
       () => version !== began || drawing.gl.isContextLost());
-    tellCost(cost ? `${cost.gpu}: ${cost.passes} passes of ${cost.size.join(" × ")} pixels a round, by its `
+    tellCost(cost ? `${cost.gpu}: ${cost.passes === 1 ? "1 pass" : `${cost.passes} passes`} of ${cost.size.join(" × ")} pixels a round, by its `
       + `${cost.method === "fence" ? "fence" : "own clock"}.` : "Stopped: the picture changed.");
     byId("costs").replaceChildren(...cost ? [costTable(cost)] : []);
     byId("save").hidden = !cost;
