@@ -23,6 +23,7 @@ _COMMANDS = {
     "measure": "what each approximation costs and loses, here",
     "reproduce": "the paper's figures and claims, measured here",
     "compare": "whether two renders are the same",
+    "explore": "a page to compare two shadings in, on the reader's own GPU",
     "shaders": "the GLSL library, for programs of your own",
     "doctor": "what OpenGL is found here, what is missing",
 }

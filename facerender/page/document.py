@@ -9,16 +9,19 @@ from html import escape
 from pathlib import Path
 
 
-def document(title: str, body: str, script: str = "") -> str:
+def document(title: str, body: str, *files: str) -> str:
     """Return a page.
 
     Parameters
     ----------
     title : text, of the window and of the page
     body : HTML that follows the title; classes are those of page.css
-    script : a file beside this one, such as "viewer.js"
+    files : beside this one, such as "viewer.js": scripts, which share one scope, and stylesheets
+        that go beyond page.css
     """
-    code = f"<script>\n{_file(script)}</script>\n" if script else ""
+    styles = ["page.css", *(file for file in files if file.endswith(".css"))]
+    script = "".join(file_text(file) for file in files if file.endswith(".js"))
+    code = f'<script type="module">\n{script}</script>\n' if script else ""
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -26,7 +29,7 @@ def document(title: str, body: str, script: str = "") -> str:
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{escape(title)}</title>
 <style>
-{_file("page.css")}</style>
+{"".join(map(file_text, styles))}</style>
 </head>
 <body>
 <h1>{escape(title)}</h1>
@@ -73,5 +76,6 @@ def row(name: str, cells: Iterable[str], kind: str = "") -> str:
     return f'<tr{marked}><th scope="row">{name}</th>{values}</tr>'
 
 
-def _file(name: str) -> str:
-    return Path(__file__).with_name(name).read_text(encoding="utf-8")
+def file_text(name: str) -> str:
+    """Return a file of this folder, such as "page.css"."""
+    return (Path(__file__).parent / name).read_text(encoding="utf-8")

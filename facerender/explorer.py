@@ -1,0 +1,283 @@
+"""The explorer: one page that draws a mesh in WebGL 2 with the library's own shaders. The mesh, its
+maps, the shaders and the registry become the page's data here; what it does with them is told in
+``page/explorer``. No OpenGL here."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import zlib
+from base64 import b64encode
+from collections.abc import Mapping
+from html import escape
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender._version import __version__
+from facerender.drawing.prepare import part_maps
+from facerender.drawing.program import part_uniforms, surface_features
+from facerender.glsl.library import TARGETS, shader_dir, shader_source
+from facerender.job import Job
+from facerender.page.document import document, file_text
+from facerender.scenes.light import LIGHT_KINDS, Light
+from facerender.scenes.mesh import Mesh, slope_range
+from facerender.scenes.texture import Kind, Texture
+from facerender.shading import MAX_WEIGHT, SMALL_SLOPE, Shading
+from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, GPower, lobe_entry
+from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE, Lobe
+
+POSITION_STEPS = 2**16 - 1  # across the bounding sphere: 2.6 micrometres on a head
+NORMAL_STEPS = 2**15 - 1  # of an octahedron's coordinate: 0.003 degrees
+UV_STEPS = 2**16 - 1
+LARGEST_MAP = 2048  # texels a side, which every WebGL 2 takes
+QUALITIES: dict[Kind, tuple[int, ...]] = {
+    "color": (93, 97),
+    "normal": (95, 98),
+    "data": (93, 97),
+}
+LEAST_LOSS = 1.0  # steps of 255 in the mean, below which a map may be a JPEG
+
+_SCRIPTS = (
+    *("numbers", "data", "camera", "glsl", "gl", "drawing", "errors", "state"),
+    *("controls", "lobe", "cost", "code", "explorer"),
+)
+_SHADERS = ("level.frag", "error.glsl", "error.frag", "show.frag", "lobe.frag")
+_HOST = ("shade.frag", "gbuffer.frag", "surface.vert", "screen.vert")
+
+
+def explorer(job: Job, mesh: Mesh) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    job : its mesh file, lights, ambient light, background and camera are what the page begins with
+    mesh : of the job
+
+    Raises
+    ------
+    InputError : a map that is damaged; maps over 2048 texels a side are made smaller
+    """
+    columns: list[NDArray[np.int64]] = []
+    textures: list[tuple[Texture, Kind]] = []
+    parts = [_part(mesh, index, columns, textures) for index in range(len(mesh.parts))]
+    facts = {
+        "version": __version__,
+        "name": mesh.name,
+        "mesh": _words(job),
+        "center": mesh.center.tolist(),
+        "radius": mesh.radius,
+        "profile": mesh.profile.round(5).tolist(),
+        "steps": {"position": POSITION_STEPS, "normal": NORMAL_STEPS, "uv": UV_STEPS},
+        "parts": parts,
+        "columns": [list(values.shape) for values in columns],
+        "maps": [kind for _, kind in textures],
+        "camera": {name: getattr(job.camera, name) for name in _ORBIT},
+        "lights": [_light(light, mesh) for light in job.lights],
+        "ambient": job.ambient,
+        "background": job.background or (0.0, 0.0, 0.0),
+        "registry": registry(),
+        "targets": TARGETS,
+    }
+    data = [
+        _json("facts", facts),
+        _bytes("geometry", zlib.compress(b"".join(map(_packed, columns)), 9)),
+        _bytes("sources", zlib.compress(json.dumps(_sources()).encode(), 9)),
+        *(_bytes(f"map-{i}", encoded(*each)) for i, each in enumerate(textures)),
+    ]
+    body = file_text("explorer/explorer.html") + "".join(data)
+    scripts = (f"explorer/{name}.js" for name in _SCRIPTS)
+    return document(f"facerender explorer: {mesh.name}", body, "explorer/explorer.css", *scripts)
+
+
+_ORBIT = ("azimuth", "elevation", "zoom", "fov")
+
+
+def registry() -> dict[str, Any]:
+    """Return every model, lobe, Fresnel and masking term, as data for the page's controls and for
+    its programs."""
+    own = lobe_entry(GPower(8, 0.25, 0.5))
+    return {
+        "models": {
+            model.name: {
+                "title": model.title,
+                "k": model.k,
+                "factors": model.factors,
+                "file": model.file,
+                "call": model.call,
+            }
+            for model in MODELS.values()
+        },
+        "lobes": {lobe.name: _lobe(lobe) for lobe in LOBES.values()},
+        "g_power": _lobe(own),
+        "fresnel": {term.name: term.macro for term in FRESNEL.values()},
+        "masking": {term.name: term.macro for term in MASKING.values()},
+        "small_slope": SMALL_SLOPE,
+        "slopes": [MIN_SLOPE, MAX_SLOPE],
+        "largest_weight": MAX_WEIGHT,
+    }
+
+
+def _lobe(lobe: Lobe) -> dict[str, Any]:
+    return {
+        "macro": lobe.macro,
+        "ends": lobe.ends,
+        "open": lobe.open_ends,
+        "errors": lobe.errors,
+        "colour": lobe.colour,
+        "by_angle": lobe.of_tan2 is not None,
+    }
+
+
+def encoded(texture: Texture, kind: Kind) -> bytes:
+    """Return a map as the page has it, row 0 at the bottom: a JPEG that is less than one step off
+    in the mean, or else a PNG.
+
+    Raises
+    ------
+    InputError : the map is damaged
+    """
+    from PIL import Image
+
+    image = texture.rgb()
+    if max(image.size) > LARGEST_MAP:
+        scale = LARGEST_MAP / max(image.size)
+        width, height = (max(round(side * scale), 1) for side in image.size)
+        image = image.resize((width, height), Image.Resampling.BOX)
+    texels = np.asarray(image).astype(np.int16)
+    for quality in QUALITIES[kind]:
+        file = BytesIO()
+        image.save(file, "JPEG", quality=quality, subsampling=0, optimize=True)
+        if np.abs(np.asarray(Image.open(file)) - texels).mean() < LEAST_LOSS:
+            return file.getvalue()
+    file = BytesIO()
+    image.save(file, "PNG", optimize=True)
+    return file.getvalue()
+
+
+def _part(
+    mesh: Mesh,
+    index: int,
+    columns: list[NDArray[np.int64]],
+    textures: list[tuple[Texture, Kind]],
+) -> dict[str, Any]:
+    """Return what the page knows of a part; its arrays and maps are appended to the lists."""
+    part, material = mesh.parts[index], mesh.materials[index]
+    maps: dict[str, int] = {}
+    for name, texture, kind in part_maps(part, material, "color", slope_filter=True):
+        if (texture, kind) not in textures:
+            textures.append((texture, kind))
+        maps[name] = textures.index((texture, kind))
+    arrays: dict[str, int] = {}
+
+    def column(name: str, values: NDArray[Any]) -> None:
+        arrays[name] = len(columns)
+        columns.append(np.round(values).astype(np.int64))
+
+    column("position", (mesh.normalised(part.positions) + 1.0) * (0.5 * POSITION_STEPS))
+    column("normal", octahedral(part.normals) * NORMAL_STEPS)
+    column("faces", part.faces)
+    corner, extent = np.zeros(2), np.ones(2)
+    if part.uv is not None:
+        corner, extent = part.uv.min(axis=0), np.ptp(part.uv, axis=0).clip(1e-9)
+        column("uv", (part.uv - corner) / extent * UV_STEPS)
+    if part.colors is not None:
+        column("color", part.colors * 1e4)
+    if part.occlusion is not None:
+        column("occlusion", part.occlusion[:, None] * 1e4)
+    uniforms = {name: np.asarray(value).tolist() for name, value in _uniforms(mesh, index).items()}
+    return {
+        "features": surface_features(part, material, Shading()),
+        "uniforms": uniforms,
+        "arrays": arrays,
+        "uv": [corner.tolist(), extent.tolist()],
+        "maps": maps,
+        "slopes": slope_range(part, material),
+    }
+
+
+def _uniforms(mesh: Mesh, index: int) -> Mapping[str, Any]:
+    return part_uniforms(mesh.parts[index], mesh.materials[index])
+
+
+def octahedral(normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Map unit vectors (N, 3) to a square, (N, 2) in [-1, 1].
+
+    References: Cigolle et al. (2014), "A survey of efficient representations for independent unit
+    vectors".
+    """
+    flat = normals / np.abs(normals).sum(axis=1, keepdims=True)
+    low = flat[:, 2] < 0.0
+    folded = (1.0 - np.abs(flat[:, 1::-1])) * np.where(flat[:, :2] < 0.0, -1.0, 1.0)
+    return np.asarray(np.where(low[:, None], folded, flat[:, :2]))
+
+
+def _packed(values: NDArray[np.int64]) -> bytes:
+    """Return whole numbers (N, K) as what deflate makes short: the differences of rows, signs in
+    the lowest bit, byte by byte of their four."""
+    steps = np.diff(values, axis=0, prepend=0)
+    folded = ((steps << 1) ^ (steps >> 63)).astype("<u4")
+    return folded.view(np.uint8).reshape(-1, 4).T.tobytes()
+
+
+def _sources() -> dict[str, Any]:
+    """Return the GLSL that the page's programs are made of, flat, by its role."""
+    host = shader_dir() / "host"
+    return {
+        "models": {name: shader_source(model.file) for name, model in MODELS.items()},
+        "variance": shader_source("slope_variance"),
+        "host": {name: shader_source(str(host / name)) for name in _HOST},
+        "lights": {kind: shader_source(str(host / f"light/{kind}.glsl")) for kind in LIGHT_KINDS},
+        "page": {name: file_text(f"explorer/{name}") for name in _SHADERS},
+    }
+
+
+def _light(light: Light, mesh: Mesh) -> dict[str, Any]:
+    """Return a light by its direction from the mesh's centre; of a point light with its distance
+    there, in the renderer's space."""
+    azimuth, elevation, distance = light.azimuth, light.elevation, None
+    if light.position is not None:
+        x, y, z = mesh.normalised(light.position)
+        distance = float(np.linalg.norm((x, y, z)))
+        azimuth = float(np.degrees(np.arctan2(x, z)))
+        elevation = float(np.degrees(np.arcsin(y / max(distance, 1e-30))))
+    return {
+        "azimuth": azimuth,
+        "elevation": elevation,
+        "irradiance": light.irradiance,
+        "radius": light.radius,
+        "distance": distance,
+    }
+
+
+def _words(job: Job) -> dict[str, Any]:
+    """Return the mesh's files as the command line and Python say them."""
+    file = job.mesh
+    maps = ("albedo", "normal_map", "specular_map", "roughness_map")
+    given = {name: value for name in maps if (value := getattr(file, name)) is not None}
+    words = [shlex.quote(file.path)] if file.path else []
+    options = {
+        name: f"--{name.replace('_', '-')} {shlex.quote(value)}" for name, value in given.items()
+    }
+    roughness = options.pop("roughness_map", "")
+    words += options.values()
+    words += ["--flip-v"] * file.flip_v
+    called = [repr(file.path)] if file.path else []
+    called += [f"{name}={value!r}" for name, value in given.items()]
+    called += ["flip_v=True"] * file.flip_v
+    return {
+        "shell": " ".join(words),
+        "roughness": roughness,
+        "python": f"fr.load_mesh({', '.join(called)})",
+    }
+
+
+def _json(name: str, value: Any) -> str:
+    text = json.dumps(value, separators=(",", ":")).replace("</", "<\\/")
+    return f'<script type="application/json" id="{escape(name)}">{text}</script>\n'
+
+
+def _bytes(name: str, content: bytes) -> str:
+    return f'<script type="text/plain" id="{escape(name)}">{b64encode(content).decode()}</script>\n'

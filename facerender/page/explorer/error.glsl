@@ -1,0 +1,24 @@
+// The error of B at a pixel, of its worst channel: linear radiance, steps of 1/255 of the display
+// before rounding, relative to A or to 0.01; and A's coverage.
+precision highp float;
+precision highp int;
+precision highp sampler2D;
+uniform sampler2D a;
+uniform sampler2D b;
+uniform float exposure;  // factor
+
+vec3 displayed(vec3 radiance) {
+    vec3 x = clamp(exposure * radiance, 0.0, 1.0);
+    vec3 curve = 1.055 * pow(max(x, 0.0031308), vec3(1.0 / 2.4)) - 0.055;
+    return mix(curve, 12.92 * x, vec3(lessThanEqual(x, vec3(0.0031308))));
+}
+
+float worst(vec3 each) { return max(max(each.r, each.g), each.b); }
+
+vec4 error_at(ivec2 at) {
+    vec4 first = texelFetch(a, at, 0);
+    vec3 second = texelFetch(b, at, 0).rgb;
+    vec3 apart = abs(second - first.rgb);
+    float steps = 255.0 * worst(abs(displayed(second) - displayed(first.rgb)));
+    return vec4(worst(apart), steps, worst(apart / max(first.rgb, vec3(0.01))), first.a);
+}

@@ -1,0 +1,118 @@
+// WebGL 2 with float targets: contexts, programs, textures, targets. What they show is drawing.js.
+class Unable extends Error {}  // of this browser; the message is for the reader
+
+function openContext(canvas) {
+  const wanted = {alpha: false, antialias: false, depth: false, powerPreference: "high-performance"};
+  const gl = canvas.getContext("webgl2", wanted);
+  if (!gl) {
+    throw new Unable("This browser has no WebGL 2, or it is switched off. Any browser since 2021 has it: "
+      + "look for hardware acceleration in its settings, and at chrome://gpu or about:support.");
+  }
+  if (gl.isContextLost()) throw new Unable("The graphics driver gave no context: load the page again.");
+  if (!gl.getExtension("EXT_color_buffer_float")) {
+    throw new Unable("This GPU cannot draw to float targets (EXT_color_buffer_float), which errors "
+      + "far below 1/255 need: open the page on another machine.");
+  }
+  return gl;
+}
+
+function compiled(gl, vertex, fragment) {
+  const program = gl.createProgram();
+  const shaders = [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]].map(([kind, text]) => {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, text);
+    gl.compileShader(shader);
+    gl.attachShader(program, shader);
+    return shader;
+  });
+  ATTRIBUTES.forEach((name, i) => gl.bindAttribLocation(program, i, name));
+  gl.linkProgram(program);
+  if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
+    const logs = shaders.map(shader => gl.getShaderInfoLog(shader));
+    throw new Unable(`This driver refuses a shader: ${logs.join(" ") || gl.getProgramInfoLog(program)}`);
+  }
+  shaders.forEach(shader => gl.deleteShader(shader));
+  const uniforms = {};
+  const count = gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS) ?? 0;
+  for (let i = 0; i < count; ++i) {
+    const {name, type} = gl.getActiveUniform(program, i);
+    uniforms[name.replace("[0]", "")] = [gl.getUniformLocation(program, name), type];
+  }
+  return {program, uniforms};
+}
+
+const ATTRIBUTES = ["in_position", "in_normal", "in_uv", "in_occlusion", "in_color"];
+
+// Sets the uniforms that a program has of those in a table; numbers, lists, booleans.
+function setUniforms(gl, {uniforms}, values) {
+  for (const [name, value] of Object.entries(values)) {
+    if (!uniforms[name]) continue;
+    const [location, type] = uniforms[name];
+    const list = [value].flat();
+    const setters = {
+      [gl.FLOAT]: "uniform1fv", [gl.FLOAT_VEC2]: "uniform2fv", [gl.FLOAT_VEC3]: "uniform3fv",
+      [gl.INT_VEC2]: "uniform2iv",
+    };
+    if (type === gl.FLOAT_MAT4) gl.uniformMatrix4fv(location, false, list);
+    else if (setters[type]) gl[setters[type]](location, list);
+    else gl.uniform1i(location, +list[0]);  // int, bool, sampler
+  }
+}
+
+function mapTexture(gl, {kind, image}, halve) {
+  const texture = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, texture);
+  gl.pixelStorei(gl.UNPACK_COLORSPACE_CONVERSION_WEBGL, gl.NONE);
+  const format = kind === "color" ? gl.SRGB8_ALPHA8 : gl.RGBA8;
+  const levels = 1 + Math.floor(Math.log2(Math.max(image.width, image.height)));
+  gl.texStorage2D(gl.TEXTURE_2D, levels, format, image.width, image.height);
+  gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, gl.RGBA, gl.UNSIGNED_BYTE, image);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+  if (kind !== "normal") gl.generateMipmap(gl.TEXTURE_2D);
+  else halve(texture, levels, image);
+  return texture;
+}
+
+// A target of float32 RGBA: a texture for each attachment, with depth where wanted.
+function floatTarget(gl, width, height, {attachments = 1, depth = false} = {}) {
+  const buffer = gl.createFramebuffer();
+  gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
+  const textures = Array.from({length: attachments}, (_, i) => {
+    const texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32F, width, height);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+    gl.framebufferTexture2D(
+      gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + i, gl.TEXTURE_2D, texture, 0);
+    return texture;
+  });
+  gl.drawBuffers(textures.map((_, i) => gl.COLOR_ATTACHMENT0 + i));
+  const renderbuffers = depth ? [attach(gl, gl.DEPTH_ATTACHMENT, gl.DEPTH_COMPONENT24, 0, width, height)] : [];
+  return {buffer, textures, renderbuffers};
+}
+
+// The same with several samples a pixel, to resolve into another.
+function sampledTarget(gl, width, height, samples) {
+  const buffer = gl.createFramebuffer();
+  gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
+  const renderbuffers = [
+    attach(gl, gl.COLOR_ATTACHMENT0, gl.RGBA32F, samples, width, height),
+    attach(gl, gl.DEPTH_ATTACHMENT, gl.DEPTH_COMPONENT24, samples, width, height),
+  ];
+  return {buffer, textures: [], renderbuffers};
+}
+
+function attach(gl, attachment, format, samples, width, height) {
+  const renderbuffer = gl.createRenderbuffer();
+  gl.bindRenderbuffer(gl.RENDERBUFFER, renderbuffer);
+  gl.renderbufferStorageMultisample(gl.RENDERBUFFER, samples, format, width, height);
+  gl.framebufferRenderbuffer(gl.FRAMEBUFFER, attachment, gl.RENDERBUFFER, renderbuffer);
+  return renderbuffer;
+}
+
+function release(gl, {buffer, textures, renderbuffers}) {
+  gl.deleteFramebuffer(buffer);
+  textures.forEach(texture => gl.deleteTexture(texture));
+  renderbuffers.forEach(renderbuffer => gl.deleteRenderbuffer(renderbuffer));
+}

@@ -1,0 +1,164 @@
+// A term's GLSL: the macros that choose it, its call, the library's file with them resolved.
+let sources = null;  // by role; data that is unpacked first
+
+const modelOf = term => registry.models[term.model];
+const lobeOf = term => term.lobe === "g-power" ? registry.g_power : registry.lobes[term.lobe];
+
+// The macros of all that a term's call reads, for slopes from the smallest on.
+function lobeMacros(term, smallest) {
+  const lobe = lobeOf(term);
+  const macros = {FR_LOBE: lobe.macro};
+  if (term.lobe === "g-power") {
+    const offset = term.offset ? ` - ${literal(term.offset)}` : "";
+    macros.FR_G = String(term.g);
+    macros["FR_STEEPNESS(m, k)"] = `(${literal(term.factor)} / ((m) * (m))${offset})`;
+  }
+  if (lobe.by_angle && smallest >= registry.small_slope) macros.FR_SMALL_SLOPE = "0";
+  return macros;
+}
+
+function termMacros(term, smallest) {
+  const macros = lobeMacros(term, smallest);
+  if (modelOf(term).factors) {
+    macros.FR_FRESNEL = registry.fresnel[term.fresnel];
+    macros.FR_MASKING = registry.masking[term.masking];
+  }
+  return macros;
+}
+
+function termCall(term) {
+  const words = {
+    m: "m", lobe: lobeOf(term).macro,
+    fresnel: registry.fresnel[term.fresnel], masking: registry.masking[term.masking],
+  };
+  return modelOf(term).call.replace(/\{(\w+)\}/g, (_, word) => words[word]);
+}
+
+const defined = macros =>
+  Object.entries(macros).map(([name, value]) => `#define ${name} ${value}`.trimEnd() + "\n").join("");
+
+// Text without the branches that macros decide, as glsl/includes.py leaves them out. Conditions of
+// comparisons and defined() are understood; others stay.
+function resolved(text, chosen) {
+  const macros = new Map(Object.entries(chosen).map(([name, value]) => [name.split("(")[0], value]));
+  const open = [];
+  const lines = [];
+  const all = values => values.includes(false) ? false : values.includes(null) ? null : true;
+  const any = values => values.includes(true) ? true : values.includes(null) ? null : false;
+
+  function value(word) {
+    for (let i = 0; i < 8 && macros.has(word); ++i) word = macros.get(word);
+    return /^(0|[1-9]\d*)$/.test(word) ? +word : null;
+  }
+
+  function comparison(term) {
+    const asked = term.match(/^(!?)defined (\w+)$/);
+    if (asked) return macros.has(asked[2]) ? !asked[1] : null;
+    const [, a, sign, b] = term.match(/^(\w+)\s*(==|!=|<=|>=|<|>)\s*(\w+)$/) ?? [0, term, "!=", "0"];
+    const [left, right] = [value(a), value(b)];
+    if (left === null || right === null) return null;
+    return {"==": left === right, "!=": left !== right, "<": left < right, ">": left > right,
+      "<=": left <= right, ">=": left >= right}[sign];
+  }
+
+  function truth(directive, condition) {
+    if (directive === "else") return true;
+    if (directive !== "if" && directive !== "elif") {
+      return macros.has(condition) ? directive === "ifdef" : null;
+    }
+    const plain = condition.replace(/defined\s*\(\s*(\w+)\s*\)/g, "defined $1");
+    if (/[()\\]/.test(plain)) return null;
+    return any(plain.split("||").map(part => all(part.split("&&").map(s => comparison(s.trim())))));
+  }
+
+  function branch(directive, rest, line) {
+    const current = open.at(-1);
+    const found = current.over ? false : truth(directive, rest);
+    current.active = found !== false;
+    current.over ||= found === true;
+    if (found === null) {
+      lines.push(current.stays || directive !== "elif" ? line : `#if ${rest}`);
+      current.stays = true;
+    } else if (found && current.stays) {
+      lines.push("#else");
+    }
+  }
+
+  for (const line of text.split("\n")) {
+    const code = line.replace(/\/\/.*/, "");
+    const [, directive, rest] = code.match(/^\s*#\s*(\w+)\s*(.*?)\s*$/) ?? [];
+    const active = open.every(each => each.active);
+    if (directive === "if" || directive === "ifdef" || directive === "ifndef") {
+      const guard = directive === "ifndef" && rest.endsWith("_GLSL");
+      open.push({active: false, over: !active, stays: false, guard});
+      branch(directive, rest, line);
+    } else if (directive === "elif" || directive === "else") {
+      branch(directive, rest, line);
+    } else if (directive === "endif") {
+      if (open.pop().stays) lines.push(line);
+    } else if (active) {
+      const [, name, meaning] = directive === "define"
+        ? rest.match(/^(\w+)(?:\([^)]*\))?\s*(.*)$/) : [];
+      const sure = open.every(each => each.guard || !each.stays);
+      if (name && sure && !macros.has(name)) macros.set(name, meaning);
+      lines.push(line);
+    }
+  }
+  return lines.join("\n");
+}
+
+// What facerender shaders flatten prints of a term's model, with every choice made.
+function flattened(term, target, smallest) {
+  const macros = termMacros(term, smallest);
+  const [origin, licence, , ...body] = sources.models[term.model].split("\n");
+  const text = [
+    `#version ${facts.targets[target]}`,
+    origin.replace(/\.$/, `, lobe ${lobeName(term)}.`), licence, defined(macros).trimEnd(), "",
+    resolved(body.join("\n"), macros),
+  ].join("\n");
+  return text.replace(/\n{3,}/g, "\n\n").trimEnd() + "\n";
+}
+
+function lobeName({lobe, g, factor, offset}) {
+  if (lobe !== "g-power") return lobe;
+  const less = offset ? ` ${offset > 0 ? "-" : "+"} ${+Math.abs(offset).toPrecision(5)}` : "";
+  return `g-power ${g} (${+factor.toPrecision(5)}/m^2${less})`;
+}
+
+// The host's two programs for a part: the picture, and all that it reads at a pixel.
+function surfaceHead(part, term) {
+  const own = term?.m == null ? part.features : part.features.filter(name => name !== "ROUGHNESS_MAP");
+  return "#version 300 es\n" + own.map(name => `#define ${name}\n`).join("");
+}
+
+function vertexSource(part, term) {
+  return surfaceHead(part, term) + sources.host["surface.vert"];
+}
+
+function shadeSource(part, term, {lights, ambient, only}, specular = true) {
+  const head = [surfaceHead(part, term)];
+  if (only === "all" && part.uniforms.diffuse_weight > 0) head.push("#define DIFFUSE\n");
+  if (only === "all" && ambient.some(Boolean)) head.push("#define AMBIENT\n");
+  const smallest = term.m ?? part.slopes[0];
+  if (!specular) {
+    head.push("precision highp float;\n");
+  } else {
+    head.push(
+      defined(lobeMacros(term, smallest)), sources.models[term.model], "#define SPECULAR\n",
+      "float specular_term(int term, vec3 n, vec3 l, vec3 v, float m, float f0) {\n",
+      `    return ${termCall(term)};\n}\n`,
+    );
+  }
+  const loops = [];
+  for (const [kind, text] of Object.entries(sources.lights)) {
+    const count = lights.filter(light => lightKind(light) === kind).length;
+    if (!count) continue;
+    head.push(`#define ${kind.toUpperCase()}_LIGHTS ${count}\n`, text);
+    loops.push(`for (int i = 0; i < ${count}; ++i) add_light(s, v, ${kind}_light(i, s.position), 0);`);
+  }
+  return [...head, `#define EVERY_LIGHT ${loops.join(" ")}\n`, sources.host["shade.frag"]].join("");
+}
+
+function gbufferSource(part, term) {
+  return surfaceHead(part, term) + sources.host["gbuffer.frag"];
+}

@@ -1,0 +1,25 @@
+// The pictures on the canvas: A left of the cut and B right of it, or their difference; what is over
+// the budget is red. Row 0 of a picture is on top.
+uniform int height;
+uniform int cut;           // pixels from the left
+uniform bool difference;
+uniform float gain;
+uniform float budget;      // steps of 1/255; none where negative
+out vec4 color;
+
+vec3 heat(float x) {
+    const vec3 stops[5] = vec3[5](
+        vec3(0.0), vec3(0.09, 0.17, 0.45), vec3(0.10, 0.52, 0.58), vec3(0.66, 0.82, 0.36),
+        vec3(1.0, 1.0, 0.9));
+    float place = 4.0 * clamp(x, 0.0, 1.0);
+    int low = min(int(place), 3);
+    return mix(stops[low], stops[low + 1], place - float(low));
+}
+
+void main() {
+    ivec2 at = ivec2(int(gl_FragCoord.x), height - 1 - int(gl_FragCoord.y));
+    vec4 error = error_at(at);
+    vec4 picture = at.x < cut ? texelFetch(a, at, 0) : texelFetch(b, at, 0);
+    color = vec4(difference ? heat(gain * error.y / 255.0) : displayed(picture.rgb), 1.0);
+    if (budget >= 0.0 && error.y > budget) color.rgb = mix(color.rgb, vec3(1.0, 0.0, 0.05), 0.85);
+}

@@ -1,0 +1,614 @@
+"""The explorer in Chromium: what it draws is the float64 reference, what it says of errors is what
+``facerender compare`` says, and every control, link and text of it works."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import shlex
+import shutil
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import facerender as fr
+from facerender.commands import _parser, main
+from facerender.commands.scene import job_of
+from facerender.comparison.gates import compare
+from facerender.drawing import reference
+from facerender.drawing.frame import GBuffer
+from facerender.explorer import QUALITIES, encoded, explorer, octahedral
+from facerender.glsl.dispatch import dispatch
+from facerender.glsl.library import TARGETS, term_source
+from facerender.job import Job, MeshFile
+from facerender.lobes import GPower, lobe
+from facerender.planning.budget import Budget
+from facerender.scenes.mesh import slope_range
+from facerender.scenes.texture import Texture
+from facerender.scenes.view import view_of
+from facerender.shading import Term
+from facerender.terms import FRESNEL, LOBES, MASKING, MODELS
+from facerender.terms.lobe import Lobe
+
+MINI = Path(__file__).parent / "data" / "mini_head.glb"
+VIEW = {"viewport": {"width": 1000, "height": 620}}
+# Shares of the picture's width and height, on the face in the first view.
+PLACES = [
+    *((0.50, 0.30), (0.45, 0.35), (0.55, 0.35), (0.50, 0.42), (0.42, 0.42), (0.58, 0.42)),
+    *((0.50, 0.55), (0.44, 0.55), (0.56, 0.55), (0.50, 0.66), (0.47, 0.72), (0.53, 0.72)),
+]
+OWN = GPower(6, 0.3, 0.4)
+TERMS = [
+    ("", Term(), {}),
+    ("lobe:d8;m:0.25;f0:0.05;ks:0.7", Term(lobe="d8"), {"m": 0.25, "f0": 0.05, "ks": 0.7}),
+    ("lobe:fitted-fine;fresnel:dielectric;masking:kelemen",
+     Term(lobe="fitted-fine", fresnel="dielectric", masking="kelemen"), {}),
+    ("lobe:g-power;g:6;factor:0.3;offset:0.4;m:0.35", Term(lobe=OWN), {"m": 0.35}),
+    ("model:ward;lobe:fitted;m:0.5", Term("ward", "fitted"), {"m": 0.5}),
+    ("model:ward-printed;lobe:exact;m:0.15", Term("ward-printed"), {"m": 0.15}),
+]  # fmt: skip
+
+
+def maps(folder: Path) -> dict[str, str]:
+    """Smooth maps, which lose little as JPEGs: relief, roughness from 0.45 to 0.65, weight."""
+    y, x = np.mgrid[:64, :64] * (2.0 * np.pi / 64)
+    slope = 0.25 * np.stack([np.sin(3 * x), np.cos(2 * y), np.full_like(x, 4.0)], axis=-1)
+    normal = 0.5 + 0.5 * slope / np.linalg.norm(slope, axis=-1, keepdims=True)
+    grey = {"roughness_map": 0.55 + 0.1 * np.sin(x), "specular_map": 0.7 + 0.3 * np.cos(y)}
+    files = {}
+    for name, values in {"normal_map": normal, **grey}.items():
+        files[name] = str(folder / f"{name}.png")
+        Image.fromarray(np.uint8(np.round(255.0 * values))).save(files[name])
+    return files
+
+
+def write(folder: Path) -> tuple[str, MeshFile]:
+    """Write a page, and return its address, and the mesh that it shows."""
+    mesh = MeshFile(str(MINI), **maps(folder))
+    path = folder / "explorer.html"
+    path.write_text(explorer(Job(mesh), mesh.load()), encoding="utf-8")
+    return path.as_uri(), mesh
+
+
+@contextmanager
+def opened(browser, address, before="", fragment="", **more):
+    """The page, which must have nothing to say in the console."""
+    page = browser.new_page(**{**VIEW, **more})
+    said = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    if before:
+        page.add_init_script(before)
+    page.goto(address + fragment)
+    yield page
+    page.close()
+    assert said == []
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("explorer"))
+
+
+@pytest.fixture(scope="module")
+def address(written):
+    return written[0]
+
+
+@pytest.fixture(scope="module")
+def mesh(written):
+    return written[1].load()
+
+
+@pytest.fixture(scope="module")
+def page(browser, address):
+    """One for all tests that say by a link what they look at."""
+    with opened(browser, address) as page:
+        page.evaluate("explorer.errors()")
+        yield page
+
+
+def look(page, fragment=""):
+    """Follow a link, and return the errors of what it shows."""
+    follow(page, fragment)
+    return page.evaluate("explorer.errors()")
+
+
+def follow(page, fragment):
+    page.evaluate(
+        "link => { history.replaceState(null, '', '#'); location.hash = link; }", fragment
+    )
+    page.evaluate("dispatchEvent(new HashChangeEvent('hashchange'))")
+    return page.evaluate("explorer.errors()")
+
+
+def pictures(page):
+    """A and B as they are on the float targets, (H, W, 4)."""
+    width, height = page.evaluate("explorer.size")
+    code = "async which => new Uint8Array((await explorer.pixels(which)).buffer).toBase64()"
+    each = [base64.b64decode(page.evaluate(code, which)) for which in "ab"]
+    return [np.frombuffer(data, np.float32).reshape(height, width, 4) for data in each]
+
+
+def scene_of(page, mesh, changes):
+    """The scene that a page shows, for the same size."""
+    now = page.evaluate("explorer.state")
+    lights = tuple(
+        fr.Light(
+            each["azimuth"], each["elevation"], tuple(each["irradiance"]), None, each["radius"]
+        )
+        for each in now["lights"]
+    )
+    camera = fr.Camera(**now["camera"])
+    return fr.Scene(mesh.with_material(**changes), camera, lights, tuple(now["ambient"]))
+
+
+def expected(page, mesh, found, term, changes):
+    """Float64 radiance of probed pixels, (N, 3)."""
+    scene = scene_of(page, mesh, changes)
+    width, height = page.evaluate("explorer.size")
+    row = {name: np.float32([[each[name] for each in found]]) for name in found[0]}
+    gbuffer = GBuffer(
+        row["part"].astype(np.int64), row["position"], row["normal"], row["albedo"], row["m"],
+        row["specular_weight"], row["occlusion"], np.zeros((1, len(found), 2), np.float32),
+        np.ones((1, len(found), len(scene.lights)), np.float32), view_of(scene, width / height),
+    )  # fmt: skip
+    return reference.shade(gbuffer, scene, fr.Shading(term=term))[0]
+
+
+@pytest.mark.parametrize(("words", "term", "changes"), TERMS, ids=[each[0] for each in TERMS])
+def test_pixels_are_the_float64_reference(page, mesh, words, term, changes):
+    """A is the exact term, B another: each within 1e-3 of what float64 gives there."""
+    lights = "-50,42,3.6,3.4,3.1;30,20,1,1.2,1.4,8"  # the second one a disc
+    look(page, f"b={words}&lights={lights}" if words else f"lights={lights}")
+    if not words:
+        page.evaluate("explorer.state.b.lobe = 'exact'")
+    width, height = page.evaluate("explorer.size")
+    at = [[int(x * width), int(y * height)] for x, y in PLACES]
+    probed = page.evaluate("places => explorer.probe(places)", at)
+    for which, own, own_changes in (("a", Term(), {}), ("b", term, changes)):
+        found = [each[which] for each in probed]
+        assert min(each["part"] for each in found) >= 0
+        radiance = np.array([each.pop("radiance") for each in found])
+        truth = expected(page, mesh, found, own, own_changes)
+        np.testing.assert_allclose(radiance, truth, rtol=1e-3)
+    assert np.ptp(truth) > 0.1
+
+
+def test_errors_are_those_of_compare(page):
+    shown = look(page, "b=lobe:d8&a=m:0.35&only=specular")
+    a, b = pictures(page)
+    covered = a[..., 3] > 0
+    told = compare(a, b, mask=covered)
+    assert shown["covered"] == covered.sum() > 10_000
+    assert shown["linear"]["largest"] == pytest.approx(told.largest, rel=0.02)
+    assert shown["linear"]["mean"] == pytest.approx(told.mean, rel=0.02)
+    for measure, unit, scale in (("display", "1/255", 255.0), ("relative", "1%", 1.0)):
+        budget = Budget.parse(unit)
+        errors = scale * budget.errors(b[..., :3].astype(float), a[..., :3].astype(float))[covered]
+        assert shown[measure]["largest"] == pytest.approx(errors.max(), rel=0.02)
+        assert shown[measure]["most"] == pytest.approx(np.quantile(errors, 0.999), rel=0.02)
+        assert shown[measure]["mean"] == pytest.approx(errors.mean(), rel=0.02)
+    x, y = shown["display"]["at"]
+    steps = 255.0 * Budget.parse("1/255").errors(b[..., :3].astype(float), a[..., :3].astype(float))
+    assert steps[y, x] == pytest.approx(shown["display"]["largest"], rel=0.01)
+    cells = page.locator("#readout tr[data-measure=display] td").all_inner_texts()
+    assert float(cells[0]) == pytest.approx(shown["display"]["largest"], rel=0.01)
+
+
+def test_pictures_are_the_renderers(page, mesh, egl):
+    """With maps that are JPEGs and positions in 16 bits."""
+    shown = look(page, "b=lobe:d8;m:0.4&a=m:0.4&camera=azimuth:-35;elevation:4")
+    drawn = pictures(page)
+    scene = scene_of(page, mesh, {"m": 0.4})
+    with fr.Renderer(tuple(page.evaluate("explorer.size")), backend=egl) as renderer:
+        frames = [renderer.render(scene, fr.Shading(lobe=lobe)) for lobe in ("exact", "d8")]
+    for picture, frame in zip(drawn, frames, strict=True):
+        assert np.abs(picture - frame.linear).mean() < 1e-3
+    told = compare(frames[0], frames[1], mask=frames[0].linear[..., 3] > 0)
+    assert shown["linear"]["mean"] == pytest.approx(told.mean, rel=0.02)
+    assert shown["linear"]["largest"] == pytest.approx(told.largest, rel=0.02)
+
+
+def shot(page):
+    """The canvas as it is shown, (H, W, 3)."""
+    hidden = "#handles, #cut, .tag, #mark, #legend { visibility: hidden }"
+    image = page.locator("#canvas").screenshot(style=hidden)
+    pixels = np.asarray(Image.open(io.BytesIO(image)).convert("RGB")).astype(int)
+    width, height = page.evaluate("explorer.size")
+    return pixels[: height - 1, :width]  # its last row may be a part of one
+
+
+def test_the_cut_divides_the_pictures(page):
+    link = "b=lobe:cosine;m:0.5"
+    views = []
+    for show in ("a", "b", "wipe&cut=0.25", "difference&gain=4"):
+        look(page, f"{link}&show={show}")
+        views.append(shot(page))
+    a, b, wipe, difference = views
+    middle = a.shape[1] // 4
+    np.testing.assert_array_equal(wipe[:, :middle], a[:, :middle])
+    np.testing.assert_array_equal(wipe[:, middle + 1 :], b[:, middle + 1 :])
+    apart = np.abs(a - b).max(axis=-1)
+    y, x = np.unravel_index(difference.sum(axis=-1).argmax(), apart.shape)
+    assert apart[y, x] > 0.9 * apart.max() > 10
+    assert difference[apart == 0].max() < 20
+
+    look(page, f"{link}&show=b&budget=2")
+    red = (shot(page) * (2, -1, -1)).sum(axis=-1) > 255
+    assert red[apart > 3].mean() > 0.99
+    assert red[apart < 1].mean() < 0.01
+    assert "Over 2/255" in page.inner_text("#over")
+
+
+def test_dragging_turns_the_mesh_a_light_and_the_cut(page):
+    look(page)
+    box = page.locator("#canvas").bounding_box()
+
+    def drag(x, y, dx, dy):
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + dx, y + dy, steps=3)
+        page.mouse.up()
+        return page.evaluate("explorer.state")
+
+    now = drag(box["x"] + 30, box["y"] + box["height"] - 30, 100, -20)
+    assert now["camera"]["azimuth"] == pytest.approx(-40.0)
+    assert now["camera"]["elevation"] == pytest.approx(-8.0)
+    look(page)
+    handle = page.locator(".handle").first.bounding_box()
+    now = drag(handle["x"] + 10, handle["y"] + 10, 20, -10)
+    assert now["lights"][0]["azimuth"] == pytest.approx(-41.0)
+    assert now["lights"][0]["elevation"] == pytest.approx(46.5)
+    grip = page.locator("#cut").bounding_box()
+    x, y = grip["x"] + grip["width"] / 2, grip["y"] + grip["height"] / 2
+    assert drag(x, y, 0.2 * box["width"], 0)["cut"] == pytest.approx(0.7, abs=0.01)
+
+
+def test_keys_turn_zoom_and_cut(page):
+    look(page)
+    page.focus("#canvas")
+    for key in ("ArrowLeft", "ArrowUp", "+", "+", "-"):
+        page.keyboard.press(key)
+    camera = page.evaluate("explorer.state.camera")
+    assert (camera["azimuth"], camera["elevation"]) == (5, -5)
+    assert camera["zoom"] == pytest.approx(1.1)
+    page.keyboard.press("0")
+    assert page.evaluate("explorer.state.camera.azimuth") == 0
+    page.focus("#cut")
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("explorer.state.cut") == pytest.approx(0.52)
+    page.locator(".handle").nth(1).focus()
+    page.keyboard.press("ArrowDown")
+    assert page.evaluate("explorer.state.lights[1].elevation") == pytest.approx(28.0)
+
+
+def test_two_fingers_zoom(browser, address):
+    with opened(browser, address, has_touch=True) as page:
+        page.evaluate("explorer.errors()")
+        client = page.context.new_cdp_session(page)
+        box = page.locator("#canvas").bounding_box()
+        x, y = box["x"] + box["width"] / 4, box["y"] + box["height"] * 0.8
+        for kind, apart in (("touchStart", 40), ("touchMove", 60), ("touchMove", 80)):
+            points = [{"x": x, "y": y, "id": 0}, {"x": x + apart, "y": y, "id": 1}]
+            client.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+        client.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+        assert page.evaluate("explorer.state.camera.zoom") == pytest.approx(2.0, rel=0.01)
+        assert page.evaluate("explorer.state.camera.azimuth") == 0
+
+
+def test_every_control_has_a_name_and_changes_the_state(page):
+    look(page, "b=lobe:g-power")
+    unnamed = """() => [...document.querySelectorAll("button, input, select, canvas, [tabindex]")]
+        .filter(each => !each.ariaLabel && !each.labels?.length && !each.textContent.trim())
+        .map(each => each.outerHTML)"""
+    assert page.evaluate(unnamed) == []
+    state = lambda: page.evaluate("JSON.stringify(explorer.state)")  # noqa: E731
+    for each in page.locator(".panel select:enabled, .bar select").all():
+        for value in each.locator("option").evaluate_all("all => all.map(one => one.value)"):
+            if value != each.input_value():
+                before = state()
+                each.select_option(value)
+                assert state() != before, each.get_attribute("aria-label")
+    page.get_by_label("model of A").select_option("cook-torrance")
+    page.get_by_label("model of B").select_option("cook-torrance")
+    page.get_by_label("lobe of B").select_option("g-power")
+    for each in page.locator(".explorer input[type=number]:visible:enabled").all():
+        before = state()
+        each.fill("0.61" if each.get_attribute("step") == "any" else "7")
+        assert state() != before, each.get_attribute("aria-label")
+    for each in page.locator(".explorer input[type=range]:visible").all():
+        before = state()
+        each.fill(each.get_attribute("max"))
+        assert state() != before, each.get_attribute("aria-label")
+    for each in page.locator(".screen .choice label:has(:not(:checked))").all():
+        each.click()
+    page.get_by_label("f0 of A").fill("0.05")
+    for name in ("Swap A and B", "Make B the same", "Add a light", "Remove light 1"):
+        before = state()
+        page.get_by_label(name, exact=True).click()
+        assert state() != before, name
+    page.evaluate("explorer.errors()")
+
+
+def test_a_link_is_what_was_shown(browser, page, address):
+    look(page, "")
+    page.evaluate("""() => {
+        const {state} = explorer;
+        Object.assign(state.b, {lobe: "g-power", g: 6, factor: 0.3, m: 0.4});
+        Object.assign(state.camera, {azimuth: -35, zoom: 1.3});
+        Object.assign(state, {show: "difference", gain: 16, budget: 3});
+        state.lights.splice(1, 1);
+        state.lights[0].radius = 5;
+        dispatchEvent(new Event("resize"));
+    }""")
+    page.locator("label", has_text="specular").click()
+    shown = page.evaluate("explorer.errors()")
+    link = page.evaluate("location.hash")
+    with opened(browser, address, fragment=link) as other:
+        assert other.evaluate("explorer.errors()") == shown
+        assert other.evaluate("explorer.state") == page.evaluate("explorer.state")
+
+
+def test_what_a_link_says_wrong_is_told(page):
+    look(page, "b=lobe:d32;m:7&show=c&lights=1,2&zoo=1&a=f0:0.04")
+    told = page.inner_text("#notes")
+    for word in ("B lobe:d32", "B m:7", "show=c", "lights=1,2", "zoo=1"):
+        assert word in told
+    assert page.evaluate("explorer.state.a.f0") == 0.04
+    assert page.evaluate("explorer.state.b.lobe") == "d16"
+
+
+@pytest.mark.parametrize(("words", "term", "changes"), TERMS, ids=[each[0] for each in TERMS])
+def test_lobes_are_the_float64_twins(page, words, term, changes):
+    """At the slope of the pixel with the largest error, of 1; and under the pointer."""
+    errors = look(page, f"a={words}&b=lobe:d4")
+    found = page.evaluate("explorer.lobe('a')")
+    angles = np.linspace(0.0, np.pi / 2, 361)
+    cosines = np.cos(angles).astype(np.float32)
+    truth = lobe(term.lobe, cosines, found["m"], MODELS[term.model].k)
+    np.testing.assert_allclose(found["values"], truth, atol=3e-5)
+    place = errors["display"]["at"]
+    assert found["m"] == page.evaluate("place => explorer.probe([place])[0].a.m", place)
+
+
+def test_the_lobe_is_that_under_the_pointer(page):
+    look(page, "a=lobe:exact")
+    box = page.locator("#canvas").bounding_box()
+    page.mouse.move(box["x"] + 0.45 * box["width"], box["y"] + 0.35 * box["height"])
+    page.locator("#here", has_text="Under the pointer").wait_for()
+    place = [int(0.45 * box["width"]), int(0.35 * box["height"])]
+    m = page.evaluate("place => explorer.probe([place])[0].a.m", place)
+    assert page.evaluate("explorer.lobe('a').m") == pytest.approx(m, rel=0.02)
+    for scale in ("log", "polar", "linear"):
+        page.locator("#scale label", has_text=scale).click()
+        assert page.locator("#lobes .curve").count() == 3
+    page.mouse.move(0, 0)
+    page.locator("#here", has_text="At the ring").wait_for()
+
+
+def test_a_slope_outside_the_domain_is_told(page):
+    look(page, "b=lobe:d16;m:0.8")
+    assert "B: m reaches 0.8" in page.inner_text("#outside")
+    look(page)
+    assert page.inner_text("#outside") == ""
+
+
+@pytest.mark.parametrize(("words", "term", "changes"), TERMS, ids=[each[0] for each in TERMS])
+def test_code_is_what_flatten_prints(page, mesh, words, term, changes):
+    follow(page, f"a={words}")
+    smallest = min(slope_range(*each)[0] for each in zip(mesh.parts, mesh.materials, strict=True))
+    for target in TARGETS:
+        own = term_source(term, changes.get("m", smallest), target)
+        assert page.evaluate("target => explorer.code('a', target)", target) == own
+
+
+@pytest.mark.parametrize(("words", "term", "changes"), TERMS, ids=[each[0] for each in TERMS])
+def test_command_line_toml_and_python_give_the_same_scene(
+    page, written, tmp_path, words, term, changes
+):
+    light = "-50,42,3.6,3.4,3.1,5;20,30,1,1,1,0,2.5"  # a disc, a point light
+    follow(page, f"a={words}&camera=azimuth:-35;zoom:1.2&lights={light}&exposure=0.5")
+    command, toml, python = (
+        page.evaluate("kind => explorer.code('a', kind)", kind)
+        for kind in ("command", "toml", "python")
+    )
+    (tmp_path / "a.toml").write_text(toml)
+    first = toml.splitlines()[0].replace("a.toml", str(tmp_path / "a.toml"))
+    plain = shlex.split(first)[2:]
+    command = command.replace("\\\n", "").replace("a.toml", str(tmp_path / "a.toml"))
+    given = shlex.split(command)[1:]
+    jobs = []
+    for words_ in (plain, given):
+        options = _parser(words_).parse_args(words_)
+        place = [options.camera] if options.camera else []
+        jobs.append(job_of(options, place, (8, 8))[0])
+    taken = {}
+    code = python.split("with fr.Renderer")[0] + python.split(" as renderer:")[1].split("\n")[1]
+    code = code.replace("    frame = renderer.render(scene, ", "shading = (")
+    exec(code, taken)
+    scene, shading = taken["scene"], taken["shading"]
+    for job in jobs:
+        assert job.shading == shading == fr.Shading(term=term)
+        assert {name: job.material[name] for name in changes} == changes
+        roughness = None if "m" in changes else written[1].roughness_map
+        assert job.mesh == replace(written[1], roughness_map=roughness)
+        for one, other in zip(job.lights, scene.lights, strict=True):
+            np.testing.assert_allclose(one.irradiance, other.irradiance)
+            assert (one.position is None) == (other.position is None)
+            assert one.radius == other.radius
+        assert job.ambient == scene.ambient
+        assert job.camera == scene.camera
+    assert (scene.camera.azimuth, scene.camera.zoom) == (-35.0, 1.2)
+    assert "--exposure 0.5" in command
+    assert 'frame.save("a.png", 0.5)' in python
+
+
+def test_the_diff_has_what_differs(page):
+    look(page, "b=lobe:d8")
+    page.locator("#code-of label", has_text="A to B").click()
+    page.locator("#code-kind label", has_text="GLSL ES 300").click()
+    text = page.inner_text("#code")
+    assert "- #define FR_LOBE FR_LOBE_EXACT" in text
+    assert "+ #define FR_LOBE FR_LOBE_D8" in text
+    assert "lines the same" in text
+    look(page, "b=lobe:exact")
+    assert page.inner_text("#code") == "A and B are the same here."
+
+
+def test_a_term_of_the_registry_appears_by_itself(browser, tmp_path, monkeypatch):
+    shaders = tmp_path / "shaders"
+    shutil.copytree(fr.shader_dir(), shaders)
+    toy = Lobe(
+        name="toy", number=40, file="lobe/toy", call="fr_lobe_toy(c, m, k)",
+        evaluate=lambda c, m, k: np.asarray(c, float) ** 3 * np.ones_like(m),
+        ends={4: 2.0, 0: 2.0}, rounding=lambda c, m, k: (0.0, 0.0), colour="#ff0000",
+    )  # fmt: skip
+    monkeypatch.setitem(LOBES, "toy", toy)
+    (shaders / "facerender/lobe/toy.glsl").write_text(
+        "float fr_lobe_toy(float c, float m, int k) { return c * c * c; }\n"
+    )
+    for name, text in dispatch().items():
+        (shaders / f"facerender/{name}.glsl").write_text(text)
+    monkeypatch.setattr("facerender.glsl.library.shader_dir", lambda: shaders)
+    monkeypatch.setattr("facerender.explorer.shader_dir", lambda: shaders)
+    address, file = write(tmp_path)
+    mesh = file.load()
+    with opened(browser, address) as page:
+        page.evaluate("explorer.errors()")
+        page.get_by_label("lobe of B").select_option("toy")
+        page.evaluate("explorer.errors()")
+        width, height = page.evaluate("explorer.size")
+        place = [width // 2, int(0.42 * height)]
+        found = page.evaluate("place => explorer.probe([place])[0].b", place)
+        radiance = np.array([found.pop("radiance")])
+        np.testing.assert_allclose(
+            radiance, expected(page, mesh, [found], Term(lobe="toy"), {}), rtol=1e-3
+        )
+        options = page.get_by_label("lobe of A").locator("option").all_inner_texts()
+        assert options == [*LOBES, "g-power of one’s own"]
+    for label, entries in (("Fresnel", FRESNEL), ("masking", MASKING)):
+        assert f'"{next(iter(entries))}"' in (tmp_path / "explorer.html").read_text(), label
+    assert len(MODELS) == 3
+
+
+def test_cost_is_measured_and_saved(page):
+    look(page, "b=lobe:d4&camera=zoom:0.3")
+    page.click("#price")
+    with page.expect_download() as download:
+        page.click("#save", timeout=60_000)
+    saved = json.loads(Path(download.value.path()).read_text())
+    assert saved["size"] == page.evaluate("explorer.size")
+    assert saved["link"] == page.evaluate("location.hash.slice(1)")
+    assert saved["method"] in ("GPU timer", "fence")
+    for name in ("base", "a", "b", "difference"):
+        times = saved[name]["rounds"]
+        assert len(times) == 7
+        assert saved[name]["median"] == pytest.approx(np.median(times))
+        assert [saved[name]["low"], saved[name]["high"]] == pytest.approx(
+            np.quantile(times, (0.25, 0.75))
+        )
+    assert saved["base"]["median"] > 0.0
+    assert saved["gpu"] in page.inner_text("#price-told")
+
+
+def test_a_cost_of_two_pictures_is_not_told(page):
+    look(page)
+    page.click("#price")
+    page.get_by_label("lobe of B").select_option("d4")
+    page.locator("#price-told", has_text="Stopped").wait_for()
+    assert page.locator("#save").is_hidden()
+
+
+NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null;"
+NO_FLOATS = """const own = WebGL2RenderingContext.prototype.getExtension;
+WebGL2RenderingContext.prototype.getExtension = function (name) {
+    return name === "EXT_color_buffer_float" ? null : own.call(this, name);
+};"""
+
+
+@pytest.mark.parametrize(
+    ("before", "words"),
+    [
+        (NO_WEBGL, "This browser has no WebGL 2"),
+        (NO_FLOATS, "cannot draw to float targets"),
+        ("delete window.DecompressionStream;", "cannot unpack the mesh"),
+    ],
+    ids=["no WebGL", "no float targets", "no DecompressionStream"],
+)
+def test_what_is_missing_is_told(browser, address, before, words):
+    with opened(browser, address, before) as page:
+        page.get_by_role("alert").filter(has_text=words).wait_for()
+        page.get_by_label("lobe of B").select_option("d4")  # the rest of the page still works
+        page.wait_for_function("location.hash.includes('lobe:d4')")
+
+
+def test_a_lost_context_is_told_and_comes_back(browser, address):
+    with opened(browser, address) as page:
+        shown = page.evaluate("explorer.errors()")
+        page.evaluate(
+            "() => { window.loss = document.getElementById('canvas').getContext('webgl2')"
+            ".getExtension('WEBGL_lose_context'); loss.loseContext(); }"
+        )
+        page.get_by_role("alert").filter(has_text="lost the picture").wait_for()
+        page.evaluate("loss.restoreContext()")
+        page.get_by_role("alert").wait_for(state="hidden")
+        assert page.evaluate("explorer.errors()") == shown
+
+
+def test_nothing_overflows(page):
+    look(page)
+    for width in (360, 768, 1280, 2560):
+        page.set_viewport_size({"width": width, "height": 900})
+        page.wait_for_timeout(50)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.set_viewport_size(VIEW["viewport"])
+
+
+def test_the_built_in_head_fits(tmp_path, capsys):
+    assert main(["explore", "-o", str(tmp_path / "head.html")]) == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'head.html'}\n"
+    text = (tmp_path / "head.html").read_text(encoding="utf-8")
+    assert len(text) <= 4.5e6
+    assert "http://" not in text.replace("http://www.w3.org", "")
+    assert "https://" not in text
+
+
+@pytest.mark.parametrize("name", ["page.png", "page"])
+def test_another_name_than_that_of_a_page_is_refused(tmp_path, capsys, name):
+    assert main(["explore", "-o", str(tmp_path / name)]) == 2
+    assert "give a name that ends in .html" in capsys.readouterr().err
+    assert not (tmp_path / name).exists()
+
+
+def test_maps_are_less_than_a_step_off(head):
+    for name, kind in (("albedo_map", "color"), ("normal_map", "normal"), ("property_map", "data")):
+        texture = getattr(head.materials[0], name)
+        image = Image.open(io.BytesIO(encoded(texture, kind)))
+        assert image.format == "JPEG"
+        off = np.abs(np.asarray(image).astype(int) - np.asarray(texture.rgb()).astype(int))
+        assert off.mean() < 1.0
+    noise = np.random.default_rng(1).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    texture = Texture(lambda: Image.fromarray(noise), "noise")
+    image = Image.open(io.BytesIO(encoded(texture, "color")))
+    assert (image.format == "PNG") or np.abs(np.asarray(image).astype(int) - noise[::-1]).mean() < 1
+    assert set(QUALITIES) >= {"color", "normal", "data"}
+    large = Texture(lambda: Image.new("RGB", (4096, 16)), "large")
+    assert Image.open(io.BytesIO(encoded(large, "data"))).size == (2048, 8)
+
+
+def test_octahedral_unfolds_to_the_same_normals():
+    n = np.random.default_rng(2).normal(size=(1000, 3))
+    n = np.concatenate([n, np.eye(3), -np.eye(3)])
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    flat = np.round(octahedral(n) * 32767) / 32767
+    z = 1.0 - np.abs(flat).sum(axis=1)
+    folded = (1.0 - np.abs(flat[:, ::-1])) * np.where(flat < 0, -1, 1)
+    back = np.c_[np.where((z < 0)[:, None], folded, flat), z]
+    back /= np.linalg.norm(back, axis=1, keepdims=True)
+    assert np.abs(back - n).max() < 1e-4
