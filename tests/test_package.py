@@ -116,6 +116,9 @@ def test_wheel_renders_away_from_the_checkout(tmp_path):
         f"assert facerender.__file__.startswith({str(site)!r})\n"
         f"assert str(facerender.shader_dir()).startswith({str(site)!r})\n"
         "assert main(['render', '-o', 'head.png', '--size', '64']) == 0\n"
+        "assert main(['explore', '-o', 'explorer.html']) == 0\n"
+        "open('one.jsonl', 'w').write('{\"image.size\": 32, \"id\": \"one\"}')\n"
+        "assert main(['batch', 'one.jsonl', '-o', 'out', '--workers', '1']) == 0\n"
         "sys.exit(main(['compare', 'head.png', 'head.png', '--report', 'report.html']))"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path, env=environment)
@@ -123,6 +126,10 @@ def test_wheel_renders_away_from_the_checkout(tmp_path):
     report = (tmp_path / "report.html").read_text(encoding="utf-8")
     for name in ("page.css", "viewer.js"):
         assert (ROOT / "facerender" / "page" / name).read_text(encoding="utf-8") in report
+    explorer = (tmp_path / "explorer.html").read_text(encoding="utf-8")
+    source = (ROOT / "facerender/page/explorer/explorer.js").read_text(encoding="utf-8")
+    assert source.splitlines()[-1] in explorer
+    assert (tmp_path / "out/data/one/image.png").is_file()
     assert (site / "facerender" / "measure" / "reproduce" / "scalar.c").is_file()
     assert (site / "facerender" / "scenes" / "meshoptimizer" / "simplifier.wasm").is_file()
     command = [sys.executable, "-m", "pytest", "--facerender-unused=fail"]  # it knows the plugin
