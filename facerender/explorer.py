@@ -187,7 +187,8 @@ def _part(
         column("color", part.colors * 1e4)
     if part.occlusion is not None:
         column("occlusion", part.occlusion[:, None] * 1e4)
-    uniforms = {name: np.asarray(value).tolist() for name, value in _uniforms(mesh, index).items()}
+    given: Mapping[str, Any] = part_uniforms(part, material)
+    uniforms = {name: np.asarray(value).tolist() for name, value in given.items()}
     return {
         "features": surface_features(part, material, Shading()),
         "uniforms": uniforms,
@@ -196,10 +197,6 @@ def _part(
         "maps": maps,
         "slopes": slope_range(part, material),
     }
-
-
-def _uniforms(mesh: Mesh, index: int) -> Mapping[str, Any]:
-    return part_uniforms(mesh.parts[index], mesh.materials[index])
 
 
 def octahedral(normals: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -189,6 +189,11 @@ def _content(path: str) -> str:
     return f"absent: {path}"
 
 
+def hash_of(text: str) -> int:
+    """Return 64 bits of a digest, which stand for a text where very many have to fit in memory."""
+    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest(), "little")
+
+
 def digest_of(*pieces: str | bytes) -> str:
     """Return a digest of pieces, each told from its neighbours."""
     whole = hashlib.blake2b(digest_size=16)

@@ -182,14 +182,25 @@ def _parquet(path: Path) -> Iterator[Found]:
             ) from None
 
 
-def _toml(path: Path) -> Iterator[Found]:
+def read_toml(path: Path) -> Table:
+    """Read the tables of a TOML file.
+
+    Raises
+    ------
+    InputError : it cannot be read, or is not TOML
+    """
     import tomllib
 
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {reason(error)}") from None
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path.name} is not TOML: {_why(error)}") from None
-    if not tables:
+
+
+def _toml(path: Path) -> Iterator[Found]:
+    if not (tables := read_toml(path)):
         return
     try:
         for row in product(tables):

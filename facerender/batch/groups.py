@@ -8,11 +8,10 @@ from array import array
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
-from hashlib import blake2b
 
 import numpy as np
 
-from facerender.batch.chunk import digest_of, painter, sources, with_contents
+from facerender.batch.chunk import digest_of, hash_of, painter, sources, with_contents
 from facerender.batch.jobs import Row
 from facerender.batch.tables import Table
 
@@ -88,7 +87,7 @@ def grouped(rows: Callable[[], Iterable[Row]], budget: str, within: str) -> Grou
     for row in rows():
         if serves(row):
             numbers.append(group_number(row))
-            cameras.append(_hash(_camera(row)))
+            cameras.append(hash_of(_camera(row)))
         else:
             unserved += 1
     wanted, counts = _sampled(np.asarray(numbers), np.asarray(cameras))
@@ -99,7 +98,7 @@ def grouped(rows: Callable[[], Iterable[Row]], budget: str, within: str) -> Grou
     for row in rows() if wanted else ():
         if serves(row) and (number := group_number(row)) in wanted:
             examples.setdefault(number, row)
-            if (camera := _hash(_camera(row))) in wanted[number]:
+            if (camera := hash_of(_camera(row))) in wanted[number]:
                 found[number].setdefault(camera, row.tables.get("camera", {}))
     of = {
         number: Group(
@@ -125,7 +124,7 @@ def serves(row: Row) -> bool:
 def group_number(row: Row) -> int:
     """Return a digest of what jobs of a group share."""
     rest = {key: value for key, value in row.tables.items() if key != "camera"}
-    return _hash(_encode([rest, row.exposure]))
+    return hash_of(_encode([rest, row.exposure]))
 
 
 def with_plans(rows: Iterable[Row], plans: dict[int, Table]) -> Iterator[Row]:
@@ -160,7 +159,3 @@ def _planner() -> str:
 
 def _camera(row: Row) -> str:
     return _encode(row.tables.get("camera", {}))
-
-
-def _hash(text: str) -> int:
-    return int.from_bytes(blake2b(text.encode(), digest_size=8).digest(), "little")

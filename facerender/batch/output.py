@@ -14,7 +14,7 @@ from io import BytesIO
 from pathlib import Path
 
 from facerender.batch.chunk import Chunk, Record, Settings
-from facerender.batch.jobs import file_name
+from facerender.batch.jobs import Row, file_name
 from facerender.batch.place import Place
 
 ABOUT = "batch.json"  # what was asked for, by which run
@@ -57,11 +57,9 @@ class Writer:
             _check_run(self.place, self._run)
         written: Record = {}
         for name, content in files.items():
+            path = _path(self.chunk, row, name, self._tar is not None)
             if self._tar is None:
-                path = f"data/{row.id}/{name}"
                 self.place.put(path, content)
-            else:
-                path = shard(self.chunk)
             digest = hashlib.sha256(content).hexdigest()
             written[name] = {"path": path, "bytes": len(content), "sha256": digest}
         record = self._record(position, facts, written)
@@ -115,10 +113,8 @@ def begin(settings: Settings, chunk: Chunk) -> None:
     _check_run(place, settings.run)
     named: list[Record] = []
     for row in chunk.rows:
-        files = {}
-        for name in map(file_name, row.passes):
-            path = shard(chunk) if settings.layout == "shards" else f"data/{row.id}/{name}"
-            files[name] = {"path": path}
+        names = map(file_name, row.passes)
+        files = {n: {"path": _path(chunk, row, n, settings.layout == "shards")} for n in names}
         named.append({"id": row.id, "key": "", "files": files})
     _put_records(place, f"{BEGUN}/{chunk.name}.jsonl", Head(chunk.number, 0, 0), named)
 
@@ -130,7 +126,7 @@ def commit(settings: Settings, chunk: Chunk, tar: Path | None, records: Sequence
     _check_run(place, settings.run)
     if tar is not None:
         _append(tar, [bytes(2 * _BLOCK)])
-        place.move(tar, shard(chunk))
+        place.move(tar, _shard(chunk))
     failed = sum("error" in record for record in records)
     head = Head(chunk.number, len(records) - failed, failed)
     _put_records(place, f"{RECORDS}/{chunk.name}.jsonl", head, records)
@@ -142,8 +138,12 @@ def _put_records(place: Place, name: str, head: Head, records: Iterable[Record])
     place.put(name, lines.encode())
 
 
-def shard(chunk: Chunk) -> str:
-    """Return the name of a chunk's tar."""
+def _path(chunk: Chunk, row: Row, name: str, shards: bool) -> str:
+    """Where a file of a job lies: by itself, or in the tar of its chunk."""
+    return _shard(chunk) if shards else f"data/{row.id}/{name}"
+
+
+def _shard(chunk: Chunk) -> str:
     return f"shards/{chunk.name}.tar"
 
 

@@ -6,11 +6,18 @@ from array import array
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from hashlib import blake2b
 
 import numpy as np
 
-from facerender.batch.chunk import Chunk, Record, Settings, chunk_size, chunks, forget_files
+from facerender.batch.chunk import (
+    Chunk,
+    Record,
+    Settings,
+    chunk_size,
+    chunks,
+    forget_files,
+    hash_of,
+)
 from facerender.batch.jobs import Row
 from facerender.batch.output import BEGUN, STALE, read_head, record_names, records_of
 from facerender.batch.place import Place
@@ -97,7 +104,7 @@ class _Known:
         for number, name in enumerate(self._names):
             for record in records_of(place, name, STALE):
                 if "error" not in record:
-                    hashes.append(_hash(record["key"]))
+                    hashes.append(hash_of(record["key"]))
                     places.append(number)
         order = np.argsort(np.asarray(hashes), kind="stable")
         self._hashes, self._places = np.asarray(hashes)[order], np.asarray(places)[order]
@@ -106,14 +113,10 @@ class _Known:
         )
 
     def find(self, key: str) -> Record | None:
-        wanted = np.uint64(_hash(key))
+        wanted = np.uint64(hash_of(key))
         first, last = (np.searchsorted(self._hashes, wanted, side) for side in ("left", "right"))
         for number in self._places[first:last]:
             record: Record | None = self._read(self._names[number]).get(key)
             if record is not None and "error" not in record:
                 return record
         return None
-
-
-def _hash(text: str) -> int:
-    return int.from_bytes(blake2b(text.encode(), digest_size=8).digest(), "little")

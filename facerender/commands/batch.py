@@ -14,7 +14,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facerender.errors import InputError, reason
+from facerender.errors import InputError
 
 if TYPE_CHECKING:
     from facerender.batch.chunk import Settings
@@ -228,19 +228,10 @@ def _checked(options: argparse.Namespace, common: dict[str, Any]) -> int:
 
 def _common(options: argparse.Namespace) -> dict[str, Any]:
     """What rows have that do not say otherwise."""
-    common = _tables(options.scene) if options.scene else {}
+    from facerender.batch.forms import read_toml
+
+    common = read_toml(Path(options.scene)) if options.scene else {}
     given = {"mesh.path": options.mesh, "passes": options.passes}
     given |= {f"image.{name}": getattr(options, name) for name in ("size", "samples")}
     given = {key: value for key, value in given.items() if value is not None}
     return common | given
-
-
-def _tables(path: str) -> dict[str, Any]:
-    import tomllib
-
-    try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {reason(error)}") from None
-    except ValueError as error:
-        raise InputError(f"{path} is not TOML: {error}") from None
