@@ -158,6 +158,39 @@ def test_flattened_files_hold_each_file_once(name, lobe, m):
     assert (macros["FR_SLOPE"] == "(m)") == (m is None)
 
 
+@pytest.mark.parametrize("file", [*glsl.library(), "../printed/ward", "../printed/cook_torrance"])
+def test_every_hosts_preprocessor_understands_the_files(file):
+    """Those of naga, Babylon.js, PlayCanvas, Panda3D and Qt, which tests/test_hosts.py runs, each in
+    one of its own ways less than GLSL's."""
+    path = fr.shader_dir() / f"facerender/{file}.glsl"
+    for line in path.read_text(encoding="utf-8").split("\n"):
+        if line.startswith("#include") and ".." not in file:
+            assert (path.parent / line.split('"')[1]).is_file(), "beside the file"
+        elif line.startswith("#error"):
+            assert not {*line} & {*"'\""}, "characters that naga takes for GLSL's"
+        elif line.startswith(("#if ", "#elif ")):
+            term = r"FR_\w+ (==|!=) \w+|!?defined\(FR_\w+\)"
+            assert re.fullmatch(rf"#\w+ ({term})( (\|\||&&) ({term}))*", line), line
+            assert "!=" not in line or ".." in file, "Babylon.js has no such operator"
+        else:
+            assert not re.search(r".#(if|el|endif)", line), "Babylon.js reads comments as well"
+
+
+@pytest.mark.parametrize(("name", "lobe", "m"), [each for each in CHOICES if each[1]])
+def test_with_a_lobe_and_a_target_no_conditional_stands_in_another(name, lobe, m):
+    depth = 0
+    for line in fr.shader_source(name, "es300", lobe=lobe, m=m).split("\n"):
+        depth += line.startswith("#if") - line.startswith("#endif")
+        assert depth in (0, 1), line
+
+
+def test_a_file_that_comes_twice_keeps_its_guard(tmp_path):
+    own = tmp_path / "own.frag"
+    ward = '#include "facerender/ward.glsl"\n'
+    own.write_text(f"#if X == 1\n{ward}#endif\n{ward}")
+    assert fr.shader_source(str(own), "330").count("#ifndef FR_WARD_GLSL") == 2
+
+
 @pytest.fixture(scope="module")
 def evaluate(egl: Backend) -> Iterator[Evaluator]:
     evaluator = Evaluator(create_context(egl).gl)

@@ -36,23 +36,24 @@ _LOBE = """\
 #ifndef FR_LOBE_GLSL
 #define FR_LOBE_GLSL
 
-#include "facerender/constants.glsl"
+#include "constants.glsl"
 
 {numbers}
 
-#ifndef FR_LOBE
-#ifdef FR_LOBE_FUNCTION
-#define FR_LOBE FR_LOBE_OWN
-#else
-#define FR_LOBE FR_LOBE_EXACT
+// Numbers: preprocessors that compare macros as text (Babylon.js, PlayCanvas) see through no name.
+#if defined(FR_LOBE_FUNCTION) && !defined(FR_LOBE)
+#define FR_LOBE {own}
 #endif
+#ifndef FR_LOBE
+#define FR_LOBE {exact}
 #endif
 
-#if {unknown}
-#error "FR_LOBE is none of {names}"
+#if {known}
+#else
+#error FR_LOBE is none of {names}: give the number where a host compares macros as text
 #endif
 #if FR_LOBE == FR_LOBE_OWN && !defined(FR_LOBE_FUNCTION)
-#error "FR_LOBE_OWN is the lobe that FR_LOBE_FUNCTION names: define it too"
+#error FR_LOBE_OWN is the lobe that FR_LOBE_FUNCTION names: define it too
 #endif
 #if FR_LOBE == FR_LOBE_EVERY
 #define FR_DEFAULT_LOBE FR_LOBE_EXACT
@@ -104,7 +105,7 @@ _FRESNEL = """\
 #ifndef FR_FRESNEL_GLSL
 #define FR_FRESNEL_GLSL
 
-#include "facerender/constants.glsl"
+#include "constants.glsl"
 {includes}
 
 {numbers}
@@ -143,7 +144,7 @@ _MASKING = """\
 #ifndef FR_MASKING_GLSL
 #define FR_MASKING_GLSL
 
-#include "facerender/constants.glsl"
+#include "constants.glsl"
 {includes}
 
 {numbers}
@@ -177,11 +178,13 @@ def _lobe() -> str:
     for lobe in (*LOBES.values(), G_POWER):
         files.setdefault(lobe.file, []).append(lobe.macro)
     numbers = {lobe.macro: lobe.number for lobe in (*LOBES.values(), G_POWER)} | _OTHERS
-    first, *others = numbers
+    names = ", ".join(f"{number} {macro}" for macro, number in numbers.items())
     return _LOBE.format(
         numbers="\n".join(f"#define {macro} {number}" for macro, number in numbers.items()),
-        unknown=" && ".join(f"FR_LOBE != {macro}" for macro in numbers),
-        names=", ".join([first, *(macro.removeprefix("FR_LOBE") for macro in others)]),
+        own=numbers["FR_LOBE_OWN"],
+        exact=numbers["FR_LOBE_EXACT"],
+        known=" || ".join(f"FR_LOBE == {macro}" for macro in numbers),
+        names=names,
         includes="\n".join(_where(macros, _include(file)) for file, macros in files.items()),
         branches="\n".join(
             _where([macro], f"    if (lobe == {macro}) return {call};")
@@ -217,7 +220,7 @@ def _factor(text: str, terms: Iterable[Fresnel | Masking], kind: str, default: s
 
 
 def _include(file: str) -> str:
-    return f'#include "facerender/{file}.glsl"'
+    return f'#include "{file}.glsl"'
 
 
 def main() -> None:

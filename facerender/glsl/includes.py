@@ -61,10 +61,15 @@ class Expansion:
     """
 
     def __init__(
-        self, root: Path, chosen: Mapping[str, str] | None = None, numbered: bool = False
+        self,
+        root: Path,
+        chosen: Mapping[str, str] | None = None,
+        numbered: bool = False,
+        guards: bool = True,
     ) -> None:
-        """root : of ``<file>``, and of a ``"file"`` that is not beside its includer; chosen :
-        macros that are set from outside; numbered : lines keep their numbers, by ``#line``"""
+        """root : of ``<file>``, and of a ``"file"`` that is not beside its includer, nor beside
+        what that links to; chosen : macros that are set from outside; numbered : lines keep their
+        numbers, by ``#line``; guards : the files' include guards stay"""
         self.lines: list[str] = []
         self.version = ""
         self.files: list[str] = []
@@ -72,6 +77,7 @@ class Expansion:
         self._chosen = dict(chosen or {})
         self._macros = dict(self._chosen)
         self._numbered = numbered
+        self._guards = guards
         self._chain: list[Path] = []
         self._conditionals: list[_Conditional] = []
         self._included: set[Path] = set()
@@ -165,14 +171,14 @@ class Expansion:
             what = f'#include {rest}: write #include "FILE" or <FILE>'
             raise self._error(path, number, what)
         name = match[1] or match[2]
-        folders = [path.parent] if path and match[1] else []
+        folders = [path.parent, path.resolve().parent] if path and match[1] else []
         folders.append(self._root)
         try:
             found = next((file for folder in folders if (file := folder / name).is_file()), None)
         except OSError as error:
             raise self._error(path, number, f"cannot read {name}: {reason(error)}") from None
         if found is None:
-            what = f"no file {name} in {' or '.join(map(str, folders))}"
+            what = f"no file {name} in {' or '.join(dict.fromkeys(map(str, folders)))}"
             raise self._error(path, number, what)
         key = found.resolve()
         if key in self._chain:
@@ -190,7 +196,8 @@ class Expansion:
     def _branch(self, directive: str, rest: str, line: str) -> None:
         """Begin a branch of the last conditional."""
         current = self._conditionals[-1]
-        truth = False if current.over else self._truth(directive, rest)
+        bare = current.guard and not self._guards
+        truth = False if current.over else bare or self._truth(directive, rest)
         current.active = truth is not False
         current.over |= truth is True
         current.included = set()

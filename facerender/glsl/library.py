@@ -97,8 +97,11 @@ def _flat(
     if m is not None:
         coefficients = [lobe.constants[0] for lobe in LOBES.values() if lobe.constants]
         chosen |= dict.fromkeys(["FR_SLOPE", *coefficients], "")
-    expansion = Expansion(shader_dir(), chosen)
+    expansion = Expansion(shader_dir(), chosen, guards=target is None)
     expansion.file(path)
+    if len(set(expansion.files)) < len(expansion.files):  # one that guards keep from coming twice
+        expansion = Expansion(shader_dir(), chosen)
+        expansion.file(path)
     if lobe is not None and "facerender/lobe.glsl" not in expansion.files:
         raise InputError(f"{name} does not use FR_LOBE: leave lobe {lobe} out")
     if m is not None:

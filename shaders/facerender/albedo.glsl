@@ -16,7 +16,7 @@
 #ifndef FR_ALBEDO_GLSL
 #define FR_ALBEDO_GLSL
 
-#include "facerender/constants.glsl"
+#include "constants.glsl"
 
 // Coefficients of the powers 0 to 7 of 2 sqrt(cosine) - 1, in the order of two columns.
 //

@@ -19,9 +19,9 @@
 #ifndef FR_COOK_TORRANCE_SAMPLE_GLSL
 #define FR_COOK_TORRANCE_SAMPLE_GLSL
 
-#include "facerender/constants.glsl"
-#include "facerender/half_vector.glsl"
-#include "facerender/slope_sample.glsl"
+#include "constants.glsl"
+#include "half_vector.glsl"
+#include "slope_sample.glsl"
 
 vec3 fr_cook_torrance_sample(vec3 n, vec3 v, float m, vec3 u) {
     vec3 across = fr_slope_sample(n, m, u.xy);

@@ -13,11 +13,11 @@
 #ifndef FR_COOK_TORRANCE_TWO_GLSL
 #define FR_COOK_TORRANCE_TWO_GLSL
 
-#include "facerender/constants.glsl"
-#include "facerender/half_vector.glsl"
-#include "facerender/lobe.glsl"
-#include "facerender/fresnel.glsl"
-#include "facerender/masking.glsl"
+#include "constants.glsl"
+#include "half_vector.glsl"
+#include "lobe.glsl"
+#include "fresnel.glsl"
+#include "masking.glsl"
 
 // Cook-Torrance specular BRDF with two lobes and terms of its own, for programs that treat lights
 // differently.

@@ -20,9 +20,9 @@
 #ifndef FR_ENVIRONMENT_GLSL
 #define FR_ENVIRONMENT_GLSL
 
-#include "facerender/constants.glsl"
-#include "facerender/fresnel.glsl"
-#include "facerender/masking.glsl"
+#include "constants.glsl"
+#include "fresnel.glsl"
+#include "masking.glsl"
 
 #ifdef GL_ES
 precision highp sampler2D;

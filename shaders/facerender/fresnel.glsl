@@ -13,9 +13,9 @@
 #ifndef FR_FRESNEL_GLSL
 #define FR_FRESNEL_GLSL
 
-#include "facerender/constants.glsl"
-#include "facerender/fresnel/schlick.glsl"
-#include "facerender/fresnel/dielectric.glsl"
+#include "constants.glsl"
+#include "fresnel/schlick.glsl"
+#include "fresnel/dielectric.glsl"
 
 #define FR_FRESNEL_SCHLICK 0
 #define FR_FRESNEL_DIELECTRIC 1

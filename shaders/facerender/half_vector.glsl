@@ -16,7 +16,7 @@
 #ifndef FR_HALF_VECTOR_GLSL
 #define FR_HALF_VECTOR_GLSL
 
-#include "facerender/constants.glsl"
+#include "constants.glsl"
 
 #ifndef FR_SMALL_SLOPE
 #define FR_SMALL_SLOPE 1
@@ -24,7 +24,7 @@
 
 vec2 fr_half_vector(vec3 n, vec3 h, float n_dot_h) {
     float along = n_dot_h * n_dot_h;
-#if FR_SMALL_SLOPE
+#if FR_SMALL_SLOPE == 1
     // Where n is off unit length by e, this errs by 2 e dot(n, h) along n: e^2 in the square.
     vec3 across = h - n_dot_h * n;
     float across2 = dot(across, across);

@@ -19,7 +19,7 @@
 #ifndef FR_LOBE_GLSL
 #define FR_LOBE_GLSL
 
-#include "facerender/constants.glsl"
+#include "constants.glsl"
 
 #define FR_LOBE_EXACT 1
 #define FR_LOBE_COSINE 2
@@ -32,19 +32,20 @@
 #define FR_LOBE_OWN 90
 #define FR_LOBE_EVERY 91
 
-#ifndef FR_LOBE
-#ifdef FR_LOBE_FUNCTION
-#define FR_LOBE FR_LOBE_OWN
-#else
-#define FR_LOBE FR_LOBE_EXACT
+// Numbers: preprocessors that compare macros as text (Babylon.js, PlayCanvas) see through no name.
+#if defined(FR_LOBE_FUNCTION) && !defined(FR_LOBE)
+#define FR_LOBE 90
 #endif
+#ifndef FR_LOBE
+#define FR_LOBE 1
 #endif
 
-#if FR_LOBE != FR_LOBE_EXACT && FR_LOBE != FR_LOBE_COSINE && FR_LOBE != FR_LOBE_D4 && FR_LOBE != FR_LOBE_D8 && FR_LOBE != FR_LOBE_D16 && FR_LOBE != FR_LOBE_FITTED && FR_LOBE != FR_LOBE_FITTED_FINE && FR_LOBE != FR_LOBE_G_POWER && FR_LOBE != FR_LOBE_OWN && FR_LOBE != FR_LOBE_EVERY
-#error "FR_LOBE is none of FR_LOBE_EXACT, _COSINE, _D4, _D8, _D16, _FITTED, _FITTED_FINE, _G_POWER, _OWN, _EVERY"
+#if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_COSINE || FR_LOBE == FR_LOBE_D4 || FR_LOBE == FR_LOBE_D8 || FR_LOBE == FR_LOBE_D16 || FR_LOBE == FR_LOBE_FITTED || FR_LOBE == FR_LOBE_FITTED_FINE || FR_LOBE == FR_LOBE_G_POWER || FR_LOBE == FR_LOBE_OWN || FR_LOBE == FR_LOBE_EVERY
+#else
+#error FR_LOBE is none of 1 FR_LOBE_EXACT, 2 FR_LOBE_COSINE, 4 FR_LOBE_D4, 8 FR_LOBE_D8, 16 FR_LOBE_D16, 3 FR_LOBE_FITTED, 5 FR_LOBE_FITTED_FINE, 6 FR_LOBE_G_POWER, 90 FR_LOBE_OWN, 91 FR_LOBE_EVERY: give the number where a host compares macros as text
 #endif
 #if FR_LOBE == FR_LOBE_OWN && !defined(FR_LOBE_FUNCTION)
-#error "FR_LOBE_OWN is the lobe that FR_LOBE_FUNCTION names: define it too"
+#error FR_LOBE_OWN is the lobe that FR_LOBE_FUNCTION names: define it too
 #endif
 #if FR_LOBE == FR_LOBE_EVERY
 #define FR_DEFAULT_LOBE FR_LOBE_EXACT
@@ -53,16 +54,16 @@
 #endif
 
 #if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
-#include "facerender/lobe/exact.glsl"
+#include "lobe/exact.glsl"
 #endif
 #if FR_LOBE == FR_LOBE_COSINE || FR_LOBE == FR_LOBE_EVERY
-#include "facerender/lobe/cosine.glsl"
+#include "lobe/cosine.glsl"
 #endif
 #if FR_LOBE == FR_LOBE_D4 || FR_LOBE == FR_LOBE_D8 || FR_LOBE == FR_LOBE_D16 || FR_LOBE == FR_LOBE_G_POWER || FR_LOBE == FR_LOBE_EVERY
-#include "facerender/lobe/g_power.glsl"
+#include "lobe/g_power.glsl"
 #endif
 #if FR_LOBE == FR_LOBE_FITTED || FR_LOBE == FR_LOBE_FITTED_FINE || FR_LOBE == FR_LOBE_EVERY
-#include "facerender/lobe/fitted.glsl"
+#include "lobe/fitted.glsl"
 #endif
 
 // With FR_LOBE_G_POWER the power, in 1 to 31, and the steepness that the host fitted; by default

@@ -14,9 +14,9 @@
 #ifndef FR_MASKING_GLSL
 #define FR_MASKING_GLSL
 
-#include "facerender/constants.glsl"
-#include "facerender/masking/v_cavity.glsl"
-#include "facerender/masking/kelemen.glsl"
+#include "constants.glsl"
+#include "masking/v_cavity.glsl"
+#include "masking/kelemen.glsl"
 
 #define FR_MASKING_V_CAVITY 0
 #define FR_MASKING_KELEMEN 1

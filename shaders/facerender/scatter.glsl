@@ -18,7 +18,7 @@
 #ifndef FR_SCATTER_GLSL
 #define FR_SCATTER_GLSL
 
-#include "facerender/constants.glsl"
+#include "constants.glsl"
 
 #ifdef GL_ES
 precision highp sampler2D;

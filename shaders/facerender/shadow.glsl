@@ -22,7 +22,7 @@
 #ifndef FR_SHADOW_GLSL
 #define FR_SHADOW_GLSL
 
-#include "facerender/constants.glsl"
+#include "constants.glsl"
 
 #ifdef GL_ES
 precision highp sampler2D;

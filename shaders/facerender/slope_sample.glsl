@@ -13,7 +13,7 @@
 #ifndef FR_SLOPE_SAMPLE_GLSL
 #define FR_SLOPE_SAMPLE_GLSL
 
-#include "facerender/constants.glsl"
+#include "constants.glsl"
 
 vec3 fr_slope_sample(vec3 n, float m, vec2 u) {
     float side = n.z >= 0.0 ? 1.0 : -1.0;

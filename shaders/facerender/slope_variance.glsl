@@ -9,7 +9,7 @@
 #ifndef FR_SLOPE_VARIANCE_GLSL
 #define FR_SLOPE_VARIANCE_GLSL
 
-#include "facerender/constants.glsl"
+#include "constants.glsl"
 
 // The deviation of slopes that alpha = 1 stands for in a prepared normal map.
 #define FR_MAP_DEVIATION 0.35

@@ -13,9 +13,9 @@
 #ifndef FR_WARD_GLSL
 #define FR_WARD_GLSL
 
-#include "facerender/constants.glsl"
-#include "facerender/half_vector.glsl"
-#include "facerender/lobe.glsl"
+#include "constants.glsl"
+#include "half_vector.glsl"
+#include "lobe.glsl"
 
 // Ward's isotropic specular BRDF with a lobe of its own, for programs that treat lights differently.
 //

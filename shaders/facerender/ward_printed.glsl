@@ -11,8 +11,8 @@
 #ifndef FR_WARD_PRINTED_GLSL
 #define FR_WARD_PRINTED_GLSL
 
-#include "facerender/constants.glsl"
-#include "facerender/ward.glsl"
+#include "constants.glsl"
+#include "ward.glsl"
 
 // Ward's specular BRDF as printed, with a lobe of its own.
 //

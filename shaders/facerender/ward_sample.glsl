@@ -17,9 +17,9 @@
 #ifndef FR_WARD_SAMPLE_GLSL
 #define FR_WARD_SAMPLE_GLSL
 
-#include "facerender/constants.glsl"
-#include "facerender/half_vector.glsl"
-#include "facerender/slope_sample.glsl"
+#include "constants.glsl"
+#include "half_vector.glsl"
+#include "slope_sample.glsl"
 
 vec3 fr_ward_sample(vec3 n, vec3 v, float m, vec2 u) {
     vec3 h = n + fr_slope_sample(n, m, u);

@@ -13,7 +13,7 @@
 #include "printed/g_power.glsl"
 
 #if FR_LOBE != FR_LOBE_EXACT && FR_LOBE != 4 && FR_LOBE != 8 && FR_LOBE != 16
-#error "the paper prints FR_LOBE_EXACT, FR_LOBE_D4, FR_LOBE_D8, FR_LOBE_D16"
+#error the paper prints FR_LOBE_EXACT, FR_LOBE_D4, FR_LOBE_D8, FR_LOBE_D16
 #endif
 
 float fr_printed_cook_torrance(vec3 n, vec3 l, vec3 v, float m, float f0) {

@@ -12,7 +12,7 @@
 #ifndef FR_FRESNEL_DIELECTRIC_GLSL
 #define FR_FRESNEL_DIELECTRIC_GLSL
 
-#include "facerender/constants.glsl"
+#include "../constants.glsl"
 
 float fr_fresnel_dielectric(float f0, float v_dot_h) {
     float root = sqrt(f0);

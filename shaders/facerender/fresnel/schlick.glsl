@@ -9,7 +9,7 @@
 #ifndef FR_FRESNEL_SCHLICK_GLSL
 #define FR_FRESNEL_SCHLICK_GLSL
 
-#include "facerender/constants.glsl"
+#include "../constants.glsl"
 
 float fr_fresnel_schlick(float f0, float v_dot_h) {
     float u = max(1.0 - v_dot_h, 0.0);

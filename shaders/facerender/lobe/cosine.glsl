@@ -13,7 +13,7 @@
 #ifndef FR_LOBE_COSINE_GLSL
 #define FR_LOBE_COSINE_GLSL
 
-#include "facerender/constants.glsl"
+#include "../constants.glsl"
 
 float fr_lobe_cosine(float c, float m, int k) {
     float n = max(2.0 / (FR_SLOPE(m) * FR_SLOPE(m)) - float(k), 0.0);

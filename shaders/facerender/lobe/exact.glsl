@@ -15,7 +15,7 @@
 #ifndef FR_LOBE_EXACT_GLSL
 #define FR_LOBE_EXACT_GLSL
 
-#include "facerender/constants.glsl"
+#include "../constants.glsl"
 
 // exp(-1e6/m^2) is 0 in float32 for every m <= 2, so the limit changes no value;
 // without it (1 + tan2)^2 overflows and 0 times infinity is NaN.

@@ -19,7 +19,7 @@
 #ifndef FR_LOBE_FITTED_GLSL
 #define FR_LOBE_FITTED_GLSL
 
-#include "facerender/constants.glsl"
+#include "../constants.glsl"
 
 #ifndef FR_FITTED_COEFFICIENTS
 #define FR_FITTED_COEFFICIENTS(m, k) fr_lobe_fitted_coefficients(m, k)

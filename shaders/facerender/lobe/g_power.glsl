@@ -19,7 +19,7 @@
 #ifndef FR_LOBE_G_POWER_GLSL
 #define FR_LOBE_G_POWER_GLSL
 
-#include "facerender/constants.glsl"
+#include "../constants.glsl"
 
 // Clamped linear factor to a power: what a g-power is made of, with g and the steepness free.
 //

@@ -11,7 +11,7 @@
 #ifndef FR_MASKING_KELEMEN_GLSL
 #define FR_MASKING_KELEMEN_GLSL
 
-#include "facerender/constants.glsl"
+#include "../constants.glsl"
 
 float fr_masking_kelemen(float v_dot_h, float n_dot_l, float n_dot_v) {
     float inverse = 1.0 / v_dot_h;  // whose square may overflow

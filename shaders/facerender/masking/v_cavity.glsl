@@ -10,7 +10,7 @@
 #ifndef FR_MASKING_V_CAVITY_GLSL
 #define FR_MASKING_V_CAVITY_GLSL
 
-#include "facerender/constants.glsl"
+#include "../constants.glsl"
 
 float fr_masking_v_cavity(float n_dot_h, float v_dot_h, float n_dot_l, float n_dot_v) {
     return min(1.0, 2.0 * n_dot_h * min(n_dot_l, n_dot_v) / v_dot_h);
