@@ -1,0 +1,93 @@
+"""WebGPU by wgpu, whose naga translates GLSL, WGSL and SPIR-V for the system's Vulkan driver."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+TRIANGLE = """#version 450
+void main() {
+    gl_Position = vec4(vec2(gl_VertexIndex & 1, gl_VertexIndex >> 1) * 4.0 - 1.0, 0.0, 1.0);
+}
+"""  # that covers the target
+
+
+class Device:
+    """A device that draws one triangle over a float target.
+
+    Attributes
+    ----------
+    renderer, version : as the driver names itself
+    """
+
+    def __init__(self) -> None:
+        os.environ.setdefault("XDG_RUNTIME_DIR", "/tmp")  # else Mesa says that it is not set
+        os.environ["WGPU_BACKEND_TYPE"] = "Vulkan"
+        import wgpu
+
+        self._wgpu: Any = wgpu
+        self._device = wgpu.gpu.request_adapter_sync(
+            force_fallback_adapter=True
+        ).request_device_sync()
+        info = self._device.adapter.info
+        self.renderer, self.version = (
+            info["device"],
+            f"{info['description']}, wgpu {wgpu.__version__}",
+        )
+
+    def draw(
+        self,
+        fragment: str | bytes,
+        size: tuple[int, int],
+        inputs: Sequence[NDArray[np.float32]] = (),
+        entry: str = "main",
+    ) -> NDArray[np.float32]:
+        """Return what a fragment shader draws, (height, width, 4), row 0 where y is 0.
+
+        fragment : GLSL 450, WGSL or SPIR-V; inputs : read-only storage buffers, by their binding
+        """
+        wgpu, device = self._wgpu, self._device
+        width, height = size
+        usage = wgpu.TextureUsage.RENDER_ATTACHMENT | wgpu.TextureUsage.COPY_SRC
+        target = device.create_texture(size=(width, height, 1), format="rgba32float", usage=usage)
+        stages = [
+            device.create_shader_module(label="triangle vert", code=TRIANGLE),
+            device.create_shader_module(label="drawn frag", code=fragment),
+        ]
+        pipeline = device.create_render_pipeline(
+            layout="auto",
+            vertex={"module": stages[0], "entry_point": "main"},
+            fragment={
+                "module": stages[1],
+                "entry_point": entry,
+                "targets": [{"format": "rgba32float"}],
+            },
+            primitive={"topology": "triangle-list"},
+        )
+        encoder = device.create_command_encoder()
+        clear = {"load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 0)}
+        drawing = encoder.begin_render_pass(
+            color_attachments=[{"view": target.create_view(), **clear}]
+        )
+        drawing.set_pipeline(pipeline)
+        if inputs:
+            buffers = [
+                device.create_buffer_with_data(data=each, usage=wgpu.BufferUsage.STORAGE)
+                for each in inputs
+            ]
+            entries = [
+                {"binding": i, "resource": {"buffer": each}} for i, each in enumerate(buffers)
+            ]
+            layout = pipeline.get_bind_group_layout(0)
+            drawing.set_bind_group(0, device.create_bind_group(layout=layout, entries=entries))
+        drawing.draw(3)
+        drawing.end()
+        device.queue.submit([encoder.finish()])
+        data = device.queue.read_texture(
+            {"texture": target}, {"bytes_per_row": width * 16}, (width, height, 1)
+        )
+        return np.frombuffer(data, np.float32).reshape(height, width, 4)
