@@ -1,4 +1,4 @@
-"""The library in hosts with preprocessors and compilers of their own: each draws what OpenGL does."""
+"""The library in hosts with preprocessors and compilers of their own: each draws as OpenGL does."""
 
 from __future__ import annotations
 

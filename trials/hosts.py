@@ -76,8 +76,6 @@ def desktop(scenes: Sequence[str]) -> Drawn:
 
 
 def _opengl(fragments: Sequence[str]) -> Drawn:
-    import moderngl
-
     from facerender.drawing.context import create_context
 
     images = []
@@ -89,7 +87,7 @@ def _opengl(fragments: Sequence[str]) -> Drawn:
             program = gl.program(_VERTEX, fragment)
             gl.vertex_array(program, [(corners, "4f", "corner")]).render()
             images.append(_image(target.read(components=4, dtype="f4")))
-    return f"moderngl {moderngl.__version__}", images
+        return str(gl.info["GL_VERSION"]), images
 
 
 def _image(data: bytes) -> Image:

@@ -10,7 +10,8 @@ import base64
 import ctypes
 import multiprocessing
 import os
-from collections.abc import Callable, Sequence
+import subprocess
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -32,7 +33,10 @@ from facerender.drawing.evaluate import (
     vertex_shader,
 )
 from facerender.errors import ContextError
+from facerender.glsl.library import Language, translated
 from trials import chromium
+from trials.cases import GROUPS
+from trials.webgpu import Device
 
 
 class Evaluate(Protocol):
@@ -122,6 +126,85 @@ class _WebGL:
         return np.concatenate(pixels[:, :count].transpose(0, 2, 1))[: len(expressions)]
 
 
+class _Translated:
+    """HLSL, by glslang, or WGSL, on lavapipe: GLSL that the package translated."""
+
+    def __init__(self, language: Language) -> None:
+        self._language: Language = language
+        self._device = Device()
+        self.renderer, self.version = self._device.renderer, self._device.version
+
+    def release(self) -> None:
+        pass
+
+    def each(self, prelude: str, expressions: Sequence[str], inputs: Inputs) -> NDArray[np.float32]:
+        images = {name: texels(values) for name, values in inputs.items()}
+        height = next(iter(images.values())).shape[0]
+        results = []
+        for first in range(0, len(expressions), EACH):
+            few = [*expressions[first : first + EACH], *["0.0"] * (EACH - 1)][:EACH]
+            code = self._fragment(prelude, few, {name: x.shape[2] for name, x in images.items()})
+            drawn = self._device.draw(code, (WIDTH, height), list(images.values()))
+            results.append(drawn.reshape(-1, EACH).T)
+        count = len(next(iter(inputs.values())))
+        return np.concatenate(results)[: len(expressions), :count]
+
+    def _fragment(
+        self, prelude: str, expressions: Sequence[str], inputs: Mapping[str, int]
+    ) -> str | bytes:
+        parameters = ", ".join(f"{_VECTOR[count]} {name}" for name, count in inputs.items())
+        body = f"vec4 evaluated({parameters}) {{ return vec4({', '.join(expressions)}); }}\n"
+        text = translated(f"{prelude}\n{body}", self._language)
+        if self._language == "wgsl":
+            buffers = [
+                f"@group(0) @binding({i}) var<storage, read> {name}_values: array<f32>;"
+                for i, name in enumerate(inputs)
+            ]
+            values = [
+                f"vec3f({name}_values[3 * i], {name}_values[3 * i + 1], {name}_values[3 * i + 2])"
+                if count == 3
+                else f"{name}_values[i]"
+                for name, count in inputs.items()
+            ]
+            return "\n".join([text, *buffers, f"""
+@fragment fn main(@builtin(position) place: vec4f) -> @location(0) vec4f {{
+    let i = u32(place.y) * {WIDTH}u + u32(place.x);
+    return evaluated({", ".join(values)});
+}}
+"""])  # fmt: skip
+        buffers = [
+            f"[[vk::binding({i}, 0)]] StructuredBuffer<float> {name}_values;"
+            for i, name in enumerate(inputs)
+        ]
+        values = [
+            f"float3({name}_values[3 * i], {name}_values[3 * i + 1], {name}_values[3 * i + 2])"
+            if count == 3
+            else f"{name}_values[i]"
+            for name, count in inputs.items()
+        ]
+        return hlsl_compiled("\n".join([text, *buffers, f"""
+float4 main(float4 place : SV_Position) : SV_Target {{
+    uint i = uint(place.y) * {WIDTH} + uint(place.x);
+    return evaluated({", ".join(values)});
+}}
+"""]))  # fmt: skip
+
+
+_VECTOR = {1: "float", 3: "vec3"}
+
+
+def hlsl_compiled(text: str) -> bytes:
+    """Return the SPIR-V of a fragment shader, by glslang's HLSL front end."""
+    with TemporaryDirectory() as folder:
+        path, output = Path(folder, "x.frag.hlsl"), Path(folder, "x.spv")
+        path.write_text(text, encoding="utf-8")
+        command = ["glslangValidator", "-D", "-V", "-S", "frag", "-e", "main", path, "-o", output]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode or "WARNING" in done.stdout:
+            raise RuntimeError(done.stdout)
+        return output.read_bytes()
+
+
 TARGETS: dict[str, Callable[[], Evaluate]] = {
     "GLSL 330, EGL": partial(_desktop, "egl"),
     "GLSL 330, OSMesa": partial(_desktop, "osmesa"),
@@ -130,13 +213,27 @@ TARGETS: dict[str, Callable[[], Evaluate]] = {
     "GLSL ES 300, EGL": _es300,
     "WebGL 2, Chromium": _WebGL,
 }
+TRANSLATED: dict[str, Callable[[], Evaluate]] = {
+    "HLSL, lavapipe": partial(_Translated, "hlsl"),
+    "WGSL, lavapipe": partial(_Translated, "wgsl"),
+}
+UNTRANSLATED = ("environment", "scatter", "shadow")  # files with samplers or arrays
+
+
+def groups_of(target: str) -> tuple[str, ...]:
+    """Return the groups of cases that a target has."""
+    left_out = tuple(f"fr_{name}" for name in UNTRANSLATED)
+    return tuple(
+        name for name in GROUPS if target in TARGETS or not name.startswith(left_out)
+    )
+
 
 _here: Evaluate  # in the process of a target
 
 
 def _open(target: str) -> tuple[str, str]:
     global _here
-    _here = TARGETS[target]()
+    _here = (TARGETS | TRANSLATED)[target]()
     return _here.renderer, _here.version
 
 

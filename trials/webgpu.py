@@ -44,7 +44,6 @@ class Device:
         fragment: str | bytes,
         size: tuple[int, int],
         inputs: Sequence[NDArray[np.float32]] = (),
-        entry: str = "main",
     ) -> NDArray[np.float32]:
         """Return what a fragment shader draws, (height, width, 4), row 0 where y is 0.
 
@@ -58,12 +57,17 @@ class Device:
             device.create_shader_module(label="triangle vert", code=TRIANGLE),
             device.create_shader_module(label="drawn frag", code=fragment),
         ]
+        kind = {"type": wgpu.BufferBindingType.read_only_storage}
+        read = {"visibility": wgpu.ShaderStage.FRAGMENT, "buffer": kind}
+        group = device.create_bind_group_layout(
+            entries=[{"binding": i, **read} for i in range(len(inputs))]
+        )
         pipeline = device.create_render_pipeline(
-            layout="auto",
+            layout=device.create_pipeline_layout(bind_group_layouts=[group]),
             vertex={"module": stages[0], "entry_point": "main"},
             fragment={
                 "module": stages[1],
-                "entry_point": entry,
+                "entry_point": "main",
                 "targets": [{"format": "rgba32float"}],
             },
             primitive={"topology": "triangle-list"},
@@ -74,16 +78,12 @@ class Device:
             color_attachments=[{"view": target.create_view(), **clear}]
         )
         drawing.set_pipeline(pipeline)
-        if inputs:
-            buffers = [
-                device.create_buffer_with_data(data=each, usage=wgpu.BufferUsage.STORAGE)
-                for each in inputs
-            ]
-            entries = [
-                {"binding": i, "resource": {"buffer": each}} for i, each in enumerate(buffers)
-            ]
-            layout = pipeline.get_bind_group_layout(0)
-            drawing.set_bind_group(0, device.create_bind_group(layout=layout, entries=entries))
+        buffers = [
+            device.create_buffer_with_data(data=each, usage=wgpu.BufferUsage.STORAGE)
+            for each in inputs
+        ]
+        entries = [{"binding": i, "resource": {"buffer": each}} for i, each in enumerate(buffers)]
+        drawing.set_bind_group(0, device.create_bind_group(layout=group, entries=entries))
         drawing.draw(3)
         drawing.end()
         device.queue.submit([encoder.finish()])

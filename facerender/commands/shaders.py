@@ -8,7 +8,7 @@ import json
 import textwrap
 
 from facerender.commands.common import clean_up_on_interrupt
-from facerender.glsl.library import TARGETS, shader_dir, shader_source
+from facerender.glsl.library import LANGUAGES, TARGETS, shader_dir, shader_source
 from facerender.terms import LOBES
 
 
@@ -27,8 +27,8 @@ def add(shaders: argparse.ArgumentParser) -> None:
     )
     flatten.add_argument(
         "--target",
-        choices=TARGETS,
-        help="begin with this #version; without it: text to include, for all targets",
+        choices=(*TARGETS, *LANGUAGES),
+        help="begin with this #version, or in another language; without it: text to include in GLSL",
     )
     flatten.add_argument("--lobe", choices=tuple(LOBES), help="leave the others out")
     flatten.add_argument("--m", type=float, help="rms slope, as a constant")

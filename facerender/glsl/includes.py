@@ -66,10 +66,12 @@ class Expansion:
         chosen: Mapping[str, str] | None = None,
         numbered: bool = False,
         guards: bool = True,
+        closed: bool = False,
     ) -> None:
         """root : of ``<file>``, and of a ``"file"`` that is not beside its includer, nor beside
         what that links to; chosen : macros that are set from outside; numbered : lines keep their
-        numbers, by ``#line``; guards : the files' include guards stay"""
+        numbers, by ``#line``; guards : the files' include guards stay; closed : what is not
+        defined here is undefined, so that no conditional stays"""
         self.lines: list[str] = []
         self.version = ""
         self.files: list[str] = []
@@ -78,6 +80,7 @@ class Expansion:
         self._macros = dict(self._chosen)
         self._numbered = numbered
         self._guards = guards
+        self._closed = closed
         self._chain: list[Path] = []
         self._conditionals: list[_Conditional] = []
         self._included: set[Path] = set()
@@ -198,6 +201,8 @@ class Expansion:
         current = self._conditionals[-1]
         bare = current.guard and not self._guards
         truth = False if current.over else bare or self._truth(directive, rest)
+        if truth is None and self._closed:
+            raise InputError(f"cannot decide {line.strip()}: write comparisons of macros, or defined()")
         current.active = truth is not False
         current.over |= truth is True
         current.included = set()
@@ -212,7 +217,7 @@ class Expansion:
         if directive == "else":
             return True
         if directive in ("ifdef", "ifndef"):
-            return (directive == "ifdef") if condition in self._macros else None
+            return (directive == "ifdef") if condition in self._macros else self._undefined(directive == "ifndef")
         condition = _DEFINED.sub(
             lambda match: f" {match[1]}defined {match[2] or match[3]} ", condition
         )
@@ -226,15 +231,21 @@ class Expansion:
 
     def _comparison(self, term: str) -> bool | None:
         if match := _DEFINED.fullmatch(term):
-            return (not match[1]) if match[3] in self._macros else None
+            return (not match[1]) if match[3] in self._macros else self._undefined(bool(match[1]))
         match = _COMPARISON.fullmatch(term)
         a, sign, b = match.groups() if match else (term, "!=", "0")
         left, right = self._value(a), self._value(b)
         return None if left is None or right is None else bool(_COMPARE[sign](left, right))
 
+    def _undefined(self, truth: bool) -> bool | None:
+        """Return a condition's truth where a macro is not defined, if none is to come."""
+        return truth if self._closed else None
+
     def _value(self, word: str) -> int | None:
         for _ in self._macros:
             word = self._macros.get(word, word)
+        if self._closed and not word[:1].isdigit():
+            return 0
         return int(word) if re.fullmatch("0|[1-9][0-9]*", word) else None
 
     def _learn(self, directive: str, rest: str, path: Path | None, number: int) -> None:

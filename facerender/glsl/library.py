@@ -14,6 +14,7 @@ from facerender.data import data_dir
 from facerender.errors import InputError
 from facerender.glsl.code import defines, file_of, lobe_macros, term_macros
 from facerender.glsl.includes import Expansion
+from facerender.glsl.translate import translate
 from facerender.shading import SMALL_SLOPE, Term
 from facerender.terms import LOBES, MODELS, AnyLobe, GPower, lobe_entry
 from facerender.terms.entry import Entry
@@ -23,8 +24,10 @@ if TYPE_CHECKING:
     import moderngl
 
 Target = Literal["330", "es300", "vulkan"]
+Language = Literal["hlsl", "msl", "wgsl"]
 
 TARGETS: dict[Target, str] = {"330": "330 core", "es300": "300 es", "vulkan": "450"}
+LANGUAGES: tuple[Language, ...] = ("hlsl", "msl", "wgsl")
 
 
 @cache
@@ -44,7 +47,11 @@ def library() -> tuple[str, ...]:
 
 
 def shader_source(
-    name: str, target: Target | None = None, *, lobe: AnyLobe | None = None, m: float | None = None
+    name: str,
+    target: Target | Language | None = None,
+    *,
+    lobe: AnyLobe | None = None,
+    m: float | None = None,
 ) -> str:
     """Return one file of the library, or of your own, as flat text: each file that it includes
     once, in order, with a line on licence and origin.
@@ -55,8 +62,9 @@ def shader_source(
         functions, such as "fr_cook_torrance"; or the path of a GLSL file of your own that includes
         files of the library
     target : "330" (OpenGL 3.3), "es300" (OpenGL ES 3.0, WebGL 2) or "vulkan" (GLSL 450): the text
-        begins with this ``#version``, and your code may follow. Without: text to include, the same
-        for all targets
+        begins with this ``#version``, and your code may follow. "hlsl", "msl" or "wgsl": in that
+        language, all choices made, with the defaults where neither a macro of your own file nor lobe
+        nor m makes them. Without: text to include, the same for all versions of GLSL
     lobe : what ``fr_lobe`` and the BRDFs use; others are left out. Without, the host says
         ``#define FR_LOBE``, or gets the exact lobe
     m : rms slope, in the domain of the lobe: the coefficients become constants, and every function
@@ -65,7 +73,8 @@ def shader_source(
     Raises
     ------
     InputError : an unknown name, target or lobe; a slope outside its domain; a file that is
-        missing, that includes itself, or that defines a macro which a choice here sets
+        missing, that includes itself, or that defines a macro which a choice here sets; for another
+        language, a file with samplers, arrays, or more than functions and constants
     """
     macros = {} if lobe is None else lobe_macros(lobe)
     if lobe == "exact" and m is not None and m >= SMALL_SLOPE:
@@ -74,7 +83,10 @@ def shader_source(
 
 
 def term_source(
-    term: Term, smallest_m: float, target: Target | None = None, two_lobes: bool = False
+    term: Term,
+    smallest_m: float,
+    target: Target | Language | None = None,
+    two_lobes: bool = False,
 ) -> str:
     """Return the file of a term's model with all its choices made, for m >= smallest_m; with two
     lobes the slopes stay arguments. Target and errors as in :func:`shader_source`."""
@@ -85,22 +97,23 @@ def term_source(
 
 def _flat(
     name: str,
-    target: Target | None,
+    target: Target | Language | None,
     macros: dict[str, str],
     lobe: AnyLobe | None,
     m: float | None,
 ) -> str:
-    if target is not None and target not in TARGETS:
-        raise InputError(f"unknown target {target!r}; known: {', '.join(TARGETS)}")
+    if target is not None and target not in (*TARGETS, *LANGUAGES):
+        raise InputError(f"unknown target {target!r}; known: {', '.join((*TARGETS, *LANGUAGES))}")
     path = _path(name)
     chosen = {macro.split("(")[0]: value for macro, value in macros.items()}
     if m is not None:
         coefficients = [lobe.constants[0] for lobe in LOBES.values() if lobe.constants]
         chosen |= dict.fromkeys(["FR_SLOPE", *coefficients], "")
-    expansion = Expansion(shader_dir(), chosen, guards=target is None)
+    closed = target in LANGUAGES
+    expansion = Expansion(shader_dir(), chosen, guards=target is None, closed=closed)
     expansion.file(path)
     if len(set(expansion.files)) < len(expansion.files):  # one that guards keep from coming twice
-        expansion = Expansion(shader_dir(), chosen)
+        expansion = Expansion(shader_dir(), chosen, closed=closed)
         expansion.file(path)
     if lobe is not None and "facerender/lobe.glsl" not in expansion.files:
         raise InputError(f"{name} does not use FR_LOBE: leave lobe {lobe} out")
@@ -111,7 +124,7 @@ def _flat(
     if target is not None:
         if version:
             raise InputError(f"{name} says {version}: leave that line, or the target, out")
-        version = f"#version {TARGETS[target]}"
+        version = f"#version {TARGETS[target]}" if target in TARGETS else ""
     label = expansion.files[0] if path.is_relative_to(shader_dir()) else path.name
     origin = f"{label.encode(errors='replace').decode()} with what it includes of facerender"
     slope = "" if m is None else f", m = {m:g} whatever the caller passes"
@@ -122,6 +135,11 @@ def _flat(
         defines(macros).rstrip(),
     ]
     text = "\n".join([*filter(None, head), "", *expansion.lines])
+    if target in LANGUAGES:
+        try:
+            text = translate(text.split("\n"), target)
+        except InputError as error:
+            raise InputError(f"{name} in {target.upper()}: {error}") from None
     return re.sub(r"\n{3,}", "\n\n", text).rstrip("\n") + "\n"
 
 
@@ -140,6 +158,15 @@ def resolve_includes(text: str) -> str:
     expansion = Expansion(shader_dir(), numbered=True)
     expansion.text(text.removeprefix("\ufeff"))
     return "\n".join(expansion.lines)
+
+
+def translated(text: str, language: Language) -> str:
+    """Translate GLSL of yours that includes files of the library: functions and constants; what
+    neither a macro of the text nor of the library defines is undefined. Errors as in
+    :func:`shader_source`."""
+    expansion = Expansion(shader_dir(), closed=True)
+    expansion.text(text)
+    return translate(expansion.lines, language)
 
 
 def moderngl_includes(context: moderngl.Context) -> None:

@@ -1,0 +1,471 @@
+"""A small GLSL parser: functions and constants as a tree that knows the type of each expression and
+keeps every token with the comments and spaces before it, so that a tree's text is the source's.
+Translations into other languages are made of it in ``translate.py``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+from facerender.errors import InputError
+
+_TOKEN = re.compile(
+    r"(?P<space>(?:\s|//[^\n]*|/\*.*?\*/)+)"
+    r"|(?P<number>(?:\d+\.\d*|\.\d+)(?:[eE][-+]?\d+)?|\d+[eE][-+]?\d+|0[xX][\da-fA-F]+u?|\d+u?)"
+    r"|(?P<name>[A-Za-z_]\w*)"
+    r"|(?P<sign>\+\+|--|<<=|>>=|<<|>>|[-+*/%&|^<>=!]=|&&|\|\||\^\^|[-+*/%<>=!&|^~?:;,.(){}\[\]#])",
+    re.DOTALL,
+)
+_DIRECTIVE = re.compile(r"[ \t]*#[ \t]*(\w+)[ \t]*(.*)")
+_DEFINE = re.compile(r"(\w+)(?:\(([^)]*)\))?[ \t]*(.*)")
+_NUMBER = re.compile(r"\(?(-?(?:[\d.]+(?:[eE][-+]?\d+)?))\)?")
+
+SCALARS = ("float", "int", "uint", "bool")
+VECTORS = {
+    f"{prefix}vec{n}": (scalar, n)
+    for prefix, scalar in zip(["", "i", "u", "b"], SCALARS, strict=True)
+    for n in (2, 3, 4)
+}
+MATRICES = {f"mat{c}x{r}": (c, r) for c in (2, 3, 4) for r in (2, 3, 4)}
+SQUARE = {f"mat{n}": f"mat{n}x{n}" for n in (2, 3, 4)}
+TYPES = {*SCALARS, *VECTORS, *MATRICES, *SQUARE}
+QUALIFIERS = {"const", "in"}
+
+# Built-in functions by the type that they return: a type, that of the widest argument, or None.
+RESULTS = {
+    **dict.fromkeys(
+        "abs sign floor ceil fract sqrt inversesqrt exp exp2 log log2 pow sin cos tan asin acos atan "
+        "min max clamp mix step smoothstep normalize cross reflect dFdx dFdy fwidth".split(),
+        "widest",
+    ),
+    **dict.fromkeys(["dot", "length", "distance"], "float"),
+    **dict.fromkeys(["any", "all"], "bool"),
+}
+# Binary operators, those that bind least first.
+_LEVELS = [["||"], ["^^"], ["&&"], ["|"], ["^"], ["&"], ["==", "!="], ["<", ">", "<=", ">="],
+           ["<<", ">>"], ["+", "-"], ["*", "/", "%"]]  # fmt: skip
+_ASSIGN = {"=", "+=", "-=", "*=", "/=", "%=", "&=", "|=", "^=", "<<=", ">>="}
+
+
+@dataclass(frozen=True)
+class Token:
+    kind: str  # number, name, sign
+    text: str
+    before: str = ""  # comments and spaces
+
+
+@dataclass
+class Node:
+    """Part of a program.
+
+    Attributes
+    ----------
+    kind : such as "call", "ternary" or "if"
+    parts : tokens and nodes, in the source's order
+    type : of an expression, with matrices as matCxR; "" of others
+    name : of a call, a function, a variable or a parameter
+    """
+
+    kind: str
+    parts: list[Token | Node]
+    type: str = ""
+    name: str = ""
+
+
+@dataclass
+class Function:
+    """What callers and the translation need to know of a function: its type, its parameters as
+    (qualifier, type, name), the names that its body assigns."""
+
+    type: str
+    parameters: list[tuple[str, str, str]]
+    assigned: set[str] = field(default_factory=set)
+
+
+def tokens(text: str) -> list[Token]:
+    """Split text.
+
+    Raises
+    ------
+    InputError : what is no GLSL
+    """
+    result, before, at = [], "", 0
+    while at < len(text):
+        match = _TOKEN.match(text, at)
+        if match is None:
+            raise InputError(f"cannot translate {text[at : at + 20]!r}")
+        if match.lastgroup == "space":
+            before = match[0]
+        else:
+            result.append(Token(match.lastgroup or "", match[0], before))
+            before = ""
+        at = match.end()
+    result.append(Token("end", "", before))
+    return result
+
+
+@dataclass(frozen=True)
+class _Macro:
+    parameters: tuple[str, ...] | None
+    body: tuple[Token, ...]
+
+
+def expanded(lines: Sequence[str]) -> list[Token]:
+    """Return the tokens of lines without conditionals, macros replaced; one that is a number becomes
+    a constant declaration where it is defined, and keeps its name."""
+    macros: dict[str, _Macro] = {}
+    result: list[Token] = []
+    chunk: list[str] = []
+
+    def flush() -> None:
+        *code, end = tokens("\n".join(chunk))
+        result.extend(_replaced(code, macros))
+        chunk[:] = [end.before]
+
+    for line in lines:
+        match = _DIRECTIVE.fullmatch(line)
+        if match is None:
+            chunk.append(line)
+            continue
+        directive, rest = match[1], re.sub(r"\s*//.*|/\*.*?\*/", "", match[2]).strip()
+        if directive not in ("define", "undef", "line", "version"):
+            raise InputError(f"cannot translate {line.strip()}: take the line out")
+        define = _DEFINE.fullmatch(rest) if directive in ("define", "undef") else None
+        if define is None:
+            continue
+        name, parameters, body = define[1], define[2], define[3]
+        if parameters is None and (number := _NUMBER.fullmatch(body)) and directive == "define":
+            kind = "int" if number[1].lstrip("-").isdigit() else "float"
+            chunk.append(f"const {kind} {name} = {number[1]};")
+            continue
+        flush()
+        macros.pop(name, None)
+        if directive == "define":
+            names = None if parameters is None else tuple(map(str.strip, parameters.split(",")))
+            macros[name] = _Macro(names, tuple(tokens(body)[:-1]))
+    flush()
+    return list(_exact([*result, Token("end", "", chunk[0])]))
+
+
+def _exact(code: Sequence[Token]) -> Iterator[Token]:
+    """Yield tokens without what GLSL ES says of precision."""
+    before, statement = "", False
+    for token in code:
+        statement |= token.text == "precision"
+        if statement or token.text in ("highp", "mediump", "lowp"):
+            before = before or token.before
+            statement &= token.text != ";"
+        else:
+            yield replace(token, before=before or token.before)
+            before = ""
+
+
+def _replaced(
+    code: Sequence[Token], macros: dict[str, _Macro], within: frozenset[str] = frozenset()
+) -> list[Token]:
+    result: list[Token] = []
+    at = 0
+    while at < len(code):
+        token, at = code[at], at + 1
+        macro = macros.get(token.text) if token.kind == "name" else None
+        called = at < len(code) and code[at].text == "("
+        if macro is None or token.text in within or (macro.parameters is not None and not called):
+            result.append(token)
+            continue
+        body = list(macro.body)
+        if macro.parameters is not None:
+            arguments, at = _arguments(code, at)
+            values = dict(zip(macro.parameters, arguments, strict=False))
+            body = [each for word in body for each in _with(values.get(word.text, [word]), word)]
+            body = [replace(each, before=each.before if i else "") for i, each in enumerate(body)]
+        if len(body) == 3 and (body[0].text, body[2].text) == ("(", ")"):
+            body = body[1:2]
+        result += _with(_replaced(body, macros, within | {token.text}), token)
+    return result
+
+
+def _with(code: Sequence[Token], place: Token) -> list[Token]:
+    """Return tokens with what stands before another one in front of them."""
+    return [replace(each, before=each.before if i else place.before) for i, each in enumerate(code)]
+
+
+def _arguments(code: Sequence[Token], at: int) -> tuple[list[list[Token]], int]:
+    """Return a macro's arguments, and the place behind them; at : of the parenthesis."""
+    arguments: list[list[Token]] = [[]]
+    depth = 0
+    while at < len(code):
+        token, at = code[at], at + 1
+        depth += (token.text in "([") - (token.text in ")]")
+        if depth == 0:
+            break
+        if depth == 1 and token.text == ",":
+            arguments.append([])
+        elif depth > 1 or token.text != "(":
+            arguments[-1].append(token)
+    return arguments, at
+
+
+class Parser:
+    """Reads functions and constants.
+
+    Attributes
+    ----------
+    functions : what is known of each, by its name
+    """
+
+    def __init__(self, code: list[Token]) -> None:
+        self._code, self._at = code, 0
+        self._scopes: list[dict[str, str]] = [{}]
+        self.functions: dict[str, Function] = {}
+        self._function = Function("", [])
+
+    def program(self) -> list[Node]:
+        """Return the declarations; the last node holds what stands behind them.
+
+        Raises
+        ------
+        InputError : anything but functions and constants, or what is not understood in them
+        """
+        nodes = []
+        while self._next.kind != "end":
+            nodes.append(self._declaration())
+        return [*nodes, Node("end", [self._take()])]
+
+    @property
+    def _next(self) -> Token:
+        return self._code[self._at]
+
+    def _take(self, *wanted: str) -> Token:
+        token = self._next
+        if wanted and token.text not in wanted:
+            raise self._error(f"{' or '.join(wanted)} is missing before {token.text!r}")
+        self._at += 1
+        return token
+
+    def _error(self, what: str) -> InputError:
+        line = "".join(each.before + each.text for each in self._code[max(0, self._at - 12) : self._at])
+        return InputError(f"cannot translate: {what}, behind {' '.join(line.split())[-60:]!r}")
+
+    def _type(self) -> str:
+        token = self._take()
+        if token.text not in TYPES:
+            raise self._error(
+                f"{token.text!r}; only functions and constants of numbers, vectors and matrices can be"
+            )
+        if self._next.text == "[":
+            raise self._error("an array")
+        return SQUARE.get(token.text, token.text)
+
+    def _declaration(self) -> Node:
+        start = self._at
+        if self._next.text == "const":
+            return self._variables()
+        type_ = "void" if self._next.text == "void" and self._take() else self._type()
+        name = self._take()
+        if name.kind != "name" or self._next.text != "(":
+            raise self._error(f"{name.text!r}; only functions and constants can be")
+        self._take("(")
+        parameters: list[Token | Node] = []
+        known = Function(type_, [])
+        while self._next.text != ")":
+            first, qualifier = self._at, "in"
+            while self._next.text in QUALIFIERS | {"out", "inout"}:
+                word = self._take().text
+                qualifier = word if word in ("out", "inout") else qualifier
+            kind, own = self._type(), self._take().text
+            known.parameters.append((qualifier, kind, own))
+            parameters.append(Node(qualifier, list(self._code[first : self._at]), kind, own))
+            if self._next.text == ",":
+                parameters.append(self._take())
+        head: list[Token | Node] = [*self._code[start : start + 3], *parameters, self._take(")")]
+        self.functions[name.text] = known
+        if self._next.text == ";":
+            return Node("prototype", [*head, self._take()], type_, name.text)
+        self._scopes.append({own: kind for _, kind, own in known.parameters})
+        self._function = known
+        body = self._block()
+        self._scopes.pop()
+        return Node("function", [*head, body], type_, name.text)
+
+    # --- statements ---
+
+    def _block(self) -> Node:
+        parts: list[Token | Node] = [self._take("{")]
+        self._scopes.append({})
+        while self._next.text != "}":
+            parts.append(self._statement())
+        self._scopes.pop()
+        return Node("block", [*parts, self._take("}")])
+
+    def _statement(self) -> Node:
+        word = self._next.text
+        if word == "{":
+            return self._block()
+        if word == "if":
+            parts = [self._take(), self._take("("), self._expression(), self._take(")")]
+            parts.append(self._statement())
+            if self._next.text == "else":
+                parts += [self._take(), self._statement()]
+            return Node("if", parts)
+        if word == "for":
+            self._scopes.append({})
+            parts = [self._take(), self._take("("), self._variables()]
+            parts += [self._expression(), self._take(";"), self._expression(), self._take(")")]
+            parts.append(self._statement())
+            self._scopes.pop()
+            return Node("for", parts)
+        if word in ("while",):
+            parts = [self._take(), self._take("("), self._expression(), self._take(")")]
+            return Node("while", [*parts, self._statement()])
+        if word == "return" and self._code[self._at + 1].text != ";":
+            return Node("return", [self._take(), self._expression(), self._take(";")])
+        if word in ("return", "break", "continue"):
+            return Node(word, [self._take(), self._take(";")])
+        if word in QUALIFIERS or (word in TYPES and self._code[self._at + 1].kind == "name"):
+            return self._variables()
+        return Node("expression", [self._expression(), self._take(";")])
+
+    def _variables(self) -> Node:
+        """A declaration; its parts are tokens, and nodes with a name and perhaps a value."""
+        start = self._at
+        constant = False
+        while self._next.text in QUALIFIERS:
+            constant |= self._take().text == "const"
+        type_ = self._type()
+        parts: list[Token | Node] = list(self._code[start : self._at])
+        while True:
+            name = self._take()
+            own: list[Token | Node] = [name]
+            if self._next.text == "[":
+                raise self._error("an array")
+            if self._next.text == "=":
+                own += [self._take(), self._expression()]
+            self._scopes[-1][name.text] = type_
+            parts += [Node("variable", own, type_, name.text), self._take(",", ";")]
+            if parts[-1] == self._code[self._at - 1] and self._code[self._at - 1].text == ";":
+                return Node("constants" if constant else "variables", parts, type_)
+
+    # --- expressions ---
+
+    def _expression(self) -> Node:
+        left = self._ternary()
+        if self._next.text in _ASSIGN:
+            self._assign(left)
+            return Node("assign", [left, self._take(), self._expression()], left.type)
+        return left
+
+    def _assign(self, node: Node) -> None:
+        """Note that a variable, or a part of it, gets a value."""
+        while isinstance(node.parts[0], Node):
+            node = node.parts[0]
+        self._function.assigned.add(node.name)
+
+    def _ternary(self) -> Node:
+        condition = self._binary(0)
+        if self._next.text != "?":
+            return condition
+        question, yes = self._take(), self._expression()
+        return Node("ternary", [condition, question, yes, self._take(":"), self._ternary()], yes.type)
+
+    def _binary(self, level: int) -> Node:
+        if level == len(_LEVELS):
+            return self._unary()
+        left = self._binary(level + 1)
+        while self._next.text in _LEVELS[level]:
+            sign = self._take()
+            right = self._binary(level + 1)
+            type_ = "bool" if level in (0, 1, 2, 6, 7) else _product(sign.text, left.type, right.type)
+            left = Node("binary", [left, sign, right], type_)
+        return left
+
+    def _unary(self) -> Node:
+        if self._next.text in ("-", "+", "!", "~"):
+            sign, operand = self._take(), self._unary()
+            return Node("unary", [sign, operand], operand.type)
+        if self._next.text in ("++", "--"):
+            sign, operand = self._take(), self._unary()
+            self._assign(operand)
+            return Node("step", [operand, replace(sign, before="")], operand.type, sign.before)
+        node = self._primary()
+        while self._next.text in (".", "[", "++", "--"):
+            if self._next.text in ("++", "--"):
+                self._assign(node)
+                node = Node("step", [node, self._take()], node.type)
+            elif self._next.text == "[":
+                type_ = _element(node.type)
+                node = Node("index", [node, self._take(), self._expression(), self._take("]")], type_)
+            else:
+                dot, field_ = self._take(), self._take()
+                if node.type not in VECTORS:
+                    raise self._error(f"{field_.text!r} of a {node.type}")
+                scalar, count = VECTORS[node.type][0], len(field_.text)
+                node = Node("swizzle", [node, dot, field_], _vector(scalar, count), field_.text)
+        return node
+
+    def _primary(self) -> Node:
+        token = self._take()
+        if token.kind == "number":
+            floats = "." in token.text or ("e" in token.text.lower() and "x" not in token.text)
+            kind = "float" if floats else "uint" if token.text.endswith("u") else "int"
+            return Node("number", [token], kind)
+        if token.text == "(":
+            inner = self._expression()
+            return Node("group", [token, inner, self._take(")")], inner.type)
+        if token.text in ("true", "false"):
+            return Node("number", [token], "bool")
+        if token.kind != "name":
+            raise self._error(f"{token.text!r}")
+        if self._next.text == "(":
+            return self._call(token)
+        for scope in reversed(self._scopes):
+            if token.text in scope:
+                return Node("name", [token], scope[token.text], token.text)
+        raise self._error(f"{token.text!r} is not declared")
+
+    def _call(self, name: Token) -> Node:
+        parts: list[Token | Node] = [name, self._take("(")]
+        while self._next.text != ")":
+            parts.append(self._expression())
+            if self._next.text == ",":
+                parts.append(self._take())
+        parts.append(self._take(")"))
+        arguments = [part for part in parts if isinstance(part, Node)]
+        own = SQUARE.get(name.text, name.text)
+        if own in TYPES:
+            return Node("construct", parts, own, own)
+        if name.text in self.functions:
+            function = self.functions[name.text]
+            for argument, (qualifier, _, _) in zip(arguments, function.parameters, strict=False):
+                if qualifier != "in":
+                    self._assign(argument)
+            return Node("call", parts, function.type, name.text)
+        if name.text not in RESULTS:
+            raise self._error(f"the function {name.text}, which is not known")
+        result = RESULTS[name.text]
+        if result == "widest":
+            result = max((each.type for each in arguments), key=lambda kind: kind in VECTORS)
+        return Node("built-in", parts, result, name.text)
+
+
+def _vector(scalar: str, count: int) -> str:
+    if count == 1:
+        return scalar
+    return next(name for name, kind in VECTORS.items() if kind == (scalar, count))
+
+
+def _element(type_: str) -> str:
+    if type_ in MATRICES:
+        return _vector("float", MATRICES[type_][1])
+    return VECTORS[type_][0]
+
+
+def _product(sign: str, left: str, right: str) -> str:
+    """Return the type of an arithmetic expression."""
+    if sign == "*" and left in MATRICES and right in VECTORS:
+        return _vector("float", MATRICES[left][1])
+    if sign == "*" and left in VECTORS and right in MATRICES:
+        return _vector("float", MATRICES[right][0])
+    if sign == "*" and left in MATRICES and right in MATRICES:
+        return f"mat{MATRICES[right][0]}x{MATRICES[left][1]}"
+    return right if right in VECTORS or right in MATRICES else left

@@ -1,0 +1,343 @@
+"""GLSL functions and constants as HLSL, Metal's language and WGSL, with their comments. The tables
+say how types and functions are spelled; what is left of each language is its class."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+from facerender.errors import InputError
+from facerender.glsl.syntax import (
+    MATRICES,
+    SCALARS,
+    VECTORS,
+    Node,
+    Parser,
+    Token,
+    expanded,
+)
+
+
+def translate(lines: Sequence[str], language: str) -> str:
+    """Return lines of GLSL, in which no conditional is left, in another language.
+
+    Parameters
+    ----------
+    lines : functions, constants and macros
+    language : one of LANGUAGES
+
+    Raises
+    ------
+    InputError : samplers, arrays, structures, uniforms, or what else is not translated
+    """
+    parser = Parser(expanded(lines))
+    program = parser.program()
+    writer = LANGUAGES[language](parser)
+    return writer.head + "".join(map(writer.text, program))
+
+
+def _before(part: Token | Node) -> str:
+    """Return the comments and spaces that a part begins with."""
+    return part.before if isinstance(part, Token) else _before(part.parts[0])
+
+
+class Writer:
+    """What the languages share; each node's text begins with the comments before it.
+
+    Attributes
+    ----------
+    head : what a file begins with
+    types, functions : how they are spelled, where otherwise
+    reserved : words that are no names
+    """
+
+    head = ""
+    types: ClassVar[Mapping[str, str]] = {}
+    functions: ClassVar[Mapping[str, str]] = {}
+    reserved: ClassVar[frozenset[str]] = frozenset()
+
+    def __init__(self, parser: Parser) -> None:
+        self._known = parser.functions
+        self._function = ""
+
+    def text(self, part: Token | Node) -> str:
+        if isinstance(part, Token):
+            return part.before + self.word(part.text)
+        write = getattr(self, f"write_{part.kind.replace('-', '_')}", None)
+        return str(write(part)) if write else "".join(map(self.text, part.parts))
+
+    def bare(self, part: Token | Node) -> str:
+        """Return the text of a part without what stands before it."""
+        return self.text(part)[len(_before(part)) :]
+
+    def word(self, word: str) -> str:
+        return self.types.get(word, f"{word}_" if word in self.reserved else word)
+
+    def arguments(self, node: Node) -> list[Node]:
+        return [part for part in node.parts if isinstance(part, Node)]
+
+    def splat(self, type_: str, text: str) -> str:
+        """Return a vector whose components are all one number."""
+        return f"{self.types[type_]}({text})"
+
+    def write_built_in(self, node: Node) -> str:
+        """Numbers among vectors become vectors, but the share that mix and lerp may have."""
+        arguments = self.arguments(node)
+        texts = [self.bare(each) for each in arguments]
+        widest = next((each.type for each in arguments if each.type in VECTORS), "")
+        for i, each in enumerate(arguments):
+            if widest and each.type in SCALARS and not (node.name == "mix" and i == 2):
+                texts[i] = self.splat(widest, texts[i])
+            elif "\n" in _before(each):
+                texts[i] = _before(each) + texts[i]
+        name = "atan2" if node.name == "atan" and len(arguments) == 2 else node.name
+        closing = _before(node.parts[-1])
+        called = self.functions.get(name, name)
+        return f"{_before(node)}{called}({_joined(texts)}{closing})"
+
+    def write_binary(self, node: Node) -> str:
+        left, sign, right = node.parts
+        if isinstance(left, Node) and isinstance(sign, Token) and left.type in VECTORS:
+            if sign.text in ("==", "!="):
+                every = "all" if sign.text == "==" else "any"
+                return f"{_before(node)}{every}({self.bare(left)} {sign.text} {self.bare(right)})"
+        return "".join(map(self.text, node.parts))
+
+
+def _joined(texts: Sequence[str]) -> str:
+    """Join arguments by commas; one that begins on a line of its own stays there."""
+    return "".join(
+        ("," if text[:1] in "\n" else ", ") * bool(i) + text for i, text in enumerate(texts)
+    )
+
+
+_WIDE = {"mix": "lerp", "fract": "frac", "inversesqrt": "rsqrt", "dFdx": "ddx", "dFdy": "ddy"}
+
+
+def _spelled(form: Mapping[str, str], scalars: Mapping[str, str]) -> dict[str, str]:
+    """Return how types are spelled; form : of vectors and of matrices."""
+    vectors = {
+        name: form["vector"].format(scalars[scalar], count) for name, (scalar, count) in VECTORS.items()
+    }
+    matrices = {
+        name: form["matrix"].format(columns, rows) for name, (columns, rows) in MATRICES.items()
+    }
+    squares = {f"mat{n}": matrices[f"mat{n}x{n}"] for n in (2, 3, 4)}
+    return {**scalars, **vectors, **matrices, **squares}
+
+
+class Hlsl(Writer):
+    """A matrix of GLSL's columns is one of rows here, so that [i] and constructors mean the same;
+    products turn round."""
+
+    types = _spelled({"vector": "{}{}", "matrix": "float{}x{}"}, {each: each for each in SCALARS})
+    functions = _WIDE
+    reserved = frozenset(
+        "buffer centroid compile cbuffer discard export fxgroup half line lineadj linear matrix "
+        "namespace noperspective packoffset pass pixelfragment point precise register sample sampler "
+        "shared snorm stateblock string struct technique texture triangle typedef unorm vector volatile "
+        "lit saturate clip mul rcp lerp frac rsqrt ddx ddy".split()
+    )
+
+    def splat(self, type_: str, text: str) -> str:
+        return f"(({self.types[type_]})({text}))"
+
+    def write_constants(self, node: Node) -> str:
+        scope = "" if self._function else "static "
+        return f"{_before(node)}{scope}{self.bare_parts(node)}"
+
+    def bare_parts(self, node: Node) -> str:
+        return "".join(map(self.text, node.parts))[len(_before(node)) :]
+
+    def write_construct(self, node: Node) -> str:
+        arguments = self.arguments(node)
+        if node.name in VECTORS and len(arguments) == 1 and arguments[0].type in SCALARS:
+            return _before(node) + self.splat(node.name, self.bare(arguments[0]))
+        return "".join(map(self.text, node.parts))
+
+    def write_binary(self, node: Node) -> str:
+        left, sign, right = node.parts
+        types = [each.type for each in (left, right) if isinstance(each, Node)]
+        matrices = [each in MATRICES for each in types]
+        numbers = any(each in SCALARS for each in types)
+        if isinstance(sign, Token) and sign.text == "*" and any(matrices) and not numbers:
+            return f"{_before(node)}mul({self.bare(right)}, {self.bare(left)})"
+        return super().write_binary(node)
+
+    def write_function(self, node: Node) -> str:
+        self._function = node.name
+        text = "".join(map(self.text, node.parts))
+        self._function = ""
+        return text
+
+
+class Msl(Hlsl):
+    head = "#include <metal_stdlib>\nusing namespace metal;\n\n"
+    functions: ClassVar[Mapping[str, str]] = {
+        "inversesqrt": "rsqrt",
+        "dFdx": "dfdx",
+        "dFdy": "dfdy",
+    }
+    reserved = frozenset(
+        "access_by atomic_uint char class constant constexpr delete device enum explicit fragment "
+        "friend half kernel long mutable namespace new operator private protected public sampler short "
+        "signed sizeof static struct template this thread threadgroup typedef typename union unsigned "
+        "using vertex virtual volatile mad fma rsqrt select saturate main as_type auto".split()
+    )
+
+    def splat(self, type_: str, text: str) -> str:
+        return f"{self.types[type_]}({text})"
+
+    def write_constants(self, node: Node) -> str:
+        text = self.bare_parts(node)
+        return _before(node) + (text if self._function else text.replace("const ", "constant ", 1))
+
+    def write_binary(self, node: Node) -> str:
+        return Writer.write_binary(self, node)
+
+    def write_in(self, node: Node) -> str:
+        return f"{_before(node)}{self.types[node.type]} {self.word(node.name)}"
+
+    def write_out(self, node: Node) -> str:
+        return f"{_before(node)}thread {self.types[node.type]} &{self.word(node.name)}"
+
+    write_inout = write_out
+
+
+class Wgsl(Writer):
+    types = _spelled(
+        {"vector": "vec{1}{0[0]}", "matrix": "mat{}x{}f"},
+        {"float": "f32", "int": "i32", "uint": "u32", "bool": "bool"},
+    ) | {f"bvec{n}": f"vec{n}<bool>" for n in (2, 3, 4)}
+    functions: ClassVar[Mapping[str, str]] = {
+        "inversesqrt": "inverseSqrt",
+        "dFdx": "dpdx",
+        "dFdy": "dpdy",
+    }
+    reserved = frozenset(
+        "active alias array as async auto await become binding buffer case cast catch class common "
+        "compile const_assert coherent crate default demote delete diagnostic dyn enable enum export "
+        "extends extern external filter final finally fixed fn from get goto half handle highp impl "
+        "implements import inline instanceof interface layout let lowp macro match mediump meta mod "
+        "module move mut mutable namespace new nil noinline null of operator override package "
+        "packoffset pass patch pixelfragment precise precision premerge priv protected ptr pub public "
+        "read ref regardless register requires resource restrict self set shared sizeof smooth snorm "
+        "static std subroutine super switch target template this thread_local throw trait try type "
+        "typedef union unless unorm unsafe use using var varying virtual volatile where with writeonly "
+        "yield select".split()
+    )
+
+    def __init__(self, parser: Parser) -> None:
+        super().__init__(parser)
+        self._pointers: set[str] = set()
+        self._assigned: set[str] = set()
+
+    def write_name(self, node: Node) -> str:
+        name = self.word(node.name)
+        return _before(node) + (f"(*{name})" if node.name in self._pointers else name)
+
+    def write_prototype(self, node: Node) -> str:
+        return _before(node).rstrip(" \n")
+
+    def write_function(self, node: Node) -> str:
+        known = self._known[node.name]
+        self._function = node.name
+        self._pointers = {name for qualifier, _, name in known.parameters if qualifier != "in"}
+        self._assigned = known.assigned
+        parameters, copies = [], []
+        for part in self.arguments(node)[:-1]:
+            name, type_ = self.word(part.name), self.types[part.type]
+            if part.kind != "in":
+                type_ = f"ptr<function, {type_}>"
+            elif part.name in known.assigned:
+                copies.append(f"\n    var {name} = {name}_given;")
+                name += "_given"
+            gap = _before(part)
+            parameters.append(f"{gap if chr(10) in gap else ' ' * bool(parameters)}{name}: {type_}")
+        body = self.text(node.parts[-1])
+        start = body.index("{") + 1
+        gap = _before(node.parts[-2])
+        result = "" if node.type == "void" else f" -> {self.types[node.type]}"
+        self._pointers, self._assigned, self._function = set(), set(), ""
+        head = f"{_before(node)}fn {self.word(node.name)}({','.join(parameters)}{gap}){result}"
+        return head + body[:start] + "".join(copies) + body[start:]
+
+    def write_constants(self, node: Node) -> str:
+        return self.write_variables(node, "let" if self._function else "const")
+
+    def write_variables(self, node: Node, fixed: str = "let") -> str:
+        """One declaration for each variable: of those that get no other value with a fixed word."""
+        texts = []
+        for part in self.arguments(node):
+            value = "".join(map(self.text, part.parts[1:]))
+            word = "var" if part.name in self._assigned or not value else fixed
+            type_ = "" if word == "let" else f": {self.types[part.type]}"
+            texts.append(f"{word} {self.word(part.name)}{type_}{value};")
+        return _before(node) + " ".join(texts)
+
+    def write_ternary(self, node: Node) -> str:
+        condition, _, yes, _, no = (self.bare(part) for part in node.parts)
+        return f"{_before(node)}select({no}, {yes}, {condition})"
+
+    def write_step(self, node: Node) -> str:
+        return (node.name or _before(node)) + self.bare(node.parts[0]) + self.bare(node.parts[1])
+
+    def write_call(self, node: Node) -> str:
+        out = [qualifier != "in" for qualifier, _, _ in self._known[node.name].parameters]
+        texts = []
+        for argument, pointer in zip(self.arguments(node), out, strict=False):
+            text = self.bare(argument)
+            gap = _before(argument)
+            texts.append((gap if "\n" in gap else "") + ("&" * pointer) + text)
+        closing = _before(node.parts[-1])
+        return f"{_before(node)}{self.word(node.name)}({_joined(texts)}{closing})"
+
+    def write_assign(self, node: Node) -> str:
+        target, sign, value = node.parts
+        if not (isinstance(target, Node) and target.kind == "swizzle" and len(target.name) > 1):
+            return "".join(map(self.text, node.parts))
+        if not (isinstance(sign, Token) and isinstance(target.parts[0], Node)):
+            raise InputError("cannot translate an assignment")
+        whole = self.bare(target.parts[0])
+        result = self.bare(value)
+        if sign.text != "=":
+            result = f"{self.bare(target)} {sign.text[:-1]} ({result})"
+        parts = " ".join(
+            f"{whole}.{each} = parts.{'xyzw'[i]};" for i, each in enumerate(target.name)
+        )
+        return f"{_before(node)}{{ let parts = {result}; {parts} }}"
+
+    def write_expression(self, node: Node) -> str:
+        text = self.text(node.parts[0])
+        return text if text.endswith("}") else text + self.text(node.parts[1])
+
+    def _braced(self, part: Token | Node) -> str:
+        if isinstance(part, Token) or part.kind == "block":
+            return self.text(part)
+        gap = _before(part)
+        return f" {{ {self.bare(part)} }}" if "\n" not in gap else f" {{{self.text(part)} }}"
+
+    def write_if(self, node: Node) -> str:
+        parts = node.parts
+        text = "".join(map(self.text, parts[:4])) + self._braced(parts[4])
+        if len(parts) > 5:
+            other = parts[6]
+            chained = isinstance(other, Node) and other.kind == "if"
+            text += self.text(parts[5]) + (self.text(other) if chained else self._braced(other))
+        return text
+
+    def write_for(self, node: Node) -> str:
+        return "".join(map(self.text, node.parts[:-1])) + self._braced(node.parts[-1])
+
+    write_while = write_for
+
+    def write_binary(self, node: Node) -> str:
+        left, sign, right = node.parts
+        if isinstance(sign, Token) and sign.text in ("<<", ">>"):
+            return f"{self.text(left)} {sign.text} u32({self.bare(right)})"
+        if isinstance(sign, Token) and sign.text == "^^":
+            return f"{self.text(left)} !={self.text(right)}"
+        return super().write_binary(node)
+
+
+LANGUAGES: dict[str, type[Writer]] = {"hlsl": Hlsl, "msl": Msl, "wgsl": Wgsl}
