@@ -152,45 +152,44 @@ class _Translated:
     def _fragment(
         self, prelude: str, expressions: Sequence[str], inputs: Mapping[str, int]
     ) -> str | bytes:
+        """inputs : how many components each has"""
         parameters = ", ".join(f"{_VECTOR[count]} {name}" for name, count in inputs.items())
-        body = f"vec4 evaluated({parameters}) {{ return vec4({', '.join(expressions)}); }}\n"
-        text = translated(f"{prelude}\n{body}", self._language)
-        if self._language == "wgsl":
-            buffers = [
-                f"@group(0) @binding({i}) var<storage, read> {name}_values: array<f32>;"
-                for i, name in enumerate(inputs)
-            ]
-            values = [
-                f"vec3f({name}_values[3 * i], {name}_values[3 * i + 1], {name}_values[3 * i + 2])"
-                if count == 3
-                else f"{name}_values[i]"
-                for name, count in inputs.items()
-            ]
-            return "\n".join([text, *buffers, f"""
-@fragment fn main(@builtin(position) place: vec4f) -> @location(0) vec4f {{
-    let i = u32(place.y) * {WIDTH}u + u32(place.x);
-    return evaluated({", ".join(values)});
-}}
-"""])  # fmt: skip
-        buffers = [
-            f"[[vk::binding({i}, 0)]] StructuredBuffer<float> {name}_values;"
-            for i, name in enumerate(inputs)
-        ]
+        body = f"vec4 evaluated({parameters}) {{ return vec4({', '.join(expressions)}); }}"
+        text = translated(f"{prelude}\n{body}\n", self._language)
+        vector, buffer, main = _READING[self._language]
         values = [
-            f"float3({name}_values[3 * i], {name}_values[3 * i + 1], {name}_values[3 * i + 2])"
+            f"{vector}({', '.join(f'{name}_values[3 * i + {k}]' for k in range(3))})"
             if count == 3
             else f"{name}_values[i]"
             for name, count in inputs.items()
         ]
-        return hlsl_compiled("\n".join([text, *buffers, f"""
-float4 main(float4 place : SV_Position) : SV_Target {{
-    uint i = uint(place.y) * {WIDTH} + uint(place.x);
-    return evaluated({", ".join(values)});
-}}
-"""]))  # fmt: skip
+        buffers = [buffer.format(i=i, name=name) for i, name in enumerate(inputs)]
+        code = "\n".join([text, *buffers, main.replace("VALUES", ", ".join(values))])
+        return hlsl_compiled(code) if self._language == "hlsl" else code
 
 
 _VECTOR = {1: "float", 3: "vec3"}
+# Of each language: a vector, a buffer of inputs, and the function that reads them.
+_READING = {
+    "hlsl": (
+        "float3",
+        "[[vk::binding({i}, 0)]] StructuredBuffer<float> {name}_values;",
+        f"""float4 main(float4 place : SV_Position) : SV_Target {{
+    uint i = uint(place.y) * {WIDTH} + uint(place.x);
+    return evaluated(VALUES);
+}}
+""",
+    ),
+    "wgsl": (
+        "vec3f",
+        "@group(0) @binding({i}) var<storage, read> {name}_values: array<f32>;",
+        f"""@fragment fn main(@builtin(position) place: vec4f) -> @location(0) vec4f {{
+    let i = u32(place.y) * {WIDTH}u + u32(place.x);
+    return evaluated(VALUES);
+}}
+""",
+    ),
+}
 
 
 def hlsl_compiled(text: str) -> bytes:
@@ -198,8 +197,19 @@ def hlsl_compiled(text: str) -> bytes:
     with TemporaryDirectory() as folder:
         path, output = Path(folder, "x.frag.hlsl"), Path(folder, "x.spv")
         path.write_text(text, encoding="utf-8")
-        command = ["glslangValidator", "-D", "-V", "-S", "frag", "-e", "main", path, "-o", output]
-        done = subprocess.run(command, capture_output=True, text=True)
+        command: list[str | Path] = [
+            "glslangValidator",
+            "-D",
+            "-V",
+            "-S",
+            "frag",
+            "-e",
+            "main",
+            path,
+            "-o",
+            output,
+        ]
+        done = subprocess.run(["glslangValidator", *options], capture_output=True, text=True)
         if done.returncode or "WARNING" in done.stdout:
             raise RuntimeError(done.stdout)
         return output.read_bytes()
@@ -223,9 +233,7 @@ UNTRANSLATED = ("environment", "scatter", "shadow")  # files with samplers or ar
 def groups_of(target: str) -> tuple[str, ...]:
     """Return the groups of cases that a target has."""
     left_out = tuple(f"fr_{name}" for name in UNTRANSLATED)
-    return tuple(
-        name for name in GROUPS if target in TARGETS or not name.startswith(left_out)
-    )
+    return tuple(name for name in GROUPS if target in TARGETS or not name.startswith(left_out))
 
 
 _here: Evaluate  # in the process of a target
@@ -249,6 +257,7 @@ class Remote:
     """A target's evaluator, at work in a process of its own."""
 
     def __init__(self, target: str) -> None:
+        self.name = target
         self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
         try:
             self.renderer, self.version = self._pool.submit(_open, target).result()

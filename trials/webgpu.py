@@ -39,6 +39,15 @@ class Device:
             f"{info['description']}, wgpu {wgpu.__version__}",
         )
 
+    def compile(self, fragment: str | bytes) -> None:
+        """Translate a shader, and draw nothing.
+
+        Raises
+        ------
+        wgpu.GPUError : it is not valid
+        """
+        self._device.create_shader_module(label="compiled frag", code=fragment)
+
     def draw(
         self,
         fragment: str | bytes,

@@ -28,7 +28,7 @@ def add(shaders: argparse.ArgumentParser) -> None:
     flatten.add_argument(
         "--target",
         choices=(*TARGETS, *LANGUAGES),
-        help="begin with this #version, or in another language; without it: text to include in GLSL",
+        help="begin with this #version, or another language; without it: GLSL to include",
     )
     flatten.add_argument("--lobe", choices=tuple(LOBES), help="leave the others out")
     flatten.add_argument("--m", type=float, help="rms slope, as a constant")

@@ -202,7 +202,9 @@ class Expansion:
         bare = current.guard and not self._guards
         truth = False if current.over else bare or self._truth(directive, rest)
         if truth is None and self._closed:
-            raise InputError(f"cannot decide {line.strip()}: write comparisons of macros, or defined()")
+            raise InputError(
+                f"cannot decide {line.strip()}: write comparisons of macros, or defined()"
+            )
         current.active = truth is not False
         current.over |= truth is True
         current.included = set()
@@ -217,7 +219,11 @@ class Expansion:
         if directive == "else":
             return True
         if directive in ("ifdef", "ifndef"):
-            return (directive == "ifdef") if condition in self._macros else self._undefined(directive == "ifndef")
+            return (
+                (directive == "ifdef")
+                if condition in self._macros
+                else self._undefined(directive == "ifndef")
+            )
         condition = _DEFINED.sub(
             lambda match: f" {match[1]}defined {match[2] or match[3]} ", condition
         )

@@ -14,7 +14,6 @@ from facerender.data import data_dir
 from facerender.errors import InputError
 from facerender.glsl.code import defines, file_of, lobe_macros, term_macros
 from facerender.glsl.includes import Expansion
-from facerender.glsl.translate import translate
 from facerender.shading import SMALL_SLOPE, Term
 from facerender.terms import LOBES, MODELS, AnyLobe, GPower, lobe_entry
 from facerender.terms.entry import Entry
@@ -62,9 +61,9 @@ def shader_source(
         functions, such as "fr_cook_torrance"; or the path of a GLSL file of your own that includes
         files of the library
     target : "330" (OpenGL 3.3), "es300" (OpenGL ES 3.0, WebGL 2) or "vulkan" (GLSL 450): the text
-        begins with this ``#version``, and your code may follow. "hlsl", "msl" or "wgsl": in that
-        language, all choices made, with the defaults where neither a macro of your own file nor lobe
-        nor m makes them. Without: text to include, the same for all versions of GLSL
+        begins with this ``#version``, and your code may follow. "hlsl", "msl" (Metal) or "wgsl":
+        in that language, with all choices made, by macros of your own file, lobe, m, or the
+        defaults. Without: text to include, the same for all versions of GLSL
     lobe : what ``fr_lobe`` and the BRDFs use; others are left out. Without, the host says
         ``#define FR_LOBE``, or gets the exact lobe
     m : rms slope, in the domain of the lobe: the coefficients become constants, and every function
@@ -136,6 +135,8 @@ def _flat(
     ]
     text = "\n".join([*filter(None, head), "", *expansion.lines])
     if target in LANGUAGES:
+        from facerender.glsl.translate import translate
+
         try:
             text = translate(text.split("\n"), target)
         except InputError as error:
@@ -164,6 +165,8 @@ def translated(text: str, language: Language) -> str:
     """Translate GLSL of yours that includes files of the library: functions and constants; what
     neither a macro of the text nor of the library defines is undefined. Errors as in
     :func:`shader_source`."""
+    from facerender.glsl.translate import translate
+
     expansion = Expansion(shader_dir(), closed=True)
     expansion.text(text)
     return translate(expansion.lines, language)

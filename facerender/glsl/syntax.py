@@ -34,11 +34,11 @@ QUALIFIERS = {"const", "in"}
 
 # Built-in functions by the type that they return: a type, that of the widest argument, or None.
 RESULTS = {
-    **dict.fromkeys(
-        "abs sign floor ceil fract sqrt inversesqrt exp exp2 log log2 pow sin cos tan asin acos atan "
-        "min max clamp mix step smoothstep normalize cross reflect dFdx dFdy fwidth".split(),
-        "widest",
-    ),
+    **dict.fromkeys(["abs", "sign", "floor", "ceil", "fract", "min", "max", "clamp"], "widest"),
+    **dict.fromkeys(["sqrt", "inversesqrt", "exp", "exp2", "log", "log2", "pow"], "widest"),
+    **dict.fromkeys(["sin", "cos", "tan", "asin", "acos", "atan"], "widest"),
+    **dict.fromkeys(["mix", "step", "smoothstep", "normalize", "cross", "reflect"], "widest"),
+    **dict.fromkeys(["dFdx", "dFdy", "fwidth"], "widest"),
     **dict.fromkeys(["dot", "length", "distance"], "float"),
     **dict.fromkeys(["any", "all"], "bool"),
 }
@@ -94,7 +94,7 @@ def tokens(text: str) -> list[Token]:
     while at < len(text):
         match = _TOKEN.match(text, at)
         if match is None:
-            raise InputError(f"cannot translate {text[at : at + 20]!r}")
+            raise InputError(f"not translated: {text[at : at + 20]!r}")
         if match.lastgroup == "space":
             before = match[0]
         else:
@@ -112,8 +112,8 @@ class _Macro:
 
 
 def expanded(lines: Sequence[str]) -> list[Token]:
-    """Return the tokens of lines without conditionals, macros replaced; one that is a number becomes
-    a constant declaration where it is defined, and keeps its name."""
+    """Return the tokens of lines without conditionals, macros replaced; a number
+    becomes the declaration of a constant where it is defined."""
     macros: dict[str, _Macro] = {}
     result: list[Token] = []
     chunk: list[str] = []
@@ -130,7 +130,7 @@ def expanded(lines: Sequence[str]) -> list[Token]:
             continue
         directive, rest = match[1], re.sub(r"\s*//.*|/\*.*?\*/", "", match[2]).strip()
         if directive not in ("define", "undef", "line", "version"):
-            raise InputError(f"cannot translate {line.strip()}: take the line out")
+            raise InputError(f"not translated: {line.strip()}: take the line out")
         define = _DEFINE.fullmatch(rest) if directive in ("define", "undef") else None
         if define is None:
             continue
@@ -244,14 +244,16 @@ class Parser:
         return token
 
     def _error(self, what: str) -> InputError:
-        line = "".join(each.before + each.text for each in self._code[max(0, self._at - 12) : self._at])
-        return InputError(f"cannot translate: {what}, behind {' '.join(line.split())[-60:]!r}")
+        line = "".join(
+            each.before + each.text for each in self._code[max(0, self._at - 12) : self._at]
+        )
+        return InputError(f"not translated: {what}; behind {' '.join(line.split())[-60:]!r}")
 
     def _type(self) -> str:
         token = self._take()
         if token.text not in TYPES:
             raise self._error(
-                f"{token.text!r}; only functions and constants of numbers, vectors and matrices can be"
+                f"{token.text!r}; only functions and constants of numbers, vectors and matrices are"
             )
         if self._next.text == "[":
             raise self._error("an array")
@@ -264,7 +266,7 @@ class Parser:
         type_ = "void" if self._next.text == "void" and self._take() else self._type()
         name = self._take()
         if name.kind != "name" or self._next.text != "(":
-            raise self._error(f"{name.text!r}; only functions and constants can be")
+            raise self._error(f"{name.text!r}; only functions and constants are")
         self._take("(")
         parameters: list[Token | Node] = []
         known = Function(type_, [])
@@ -302,6 +304,7 @@ class Parser:
         word = self._next.text
         if word == "{":
             return self._block()
+        parts: list[Token | Node]
         if word == "if":
             parts = [self._take(), self._take("("), self._expression(), self._take(")")]
             parts.append(self._statement())
@@ -315,7 +318,7 @@ class Parser:
             parts.append(self._statement())
             self._scopes.pop()
             return Node("for", parts)
-        if word in ("while",):
+        if word == "while":
             parts = [self._take(), self._take("("), self._expression(), self._take(")")]
             return Node("while", [*parts, self._statement()])
         if word == "return" and self._code[self._at + 1].text != ";":
@@ -366,7 +369,9 @@ class Parser:
         if self._next.text != "?":
             return condition
         question, yes = self._take(), self._expression()
-        return Node("ternary", [condition, question, yes, self._take(":"), self._ternary()], yes.type)
+        return Node(
+            "ternary", [condition, question, yes, self._take(":"), self._ternary()], yes.type
+        )
 
     def _binary(self, level: int) -> Node:
         if level == len(_LEVELS):
@@ -375,7 +380,9 @@ class Parser:
         while self._next.text in _LEVELS[level]:
             sign = self._take()
             right = self._binary(level + 1)
-            type_ = "bool" if level in (0, 1, 2, 6, 7) else _product(sign.text, left.type, right.type)
+            type_ = (
+                "bool" if level in (0, 1, 2, 6, 7) else _product(sign.text, left.type, right.type)
+            )
             left = Node("binary", [left, sign, right], type_)
         return left
 
@@ -394,7 +401,9 @@ class Parser:
                 node = Node("step", [node, self._take()], node.type)
             elif self._next.text == "[":
                 type_ = _element(node.type)
-                node = Node("index", [node, self._take(), self._expression(), self._take("]")], type_)
+                node = Node(
+                    "index", [node, self._take(), self._expression(), self._take("]")], type_
+                )
             else:
                 dot, field_ = self._take(), self._take()
                 if node.type not in VECTORS:

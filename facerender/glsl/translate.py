@@ -3,6 +3,7 @@ say how types and functions are spelled; what is left of each language is its cl
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
@@ -15,6 +16,25 @@ from facerender.glsl.syntax import (
     Parser,
     Token,
     expanded,
+)
+
+# Words of one of the languages at least that GLSL leaves to names.
+_RESERVED = frozenset(
+    re.findall(
+        r"\w+",
+        """alias array as async auto await become binding buffer cast catch char class clip
+        compile constant constexpr crate ddx ddy delete demote device dyn enum explicit
+        export extends extern external final finally fma fn fragment friend from
+        function get half handle impl implements import instanceof interface kernel lerp
+        let line lineadj linear lit loop macro mad match matrix meta mod module move mul
+        mut mutable namespace new nil noinline null of operator override package pass
+        pixelfragment point precise premerge priv private protected ptr pub public rcp
+        read ref regardless register requires resource rsqrt sample sampler saturate
+        select self set shared short signed sizeof snorm static std string super target
+        technique template texture thread threadgroup throw trait triangle try type
+        typedef typename union unless unorm unsafe unsigned use using var vector vertex
+        virtual volatile where with workgroup write yield""",
+    )
 )
 
 
@@ -48,13 +68,11 @@ class Writer:
     ----------
     head : what a file begins with
     types, functions : how they are spelled, where otherwise
-    reserved : words that are no names
     """
 
     head = ""
     types: ClassVar[Mapping[str, str]] = {}
     functions: ClassVar[Mapping[str, str]] = {}
-    reserved: ClassVar[frozenset[str]] = frozenset()
 
     def __init__(self, parser: Parser) -> None:
         self._known = parser.functions
@@ -71,7 +89,7 @@ class Writer:
         return self.text(part)[len(_before(part)) :]
 
     def word(self, word: str) -> str:
-        return self.types.get(word, f"{word}_" if word in self.reserved else word)
+        return self.types.get(word, f"{word}_" if word in _RESERVED else word)
 
     def arguments(self, node: Node) -> list[Node]:
         return [part for part in node.parts if isinstance(part, Node)]
@@ -97,10 +115,9 @@ class Writer:
 
     def write_binary(self, node: Node) -> str:
         left, sign, right = node.parts
-        if isinstance(left, Node) and isinstance(sign, Token) and left.type in VECTORS:
-            if sign.text in ("==", "!="):
-                every = "all" if sign.text == "==" else "any"
-                return f"{_before(node)}{every}({self.bare(left)} {sign.text} {self.bare(right)})"
+        every = {"==": "all", "!=": "any"}.get(self.bare(sign))
+        if every and isinstance(left, Node) and left.type in VECTORS:
+            return f"{_before(node)}{every}({self.bare(left)}{self.text(sign)}{self.text(right)})"
         return "".join(map(self.text, node.parts))
 
 
@@ -111,13 +128,11 @@ def _joined(texts: Sequence[str]) -> str:
     )
 
 
-_WIDE = {"mix": "lerp", "fract": "frac", "inversesqrt": "rsqrt", "dFdx": "ddx", "dFdy": "ddy"}
-
-
 def _spelled(form: Mapping[str, str], scalars: Mapping[str, str]) -> dict[str, str]:
     """Return how types are spelled; form : of vectors and of matrices."""
     vectors = {
-        name: form["vector"].format(scalars[scalar], count) for name, (scalar, count) in VECTORS.items()
+        name: form["vector"].format(scalars[scalar], count)
+        for name, (scalar, count) in VECTORS.items()
     }
     matrices = {
         name: form["matrix"].format(columns, rows) for name, (columns, rows) in MATRICES.items()
@@ -131,23 +146,22 @@ class Hlsl(Writer):
     products turn round."""
 
     types = _spelled({"vector": "{}{}", "matrix": "float{}x{}"}, {each: each for each in SCALARS})
-    functions = _WIDE
-    reserved = frozenset(
-        "buffer centroid compile cbuffer discard export fxgroup half line lineadj linear matrix "
-        "namespace noperspective packoffset pass pixelfragment point precise register sample sampler "
-        "shared snorm stateblock string struct technique texture triangle typedef unorm vector volatile "
-        "lit saturate clip mul rcp lerp frac rsqrt ddx ddy".split()
-    )
+    functions: ClassVar[Mapping[str, str]] = {
+        "mix": "lerp",
+        "fract": "frac",
+        "inversesqrt": "rsqrt",
+        "dFdx": "ddx",
+        "dFdy": "ddy",
+    }
 
     def splat(self, type_: str, text: str) -> str:
         return f"(({self.types[type_]})({text}))"
 
-    def write_constants(self, node: Node) -> str:
-        scope = "" if self._function else "static "
-        return f"{_before(node)}{scope}{self.bare_parts(node)}"
+    constant: ClassVar[str] = "static const "
 
-    def bare_parts(self, node: Node) -> str:
-        return "".join(map(self.text, node.parts))[len(_before(node)) :]
+    def write_constants(self, node: Node) -> str:
+        text = "".join(map(self.text, node.parts))
+        return text if self._function else text.replace("const ", self.constant, 1)
 
     def write_construct(self, node: Node) -> str:
         arguments = self.arguments(node)
@@ -172,25 +186,16 @@ class Hlsl(Writer):
 
 
 class Msl(Hlsl):
+    constant = "constant "
     head = "#include <metal_stdlib>\nusing namespace metal;\n\n"
     functions: ClassVar[Mapping[str, str]] = {
         "inversesqrt": "rsqrt",
         "dFdx": "dfdx",
         "dFdy": "dfdy",
     }
-    reserved = frozenset(
-        "access_by atomic_uint char class constant constexpr delete device enum explicit fragment "
-        "friend half kernel long mutable namespace new operator private protected public sampler short "
-        "signed sizeof static struct template this thread threadgroup typedef typename union unsigned "
-        "using vertex virtual volatile mad fma rsqrt select saturate main as_type auto".split()
-    )
 
     def splat(self, type_: str, text: str) -> str:
         return f"{self.types[type_]}({text})"
-
-    def write_constants(self, node: Node) -> str:
-        text = self.bare_parts(node)
-        return _before(node) + (text if self._function else text.replace("const ", "constant ", 1))
 
     def write_binary(self, node: Node) -> str:
         return Writer.write_binary(self, node)
@@ -214,18 +219,6 @@ class Wgsl(Writer):
         "dFdx": "dpdx",
         "dFdy": "dpdy",
     }
-    reserved = frozenset(
-        "active alias array as async auto await become binding buffer case cast catch class common "
-        "compile const_assert coherent crate default demote delete diagnostic dyn enable enum export "
-        "extends extern external filter final finally fixed fn from get goto half handle highp impl "
-        "implements import inline instanceof interface layout let lowp macro match mediump meta mod "
-        "module move mut mutable namespace new nil noinline null of operator override package "
-        "packoffset pass patch pixelfragment precise precision premerge priv protected ptr pub public "
-        "read ref regardless register requires resource restrict self set shared sizeof smooth snorm "
-        "static std subroutine super switch target template this thread_local throw trait try type "
-        "typedef union unless unorm unsafe use using var varying virtual volatile where with writeonly "
-        "yield select".split()
-    )
 
     def __init__(self, parser: Parser) -> None:
         super().__init__(parser)
@@ -244,7 +237,8 @@ class Wgsl(Writer):
         self._function = node.name
         self._pointers = {name for qualifier, _, name in known.parameters if qualifier != "in"}
         self._assigned = known.assigned
-        parameters, copies = [], []
+        parameters: list[str] = []
+        copies = []
         for part in self.arguments(node)[:-1]:
             name, type_ = self.word(part.name), self.types[part.type]
             if part.kind != "in":

@@ -1,0 +1,167 @@
+"""The library in HLSL, WGSL and Metal's language: translated, compiled and run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+import facerender as fr
+from facerender import InputError
+from facerender.drawing.context import Backend, create_context
+from facerender.drawing.evaluate import Evaluator
+from facerender.glsl import library as glsl
+from tests.conftest import missing, require_module
+from tests.test_glsl import CHOICES
+from trials import metal
+from trials.cases import cases_of, evaluated
+from trials.hosts import CHOICES as SCENES
+from trials.hosts import SCENE, SIZE, desktop
+from trials.targets import TRANSLATED, UNTRANSLATED, Remote, groups_of, hlsl_compiled
+
+# Every file, and some of those with their choices made.
+TEXTS = [each for each in CHOICES if each[0] not in UNTRANSLATED]
+TEXTS = [each for i, each in enumerate(TEXTS) if each[1:] == (None, None) or i % 4 == 0]
+MAIN = {
+    "hlsl": "float4 main() : SV_Target { return 0; }",
+    "wgsl": "@fragment fn main() -> @location(0) vec4f { return vec4f(); }",
+}
+# What the library has, and what it does not have today.
+PLAIN = """
+#define TWICE(x) (2.0 * (x))
+#define HALF 0.5
+#if HALF_OF_IT
+float never(float x) { return unknown(x); }
+#endif
+void both(float x, out float sum, inout vec2 kept) { sum = x + kept.x; kept *= 2.0; }
+
+float walked(float c, vec3 n, int count) {
+    float total = HALF, other;  // two in one
+    for (int i = 0; i < count; ++i) {
+        if (i == 2) continue;
+        else if (i > 5) break;
+        total += float(i) * c;
+        n.xy = n.yx * -1.0;
+        n.z += i % 2 == 0 ? 0.25 : TWICE(0.25) - 0.125;
+    }
+    vec2 kept = vec2(c, 1.0);
+    both(c, other, kept);
+    const mat2 turn = mat2(0.6, 0.8, -0.8, 0.6);
+    vec2 turned = turn * kept + n.xy * turn;
+    bool same = kept == vec2(2.0 * c, 2.0);
+    c = atan(turned.y, turned.x) + dot(max(n, 0.0), clamp(n, 0.0, 1.0));
+    return mix(total + other, c, same ? 0.25 : 1.0) + mix(n, vec3(1.0), 0.5).z + length(turned);
+}
+"""
+
+
+@pytest.fixture(scope="module", params=TRANSLATED)
+def target(request: pytest.FixtureRequest) -> Iterator[Remote]:
+    require_module("wgpu")
+    with Remote(request.param) as remote:
+        yield remote
+
+
+def test_functions_agree_with_float64(target):
+    told = []
+    for group in groups_of(target.name):
+        cases = cases_of(group)
+        results = evaluated(cases, target)
+        faults = {name: case.fault(results[name]) for name, case in cases.items()}
+        told += [f"{name}: {fault}" for name, fault in faults.items() if fault]
+    if told:
+        pytest.fail("\n".join(told), pytrace=False)
+
+
+def test_plain_glsl_means_the_same(target, egl: Backend):
+    random = np.random.default_rng(2)
+    inputs = {"c": random.random(500, np.float32), "n": random.random((500, 3), np.float32) - 0.5}
+    calls = [f"walked(c, n, {count})" for count in (0, 1, 4, 9)]
+    evaluator = Evaluator(create_context(egl).gl)
+    expected = evaluator.each(f"#define HALF_OF_IT 0\n{PLAIN}", calls, inputs)
+    evaluator.release()
+    result = target.each(PLAIN, calls, inputs)
+    np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("language", MAIN)
+def test_every_file_and_choice_compiles_without_a_warning(language):
+    require_module("wgpu")
+    from trials.webgpu import Device
+
+    device = Device()
+    for name, lobe, m in TEXTS:
+        text = f"{fr.shader_source(name, language, lobe=lobe, m=m)}\n{MAIN[language]}\n"
+        device.compile(hlsl_compiled(text) if language == "hlsl" else text)
+
+
+def test_metal_compiles_as_cpp_and_draws_what_opengl_does(egl):
+    scenes = [f"{macros}{SCENE}" for macros in SCENES.values()]
+    texts = [fr.shader_source(name, "msl", lobe=lobe, m=m) for name, lobe, m in TEXTS]
+    try:
+        images = metal.drawn(texts, [glsl.translated(scene, "msl") for scene in scenes], SIZE)
+    except FileNotFoundError:
+        missing("no g++")
+    for image, expected in zip(images, desktop(scenes)[1], strict=True):
+        assert np.abs(image - expected).max() < 1e-6 * expected.max()
+
+
+@pytest.mark.parametrize("language", glsl.LANGUAGES)
+def test_translations_are_readable(language):
+    """Every header and comment, every function, and nothing of GLSL's."""
+    source, text = fr.shader_source("cook_torrance"), fr.shader_source("cook_torrance", language)
+    header, _ = (fr.shader_dir() / "facerender/cook_torrance.glsl").read_text().split("\n#", 1)
+    assert header in text
+    assert "// keeps its length: V.H = |h|/2" in text
+    for name in re.findall(r"^float (fr_cook\w+|fr_lobe_exact)\(", source, re.MULTILINE):
+        assert re.search(rf"^(float|fn) {name}\(", text, re.MULTILINE)
+    code = re.sub(r"//.*", "", text)
+    assert not re.search(r"#(if|define)|\b(vec[234]\(|mix|inversesqrt|highp)\b", code)
+    assert ("select(" in code) == (language == "wgsl")
+    assert max(map(len, code.split("\n"))) <= 110
+
+
+@pytest.mark.parametrize("language", glsl.LANGUAGES)
+def test_the_choices_of_a_file_of_ones_own_count(language, tmp_path):
+    own = tmp_path / "own.glsl"
+    own.write_text(
+        "#define FR_LOBE FR_LOBE_D8\n#define FR_MASKING FR_MASKING_NONE\n"
+        '#include "facerender/cook_torrance.glsl"\n'
+        "float mine(vec3 n) { return fr_cook_torrance(n, n, n, 0.3, 0.028); }\n"
+    )
+    text = fr.shader_source(str(own), language)
+    assert "fr_lobe_exact" not in text
+    assert "f0, FR_LOBE_D8, FR_FRESNEL_SCHLICK, FR_MASKING_NONE)" in text
+    assert "mine(" in text
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("uniform float x;\n", "'uniform'; only functions and constants"),
+        ("float f(sampler2D map) { return 0.0; }\n", "'sampler2D'; only functions and constants"),
+        ("float f(float[3] x) { return x[0]; }\n", "an array"),
+        ("float f(float x) { return y; }\n", "'y' is not declared"),
+        ("float f(float x) { return noise1(x); }\n", "the function noise1, which is not known"),
+        ("float f(float x) { return x }\n", "; is missing before '}'"),
+        ("float f(float x) { return x.y; }\n", "'y' of a float"),
+        ("#extension GL_X : require\n", "not translated: #extension GL_X"),
+        ("#if (X)\n#endif\n", "cannot decide #if (X)"),
+        ("float f() { return 1.0; @ }\n", "not translated: '@"),
+    ],
+)  # fmt: skip
+def test_what_is_not_translated_is_said(text, told, tmp_path):
+    own = tmp_path / "own.glsl"
+    own.write_text(text)
+    with pytest.raises(InputError, match=re.escape(told)) as caught:
+        fr.shader_source(str(own), "wgsl")
+    assert str(caught.value).startswith(f"{own} in WGSL: ") or "#if" in text
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", UNTRANSLATED)
+def test_files_with_samplers_are_for_glsl(name):
+    with pytest.raises(InputError, match=f"{name} in HLSL: not translated"):
+        fr.shader_source(name, "hlsl")

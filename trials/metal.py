@@ -1,0 +1,71 @@
+"""Metal's language without Apple's compiler: it is C++14 with vectors, and glm has those, so that
+g++ compiles it and a processor runs it. What is not Metal's but C++'s passes here."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+_LIBRARY = """#pragma once
+#define GLM_FORCE_SWIZZLE
+#include <glm/glm.hpp>
+#include <cmath>
+#define constant static const
+#define thread
+namespace metal {
+using namespace glm;
+using float2 = vec2; using float3 = vec3; using float4 = vec4;
+using int2 = ivec2; using int3 = ivec3; using int4 = ivec4;
+using float2x2 = mat2x2; using float2x3 = mat2x3; using float2x4 = mat2x4; using float3x3 = mat3x3;
+inline float rsqrt(float x) { return 1.0f / std::sqrt(x); }
+using std::atan2;
+}
+"""
+# Its literals are floats.
+_FLAGS = ["-std=c++14", "-fsingle-precision-constant", "-Wall", "-Werror"]
+_FLAGS += ["-Wno-unused", "-Wno-unused-const-variable"]
+
+
+def drawn(texts: Sequence[str], scenes: Sequence[str], size: int) -> list[NDArray[np.float32]]:
+    """Compile texts, and return what scenes draw, (size, size, 4) each, by their function
+    ``float4 drawn(float2 pixel)``.
+
+    Raises
+    ------
+    FileNotFoundError : no g++
+    RuntimeError : an error or a warning, with the compiler's words
+    """
+    names = [f"scene{i}" for i in range(len(scenes))]
+    names += [f"text{i}" for i in range(len(texts))]
+    parts = [
+        f"namespace {name} {{\n{text}\n}}\n"
+        for name, text in zip(names, [*scenes, *texts], strict=True)
+    ]
+    calls = "".join(f"draw({name}::drawn);" for name in names[: len(scenes)])
+    main = f"""#include <cstdio>
+void draw(glm::vec4 (*drawn)(glm::vec2)) {{
+    for (int y = 0; y < {size}; ++y) for (int x = 0; x < {size}; ++x) {{
+        glm::vec4 pixel = drawn(glm::vec2(x + 0.5f, y + 0.5f));
+        std::fwrite(&pixel[0], 4, 4, stdout);
+    }}
+}}
+int main() {{ {calls} }}
+"""
+    with TemporaryDirectory() as folder:
+        Path(folder, "metal_stdlib").write_text(_LIBRARY, encoding="utf-8")
+        source, program = Path(folder, "all.cpp"), Path(folder, "all")
+        swizzled = re.sub(r"\.([xyzw]{2,4})\b", r".\1()", "".join(parts))  # functions of glm's
+        text = f"#include <metal_stdlib>\n{swizzled}{main}"
+        source.write_text(text, encoding="utf-8")
+        command: list[str | Path] = ["g++", *_FLAGS, "-I", folder, source, "-o", program]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode:
+            raise RuntimeError(done.stderr)
+        data = subprocess.run([program], capture_output=True, check=True).stdout
+    return list(np.frombuffer(data, np.float32).reshape(-1, size, size, 4))
