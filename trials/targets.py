@@ -197,18 +197,7 @@ def hlsl_compiled(text: str) -> bytes:
     with TemporaryDirectory() as folder:
         path, output = Path(folder, "x.frag.hlsl"), Path(folder, "x.spv")
         path.write_text(text, encoding="utf-8")
-        command: list[str | Path] = [
-            "glslangValidator",
-            "-D",
-            "-V",
-            "-S",
-            "frag",
-            "-e",
-            "main",
-            path,
-            "-o",
-            output,
-        ]
+        options = ["-D", "-V", "-S", "frag", "-e", "main", "-o", str(output), str(path)]
         done = subprocess.run(["glslangValidator", *options], capture_output=True, text=True)
         if done.returncode or "WARNING" in done.stdout:
             raise RuntimeError(done.stdout)
