@@ -88,7 +88,12 @@ def check_sphere(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("script", "package"), [("moderngl_minimal", "moderngl"), ("pyopengl_include", "OpenGL")]
+    ("script", "package"),
+    [
+        ("moderngl_minimal", "moderngl"),
+        ("pyopengl_include", "OpenGL"),
+        ("panda3d_sphere", "panda3d"),
+    ],
 )
 def test_script_agrees_with_float64(egl: Backend, tmp_path: Path, script: str, package: str):
     require_package(package)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from facerender import brdf
 from tests.conftest import missing, node_tool, require_module
-from trials.hosts import CHOICES, ENGINES, HOSTS, SCENE, desktop, draw
+from trials.hosts import CHOICES, ENGINES, HOSTS, SCENE, desktop, draw, served
 
+ROOT = Path(__file__).parents[1]
 MODULES = {"naga": "wgpu", "glslc": "wgpu", "vispy": "vispy", "Panda3D": "panda3d"}
 SCENES = [f"{macros}{SCENE}" for macros in CHOICES.values()]
 OFFLINE = re.compile("ENOTFOUND|EAI_AGAIN|ECONNREFUSED|ETIMEDOUT|ENETUNREACH")
@@ -23,7 +27,7 @@ OFFLINE = re.compile("ENOTFOUND|EAI_AGAIN|ECONNREFUSED|ETIMEDOUT|ENETUNREACH")
 def engines(tmp_path_factory) -> Path:
     """Folder where the engines of the web are installed."""
     folder = tmp_path_factory.mktemp("engines")
-    for path in (Path(__file__).parents[1] / "trials/engines").glob("[.p]*[cn]"):
+    for path in (ROOT / "trials/engines").glob("[.p]*[cn]"):
         shutil.copy(path, folder)
     npm = [
         node_tool("npm"),
@@ -76,3 +80,50 @@ def test_hosts_draw_what_opengl_does(host, expected):
 def test_engines_of_the_web_draw_what_opengl_does(host, expected, engines, browser):
     _, images = draw(host, SCENES, engines)
     check(images, expected)
+
+
+@pytest.fixture(scope="module")
+def page(engines, browser, tmp_path_factory):
+    """The example for Babylon.js, which must have nothing to say in the console."""
+    folder = tmp_path_factory.mktemp("babylonjs")
+    example = ROOT / "examples/babylonjs"
+    for path in example.glob("*.[hj]*"):
+        shutil.copy(path, folder)
+    versions = [json.loads(path.read_text())["dependencies"]["babylonjs"]
+                for path in (folder / "package.json", engines / "package.json")]  # fmt: skip
+    assert versions[0] == versions[1], "what is installed is what the example asks for"
+    (folder / "node_modules").mkdir()
+    (folder / "node_modules/babylonjs").symlink_to(engines / "node_modules/babylonjs")
+    package = folder / "node_modules/facerender-shaders"
+    subprocess.run([sys.executable, ROOT / "tools/npm-package", "-o", package], check=True)
+    with served(folder) as address:
+        page = browser.new_page(viewport={"width": 600, "height": 600})
+        said = []
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.goto(address)
+        page.wait_for_function("window.probe")
+        yield page
+        page.close()
+    assert [text for text in said if "Babylon.js v" not in text and "ReadPixels" not in text] == []
+
+
+@pytest.mark.parametrize("lobe", ["exact", "d16", "fitted"])
+def test_highlights_of_the_babylonjs_example_are_the_float64_brdf(page, lobe):
+    page.select_option("#lobe", lobe)
+    brightest = 0.0
+    for x, y in [(225, 210), (260, 200), (300, 250), (420, 250), (460, 240)]:
+        found = page.evaluate("at => probe(...at)", [x, y])
+        n, place = np.array(found["normal"]), np.array(found["place"])
+        assert np.linalg.norm(place) == pytest.approx(1.0, abs=2e-3)
+        eye = np.array(found["eye"]) - place
+        v = eye / np.linalg.norm(eye)
+        expected = sum(
+            np.array(light["irradiance"])
+            * max(n @ light["towards"], 0.0)
+            * brdf.cook_torrance(n, np.array(light["towards"]), v, 0.3, 0.028, lobe=lobe)
+            for light in found["lights"]
+        )
+        np.testing.assert_allclose(found["specular"], expected, rtol=1e-3, atol=1e-6)
+        brightest = max(brightest, expected.max())
+    assert brightest > 0.1

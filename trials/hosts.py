@@ -11,8 +11,9 @@ import os
 import shutil
 import subprocess
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -214,25 +215,31 @@ class _Quiet(SimpleHTTPRequestHandler):
         pass
 
 
+@contextmanager
+def served(folder: Path) -> Iterator[str]:
+    """The address of a folder, while it is served."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=folder))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_address[1]}/"
+    server.shutdown()
+    server.server_close()
+
+
 def _engine(name: str, folder: Path, scenes: Sequence[str]) -> Drawn:
     """An engine of the web, installed by npm in a folder, in Chromium."""
     from playwright.sync_api import sync_playwright
 
     from trials import chromium
 
-    handler = partial(_Quiet, directory=folder)
-    server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
     script = (_ENGINES / f"{name}.js").read_text(encoding="utf-8")
     main = _MAIN.replace("result", "gl_FragColor")
-    with sync_playwright() as playwright:
+    with served(folder) as address, sync_playwright() as playwright:
         browser = chromium.launch(playwright)
         page = browser.new_page()
-        page.goto(f"http://127.0.0.1:{server.server_address[1]}/package.json")
+        page.goto(f"{address}package.json")
         call = {"fragments": [_flat(scene) + main for scene in scenes], "size": SIZE}
         version, images = page.evaluate(script, call)
         browser.close()
-    server.shutdown()
     return version, [_image(base64.b64decode(data)) for data in images]
 
 
