@@ -23,16 +23,24 @@ The first part is how to use it in a program of yours, the second every function
 
 ## In your program
 
-Files include each other as `"facerender/cook_torrance.glsl"`, below one include root. They need
-nothing but the language: GLSL 330, GLSL ES 300 (WebGL 2), or GLSL 450 for Vulkan, no uniforms, no
-host code. Where your host has no include, flatten:
+Your code includes `"facerender/cook_torrance.glsl"`, below one include root; the files include each
+other beside the includer. They need nothing but the language: GLSL 330, GLSL ES 300 (WebGL 2), or
+GLSL 450 for Vulkan, no uniforms, no host code. Where your host has no include, or another language,
+flatten:
 
 ```
-facerender shaders flatten cook_torrance                         text to include, for all targets
+facerender shaders flatten cook_torrance                         text to include, for all of GLSL
 facerender shaders flatten cook_torrance --target es300          begins with #version 300 es
 facerender shaders flatten ward --lobe d16 --m 0.3               one lobe, one slope: constants
 facerender shaders flatten mine.frag --target vulkan             your own file, includes resolved
+facerender shaders flatten cook_torrance --target hlsl           HLSL; or msl (Metal), wgsl (WebGPU)
 ```
+
+HLSL, Metal's language and WGSL are translated from the same files, with their headers and
+comments: functions and constants of numbers, vectors and matrices, of the library and of a file of
+your own that includes it; what has samplers or arrays (environment, shadow, scatter) is refused.
+They know no choices: all are made, by macros of your file, `--lobe` and `--m`, or the defaults, and
+macros that are numbers become constants.
 
 Choices are macros, said before the include (or given to `flatten`):
 
@@ -49,6 +57,9 @@ Choices are macros, said before the include (or given to `flatten`):
 (2/m^2 - k)/FR_G |
 | FR_FITTED_COEFFICIENTS(m, k) | a vec3 | computed from m |
 | FR_FITTED_FINE_COEFFICIENTS(m, k) | a vec4 | computed from m |
+
+Preprocessors that compare macros as text, Babylon.js's and PlayCanvas's, need the number of a
+lobe: `#define FR_LOBE 16`; a name fails to compile, with a message that has the numbers.
 
 For several kinds of lobes in one program, or lights with terms of their own,
 `#define FR_LOBE FR_LOBE_EVERY` and name the terms call by call, as constants, which the compiler
@@ -74,7 +85,51 @@ after the include.
 | C, C++ | flatten in the build; or install, see below | [c_egl](../examples/c_egl) |
 | three.js, WebGL 2 | `make npm`: a package of ES modules, one string for each file | \
 [threejs](../examples/threejs) |
+| Babylon.js | `make npm`; the strings go into a shader as they are | \
+[babylonjs](../examples/babylonjs) |
+| PlayCanvas | `make npm`; the strings go into a shader's `fragmentGLSL` as they are | |
+| Panda3D | `facerender.resolve_includes(text)`: its own includes end at the first file | \
+[panda3d_sphere.py](../examples/panda3d_sphere.py) |
+| vispy, pyglet | `facerender.resolve_includes(text)`, or flatten | |
+| wgpu, pygfx | `--target wgsl`; or GLSL by `--target vulkan` | |
+| Qt | qsb includes the folder `facerender` from beside your shader, with `#extension \
+GL_GOOGLE_include_directive : require`; or `--target vulkan` | |
 | Vulkan | an include path for the compiler, see below, or `--target vulkan` | |
+| Direct3D, Unity, Unreal | `--target hlsl` | |
+| Metal | `--target msl` | |
+
+`tests/test_hosts.py` draws with naga, glslc, Qt's qsb, vispy, Panda3D, Babylon.js and PlayCanvas what
+OpenGL draws, within 1e-6 of the largest value.
+
+A roughness r of glTF, Unreal, three.js, Babylon.js or PlayCanvas is m = r^2: their alpha is r^2 (Burley
+2012, "Physically-based shading at Disney"; glTF 2.0, appendix B), and the width alpha of GGX and that
+of Beckmann's distribution, which is m, stand for the same peak 1/(pi alpha^2) (Walter et al. 2007).
+GGX has longer tails: the same r looks tighter here.
+
+In three.js, `BRDF_GGX` is in 1/sr without N.L, as `fr_cook_torrance` is, so that one may stand for the
+other, and roughness, its map, specular colour and all of MeshPhysicalMaterial around it stay:
+
+```js
+import { MeshStandardMaterial, ShaderChunk } from "three";
+import { cookTorrance } from "facerender-shaders";
+
+const skin = `${cookTorrance}
+vec3 BRDF_GGX(const in vec3 lightDir, const in vec3 viewDir, const in vec3 normal,
+              const in PhysicalMaterial material) {
+  float m = material.roughness * material.roughness;
+  vec3 f0 = material.specularColorBlended;
+  return vec3(fr_cook_torrance(normal, lightDir, viewDir, m, f0.r),
+              fr_cook_torrance(normal, lightDir, viewDir, m, f0.g),
+              fr_cook_torrance(normal, lightDir, viewDir, m, f0.b));
+}
+vec3 BRDF_GGX_of_three(`;
+const material = new MeshStandardMaterial();
+material.onBeforeCompile = (shader) => {
+  const chunk = "lights_physical_pars_fragment";
+  const physical = ShaderChunk[chunk].replace("vec3 BRDF_GGX(", () => skin);
+  shader.fragmentShader = shader.fragmentShader.replace(`#include <${chunk}>`, () => physical);
+};
+```
 
 `make install-shaders PREFIX=/usr/local` installs the files for C and C++: `pkg-config
 --variable=shaderdir facerender-shaders` prints the include root, and in CMake
