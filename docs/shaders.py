@@ -98,16 +98,17 @@ GL_GOOGLE_include_directive : require`; or `--target vulkan` | |
 | Direct3D, Unity, Unreal | `--target hlsl` | |
 | Metal | `--target msl` | |
 
-`tests/test_hosts.py` draws with naga, glslc, Qt's qsb, vispy, Panda3D, Babylon.js and PlayCanvas what
-OpenGL draws, within 1e-6 of the largest value.
+`tests/test_hosts.py` draws with naga, glslc, Qt's qsb, vispy, Panda3D, Babylon.js and PlayCanvas
+what OpenGL draws, within 1e-6 of the largest value.
 
-A roughness r of glTF, Unreal, three.js, Babylon.js or PlayCanvas is m = r^2: their alpha is r^2 (Burley
-2012, "Physically-based shading at Disney"; glTF 2.0, appendix B), and the width alpha of GGX and that
-of Beckmann's distribution, which is m, stand for the same peak 1/(pi alpha^2) (Walter et al. 2007).
-GGX has longer tails: the same r looks tighter here.
+A roughness r of glTF, Unreal, three.js, Babylon.js or PlayCanvas is m = r^2: their alpha is r^2
+(Burley 2012, "Physically-based shading at Disney"; glTF 2.0, appendix B), and the width alpha of
+GGX and that of Beckmann's distribution, which is m, stand for the same peak 1/(pi alpha^2) (Walter
+et al. 2007). GGX has longer tails: the same r looks tighter here.
 
-In three.js, `BRDF_GGX` is in 1/sr without N.L, as `fr_cook_torrance` is, so that one may stand for the
-other, and roughness, its map, specular colour and all of MeshPhysicalMaterial around it stay:
+In three.js, `BRDF_GGX` is in 1/sr without N.L, as `fr_cook_torrance` is, so that one may stand for
+the other, and roughness, its map, specular colour and all of MeshPhysicalMaterial around it stay.
+What multiplies it to make up for light that GGX loses goes:
 
 ```js
 import { MeshStandardMaterial, ShaderChunk } from "three";
@@ -126,7 +127,9 @@ vec3 BRDF_GGX_of_three(`;
 const material = new MeshStandardMaterial();
 material.onBeforeCompile = (shader) => {
   const chunk = "lights_physical_pars_fragment";
-  const physical = ShaderChunk[chunk].replace("vec3 BRDF_GGX(", () => skin);
+  const physical = ShaderChunk[chunk]
+    .replace("vec3 BRDF_GGX(", () => skin)
+    .replace("* material.multiScatteringCompensation", "");
   shader.fragmentShader = shader.fragmentShader.replace(`#include <${chunk}>`, () => physical);
 };
 ```

@@ -127,3 +127,51 @@ def test_highlights_of_the_babylonjs_example_are_the_float64_brdf(page, lobe):
         np.testing.assert_allclose(found["specular"], expected, rtol=1e-3, atol=1e-6)
         brightest = max(brightest, expected.max())
     assert brightest > 0.1
+
+
+def test_three_js_draws_with_the_brdf_of_docs_shaders_md(engines, browser, tmp_path):
+    """The snippet as it stands there: a surface seen along its normal, in one light."""
+    document = (ROOT / "docs/shaders.md").read_text(encoding="utf-8")
+    snippet = re.search(r"```js\n(.*?)```", document, re.DOTALL)[1]
+    package = tmp_path / "node_modules/facerender-shaders"
+    subprocess.run([sys.executable, ROOT / "tools/npm-package", "-o", package], check=True)
+    (tmp_path / "node_modules/three").symlink_to(engines / "node_modules/three")
+    names = {
+        "three": "./node_modules/three/build/three.module.js",
+        "facerender-shaders": "./node_modules/facerender-shaders/index.js",
+    }
+    light = np.array([1.0, 2.0, 4.0])
+    (tmp_path / "index.html").write_text(
+        f"""<!doctype html><link rel="icon" href="data:,">
+        <script type="importmap">{json.dumps({"imports": names})}</script>
+        <script type="module">
+        import * as THREE from "three";
+        {snippet}
+        material.setValues({{ color: 0, roughness: 0.6, metalness: 0 }});
+        const scene = new THREE.Scene();
+        const light = new THREE.DirectionalLight(0xffffff, 1);
+        light.position.set({", ".join(map(str, light))});
+        scene.add(light, new THREE.Mesh(new THREE.PlaneGeometry(4, 4), material));
+        const camera = new THREE.OrthographicCamera(-1, 1, 1, -1);
+        camera.position.z = 1;
+        const renderer = new THREE.WebGLRenderer();
+        const target = new THREE.WebGLRenderTarget(1, 1, {{ type: THREE.FloatType }});
+        renderer.setRenderTarget(target);
+        renderer.render(scene, camera);
+        const pixel = new Float32Array(4);
+        renderer.readRenderTargetPixels(target, 0, 0, 1, 1, pixel);
+        window.pixel = [...pixel];
+        </script>"""
+    )
+    with served(tmp_path) as address:
+        page = browser.new_page()
+        said = []
+        page.on("console", lambda message: said.append(message.text))
+        page.goto(address)
+        drawn = page.wait_for_function("window.pixel").json_value()
+        page.close()
+    n, l = np.array([0.0, 0.0, 1.0]), light / np.linalg.norm(light)
+    expected = brdf.cook_torrance(n, l, n, 0.6**2, 0.04) * (n @ l)
+    assert expected > 1e-3
+    np.testing.assert_allclose(drawn[:3], expected, rtol=1e-5)
+    assert not [text for text in said if "ReadPixels" not in text]
