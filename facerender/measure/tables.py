@@ -17,7 +17,8 @@ ERRORS = {
     "lobe": "largest error of the lobe, % of its peak",
 }
 NOT_MEASURED = "not measured"
-_LEFT = ("variant", "lobe", "remark")  # columns of words, not of numbers
+IMPORT_HEAD = ("GPU", "mesh", "picture", "clock", "shading", "ms", "middle half, ms")
+_LEFT = ("variant", "lobe", "remark", *IMPORT_HEAD[:5])  # columns of words, not of numbers
 _EXTRA = {
     "term_ns": ("95 % interval", "lobe alone, ns"),
     "frame_ms": ("95 % interval",),
@@ -188,6 +189,30 @@ def skin_table(measurement: Measurement) -> Table:
         "Parts of skin: {} x {}".format(*measurement.settings.size),
         "Frames over the part's first setting; errors of the displayed image against its last.",
         SKIN_HEAD,
+        rows,
+    )
+
+
+def import_table(measurement: Measurement) -> Table:
+    """Return what pictures cost on other GPUs; without rows where nothing was imported."""
+    rows = []
+    for each in measurement.imports:
+        picture = "{} x {}, {} samples".format(*each.size, each.samples)
+        apart = each.difference
+        unsure = apart.low <= 0.0 <= apart.high
+        costs = {
+            "without highlights": (each.base, _number(each.base.median)),
+            f"A: {each.shadings['a']}": (each.a, _number(each.a.median)),
+            f"B: {each.shadings['b']}": (each.b, _number(each.b.median)),
+            "B less A": (apart, "not told apart" if unsure else _number(apart.median)),
+        }
+        for shading, (spread, median) in costs.items():
+            half = f"{_number(spread.low)} to {_number(spread.high)}"
+            rows.append([each.gpu, each.mesh, picture, each.method, shading, median, half])
+    return Table(
+        "Other GPUs, in the explorer",
+        "Milliseconds of a picture: median and middle half of the rounds.",
+        IMPORT_HEAD,
         rows,
     )
 

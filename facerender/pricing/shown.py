@@ -11,7 +11,7 @@ from facerender.scenes.light import LIGHT_KINDS, Light
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
 from facerender.shading import SMALL_SLOPE, Shading, Term
-from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower, lobe_entry
+from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower
 from facerender.terms.fitting import G_POWERS
 
 # What takes the place of the mesh's own m.
