@@ -1,5 +1,5 @@
-"""``facerender measure --import``: what an explorer saved stands in the measurement of a folder, and
-what is damaged leaves the folder as it was."""
+"""``facerender measure --import``: what an explorer saved stands in a folder's measurement, and
+what is damaged leaves it as it was."""
 
 from __future__ import annotations
 
@@ -107,16 +107,22 @@ def test_imports_are_added_to_what_was_measured(folder, measured, tmp_path, caps
     printed = capsys.readouterr()
     assert f"{slow}: {GPU}: added" in printed.err
     assert f"{other}: Mali-G78: added" in printed.err
-    table = printed.out.split("Other GPUs, in the explorer")[1]
-    rows = [line.split("  ") for line in table.splitlines() if "B less A" in line]
-    assert rows[0][1] == GPU
-    assert "-0.600" in " ".join(rows[0])
-    assert "not told apart" in " ".join(rows[1])
+    *_, first, second = printed.out.split("\n\n")
+    assert first.startswith(f"{GPU}, in the explorer\n")
+    assert "#b=lobe:d8" in first
+    assert [line.split()[-4] for line in first.splitlines()[3:]] == [
+        "1.00",
+        "2.10",
+        "1.50",
+        "-0.600",
+    ]
+    assert second.startswith("Mali-G78")
+    assert "not told apart" in second.splitlines()[-1]
     content = json.loads((folder / "measure.json").read_text())
     assert [each["gpu"] for each in content.pop("imports")] == [GPU, "Mali-G78"]
     assert content == before
     page = (folder / "index.html").read_text(encoding="utf-8")
-    for shown in (GPU, "B: cook-torrance, d8, m 0.3", "tête | head.glb", "872 x 559, 4 samples"):
+    for shown in (GPU, "B: cook-torrance, d8, m 0.3", "tête | head.glb, 872 x 559", "#b=lobe:d8"):
         assert shown in page
     assert "UE5H" in page  # the strip that was there, as base64
     assert not measured

@@ -22,7 +22,7 @@ from facerender.measure.tables import (
     Table,
     cost_tables,
     error_tables,
-    import_table,
+    import_tables,
     sample_table,
     skin_table,
 )
@@ -48,7 +48,7 @@ METHODS = {
     " inside. Shaded once: one triangle of a pixel for all that its samples see.",
     "parts of skin": "The time of a frame with one sample over that of the part's first setting, in"
     " turns, the median; the error of the displayed image against the part's last setting.",
-    "other GPUs, in the explorer": "Milliseconds by which one more shading of what is seen makes"
+    "GPUs, in the explorer": "Milliseconds by which one more shading of what is seen makes"
     " drawing longer, in the browser that is named in measure.json, by the GPU's own clock or until"
     " a pixel can be read; A, B and the picture without highlights take turns. Imported.",
     "error of the lobe": "Percent of the lobe's peak: the largest difference from the exact lobe,"
@@ -184,9 +184,9 @@ def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
 
 def table(measurement: Measurement) -> str:
     """Return cost beside error for a terminal: a table for each kind of cost and each model, and
-    one each for samples, for parts of skin, and for other GPUs where any was imported."""
+    one each for samples, for parts of skin and for each import."""
     tables = [*cost_tables(measurement), sample_table(measurement), skin_table(measurement)]
-    tables += [import_table(measurement)] * bool(measurement.imports)
+    tables += import_tables(measurement)
     return "\n\n".join(table.text() for table in tables)
 
 
@@ -271,7 +271,7 @@ def _page(
         *(_html(table, "numbers") for table in error_tables(measurement)),
         _html(sample_table(measurement), "numbers"),
         _html(skin_table(measurement), "numbers"),
-        *([_html(import_table(measurement), "numbers imports")] if measurement.imports else ()),
+        *(_html(table, "numbers") for table in import_tables(measurement)),
         "<h2>Images</h2>",
         _figures(strips),
         "<h2>Not measured</h2>",
