@@ -122,10 +122,14 @@ def look(page, fragment=""):
 
 
 def follow(page, fragment):
-    page.evaluate(
-        "link => { history.replaceState(null, '', '#'); location.hash = link; }", fragment
+    page.evaluate(  # in one go: the page writes its own link when it has settled
+        """link => {
+            history.replaceState(null, "", "#");
+            location.hash = link;
+            dispatchEvent(new HashChangeEvent("hashchange"));
+        }""",
+        fragment,
     )
-    page.evaluate("dispatchEvent(new HashChangeEvent('hashchange'))")
     return page.evaluate("explorer.errors()")
 
 
