@@ -22,6 +22,8 @@ from facerender.drawing.program import part_uniforms, surface_features
 from facerender.glsl.library import TARGETS, shader_dir, shader_source
 from facerender.job import Job
 from facerender.page.document import document, file_text
+from facerender.pricing.shown import shown_prices
+from facerender.pricing.table import FAMILY_NAMES, shipped
 from facerender.scenes.light import LIGHT_KINDS, Light
 from facerender.scenes.mesh import Mesh, slope_range
 from facerender.scenes.texture import Kind, Texture
@@ -42,7 +44,7 @@ LEAST_LOSS = 1.0  # steps of 255 in the mean, below which a map may be a JPEG
 
 _SCRIPTS = (
     *("numbers", "data", "camera", "glsl", "gl", "drawing", "errors", "state"),
-    *("controls", "lobe", "cost", "code", "explorer"),
+    *("controls", "lobe", "prices", "cost", "code", "explorer"),
 )
 _SHADERS = ("level.frag", "error.glsl", "error.frag", "show.frag", "lobe.frag")
 _HOST = ("shade.frag", "gbuffer.frag", "surface.vert", "screen.vert")
@@ -63,6 +65,7 @@ def explorer(job: Job, mesh: Mesh) -> str:
     columns: list[NDArray[np.int64]] = []
     textures: list[tuple[Texture, Kind]] = []
     parts = [_part(mesh, index, columns, textures) for index in range(len(mesh.parts))]
+    table = shipped()
     facts = {
         "version": __version__,
         "name": mesh.name,
@@ -79,12 +82,17 @@ def explorer(job: Job, mesh: Mesh) -> str:
         "ambient": job.ambient,
         "background": job.background or (0.0, 0.0, 0.0),
         "registry": registry(),
+        "prices": [
+            {"name": FAMILY_NAMES.get(kind, kind), "unit": each.unit, "source": each.source}
+            for kind, each in table.items()
+        ],
         "targets": TARGETS,
     }
     data = [
         _json("facts", facts),
         _bytes("geometry", zlib.compress(b"".join(map(_packed, columns)), 9)),
-        _bytes("sources", zlib.compress(json.dumps(_sources()).encode(), 9)),
+        _bytes("sources", _deflated(_sources())),
+        _bytes("prices", _deflated([shown_prices(each, mesh) for each in table.values()])),
         *(_bytes(f"map-{i}", encoded(*each)) for i, each in enumerate(textures)),
     ]
     body = file_text("explorer/explorer.html") + "".join(data)
@@ -269,6 +277,10 @@ def _words(job: Job) -> dict[str, Any]:
         "roughness": roughness,
         "python": f"fr.load_mesh({', '.join(called)})",
     }
+
+
+def _deflated(value: Any) -> bytes:
+    return zlib.compress(json.dumps(value).encode(), 9)
 
 
 def _json(name: str, value: Any) -> str:
