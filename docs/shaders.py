@@ -72,7 +72,8 @@ where, is in [accuracy.md](accuracy.md); what it costs in [trade.md](trade.md).
 
 In GLSL ES the library declares `precision highp float`, which counts for what follows it: mediump
 holds neither 1/m^2 nor the digits of a small angle. A host that wants mediump elsewhere declares it
-after the include.
+after the include. `fr_cook_torrance_half` is the exact term with mediump where 10 bits are enough,
+within 1 % for cosines from 0.05 and m from 0.1.
 
 | host | how | example |
 | --- | --- | --- |

@@ -16,6 +16,7 @@ ROOT = Path(__file__).parents[1]
 
 FUNCTIONS = {
     "cookTorrance": "fr_cook_torrance",
+    "cookTorranceHalf": "fr_cook_torrance_half",
     "cookTorranceTwo": "fr_cook_torrance_two",
     "cookTorranceSample": "fr_cook_torrance_sample",
     "wardSample": "fr_ward_sample",

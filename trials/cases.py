@@ -846,6 +846,22 @@ for _model, _entry in MODELS.items():
         for _factors in FACTORS[1:]:
             add(group, two_lobes_among_all, _model, Term.lobe, *_factors)
 
+
+@case()
+def cook_torrance_half() -> Case:
+    """To the bound of halves, whatever a target computes with; tests/test_half.py has halves."""
+    inputs = directions(np.resize(singles(np.linspace(0.1, 1.0, 10)), DIRECTIONS), 0.05)
+    n, l, v, m = (inputs[axis].astype(float) for axis in "nlvm")
+    n_dot_l, n_dot_v = (n * l).sum(axis=-1), (n * v).sum(axis=-1)
+    v_dot_h = 0.5 * np.linalg.norm(l + v, axis=-1)
+    n_dot_h = (n_dot_l + n_dot_v) / (2.0 * v_dot_h)
+    masked = brdf.masking_v_cavity(n_dot_h, v_dot_h, n_dot_l, n_dot_v)
+    peak = brdf.fresnel_schlick(F0, v_dot_h) * masked / (4.0 * np.pi * m**2 * n_dot_l * n_dot_v)
+    call = f"fr_cook_torrance_half(n, l, v, m, {F0})"
+    expected = brdf.cook_torrance(n, l, v, m, F0)
+    return Case(include("cook_torrance_half"), call, inputs, expected, 0.0, 0.01 * peak)
+
+
 # --- sampling ------------------------------------------------------------------------------------
 
 SINE = 2.0**-11  # what Vulkan lets sine and cosine err by, and Chromium's renderer does
