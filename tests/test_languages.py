@@ -31,7 +31,9 @@ MAIN = {
 # What the library has, and what it does not have today.
 PLAIN = """
 #define TWICE(x) (2.0 * (x))
-#define HALF 0.5
+// a const before one
+const float UNIT = 1.0;
+#define HALF (0.5)
 #if HALF_OF_IT
 float never(float x) { return unknown(x); }
 #endif
@@ -39,6 +41,8 @@ void both(float x, out float sum, inout vec2 kept) { sum = x + kept.x; kept *= 2
 
 float walked(float c, vec3 n, int count) {
     float total = HALF, other;  // two in one
+    float one = 1, sample = total;  // a whole number, and a word of HLSL's
+    total *= one + (sample - n.s) - (sample - n.r);
     for (int i = 0; i < count; ++i) {
         if (i == 2) continue;
         else if (i > 5) break;
@@ -52,7 +56,7 @@ float walked(float c, vec3 n, int count) {
     vec2 turned = turn * kept + n.xy * turn;
     bool same = kept == vec2(2.0 * c, 2.0);
     c = atan(turned.y, turned.x) + dot(max(n, 0.0), clamp(n, 0.0, 1.0));
-    return mix(total + other, c, same ? 0.25 : 1.0) + mix(n, vec3(1.0), 0.5).z + length(turned);
+    return mix(total + other, c, same ? 0.25 : 1.0) + mix(n, vec3(UNIT), 0.5).b + length(turned);
 }
 """
 

@@ -45,6 +45,7 @@ RESULTS = {
 # Binary operators, those that bind least first.
 _LEVELS = [["||"], ["^^"], ["&&"], ["|"], ["^"], ["&"], ["==", "!="], ["<", ">", "<=", ">="],
            ["<<", ">>"], ["+", "-"], ["*", "/", "%"]]  # fmt: skip
+_COMPONENTS = str.maketrans("stpqrgba", "xyzwxyzw")
 _ASSIGN = {"=", "+=", "-=", "*=", "/=", "%=", "&=", "|=", "^=", "<<=", ">>="}
 
 
@@ -393,12 +394,12 @@ class Parser:
         if self._next.text in ("++", "--"):
             sign, operand = self._take(), self._unary()
             self._assign(operand)
-            return Node("step", [operand, replace(sign, before="")], operand.type, sign.before)
+            return Node("prefix", [sign, operand], operand.type)
         node = self._primary()
         while self._next.text in (".", "[", "++", "--"):
             if self._next.text in ("++", "--"):
                 self._assign(node)
-                node = Node("step", [node, self._take()], node.type)
+                node = Node("postfix", [node, self._take()], node.type)
             elif self._next.text == "[":
                 type_ = _element(node.type)
                 node = Node(
@@ -408,6 +409,7 @@ class Parser:
                 dot, field_ = self._take(), self._take()
                 if node.type not in VECTORS:
                     raise self._error(f"{field_.text!r} of a {node.type}")
+                field_ = replace(field_, text=field_.text.translate(_COMPONENTS))
                 scalar, count = VECTORS[node.type][0], len(field_.text)
                 node = Node("swizzle", [node, dot, field_], _vector(scalar, count), field_.text)
         return node

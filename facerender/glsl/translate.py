@@ -7,7 +7,6 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-from facerender.errors import InputError
 from facerender.glsl.syntax import (
     MATRICES,
     SCALARS,
@@ -154,14 +153,15 @@ class Hlsl(Writer):
         "dFdy": "ddy",
     }
 
+    constant = "static const"
+
     def splat(self, type_: str, text: str) -> str:
         return f"(({self.types[type_]})({text}))"
 
-    constant: ClassVar[str] = "static const "
-
     def write_constants(self, node: Node) -> str:
-        text = "".join(map(self.text, node.parts))
-        return text if self._function else text.replace("const ", self.constant, 1)
+        word, *parts = map(self.text, node.parts)
+        constant = word if self._function else _before(node) + self.constant
+        return constant + "".join(parts)
 
     def write_construct(self, node: Node) -> str:
         arguments = self.arguments(node)
@@ -186,7 +186,7 @@ class Hlsl(Writer):
 
 
 class Msl(Hlsl):
-    constant = "constant "
+    constant = "constant"
     head = "#include <metal_stdlib>\nusing namespace metal;\n\n"
     functions: ClassVar[Mapping[str, str]] = {
         "inversesqrt": "rsqrt",
@@ -265,7 +265,8 @@ class Wgsl(Writer):
         for part in self.arguments(node):
             value = "".join(map(self.text, part.parts[1:]))
             word = "var" if part.name in self._assigned or not value else fixed
-            type_ = "" if word == "let" else f": {self.types[part.type]}"
+            same = [each.type == part.type for each in self.arguments(part)]  # of its value
+            type_ = "" if word == "let" and same == [True] else f": {self.types[part.type]}"
             texts.append(f"{word} {self.word(part.name)}{type_}{value};")
         return _before(node) + " ".join(texts)
 
@@ -273,8 +274,9 @@ class Wgsl(Writer):
         condition, _, yes, _, no = (self.bare(part) for part in node.parts)
         return f"{_before(node)}select({no}, {yes}, {condition})"
 
-    def write_step(self, node: Node) -> str:
-        return (node.name or _before(node)) + self.bare(node.parts[0]) + self.bare(node.parts[1])
+    def write_prefix(self, node: Node) -> str:
+        sign, operand = node.parts
+        return _before(node) + self.bare(operand) + self.bare(sign)
 
     def write_call(self, node: Node) -> str:
         out = [qualifier != "in" for qualifier, _, _ in self._known[node.name].parameters]
@@ -290,12 +292,9 @@ class Wgsl(Writer):
         target, sign, value = node.parts
         if not (isinstance(target, Node) and target.kind == "swizzle" and len(target.name) > 1):
             return "".join(map(self.text, node.parts))
-        if not (isinstance(sign, Token) and isinstance(target.parts[0], Node)):
-            raise InputError("cannot translate an assignment")
-        whole = self.bare(target.parts[0])
-        result = self.bare(value)
-        if sign.text != "=":
-            result = f"{self.bare(target)} {sign.text[:-1]} ({result})"
+        whole, result, operator = (self.bare(each) for each in (target.parts[0], value, sign))
+        if operator != "=":
+            result = f"{self.bare(target)} {operator[:-1]} ({result})"
         parts = " ".join(
             f"{whole}.{each} = parts.{'xyzw'[i]};" for i, each in enumerate(target.name)
         )
