@@ -37,8 +37,8 @@ function termCall(term) {
 const defined = macros =>
   Object.entries(macros).map(([name, value]) => `#define ${name} ${value}`.trimEnd() + "\n").join("");
 
-// Text without the branches that macros decide, as glsl/includes.py leaves them out. Conditions of
-// comparisons and defined() are understood; others stay.
+// Text without the branches that macros decide and without include guards, as glsl/includes.py leaves
+// them out. Conditions of comparisons and defined() are understood; others stay.
 function resolved(text, chosen) {
   const macros = new Map(Object.entries(chosen).map(([name, value]) => [name.split("(")[0], value]));
   const open = [];
@@ -73,7 +73,7 @@ function resolved(text, chosen) {
 
   function branch(directive, rest, line) {
     const current = open.at(-1);
-    const found = current.over ? false : truth(directive, rest);
+    const found = current.over ? false : current.guard || truth(directive, rest);
     current.active = found !== false;
     current.over ||= found === true;
     if (found === null) {
