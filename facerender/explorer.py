@@ -162,7 +162,7 @@ def _plan(planned: Plan) -> dict[str, Any]:
             for name in ("budget", "basis", "shading", "error", "cost")
             if name in planned.lines
         },
-        "measure": "relative" if budget.unit == "relative" else "display",
+        "unit": budget.unit,
         "steps": 255.0 * budget.limit if budget.unit == "display" else None,
         "decisions": [_decision(planned, each) for each in planned.decisions],
     }
@@ -189,7 +189,7 @@ def _decision(planned: Plan, decision: Decision) -> dict[str, Any]:
         "taken": decision.changed,
         "words": decision.chosen if decision.changed else decision.other,
         "saving": decision.saving,
-        "loss": planned.budget.text(decision.error),
+        "loss": decision.error if np.isfinite(decision.error) else None,
     }
 
 

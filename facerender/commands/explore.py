@@ -32,7 +32,7 @@ def add(explore: argparse.ArgumentParser) -> None:
     explore.add_argument(
         "--plan",
         metavar="BUDGET",
-        help="1/255, 0.5%% or '0.02 flip': the decisions of facerender plan --cost auto as switches",
+        help="1/255, 0.5%% or '0.02 flip': what facerender plan decides within it, as switches",
     )
     maps = explore.add_argument_group("maps, in place of those of the mesh file")
     for name in ("albedo", "normal-map", "specular-map", "roughness-map"):

@@ -12,9 +12,11 @@ function lobeMacros(term, smallest) {
   const lobe = lobeOf(term);
   const macros = {FR_LOBE: lobe.macro};
   if (term.lobe === "g-power") {
+    const {constant, factor} = term;
     const offset = term.offset ? ` - ${literal(term.offset)}` : "";
     macros.FR_G = String(term.g);
-    macros["FR_STEEPNESS(m, k)"] = `(${literal(term.factor)} / ((m) * (m))${offset})`;
+    macros["FR_STEEPNESS(m, k)"] = constant === null
+      ? `(${literal(factor)} / ((m) * (m))${offset})` : literal(factor / constant ** 2 - term.offset);
   }
   const plain = term.small === "plain" || (term.constant ?? smallest) >= registry.small_slope;
   if (lobe.by_angle && plain) macros.FR_SMALL_SLOPE = "0";
@@ -115,10 +117,11 @@ function resolved(text, chosen) {
 // What facerender shaders flatten prints of a term's model, with every choice made.
 function flattened(term, target, smallest) {
   const macros = termMacros(term, smallest);
+  const pinned = term.constant === null ? "" : `, m = ${literal(term.constant)} whatever the caller passes`;
   const [origin, licence, , ...body] = sources.models[term.model].split("\n");
   const text = [
     `#version ${facts.targets[target]}`,
-    origin.replace(/\.$/, `, lobe ${lobeName(term)}.`), licence, defined(macros).trimEnd(), "",
+    origin.replace(/\.$/, `, lobe ${lobeName(term)}${pinned}.`), licence, defined(macros).trimEnd(), "",
     resolved(body.join("\n"), macros),
   ].join("\n");
   return text.replace(/\n{3,}/g, "\n\n").trimEnd() + "\n";

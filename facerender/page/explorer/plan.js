@@ -3,6 +3,15 @@
 const decisions = facts.plan?.decisions ?? [];
 const switches = decisions.filter(({on}) => on);  // what the page can draw
 
+// What budgets are in, and what the page measures for each.
+const UNITS = {
+  display: {scale: 255, unit: "1/255", measure: "display"},
+  relative: {scale: 100, unit: "%", measure: "relative"},
+  flip: {scale: 1, unit: "FLIP", measure: "display"},
+};
+const inBudget = UNITS[facts.plan?.unit];
+const onScreen = UNITS[inBudget?.measure];
+
 const has = (term, fields) => Object.entries(fields).every(([name, value]) => term[name] === value);
 
 // The full shading with what the plan takes.
@@ -24,12 +33,11 @@ async function lossesAlone(drawing, state, tell, stop) {
     drawing.draw("b", state);
     const found = await measuring;
     if (!found || stop()) return null;
-    losses.push(statistics(found, drawing.size[0])[facts.plan.measure].largest);
+    const {largest} = statistics(found, drawing.size[0])[inBudget.measure];
+    losses.push(inBudget.measure === "display" ? largest : onScreen.scale * largest);
   }
   return {of: viewed(state, drawing.size), losses};
 }
-
-const lossText = loss => facts.plan.measure === "display" ? `${figure(loss)}/255` : `${figure(100 * loss)} %`;
 
 // Fills the section, or removes it where there is no plan. losses: what was measured last, or null.
 function buildPlan(state, size, losses, changed) {
@@ -55,21 +63,22 @@ function buildPlan(state, size, losses, changed) {
         box.checked = has(state().b, on);
         const found = losses();
         const now = found?.of === viewed(state(), size());
-        here.textContent = now ? lossText(found.losses[switches.indexOf(decision)]) : "–";
+        here.textContent = now ? figure(found.losses[switches.indexOf(decision)]) : "–";
       });
     }
-    const share = `${(100 * saving).toFixed(1).replace("-", "−")} %`;
+    const share = (100 * saving).toFixed(1).replace("-", "−");
     return element("tr", {}, element("th", {scope: "row"}, title),
-      ...[share, loss].map(text => element("td", {}, text)), here);
+      ...[share, loss === null ? "any" : figure(inBudget.scale * loss)].map(text => element("td", {}, text)), here);
   };
   const groups = [
-    ["taken", switches.filter(({taken}) => taken)],
-    ["not taken; by the plan loses, besides what is taken, at least", switches.filter(({taken}) => !taken)],
+    ["taken: what each loses alone", switches.filter(({taken}) => taken)],
+    ["not taken: alone here; by the plan at least, with what is taken", switches.filter(({taken}) => !taken)],
     ["not drawn here", decisions.filter(({on}) => !on)],
   ];
   byId("decisions").append(element("table", {className: "decisions"},
-    element("thead", {}, element("tr", {}, ...["decision", "saves", "loses, by the plan", "alone, here"]
-      .map(text => element("th", {scope: "col"}, text)))),
+    element("thead", {}, element("tr", {}, ...[["decision"], ["saves", "%"], ["loses by the plan", inBudget.unit],
+      ["loses here", onScreen.unit]].map(([text, unit = ""]) =>
+      element("th", {scope: "col"}, `${text} `, element("span", {className: "unit"}, unit))))),
     ...groups.filter(([, list]) => list.length).map(([title, list]) => element("tbody", {},
       element("tr", {}, element("th", {scope: "rowgroup", colSpan: 4, className: "group"}, title)),
       ...list.map(row)))));
