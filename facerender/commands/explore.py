@@ -75,6 +75,6 @@ def _planned(job: Job, mesh: Mesh, budget: str) -> Plan:
     from facerender.drawing.renderer import Renderer
     from facerender.planning.plan import plan
 
-    print("facerender: planning takes half a minute", file=sys.stderr)
+    print("facerender: planning takes up to a minute", file=sys.stderr)
     with Renderer.of(job) as renderer:
         return plan(job.scene(mesh), budget, cost="auto", renderer=renderer)
