@@ -433,15 +433,17 @@ window.explorer = {
 };
 
 attempt(async () => {
-  buildControls();
+  const unpacks = Boolean(window.DecompressionStream);
+  const held = unpacks && Promise.all(
+    [meshParts(), mapImages(), inflated("sources").then(found => found.json())]);
+  buildControls();  // while the browser unpacks
   restore(location.hash);
-  if (!window.DecompressionStream) {
+  if (!unpacks) {
     throw new Unable("This browser cannot unpack the mesh (no DecompressionStream): Chrome 80, Firefox "
       + "113, Safari 16.4 or later can.");
   }
-  openContext(document.createElement("canvas"));  // tells what is missing before anything is unpacked
-  const [parts, images, texts] = await Promise.all(
-    [meshParts(), mapImages(), inflated("sources").then(found => found.json())]);
+  openContext(document.createElement("canvas"));  // tells what is missing before anything is drawn
+  const [parts, images, texts] = await held;
   sources = texts;
   drawing = new Drawing(canvas, parts, images);
   listen();
