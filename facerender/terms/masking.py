@@ -79,7 +79,7 @@ MASKING: dict[str, Masking] = registry(
         name="kelemen",
         number=1,
         file="masking/kelemen",
-        call="vec2(4.0, 1.0)",
+        call="fr_masking_kelemen_ratio(n_dot_l, n_dot_v)",
         evaluate=lambda n_dot_h, v_dot_h, n_dot_l, n_dot_v: masking_kelemen(
             v_dot_h, n_dot_l, n_dot_v
         ),
@@ -89,7 +89,8 @@ MASKING: dict[str, Masking] = registry(
         name="none",
         number=2,
         file="constants",
-        call="vec2(h_dot_h, n_dot_l * n_dot_v)",
+        call="vec2("
+        "min(n_dot_l, n_dot_v) > FR_MIN_COSINE ? h_dot_h : 0.0, n_dot_l * n_dot_v + FR_FLOOR)",
         evaluate=lambda n_dot_h, v_dot_h, n_dot_l, n_dot_v: np.ones_like(n_dot_h),
         at_most_1=True,
     ),

@@ -22,6 +22,14 @@
 #define FR_SMALL_SLOPE 1
 #endif
 
+// Square of the half vector's length alone.
+//
+//   formula   |h|^2, and FR_FLOOR more, so that it may be divided by
+//   error     in float32 3e-7 of it, and FR_FLOOR
+float fr_half_vector_square(vec3 h) {
+    return h.x * h.x + (h.y * h.y + (h.z * h.z + FR_FLOOR));
+}
+
 vec2 fr_half_vector(vec3 n, vec3 h, float n_dot_h) {
     float along = n_dot_h * n_dot_h;
 #if FR_SMALL_SLOPE

@@ -29,8 +29,8 @@
 // Masking over the divisor of a BRDF, as numerator and denominator, of the kind that the caller
 // names by a constant.
 vec2 fr_masking_of(float n_dot_h, float h_dot_h, float n_dot_l, float n_dot_v, int masking) {
-    if (masking == FR_MASKING_NONE) return vec2(h_dot_h, n_dot_l * n_dot_v);
-    if (masking == FR_MASKING_KELEMEN) return vec2(4.0, 1.0);
+    if (masking == FR_MASKING_NONE) return vec2(min(n_dot_l, n_dot_v) > FR_MIN_COSINE ? h_dot_h : 0.0, n_dot_l * n_dot_v + FR_FLOOR);
+    if (masking == FR_MASKING_KELEMEN) return fr_masking_kelemen_ratio(n_dot_l, n_dot_v);
     return fr_masking_v_cavity_ratio(n_dot_h, h_dot_h, n_dot_l, n_dot_v);
 }
 

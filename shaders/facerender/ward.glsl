@@ -22,25 +22,30 @@
 //   lobe      FR_LOBE_EXACT or another macro of lobe.glsl, in place of FR_LOBE; all are there with
 //             #define FR_LOBE FR_LOBE_EVERY; a constant, which the compiler folds
 float fr_ward_terms(vec3 n, vec3 l, vec3 v, float m, int lobe) {
-    float n_dot_l = dot(n, l);
-    float n_dot_v = dot(n, v);
+    float n_dot_l = clamp(dot(n, l), 0.0, 1.0);
+    float n_dot_v = clamp(dot(n, v), 0.0, 1.0);
     vec3 h = l + v;  // keeps its length
     float n_dot_h = n_dot_l + n_dot_v;
-    float slope = max(FR_SLOPE(m), FR_MIN_SLOPE);
-    float m2 = slope * slope;
+    float product = n_dot_l * n_dot_v;
+    float m2 = FR_SLOPE(m) * FR_SLOPE(m) + FR_FLOOR;
     float value;
 #if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
     if (lobe == FR_LOBE_EXACT) {
-        float across2 = fr_half_vector(n, h, n_dot_h).y;
-        value = fr_slope_factor(across2 / (n_dot_h * n_dot_h * m2));
+        float along = n_dot_h * n_dot_h + FR_FLOOR;
+        float w = FR_LN_2 * m2;  // E = 2^-x, x = tan^2(gamma)/w
+        float x = fr_half_vector(n, h, n_dot_h).y / (along * w);
+        // log2(ln 2/(4 pi)) is the scale
+        value = exp2(-4.1802625 - x) * inversesqrt(w * w * product);
     } else
 #endif
     {
-        value = fr_lobe_of(n_dot_h * inversesqrt(dot(h, h)), slope, FR_K_WARD, lobe);
+        float inverse_m2 = 1.0 / m2;
+        float c = n_dot_h * inversesqrt(fr_half_vector_square(h));
+        float slope = max(FR_SLOPE(m), FR_MIN_SLOPE);
+        value = fr_lobe_within(c, slope, inverse_m2, FR_K_WARD, lobe)
+            * (0.25 / FR_PI * inverse_m2 * inversesqrt(product));
     }
-    float scale = 4.0 * FR_PI * m2;
-    bool above = n_dot_l > FR_MIN_COSINE && n_dot_v > FR_MIN_COSINE;
-    return above ? value * inversesqrt(scale * scale * (n_dot_l * n_dot_v)) : 0.0;
+    return product > FR_MIN_COSINE * FR_MIN_COSINE ? value : 0.0;
 }
 
 // Ward's isotropic specular BRDF, with the lobe that the host chose.
