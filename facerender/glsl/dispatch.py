@@ -77,7 +77,7 @@ _LOBE = """\
 float fr_lobe_within(float c, float m, float inverse_m2, int k, int lobe) {{
 {branches}
 #ifdef FR_LOBE_FUNCTION
-    if (lobe == FR_LOBE_OWN) return FR_LOBE_FUNCTION(c, m, k);
+    if (lobe == FR_LOBE_OWN) return FR_LOBE_FUNCTION(clamp(c, 0.0, 1.0), m, k);
 #endif
     return -1.0;
 }}
@@ -148,9 +148,10 @@ _MASKING = """\
 //
 //   formula            G/((N.L)(N.V)) = x/(y h.h), of the chosen one
 //   n_dot_h, h_dot_h   dot(n, h) and dot(h, h) of h = l + v, which keeps its length
-//   n_dot_l, n_dot_v   cosines of light and eye, in (0, 1]
+//   n_dot_l, n_dot_v   cosines of light and eye, in [-1, 1]
 //   masking            {macros}, a constant
-//   unit               none, both > 0
+//   unit               none; x >= 0, and 0 where a cosine is not above 0 (with FR_MASKING_KELEMEN and
+//                      _NONE, FR_MIN_COSINE); y > 0
 //   error              of each: see masking/*.glsl
 //   source             of each: see there
 //

@@ -90,7 +90,7 @@ MASKING: dict[str, Masking] = registry(
         number=2,
         file="constants",
         call="vec2("
-        "min(n_dot_l, n_dot_v) > FR_MIN_COSINE ? h_dot_h : 0.0, n_dot_l * n_dot_v + FR_FLOOR)",
+        "min(n_dot_l, n_dot_v) > FR_MIN_COSINE ? h_dot_h : 0.0, abs(n_dot_l * n_dot_v) + FR_FLOOR)",
         evaluate=lambda n_dot_h, v_dot_h, n_dot_l, n_dot_v: np.ones_like(n_dot_h),
         at_most_1=True,
     ),

@@ -103,7 +103,7 @@ float fr_lobe_within(float c, float m, float inverse_m2, int k, int lobe) {
     if (lobe == FR_LOBE_G_POWER) return fr_lobe_clamped_power(c, FR_STEEPNESS(FR_SLOPE(m), k), FR_G);
 #endif
 #ifdef FR_LOBE_FUNCTION
-    if (lobe == FR_LOBE_OWN) return FR_LOBE_FUNCTION(c, m, k);
+    if (lobe == FR_LOBE_OWN) return FR_LOBE_FUNCTION(clamp(c, 0.0, 1.0), m, k);
 #endif
     return -1.0;
 }

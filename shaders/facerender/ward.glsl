@@ -22,8 +22,8 @@
 //   lobe      FR_LOBE_EXACT or another macro of lobe.glsl, in place of FR_LOBE; all are there with
 //             #define FR_LOBE FR_LOBE_EVERY; a constant, which the compiler folds
 float fr_ward_terms(vec3 n, vec3 l, vec3 v, float m, int lobe) {
-    float n_dot_l = clamp(dot(n, l), 0.0, 1.0);
-    float n_dot_v = clamp(dot(n, v), 0.0, 1.0);
+    float n_dot_l = dot(n, l);
+    float n_dot_v = clamp(dot(n, v), 0.0, 1.0);  // so that the product is not above 0 below the surface
     vec3 h = l + v;  // keeps its length
     float n_dot_h = n_dot_l + n_dot_v;
     float product = n_dot_l * n_dot_v;

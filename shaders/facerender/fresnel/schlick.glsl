@@ -12,7 +12,7 @@
 #include "facerender/constants.glsl"
 
 float fr_fresnel_schlick(float f0, float v_dot_h) {
-    float u = clamp(1.0 - v_dot_h, 0.0, 1.0);
+    float u = abs(1.0 - v_dot_h);  // rounding, or 0 to the power 5
     float u2 = u * u;
     return f0 + (1.0 - f0) * (u2 * u2 * u);
 }
@@ -26,7 +26,7 @@ float fr_fresnel_schlick(float f0, float v_dot_h) {
 //   error     of the formula none; float32 adds 2e-6 of the scale
 float fr_fresnel_schlick_grazing(float scale, float v_dot_h) {
     float root = pow(scale, 0.2);
-    float u = clamp(root - root * v_dot_h, 0.0, 1.0);
+    float u = abs(root - root * v_dot_h);
     float u2 = u * u;
     return u2 * u2 * u;
 }

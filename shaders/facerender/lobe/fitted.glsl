@@ -86,7 +86,7 @@ vec3 fr_lobe_fitted_coefficients(float m, int k) {
 //   error       at most 0.19 % of the peak for Cook-Torrance, 0.13 % for Ward
 float fr_lobe_fitted_within(float c, float m, float inverse_m2, int k) {
     vec3 a = FR_FITTED_COEFFICIENTS(m, k);
-    float v = FR_FITTED_VARIABLE(1.0 - clamp(c, 0.0, 1.0), inverse_m2, k);
+    float v = FR_FITTED_VARIABLE(1.0 - c, inverse_m2, k);
     float p = clamp(1.0 + v * (a.x + v * (a.y + v * a.z)), 0.0, 1.0);
     float p2 = p * p;
     return p2 * p2 * p;
@@ -143,7 +143,7 @@ vec4 fr_lobe_fitted_fine_coefficients(float m, int k) {
 //   error       at most 0.04 % of the peak for both models
 float fr_lobe_fitted_fine_within(float c, float m, float inverse_m2, int k) {
     vec4 a = FR_FITTED_FINE_COEFFICIENTS(m, k);
-    float v = FR_FITTED_FINE_VARIABLE(1.0 - clamp(c, 0.0, 1.0), inverse_m2, k);
+    float v = FR_FITTED_FINE_VARIABLE(1.0 - c, inverse_m2, k);
     float p = clamp(1.0 + v * (a.x + v * (a.y + v * (a.z + v * a.w))), 0.0, 1.0);
     float p2 = p * p;
     float p4 = p2 * p2;
