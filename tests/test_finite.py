@@ -161,7 +161,8 @@ def faults(evaluator: Evaluator, tried: Mapping[str, Case], inputs: Inputs) -> l
     words = {name: re.findall(r"\w+", call) for name, call in calls.items()}
     used = {x: inputs[x] for x in inputs if any(x in each for each in words.values())}
     there = {name: replace(case, inputs=used) for name, case in tried.items()}
-    below = np.minimum(*((inputs["n"] * inputs[name]).sum(axis=-1) for name in "lv")) <= 0.0
+    # a dot product of two float32 vectors may round to the other side of 0
+    below = np.minimum(*((inputs["n"] * inputs[name]).sum(axis=-1) for name in "lv")) < -2e-7
     told = []
     for name, found in cases.evaluated(there, evaluator).items():
         lit = below & (found != 0.0) & bool(BRDF.search(tried[name].expression))

@@ -50,7 +50,8 @@ vec2 fr_cook_torrance_parts(vec3 n, vec3 l, vec3 v, float m, int lobe, int maski
         float inverse = 1.0 / (masked.y * along * w);
         float x = squares.y * masked.y * inverse;
         float sec2 = x * w + 1.0;
-        return vec2(exp2(-x) * (sec2 * (masked.x * inverse)), 0.5 * sqrt(squares.x));
+        // E first, which may be 0 where the product of the others overflows
+        return vec2(exp2(-x) * sec2 * (masked.x * inverse), 0.5 * sqrt(squares.x));
     }
 #endif
     float h_dot_h = fr_half_vector_square(h);
