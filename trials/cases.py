@@ -719,10 +719,10 @@ def environment_ward() -> Case:
 # --- models --------------------------------------------------------------------------------------
 
 
-def directions(m: Singles, lowest: float = 1e-5) -> dict[str, Singles]:
-    """Draw a normal, a light and an eye for each slope, as float32 rounds them: N.L and N.V above
-    ``lowest``, half of them log-uniform; half of the half vectors anywhere, half with tangents from
-    0 to 3 m, dense near 0."""
+def true_directions(m: Singles, lowest: float = 1e-5) -> dict[str, Floats]:
+    """Draw a normal, a light and an eye for each slope: N.L and N.V above ``lowest``, half of them
+    log-uniform; half of the half vectors anywhere, half with tangents from 0 to 3 m, dense near
+    0."""
     random = np.random.default_rng(7)
     count = len(m)
 
@@ -739,7 +739,12 @@ def directions(m: Singles, lowest: float = 1e-5) -> dict[str, Singles]:
     v[: count // 2] = mirrored[: count // 2]
     below = (n * v).sum(axis=-1) <= lowest
     v[below] = n[below]
-    vectors = {"n": n, "l": l, "v": v}
+    return {"n": n, "l": l, "v": v}
+
+
+def directions(m: Singles, lowest: float = 1e-5) -> dict[str, Singles]:
+    """Return :func:`true_directions` as float32 rounds them, with the slopes."""
+    vectors = true_directions(m, lowest)
     return {name: x.astype(np.float32) for name, x in vectors.items()} | {"m": m}
 
 

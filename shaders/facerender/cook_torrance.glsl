@@ -6,11 +6,16 @@
 //   m         rms slope, in the domain of the chosen lobe (FR_LOBE)
 //   f0        Fresnel reflectance at normal incidence, in [0, 1)
 //   unit      1/sr, for a specular weight ks = 1; N.L is not included, 1/pi is
-//   result    finite and >= 0; exactly 0 where N.L or N.V is not above FR_MIN_COSINE
-//   error     that of the lobe; float32 adds, of what the lobe's highest value gives in the same
-//             directions, 1e-5 + 2e-7/(N.L) + 2e-7/(N.V) and, with e = 4e-7 (1 + 1/(N.L + N.V)),
-//             e/m for the exact lobe, e/m^2 for the others and where FR_SMALL_SLOPE is 0 (the
-//             cosine power: 7e-7/m^2 more, from log2; FR_STEEPNESS a/m^2 - b: e a g/(2 m^2))
+//   result    of finite vectors finite and >= 0, also for m below its domain; exactly 0 where N.L or
+//             N.V, as float32 rounds it, is not above 0 (with FR_MASKING_KELEMEN and _NONE not above
+//             FR_MIN_COSINE). A vector that is NaN gives NaN
+//   error     that of the lobe; float32 adds, of what the lobe's highest value and F + 2e-6 give in
+//             the same directions, 1e-5 + 2e-7/(N.L) + 2e-7/(N.V) and, with
+//             e = 4e-7 (1 + 1/(N.L + N.V)), e/m for the exact lobe, e/m^2 for the others and where
+//             FR_SMALL_SLOPE is 0 (the cosine power: 7e-7/m^2 more, from log2; FR_STEEPNESS
+//             a/m^2 - b: e a g/(2 m^2)). For cosines above 1.3e-6, and for the vectors as they
+//             are: that they were rounded correctly adds a quarter of that, and a length that is
+//             off by d > 1e-7 adds 2 d to e
 //   source    Cook and Torrance (1982), in the normalisation used since: Walter et al. (2007),
 //             F G D'/(4 (N.L)(N.V)) with D' = 4 D/pi
 #ifndef FR_COOK_TORRANCE_GLSL
@@ -25,7 +30,9 @@
 // What the constants of Cook-Torrance make, which a Fresnel term takes in: see fresnel.glsl.
 //
 //   formula   ln 2/(4 pi) for the exact lobe, whose 1/m^2 is 1/(m^2 ln 2); 1/(4 pi) for the others
-//   unit      1/sr, of fr_cook_torrance_parts' first
+//   lobe      FR_LOBE_EXACT or another macro of lobe.glsl, a constant
+//   unit      1/sr
+//   result    in (0, 1)
 //   error     none
 float fr_cook_torrance_scale(int lobe) {
     return lobe == FR_LOBE_EXACT ? 0.25 * FR_LN_2 / FR_PI : 0.25 / FR_PI;
@@ -34,6 +41,8 @@ float fr_cook_torrance_scale(int lobe) {
 // Cook-Torrance specular BRDF without its Fresnel term and constants, and the cosine of that term.
 //
 //   formula   G D/(pi (N.L)(N.V)) over fr_cook_torrance_scale; V.H
+//   lobe      FR_LOBE_EXACT or another macro of lobe.glsl, a constant
+//   masking   FR_MASKING_V_CAVITY, _KELEMEN or _NONE, a constant
 //   unit      none, both >= 0
 vec2 fr_cook_torrance_parts(vec3 n, vec3 l, vec3 v, float m, int lobe, int masking) {
     float n_dot_l = dot(n, l);

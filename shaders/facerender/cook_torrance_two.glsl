@@ -7,7 +7,7 @@
 //   weight    share w of the first lobe, in [0, 1]; the second one has 1 - w
 //   f0        Fresnel reflectance at normal incidence, in [0, 1)
 //   unit      1/sr, for a specular weight ks = 1; N.L is not included, 1/pi is
-//   result    finite and >= 0; exactly 0 where N.L or N.V is not above FR_MIN_COSINE
+//   result    as of cook_torrance.glsl
 //   error     the sum of fr_cook_torrance's at m0, times w, and at m1, times 1 - w
 //   source    Jimenez et al. (2015), "Next-generation character rendering", GDC: two lobes for skin
 #ifndef FR_COOK_TORRANCE_TWO_GLSL
@@ -45,7 +45,7 @@ float fr_cook_torrance_two_terms(
         vec2 masked = fr_masking_of(n_dot_h, squares.x, n_dot_l, n_dot_v, masking);
         float inverse = 1.0 / (masked.y * (n_dot_h * n_dot_h + FR_FLOOR));
         float tan2 = squares.y * (masked.y * inverse);
-        vec2 x = tan2 * (FR_LOG2_E * inverse_m2);
+        vec2 x = (FR_LOG2_E * tan2) * inverse_m2;
         lobes = vec2(exp2(-x.x), exp2(-x.y));
         masked_over = (tan2 + 1.0) * (masked.x * inverse);
         v_dot_h = 0.5 * sqrt(squares.x);

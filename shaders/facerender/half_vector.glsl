@@ -11,7 +11,7 @@
 //   source    |n x h|^2 = (n.n)(h.h) - (n.h)^2: Lagrange's identity
 //
 // The exact lobe multiplies tan^2(gamma) by 1/m^2: FR_SMALL_SLOPE is what keeps it accurate for
-// small m. It costs up to 12 % of a whole specular term (facerender measure); a host whose m stays
+// small m. It costs up to 8 % of a whole specular term (facerender measure); a host whose m stays
 // above 0.2 may save them: #define FR_SMALL_SLOPE 0.
 #ifndef FR_HALF_VECTOR_GLSL
 #define FR_HALF_VECTOR_GLSL

@@ -4,11 +4,10 @@
 //   n, l, v   unit vectors: normal, towards the light, towards the eye
 //   m         rms slope (Ward's alpha), in the domain of the chosen lobe (FR_LOBE)
 //   unit      1/sr, for a specular reflectance of 1; N.L is not included, 1/pi is
-//   result    finite and >= 0; exactly 0 where N.L or N.V is not above FR_MIN_COSINE
-//   error     that of the lobe; float32 adds, of what the lobe's highest value gives in the same
-//             directions, 1e-5 + 2e-7/(N.L) + 2e-7/(N.V) and, with e = 4e-7 (1 + 1/(N.L + N.V)),
-//             e/m for the exact lobe, e/m^2 for the others and where FR_SMALL_SLOPE is 0 (the
-//             cosine power: 7e-7/m^2 more, from log2; FR_STEEPNESS a/m^2 - b: e a g/(2 m^2))
+//   result    of finite vectors finite and >= 0, also for m below its domain; exactly 0 where N.L or
+//             N.V, as float32 rounds it, is not above 0, or their product not above 1e-12, the
+//             square of FR_MIN_COSINE
+//   error     as of cook_torrance.glsl, without F
 //   source    Ward (1992), eq. 4
 #ifndef FR_WARD_GLSL
 #define FR_WARD_GLSL

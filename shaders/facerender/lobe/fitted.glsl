@@ -14,7 +14,7 @@
 //
 // Where all fragments share one m, a host may give the coefficients (facerender.lobes and facerender
 // shaders flatten --m compute them): #define FR_FITTED_COEFFICIENTS(m, k) vec3(...), and
-// FR_FITTED_FINE_COEFFICIENTS with a vec4, before the include. Constants save a fifth of the term; a
+// FR_FITTED_FINE_COEFFICIENTS with a vec4, before the include. Constants save up to 30 % of the term; a
 // uniform costs llvmpipe more than computing them.
 #ifndef FR_LOBE_FITTED_GLSL
 #define FR_LOBE_FITTED_GLSL
