@@ -202,10 +202,10 @@ of the peak, and the best of `d4`, `d8` and `d16`.
 
 Largest relative error of a whole term, from float32 vectors N, L and V to 1/sr, against float64 of
 the same vectors, wherever the lobe is above a thousandth of its peak and N.L and N.V above 0.02;
-{count:,} random directions for each m. `FR_SMALL_SLOPE 0` is the cheaper form for m above 0.2. Under
-"of true directions" float64 has the directions from before they were rounded to float32: what a
-narrow lobe loses is then the inputs', not the shader's. A host that computes them in float32, with
-some roundings more, loses some times as much.
+{count:,} random directions for each m. `FR_SMALL_SLOPE 0` is the cheaper form for m above 0.2.
+Under "of true directions" float64 has the directions from before they were rounded to float32: what
+a narrow lobe loses is then the inputs', not the shader's. A host that computes them in float32,
+with some roundings more, loses some times as much.
 
 {gpu}
 

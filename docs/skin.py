@@ -62,7 +62,7 @@ built-in head with its relief three times as steep, below the scan with three ti
 | size of a light | `--light key,radius=5` | `fr.Light(radius=5.0)` |
 
 The filter is on wherever there is a normal map. Curvature is for heads below about 128 pixels,
-where the nose or an ear is a few pixels wide; the AMD compiler counts a quarter more cycles for it. A
+where the nose or an ear is a few pixels wide; the AMD compiler counts a fifth more cycles for it. A
 radius is the angle between the light's centre and its rim, in degrees, as seen from the head: the
 sun has 0.27, a softbox of 1 m at 2 m has 14. Above 20 it is refused: the formula is not good enough
 there. A point light has its radius as seen from the mesh's centre, and the nearer a place is, the

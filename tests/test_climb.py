@@ -26,7 +26,11 @@ VARIANTS = [
         for lobe in ALL_LOBES
         for small in ((True, False) if lobe == "exact" else (True,))
     ),
-    *((replace(COOK_TORRANCE, masking=name, lobe=x), F0) for name in MASKING for x in ("exact", "d16")),
+    *(
+        (replace(COOK_TORRANCE, masking=name, lobe=x), F0)
+        for name in MASKING
+        for x in ("exact", "d16")
+    ),
     *((replace(COOK_TORRANCE, fresnel=name), F0) for name in FRESNEL),
     # 1 - V.H counts where f0 does not
     *((replace(COOK_TORRANCE, lobe=x), f0) for x in ("exact", "d8") for f0 in (0.0, 1e-8)),
@@ -41,7 +45,9 @@ def evaluator(backend: Backend) -> Iterator[Evaluator]:
     evaluator.release()
 
 
-def worst(evaluator: Evaluator, term: Term, f0: float, starts: int, steps: int) -> tuple[float, str]:
+def worst(
+    evaluator: Evaluator, term: Term, f0: float, starts: int, steps: int
+) -> tuple[float, str]:
     end = lobe_entry(term.lobe).end(term.entry.k)
 
     def make(inputs: Inputs) -> Case:

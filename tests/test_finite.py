@@ -27,7 +27,12 @@ MANY_DRAWS = -(-(10**8) // MANY)
 
 OWN_INPUTS = (  # what is called with other inputs here than in trials/cases.py
     *("fr_masking_v_cavity", "fr_masking_kelemen", "fr_masking_of", "fr_masking_v_cavity_ratio"),
-    *("fr_masking_kelemen_ratio", "fr_lobe_fitted_coefficients", "fr_slope_filtered", "fr_slope_variance_map"),
+    *(
+        "fr_masking_kelemen_ratio",
+        "fr_lobe_fitted_coefficients",
+        "fr_slope_filtered",
+        "fr_slope_variance_map",
+    ),
     *("fr_slope_variance_pixel", "fr_slope_variance_disc", "fr_cosine_disc"),
     *("fr_shadow_hard", "fr_shadow_lit", "fr_shadow_disc"),
     *("fr_scatter_profile", "fr_scatter_turn", "fr_scatter"),

@@ -326,7 +326,9 @@ def lobe_power(n: float) -> Case:
     relative = np.expm1(np.minimum(np.log(2.0) * n * log_error, 80.0))
     relative += ULP * (4.0 + 4.0 * np.minimum(power, 130.0))
     expected = c.clip(1e-30) ** n
-    return Case(include("lobe/cosine"), f"fr_lobe_power(c, {n})", {"c": COSINES}, expected, relative, TINY)
+    return Case(
+        include("lobe/cosine"), f"fr_lobe_power(c, {n})", {"c": COSINES}, expected, relative, TINY
+    )
 
 
 # --- Fresnel and masking terms -------------------------------------------------------------------

@@ -17,7 +17,8 @@ Bounds = tuple[float, float]
 
 def rounded(vectors: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return the unit vectors (..., 3) along these, correctly rounded to float32."""
-    return (vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)).astype(np.float32)
+    unit = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(unit, dtype=np.float32)
 
 
 def climb(

@@ -5,8 +5,8 @@ order.
 Directions are arrays of shape (..., 3) that broadcast against one another: ``n`` the normal, ``l``
 towards the light, ``v`` towards the eye, unit vectors. BRDFs are in 1/sr, without N.L, for a
 specular weight of 1, and exactly 0 below the surface, as in the shaders: where N.L or N.V is not
-above 0; in Cook-Torrance with Kelemen's masking or none, 1e-6; in Ward where (N.L)(N.V) is not above
-1e-12 either.
+above 0; in Cook-Torrance with Kelemen's masking or none, 1e-6; in Ward where (N.L)(N.V) is not
+above 1e-12 either.
 """
 
 from __future__ import annotations

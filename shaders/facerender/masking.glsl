@@ -6,8 +6,8 @@
 //   n_dot_h, h_dot_h   dot(n, h) and dot(h, h) of h = l + v, which keeps its length
 //   n_dot_l, n_dot_v   cosines of light and eye, in [-1, 1]
 //   masking            FR_MASKING_V_CAVITY, _KELEMEN, _NONE, a constant
-//   unit               none; x >= 0, and 0 where a cosine is not above 0 (with FR_MASKING_KELEMEN and
-//                      _NONE, FR_MIN_COSINE); y > 0
+//   unit               none; x >= 0, and 0 where a cosine is not above 0 (with FR_MASKING_KELEMEN
+//                      and _NONE, FR_MIN_COSINE); y > 0
 //   error              of each: see masking/*.glsl
 //   source             of each: see there
 //
