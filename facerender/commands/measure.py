@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 
 from facerender.commands.common import Progress, clean_up_on_interrupt, import_trimesh, make_folder
 from facerender.drawing.context import BACKENDS
@@ -21,22 +22,48 @@ def add(measure: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="for measure.json, plots and index.html (out/measure)",
     )
-    measure.add_argument("--m", type=float, default=0.3, help="rms slope of the mesh (0.3)")
+    measure.add_argument("--m", type=float, help="rms slope of the mesh (0.3)")
     measure.add_argument("--quick", action="store_true", help="smaller images, fewer repeats")
     measure.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
+    measure.add_argument(
+        "--import",
+        dest="imports",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="add what the explorer measured on another GPU, and saved; without a mesh, --m, "
+        "--quick or --backend to the measurement in DIR, where there is one. May be repeated",
+    )
     measure.add_argument("--json", action="store_true", help="print measure.json, no table")
 
 
 def run(options: argparse.Namespace) -> int:
     from facerender.measure import plots, report
+    from facerender.measure.imported import read_imported
     from facerender.measure.run import measure
 
     plots.check()
+    imports = [read_imported(file) for file in options.imports]
     folder = make_folder(options.output)
-    import_trimesh()
-    mesh = load_mesh(options.mesh)
+    kept = report.read_imports(folder)
+    asked = options.mesh or options.quick or options.m is not None or options.backend != "auto"
+    earlier = report.read(folder) if imports and not asked else None
+    if earlier:
+        measurement, triptychs = earlier, None
+    else:
+        import_trimesh()
+        mesh = load_mesh(options.mesh)
+        m = 0.3 if options.m is None else options.m
+        with Progress() as progress:
+            measurement, triptychs = measure(mesh, m, options.quick, options.backend, progress)
+        measurement = replace(measurement, imports=kept)
+    told = []
+    for file, imported in zip(options.imports, imports, strict=True):
+        count = len(measurement.imports)
+        measurement = measurement.with_import(imported)
+        place = "added" if len(measurement.imports) > count else "in place of an earlier one"
+        told.append(f"facerender: {file}: {imported.gpu}: {place}")
     with Progress() as progress:
-        measurement, triptychs = measure(mesh, options.m, options.quick, options.backend, progress)
         progress("report", 0.0)
         clean_up_on_interrupt()
         paths = report.write(measurement, triptychs, folder)
@@ -44,5 +71,5 @@ def run(options: argparse.Namespace) -> int:
     print(json.dumps(content, indent=2) if options.json else report.table(measurement))
     for line in measurement.not_measured:
         print(f"facerender: not measured: {line}", file=sys.stderr)
-    print(*paths, sep="\n", file=sys.stderr)
+    print(*told, *paths, sep="\n", file=sys.stderr)
     return 0

@@ -4,13 +4,14 @@ describes. Nothing is measured here, and nothing needs OpenGL."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError
+from facerender.measure.imported import Imported
 from facerender.pricing.amd import Statistics
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import PRINTED, Variant, of_model
@@ -186,6 +187,7 @@ class Measurement:
         each angle; a slope outside the domain is left out
     not_measured : what is missing, and why
     skin : what parts of skin cost and lose
+    imports : what pictures cost on other GPUs
     """
 
     environment: Environment
@@ -197,6 +199,13 @@ class Measurement:
     curves: Mapping[str, Curves]
     not_measured: Sequence[str]
     skin: Sequence[PartSetting] = ()
+    imports: Sequence[Imported] = ()
+
+    def with_import(self, imported: Imported) -> Measurement:
+        """Return the measurement with one more import, in place of an earlier one of the same GPU,
+        mesh and link."""
+        others = [each for each in self.imports if each.place != imported.place]
+        return replace(self, imports=[*others, imported])
 
     def of_model(self, model: str) -> list[MeasuredVariant]:
         """Return the variants of a model."""
@@ -220,6 +229,7 @@ class Measurement:
             ],
             **({"samples": [asdict(each) for each in self.samples]} if self.samples else {}),
             **({"skin": [asdict(each) for each in self.skin]} if self.skin else {}),
+            **({"imports": [_import(each) for each in self.imports]} if self.imports else {}),
             "curves": {"degrees": list(self.degrees), **self.curves},
             "not_measured": list(self.not_measured),
         }
@@ -230,7 +240,7 @@ class Measurement:
 
         Raises
         ------
-        InputError : another schema, or a variant that this version does not know
+        InputError : another schema, a variant that this version does not know, a damaged import
         """
         if content["schema"] != SCHEMA:
             raise InputError(
@@ -247,7 +257,12 @@ class Measurement:
             curves=curves,
             not_measured=content["not_measured"],
             skin=[_part_setting(row) for row in content.get("skin", ())],
+            imports=[Imported.from_dict(row) for row in content.get("imports", ())],
         )
+
+
+def _import(imported: Imported) -> dict[str, Any]:
+    return asdict(imported) | {"size": list(imported.size)}
 
 
 def _measured_variant(row: Mapping[str, Any]) -> MeasuredVariant:

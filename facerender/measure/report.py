@@ -5,13 +5,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
+from typing import Any
 
 from facerender.errors import InputError, reason
 from facerender.image import write_bytes
 from facerender.measure import plots
+from facerender.measure.imported import Imported
 from facerender.measure.measurement import MAGNIFIED, MODELS, Measurement, Triptych
 from facerender.measure.pareto import EXACT, KINDS, measure_of, pareto
 from facerender.measure.tables import (
@@ -20,6 +22,7 @@ from facerender.measure.tables import (
     Table,
     cost_tables,
     error_tables,
+    import_tables,
     sample_table,
     skin_table,
 )
@@ -45,6 +48,9 @@ METHODS = {
     " inside. Shaded once: one triangle of a pixel for all that its samples see.",
     "parts of skin": "The time of a frame with one sample over that of the part's first setting, in"
     " turns, the median; the error of the displayed image against the part's last setting.",
+    "GPUs, in the explorer": "Milliseconds by which one more shading of what is seen makes"
+    " drawing longer, in the browser that is named in measure.json, by the GPU's own clock or until"
+    " a pixel can be read; A, B and the picture without highlights take turns. Imported.",
     "error of the lobe": "Percent of the lobe's peak: the largest difference from the exact lobe,"
     " both in float64, over 0 to 90 degrees of the half vector's angle γ.",
     "error of the BRDF": "Percent of the largest exact f N.L: the largest difference, in float64,"
@@ -61,6 +67,10 @@ DOMINATED = (
 )
 
 
+JSON = "measure.json"
+_ELSEWHERE = "move it away, or give another folder"
+
+
 @dataclass(frozen=True)
 class Figure:
     """A PNG file, and what is said under it."""
@@ -70,26 +80,88 @@ class Figure:
     caption: str
 
 
-def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Path) -> list[Path]:
+def write(
+    measurement: Measurement, triptychs: Sequence[Triptych] | None, directory: Path
+) -> list[Path]:
     """Write measure.json, plots and index.html, each whole or not at all, and return their paths.
 
     Everything is drawn before the first file is written. The directory is made where it is missing.
 
+    Parameters
+    ----------
+    triptychs : None for those whose files are in the directory
+
     Raises
     ------
-    InputError : matplotlib is missing, or the directory cannot be written
+    InputError : matplotlib is missing, or the directory cannot be read or written
     ValueError : NaN or infinity in the measurement, which JSON does not know
     """
     plots.check()
     content = json.dumps(measurement.as_dict(), indent=1, allow_nan=False) + "\n"
     trades, curves = _trades(measurement), _curves(measurement)
-    strips = [_strip(triptych, measurement.settings.slope) for triptych in triptychs]
+    if triptychs is None:
+        strips = _strips_in(directory, measurement)
+    else:
+        strips = [_strip(triptych, measurement.settings.slope) for triptych in triptychs]
     files = {
-        "measure.json": content.encode(),
+        JSON: content.encode(),
         **{drawn.file: drawn.png for drawn in (*trades, *curves, *strips)},
         "index.html": _page(measurement, trades, curves, strips).encode(),
     }
     return write_files(directory, files)
+
+
+def read(directory: Path) -> Measurement | None:
+    """Return the measurement that :func:`write` left in a directory, None where there is none.
+
+    Raises
+    ------
+    InputError : a measure.json that is damaged, or of another version
+    """
+    content = _content(directory)
+    if content is None:
+        return None
+    try:
+        return Measurement.from_dict(content)
+    except InputError as error:
+        raise InputError(f"{directory / JSON}: {error}") from None
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise InputError(f"{directory / JSON} is no measurement; {_ELSEWHERE}") from None
+
+
+def read_imports(directory: Path) -> list[Imported]:
+    """Return the imports of the measurement in a directory, of whatever version it is, so that
+    another one keeps them.
+
+    Raises
+    ------
+    InputError : a measure.json that is no JSON, or whose imports are damaged
+    """
+    content = _content(directory)
+    rows = content.get("imports", []) if isinstance(content, dict) else []
+    try:
+        if not isinstance(rows, list):
+            raise InputError("imports is no list")
+        return [Imported.from_dict(row) for row in rows]
+    except InputError as error:
+        raise InputError(f"{directory / JSON}: {error}; {_ELSEWHERE}") from None
+
+
+def _content(directory: Path) -> Any:
+    """What measure.json holds, None where there is none."""
+    path = directory / JSON
+    data = _bytes_of(path) if path.exists() else b"null"
+    try:
+        return json.loads(data)
+    except (ValueError, RecursionError):
+        raise InputError(f"{path} is no JSON; {_ELSEWHERE}") from None
+
+
+def _bytes_of(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {reason(error)}; {_ELSEWHERE}") from None
 
 
 def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
@@ -112,8 +184,9 @@ def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
 
 def table(measurement: Measurement) -> str:
     """Return cost beside error for a terminal: a table for each kind of cost and each model, and
-    one each for samples and for parts of skin."""
+    one each for samples, for parts of skin and for each import."""
     tables = [*cost_tables(measurement), sample_table(measurement), skin_table(measurement)]
+    tables += import_tables(measurement)
     return "\n\n".join(table.text() for table in tables)
 
 
@@ -155,11 +228,23 @@ def _curves(measurement: Measurement) -> list[Figure]:
 def _strip(triptych: Triptych, slope: str) -> Figure:
     """Exact, approximated, and their difference."""
     png = plots.strip([triptych.exact, triptych.image, triptych.difference])
+    return _strip_of(triptych.model, triptych.lobe, slope, png)
+
+
+def _strip_of(model: str, lobe: str, slope: str, png: bytes) -> Figure:
     caption = (
-        f"{MODELS[triptych.model]}, m = {slope}: left exact, middle {triptych.lobe}, right"
+        f"{MODELS[model]}, m = {slope}: left exact, middle {lobe}, right"
         f" {MAGNIFIED} times their difference."
     )
-    return Figure(f"images-{triptych.model}-{triptych.lobe}.png", png, caption)
+    return Figure(f"images-{model}-{lobe}.png", png, caption)
+
+
+def _strips_in(directory: Path, measurement: Measurement) -> list[Figure]:
+    """Those of the measurement whose files are there."""
+    pairs = dict.fromkeys((row.variant.model, row.variant.lobe) for row in measurement.variants)
+    strips = [_strip_of(*pair, measurement.settings.slope, b"") for pair in pairs]
+    there = [strip for strip in strips if (directory / strip.file).exists()]
+    return [replace(strip, png=_bytes_of(directory / strip.file)) for strip in there]
 
 
 def _page(
@@ -186,6 +271,7 @@ def _page(
         *(_html(table, "numbers") for table in error_tables(measurement)),
         _html(sample_table(measurement), "numbers"),
         _html(skin_table(measurement), "numbers"),
+        *(_html(table, "numbers") for table in import_tables(measurement)),
         "<h2>Images</h2>",
         _figures(strips),
         "<h2>Not measured</h2>",

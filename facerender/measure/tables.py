@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
+from facerender.measure.imported import Imported
 from facerender.measure.measurement import MODELS, BySlope, ImageError, Lost, Measurement, Sampled
 from facerender.measure.pareto import KINDS, TERM, CostKind, Row, measure_of, pareto
 from facerender.pricing.amd import Statistics
@@ -17,7 +18,7 @@ ERRORS = {
     "lobe": "largest error of the lobe, % of its peak",
 }
 NOT_MEASURED = "not measured"
-_LEFT = ("variant", "lobe", "remark")  # columns of words, not of numbers
+_LEFT = ("variant", "lobe", "remark", "shading")  # columns of words, not of numbers
 _EXTRA = {
     "term_ns": ("95 % interval", "lobe alone, ns"),
     "frame_ms": ("95 % interval",),
@@ -188,6 +189,35 @@ def skin_table(measurement: Measurement) -> Table:
         "Parts of skin: {} x {}".format(*measurement.settings.size),
         "Frames over the part's first setting; errors of the displayed image against its last.",
         SKIN_HEAD,
+        rows,
+    )
+
+
+def import_tables(measurement: Measurement) -> list[Table]:
+    """Return one for each import, under its GPU's name: what pictures cost there."""
+    return [_import_table(imported) for imported in measurement.imports]
+
+
+def _import_table(imported: Imported) -> Table:
+    apart = imported.difference
+    unsure = apart.low <= 0.0 <= apart.high
+    costs = {
+        "without highlights": imported.base,
+        f"A: {imported.shadings['a']}": imported.a,
+        f"B: {imported.shadings['b']}": imported.b,
+        "B less A": apart,
+    }
+    rows = []
+    for name, spread in costs.items():
+        median = "not told apart" if spread is apart and unsure else _number(spread.median)
+        rows.append([name, median, f"{_number(spread.low)} to {_number(spread.high)}"])
+    width, height = imported.size
+    return Table(
+        f"{imported.gpu}, in the explorer",
+        f"Milliseconds of a picture of {imported.mesh}, {width} x {height}, samples:"
+        f" {imported.samples}, by {imported.method}: median and middle half of the rounds."
+        f" Its link: #{imported.link}",
+        ("shading", "ms", "middle half, ms"),
         rows,
     )
 

@@ -30,6 +30,6 @@ void main() {
     second_slope_weight = vec4(s.second_m, s.lobe_weight, 0.0, 1.0);
 #endif
 #ifdef SCATTER
-    uv_occlusion.a = dot(normalize(p.normal), normalize(eye - s.position));
+    uv_occlusion.a = dot(normalize(p.normal), s.view);
 #endif
 }

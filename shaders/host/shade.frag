@@ -52,41 +52,41 @@ float eye_albedo;
 float mean_albedo;
 #endif
 
-// Adds light from l: `spread` is what a diffuse surface receives, `received` what lights a highlight.
-void add(Surface s, vec3 v, vec3 l, vec3 spread, vec3 received, int term) {
+// Adds light from l, of which a diffuse surface receives the share `spread`.
+void add(Surface s, vec3 v, vec3 l, vec3 irradiance, float spread, int term) {
+    float cosine = dot(s.normal, l);
 #ifdef COUPLED
-    float towards = fr_albedo_of(specular_albedo, dot(s.normal, l));
+    float towards = fr_albedo_of(specular_albedo, cosine);
     spread *= fr_diffuse_coupled(towards, eye_albedo, mean_albedo);
 #endif
-    diffuse += spread;
+    diffuse += irradiance * spread;
 #ifdef SPECULAR
     if (term < 0) return;
 #ifdef TWO_LOBES
-    specular +=
-        received * specular_term(term, s.normal, l, v, s.m, s.second_m, s.lobe_weight, f0);
+    float term_value = specular_term(term, s.normal, l, v, s.m, s.second_m, s.lobe_weight, f0);
 #else
-    specular += received * specular_term(term, s.normal, l, v, s.m, f0);
+    float term_value = specular_term(term, s.normal, l, v, s.m, f0);
 #endif
+    specular += irradiance * (max(cosine, 0.0) * term_value);
 #endif
 }
 
 void add_light(Surface s, vec3 v, Light light, int term) {
-    vec3 received = light.irradiance * max(dot(s.normal, light.direction), 0.0);
-    add(s, v, light.direction, received, received, term);
+    float spread = max(dot(s.normal, light.direction), 0.0);
+    add(s, v, light.direction, light.irradiance, spread, term);
 }
 
 #if defined(DISC_LIGHTS) || defined(SPHERE_LIGHTS)
 void add_light(Surface s, vec3 v, Disc light, int term) {
     vec3 l = light.center.direction;
-    float cosine = dot(s.normal, l);
     float variance =
         fr_slope_variance_disc(light.size.x, light.size.y, 0.5 * length(l + v));
     s.m = fr_slope_filtered(s.m, variance);
 #ifdef TWO_LOBES
     s.second_m = fr_slope_filtered(s.second_m, variance);
 #endif
-    vec3 spread = light.center.irradiance * fr_cosine_disc(cosine, light.size.x, light.size.y);
-    add(s, v, l, spread, light.center.irradiance * max(cosine, 0.0), term);
+    float spread = fr_cosine_disc(dot(s.normal, l), light.size.x, light.size.y);
+    add(s, v, l, light.center.irradiance, spread, term);
 }
 #endif
 
@@ -109,7 +109,7 @@ void add_environment(Surface s, vec3 v) {
 
 vec3 shaded(Point p) {
     Surface s = surface(p);
-    vec3 v = normalize(eye - s.position);
+    vec3 v = s.view;
     diffuse = vec3(0.0);
     specular = vec3(0.0);
 #ifdef COUPLED

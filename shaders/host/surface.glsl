@@ -34,6 +34,7 @@ uniform sampler2D lobe_map;  // in red the factor on the second lobe's share, 1 
 
 struct Surface {
     vec3 position;
+    vec3 view;  // towards the eye, a unit vector
     vec3 normal;
     vec3 albedo;
     float m;
@@ -48,36 +49,40 @@ struct Surface {
 #ifdef NORMAL_MAP
 // Tangent frame from screen-space derivatives: Schueler (2006), "Normal mapping without precomputed
 // tangents", with the sign of the determinant, so that mirrored charts and a flipped screen work.
-vec3 mapped_normal(Point p, vec3 n) {
-    vec3 across_y = cross(p.position_y, n);
-    vec3 across_x = cross(n, p.position_x);
+// It depends neither on the normal's length nor on its sign, both of which `inverse` mends.
+vec3 mapped_normal(Point p, float inverse) {
+    vec3 across_y = cross(p.position_y, p.normal);
+    vec3 across_x = cross(p.normal, p.position_x);
     vec3 tangent = across_y * p.uv_x.x + across_x * p.uv_y.x;
     vec3 bitangent = across_y * p.uv_x.y + across_x * p.uv_y.y;
     // 1e-30: a chart of zero area has a zero frame, and keeps the vertex normal.
     float longest = max(max(dot(tangent, tangent), dot(bitangent, bitangent)), 1e-30);
-    float scale = sign(dot(p.position_x, across_y)) * inversesqrt(longest);
+    float scale = inversesqrt(longest);
+    if (dot(p.position_x, across_y) < 0.0) scale = -scale;
     vec3 texel = TEXEL(normal_map, p).xyz * 2.0 - 1.0;
-    return normalize(texel.x * scale * tangent + texel.y * scale * bitangent + texel.z * n);
+    vec3 along = texel.x * scale * tangent + texel.y * scale * bitangent;
+    return normalize(along + texel.z * inverse * p.normal);
 }
 #endif
 
 Surface surface(Point p) {
-    vec3 n = normalize(p.normal);
+    vec3 v = normalize(eye - p.position);
+    float inverse = inversesqrt(dot(p.normal, p.normal));
     // The inside of an open mesh shows its back. A triangle that is only just turned away, whose
     // normal still lies near the silhouette's, peeks out by rounding of depth, and is no inside.
-    if (p.inside && dot(n, normalize(eye - p.position)) < -0.25) n = -n;
+    if (p.inside && inverse * dot(p.normal, v) < -0.25) inverse = -inverse;
+    vec3 n = inverse * p.normal;
 #if defined(SLOPE_FILTER) || defined(CURVATURE)
     float variance = 0.0;
 #endif
 #ifdef CURVATURE
-    float inverse = inversesqrt(dot(p.normal, p.normal));
     variance += fr_slope_variance_pixel(
         inverse * (p.normal_x - n * dot(n, p.normal_x)),
         inverse * (p.normal_y - n * dot(n, p.normal_y))
     );
 #endif
 #ifdef NORMAL_MAP
-    n = mapped_normal(p, n);
+    n = mapped_normal(p, inverse);
 #ifdef SLOPE_FILTER
     variance += fr_slope_variance_map(TEXEL(normal_map, p).a);  // compilers fetch the texel once
 #endif
@@ -88,9 +93,9 @@ Surface surface(Point p) {
     vec3 albedo = vec3(1.0);
 #endif
 #ifdef TWO_LOBES
-    Surface s = Surface(p.position, n, albedo, slope, specular_weight, 1.0, slope, lobe_weight);
+    Surface s = Surface(p.position, v, n, albedo, slope, specular_weight, 1.0, slope, lobe_weight);
 #else
-    Surface s = Surface(p.position, n, albedo, slope, specular_weight, 1.0);
+    Surface s = Surface(p.position, v, n, albedo, slope, specular_weight, 1.0);
 #endif
 #ifdef VERTEX_COLORS
     s.albedo *= p.color;

@@ -1,8 +1,10 @@
-// What A and B cost here: milliseconds by which one more shading of the picture makes drawing longer.
+// What A and B cost here: milliseconds by which one more shading of the picture makes drawing longer;
+// and the table that has it beside the prices of other GPUs.
 const ROUNDS = 7;
 const LONG = 40;  // milliseconds that the passes of a round take at least
 const MOST_PASSES = 512;
 const PRICED = {base: "without highlights", a: "A", b: "B"};
+const COSTS = {...PRICED, difference: "B − A"};
 
 function gpuName(gl) {
   const names = gl.getExtension("WEBGL_debug_renderer_info");
@@ -87,24 +89,58 @@ async function priced(
     kind: "facerender explorer cost", version: facts.version, gpu: gpuName(gl),
     browser: navigator.userAgent, method: clock ? "GPU timer" : "fence", unit: "ms a picture",
     mesh: facts.name, size: drawing.size, samples: drawing.samples, passes: count,
-    link: fragmentOf(state),
+    link: fragmentOf(state), shadings: {a: shadingWords(state.a), b: shadingWords(state.b)},
     ...Object.fromEntries(Object.keys(PRICED).map(which => [which, quartiles(slopes[which])])),
     difference: quartiles(apart),
   };
 }
 
-function costTable(found) {
-  const rows = [...Object.entries(PRICED), ["difference", "B − A"]].map(([key, name]) => {
-    const {median, low, high} = found[key];
-    const unsure = key === "difference" && low <= 0 && high >= 0;
-    const cells = [unsure ? "not told apart" : signedFigure(median, key === "difference"),
-      `${signedFigure(low, false)} … ${signedFigure(high, false)}`];
-    return element("tr", {}, element("th", {scope: "row"}, name), ...cells.map(text => element("td", {}, text)));
-  });
-  return element("table", {className: "costs"},
-    element("thead", {}, element("tr", {}, ...["ms a picture", "median", "middle half"]
-      .map(text => element("th", {scope: "col"}, text)))),
-    element("tbody", {}, ...rows));
+function shadingWords(term) {
+  const factors = modelOf(term).factors ? [term.fresnel, term.masking] : [];
+  const own = changedFields(term, ["m", "f0", "ks"]).map(name => `${name} ${short(term[name])}`);
+  return [term.model, lobeName(term), ...factors, ...own].join(", ");
+}
+
+// A row for this GPU and one for each that there are prices of; a heading stands above each.
+function costTable() {
+  const row = (name, told) => {
+    const cells = Object.keys(COSTS).map(() => element("td"));
+    const heading = element("th", {scope: "rowgroup", colSpan: cells.length},
+      element("b", {}, name), ` ${told}`);
+    const body = element("tbody", {}, element("tr", {}, heading), element("tr", {}, ...cells));
+    return {body, write: contents => cells.forEach((cell, i) => cell.replaceChildren(...contents[i]))};
+  };
+  const here = row("here", "ms a picture; median, and the middle half of the rounds");
+  here.body.className = "here";
+  const elsewhere = facts.prices.map(({name, unit, source}) => row(name, `${unit}; ${source}`));
+  const head = Object.values(COSTS).map(text => element("th", {scope: "col"}, text));
+  const table = element("table", {className: "costs"},
+    element("caption", {}, "Here a picture of this size; elsewhere a fragment of it, all its terms, by the "
+      + "prices that facerender plan has"),
+    element("thead", {}, element("tr", {}, ...head)),
+    here.body, ...elsewhere.map(({body}) => body));
+  return {
+    table,
+    // found: what was measured of the picture on screen, or null
+    write(state, found) {
+      here.write(Object.keys(COSTS).map(key => found ? costCell(key, found[key]) : ["–"]));
+      elsewhere.forEach(({write}, i) => {
+        const each = prices && fragmentPrices(prices[i], state);
+        write(Object.keys(COSTS).map(key => [each ? priceWords(key, each[key]) : "–"]));
+      });
+    },
+  };
+}
+
+const priceWords = (key, price) =>
+  price === null ? "not priced" : signedFigure(price, key === "difference" && price !== 0);
+
+function costCell(key, {median, low, high}) {
+  const unsure = key === "difference" && low <= 0 && high >= 0;
+  return [
+    unsure ? element("small", {}, "not told apart") : signedFigure(median, key === "difference"),
+    element("small", {}, `${signedFigure(low, false)} …`), element("small", {}, signedFigure(high, false)),
+  ];
 }
 
 function signedFigure(x, plus) {

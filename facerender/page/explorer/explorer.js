@@ -135,26 +135,57 @@ function plotHere() {
     + `N.V ${figure(here.eye)}, N.L ${cosines || "without a light"}.`;
 }
 
+let alone = null;  // what each decision of the plan loses by itself
+
+async function measureEach() {
+  if (!drawing?.targets || drawing.gl.isContextLost()) return;
+  const began = version;
+  const buttons = [byId("plan-measure"), byId("price")];  // neither while the other measures
+  if (buttons.some(each => each.disabled)) return;
+  buttons.forEach(each => { each.disabled = true; });
+  try {
+    alone = await lossesAlone(drawing, state, text => { byId("plan-told").textContent = text; },
+      () => version !== began || drawing.gl.isContextLost());
+  } finally {
+    buttons.forEach(each => { each.disabled = false; });
+    refresh();
+  }
+}
+
 let cost = null;  // what was measured here
+let costOf = "";  // what it was measured of
+const pictured = ({a, b, camera, lights, ambient, only}) =>
+  JSON.stringify([a, b, camera, lights, ambient, only, drawing?.size]);
+const tellCost = text => { byId("price-told").textContent = text; };
 
 async function priceHere() {
   if (!drawing || drawing.gl.isContextLost()) return;
   const began = version;
   byId("price").disabled = true;
   byId("save").hidden = true;
-  const tellCost = text => { byId("price-told").textContent = text; };
   tellCost("warming up");
   try {
+    costOf = pictured(state);
     cost = await priced(drawing, state, tellCost,
       () => version !== began || drawing.gl.isContextLost());
-    tellCost(cost ? `${cost.gpu}: ${cost.passes === 1 ? "1 pass" : `${cost.passes} passes`} of ${cost.size.join(" × ")} pixels a round, by its `
-      + `${cost.method === "fence" ? "fence" : "own clock"}.` : "Stopped: the picture changed.");
-    byId("costs").replaceChildren(...cost ? [costTable(cost)] : []);
+    if (!cost) tellCost("Stopped: the picture changed.");
     byId("save").hidden = !cost;
   } finally {
     byId("price").disabled = false;
   }
+  refresh();
   if (began === version) drawing.show(state);
+}
+
+// Brings the table of costs up to the state; what was measured here is that of one picture.
+function writeCosts(table) {
+  const same = cost !== null && costOf === pictured(state);
+  table.write(state, same ? cost : null);
+  if (!cost || byId("price").disabled) return;
+  const passes = cost.passes === 1 ? "1 pass" : `${cost.passes} passes`;
+  tellCost(same ? `${cost.gpu}: ${passes} of ${cost.size.join(" × ")} pixels a round, by its `
+    + `${cost.method === "fence" ? "fence" : "own clock"}.`
+    : "Measured was another picture, which can still be saved.");
 }
 
 function saveCost() {
@@ -242,6 +273,10 @@ function buildControls() {
     while (handles.children.length > state.lights.length) handles.lastChild.remove();
     while (handles.children.length < state.lights.length) handles.append(handleOf(handles.children.length));
   });
+  buildPlan(still, () => drawing?.size, () => alone, changed);
+  const costs = costTable();
+  byId("costs").append(costs.table);
+  refreshers.push(() => writeCosts(costs));
   choice("scale", SCALES, () => scale, value => {
     scale = value;
     if (lobes) plotLobes(byId("lobes"), lobes, scale);
@@ -369,6 +404,7 @@ function listen() {
     changed();
   }));
   watchPointer();
+  byId("plan-measure")?.addEventListener("click", () => attempt(measureEach));
   byId("price").addEventListener("click", () => attempt(priceHere));
   byId("save").addEventListener("click", saveCost);
   addEventListener("hashchange", () => restore(location.hash));
@@ -407,6 +443,7 @@ window.explorer = {
   errors: () => statisticsNow ?? new Promise((resolve, reject) => awaited.push({resolve, reject})),
   probe: places => drawing.probe(state, places),
   pixels: which => drawing.read(drawing.targets[which]),
+  prices: () => prices.map(target => fragmentPrices(target, state)),
   lobe: which => ({m: lobes[which].m, values: [...lobes[which].values]}),
   code: (which, kind) => Object.hasOwn(facts.targets, kind)
     ? flattened(state[which], kind, state[which].m ?? Math.min(...facts.parts.map(part => part.slopes[0])))
@@ -414,16 +451,18 @@ window.explorer = {
 };
 
 attempt(async () => {
-  buildControls();
+  const unpacks = Boolean(window.DecompressionStream);
+  const held = unpacks && Promise.all(
+    [meshParts(), mapImages(), ...["sources", "prices"].map(id => inflated(id).then(found => found.json()))]);
+  buildControls();  // while the browser unpacks
   restore(location.hash);
-  if (!window.DecompressionStream) {
+  if (!unpacks) {
     throw new Unable("This browser cannot unpack the mesh (no DecompressionStream): Chrome 80, Firefox "
       + "113, Safari 16.4 or later can.");
   }
-  openContext(document.createElement("canvas"));  // tells what is missing before anything is unpacked
-  const [parts, images, texts] = await Promise.all(
-    [meshParts(), mapImages(), inflated("sources").then(found => found.json())]);
-  sources = texts;
+  openContext(document.createElement("canvas"));  // tells what is missing before anything is drawn
+  const [parts, images, texts, known] = await held;
+  [sources, prices] = [texts, known];
   drawing = new Drawing(canvas, parts, images);
   listen();
   tell("");
