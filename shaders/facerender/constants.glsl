@@ -35,12 +35,11 @@ precision highp float;
 #define FR_MAX_SLOPE 2.0
 
 // Whether m is a constant; where it is not, 1/m^2 shares a BRDF's one division.
-#ifndef FR_CONSTANT_SLOPE
-#ifdef FR_SLOPE
+#if defined(FR_SLOPE) && !defined(FR_CONSTANT_SLOPE)
 #define FR_CONSTANT_SLOPE 1
-#else
-#define FR_CONSTANT_SLOPE 0
 #endif
+#ifndef FR_CONSTANT_SLOPE
+#define FR_CONSTANT_SLOPE 0
 #endif
 
 // The slope that every function reads in place of its m. A host whose m is one constant may say so,
