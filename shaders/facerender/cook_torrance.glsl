@@ -45,17 +45,17 @@ float fr_cook_torrance_scale(int lobe) {
 //   masking   FR_MASKING_V_CAVITY, _KELEMEN or _NONE, a constant
 //   unit      none, both >= 0
 vec2 fr_cook_torrance_parts(vec3 n, vec3 l, vec3 v, float m, int lobe, int masking) {
-    float n_dot_l = dot(n, l);
-    float n_dot_v = dot(n, v);
+    float n_dot_l = clamp(dot(n, l), 0.0, 1.0);
+    float n_dot_v = clamp(dot(n, v), 0.0, 1.0);
     vec3 h = l + v;  // keeps its length: V.H = |h|/2
     float n_dot_h = n_dot_l + n_dot_v;
-    float m2 = FR_SLOPE(m) * FR_SLOPE(m) + FR_FLOOR;
+    float slope2 = FR_SLOPE(m) * FR_SLOPE(m);
 #if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
     if (lobe == FR_LOBE_EXACT) {
         vec2 squares = fr_half_vector(n, h, n_dot_h);
         vec2 masked = fr_masking_of(n_dot_h, squares.x, n_dot_l, n_dot_v, masking);
         float along = n_dot_h * n_dot_h + FR_FLOOR;
-        float w = FR_LN_2 * m2;  // E = 2^-x, x = tan^2(gamma)/w
+        float w = FR_LN_2 * slope2 + FR_FLOOR;  // E = 2^-x, x = tan^2(gamma)/w
         float inverse = 1.0 / (masked.y * along * w);
         float x = squares.y * masked.y * inverse;
         float sec2 = x * w + 1.0;
@@ -63,6 +63,7 @@ vec2 fr_cook_torrance_parts(vec3 n, vec3 l, vec3 v, float m, int lobe, int maski
         return vec2(exp2(-x) * sec2 * (masked.x * inverse), 0.5 * sqrt(squares.x));
     }
 #endif
+    float m2 = slope2 + FR_FLOOR;
     float h_dot_h = fr_half_vector_square(h);
     vec2 masked = fr_masking_of(n_dot_h, h_dot_h, n_dot_l, n_dot_v, masking);
     float divisor = masked.y * h_dot_h;

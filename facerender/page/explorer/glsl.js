@@ -156,7 +156,7 @@ const lightTerm = ({dark, frontal}, i) => among(dark, i) ? -1 : +among(frontal, 
 
 function shadeSource(part, term, {lights, ambient, only}, specular = true) {
   const head = [surfaceHead(part, term)];
-  if (only === "all" && part.uniforms.diffuse_weight > 0) head.push("#define DIFFUSE\n");
+  if (only === "all" && part.uniforms.diffuse_brdf > 0) head.push("#define DIFFUSE\n");
   if (only === "all" && term.ambient === "on" && ambient.some(Boolean)) head.push("#define AMBIENT\n");
   const smallest = ownSlope(term) ?? part.slopes[0];
   if (!specular) {
