@@ -30,8 +30,8 @@ float fr_cook_torrance_two_terms(
     vec3 n, vec3 l, vec3 v, float m0, float m1, float weight, float f0,
     int lobe, int fresnel, int masking
 ) {
-    float n_dot_l = dot(n, l);
-    float n_dot_v = dot(n, v);
+    float n_dot_l = clamp(dot(n, l), 0.0, 1.0);
+    float n_dot_v = clamp(dot(n, v), 0.0, 1.0);
     vec3 h = l + v;  // keeps its length: V.H = |h|/2
     float n_dot_h = n_dot_l + n_dot_v;
     vec2 slope = vec2(FR_SLOPE(m0), FR_SLOPE(m1));

@@ -70,8 +70,10 @@ Surface surface(Point p) {
     vec3 v = normalize(eye - p.position);
     float square = dot(p.normal, p.normal);
     // The inside of an open mesh shows its back. A triangle that is only just turned away, whose
-    // normal still lies near the silhouette's, peeks out by rounding of depth, and is no inside.
-    float facing = p.inside && dot(p.normal, v) < -0.25 ? -1.0 : 1.0;
+    // normal still lies near the silhouette's, peeks out by rounding of depth, and is no inside: the
+    // more it is curved, the shorter its normals are between the vertices, and the further off it may
+    // lie.
+    float facing = p.inside && dot(p.normal, v) < -0.2 ? -1.0 : 1.0;
     vec3 n = facing * inversesqrt(square) * p.normal;
 #if defined(SLOPE_FILTER) || defined(CURVATURE)
     float variance = 0.0;
