@@ -14,12 +14,27 @@ from pathlib import Path
 from facerender.measure import report
 from facerender.measure.measurement import MODELS, Measurement
 from facerender.measure.tables import markdown_table
+from facerender.pricing.table import FAMILY_NAMES, shipped, term_name
+from facerender.pricing.variants import SLOPE, Variant
+from facerender.shading import Term
 
 HERE = Path(__file__).parent
 MEASUREMENT = HERE / "measurements" / "llvmpipe.json"
 TRADE = HERE / "trade.md"
 README = HERE.parent / "README.md"
 MARKED = re.compile(r"(?<=<!-- python -m docs.trade -->\n)(.*?)(?=<!-- end -->)", re.DOTALL)
+
+IN_PROGRAM = """### {title}: what a light's term costs in the whole program
+
+Of a fragment: the first light's term / each further light's, which shares with it what depends on
+the fragment alone; in cycles of a wave, and nanoseconds on llvmpipe. Prices of
+`python -m facerender.pricing.table`, with Schlick's Fresnel term and V-cavities, all lobes equally
+lean; m as each fragment has it, or constant, {m}. Bold: no lobe is cheaper there, for one light or
+for many, and as exact at m = {m}.
+
+{table}
+
+"""
 
 HEAD = """# The trade: what each approximation costs and loses
 
@@ -60,7 +75,44 @@ def trade(measurement: Measurement) -> str:
     """Return docs/trade.md."""
     facts = measurement.as_dict()["environment"]
     gpu = "No GPU has been measured." if measurement.environment.software else ""
-    return HEAD.format(**facts, gpu=gpu) + report.markdown(measurement)
+    programs = "".join(in_program(measurement, model) for model in MODELS)
+    return HEAD.format(**facts, gpu=gpu) + programs + report.markdown(measurement)
+
+
+def in_program(measurement: Measurement, model: str) -> str:
+    """Return what a term of a model costs in the host's program, by lobe and target, with m per
+    fragment and with a constant m."""
+    error = {
+        row.variant: row.error.lobe[measurement.settings.slope] or 0.0
+        for row in measurement.of_model(model)
+        if not row.variant.printed
+    }
+    columns: dict[str, dict[Variant, tuple[float, float]]] = {}
+    for kind, prices in shipped().items():
+        for words, m in (("per fragment", None), ("constant", SLOPE)):
+            names = {
+                each: term_name(Term(model, each.lobe, m=m, small_slope=not each.plain), SLOPE)
+                for each in error
+            }
+            title = f"{FAMILY_NAMES.get(kind, kind)}, m {words}"
+            columns[title] = {each: prices.terms[name] for each, name in names.items()}
+
+    def cell(each: Variant, costs: dict[Variant, tuple[float, float]]) -> str:
+        text = " / ".join(f"{cost:.3g}" for cost in costs[each])
+        beaten = any(
+            error[other] <= error[each]
+            and all(a <= b for a, b in zip(costs[other], costs[each], strict=True))
+            and (error[other], costs[other]) != (error[each], costs[each])
+            for other in error
+        )
+        return text if beaten else f"**{text}**"
+
+    rows = [
+        [each.name, f"{error[each]:.2f}", *(cell(each, costs) for costs in columns.values())]
+        for each in error
+    ]
+    table = markdown_table(["lobe", "error, %", *columns], rows)
+    return IN_PROGRAM.format(title=MODELS[model], m=f"{SLOPE:g}", table=table)
 
 
 def committed() -> Measurement:
