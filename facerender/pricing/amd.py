@@ -124,9 +124,9 @@ def table() -> dict[str, Any]:
     }
 
 
-def kernel(prelude: str, expression: str) -> tuple[bytes, ...]:
-    """Return the SPIR-V of a compute program that evaluates a term; InputError if it is not GLSL."""
-    source = resolve_includes(_KERNEL % (prelude, expression, _BALLAST))
+def kernel(prelude: str, expression: str, ballast: str = _BALLAST) -> tuple[bytes, ...]:
+    """Return the SPIR-V of a program that evaluates a term; InputError if it is not GLSL."""
+    source = resolve_includes(_KERNEL % (prelude, expression, ballast))
     try:
         return spirv(comp=source)
     except InputError as error:
