@@ -11,11 +11,10 @@ from facerender.terms.fresnel import (
     fresnel_dielectric,
     fresnel_schlick,
 )
-from facerender.terms.masking import masking_kelemen, masking_v_cavity
+from facerender.terms.masking import MIN_COSINE, masking_kelemen, masking_v_cavity
 from facerender.terms.model import (
     K_COOK_TORRANCE,
     K_WARD,
-    MIN_COSINE,
     cook_torrance,
     cook_torrance_two,
     ward,

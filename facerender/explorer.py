@@ -11,7 +11,7 @@ from base64 import b64encode
 from collections.abc import Mapping
 from html import escape
 from io import BytesIO
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +27,13 @@ from facerender.pricing.table import FAMILY_NAMES, shipped
 from facerender.scenes.light import LIGHT_KINDS, Light
 from facerender.scenes.mesh import Mesh, slope_range
 from facerender.scenes.texture import Kind, Texture
-from facerender.shading import MAX_WEIGHT, SMALL_SLOPE, Shading
+from facerender.shading import FRONTAL, MAX_WEIGHT, SMALL_SLOPE, Shading
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, GPower, lobe_entry
 from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE, Lobe
+
+if TYPE_CHECKING:
+    from facerender.planning.decisions import Decision
+    from facerender.planning.plan import Plan
 
 POSITION_STEPS = 2**16 - 1  # across the bounding sphere: 2.6 micrometres on a head
 NORMAL_STEPS = 2**15 - 1  # of an octahedron's coordinate: 0.003 degrees
@@ -42,21 +46,37 @@ QUALITIES: dict[Kind, tuple[int, ...]] = {
 }
 LEAST_LOSS = 1.0  # steps of 255 in the mean, below which a map may be a JPEG
 
+# What the page draws of a plan, by where a shading has it: the field of the page's terms.
+_DRAWN = {
+    "term.model": "model",
+    "term.lobe": "lobe",
+    "term.fresnel": "fresnel",
+    "term.masking": "masking",
+    "term.small_slope": "small",
+    "term.m": "constant",
+    "ks": "weight",
+    "normal_map": "normal",
+    "ambient": "ambient",
+    "specular_lights": "dark",
+    "frontal_lights": "frontal",
+}
+
 _SCRIPTS = (
     *("numbers", "data", "camera", "glsl", "gl", "drawing", "errors", "state"),
-    *("controls", "lobe", "prices", "cost", "code", "explorer"),
+    *("controls", "plan", "lobe", "prices", "cost", "code", "explorer"),
 )
 _SHADERS = ("level.frag", "error.glsl", "error.frag", "show.frag", "lobe.frag")
 _HOST = ("shade.frag", "gbuffer.frag", "surface.vert", "screen.vert")
 
 
-def explorer(job: Job, mesh: Mesh) -> str:
+def explorer(job: Job, mesh: Mesh, planned: Plan | None = None) -> str:
     """Return the page.
 
     Parameters
     ----------
     job : its mesh file, lights, ambient light, background and camera are what the page begins with
     mesh : of the job
+    planned : for its scene, and the default shading as the full one; its decisions become switches
 
     Raises
     ------
@@ -87,6 +107,7 @@ def explorer(job: Job, mesh: Mesh) -> str:
             for kind, each in table.items()
         ],
         "targets": TARGETS,
+        "plan": None if planned is None else _plan(planned),
     }
     data = [
         _json("facts", facts),
@@ -122,6 +143,7 @@ def registry() -> dict[str, Any]:
         "g_power": _lobe(own),
         "fresnel": {term.name: term.macro for term in FRESNEL.values()},
         "masking": {term.name: term.macro for term in MASKING.values()},
+        "frontal": dict(FRONTAL),
         "small_slope": SMALL_SLOPE,
         "slopes": [MIN_SLOPE, MAX_SLOPE],
         "largest_weight": MAX_WEIGHT,
@@ -137,6 +159,74 @@ def _lobe(lobe: Lobe) -> dict[str, Any]:
         "colour": lobe.colour,
         "by_angle": lobe.of_tan2 is not None,
     }
+
+
+def _plan(planned: Plan) -> dict[str, Any]:
+    """Return a plan as the page has it: what is said of it, and its decisions."""
+    budget = planned.budget
+    return {
+        "lines": {
+            name: planned.lines[name]
+            for name in ("budget", "basis", "shading", "error", "cost")
+            if name in planned.lines
+        },
+        "unit": budget.unit,
+        "steps": 255.0 * budget.limit if budget.unit == "display" else None,
+        "decisions": [_decision(planned, each) for each in planned.decisions],
+    }
+
+
+def _decision(planned: Plan, decision: Decision) -> dict[str, Any]:
+    """Return a decision: in words, with the planner's figures; and as fields of the page's terms
+    what the cheaper choice sets, what the full shading has there, and what the choice is measured
+    with by itself, all None where the page cannot draw it."""
+    from facerender.planning.candidates import DECISIONS, values
+
+    cheaper, full = decision.values, values(planned.full, [*DECISIONS])
+    lights = len(planned.scene.lights)
+    fields: dict[str, Any] = dict.fromkeys(("on", "off", "alone"))
+    if cheaper and set(cheaper) <= set(_DRAWN):
+        own = _fields(cheaper, lights)
+        fitted = "term.lobe" in cheaper  # to the slope that was chosen
+        slope = _fields({"term.m": planned.shading.term.m}, lights) if fitted else {}
+        fields["on"] = own
+        fields["off"] = _fields({path: full[path] for path in cheaper}, lights)
+        fields["alone"] = slope | own
+    return fields | {
+        "name": decision.name,
+        "taken": decision.changed,
+        "words": decision.chosen if decision.changed else decision.other,
+        "saving": decision.saving,
+        "loss": decision.error if np.isfinite(decision.error) else None,
+    }
+
+
+def _fields(values: Mapping[str, Any], lights: int) -> dict[str, Any]:
+    """Return what a shading has, by where it has it, as fields of the page's terms; numbers of six
+    digits, as links have them; lights by index, with commas."""
+    fields: dict[str, Any] = {}
+    for path, value in values.items():
+        if isinstance(value, GPower):
+            fields |= {"lobe": "g-power", "g": value.g}
+            fields |= {"factor": _short(value.factor), "offset": _short(value.offset)}
+        elif path == "specular_lights":
+            dark = [] if value is None else [each for each in range(lights) if each not in value]
+            fields["dark"] = ",".join(map(str, dark))
+        elif path == "frontal_lights":
+            fields["frontal"] = ",".join(map(str, value))
+        elif path == "term.small_slope":
+            fields["small"] = "plain" if value is False else "exact"
+        elif isinstance(value, bool):
+            fields[_DRAWN[path]] = "on" if value else "off"
+        elif isinstance(value, float):
+            fields[_DRAWN[path]] = _short(value)
+        else:
+            fields[_DRAWN[path]] = value
+    return fields
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.6g}")
 
 
 def encoded(texture: Texture, kind: Kind) -> bytes:
@@ -266,15 +356,13 @@ def _words(job: Job) -> dict[str, Any]:
     options = {
         name: f"--{name.replace('_', '-')} {shlex.quote(value)}" for name, value in given.items()
     }
-    roughness = options.pop("roughness_map", "")
-    words += options.values()
     words += ["--flip-v"] * file.flip_v
     called = [repr(file.path)] if file.path else []
     called += [f"{name}={value!r}" for name, value in given.items()]
     called += ["flip_v=True"] * file.flip_v
     return {
         "shell": " ".join(words),
-        "roughness": roughness,
+        "maps": options,
         "python": f"fr.load_mesh({', '.join(called)})",
     }
 

@@ -27,12 +27,18 @@ MANY_DRAWS = -(-(10**8) // MANY)
 
 OWN_INPUTS = (  # what is called with other inputs here than in trials/cases.py
     *("fr_masking_v_cavity", "fr_masking_kelemen", "fr_masking_of", "fr_masking_v_cavity_ratio"),
-    *("fr_lobe_fitted_coefficients", "fr_slope_filtered", "fr_slope_variance_map"),
+    *(
+        "fr_masking_kelemen_ratio",
+        "fr_lobe_fitted_coefficients",
+        "fr_slope_filtered",
+        "fr_slope_variance_map",
+    ),
     *("fr_slope_variance_pixel", "fr_slope_variance_disc", "fr_cosine_disc"),
     *("fr_shadow_hard", "fr_shadow_lit", "fr_shadow_disc"),
     *("fr_scatter_profile", "fr_scatter_turn", "fr_scatter"),
 )
 TO_DIVIDE = "p.y + p.z, 4.0 * p.x, p.y, p.z"  # dot(n, h), dot(h, h), dot(n, l), dot(n, v)
+OF_VECTORS = "dot(n, l + v), dot(l + v, l + v), dot(n, l), dot(n, v)"
 WIDE, NARROW = "vec4(0.1, 0.2, 0.0, -0.01)", "vec4(0.3, 0.2, 0.1, -9.0)"
 GAUSSIANS = f"vec4[4]({WIDE}, {NARROW}, {WIDE}, {NARROW})"
 SPIRAL = f"vec3[16]({', '.join(['vec3(3.0 * n.xy, tan2)', 'vec3(-40.0 * l.xy, c)'] * 8)})"
@@ -46,7 +52,12 @@ OTHERS = (
     ("masking", "fr_masking_v_cavity(c, p.x, p.y, p.z)"),
     ("masking", "fr_masking_kelemen(max(p.x, 0.5 * (p.y + p.z)), p.y, p.z)"),
     ("masking", f"length(fr_masking_v_cavity_ratio({TO_DIVIDE}))"),
-    *(("masking", f"length(fr_masking_of({TO_DIVIDE}, {x.macro}))") for x in MASKING.values()),
+    ("masking", "length(fr_masking_kelemen_ratio(dot(n, l), dot(n, v)))"),
+    *(
+        ("masking", f"length(fr_masking_of({each}, {x.macro}))")
+        for each in (TO_DIVIDE, OF_VECTORS)
+        for x in MASKING.values()
+    ),
     *(("lobe/fitted", f"length(fr_lobe_fitted_coefficients(m, {k}) * m * m)") for k in (0, 4)),
     *(("lobe/fitted", f"length(fr_lobe_fitted_fine_coefficients(m, {k}) * m * m)") for k in (0, 4)),
     ("slope_variance", "fr_slope_filtered(m, tan2)"),
@@ -155,7 +166,8 @@ def faults(evaluator: Evaluator, tried: Mapping[str, Case], inputs: Inputs) -> l
     words = {name: re.findall(r"\w+", call) for name, call in calls.items()}
     used = {x: inputs[x] for x in inputs if any(x in each for each in words.values())}
     there = {name: replace(case, inputs=used) for name, case in tried.items()}
-    below = np.minimum(*((inputs["n"] * inputs[name]).sum(axis=-1) for name in "lv")) <= 0.0
+    # a dot product of two float32 vectors may round to the other side of 0
+    below = np.minimum(*((inputs["n"] * inputs[name]).sum(axis=-1) for name in "lv")) < -2e-7
     told = []
     for name, found in cases.evaluated(there, evaluator).items():
         lit = below & (found != 0.0) & bool(BRDF.search(tried[name].expression))

@@ -298,8 +298,8 @@ def test_d16_shows_no_false_highlight_at_grazing_angles(renderer, head, monkeypa
     shutil.copytree(fr.shader_dir(), shaders)
     file = shaders / "facerender/lobe/g_power.glsl"
     text = file.read_text()
-    unclamped = text.replace("max(1.0 - steepness * (1.0 - min(c, 1.0)), 0.0)",
-                             "1.0 - steepness * (1.0 - min(c, 1.0))")  # fmt: skip
+    unclamped = text.replace("clamp(1.0 - steepness * (1.0 - c), 0.0, 1.0)",
+                             "1.0 - steepness * (1.0 - c)")  # fmt: skip
     assert unclamped != text
     file.write_text(unclamped)
     monkeypatch.setattr("facerender.glsl.library.shader_dir", lambda: shaders)

@@ -61,7 +61,7 @@ def test_what_lies_outside_the_domain_counts_as_its_end(evaluate):
         none, least = (
             evaluate(include(file), call, vectors | {"m": np.float32([m])}) for m in (0.0, 1e-4)
         )
-        assert none == least
+        assert least < none < np.inf
 
 
 def test_small_slopes_are_accurate_unless_the_host_says_otherwise(evaluate):

@@ -39,6 +39,7 @@ Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
 DIRECTIONS = 20_000  # for each BRDF
+FLOOR = 4e-13  # FR_FLOOR
 F0 = 0.028
 
 
@@ -183,8 +184,16 @@ def lobe_by_argument(lobe: AnyLobe, k: int) -> Case:
     return lobe_case(prelude, f"fr_lobe_of(c, m, {k}, {lobe_entry(lobe).macro})", lobe, k)
 
 
+def lobe_within(lobe: AnyLobe, k: int) -> Case:
+    """As a BRDF calls it, which has 1/m^2."""
+    prelude = include("lobe", **code.lobe_macros(lobe) | {"FR_LOBE": "FR_LOBE_EVERY"})
+    macro = lobe_entry(lobe).macro
+    return lobe_case(prelude, f"fr_lobe_within(c, m, 1.0 / (m * m), {k}, {macro})", lobe, k)
+
+
 for _lobe in ALL_LOBES:
     for _k in lobe_entry(_lobe).ends:
+        add("fr_lobe_within", lobe_within, _lobe, _k)
         if _lobe in LOBES:
             add(lobe_entry(_lobe).call.split("(")[0], lobe_alone, _lobe, _k)
         add("fr_lobe", lobe_by_macro, _lobe, _k)
@@ -278,9 +287,48 @@ def coefficient(name: str, k: int, i: int) -> Case:
     return Case(include("lobe/fitted"), call, inputs, 3.0 + expected, 0.0, absolute)
 
 
+def fitted_within(name: str, k: int) -> Case:
+    call = f"fr_lobe_{name.replace('-', '_')}_within(c, m, 1.0 / (m * m), {k})"
+    return lobe_case(include("lobe/fitted"), call, name, k)
+
+
+def numerator(name: str, k: int, i: int) -> Case:
+    lobe = lobes.FITTED[name, k]
+    inputs = slopes_alone(lobe.max_slope)
+    m = inputs["m"].astype(float)
+    expected = lobe.coefficients(m)[:, i] * m ** (2 * (i + 1))
+    call = f"9.0 + fr_lobe_{name.replace('-', '_')}_numerators(m, {k})[{i}]"
+    absolute = 8.0 * ULP * (9.0 + lobe.magnitudes(m)[:, i])
+    return Case(include("lobe/fitted"), call, inputs, 9.0 + expected, 0.0, absolute)
+
+
 for _name, _k in lobes.FITTED:
+    add("fr_lobe_fitted_within", fitted_within, _name, _k)
     for _i in range(len(lobes.FITTED[_name, _k].table[0])):
         add("fr_lobe_fitted_coefficients", coefficient, _name, _k, _i)
+        add("fr_lobe_fitted_numerators", numerator, _name, _k, _i)
+
+
+@case((4, 0.49), (0, 1.0))
+def lobe_fitted_variable(k: int, end: float) -> Case:
+    inputs = cosines_and_slopes(lobes.MAX_SLOPE)
+    c, m = (values.astype(float) for values in inputs.values())
+    call = f"fr_lobe_fitted_variable(1.0 - min(c, 1.0), 1.0 / (m * m), {k})"
+    expected = (1.0 - c) / np.minimum(m**2, end)
+    return Case(include("lobe/fitted"), call, inputs, expected, 8 * ULP, ULP / m**2)
+
+
+@case((0.3,), (8.0,), (1e4,))
+def lobe_power(n: float) -> Case:
+    c = COSINES.astype(float)
+    power = n * -np.log2(c.clip(1e-30))
+    log_error = np.where(c >= 0.5, 2.0**-21, 3.0 * ULP * -np.log2(c.clip(1e-30)))
+    relative = np.expm1(np.minimum(np.log(2.0) * n * log_error, 80.0))
+    relative += ULP * (4.0 + 4.0 * np.minimum(power, 130.0))
+    expected = c.clip(1e-30) ** n
+    return Case(
+        include("lobe/cosine"), f"fr_lobe_power(c, {n})", {"c": COSINES}, expected, relative, TINY
+    )
 
 
 # --- Fresnel and masking terms -------------------------------------------------------------------
@@ -317,6 +365,28 @@ def fresnel_of(name: str, chosen: str) -> Case:
     return fresnel_case(name, prelude, f"fr_fresnel_of(f0, c, {FRESNEL[name].macro})")
 
 
+SCALE = 0.0551589
+
+
+@case(*((name,) for name in FRESNEL))
+def fresnel_times(name: str) -> Case:
+    prelude = include("fresnel")
+    call = f"fr_fresnel_times({SCALE}, f0, c, {FRESNEL[name].macro}) / {SCALE}"
+    return replace(fresnel_case(name, prelude, call), absolute=2e-6)
+
+
+@case(("grazing", ""), ("times", "f0, "), ("rgb", "vec3(f0), vec3(0.7), "))
+def fresnel_schlick_scaled(name: str, arguments: str) -> Case:
+    """fr_fresnel_schlick_grazing, _times and _rgb."""
+    inputs = reflectances_and_cosines()
+    f0, c = (values.astype(float) for values in inputs.values())
+    u5 = (1.0 - c) ** 5
+    low, high = {"grazing": (0.0 * f0, 1.0), "times": (f0, 1.0), "rgb": (f0, 0.7)}[name]
+    call = f"fr_fresnel_schlick_{name}({SCALE}, {arguments}c)" + ".y" * (name == "rgb")
+    expected = SCALE * (low + (high - low) * u5)
+    return Case(include("fresnel/schlick"), call, inputs, expected, 0.0, 2e-6 * SCALE)
+
+
 for _name, _fresnel in FRESNEL.items():
     if _fresnel.call.startswith("fr_"):
         add(_fresnel.call.split("(")[0], fresnel_alone, _name)
@@ -345,7 +415,7 @@ def masking_kelemen() -> Case:
 @cache
 def cosines_with_a_long_half_vector() -> dict[str, Singles]:
     """h = l + v of a length up to 2, and of at least what its cosines ask for."""
-    axis = [1e-6, 1e-3, *np.linspace(0.01, 1.0, 20)]
+    axis = [2e-6, 1e-3, *np.linspace(0.01, 1.0, 20)]
     n_dot_l, n_dot_v, share = grid(axis, axis, np.linspace(0.0, 1.0, 10))
     n_dot_h = n_dot_l + n_dot_v
     h_dot_h = n_dot_h**2 + share * (4.0 - n_dot_h**2)
@@ -361,7 +431,7 @@ def masking_ratio(name: str, call: str = "") -> Case:
     prelude = include("masking") + "highp float quotient(highp vec2 x) { return x.x / x.y; }\n"
     expected = masked / (n_dot_l * n_dot_v) * h_dot_h
     call = f"quotient({call or MASKING[name].call})"
-    return Case(prelude, call, inputs, expected, 8 * ULP)
+    return Case(prelude, call, inputs, expected, 8 * ULP + FLOOR / (n_dot_l * n_dot_v))
 
 
 def masking_of(name: str) -> Case:
@@ -651,10 +721,10 @@ def environment_ward() -> Case:
 # --- models --------------------------------------------------------------------------------------
 
 
-def directions(m: Singles, lowest: float = 1e-5) -> dict[str, Singles]:
-    """Draw a normal, a light and an eye for each slope, as float32 rounds them: N.L and N.V above
-    ``lowest``, half of them log-uniform; half of the half vectors anywhere, half with tangents from
-    0 to 3 m, dense near 0."""
+def true_directions(m: Singles, lowest: float = 1e-5) -> dict[str, Floats]:
+    """Draw a normal, a light and an eye for each slope: N.L and N.V above ``lowest``, half of them
+    log-uniform; half of the half vectors anywhere, half with tangents from 0 to 3 m, dense near
+    0."""
     random = np.random.default_rng(7)
     count = len(m)
 
@@ -671,7 +741,12 @@ def directions(m: Singles, lowest: float = 1e-5) -> dict[str, Singles]:
     v[: count // 2] = mirrored[: count // 2]
     below = (n * v).sum(axis=-1) <= lowest
     v[below] = n[below]
-    vectors = {"n": n, "l": l, "v": v}
+    return {"n": n, "l": l, "v": v}
+
+
+def directions(m: Singles, lowest: float = 1e-5) -> dict[str, Singles]:
+    """Return :func:`true_directions` as float32 rounds them, with the slopes."""
+    vectors = true_directions(m, lowest)
     return {name: x.astype(np.float32) for name, x in vectors.items()} | {"m": m}
 
 
@@ -700,36 +775,55 @@ def half_vector(axis: str, small_slope: int) -> Case:
     return Case(prelude, call, inputs, expected, 0.0, absolute)
 
 
-def brdf_case(term: Term, inputs: Inputs, prelude: str = "", call: str = "") -> Case:
+NOISE = 1.3e-6  # cosines up to this are noise, and headers state no error there
+UNSTATED = 1e60  # more than any value
+NO_MORE = 2e-6  # what headers add to a Fresnel term, of which 1 - V.H knows the digits of 1
+
+
+@case()
+def half_vector_square() -> Case:
+    inputs = directions_at_five_slopes()
+    h = inputs["l"].astype(float) + inputs["v"]
+    call = "fr_half_vector_square(l + v)"
+    return Case(include("half_vector"), call, inputs, (h * h).sum(axis=-1), 4e-7, 2.0 * FLOOR)
+
+
+def brdf_case(
+    term: Term, inputs: Inputs, prelude: str = "", call: str = "", f0: float = F0
+) -> Case:
     """A BRDF at directions, as the term's own GLSL or another call; the bounds are those of its
-    header, relative to what the lobe's peak gives in the same directions, and none where it is
-    exactly 0."""
+    header, relative to what the lobe's peak gives in the same directions, and none below the
+    surface, where it is exactly 0."""
     n, l, v, m = (inputs[axis].astype(float) for axis in "nlvm")
     n_dot_l, n_dot_v = ((n * x).sum(axis=-1) for x in (l, v))
-    above = (n_dot_l > brdf.MIN_COSINE) & (n_dot_v > brdf.MIN_COSINE)
+    lower = np.minimum(n_dot_l, n_dot_v)
     n_dot_l, n_dot_v = (cosine.clip(brdf.MIN_COSINE) for cosine in (n_dot_l, n_dot_v))
     v_dot_h = 0.5 * np.linalg.norm(l + v, axis=-1).clip(1e-30)
     n_dot_h = (n_dot_l + n_dot_v) / (2.0 * v_dot_h)
     if term.entry.factors:
         masked = MASKING[term.masking].evaluate(n_dot_h, v_dot_h, n_dot_l, n_dot_v)
-        peak = masked / (n_dot_l * n_dot_v) * FRESNEL[term.fresnel].evaluate(F0, v_dot_h)
+        fresnel = FRESNEL[term.fresnel].evaluate(f0, v_dot_h)
+        peak = masked / (n_dot_l * n_dot_v) * (fresnel + NO_MORE)
     else:
-        peak = F0 * (n_dot_l * n_dot_v if term.model == "ward" else n_dot_v + v_dot_h) ** -0.5
+        peak = f0 * (n_dot_l * n_dot_v if term.model == "ward" else n_dot_v + v_dot_h) ** -0.5
     lobe, k = lobe_entry(term.lobe), term.entry.k
     if lobe.highest is not None:
         slope, place = np.unique(m, return_inverse=True)
         peak *= np.array([lobe.highest(each, k) for each in slope.tolist()])[place]
     peak /= 4.0 * np.pi * m**2
-    e = lobe.amplified(4e-7 * (1.0 + 1.0 / (n_dot_l + n_dot_v)))
+    lengths = [np.linalg.norm(x, axis=-1) for x in (n, l, v)]
+    off = np.abs(np.subtract(lengths, 1.0)).max(axis=0)
+    e = 4e-7 * (1.0 + 1.0 / (n_dot_l + n_dot_v)) + 2.0 * np.maximum(off - 1e-7, 0.0)
+    e = lobe.amplified(e)
     accurate = lobe.of_tan2 is not None and term.keeps_small_slopes(0.0)
     bound = 1e-5 + 2e-7 / n_dot_l + 2e-7 / n_dot_v + e / (m if accurate else m**2)
     return Case(
-        f"const float f0 = {F0};\n" + (prelude or flat(code.prelude([term], 0.0))),
+        f"const float f0 = {f0};\n" + (prelude or flat(code.prelude([term], 0.0))),
         call or code.call(term),
         inputs,
-        term.brdf(n, l, v, m, F0),
+        term.brdf(n, l, v, m, f0),
         0.0,
-        np.where(above, peak * bound, 0.0),
+        np.select([lower > NOISE, lower > -NOISE / 10], [peak * bound, UNSTATED], 0.0),
     )
 
 
@@ -823,6 +917,32 @@ def two_lobes_by_macros(model: str, lobe: AnyLobe, fresnel: str, masking: str) -
     call = f"fr_{entry.file}(n, l, v, m, second_m, lobe_weight, f0)"
     return two_lobes(term, include(entry.file, **code.term_macros(term, 0.0)), call)
 
+
+def in_colour(lobe: AnyLobe, f0: float) -> Case:
+    """fr_cook_torrance_rgb, or the parts that it is made of, with f90 = 1."""
+    term = Term("cook-torrance", lobe)
+    prelude = include("cook_torrance", **code.lobe_macros(lobe))
+    call = f"fr_cook_torrance_rgb(n, l, v, m, vec3({f0}), vec3(1.0)).z"
+    end = lobe_entry(lobe).end(4)
+    return brdf_case(term, directions_and_extremes(end), prelude, call, f0)
+
+
+def of_parts(lobe: AnyLobe) -> Case:
+    term = Term("cook-torrance", lobe, "constant")
+    prelude = include("cook_torrance", **code.lobe_macros(lobe))
+    call = "f0 * fr_cook_torrance_scale(FR_DEFAULT_LOBE)"
+    call += " * fr_cook_torrance_parts(n, l, v, m, FR_DEFAULT_LOBE, FR_MASKING).x"
+    return in_domain(term, prelude, call)
+
+
+for _lobe in ("exact", "d8"):
+    add("fr_cook_torrance_rgb", in_colour, _lobe, 0.5)
+    add("fr_cook_torrance_parts", of_parts, _lobe)
+
+# 1 - V.H counts where f0 does not
+for _lobe in ("exact", "d8"):
+    for _f0 in (0.0, 1e-8):
+        add("fr_cook_torrance_rgb", in_colour, _lobe, _f0)
 
 DEFAULT = (Term.fresnel, Term.masking)
 FACTORS = [(fresnel, Term.masking) for fresnel in FRESNEL]

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import os
+import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from facerender.commands.common import clean_up_on_interrupt, import_trimesh
 from facerender.errors import InputError
 from facerender.explorer import explorer
 from facerender.image import write_bytes
 from facerender.job import Job, MeshFile
+
+if TYPE_CHECKING:
+    from facerender.planning.plan import Plan
+    from facerender.scenes.mesh import Mesh
 
 
 def add(explore: argparse.ArgumentParser) -> None:
@@ -22,6 +29,11 @@ def add(explore: argparse.ArgumentParser) -> None:
         "mesh", nargs="?", help=".glb .gltf .obj .ply .stl; without it the built-in head"
     )
     explore.add_argument("-o", "--output", required=True, metavar="OUT.html")
+    explore.add_argument(
+        "--plan",
+        metavar="BUDGET",
+        help="1/255, 0.5%% or '0.02 flip': what facerender plan decides within it, as switches",
+    )
     maps = explore.add_argument_group("maps, in place of those of the mesh file")
     for name in ("albedo", "normal-map", "specular-map", "roughness-map"):
         maps.add_argument(f"--{name}", metavar="FILE")
@@ -33,6 +45,13 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             f"{options.output}: the explorer is a page; give a name that ends in .html"
         )
+    path = Path(options.output)
+    if path.is_dir() or not os.access(path.resolve().parent, os.W_OK):
+        raise InputError(f"cannot write {path}: give a file in a writable folder")
+    if options.plan is not None:
+        from facerender.planning.budget import Budget
+
+        Budget.parse(options.plan)
     file = MeshFile(
         options.mesh,
         options.albedo,
@@ -42,8 +61,20 @@ def run(options: argparse.Namespace) -> int:
         options.flip_v,
     )
     import_trimesh()
-    page = explorer(Job(file), file.load())
+    job, mesh = Job(file), file.load()
+    page = explorer(job, mesh, None if options.plan is None else _planned(job, mesh, options.plan))
     clean_up_on_interrupt()
     write_bytes(options.output, page.encode())
     print(options.output)
     return 0
+
+
+def _planned(job: Job, mesh: Mesh, budget: str) -> Plan:
+    """Return the plan of what the page begins with. Its cost is that of a fragment: the page draws
+    all samples and triangles."""
+    from facerender.drawing.renderer import Renderer
+    from facerender.planning.plan import plan
+
+    print("facerender: planning takes up to a minute", file=sys.stderr)
+    with Renderer.of(job) as renderer:
+        return plan(job.scene(mesh), budget, cost="auto", renderer=renderer)

@@ -285,7 +285,7 @@ def part_uniforms(part: Part, material: Material) -> Uniforms:
         "specular_weight": material.ks,
         "second_slope": material.second_slope,
         "lobe_weight": material.lobe_weight,
-        "diffuse_weight": material.kd,
+        "diffuse_brdf": material.kd / np.pi,
         "f0": material.f0,
     }
 

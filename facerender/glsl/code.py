@@ -36,7 +36,10 @@ def prelude(terms: Sequence[Term], smallest_m: float, two_lobes: bool = False) -
     """Return what stands before the calls of terms in one program, for m >= smallest_m."""
     files = dict.fromkeys(file_of(term, two_lobes) for term in terms)
     includes = "".join(f'#include "facerender/{file}.glsl"\n' for file in files)
-    return defines(_shared_macros(terms, smallest_m)) + includes
+    macros = _shared_macros(terms, smallest_m)
+    if terms and all(term.m is not None for term in terms):
+        macros["FR_CONSTANT_SLOPE"] = "1"
+    return defines(macros) + includes
 
 
 def file_of(term: Term, two_lobes: bool) -> str:

@@ -72,13 +72,20 @@ _LOBE = """\
 #define FR_STEEPNESS(m, k) ((2.0 / ((m) * (m)) - float(k)) / float(FR_G))
 #endif
 
-// Lobe, of the kind that the caller names by a constant.
-float fr_lobe_of(float c, float m, int k, int lobe) {{
+// Lobe within a BRDF, which has 1/m^2 already, of the kind that the caller names by a constant.
+//
+//   inverse_m2  1/m^2
+float fr_lobe_within(float c, float m, float inverse_m2, int k, int lobe) {{
 {branches}
 #ifdef FR_LOBE_FUNCTION
-    if (lobe == FR_LOBE_OWN) return FR_LOBE_FUNCTION(c, m, k);
+    if (lobe == FR_LOBE_OWN) return FR_LOBE_FUNCTION(clamp(c, 0.0, 1.0), m, k);
 #endif
     return -1.0;
+}}
+
+// Lobe, of the kind that the caller names by a constant.
+float fr_lobe_of(float c, float m, int k, int lobe) {{
+    return fr_lobe_within(c, m, 1.0 / (FR_SLOPE(m) * FR_SLOPE(m)), k, lobe);
 }}
 
 // Lobe, as the host chose it: #define FR_LOBE FR_LOBE_D16.
@@ -119,6 +126,14 @@ float fr_fresnel_of(float f0, float v_dot_h, int fresnel) {{
 {branches}
 }}
 
+// Fresnel reflectance times a constant, of the kind that the caller names by another.
+//
+//   scale     in (0, 1], a constant
+//   unit      none, in [0, scale]
+float fr_fresnel_times(float scale, float f0, float v_dot_h, int fresnel) {{
+{times}
+}}
+
 // Fresnel reflectance, as the host chose it: #define FR_FRESNEL FR_FRESNEL_DIELECTRIC.
 float fr_fresnel(float f0, float v_dot_h) {{
     return fr_fresnel_of(f0, v_dot_h, FR_FRESNEL);
@@ -134,9 +149,10 @@ _MASKING = """\
 //
 //   formula            G/((N.L)(N.V)) = x/(y h.h), of the chosen one
 //   n_dot_h, h_dot_h   dot(n, h) and dot(h, h) of h = l + v, which keeps its length
-//   n_dot_l, n_dot_v   cosines of light and eye, in (0, 1]
+//   n_dot_l, n_dot_v   cosines of light and eye, in [-1, 1]
 //   masking            {macros}, a constant
-//   unit               none, both > 0
+//   unit               none; x >= 0, and 0 where a cosine is not above 0 (with FR_MASKING_KELEMEN
+//                      and _NONE, FR_MIN_COSINE); y > 0
 //   error              of each: see masking/*.glsl
 //   source             of each: see there
 //
@@ -173,7 +189,7 @@ def dispatch() -> dict[str, str]:
 
 
 def _lobe() -> str:
-    calls = {lobe.macro: lobe.call for lobe in LOBES.values()} | {G_POWER.macro: G_POWER.call}
+    calls = {lobe.macro: lobe.within for lobe in (*LOBES.values(), G_POWER)}
     files: dict[str, list[str]] = {}
     for lobe in (*LOBES.values(), G_POWER):
         files.setdefault(lobe.file, []).append(lobe.macro)
@@ -205,17 +221,21 @@ def _factor(text: str, terms: Iterable[Fresnel | Masking], kind: str, default: s
     macros = [term.macro for term in terms]
     files = dict.fromkeys(term.file for term in terms if term.file != "constants")
     last = next(term for term in terms if term.name == default)
-    lines = [
-        f"    if ({kind} == {term.macro}) return {term.call};"
-        for term in reversed(terms)
-        if term is not last
-    ]
+    others = [term for term in reversed(terms) if term is not last]
+
+    def branches(code: str) -> str:
+        lines = [
+            f"    if ({kind} == {term.macro}) return {getattr(term, code)};" for term in others
+        ]
+        return "\n".join([*lines, f"    return {getattr(last, code)};"])
+
     prefix = f"FR_{kind.upper()}"
     return text.format(
         macros=", ".join([macros[0], *(macro.removeprefix(prefix) for macro in macros[1:])]),
         includes="\n".join(map(_include, files)),
         numbers="\n".join(f"#define {term.macro} {term.number}" for term in terms),
-        branches="\n".join([*lines, f"    return {last.call};"]),
+        branches=branches("call"),
+        times=branches("times") if "{times}" in text else "",
     )
 
 

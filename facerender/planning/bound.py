@@ -21,7 +21,7 @@ from facerender.scenes.material import Material
 from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading, Term
 from facerender.terms import FRESNEL, MASKING, AnyLobe, lobe_entry
-from facerender.terms.model import MIN_COSINE
+from facerender.terms.masking import MIN_COSINE
 
 Range = tuple[float, float]
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
+from typing import Any
 
 from facerender.planning.candidates import (
     DECISIONS,
@@ -13,6 +14,7 @@ from facerender.planning.candidates import (
     changed,
     groups,
     shadowed,
+    values,
     with_decisions,
 )
 from facerender.planning.drawn import Drawn
@@ -38,6 +40,8 @@ class Decision:
     error : what the change adds, alone; where nothing was changed, the error with the other
     saving : share of the full program's cost that the change saves, or the other would save
     text : a line that says it
+    values : what the cheaper of the two has, by where a shading has it, such as "term.lobe"; empty
+        for what is no part of a shading
     """
 
     name: str
@@ -47,6 +51,7 @@ class Decision:
     error: float
     saving: float
     text: str
+    values: dict[str, Any] = field(default_factory=dict)
 
 
 def decisions(
@@ -122,7 +127,7 @@ def _made(
     instead = f" instead of {other}" if other != "none" else ""
     text = f"{chosen}{instead}: alone adds {choice.budget.text(added)}, "
     text += f"{'saves' if saved >= 0.0 else 'costs'} {_share(choice, name, abs(saved))}"
-    return Decision(name, True, chosen, other, added, saved, text)
+    return Decision(name, True, chosen, other, added, saved, text, values(shading, names))
 
 
 def _kept(
@@ -155,7 +160,7 @@ def _kept(
     saved = choice.saved(nearest, shading)
     text = f"{chosen}: {other} {might} {choice.budget.text(min(errors))}, and save "
     text += _share(choice, name, saved)
-    return Decision(name, False, chosen, other, min(errors), saved, text)
+    return Decision(name, False, chosen, other, min(errors), saved, text, values(nearest, names))
 
 
 def _share(choice: Choice, name: str, saved: float) -> str:

@@ -111,6 +111,13 @@ class Plan:
 
     def explain(self) -> str:
         """Return the plan in words: what was measured, a line for each decision, error and cost."""
+        lines = self.lines
+        width = max(map(len, lines)) + 2
+        return "\n".join(f"{name:{width}}{text}" for name, text in lines.items())
+
+    @property
+    def lines(self) -> dict[str, str]:
+        """What :meth:`explain` says, by the names of its lines."""
         limit, rounding = self.budget.limit, ROUNDING[self.budget.unit]
         part = "of it kept for" if limit > rounding else "may come from"
         share = f" at {self.budget.share} of the pixels" if self.budget.within < 1.0 else ""
@@ -126,8 +133,7 @@ class Plan:
         if self.measured:
             ends = f"{self.measured.low:.2f} to {self.measured.high:.2f}"
             lines["measured"] = f"{self.measured.value:.2f} of the full frame ({ends}), in turns"
-        width = max(map(len, lines)) + 2
-        return "\n".join(f"{name:{width}}{text}" for name, text in lines.items())
+        return lines
 
     def shader(self, target: Target | None = None) -> str:
         """Return the library's file with the chosen terms alone, its constants folded; target as in

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender.terms.lobe import check_slope
+from facerender.terms.masking import MIN_COSINE
 from facerender.terms.model import (
     K_COOK_TORRANCE,
-    MIN_COSINE,
     checked_unit,
     cook_torrance,
     dot,

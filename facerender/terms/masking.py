@@ -12,6 +12,8 @@ from facerender.terms.entry import Entry, registry
 
 Float = NDArray[np.float64]
 
+MIN_COSINE = 1e-6  # FR_MIN_COSINE of shaders/facerender/constants.glsl
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Masking(Entry):
@@ -21,11 +23,13 @@ class Masking(Entry):
     Attributes
     ----------
     number : of its macro, unlike every other's
+    cut : of N.L and N.V, up to which a BRDF with it is exactly 0
     evaluate : G in float64, of n_dot_h, v_dot_h, n_dot_l, n_dot_v, with a unit half vector
     at_most_1 : whether G is so everywhere, as a guarantee needs; refused where nobody knows
     """
 
     number: int
+    cut: float = 0.0
     evaluate: Callable[[Float, Float, Float, Float], Float]
     at_most_1: bool = False
 
@@ -79,7 +83,8 @@ MASKING: dict[str, Masking] = registry(
         name="kelemen",
         number=1,
         file="masking/kelemen",
-        call="vec2(4.0, 1.0)",
+        call="fr_masking_kelemen_ratio(n_dot_l, n_dot_v)",
+        cut=MIN_COSINE,
         evaluate=lambda n_dot_h, v_dot_h, n_dot_l, n_dot_v: masking_kelemen(
             v_dot_h, n_dot_l, n_dot_v
         ),
@@ -89,7 +94,9 @@ MASKING: dict[str, Masking] = registry(
         name="none",
         number=2,
         file="constants",
-        call="vec2(h_dot_h, n_dot_l * n_dot_v)",
+        call="vec2("
+        "min(n_dot_l, n_dot_v) > FR_MIN_COSINE ? h_dot_h : 0.0, abs(n_dot_l * n_dot_v) + FR_FLOOR)",
+        cut=MIN_COSINE,
         evaluate=lambda n_dot_h, v_dot_h, n_dot_l, n_dot_v: np.ones_like(n_dot_h),
         at_most_1=True,
     ),

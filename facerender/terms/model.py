@@ -4,7 +4,9 @@ order.
 
 Directions are arrays of shape (..., 3) that broadcast against one another: ``n`` the normal, ``l``
 towards the light, ``v`` towards the eye, unit vectors. BRDFs are in 1/sr, without N.L, for a
-specular weight of 1, and exactly 0 where N.L or N.V is not above 1e-6, as in the shaders.
+specular weight of 1, and exactly 0 below the surface, as in the shaders: where N.L or N.V is not
+above 0; in Cook-Torrance with Kelemen's masking or none, 1e-6; in Ward where (N.L)(N.V) is not
+above 1e-12 either.
 """
 
 from __future__ import annotations
@@ -20,13 +22,12 @@ from facerender.errors import InputError, check_range
 from facerender.terms.entry import Entry, named, registry
 from facerender.terms.fresnel import fresnel
 from facerender.terms.lobe import AnyLobe, lobe_entry
-from facerender.terms.masking import MASKING
+from facerender.terms.masking import MASKING, MIN_COSINE
 
 Float = NDArray[np.float64]
 
 K_COOK_TORRANCE = 4
 K_WARD = 0
-MIN_COSINE = 1e-6  # FR_MIN_COSINE of shaders/facerender/constants.glsl
 
 
 class Float64Model(Protocol):
@@ -102,11 +103,13 @@ def dot(a: Float, b: Float) -> Float:
 class _Geometry:
     """The cosines that the BRDFs share; placeholders of 1 where the result is 0."""
 
-    def __init__(self, n: ArrayLike, l: ArrayLike, v: ArrayLike) -> None:
+    def __init__(
+        self, n: ArrayLike, l: ArrayLike, v: ArrayLike, cut: float, product: float = 0.0
+    ) -> None:
         normal, light, eye = checked_unit("n", n), checked_unit("l", l), checked_unit("v", v)
         half = light + eye
         n_dot_l, n_dot_v, n_dot_h = dot(normal, light), dot(normal, eye), dot(normal, half)
-        self.above = (n_dot_l > MIN_COSINE) & (n_dot_v > MIN_COSINE)
+        self.above = (np.minimum(n_dot_l, n_dot_v) > cut) & (n_dot_l * n_dot_v > product)
         length = np.where(self.above, np.sqrt(dot(half, half)), 1.0)
         self.n_dot_l = np.where(self.above, n_dot_l, 1.0)
         self.n_dot_v = np.where(self.above, n_dot_v, 1.0)
@@ -155,7 +158,7 @@ def cook_torrance(
 
     References: Cook and Torrance (1982); Walter et al. (2007) for the normalisation.
     """
-    at = _Geometry(n, l, v)
+    at = _Geometry(n, l, v, named("masking term", MASKING, masking_term).cut)
     f = fresnel(f0, at.v_dot_h, fresnel_term)
     g = at.masking(masking_term)
     d = at.lobe(lobe, m, K_COOK_TORRANCE) / (4.0 * np.asarray(m, dtype=np.float64) ** 2)
@@ -211,7 +214,7 @@ def ward(
 
     References: Ward (1992), eq. 4.
     """
-    at = _Geometry(n, l, v)
+    at = _Geometry(n, l, v, 0.0, MIN_COSINE**2)
     scale = 4.0 * np.pi * np.asarray(m, dtype=np.float64) ** 2
     value = at.lobe(lobe, m, K_WARD) / (scale * np.sqrt(at.n_dot_l * at.n_dot_v))
     return np.where(at.above, value, 0.0)
@@ -230,7 +233,7 @@ def ward_printed(
     Not reciprocal, and 0.707 times Ward at normal incidence: it serves to reproduce the paper.
     Parameters and errors as in :func:`cook_torrance`.
     """
-    at = _Geometry(n, l, v)
+    at = _Geometry(n, l, v, 0.0, MIN_COSINE**2)
     scale = 4.0 * np.pi * np.asarray(m, dtype=np.float64) ** 2
     value = at.lobe(lobe, m, K_WARD) / (scale * np.sqrt(at.n_dot_v + at.v_dot_h))
     return np.where(at.above, value, 0.0)

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError
 from facerender.terms.lobe import check_slope
-from facerender.terms.model import K_COOK_TORRANCE, MIN_COSINE, checked_unit, dot
+from facerender.terms.masking import MIN_COSINE
+from facerender.terms.model import K_COOK_TORRANCE, checked_unit, dot
 
 Float = NDArray[np.float64]
 

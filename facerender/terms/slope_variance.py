@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.terms.lobe import MAX_SLOPE
+from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
 
 Float = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ _LEAST_V_DOT_H2 = 0.05
 
 
 def slope_filtered(m: ArrayLike, variance: ArrayLike) -> Float:
-    """Return the slope that stands for m together with slopes of a variance, at most 2.
+    """Return the slope that stands for m together with slopes of a variance, from 1e-4 to 2.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def slope_filtered(m: ArrayLike, variance: ArrayLike) -> Float:
     variance : of what is unresolved, >= 0; broadcasts with m
     """
     slope = np.asarray(m, dtype=np.float64)
-    return np.minimum(np.sqrt(slope**2 + 2.0 * np.asarray(variance)), MAX_SLOPE)
+    return np.clip(np.sqrt(slope**2 + 2.0 * np.asarray(variance)), MIN_SLOPE, MAX_SLOPE)
 
 
 def slope_variance_map(alpha: ArrayLike) -> Float:

@@ -11,22 +11,36 @@ precision highp float;
 
 #define FR_PI 3.14159265358979
 #define FR_LOG2_E 1.44269504088896
+#define FR_LN_2 0.693147180559945
 
 // The power of 1/cos(gamma) in a model's lobe E/c^k.
 #define FR_K_COOK_TORRANCE 4
 #define FR_K_WARD 0
 
-// A light or an eye whose cosine is not above this counts as below the surface. A dot product of
-// two float32 unit vectors carries an error near 1e-7, so smaller cosines are mostly noise; and the
-// smallest divisor, (N.L)(N.V)(N.h)^2 m^2 = 1e-12 * 4e-12 * 1e-8 = 4e-32 at FR_MIN_SLOPE, and its
-// inverse stay in float32's normal range, 1.2e-38 to 3.4e38.
+// Cosines of light and eye below this are mostly noise: a dot product of two float32 unit vectors
+// carries an error near 1e-7. Errors are stated above it, and a BRDF that grows without end towards
+// the horizon is 0 up to it.
 #define FR_MIN_COSINE 1e-6
 
-// BRDFs raise slopes below this to it: see FR_MIN_COSINE; the peak 1/(4 m^2) is then 2.5e7.
+// What BRDFs add to (N.L)(N.V), (N.h)^2 and m^2 before they divide by them: the product of three of
+// these, 6.4e-38, and its inverse are in float32's normal range, 1.2e-38 to 3.4e38. It rides on a
+// multiplication: a comparison would cost an instruction.
+#define FR_FLOOR 4e-13
+
+// The smallest slope: its square is 2.5e4 times FR_FLOOR, and the peak 1/(4 m^2) is 2.5e7. BRDFs
+// stay finite below it.
 #define FR_MIN_SLOPE 1e-4
 
 // The end of the domain of the exact lobe: what widens a slope widens it no further.
 #define FR_MAX_SLOPE 2.0
+
+// Whether m is a constant; where it is not, 1/m^2 shares a BRDF's one division.
+#if defined(FR_SLOPE) && !defined(FR_CONSTANT_SLOPE)
+#define FR_CONSTANT_SLOPE 1
+#endif
+#ifndef FR_CONSTANT_SLOPE
+#define FR_CONSTANT_SLOPE 0
+#endif
 
 // The slope that every function reads in place of its m. A host whose m is one constant may say so,
 // and the compiler folds all that depends on it: #define FR_SLOPE(m) 0.3

@@ -6,11 +6,16 @@
 //   m         rms slope, in the domain of the chosen lobe (FR_LOBE)
 //   f0        Fresnel reflectance at normal incidence, in [0, 1)
 //   unit      1/sr, for a specular weight ks = 1; N.L is not included, 1/pi is
-//   result    finite and >= 0; exactly 0 where N.L or N.V is not above FR_MIN_COSINE
-//   error     that of the lobe; float32 adds, of what the lobe's highest value gives in the same
-//             directions, 1e-5 + 2e-7/(N.L) + 2e-7/(N.V) and, with e = 4e-7 (1 + 1/(N.L + N.V)),
-//             e/m for the exact lobe, e/m^2 for the others and where FR_SMALL_SLOPE is 0 (the
-//             cosine power: 7e-7/m^2 more, from log2; FR_STEEPNESS a/m^2 - b: e a g/(2 m^2))
+//   result    of finite vectors finite and >= 0, also for m below its domain; exactly 0 where N.L or
+//             N.V, as float32 rounds it, is not above 0 (with FR_MASKING_KELEMEN and _NONE not above
+//             FR_MIN_COSINE). A vector that is NaN gives NaN
+//   error     that of the lobe; float32 adds, of what the lobe's highest value and F + 2e-6 give in
+//             the same directions, 1e-5 + 2e-7/(N.L) + 2e-7/(N.V) and, with
+//             e = 4e-7 (1 + 1/(N.L + N.V)), e/m for the exact lobe, e/m^2 for the others and where
+//             FR_SMALL_SLOPE is 0 (the cosine power: 7e-7/m^2 more, from log2; FR_STEEPNESS
+//             a/m^2 - b: e a g/(2 m^2)). For cosines above 1.3e-6, and for the vectors as they
+//             are: that they were rounded correctly adds a quarter of that, and a length that is
+//             off by d > 1e-7 adds 2 d to e
 //   source    Cook and Torrance (1982), in the normalisation used since: Walter et al. (2007),
 //             F G D'/(4 (N.L)(N.V)) with D' = 4 D/pi
 #ifndef FR_COOK_TORRANCE_GLSL
@@ -22,6 +27,60 @@
 #include "fresnel.glsl"
 #include "masking.glsl"
 
+// What the constants of Cook-Torrance make, which a Fresnel term takes in: see fresnel.glsl.
+//
+//   formula   ln 2/(4 pi) for the exact lobe, whose 1/m^2 is 1/(m^2 ln 2); 1/(4 pi) for the others
+//   lobe      FR_LOBE_EXACT or another macro of lobe.glsl, a constant
+//   unit      1/sr
+//   result    in (0, 1)
+//   error     none
+float fr_cook_torrance_scale(int lobe) {
+    return lobe == FR_LOBE_EXACT ? 0.25 * FR_LN_2 / FR_PI : 0.25 / FR_PI;
+}
+
+// Cook-Torrance specular BRDF without its Fresnel term and constants, and the cosine of that term.
+//
+//   formula   G D/(pi (N.L)(N.V)) over fr_cook_torrance_scale; V.H
+//   lobe      FR_LOBE_EXACT or another macro of lobe.glsl, a constant
+//   masking   FR_MASKING_V_CAVITY, _KELEMEN or _NONE, a constant
+//   unit      none, both >= 0
+vec2 fr_cook_torrance_parts(vec3 n, vec3 l, vec3 v, float m, int lobe, int masking) {
+    float n_dot_l = clamp(dot(n, l), 0.0, 1.0);
+    float n_dot_v = clamp(dot(n, v), 0.0, 1.0);
+    vec3 h = l + v;  // keeps its length: V.H = |h|/2
+    float n_dot_h = n_dot_l + n_dot_v;
+    float slope2 = FR_SLOPE(m) * FR_SLOPE(m);
+#if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
+    if (lobe == FR_LOBE_EXACT) {
+        vec2 squares = fr_half_vector(n, h, n_dot_h);
+        vec2 masked = fr_masking_of(n_dot_h, squares.x, n_dot_l, n_dot_v, masking);
+        float along = n_dot_h * n_dot_h + FR_FLOOR;
+        float w = FR_LN_2 * slope2 + FR_FLOOR;  // E = 2^-x, x = tan^2(gamma)/w
+        float inverse = 1.0 / (masked.y * along * w);
+        float x = squares.y * masked.y * inverse;
+        float sec2 = x * w + 1.0;
+        // E first, which may be 0 where the product of the others overflows
+        return vec2(exp2(-x) * sec2 * (masked.x * inverse), 0.5 * sqrt(squares.x));
+    }
+#endif
+    float m2 = slope2 + FR_FLOOR;
+    float h_dot_h = fr_half_vector_square(h);
+    vec2 masked = fr_masking_of(n_dot_h, h_dot_h, n_dot_l, n_dot_v, masking);
+    float divisor = masked.y * h_dot_h;
+#if FR_CONSTANT_SLOPE == 1
+    float inverse_m2 = 1.0 / m2;
+    float inverse = inverse_m2 / divisor;
+#else
+    float inverse = 1.0 / (divisor * m2);
+    float inverse_m2 = divisor * inverse;
+#endif
+    float inverse_length = inversesqrt(h_dot_h);
+    float c = n_dot_h * inverse_length;
+    float slope = max(FR_SLOPE(m), FR_MIN_SLOPE);
+    float value = fr_lobe_within(c, slope, inverse_m2, FR_K_COOK_TORRANCE, lobe);
+    return vec2(value * (masked.x * inverse), 0.5 * h_dot_h * inverse_length);
+}
+
 // Cook-Torrance specular BRDF with terms of its own, for programs that treat lights differently, or
 // have two lobes.
 //
@@ -32,41 +91,22 @@
 float fr_cook_torrance_terms(
     vec3 n, vec3 l, vec3 v, float m, float f0, int lobe, int fresnel, int masking
 ) {
-    float n_dot_l = dot(n, l);
-    float n_dot_v = dot(n, v);
-    vec3 h = l + v;  // keeps its length: V.H = |h|/2
-    float n_dot_h = n_dot_l + n_dot_v;
-    float slope = max(FR_SLOPE(m), FR_MIN_SLOPE);
-    float m2 = slope * slope;
-    vec2 squares = vec2(dot(h, h), 0.0);
-#if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
-    if (lobe == FR_LOBE_EXACT) squares = fr_half_vector(n, h, n_dot_h);
-#endif
-    float h_dot_h = squares.x;
-    vec2 masked = fr_masking_of(n_dot_h, h_dot_h, n_dot_l, n_dot_v, masking);
-
-    // 4 D G/((N.L)(N.V)); for the exact lobe, whose 1/c^2 is (h.h)/(N.h)^2, with a single division.
-    float value;
-#if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
-    if (lobe == FR_LOBE_EXACT) {
-        float inverse = 1.0 / (masked.y * (n_dot_h * n_dot_h) * m2);
-        float sec2 = h_dot_h * m2 * (masked.y * inverse);
-        value = fr_slope_factor(squares.y * (masked.y * inverse)) * sec2 * (masked.x * inverse);
-    } else
-#endif
-    {
-        float inverse = 1.0 / (masked.y * h_dot_h);
-        float c = n_dot_h * sqrt(h_dot_h) * (masked.y * inverse);
-        value = fr_lobe_of(c, slope, FR_K_COOK_TORRANCE, lobe) / m2 * (masked.x * inverse);
-    }
-    float reflectance = fr_fresnel_of(f0, 0.5 * sqrt(h_dot_h), fresnel);
-    bool above = n_dot_l > FR_MIN_COSINE && n_dot_v > FR_MIN_COSINE;
-    return above ? reflectance * value * (0.25 / FR_PI) : 0.0;
+    vec2 parts = fr_cook_torrance_parts(n, l, v, m, lobe, masking);
+    return parts.x * fr_fresnel_times(fr_cook_torrance_scale(lobe), f0, parts.y, fresnel);
 }
 
 // Cook-Torrance specular BRDF, with the terms that the host chose.
 float fr_cook_torrance(vec3 n, vec3 l, vec3 v, float m, float f0) {
     return fr_cook_torrance_terms(n, l, v, m, f0, FR_DEFAULT_LOBE, FR_FRESNEL, FR_MASKING);
+}
+
+// Cook-Torrance specular BRDF in colour, with Schlick's Fresnel term and a reflectance at 90 degrees.
+//
+//   f0, f90   reflectances at normal incidence and at 90 degrees, in [0, 1] each
+vec3 fr_cook_torrance_rgb(vec3 n, vec3 l, vec3 v, float m, vec3 f0, vec3 f90) {
+    vec2 parts = fr_cook_torrance_parts(n, l, v, m, FR_DEFAULT_LOBE, FR_MASKING);
+    float scale = fr_cook_torrance_scale(FR_DEFAULT_LOBE);
+    return parts.x * fr_fresnel_schlick_rgb(scale, f0, f90, parts.y);
 }
 
 #endif

@@ -7,7 +7,7 @@
 //   weight    share w of the first lobe, in [0, 1]; the second one has 1 - w
 //   f0        Fresnel reflectance at normal incidence, in [0, 1)
 //   unit      1/sr, for a specular weight ks = 1; N.L is not included, 1/pi is
-//   result    finite and >= 0; exactly 0 where N.L or N.V is not above FR_MIN_COSINE
+//   result    as of cook_torrance.glsl
 //   error     the sum of fr_cook_torrance's at m0, times w, and at m1, times 1 - w
 //   source    Jimenez et al. (2015), "Next-generation character rendering", GDC: two lobes for skin
 #ifndef FR_COOK_TORRANCE_TWO_GLSL
@@ -30,47 +30,42 @@ float fr_cook_torrance_two_terms(
     vec3 n, vec3 l, vec3 v, float m0, float m1, float weight, float f0,
     int lobe, int fresnel, int masking
 ) {
-    float n_dot_l = dot(n, l);
-    float n_dot_v = dot(n, v);
+    float n_dot_l = clamp(dot(n, l), 0.0, 1.0);
+    float n_dot_v = clamp(dot(n, v), 0.0, 1.0);
     vec3 h = l + v;  // keeps its length: V.H = |h|/2
     float n_dot_h = n_dot_l + n_dot_v;
     vec2 slope = vec2(FR_SLOPE(m0), FR_SLOPE(m1));
-    // 1e-16 is less than a digit of the smallest square, 1e-8, and keeps a slope of 0 finite.
-    vec2 inverse_m2 = 1.0 / (slope * slope + 1e-16);
-    vec2 squares = vec2(dot(h, h), 0.0);
-#if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
-    if (lobe == FR_LOBE_EXACT) squares = fr_half_vector(n, h, n_dot_h);
-#endif
-    float h_dot_h = squares.x;
-    vec2 masked = fr_masking_of(n_dot_h, h_dot_h, n_dot_l, n_dot_v, masking);
-
-    // 4 D G/((N.L)(N.V)); the exact lobes share 1/c^2 = (h.h)/(N.h)^2, and tan^2(gamma).
+    vec2 inverse_m2 = 1.0 / (slope * slope + FR_FLOOR);
     vec2 lobes;
-    float sec2 = 1.0;
-    float inverse;
+    float v_dot_h;
+    float masked_over;  // G/((N.L)(N.V)), times 1/c^4 for the exact lobes
 #if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
     if (lobe == FR_LOBE_EXACT) {
-        inverse = 1.0 / (masked.y * (n_dot_h * n_dot_h));
-        float inverse_along = masked.y * inverse;
-        vec2 x = (FR_LOG2_E * squares.y * inverse_along) * inverse_m2;
+        vec2 squares = fr_half_vector(n, h, n_dot_h);
+        vec2 masked = fr_masking_of(n_dot_h, squares.x, n_dot_l, n_dot_v, masking);
+        float inverse = 1.0 / (masked.y * (n_dot_h * n_dot_h + FR_FLOOR));
+        float tan2 = squares.y * (masked.y * inverse);
+        vec2 x = (FR_LOG2_E * tan2) * inverse_m2;
         lobes = vec2(exp2(-x.x), exp2(-x.y));
-        sec2 = h_dot_h * inverse_along;
+        masked_over = (tan2 + 1.0) * (masked.x * inverse);
+        v_dot_h = 0.5 * sqrt(squares.x);
     } else
 #endif
     {
-        inverse = 1.0 / (masked.y * h_dot_h);
-        float c = n_dot_h * sqrt(h_dot_h) * (masked.y * inverse);
+        float h_dot_h = fr_half_vector_square(h);
+        vec2 masked = fr_masking_of(n_dot_h, h_dot_h, n_dot_l, n_dot_v, masking);
+        float inverse_length = inversesqrt(h_dot_h);
+        float c = n_dot_h * inverse_length;
         slope = max(slope, vec2(FR_MIN_SLOPE));
-        inverse_m2 = 1.0 / (slope * slope);
-        lobes.x = fr_lobe_of(c, slope.x, FR_K_COOK_TORRANCE, lobe);
-        lobes.y = fr_lobe_of(c, slope.y, FR_K_COOK_TORRANCE, lobe);
+        lobes.x = fr_lobe_within(c, slope.x, inverse_m2.x, FR_K_COOK_TORRANCE, lobe);
+        lobes.y = fr_lobe_within(c, slope.y, inverse_m2.y, FR_K_COOK_TORRANCE, lobe);
+        masked_over = masked.x / (masked.y * h_dot_h);
+        v_dot_h = 0.5 * h_dot_h * inverse_length;
     }
     // not mix: where it is x + a (y - x), a high lobe of share 0 would take the digits of the other
     vec2 shares = vec2(weight * inverse_m2.x, inverse_m2.y - weight * inverse_m2.y);
-    float value = dot(shares, lobes) * sec2 * (masked.x * inverse);
-    float reflectance = fr_fresnel_of(f0, 0.5 * sqrt(h_dot_h), fresnel);
-    bool above = min(n_dot_l, n_dot_v) > FR_MIN_COSINE;  // a minimum that V-cavities have as well
-    return above ? reflectance * value * (0.25 / FR_PI) : 0.0;
+    float value = dot(shares, lobes) * masked_over;
+    return value * fr_fresnel_times(0.25 / FR_PI, f0, v_dot_h, fresnel);
 }
 
 // Cook-Torrance specular BRDF with two lobes, with the terms that the host chose.

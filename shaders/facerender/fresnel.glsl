@@ -32,6 +32,16 @@ float fr_fresnel_of(float f0, float v_dot_h, int fresnel) {
     return fr_fresnel_schlick(f0, v_dot_h);
 }
 
+// Fresnel reflectance times a constant, of the kind that the caller names by another.
+//
+//   scale     in (0, 1], a constant
+//   unit      none, in [0, scale]
+float fr_fresnel_times(float scale, float f0, float v_dot_h, int fresnel) {
+    if (fresnel == FR_FRESNEL_CONSTANT) return scale * f0;
+    if (fresnel == FR_FRESNEL_DIELECTRIC) return scale * fr_fresnel_dielectric(f0, v_dot_h);
+    return fr_fresnel_schlick_times(scale, f0, v_dot_h);
+}
+
 // Fresnel reflectance, as the host chose it: #define FR_FRESNEL FR_FRESNEL_DIELECTRIC.
 float fr_fresnel(float f0, float v_dot_h) {
     return fr_fresnel_of(f0, v_dot_h, FR_FRESNEL);

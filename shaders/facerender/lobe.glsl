@@ -75,36 +75,43 @@
 #define FR_STEEPNESS(m, k) ((2.0 / ((m) * (m)) - float(k)) / float(FR_G))
 #endif
 
-// Lobe, of the kind that the caller names by a constant.
-float fr_lobe_of(float c, float m, int k, int lobe) {
+// Lobe within a BRDF, which has 1/m^2 already, of the kind that the caller names by a constant.
+//
+//   inverse_m2  1/m^2
+float fr_lobe_within(float c, float m, float inverse_m2, int k, int lobe) {
 #if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
     if (lobe == FR_LOBE_EXACT) return fr_lobe_exact(c, m, k);
 #endif
 #if FR_LOBE == FR_LOBE_COSINE || FR_LOBE == FR_LOBE_EVERY
-    if (lobe == FR_LOBE_COSINE) return fr_lobe_cosine(c, m, k);
+    if (lobe == FR_LOBE_COSINE) return fr_lobe_power(c, 2.0 * inverse_m2 - float(k));
 #endif
 #if FR_LOBE == FR_LOBE_D4 || FR_LOBE == FR_LOBE_EVERY
-    if (lobe == FR_LOBE_D4) return fr_lobe_g_power(c, m, k, 4);
+    if (lobe == FR_LOBE_D4) return fr_lobe_clamped_power(c, 0.5 * inverse_m2 - 0.25 * float(k), 4);
 #endif
 #if FR_LOBE == FR_LOBE_D8 || FR_LOBE == FR_LOBE_EVERY
-    if (lobe == FR_LOBE_D8) return fr_lobe_g_power(c, m, k, 8);
+    if (lobe == FR_LOBE_D8) return fr_lobe_clamped_power(c, 0.25 * inverse_m2 - 0.125 * float(k), 8);
 #endif
 #if FR_LOBE == FR_LOBE_D16 || FR_LOBE == FR_LOBE_EVERY
-    if (lobe == FR_LOBE_D16) return fr_lobe_g_power(c, m, k, 16);
+    if (lobe == FR_LOBE_D16) return fr_lobe_clamped_power(c, 0.125 * inverse_m2 - 0.0625 * float(k), 16);
 #endif
 #if FR_LOBE == FR_LOBE_FITTED || FR_LOBE == FR_LOBE_EVERY
-    if (lobe == FR_LOBE_FITTED) return fr_lobe_fitted(c, m, k);
+    if (lobe == FR_LOBE_FITTED) return fr_lobe_fitted_within(c, m, inverse_m2, k);
 #endif
 #if FR_LOBE == FR_LOBE_FITTED_FINE || FR_LOBE == FR_LOBE_EVERY
-    if (lobe == FR_LOBE_FITTED_FINE) return fr_lobe_fitted_fine(c, m, k);
+    if (lobe == FR_LOBE_FITTED_FINE) return fr_lobe_fitted_fine_within(c, m, inverse_m2, k);
 #endif
 #if FR_LOBE == FR_LOBE_G_POWER || FR_LOBE == FR_LOBE_EVERY
     if (lobe == FR_LOBE_G_POWER) return fr_lobe_clamped_power(c, FR_STEEPNESS(FR_SLOPE(m), k), FR_G);
 #endif
 #ifdef FR_LOBE_FUNCTION
-    if (lobe == FR_LOBE_OWN) return FR_LOBE_FUNCTION(c, m, k);
+    if (lobe == FR_LOBE_OWN) return FR_LOBE_FUNCTION(clamp(c, 0.0, 1.0), m, k);
 #endif
     return -1.0;
+}
+
+// Lobe, of the kind that the caller names by a constant.
+float fr_lobe_of(float c, float m, int k, int lobe) {
+    return fr_lobe_within(c, m, 1.0 / (FR_SLOPE(m) * FR_SLOPE(m)), k, lobe);
 }
 
 // Lobe, as the host chose it: #define FR_LOBE FR_LOBE_D16.

@@ -4,9 +4,10 @@
 //
 //   formula            G/((N.L)(N.V)) = x/(y h.h), of the chosen one
 //   n_dot_h, h_dot_h   dot(n, h) and dot(h, h) of h = l + v, which keeps its length
-//   n_dot_l, n_dot_v   cosines of light and eye, in (0, 1]
+//   n_dot_l, n_dot_v   cosines of light and eye, in [-1, 1]
 //   masking            FR_MASKING_V_CAVITY, _KELEMEN, _NONE, a constant
-//   unit               none, both > 0
+//   unit               none; x >= 0, and 0 where a cosine is not above 0 (with FR_MASKING_KELEMEN
+//                      and _NONE, FR_MIN_COSINE); y > 0
 //   error              of each: see masking/*.glsl
 //   source             of each: see there
 //
@@ -29,8 +30,8 @@
 // Masking over the divisor of a BRDF, as numerator and denominator, of the kind that the caller
 // names by a constant.
 vec2 fr_masking_of(float n_dot_h, float h_dot_h, float n_dot_l, float n_dot_v, int masking) {
-    if (masking == FR_MASKING_NONE) return vec2(h_dot_h, n_dot_l * n_dot_v);
-    if (masking == FR_MASKING_KELEMEN) return vec2(4.0, 1.0);
+    if (masking == FR_MASKING_NONE) return vec2(min(n_dot_l, n_dot_v) > FR_MIN_COSINE ? h_dot_h : 0.0, abs(n_dot_l * n_dot_v) + FR_FLOOR);
+    if (masking == FR_MASKING_KELEMEN) return fr_masking_kelemen_ratio(n_dot_l, n_dot_v);
     return fr_masking_v_cavity_ratio(n_dot_h, h_dot_h, n_dot_l, n_dot_v);
 }
 

@@ -24,12 +24,15 @@
 
 // Slope of microfacets that have the slope m and, unresolved, slopes of a variance.
 //
-//   formula    sqrt(m^2 + 2 variance), at most FR_MAX_SLOPE: Beckmann's slopes have variance m^2/2
+//   formula    sqrt(m^2 + 2 variance), between FR_MIN_SLOPE and FR_MAX_SLOPE: Beckmann's slopes have
+//              variance m^2/2
 //   m          rms slope, in [0, 2]
 //   variance   in [0, 1e18]
 //   error      none for independent normal slopes; float32 adds 4e-7 of the result
 float fr_slope_filtered(float m, float variance) {
-    return min(sqrt(m * m + 2.0 * variance), FR_MAX_SLOPE);
+    // The root last: where only the square of the result is used, compilers leave it out.
+    float least = FR_MIN_SLOPE * FR_MIN_SLOPE;
+    return sqrt(clamp(m * m + 2.0 * variance, least, FR_MAX_SLOPE * FR_MAX_SLOPE));
 }
 
 // Slope variance of the texels that one of a prepared normal map's levels stands for (facerender

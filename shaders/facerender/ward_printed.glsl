@@ -5,7 +5,7 @@
 //   n, l, v   unit vectors: normal, towards the light, towards the eye
 //   m         rms slope (Ward's alpha), in the domain of the chosen lobe (FR_LOBE)
 //   unit      1/sr, for a specular reflectance of 1; N.L is not included, 1/pi is
-//   result    finite and >= 0; exactly 0 where N.L or N.V is not above FR_MIN_COSINE
+//   result    as of ward.glsl
 //   error     as of ward.glsl
 //   source    Romanyuk et al. (2020)
 #ifndef FR_WARD_PRINTED_GLSL

@@ -19,7 +19,7 @@
 #include "facerender/slope_variance.glsl"
 #endif
 
-uniform float diffuse_weight;  // kd
+uniform float diffuse_brdf;  // kd/pi
 uniform float f0;
 #ifdef AMBIENT
 uniform vec3 ambient;  // irradiance, the same from every direction
@@ -67,12 +67,12 @@ void add(Surface s, vec3 v, vec3 l, vec3 irradiance, float spread, int term) {
 #else
     float term_value = specular_term(term, s.normal, l, v, s.m, f0);
 #endif
-    specular += irradiance * (max(cosine, 0.0) * term_value);
+    specular += irradiance * (clamp(cosine, 0.0, 1.0) * term_value);
 #endif
 }
 
 void add_light(Surface s, vec3 v, Light light, int term) {
-    float spread = max(dot(s.normal, light.direction), 0.0);
+    float spread = clamp(dot(s.normal, light.direction), 0.0, 1.0);
     add(s, v, light.direction, light.irradiance, spread, term);
 }
 
@@ -133,14 +133,14 @@ vec3 shaded(Point p) {
 #ifdef SCATTER
     light = vec4(diffuse, fr_scatter_area(dot(normalize(p.normal), v)));
     place = vec4(s.position, profile);
-    albedo = vec4(diffuse_weight / FR_PI * s.albedo, 1.0);
+    albedo = vec4(diffuse_brdf * s.albedo, 1.0);
 #endif
 #ifdef ENVIRONMENT
     add_environment(s, v);  // it varies slowly, and does not scatter
 #endif
     vec3 result = vec3(0.0);
 #ifdef DIFFUSE
-    result += diffuse_weight / FR_PI * s.albedo * diffuse;
+    result += diffuse_brdf * s.albedo * diffuse;
 #endif
 #if defined(SPECULAR) || defined(ENVIRONMENT_SAMPLES)
     result += s.specular_weight * specular;

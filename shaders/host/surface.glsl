@@ -49,40 +49,44 @@ struct Surface {
 #ifdef NORMAL_MAP
 // Tangent frame from screen-space derivatives: Schueler (2006), "Normal mapping without precomputed
 // tangents", with the sign of the determinant, so that mirrored charts and a flipped screen work.
-// It depends neither on the normal's length nor on its sign, both of which `inverse` mends.
-vec3 mapped_normal(Point p, float inverse) {
+// It depends neither on the normal's length nor on its sign, which is that of `facing`.
+vec3 mapped_normal(Point p, float square, float facing) {
     vec3 across_y = cross(p.position_y, p.normal);
     vec3 across_x = cross(p.normal, p.position_x);
     vec3 tangent = across_y * p.uv_x.x + across_x * p.uv_y.x;
     vec3 bitangent = across_y * p.uv_x.y + across_x * p.uv_y.y;
     // 1e-30: a chart of zero area has a zero frame, and keeps the vertex normal.
     float longest = max(max(dot(tangent, tangent), dot(bitangent, bitangent)), 1e-30);
-    float scale = inversesqrt(longest);
+    float scale = square * inversesqrt(square * longest);  // to the length of the vertex normal
     if (dot(p.position_x, across_y) < 0.0) scale = -scale;
-    vec3 texel = TEXEL(normal_map, p).xyz * 2.0 - 1.0;
-    vec3 along = texel.x * scale * tangent + texel.y * scale * bitangent;
-    return normalize(along + texel.z * inverse * p.normal);
+    vec3 texel = TEXEL(normal_map, p).xyz;  // in [0, 1], for [-1, 1]
+    vec2 along = texel.xy * (2.0 * scale) - scale;
+    float up = facing * (texel.z * 2.0 - 1.0);
+    return normalize(along.x * tangent + along.y * bitangent + up * p.normal);
 }
 #endif
 
 Surface surface(Point p) {
     vec3 v = normalize(eye - p.position);
-    float inverse = inversesqrt(dot(p.normal, p.normal));
+    float square = dot(p.normal, p.normal);
     // The inside of an open mesh shows its back. A triangle that is only just turned away, whose
-    // normal still lies near the silhouette's, peeks out by rounding of depth, and is no inside.
-    if (p.inside && inverse * dot(p.normal, v) < -0.25) inverse = -inverse;
-    vec3 n = inverse * p.normal;
+    // normal still lies near the silhouette's, peeks out by rounding of depth, and is no inside: the
+    // more it is curved, the shorter its normals are between the vertices, and the further off it may
+    // lie.
+    float facing = p.inside && dot(p.normal, v) < -0.2 ? -1.0 : 1.0;
+    vec3 n = facing * inversesqrt(square) * p.normal;
 #if defined(SLOPE_FILTER) || defined(CURVATURE)
     float variance = 0.0;
 #endif
 #ifdef CURVATURE
+    float inverse = inversesqrt(square);
     variance += fr_slope_variance_pixel(
         inverse * (p.normal_x - n * dot(n, p.normal_x)),
         inverse * (p.normal_y - n * dot(n, p.normal_y))
     );
 #endif
 #ifdef NORMAL_MAP
-    n = mapped_normal(p, inverse);
+    n = mapped_normal(p, square, facing);
 #ifdef SLOPE_FILTER
     variance += fr_slope_variance_map(TEXEL(normal_map, p).a);  // compilers fetch the texel once
 #endif
@@ -119,16 +123,20 @@ Surface surface(Point p) {
     s.occlusion *= clamp(p.occlusion, 0.0, 1.0);  // beyond a triangle's edge it is extrapolated
 #endif
 #ifdef TWO_LOBES
-    s.second_m = max(s.m * second_slope, FR_MIN_SLOPE);
+    s.second_m = s.m * second_slope;
 #ifdef LOBE_MAP
     s.lobe_weight = 1.0 - (1.0 - lobe_weight) * TEXEL(lobe_map, p).r;
 #endif
 #endif
-    s.m = max(s.m, FR_MIN_SLOPE);
 #if (defined(SLOPE_FILTER) || defined(CURVATURE)) && !defined(CONSTANT_SLOPE)
     s.m = fr_slope_filtered(s.m, variance);
 #ifdef TWO_LOBES
     s.second_m = fr_slope_filtered(s.second_m, variance);
+#endif
+#else
+    s.m = max(s.m, FR_MIN_SLOPE);
+#ifdef TWO_LOBES
+    s.second_m = max(s.second_m, FR_MIN_SLOPE);
 #endif
 #endif
     return s;

@@ -13,6 +13,21 @@ function shadingFields(term) {
   return own;
 }
 
+// What a plan decided that no option says.
+function plannedFields(term, count) {
+  const own = {};
+  const lights = [...Array(count).keys()];
+  const some = names => lights.filter(i => among(names, i));
+  if (term.constant !== null) own.m = term.constant;
+  if (term.weight !== null) own.ks = term.weight;
+  if (term.small === "plain") own.small_slope = false;
+  if (term.normal === "off") own.normal_map = false;
+  if (term.ambient === "off") own.ambient = false;
+  if (some(term.dark).length) own.specular_lights = lights.filter(i => !among(term.dark, i));
+  if (modelOf(term).factors && some(term.frontal).length) own.frontal_lights = some(term.frontal);
+  return own;
+}
+
 const rounded = list => list.map(short).join(", ");
 
 function pointOf(light) {
@@ -20,12 +35,25 @@ function pointOf(light) {
     .map((x, i) => x + facts.center[i]);
 }
 
-// A roughness map and a slope of one's own exclude each other.
-const meshWords = term => [facts.mesh.shell, term.m === null ? facts.mesh.roughness : ""];
+// Without the maps in whose place the term has something of its own.
+function meshWords(term) {
+  const {roughness_map: roughness, specular_map: weight, normal_map: normal, ...others} = facts.mesh.maps;
+  return [
+    facts.mesh.shell, ...Object.values(others), ownSlope(term) === null && roughness,
+    term.weight === null && weight, term.normal === "on" && normal,
+  ];
+}
 
 function commandLine(state, which, [width, height]) {
   const term = state[which];
   const words = ["facerender render", ...meshWords(term)];
+  if (Object.keys(plannedFields(term, state.lights.length)).length) {
+    words.push(`--scene ${which}.toml`);
+    if (state.exposure) words.push(`--exposure ${short(state.exposure)}`);
+    if (state.only !== "all") words.push(`--only ${state.only}`);
+    words.push(`--size ${width}x${height}`, `-o ${which}.png`);
+    return words.filter(Boolean).join(" \\\n    ");
+  }
   const own = term.lobe === "g-power";
   if (own) words.push(`--scene ${which}.toml`);
   for (const [name, value] of Object.entries(shadingFields(term))) {
@@ -70,9 +98,10 @@ function toml(state, which) {
   ];
   const material = changedFields(term, ["m", "f0", "ks"]);
   if (material.length) lines.push("", "[material]", ...material.map(name => `${name} = ${short(term[name])}`));
-  const shading = Object.entries(shadingFields(term)).map(([name, value]) => value === "g-power"
+  const decided = Object.entries({...shadingFields(term), ...plannedFields(term, state.lights.length)});
+  const shading = decided.map(([name, value]) => value === "g-power"
     ? `lobe = { g = ${term.g}, factor = ${literal(term.factor)}, offset = ${literal(term.offset)} }`
-    : `${name} = "${value}"`);
+    : `${name} = ${JSON.stringify(value)}`);
   if (shading.length) lines.push("", "[shading]", ...shading);
   return lines.join("\n") + "\n";
 }
@@ -88,8 +117,10 @@ function python(state, which, [width, height]) {
       : `    fr.Light(position=(${rounded(pointOf(light))}), ${power}${size}),\n`;
   });
   const material = changedFields(term, ["m", "f0", "ks"]).map(name => `${name}=${short(term[name])}`);
-  const shading = Object.entries(shadingFields(term)).map(([name, value]) => value === "g-power"
-    ? `lobe=GPower(${term.g}, ${literal(term.factor)}, ${literal(term.offset)})` : `${name}="${value}"`);
+  const decided = Object.entries({...shadingFields(term), ...plannedFields(term, state.lights.length)});
+  const shading = decided.map(([name, value]) => value === "g-power"
+    ? `lobe=GPower(${term.g}, ${literal(term.factor)}, ${literal(term.offset)})`
+    : `${name}=${value === false ? "False" : JSON.stringify(value)}`);
   const mesh = material.length
     ? `${facts.mesh.python}.with_material(${material.join(", ")})` : facts.mesh.python;
   const only = state.only === "all" ? "" : `, only="${state.only}"`;

@@ -118,7 +118,9 @@ class Drawing {
         if (!lights.length) continue;
         for (const [name, [, list]] of Object.entries(lightArrays(kind, lights))) values[name] = list;
       }
-      for (const [name, own] of [["slope", term.m], ["f0", term.f0], ["specular_weight", term.ks]]) {
+      for (const [name, own] of [
+        ["slope", ownSlope(term)], ["f0", term.f0], ["specular_weight", term.weight ?? term.ks],
+      ]) {
         if (own !== null) values[name] = own;
       }
       Object.entries(part.maps).forEach(([name, texture], unit) => {

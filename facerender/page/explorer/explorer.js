@@ -135,6 +135,23 @@ function plotHere() {
     + `N.V ${figure(here.eye)}, N.L ${cosines || "without a light"}.`;
 }
 
+let alone = null;  // what each decision of the plan loses by itself
+
+async function measureEach() {
+  if (!drawing?.targets || drawing.gl.isContextLost()) return;
+  const began = version;
+  const buttons = [byId("plan-measure"), byId("price")];  // neither while the other measures
+  if (buttons.some(each => each.disabled)) return;
+  buttons.forEach(each => { each.disabled = true; });
+  try {
+    alone = await lossesAlone(drawing, state, text => { byId("plan-told").textContent = text; },
+      () => version !== began || drawing.gl.isContextLost());
+  } finally {
+    buttons.forEach(each => { each.disabled = false; });
+    refresh();
+  }
+}
+
 let cost = null;  // what was measured here
 let costOf = "";  // what it was measured of
 const pictured = ({a, b, camera, lights, ambient, only}) =>
@@ -256,6 +273,7 @@ function buildControls() {
     while (handles.children.length > state.lights.length) handles.lastChild.remove();
     while (handles.children.length < state.lights.length) handles.append(handleOf(handles.children.length));
   });
+  buildPlan(still, () => drawing?.size, () => alone, changed);
   const costs = costTable();
   byId("costs").append(costs.table);
   refreshers.push(() => writeCosts(costs));
@@ -386,6 +404,7 @@ function listen() {
     changed();
   }));
   watchPointer();
+  byId("plan-measure")?.addEventListener("click", () => attempt(measureEach));
   byId("price").addEventListener("click", () => attempt(priceHere));
   byId("save").addEventListener("click", saveCost);
   addEventListener("hashchange", () => restore(location.hash));

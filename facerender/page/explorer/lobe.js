@@ -58,16 +58,16 @@ function axes({width, height}, across, up, grid) {
   const text = (x, y, anchor, words) => svg("text", {x, y, "text-anchor": anchor}, words);
   return [
     ...grid.map(([y, words]) => svg("g", {},
-      svg("path", {class: "grid", d: `M34 ${y}H${width - 4}`}), text(30, y + 3.5, "end", words))),
+      svg("path", {class: "grid", d: `M42 ${y}H${width - 4}`}), text(38, y + 3.5, "end", words))),
     ...across.map(([x, words]) => text(x, height - 2, "middle", words)),
-    text(34, 10, "start", up),
+    text(42, 10, "start", up),
   ];
 }
 
 // Draws both plots. found: of a pixel {a, b}: m and the angles of the half vectors of lights.
 function plotLobes(box, {a, b}, scale) {
   const {width, height} = PLOT;
-  const [left, right, top, bottom] = [34, width - 4, 16, height - 14];
+  const [left, right, top, bottom] = [42, width - 4, 16, height - 14];
   const each = [["a", a], ["b", b]];
   const highest = Math.max(1, ...a.values, ...b.values);
   const curves = svg("svg", {viewBox: `0 0 ${width} ${height}`, role: "img",

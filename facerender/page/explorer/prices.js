@@ -6,23 +6,33 @@ const priceName = term => [
   ...modelOf(term).factors ? [term.fresnel, term.masking] : [],
 ].join(" ");
 
-// What a fragment costs with a term, or without one where it is null; null where something that is
-// drawn has no price.
-function fragmentPrice({lights: known, dull, shining}, term, {lights, ambient}) {
+const slopeKind = ({constant, m, small}) => {
+  const own = constant ?? m;
+  const plain = small === "plain" || own >= registry.small_slope ? "plain" : "small";
+  if (own === null) return small === "plain" ? "own plain" : "own";
+  return constant === null ? plain : `constant ${plain}`;
+};
+
+// What a fragment costs; null where something that is drawn has no price.
+function fragmentPrice({lights: known, dull, normal, shining}, term, {lights, ambient}) {
   const each = lights.map(light => known[lightKind(light)] ?? null);
   if (each.includes(null)) return null;
-  const lit = each.reduce((sum, price) => sum + price, 0);
-  const around = Number(ambient.some(Boolean));
-  if (!term || !lights.length || term.ks === 0) return dull[around] + lit;
-  const slope = term.m === null ? "own" : term.m < registry.small_slope ? "small" : "plain";
-  const {fixed, terms} = shining[slope][term.ks === null ? "own" : "given"];
-  const [first, further] = terms[priceName(term)] ?? [null];
-  return first === null ? null : fixed[around] + lit + first + (lights.length - 1) * further;
+  const flat = term.normal === "on" ? 0 : normal;
+  const lit = each.reduce((sum, price) => sum + price, 0) - flat;
+  const around = Number(term.ambient === "on" && ambient.some(Boolean));
+  const numbers = lights.map((_, i) => lightTerm(term, i)).filter(number => number >= 0).sort();
+  if (!numbers.length || (term.weight ?? term.ks) === 0) return dull[around] + lit;
+  const weight = term.weight !== null ? "weight" : term.ks !== null ? "given" : "own";
+  const {fixed, terms} = shining[slopeKind(term)][weight];
+  const names = [term, {...term, ...registry.frontal}].map(priceName);
+  const lobes = numbers.map((number, i) => terms[names[number]]?.[Math.min(i, 1)] ?? null);
+  return lobes.includes(null) ? null : lobes.reduce((sum, price) => sum + price, fixed[around] + lit);
 }
 
 // The same of a picture without highlights, of A and of B, and what B costs more.
 function fragmentPrices(target, state) {
-  const [base, a, b] = [null, state.a, state.b].map(term => fragmentPrice(target, term, state));
-  const difference = a === null || b === null ? null : +(b - a).toFixed(6);  // without 1e-15
-  return {base, a, b, difference};
+  const {a, b} = state;
+  const [base, ...both] = [{...a, ks: 0, weight: null}, a, b].map(term => fragmentPrice(target, term, state));
+  const difference = both.includes(null) ? null : +(both[1] - both[0]).toFixed(6);  // without 1e-15
+  return {base, a: both[0], b: both[1], difference};
 }

@@ -10,10 +10,13 @@ const [firstModel] = Object.keys(registry.models);
 const [firstFresnel] = Object.keys(registry.fresnel);
 const [firstMasking] = Object.keys(registry.masking);
 
-// m, f0, ks: null for the file's own
+// m, f0, ks: null for the file's own. The rest is what a plan may decide besides: a slope that
+// nothing widens, a weight in place of maps, whether the normal map and the ambient light count, the
+// lights without a highlight and those with the frontal term, whether small slopes are exact.
 const plainTerm = lobe => ({
   model: firstModel, lobe, g: 8, factor: 0.25, offset: 0.5,
   fresnel: firstFresnel, masking: firstMasking, m: null, f0: null, ks: null,
+  constant: null, weight: null, normal: "on", ambient: "on", dark: "", frontal: "", small: "exact",
 });
 
 const within = (low, high) => text => {
@@ -24,6 +27,8 @@ const whole = (low, high) => text => {
   const value = within(low, high)(text);
   return Number.isInteger(value) ? value : undefined;
 };
+const orNull = read => text => text === "" ? null : read(text);
+const lightsOf = text => /^(\d(,\d)*)?$/.test(text) ? text : undefined;  // by index
 const oneOf = names => text => Object.hasOwn(names, text) ? text : undefined;
 
 // How each field of a term is read; undefined where it cannot be.
@@ -38,6 +43,15 @@ const TERM_FIELDS = {
   m: within(...registry.slopes),
   f0: within(0, 0.999),
   ks: within(0, registry.largest_weight),
+  ...facts.plan && {
+    constant: orNull(within(...registry.slopes)),
+    weight: orNull(within(0, registry.largest_weight)),
+    normal: oneOf({on: 0, off: 0}),
+    ambient: oneOf({on: 0, off: 0}),
+    dark: lightsOf,
+    frontal: lightsOf,
+    small: oneOf({exact: 0, plain: 0}),
+  },
 };
 
 const CAMERA_FIELDS = {
@@ -49,7 +63,7 @@ const FIELDS = {
   only: oneOf(ONLY),
   cut: within(0, 1),
   gain: within(1, 64),
-  budget: within(0, 255),
+  budget: orNull(within(0, 255)),
   exposure: within(-10, 10),
 };
 
@@ -57,8 +71,8 @@ function firstState() {
   const lobes = Object.keys(registry.lobes);
   return {
     a: plainTerm(lobes[0]),
-    b: plainTerm(registry.lobes.d16 ? "d16" : lobes.at(-1)),
-    show: "wipe", only: "all", cut: 0.5, gain: 8, budget: null, exposure: 0,
+    b: facts.plan ? planTerm(plainTerm(lobes[0])) : plainTerm(registry.lobes.d16 ? "d16" : lobes.at(-1)),
+    show: "wipe", only: "all", cut: 0.5, gain: 8, budget: facts.plan?.steps ?? null, exposure: 0,
     camera: {...facts.camera},
     lights: facts.lights.map(light => ({...light})),
     ambient: [...facts.ambient],
@@ -78,11 +92,13 @@ function lightOf(text) {
   return good ? {azimuth, elevation, irradiance, radius, distance} : undefined;
 }
 
+const word = value => typeof value === "number" ? short(value) : value ?? "";
+
 function fragmentOf(state) {
   const first = firstState();
   const changes = (table, own) => Object.keys(table)
     .filter(name => own[name] !== table[name])
-    .map(name => `${name}:${typeof own[name] === "number" ? short(own[name]) : own[name]}`);
+    .map(name => `${name}:${word(own[name])}`);
   const words = [];
   for (const which of ["a", "b"]) {
     const said = changes(first[which], state[which]);
@@ -99,7 +115,7 @@ function fragmentOf(state) {
   if (ambient !== first.ambient.map(short).join(",")) words.push(`ambient=${ambient}`);
   for (const name of Object.keys(FIELDS)) {
     if (state[name] !== first[name]) {
-      words.push(`${name}=${typeof state[name] === "number" ? short(state[name]) : state[name]}`);
+      words.push(`${name}=${word(state[name])}`);
     }
   }
   return words.join("&");
@@ -140,7 +156,8 @@ function stateOf(fragment) {
 
 // Whether slopes from low to high lie in the domain of a term's lobe, in words; "" where they do.
 function outside(term) {
-  const ranges = term.m === null ? facts.parts.map(part => part.slopes) : [[term.m, term.m]];
+  const own = ownSlope(term);
+  const ranges = own === null ? facts.parts.map(part => part.slopes) : [[own, own]];
   const {k} = modelOf(term);
   const lobe = lobeOf(term);
   const end = lobe.ends[k];

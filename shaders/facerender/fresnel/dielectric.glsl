@@ -22,7 +22,7 @@ float fr_fresnel_dielectric(float f0, float v_dot_h) {
     float difference = q / sum;
     float a = difference / sum;
     float b = (c * sum - 1.0) / (c * difference + 1.0);
-    return 0.5 * a * a * (1.0 + b * b);
+    return clamp(0.5 * a * a * (1.0 + b * b), 0.0, 1.0);
 }
 
 #endif

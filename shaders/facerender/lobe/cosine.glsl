@@ -1,7 +1,8 @@
 // Cosine-power lobe.
 //
 //   formula c^n, n = 2/m^2 - k
-//   c       cosine of the angle between normal and half vector, in [0, 1]
+//   c       cosine of the angle between normal and half vector, in [0, 1]; below 1e-30 it counts as
+//           that: 0 has no logarithm
 //   m       rms slope, from 1e-4 to below 0.707 for Cook-Torrance, to 2 for Ward; beyond, n < 0
 //           counts as 0, and the result is finite without meaning
 //   k       FR_K_COOK_TORRANCE or FR_K_WARD
@@ -15,10 +16,18 @@
 
 #include "../constants.glsl"
 
+// Power of a cosine.
+//
+//   formula c^n
+//   n       exponent; below 0 it counts as 0
+//   error   of the formula none; as an approximation of E/c^k see fr_lobe_cosine
+float fr_lobe_power(float c, float n) {
+    return exp2(max(n, 0.0) * log2(clamp(c, 1e-30, 1.0)));
+}
+
+// Cosine-power lobe.
 float fr_lobe_cosine(float c, float m, int k) {
-    float n = max(2.0 / (FR_SLOPE(m) * FR_SLOPE(m)) - float(k), 0.0);
-    float x = min(c, 1.0);
-    return x > 0.0 ? exp2(n * log2(x)) : 0.0;
+    return fr_lobe_power(c, 2.0 / (FR_SLOPE(m) * FR_SLOPE(m)) - float(k));
 }
 
 #endif

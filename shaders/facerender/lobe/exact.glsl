@@ -1,5 +1,5 @@
-// Exact lobe, from the cosine. The models here call fr_slope_factor; the lobe as a whole is for
-// hosts that build a BRDF of their own.
+// Exact lobe, for hosts that build a BRDF of their own. The models here have it within their one
+// division: E = 2^-x with x = tan^2(gamma)/(m^2 ln 2), and 1/c^2 = x m^2 ln 2 + 1.
 //
 //   formula E/c^k, E = exp(-tan^2(gamma)/m^2)
 //   x       tan^2(gamma)/m^2, >= 0

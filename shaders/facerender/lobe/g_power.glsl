@@ -31,7 +31,7 @@
 //   source     Lyon (1993)
 float fr_lobe_clamped_power(float c, float steepness, int g) {
     // As 1 - a (1 - c): Mesa multiplies a (c - 1) + 1 out, and loses the digits of a small angle.
-    float p = max(1.0 - steepness * (1.0 - min(c, 1.0)), 0.0);
+    float p = clamp(1.0 - steepness * (1.0 - c), 0.0, 1.0);
     float p2 = p * p;
     float p4 = p2 * p2;
     float p8 = p4 * p4;

@@ -18,4 +18,14 @@ float fr_masking_kelemen(float v_dot_h, float n_dot_l, float n_dot_v) {
     return n_dot_l * inverse * (n_dot_v * inverse);
 }
 
+// Masking that cancels the divisor of a BRDF, as numerator and denominator.
+//
+//   formula            G/((N.L)(N.V)) = x/(y h.h)
+//   n_dot_l, n_dot_v   cosines of light and eye, in [-1, 1]
+//   unit               none; x >= 0, and 0 where a cosine is not above FR_MIN_COSINE; y is 1
+//   error              none
+vec2 fr_masking_kelemen_ratio(float n_dot_l, float n_dot_v) {
+    return vec2(min(n_dot_l, n_dot_v) > FR_MIN_COSINE ? 4.0 : 0.0, 1.0);
+}
+
 #endif

@@ -18,11 +18,14 @@ float fr_masking_v_cavity(float n_dot_h, float v_dot_h, float n_dot_l, float n_d
 
 // Masking by V-shaped cavities over the divisor of a BRDF, as numerator and denominator.
 //
-//   formula            G/((N.L)(N.V)) = x/(y h.h)
+//   formula            G/((N.L)(N.V)) = x/(y h.h), with FR_FLOOR more in y
 //   n_dot_h, h_dot_h   dot(n, h) and dot(h, h) of h = l + v
-//   unit               none, both > 0
+//   n_dot_l, n_dot_v   cosines of light and eye, in [-1, 1]
+//   unit               none; x >= 0, and 0 where a cosine is not above 0; y > 0
+//   error              of the formula FR_FLOOR/((N.L)(N.V)), relative
 vec2 fr_masking_v_cavity_ratio(float n_dot_h, float h_dot_h, float n_dot_l, float n_dot_v) {
-    return vec2(min(h_dot_h, 4.0 * n_dot_h * min(n_dot_l, n_dot_v)), n_dot_l * n_dot_v);
+    float lower = clamp(min(n_dot_l, n_dot_v), 0.0, 1.0);  // on GPUs no instruction of its own
+    return vec2(min(h_dot_h, 4.0 * abs(n_dot_h) * lower), abs(n_dot_l * n_dot_v) + FR_FLOOR);
 }
 
 #endif
