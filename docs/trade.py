@@ -14,6 +14,7 @@ from pathlib import Path
 from facerender.measure import report
 from facerender.measure.measurement import MODELS, Measurement
 from facerender.measure.tables import markdown_table
+from facerender.pricing.offline import GPUS
 from facerender.pricing.table import FAMILY_NAMES, shipped, term_name
 from facerender.pricing.variants import SLOPE, Variant
 from facerender.shading import Term
@@ -21,6 +22,7 @@ from facerender.shading import Term
 HERE = Path(__file__).parent
 MEASUREMENT = HERE / "measurements" / "llvmpipe.json"
 TRADE = HERE / "trade.md"
+COMPILED = [HERE / "measurements" / name for name in ("offline.json", "mobile.json")]
 README = HERE.parent / "README.md"
 MARKED = re.compile(r"(?<=<!-- python -m docs.trade -->\n)(.*?)(?=<!-- end -->)", re.DOTALL)
 
@@ -44,6 +46,25 @@ which `facerender measure` wrote. Measure your own machine and mesh: `facerender
 Measured on {date}: {GL_RENDERER}, OpenGL {GL_VERSION}, on {cores} cores of {processor}; for AMD's
 GPUs, which nothing ran on, the estimates of {amd_driver}'s compiler. {gpu}
 
+"""
+
+COMPILERS = """
+
+## Other compilers
+
+Machine instructions that a term adds to a kernel which only sums up its inputs, and in brackets how
+many of them are for the slow unit of roots, reciprocals and transcendentals. Compiled, not run, by
+{compilers}: those of Intel (for 16 invocations) and NVIDIA (for 32) are their makers' own, from the
+terms in OpenCL C and CUDA C++ with relaxed arithmetic, which Intel's also reassociates;
+`python -m facerender.pricing.offline -o docs/measurements/offline.json` writes their figures.
+Those of Adreno and Mali are Mesa's, from the terms as Vulkan's SPIR-V, over the null drivers of
+Debian 13 for arm64, without what only waits on Adreno: `tools/mobile-compilers FOLDER`. There is no
+`--cost` of them: Intel's and NVIDIA's take no fragment program with textures, and Mesa's, which do,
+count instructions where a plan needs cycles.
+
+Tried without success: the makers' own compilers for Mali and Adreno are not among the packages of
+Debian, PyPI and npm; Debian has no null driver for Intel's GPUs, and 13 no intel-opencl-icd. Mesa's
+compiler for NVIDIA works over Debian 13's null driver too, and counts instructions alone.
 """
 
 
@@ -76,7 +97,7 @@ def trade(measurement: Measurement) -> str:
     facts = measurement.as_dict()["environment"]
     gpu = "No GPU has been measured." if measurement.environment.software else ""
     programs = "".join(in_program(measurement, model) for model in MODELS)
-    return HEAD.format(**facts, gpu=gpu) + programs + report.markdown(measurement)
+    return HEAD.format(**facts, gpu=gpu) + programs + report.markdown(measurement) + others()
 
 
 def in_program(measurement: Measurement, model: str) -> str:
@@ -113,6 +134,22 @@ def in_program(measurement: Measurement, model: str) -> str:
     ]
     table = markdown_table(["lobe", "error, %", *columns], rows)
     return IN_PROGRAM.format(title=MODELS[model], m=f"{SLOPE:g}", table=table)
+
+
+def others() -> str:
+    """Return the instructions that other compilers make of the terms, a table for each model."""
+    data = [json.loads(path.read_text(encoding="utf-8")) for path in COMPILED]
+    found = data[0]["instructions"] | data[1]["instructions"]
+    names = [GPUS.get(gpu, gpu.replace("-", " ").title()) for gpu in found]
+    texts = [COMPILERS.format(compilers=", ".join(data[0]["compilers"] + data[1]["compilers"]))]
+    for model, title in MODELS.items():
+        variants = next(iter(found.values()))[model]
+        rows = [
+            [name, *("{all} ({special})".format(**rows[model][name]) for rows in found.values())]
+            for name in variants
+        ]
+        texts.append(f"### {title}: instructions\n\n{markdown_table(['variant', *names], rows)}\n")
+    return "\n".join(texts)
 
 
 def committed() -> Measurement:

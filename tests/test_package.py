@@ -23,7 +23,7 @@ WITHOUT_GL = [
     *("comparison.gates", "comparison.flip", "comparison.pictures"),
     *("comparison.goldens", "comparison.report", "page.document"),
     *("batch.jobs", "batch.passes", "batch.supervisor", "batch.driver", "batch.folder"),
-    *("pricing.amd", "pricing.interval", "pricing.variants"),
+    *("pricing.amd", "pricing.offline", "pricing.interval", "pricing.variants"),
     *("measure.measurement", "measure.pareto", "measure.tables", "measure.plots", "measure.report"),
 ]
 

@@ -87,7 +87,7 @@ def statistics(terms: Mapping[str, tuple[str, str]], family: str) -> dict[str, S
     InputError : an unknown family, or a term that is not GLSL
     NotMeasured : a tool is missing; the message says which, and how to get it
     """
-    kernels = [_kernel(*term) for term in (("", EMPTY), *terms.values())]
+    kernels = [kernel(*term) for term in (("", EMPTY), *terms.values())]
     (empty, *gross) = compile_programs(kernels, family)[1]
     return {
         name: Statistics(
@@ -124,8 +124,9 @@ def table() -> dict[str, Any]:
     }
 
 
-def _kernel(prelude: str, expression: str) -> tuple[bytes, ...]:
-    source = resolve_includes(_KERNEL % (prelude, expression, _BALLAST))
+def kernel(prelude: str, expression: str, ballast: str = _BALLAST) -> tuple[bytes, ...]:
+    """Return the SPIR-V of a program that evaluates a term; InputError if it is not GLSL."""
+    source = resolve_includes(_KERNEL % (prelude, expression, ballast))
     try:
         return spirv(comp=source)
     except InputError as error:
