@@ -59,8 +59,8 @@ terms in OpenCL C and CUDA C++ with relaxed arithmetic, which Intel's also reass
 `python -m facerender.pricing.offline -o docs/measurements/offline.json` writes their figures.
 Those of Adreno and Mali are Mesa's, from the terms as Vulkan's SPIR-V, over the null drivers of
 Debian 13 for arm64, without what only waits on Adreno: `tools/mobile-compilers FOLDER`. There is no
-`--cost` of them: Intel's and NVIDIA's take no fragment program with textures, and Mesa's, which do,
-count instructions where a plan needs cycles.
+`--cost` of them: Intel's and NVIDIA's take no fragment program with textures, and Mesa's count
+instructions where a plan needs cycles.
 
 Tried without success: the makers' own compilers for Mali and Adreno are not among the packages of
 Debian, PyPI and npm; Debian has no null driver for Intel's GPUs, and 13 no intel-opencl-icd. Mesa's
