@@ -111,7 +111,8 @@ def test_the_table_is_what_the_command_writes(monkeypatch, tmp_path):
         assert set(rows["parts"]) == PARTS
         assert min(rows["parts"].values()) >= 0.0  # constant ambient light is an addend of an fma
         assert set(rows["terms"]) == {*all_terms(), *prices.all_seconds()}
-        assert all(first > 0.0 and further > 0.0 for first, further in rows["terms"].values())
+        # 0: the second lobe of the cosine power, in a further light on RDNA2
+        assert all(first > 0.0 <= further for first, further in rows["terms"].values())
         rows["terms"] = {name: tuple(both) for name, both in rows["terms"].items()}
     monkeypatch.setattr(prices, "compiled", lambda family, *terms: Prices(**table[family]))
     monkeypatch.setattr(prices, "measured", lambda terms, **options: Prices(**table["llvmpipe"]))

@@ -121,7 +121,7 @@ def rougher(studio: Studio, m: float = 0.306) -> Images:
 
 
 def no_masking(studio: Studio) -> Images:
-    old = "min(h_dot_h, 4.0 * n_dot_h * min(n_dot_l, n_dot_v))"
+    old = "min(h_dot_h, 4.0 * abs(n_dot_h) * lower)"
     return studio.draw(), studio.patched(old, "h_dot_h")
 
 
@@ -131,7 +131,7 @@ def no_power(studio: Studio) -> Images:
 
 
 def unclamped(studio: Studio) -> Images:
-    old = "max(1.0 - steepness * (1.0 - min(c, 1.0)), 0.0)"
+    old = "clamp(1.0 - steepness * (1.0 - c), 0.0, 1.0)"
     new = "1.0 - steepness * (1.0 - c)"
     d16 = fr.Shading(lobe="d16")
     return studio.draw(d16, m=0.2), studio.patched(old, new, d16, m=0.2)
