@@ -17,7 +17,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -233,18 +233,26 @@ def _not_measured(what: str, packages: str) -> NotMeasured:
     return NotMeasured(f"{what}; on Debian or Ubuntu: apt-get install {packages}")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the table; return 0, or 2 where it cannot be made."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def write_table(
+    make: Callable[[], Any], description: str, arguments: Sequence[str] | None = None
+) -> int:
+    """Write what a function makes, as JSON, where the command line says; return 0, or 2 where it
+    cannot be made."""
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE.json")
     options = parser.parse_args(arguments)
     try:
-        text = json.dumps(table(), indent=2)
+        text = json.dumps(make(), indent=2)
     except FacerenderError as error:
         print(f"facerender: error: {error}", file=sys.stderr)
         return 2
     options.output.write_text(text + "\n", encoding="utf-8")
     return 0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the table; return 0, or 2 where it cannot be made."""
+    return write_table(table, __doc__.splitlines()[0], arguments)
 
 
 if __name__ == "__main__":

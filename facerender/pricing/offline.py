@@ -8,10 +8,8 @@ Needs the Debian package intel-opencl-icd, and the extra facerender[compilers].
 
 from __future__ import annotations
 
-import argparse
 import ctypes
 import importlib.metadata
-import json
 import os
 import re
 import shutil
@@ -23,11 +21,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from facerender.errors import FacerenderError, InputError, NotMeasured
+from facerender.errors import InputError, NotMeasured
 from facerender.glsl.library import translated
 from facerender.glsl.translate import Msl
 from facerender.pricing import variants
-from facerender.pricing.amd import EMPTY
+from facerender.pricing.amd import EMPTY, write_table
 
 # As their compilers call them, with the architecture.
 INTEL = {"skl": "Intel Gen9", "acm-g10": "Intel Xe-HPG"}
@@ -267,16 +265,7 @@ def _wheel(package: str, file: str) -> Path:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the table; return 0, or 2 where it cannot be made."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE.json")
-    options = parser.parse_args(arguments)
-    try:
-        text = json.dumps(table(), indent=2)
-    except FacerenderError as error:
-        print(f"facerender: error: {error}", file=sys.stderr)
-        return 2
-    options.output.write_text(text + "\n", encoding="utf-8")
-    return 0
+    return write_table(table, __doc__.splitlines()[0], arguments)
 
 
 if __name__ == "__main__":
