@@ -22,7 +22,7 @@ from facerender.drawing.program import part_uniforms, surface_features
 from facerender.glsl.library import TARGETS, shader_dir, shader_source
 from facerender.job import Job
 from facerender.page.document import document, file_text
-from facerender.pricing.shown import shown_prices
+from facerender.pricing.shown import shown_prices, six_digits
 from facerender.pricing.table import FAMILY_NAMES, shipped
 from facerender.scenes.light import LIGHT_KINDS, Light
 from facerender.scenes.mesh import Mesh, slope_range
@@ -208,7 +208,7 @@ def _fields(values: Mapping[str, Any], lights: int) -> dict[str, Any]:
     for path, value in values.items():
         if isinstance(value, GPower):
             fields |= {"lobe": "g-power", "g": value.g}
-            fields |= {"factor": _short(value.factor), "offset": _short(value.offset)}
+            fields |= {"factor": six_digits(value.factor), "offset": six_digits(value.offset)}
         elif path == "specular_lights":
             dark = [] if value is None else [each for each in range(lights) if each not in value]
             fields["dark"] = ",".join(map(str, dark))
@@ -219,14 +219,10 @@ def _fields(values: Mapping[str, Any], lights: int) -> dict[str, Any]:
         elif isinstance(value, bool):
             fields[_DRAWN[path]] = "on" if value else "off"
         elif isinstance(value, float):
-            fields[_DRAWN[path]] = _short(value)
+            fields[_DRAWN[path]] = six_digits(value)
         else:
             fields[_DRAWN[path]] = value
     return fields
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.6g}")
 
 
 def encoded(texture: Texture, kind: Kind) -> bytes:

@@ -275,15 +275,22 @@ def slopes_alone(end: float) -> dict[str, Singles]:
     return {"m": slopes(end)}
 
 
-def coefficient(name: str, k: int, i: int) -> Case:
+def scaled_coefficient(
+    name: str, k: int, i: int
+) -> tuple[dict[str, Singles], NDArray[np.float64], NDArray[np.float64]]:
+    """Slopes of a fitted lobe's domain, its coefficient times m^(2 i + 2), and its magnitude."""
     lobe = lobes.FITTED[name, k]
     inputs = slopes_alone(lobe.max_slope)
     m = inputs["m"].astype(float)
-    expected = lobe.coefficients(m)[:, i] * m ** (2 * (i + 1))
+    return inputs, lobe.coefficients(m)[:, i] * m ** (2 * (i + 1)), lobe.magnitudes(m)[:, i]
+
+
+def coefficient(name: str, k: int, i: int) -> Case:
+    inputs, expected, magnitude = scaled_coefficient(name, k, i)
     function = f"fr_lobe_{name.replace('-', '_')}_coefficients"
     # scaled back by the same powers of m^2, in an order that cannot overflow
     call = f"3.0 + {function}(m, {k})[{i}]" + " * (m * m)" * (i + 1)
-    absolute = 16.0 * ULP * (3.0 + lobe.magnitudes(m)[:, i])
+    absolute = 16.0 * ULP * (3.0 + magnitude)
     return Case(include("lobe/fitted"), call, inputs, 3.0 + expected, 0.0, absolute)
 
 
@@ -293,12 +300,9 @@ def fitted_within(name: str, k: int) -> Case:
 
 
 def numerator(name: str, k: int, i: int) -> Case:
-    lobe = lobes.FITTED[name, k]
-    inputs = slopes_alone(lobe.max_slope)
-    m = inputs["m"].astype(float)
-    expected = lobe.coefficients(m)[:, i] * m ** (2 * (i + 1))
+    inputs, expected, magnitude = scaled_coefficient(name, k, i)
     call = f"9.0 + fr_lobe_{name.replace('-', '_')}_numerators(m, {k})[{i}]"
-    absolute = 8.0 * ULP * (9.0 + lobe.magnitudes(m)[:, i])
+    absolute = 8.0 * ULP * (9.0 + magnitude)
     return Case(include("lobe/fitted"), call, inputs, 9.0 + expected, 0.0, absolute)
 
 

@@ -60,11 +60,13 @@ def shown_prices(prices: Prices, mesh: Mesh) -> dict[str, Any]:
                 one, two = (prices.cost(scene, shading)[1] for scene in lit)
             except NoPrice:
                 continue
-            terms[name] = [_round(one), _round(two - one)]
+            terms[name] = [six_digits(one), six_digits(two - one)]
             if not fixed:
                 scenes = (Scene(drawn, lights=_LIGHTS[1], ambient=each) for each in _AMBIENT)
                 costs = (prices.cost(scene, shading) for scene in scenes)
-                fixed = [_round(cost - specular - prices.parts[light]) for cost, specular in costs]
+                fixed = [
+                    six_digits(cost - specular - prices.parts[light]) for cost, specular in costs
+                ]
         return {"fixed": fixed, "terms": terms}
 
     def by_weight(changes: tuple[_Changes, _Changes]) -> dict[str, Any]:
@@ -84,8 +86,8 @@ def shown_prices(prices: Prices, mesh: Mesh) -> dict[str, Any]:
     )
     return {
         "lights": {kind.name: prices.parts.get(kind.price) for kind in LIGHT_KINDS.values()},
-        "dull": [_round(prices.cost(scene, first)[0]) for scene in unlit],
-        "normal": _round(whole - flat),
+        "dull": [six_digits(prices.cost(scene, first)[0]) for scene in unlit],
+        "normal": six_digits(whole - flat),
         "shining": {name: by_weight(changes) for name, changes in _SLOPES.items()},
     }
 
@@ -105,5 +107,6 @@ def _terms() -> dict[str, Term]:
     return terms
 
 
-def _round(price: float) -> float:
-    return float(f"{price:.6g}")
+def six_digits(value: float) -> float:
+    """Return a number as the page has it, in its data as in its links."""
+    return float(f"{value:.6g}")
