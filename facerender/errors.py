@@ -51,9 +51,19 @@ def noting() -> Iterator[list[str]]:
         _noted.reset(token)
 
 
-def reason(error: OSError) -> str:
-    """Return what an operating system's error says, for the middle of a sentence."""
-    return (error.strerror or str(error)).lower()
+def clipped(text: str, most: int = 160) -> str:
+    """Return a text of others on one line that can be printed, its middle left out where it is
+    longer than ``most`` characters."""
+    line = "".join(each if each.isprintable() else "?" for each in " ".join(text.split()))
+    return line if len(line) <= most else f"{line[: most // 2]} ... {line[-(most // 2) :]}"
+
+
+def reason(error: Exception) -> str:
+    """Return what an error of the operating system or of a library says, for the middle of a
+    sentence; its kind where it says nothing."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror.lower()
+    return clipped(str(error)) or type(error).__name__
 
 
 def check_range(name: str, value: Any, low: float, high: float) -> None:
