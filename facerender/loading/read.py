@@ -20,6 +20,7 @@ from facerender.loading.images import SUFFIXES as IMAGES
 from facerender.loading.images import image_of, missing_image, unreadable
 from facerender.loading.kinds import check_kind
 from facerender.loading.obj import has_relative, with_absolute
+from facerender.loading.ply import check_faces, checked_ply
 from facerender.loading.referred import Referred
 from facerender.loading.repair import Piece
 from facerender.loading.translate import piece_of
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 _MOST_MATERIALS = 4096  # of an OBJ file: trimesh goes through all vertices for each
-_TEXTURE = re.compile(rb"^comment\s+TextureFile\s+(.*\S)", re.MULTILINE | re.I)
-_ELEMENT = re.compile(rb"^element\s+(\S+)\s+(\S+)\s*$", re.MULTILINE)
 _TRIANGLE = 50  # bytes in a binary STL file, behind a header of 84
 
 
@@ -64,6 +63,8 @@ def read(path: Path, without_albedo: bool, allow_outside: bool) -> tuple[list[Pi
             raise _no_faces(name, points=False)
         return pieces, referred
     try:
+        import trimesh  # noqa: F401  # its loggers are there then
+
         with _quiet():
             pieces = _by_trimesh(data, name, suffix, referred, without_albedo)
     except InputError:
@@ -84,7 +85,7 @@ def _by_trimesh(
     texture = None
     strangers = 0
     if suffix == ".ply":
-        data, texture = _checked_ply(data)
+        data, texture = checked_ply(data)
     elif suffix == ".stl":
         data = _checked_stl(data, name)
     else:
@@ -139,6 +140,8 @@ def _geometries(data: bytes, suffix: str, name: str, resolver: _Resolver) -> lis
     if not found:
         points = any(len(getattr(each, "vertices", ())) for each in scene.geometry.values())
         raise _no_faces(name, points)
+    for each in found:
+        check_faces(each.metadata)
     return found
 
 
@@ -200,29 +203,6 @@ def _give_texture(geometries: list[trimesh.Trimesh], resolver: _Resolver, name: 
             geometry.visual.material.image = image
 
 
-def _checked_ply(data: bytes) -> tuple[bytes, str | None]:
-    """Return a PLY file without its edges, of which trimesh would make a drawing, and the name of
-    its texture. Its elements must fit into its bytes.
-
-    Raises
-    ------
-    ValueError : it is damaged
-    """
-    end = data.find(b"end_header")
-    if end < 0:
-        raise ValueError("its header has no end")
-    header, rest = data[:end], data[end:]
-    for element, count in _ELEMENT.findall(header):
-        if not count.isdigit() or len(count) > 18 or int(count) > len(rest):
-            raise ValueError(
-                f"{clipped(count.decode('latin-1'), 20)} times element "
-                f"{clipped(element.decode('latin-1'), 20)} in {len(rest)} bytes"
-            )
-    found = _TEXTURE.search(header)
-    header = re.sub(rb"^element(\s+)edge(\s)", rb"element\1line\2", header, flags=re.MULTILINE)
-    return header + rest, found and found[1].decode("utf-8", "replace")
-
-
 def _checked_stl(data: bytes, name: str) -> bytes:
     """Return an STL file, without what lies behind the triangles of a binary one.
 
@@ -249,9 +229,15 @@ def _quiet() -> Iterator[None]:
     def is_of_another(record: logging.LogRecord) -> bool:
         return record.thread != me
 
-    log = logging.getLogger("trimesh")
-    log.addFilter(is_of_another)
+    loggers = [
+        each
+        for name, each in logging.root.manager.loggerDict.items()
+        if name.partition(".")[0] == "trimesh" and isinstance(each, logging.Logger)
+    ]
+    for each in loggers:
+        each.addFilter(is_of_another)
     try:
         yield
     finally:
-        log.removeFilter(is_of_another)
+        for each in loggers:
+            each.removeFilter(is_of_another)
