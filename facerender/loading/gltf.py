@@ -13,7 +13,7 @@ from facerender.errors import InputError, clipped, reason, warn
 from facerender.loading.gltf_schema import COMPONENTS, TYPES, damaged, document_of
 from facerender.loading.images import image_of, missing_image, unreadable
 from facerender.loading.referred import Referred, inline
-from facerender.loading.repair import Piece, placed
+from facerender.loading.repair import Piece, check_count, placed
 from facerender.scenes.material import SKIN_ALBEDO, Material
 from facerender.scenes.texture import Texture
 
@@ -29,8 +29,9 @@ _EXTENSIONS = {
 }
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # kinds of chunks
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
-_MOST_REPEATED = 1 << 22  # vertices and faces of instances, beside those that the file holds
+_TIMES, _MOST_REPEATED = 8, 1 << 20  # vertices and faces are drawn, and so many more at most
 _MOST_ZEROS = 1 << 26  # bytes that a sparse accessor need not hold
+_TRANSFORMS = ("matrix", "translation", "rotation", "scale")
 _DRACO = "KHR_draco_mesh_compression"
 
 Doc = dict[str, Any]
@@ -106,28 +107,38 @@ class _File:
         self.buffers: dict[int, memoryview] = {}
         self.images: dict[int, Texture | None] = {}
         self.materials: dict[int | None, Material] = {}
+        self.own: dict[int, int] = {}  # elements of accessors that faces are made of
+        self.drawn = 0  # vertices and faces
         self.lost_images = False
 
     def pieces(self) -> list[Piece]:
-        instances = list(self._instances())
-        meshes = {
-            index: [
-                piece
-                for i, primitive in enumerate(self.document["meshes"][index]["primitives"])
-                if (piece := self._piece(primitive, f"meshes[{index}].primitives[{i}]"))
-            ]
-            for index in dict.fromkeys(index for index, _ in instances)
-        }
-        size = {
-            index: sum(len(each.positions) + len(each.faces) for each in pieces)
-            for index, pieces in meshes.items()
-        }
-        if sum(size[index] for index, _ in instances) > sum(size.values()) + _MOST_REPEATED:
+        instances = []
+        count = 0
+        for index, world in self._instances():
+            count += len(self.document["meshes"][index]["primitives"])
+            check_count(count, self.name)
+            instances.append((index, world))
+        meshes: dict[int, list[Piece]] = {}
+        pieces = []
+        for index, world in instances:
+            if index not in meshes:
+                meshes[index] = [
+                    piece
+                    for i, primitive in enumerate(self.document["meshes"][index]["primitives"])
+                    if (piece := self._piece(primitive, f"meshes[{index}].primitives[{i}]"))
+                ]
+            for piece in meshes[index]:
+                self._count_drawn(piece)
+                pieces.append(placed(piece, world))
+        return pieces
+
+    def _count_drawn(self, piece: Piece) -> None:
+        self.drawn += len(piece.positions) + len(piece.faces)
+        if self.drawn > _TIMES * sum(self.own.values()) + _MOST_REPEATED:
             raise InputError(
-                f"{self.name} repeats its meshes in {len(instances)} instances, with over "
-                f"{_MOST_REPEATED} vertices and faces beside its own: export fewer"
+                f"{self.name} draws what it holds more than {_TIMES} times over: export fewer "
+                "instances"
             )
-        return [placed(piece, world) for index, world in instances for piece in meshes[index]]
 
     def _instances(self) -> Iterator[tuple[int, NDArray[np.float64]]]:
         """Every node with a mesh below the scene's roots, and its transform; without scenes, below
@@ -140,14 +151,16 @@ class _File:
                 set(range(len(nodes))) - {i for node in nodes for i in node.get("children", ())}
             )
         seen: set[int] = set()
-        queue = [(index, np.eye(4)) for index in reversed(roots)]
+        origin = np.eye(4)
+        queue = [(index, origin) for index in reversed(roots)]
         while queue:
             index, world = queue.pop()
             if index in seen:
                 raise ValueError(f"nodes[{index}] has two parents, or is below itself")
             seen.add(index)
             node = nodes[index]
-            world = world @ _transform(node)
+            if not node.keys().isdisjoint(_TRANSFORMS):
+                world = world @ _transform(node)
             if "mesh" in node:
                 yield node["mesh"], world
             queue += [(child, world) for child in reversed(node.get("children", []))]
@@ -285,6 +298,8 @@ class _File:
         else:
             flat = np.arange(len(positions))
         faces, kept, strangers = _compact(_triangles(flat, mode, where), len(positions))
+        self.own[numbers["POSITION"]] = len(positions)
+        self.own[primitive.get("indices", -1)] = len(flat)
         columns: dict[str, NDArray[Any] | None] = {"POSITION": positions}
         for key, widths in (("NORMAL", (3,)), ("TEXCOORD_0", (2,)), ("COLOR_0", (3, 4))):
             values = columns[key] = attribute(key, widths)

@@ -10,7 +10,8 @@ from typing import Any
 
 from facerender.errors import InputError, reason
 
-MOST_VALUES = 4_000_000  # of a document: each takes up to 100 bytes of memory
+MOST_VALUES = 2_000_000  # of a document: each takes up to 100 bytes of memory
+MOST_ENTRIES = 1 << 17  # of one of its lists: nodes, accessors
 
 # An object by its properties; ! marks those that it must have. "#nodes" is an index into nodes,
 # "[x]" a list of x, "{x}" an object of any names, "3 x" a list of so many.
@@ -138,6 +139,11 @@ def document_of(text: bytes, name: str) -> dict[str, Any]:
     if document.get("meshes", []) == []:
         raise InputError(f"there is no mesh in {name}; give a file with a triangle mesh")
     counts = {key: len(each) for key, each in document.items() if isinstance(each, list)}
+    for key in tables.keys() & counts.keys():
+        if counts[key] > MOST_ENTRIES:
+            raise InputError(
+                f"{name} has {counts[key]} {key}, of {MOST_ENTRIES} at most: export it anew"
+            )
     try:
         checked = _checked(document, "document", "", counts)
     except ValueError as error:

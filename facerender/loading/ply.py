@@ -11,15 +11,20 @@ import numpy as np
 from facerender.errors import clipped
 
 _MOST_HEADER = 1 << 16  # bytes
-_TYPES = (
-    "char|uchar|short|ushort|int|uint|float|double|"
-    "int8|uint8|int16|uint16|int32|uint32|int64|uint64|float16|float32|float64"
-)
+_BYTES = {
+    **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
+    **dict.fromkeys(("short", "ushort", "int16", "uint16", "float16"), 2),
+    **dict.fromkeys(("int", "uint", "float", "int32", "uint32", "float32"), 4),
+    **dict.fromkeys(("double", "int64", "uint64", "float64"), 8),
+}
+_TYPE = "|".join(_BYTES)
 _LINES = re.compile(
     r"ply|format (?:ascii|binary_little_endian|binary_big_endian) \S+|(?:comment|obj_info)\b.*|"
-    rf"element \S+ \d{{1,18}}|property (?:{_TYPES}) \S+|property list (?:{_TYPES}) (?:{_TYPES}) \S+"
+    rf"element \S+ \d{{1,18}}|property (?:{_TYPE}) \S+|property list (?:{_TYPE}) (?:{_TYPE}) \S+"
 )
 _TEXTURE = re.compile(r"comment\s+texturefile\s+(.*\S)", re.I)
+_INDICES = ("vertex_index", "vertex_indices")
+_SLACK = 16  # blank lines at the end
 
 
 def checked_ply(data: bytes) -> tuple[bytes, str | None]:
@@ -28,23 +33,42 @@ def checked_ply(data: bytes) -> tuple[bytes, str | None]:
 
     Raises
     ------
-    ValueError : its header is damaged, or tells of more elements than there are bytes
+    ValueError : its header is damaged, or tells of more elements than its bytes can hold
     """
     end = data.find(b"end_header", 0, _MOST_HEADER)
     if not data.startswith(b"ply") or end < 0:
         raise ValueError("it has no header of PLY")
     lines = [" ".join(line.split()) for line in data[:end].decode("utf-8", "replace").splitlines()]
     lines = [line for line in lines if line]
+    rest = data[end:]
+    is_text = any(line.startswith("format ascii") for line in lines)
     texture = None
+    count = rows = needed = 0
     for line in lines:
         if _LINES.fullmatch(line) is None:
             raise ValueError(f"its header says {clipped(line, 60)!r}")
-        if line.startswith("element ") and int(line.split()[2]) > len(data) - end:
-            raise ValueError(f"its header says {clipped(line, 60)!r}, of {len(data) - end} bytes")
-        if (found := _TEXTURE.fullmatch(line)) is not None:
+        words = line.split()
+        if words[0] == "element":
+            count = int(words[2])
+            rows += count
+        elif words[0] == "property":
+            needed += count * _least_bytes(words, is_text)
+        elif (found := _TEXTURE.fullmatch(line)) is not None:
             texture = found[1]
+    if needed > len(rest):
+        raise ValueError(f"its header tells of {needed} bytes or more, it has {len(rest)}")
+    if is_text and rest.count(b"\n") > rows + _SLACK:
+        raise ValueError(f"its header tells of {rows} lines, it has more")
     kept = [line.replace("element edge ", "element line ") for line in lines]
-    return "\n".join([*kept, ""]).encode() + data[end:], texture
+    return "\n".join([*kept, ""]).encode() + rest, texture
+
+
+def _least_bytes(words: list[str], is_text: bool) -> int:
+    """How many bytes a property takes at least; the list of a face has three entries."""
+    if words[1] != "list":
+        return 2 if is_text else _BYTES[words[1]]
+    entries = 3 if words[4] in _INDICES else 0
+    return 2 * (1 + entries) if is_text else _BYTES[words[2]] + entries * _BYTES[words[3]]
 
 
 def check_faces(metadata: Mapping[str, Any]) -> None:
@@ -69,7 +93,7 @@ def check_faces(metadata: Mapping[str, Any]) -> None:
 
 
 def _check_indices(name: str, column: Any, elements: Mapping[str, Any]) -> None:
-    if name not in ("vertex_index", "vertex_indices"):
+    if name not in _INDICES:
         return
     has_uv = any(each in elements["vertex"]["properties"] for each in ("s", "u", "texture_u"))
     has_uv = has_uv or "texcoord" in elements["face"]["properties"]

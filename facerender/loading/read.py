@@ -22,7 +22,7 @@ from facerender.loading.kinds import check_kind
 from facerender.loading.obj import has_relative, with_absolute
 from facerender.loading.ply import check_faces, checked_ply
 from facerender.loading.referred import Referred
-from facerender.loading.repair import Piece
+from facerender.loading.repair import Piece, check_count
 from facerender.loading.translate import piece_of
 from facerender.scenes.texture import Texture
 
@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     import trimesh
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
-_MOST_MATERIALS = 4096  # of an OBJ file: trimesh goes through all vertices for each
+_MATERIALS = re.compile(rb"^[ \t]*usemtl[ \t]+(.*)", re.MULTILINE)
+_SOLIDS = re.compile(rb"endsolid", re.IGNORECASE)
 _TRIANGLE = 50  # bytes in a binary STL file, behind a header of 84
 
 
@@ -87,9 +88,10 @@ def _by_trimesh(
     if suffix == ".ply":
         data, texture = checked_ply(data)
     elif suffix == ".stl":
+        check_count(len(_SOLIDS.findall(data)), name)
         data = _checked_stl(data, name)
     else:
-        _check_materials(data, name)
+        check_count(len(set(_MATERIALS.findall(data))), name)
         if has_relative(data):
             data, strangers = with_absolute(data)
     resolver = _Resolver(referred)
@@ -143,12 +145,6 @@ def _geometries(data: bytes, suffix: str, name: str, resolver: _Resolver) -> lis
     for each in found:
         check_faces(each.metadata)
     return found
-
-
-def _check_materials(data: bytes, name: str) -> None:
-    count = len(set(re.findall(rb"^[ \t]*usemtl[ \t]+(.*)", data, re.MULTILINE)))
-    if count > _MOST_MATERIALS:
-        raise InputError(f"{name} has {count} materials, of {_MOST_MATERIALS} at most: join some")
 
 
 def _lost_references(data: bytes, geometries: list[trimesh.Trimesh]) -> bool:

@@ -16,7 +16,7 @@ from facerender.scenes.mesh import Mesh, Part
 # Areas, their squares and their products with positions are finite and not 0 in between.
 _HUGE, _TINY = 1e60, 1e-60
 _MOST_UV = 1e6  # float32 has no texels any more long before
-_MOST_PIECES = 4096
+_MOST_PIECES = 1024  # parts with a material each: a draw call in every pass
 _FAR = 32.0  # times as far from the middle as nine tenths of the vertices: these are drawn tiny
 
 
@@ -34,6 +34,12 @@ class Piece:
     colors: NDArray[np.float64] | None
     material: Material
     strangers: int = 0
+
+
+def check_count(count: int, name: str) -> None:
+    """Raise InputError where a file has too many parts."""
+    if count > _MOST_PIECES:
+        raise InputError(f"{name} has over {_MOST_PIECES} parts with a material each: join some")
 
 
 def placed(piece: Piece, transform: NDArray[np.float64]) -> Piece:
@@ -56,8 +62,6 @@ def placed(piece: Piece, transform: NDArray[np.float64]) -> Piece:
 
 def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
     """Drop what cannot be drawn, complete the normals, and turn the faces outwards."""
-    if len(pieces) > _MOST_PIECES:
-        raise InputError(f"{name} has {len(pieces)} parts, of {_MOST_PIECES} at most: join some")
     _drop_bad_faces(pieces, name)
     pieces = [piece for piece in pieces if len(piece.faces)]
     if not pieces:
