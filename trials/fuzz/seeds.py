@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -168,6 +168,25 @@ model = "ward"
 lobe = "d8"
 specular_lights = [0, 2]
 """
+
+
+def options() -> Iterator[Sequence[str]]:
+    """Yield words of ``facerender render``."""
+    yield (
+        *("--light", "key", "--light", "point:1,2,3,1.5,radius=3,shadow", "--light", "30,20,1,2,3"),
+        *("--camera", "-35,10,1.2", "--fov", "30", "--m", "0.25", "--ks", "0.18", "--kd", "0.8"),
+        *("--model", "cook-torrance", "--lobe", "d16", "--f0", "0.04", "--samples", "1"),
+        *("--background", "0.1,0.2,0.3", "--ambient", "0.1,0.1,0.1"),
+    )
+    yield (
+        *("--environment", "studio,30,0.5", "--environment-samples", "8", "--background", "none"),
+        *("--camera", "three-quarter", "--second-slope", "2", "--lobe-weight", "0.7"),
+        *("--fresnel", "dielectric", "--exposure", "0.5"),
+    )
+    yield (
+        *("--only", "specular", "--model", "ward", "--scattering", "skin", "--shadows"),
+        *("--millimetres", "100", "--slope-filter", "--samples", "4", "--json"),
+    )
 
 
 def tables() -> Iterator[tuple[str, bytes]]:

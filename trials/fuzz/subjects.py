@@ -8,25 +8,28 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import cache
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
 import facerender as fr
 from facerender.batch.jobs import check_jobs
+from facerender.commands import main
 from facerender.errors import FacerenderError, InputError
 from facerender.image import read_image
 from facerender.loading.environment import load_environment
 from facerender.measure.imported import read_imported
 from facerender.scenes.file import EnvironmentFile, load_scene
-from facerender.scenes.light import parse_light
 from trials.fuzz import seeds
 
 SLOW = 10.0  # seconds
 LARGE = 1 << 30  # bytes of resident memory that one input adds
 LONGEST = 500  # characters of a message, on one line
+_HEAD = Path(__file__).parents[2] / "tests" / "data" / "mini_head.glb"
 _CLEAR, _STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")
 OUTCOMES = ("clean", "warned", "refused", "crash", "unsound", "slow", "large")
 FAULTS = OUTCOMES[3:]
@@ -88,9 +91,9 @@ def _subjects() -> Iterator[Subject]:
     for name, content in seeds.tables():
         yield Subject(f"jobs-{name}", {name: content}, name, _reader_of_jobs(name))
     yield Subject("explored.json", {"a.json": seeds.explored()}, "a.json", _examine_explored)
-    yield Subject(
-        "light.txt", {"a.txt": b"point:1,2,3,1.5,radius=3,shadow"}, "a.txt", _examine_light
-    )
+    for number, words in enumerate(seeds.options()):
+        content = "\n".join(words).encode()
+        yield Subject(f"render-{number}.txt", {"a.txt": content}, "a.txt", _examine_render)
 
 
 def examine(subject: Subject, content: bytes, folder: Path) -> Result:
@@ -164,7 +167,7 @@ def _renderer() -> fr.Renderer:
 
 @cache
 def _head() -> fr.Mesh:
-    return fr.load_mesh(Path(__file__).parents[2] / "tests" / "data" / "mini_head.glb")
+    return fr.load_mesh(_HEAD)
 
 
 def _demand(holds: object, what: str) -> None:
@@ -246,9 +249,28 @@ def _examine_scene(folder: Path) -> None:
         _draw(fr.Scene(mesh, camera, **settings), shading)
 
 
-def _examine_light(folder: Path) -> None:
-    text = (folder / "a.txt").read_text("latin-1")
-    _draw(fr.Scene(_head(), lights=(parse_light(text),)))
+def _examine_render(folder: Path) -> None:
+    """The command line with a word in each line."""
+    words = (folder / "a.txt").read_text("latin-1").split("\n")
+    image = folder / "a.exr"
+    own = ["--size", "24", "--no-cache", "-o", str(image)]
+    with redirect_stdout(StringIO()), redirect_stderr(StringIO()) as said:
+        try:
+            status: object = main(["render", str(_HEAD), *words, *own])
+        except SystemExit as error:  # --help
+            status = error.code or 0
+    lines = said.getvalue().splitlines()
+    for line in lines:
+        _demand(line.startswith("facerender: "), f"standard error has {line[:80]!r}")
+        _demand(not _bad_message(line), f"a message {_bad_message(line)}")
+    _demand(status in (0, 2), f"exit status {status}")
+    if status == 2:
+        _demand(not image.exists() and lines, "exit status 2 with an image or without a word")
+        raise InputError(lines[-1])
+    if image.exists():
+        linear = read_image(image).pixels
+        _demand(np.isfinite(linear).all(), "a pixel is not finite")
+        _demand(linear[..., 3].any() or lines, "an empty picture, and no word of it")
 
 
 def _reader_of_jobs(name: str) -> Callable[[Path], None]:
