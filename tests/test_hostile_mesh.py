@@ -445,6 +445,18 @@ def test_coordinates_that_no_area_can_be_computed_of(tmp_path: Path) -> None:
     assert mesh.radius < 1.0
 
 
+@pytest.mark.parametrize("value", ["1e50", "1e200", "nan"])
+def test_a_vertex_of_no_face_counts_for_nothing(value: str, tmp_path: Path) -> None:
+    mesh, _ = loaded(write(tmp_path / "a.obj", TRIANGLE + f"v {value} 0 0\nf 1 2 3\n".encode()))
+    np.testing.assert_array_equal(mesh.bounds, [[0, 0, 0], [1, 1, 0]])
+    positions, faces = mini_head().positions.copy(), mini_head().faces
+    positions[7] = min(float(value), 1e38)
+    head = mini_head().with_positions(positions).with_faces(faces[~(faces == 7).any(axis=1)])
+    path = files.write_glb(tmp_path / "a.glb", head)
+    mesh, _ = loaded(path)
+    assert np.abs(mesh.parts[0].positions).max() < 1.0
+
+
 @pytest.mark.parametrize("value", ["1e100", "nan", "-inf"])
 def test_texture_coordinates_of_no_use(value: str, tmp_path: Path) -> None:
     lines = f"vt {value} 1\nvt 0.5 0\nf 1/1 2/2 3/2\n"

@@ -81,7 +81,12 @@ def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
 def assemble(pieces: Sequence[Piece], name: str, millimetres: float | None = None) -> Mesh:
     used = np.concatenate([piece.positions[_used(piece)] for piece in pieces])
     bounds = np.array([used.min(axis=0), used.max(axis=0)])
-    offsets = used - bounds.mean(axis=0)
+    center = bounds.mean(axis=0)
+    offsets = used - center
+    for piece in pieces:
+        inside = ((piece.positions >= bounds[0]) & (piece.positions <= bounds[1])).all(axis=1)
+        if not inside.all():  # of no face: float32 need not hold it
+            piece.positions = np.where(inside[:, None], piece.positions, center)
     radius = float(np.linalg.norm(offsets, axis=1).max())
     return Mesh(
         name,
@@ -190,7 +195,7 @@ def _check_extent(pieces: Sequence[Piece], name: str) -> None:
         raise InputError(f"{name} is {extent:g} units wide, of {_TINY:g} at least: scale it up")
     middle = np.median(used, axis=0)
     distances = np.linalg.norm(used - middle, axis=1)
-    near = float(np.quantile(distances, 0.9))
+    near = float(np.quantile(distances, 0.9, method="lower"))
     far = distances > max(_FAR * near, _TINY)
     if far.any():
         x, y, z = used[np.argmax(distances)]
