@@ -12,7 +12,7 @@ from pathlib import Path
 from docs.template import missing
 from facerender.measure.tables import markdown_table
 from trials.cases import cases_of, evaluated
-from trials.targets import TARGETS, TRANSLATED, Remote, groups_of
+from trials.targets import LAVAPIPE, TARGETS, Remote, groups_of
 
 OUTPUT = Path(__file__).with_suffix(".md")
 TEXT = """# Targets
@@ -72,7 +72,7 @@ def stale() -> Iterator[str]:
 
 def main() -> None:
     rows = []
-    for target in (*TARGETS, *TRANSLATED):
+    for target in (*TARGETS, *LAVAPIPE):
         try:
             rows.append(row(target))
         except Exception as error:  # glcontext raises bare Exception

@@ -19,7 +19,7 @@ from trials import metal
 from trials.cases import cases_of, evaluated
 from trials.hosts import CHOICES as SCENES
 from trials.hosts import SCENE, SIZE, desktop
-from trials.targets import TRANSLATED, UNTRANSLATED, Remote, groups_of, hlsl_compiled
+from trials.targets import LAVAPIPE, UNTRANSLATED, Remote, compiled, groups_of
 
 # Every file, and some of those with their choices made.
 TEXTS = [each for each in CHOICES if each[0] not in UNTRANSLATED]
@@ -61,7 +61,7 @@ float walked(float c, vec3 n, int count) {
 """
 
 
-@pytest.fixture(scope="module", params=TRANSLATED)
+@pytest.fixture(scope="module", params=LAVAPIPE)
 def target(request: pytest.FixtureRequest) -> Iterator[Remote]:
     require_module("wgpu")
     with Remote(request.param) as remote:
@@ -98,7 +98,7 @@ def test_every_file_and_choice_compiles_without_a_warning(language):
     device = Device()
     for name, lobe, m in TEXTS:
         text = f"{fr.shader_source(name, language, lobe=lobe, m=m)}\n{MAIN[language]}\n"
-        device.compile(hlsl_compiled(text) if language == "hlsl" else text)
+        device.compile(compiled(text, hlsl=True) if language == "hlsl" else text)
 
 
 def test_metal_compiles_as_cpp_and_draws_what_opengl_does(egl):
