@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 import os
 import re
 import sys
@@ -18,6 +19,8 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
+from threading import Lock
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +29,7 @@ from facerender.drawing.evaluate import Inputs
 from facerender.shading import Term
 from facerender.terms import MASKING
 from trials import cases
-from trials.cases import Case, Each, brdf_case
+from trials.cases import Case, Each, Singles, brdf_case, singles
 from trials.climb import VARIANTS, slopes_of
 from trials.targets import LAVAPIPE, TARGETS, UNTRANSLATED, Remote, groups_of
 
@@ -108,52 +111,54 @@ class Random:
 
     def often(self, one_of: int) -> NDArray[np.bool_]:
         """True for one of so many."""
-        return self.pick(one_of) == 0
+        return np.asarray(self.pick(one_of) == 0)
 
-    def even(self) -> NDArray[np.float32]:
+    def even(self) -> Singles:
         """[0, 1)"""
         return self.random.random(self.count, dtype=np.float32)
 
-    def small(self) -> NDArray[np.float32]:
+    def small(self) -> Singles:
         """(0, 1]: log-uniform down to a bound that is drawn too; a third lies below 1e-12."""
-        return np.exp2(-126 * self.even() * self.even())
+        return singles(np.exp2(-126 * self.even() * self.even()))
 
-    def cosine(self) -> NDArray[np.float32]:
+    def cosine(self) -> Singles:
         """[0, 1] and an ulp more: uniform, log-uniform towards 0, towards 1, and the ends."""
         kind, tiny = self.pick(8), self.small()
-        ends = np.float32([0.0, 1.0, 1.00000012])[self.pick(3)]
-        return np.select([kind < 3, kind < 5, kind < 7], [self.even(), tiny, 1 - tiny], ends)
+        ends = singles([0.0, 1.0, 1.00000012])[self.pick(3)]
+        return singles(
+            np.select([kind < 3, kind < 5, kind < 7], [self.even(), tiny, 1 - tiny], ends)
+        )
 
-    def direction(self) -> NDArray[np.float32]:
+    def direction(self) -> Singles:
         """A unit vector: a quarter points below z = 0, many lie in that plane or along an axis."""
         z = np.minimum(self.cosine(), 1)
         r = np.sqrt((1 - z) * (1 + z))
         turn = np.where(self.often(4), 0, np.float32(2.0 * np.pi) * self.even())
         return np.stack([r * np.cos(turn), r * np.sin(turn), np.where(self.often(4), -z, z)], -1)
 
-    def stretched(self, x: NDArray[np.float32]) -> NDArray[np.float32]:
+    def stretched(self, x: Singles) -> Singles:
         by = np.where(self.often(2), 0, np.float32(1e-6) * (2 * self.even() - 1))
-        return x * (1 + by)[:, None]
+        return singles(x * (1 + by)[:, None])
 
-    def inputs(self) -> dict[str, NDArray[np.float32]]:
+    def inputs(self) -> dict[str, Singles]:
         """Unit vectors n, l, v; p in (0, 1] for products of them; m, f0, c; tan2 by three names."""
         light, eye = self.direction(), self.direction()
         kind = self.pick(4)[:, None]
-        mirrored = light * np.float32([-1, -1, 1])
+        mirrored = light * singles([-1, -1, 1])
         eye = np.select([kind == 1, kind == 2, kind == 3], [mirrored, light, -light], eye)
         shifted = unit(eye + self.small()[:, None] / 2 * self.direction())
         eye = np.where(self.often(2)[:, None], shifted, eye)
 
-        up = np.where(self.often(2)[:, None], np.float32([0, 0, 1]), self.direction())
-        axes = np.float32([[0, 1, 0], [1, 0, 0]])
+        up = np.where(self.often(2)[:, None], singles([0, 0, 1]), self.direction())
+        axes = singles([[0, 1, 0], [1, 0, 0]])
         across = unit(np.cross(axes[(np.abs(up[:, 0]) < 0.5).astype(int)], up))
         frame = np.stack([across, np.cross(up, across), up], -1)
         n = self.stretched(up)
         l, v = (self.stretched(np.einsum("nij,nj->ni", frame, x)) for x in (light, eye))
 
         m = np.clip(2 * np.exp2(np.float32(-14.3) * self.even()), np.float32(1e-4), 2)
-        m = np.where(self.often(8), np.float32([1e-4, 2.0])[self.pick(2)], m)
-        reflectances = np.float32([0.0, 1e-8, 0.028, 0.99999994])
+        m = np.where(self.often(8), singles([1e-4, 2.0])[self.pick(2)], m)
+        reflectances = singles([0.0, 1e-8, 0.028, 0.99999994])
         f0 = np.where(self.often(2), reflectances[self.pick(4)], np.float32(0.999) * self.even())
         p = np.stack([self.cosine(), self.cosine(), self.cosine()], -1).clip(np.float32(1e-37))
         kind, tan2 = self.pick(8), self.small()
@@ -168,8 +173,8 @@ class Random:
         return vectors | scalars | dict.fromkeys(("tan2", "x", "steepness"), tan2)
 
 
-def unit(x: NDArray[np.float32]) -> NDArray[np.float32]:
-    return x / np.linalg.norm(x, axis=-1, keepdims=True)
+def unit(x: NDArray[np.floating[Any]]) -> Singles:
+    return singles(x / np.linalg.norm(x, axis=-1, keepdims=True))
 
 
 def faults(evaluator: Each, tried: Mapping[str, Case], inputs: Inputs) -> list[str]:
@@ -200,7 +205,7 @@ def faults(evaluator: Each, tried: Mapping[str, Case], inputs: Inputs) -> list[s
 
 
 class Count:
-    """What a target has shown.
+    """What a target has shown, to several threads.
 
     Attributes
     ----------
@@ -210,6 +215,7 @@ class Count:
     """
 
     def __init__(self) -> None:
+        self._lock = Lock()
         self.finite, self.bounded = 0, 0
         self.worst = 0.0, ""
         self.told: list[str] = []
@@ -224,22 +230,26 @@ class Count:
     def look(self, target: Each, group: str, inputs: Inputs) -> None:
         """Look for what is not finite, negative, or not 0 below the surface."""
         tried = cases_of(group)
-        self.told += faults(target, tried, inputs)
-        self.finite += len(tried) * len(inputs["n"])
+        told = faults(target, tried, inputs)
+        with self._lock:
+            self.told += told
+            self.finite += len(tried) * len(inputs["n"])
 
     def compare(self, target: Each, case: Case, name: str) -> None:
         """Compare with float64."""
         result = target.each(case.prelude, [case.expression], case.inputs)[0]
-        if told := case.fault(result):
-            self.told.append(f"{name}: {told}")
-        self.worst = max(self.worst, (float(case.share(result).max()), name))
-        self.bounded += len(result)
+        fault, share = case.fault(result), float(case.share(result).max())
+        with self._lock:
+            self.told += [f"{name}: {fault}"] * bool(fault)
+            self.worst = max(self.worst, (share, name))
+            self.bounded += len(result)
 
 
 def bounded(term: Term, f0: float, inputs: Inputs, seed: int) -> Case:
     """Return a term at directions of the inputs, at a few slopes: each has a peak to be found."""
     random = np.random.default_rng(seed)
-    few = np.exp(random.uniform(*np.log(slopes_of(term)), SLOPES)).astype(np.float32)
+    low, high = map(math.log, slopes_of(term))
+    few = singles(np.exp(random.uniform(low, high, SLOPES)))
     slopes = random.choice(few, len(inputs["n"]))
     return brdf_case(term, {**{axis: inputs[axis] for axis in "nlv"}, "m": slopes}, f0=f0)
 
@@ -285,7 +295,8 @@ def main() -> int:
             if any(count.told for count in counts.values()):
                 return 1
             if all(min(count.finite, count.bounded) >= given.count for count in counts.values()):
-                return 0
+                break
+    return 0
 
 
 if __name__ == "__main__":
