@@ -4,7 +4,7 @@ finite, >= 0, BRDFs exactly 0 below the surface, and terms within the bounds of 
 python -m trials.many COUNT [TARGET ...]      such as 1e9 "WGSL, Vulkan"; all targets without
 
 Targets share what float64 makes of the samples. COUNT is of samples of each kind, at the least;
-what has been seen until then is printed after each draw, and the exit code is 1 at the first fault.
+what has been seen is printed each minute, and the exit code is 1 after a draw with a fault.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ import math
 import os
 import re
 import sys
-from collections.abc import Mapping
+import time
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
@@ -254,9 +255,9 @@ def bounded(term: Term, f0: float, inputs: Inputs, seed: int) -> Case:
     return brdf_case(term, {**{axis: inputs[axis] for axis in "nlv"}, "m": slopes}, f0=f0)
 
 
-def draw(counts: Mapping[Remote, Count], seed: int, wanted: float) -> None:
-    """Look at MANY samples of each expression, of the kinds of which there have not been enough; on
-    all cores."""
+def draw(counts: Mapping[Remote, Count], seed: int, wanted: float) -> Iterator[None]:
+    """Look at MANY samples of each expression, of the kinds of which there have not been enough, on
+    all cores; yield now and then."""
     inputs = Random(seed, MANY).inputs()
 
     def compare(variant: tuple[Term, float]) -> None:
@@ -271,9 +272,9 @@ def draw(counts: Mapping[Remote, Count], seed: int, wanted: float) -> None:
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         if min(count.bounded for count in counts.values()) < wanted:
-            list(pool.map(compare, VARIANTS))
+            yield from pool.map(compare, VARIANTS)
         if min(count.finite for count in counts.values()) < wanted:
-            list(pool.map(look, GROUPS))
+            yield from pool.map(look, GROUPS)
 
 
 def main() -> int:
@@ -287,16 +288,24 @@ def main() -> int:
         parser.error(f"no target {', '.join(unknown)}; there are {', '.join(known)}")
     with ExitStack() as stack:
         counts = {stack.enter_context(Remote(name)): Count() for name in given.targets or known}
+        last = time.monotonic()
         for seed in itertools.count(given.first):
-            draw(counts, seed, given.count)
-            for target, count in counts.items():
-                head = f"{target.name}, to draw {seed}: {count}"
-                print(head, *count.told, sep="\n", flush=True)
+            for _ in draw(counts, seed, given.count):
+                if time.monotonic() > last + 60.0:
+                    last = tell(counts, seed)
+            tell(counts, seed)
             if any(count.told for count in counts.values()):
                 return 1
             if all(min(count.finite, count.bounded) >= given.count for count in counts.values()):
                 break
     return 0
+
+
+def tell(counts: Mapping[Remote, Count], seed: int) -> float:
+    """Print what has been seen, and return the time."""
+    for target, count in counts.items():
+        print(f"{target.name}, draw {seed}: {count}", *count.told, sep="\n", flush=True)
+    return time.monotonic()
 
 
 if __name__ == "__main__":

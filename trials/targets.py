@@ -234,11 +234,11 @@ TARGETS: dict[str, Callable[[], Evaluate]] = {
     "GLSL ES 300, EGL": _es300,
     "WebGL 2, Chromium": _WebGL,
 }
-LAVAPIPE: dict[str, Callable[[], Evaluate]] = {
-    "GLSL 450, Vulkan": partial(_Lavapipe, None),
+TRANSLATED: dict[str, Callable[[], Evaluate]] = {
     "HLSL, Vulkan": partial(_Lavapipe, "hlsl"),
     "WGSL, Vulkan": partial(_Lavapipe, "wgsl"),
 }
+LAVAPIPE = {"GLSL 450, Vulkan": partial(_Lavapipe, None), **TRANSLATED}
 UNTRANSLATED = ("environment", "scatter", "shadow")  # files with samplers or arrays
 
 

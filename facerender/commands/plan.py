@@ -14,7 +14,7 @@ from facerender.commands.scene import WHERE, add_scene, job_of, load
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError, reason
-from facerender.glsl.library import TARGETS
+from facerender.glsl.library import LANGUAGES, TARGETS
 from facerender.image import write_bytes
 
 
@@ -75,7 +75,11 @@ def add(plan: argparse.ArgumentParser) -> None:
     output = plan.add_argument_group("results")
     output.add_argument("--json", action="store_true", help="every figure")
     output.add_argument("--emit", metavar="OUT.glsl", help="the shader, with these choices made")
-    output.add_argument("--target", choices=TARGETS, help="of the shader: begin with its #version")
+    output.add_argument(
+        "--target",
+        choices=(*TARGETS, *LANGUAGES),
+        help="of the shader: begin with its #version, or another language",
+    )
     output.add_argument(
         "--scene",
         dest="pinned",

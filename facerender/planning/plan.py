@@ -18,7 +18,7 @@ from facerender.drawing.prepare import simplify
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.glsl.code import call
-from facerender.glsl.library import Target, term_source
+from facerender.glsl.library import Language, Target, term_source
 from facerender.image import save_png
 from facerender.planning.bound import Unbounded, bound
 from facerender.planning.budget import ROUNDING, Budget, highest_but
@@ -135,7 +135,7 @@ class Plan:
             lines["measured"] = f"{self.measured.value:.2f} of the full frame ({ends}), in turns"
         return lines
 
-    def shader(self, target: Target | None = None) -> str:
+    def shader(self, target: Target | Language | None = None) -> str:
         """Return the library's file with the chosen terms alone, its constants folded; target as in
         :func:`facerender.shader_source`. Comments tell what a host must leave out besides, and what
         to call for each light.
