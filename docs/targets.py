@@ -24,13 +24,13 @@ The last two columns tell how much of its bound the worst sample of the worst ca
 
 {table}
 
-The last three are drawn by Mesa's Vulkan driver: GLSL 450 and HLSL go through glslang to SPIR-V, and
-with WGSL through naga; HLSL and WGSL are what `facerender shaders flatten` writes. They read buffers:
-functions with samplers or arrays (environment, shadow, scatter) are not among theirs, and those
-are not translated. Metal's language is translated as well; without Apple's compiler, g++ compiles
-every file of it as C++14 with glm's vectors and no warning, and what it draws is within 1e-6 of
-what OpenGL draws. `fr_cook_torrance_half` is held to its bound in float32 here, since no renderer of
-the table has halves; the suite holds it to the same bound in NumPy's.
+The last three are drawn by Mesa's Vulkan driver: GLSL 450 and HLSL go through glslang to SPIR-V,
+and with WGSL through naga; HLSL and WGSL are what `facerender shaders flatten` writes. They read
+buffers: functions with samplers or arrays (environment, shadow, scatter) are not among theirs, and
+those are not translated. Metal's language is translated as well; without Apple's compiler, g++
+compiles every file of it as C++14 with glm's vectors and no warning, and what it draws is within
+1e-6 of what OpenGL draws. `fr_cook_torrance_half` is held to its bound in float32 here, since no
+renderer of the table has halves; the suite holds it to the same bound in NumPy's.
 
 The suite compiles every flattened file for Vulkan with `glslangValidator -V`, and holds the result
 against `spirv-val`; no warning on any target. Random samples of every function, as many as wanted,

@@ -238,7 +238,10 @@ TRANSLATED: dict[str, Callable[[], Evaluate]] = {
     "HLSL, Vulkan": partial(_Lavapipe, "hlsl"),
     "WGSL, Vulkan": partial(_Lavapipe, "wgsl"),
 }
-LAVAPIPE = {"GLSL 450, Vulkan": partial(_Lavapipe, None), **TRANSLATED}
+LAVAPIPE: dict[str, Callable[[], Evaluate]] = {
+    "GLSL 450, Vulkan": partial(_Lavapipe, None),
+    **TRANSLATED,
+}
 UNTRANSLATED = ("environment", "scatter", "shadow")  # files with samplers or arrays
 
 
