@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Literal
@@ -65,7 +65,7 @@ class Picture:
     color_space : as the file says it, "" where it says nothing
     """
 
-    pixels: NDArray[np.float32]
+    pixels: NDArray[np.float32] | NDArray[np.uint8]
     encoding: Encoding
     name: str
     metadata: Mapping[str, str] = field(default_factory=dict)
@@ -75,19 +75,29 @@ class Picture:
     def coverage(self) -> NDArray[np.float32]:
         """Alpha (H, W), in [0, 1]; 1 in an image without, or a linear one whose alpha is unused: 0
         everywhere."""
-        scale = 255.0 if self.encoding == "srgb8" else 1.0
-        alpha = self.pixels[..., -1] / np.float32(scale)
-        absent = self.pixels.shape[2] % 2 or (self.encoding == "linear" and not alpha.any())
-        return np.ones_like(alpha) if absent else alpha
+        return self.rows(slice(None))[1]
 
     @property
     def color(self) -> NDArray[np.float32]:
         """Colour (H, W, 1 or 3), premultiplied by coverage, as linear images are."""
-        channels = self.pixels.shape[2]
-        color = self.pixels[..., : channels - 1 + channels % 2].astype(np.float32, copy=False)
-        if channels % 2:
-            return color
-        return color if self.encoding == "linear" else color * self.coverage[..., None]
+        return self.rows(slice(None))[0]
+
+    def rows(self, rows: slice) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return colour and coverage of some rows."""
+        pixels = self.pixels[rows]
+        channels = pixels.shape[2]
+        color = pixels[..., : channels - 1 + channels % 2].astype(np.float32, copy=False)
+        if self._opaque:
+            return color, np.ones(pixels.shape[:2], dtype=np.float32)
+        if self.encoding == "linear":
+            return color, pixels[..., -1]
+        coverage = pixels[..., -1] / np.float32(255.0)
+        return color * coverage[..., None], coverage
+
+    @cached_property
+    def _opaque(self) -> bool:
+        used = self.encoding == "srgb8" or bool(self.pixels[..., -1].any())
+        return self.pixels.shape[2] % 2 == 1 or not used
 
 
 def srgb_to_linear(encoded: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -255,7 +265,7 @@ def _write_exr(
     write_whole(path, write)
 
 
-def check_pixels(name: str, width: int, height: int, bytes_each: int, of: int) -> None:
+def check_pixels(name: str, width: int, height: int, bytes_each: int, of: float) -> None:
     """Check the size of an image that a file claims to hold, before there is memory for it.
 
     Parameters
@@ -280,12 +290,13 @@ def check_pixels(name: str, width: int, height: int, bytes_each: int, of: int) -
         raise InputError(f"{size}, which {of} bytes cannot hold: it is damaged; write it anew")
 
 
-def open_image(content: bytes, name: str, formats: Sequence[str]) -> Image:
+def open_image(content: bytes, name: str, formats: tuple[str, ...], known: str) -> Image:
     """Return a Pillow image of a file's content, its size checked; its pixels are decoded later.
 
     Parameters
     ----------
     formats : that it may have, as Pillow names them
+    known : those to give, in words
 
     Raises
     ------
@@ -298,7 +309,6 @@ def open_image(content: bytes, name: str, formats: Sequence[str]) -> Image:
     except UnidentifiedImageError:
         start = content[:64].lstrip().lower()
         kind = next((kind for head, kind in _OTHERS.items() if start.startswith(head)), "")
-        known = f"{', '.join(formats[:-1])} or {formats[-1]}"
         raise InputError(f"{name} is {kind or 'not an image'}; give a {known}") from None
     except Image.DecompressionBombError:
         raise InputError(
@@ -410,9 +420,7 @@ def _exr_headers(content: bytes) -> list[dict[bytes, bytes]]:
 def _check_exr(path: Path, headers: Sequence[Mapping[bytes, bytes]], of: int) -> None:
     """Refuse what is no flat image of a part, and what is too large, before OpenEXR reads it."""
     if len(headers) > 1:
-        raise InputError(
-            f"{path} has {len(headers)} parts: write the one that counts as a file"
-        )
+        raise InputError(f"{path} has {len(headers)} parts: write the one that counts as a file")
     (header,) = headers
     if header.get(b"type", b"").startswith(b"deep"):
         raise InputError(f"{path} is a deep image: flatten it")
@@ -525,13 +533,16 @@ def _array(file: IO[bytes], name: str, of: int) -> NDArray[Any]:
 def _read_8_bit(path: Path, content: bytes) -> Picture:
     if content.startswith(b"\x89PNG") and content[24:25] == b"\x10":  # Pillow drops the lower byte
         raise InputError(f"{path} is a 16-bit PNG: save as 8-bit PNG, or as EXR")
-    image = open_image(content, str(path), ("PNG", "JPEG"))
+    image = open_image(content, str(path), ("PNG", "JPEG"), "PNG or JPEG")
     if image.mode not in ("L", "LA", "RGB", "RGBA"):
         kind = {"P": "a palette image", "CMYK": "a CMYK image", "1": "an image of single bits"}
         raise InputError(f"{path} is {kind.get(image.mode, image.mode)}: save it as RGB")
     if "transparency" in image.info:
         raise InputError(f"{path} has one transparent colour: save it as RGBA")
-    pixels = texels(image, image.mode, str(path))
+    try:
+        pixels = texels(image, image.mode)
+    except Exception as error:  # each decoder of Pillow fails in its own way
+        raise InputError(f"{path} is damaged ({reason(error)}); write it anew") from None
     metadata = {str(key): value for key, value in image.info.items() if isinstance(value, str)}
     profile = image.info.get("icc_profile") or b""
     space = f"ICC profile {zlib.crc32(profile):08x}" if profile else ""
@@ -541,22 +552,13 @@ def _read_8_bit(path: Path, content: bytes) -> Picture:
     return Picture(pixels, "srgb8", str(path), metadata, space)
 
 
-def texels(image: Image, mode: str, name: str) -> NDArray[np.uint8]:
+def texels(image: Image, mode: str) -> NDArray[np.uint8]:
     """Return the pixels of a Pillow image in a mode, (H, W, channels), strip by strip, so that no
-    other copy of the whole is made.
-
-    Raises
-    ------
-    InputError : it is damaged, or cannot be converted
-    """
-    try:
-        image.load()
-        strips = range(0, image.height, _STRIP)
-        pixels = np.empty((image.height, image.width, len(mode)), dtype=np.uint8)
-        for top in strips:
-            below = min(top + _STRIP, image.height)
-            strip = image.crop((0, top, image.width, below))
-            pixels[top:below] = np.asarray(strip.convert(mode)).reshape(pixels[top:below].shape)
-    except Exception as error:  # each decoder of Pillow fails in its own way
-        raise InputError(f"{name} is damaged ({reason(error)}); write it anew") from None
+    other copy of the whole is made; raises whatever Pillow does."""
+    image.load()
+    pixels = np.empty((image.height, image.width, len(mode)), dtype=np.uint8)
+    for top in range(0, image.height, _STRIP):
+        strip = image.crop((0, top, image.width, min(top + _STRIP, image.height)))
+        rows = pixels[top : top + _STRIP]
+        rows[:] = np.asarray(strip.convert(mode)).reshape(rows.shape)
     return pixels

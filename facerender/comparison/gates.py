@@ -34,6 +34,7 @@ FADED = 0.2  # excess of coverage that counts as changed
 SHIFT = 0.05  # pixels by which drivers may place what they draw differently
 FLOOR = 0.01  # radiance below which relative differences are taken of this
 FULL = 0.99  # coverage from which a pixel is inside: half floats and filters miss 1
+HIGHEST = 1e30  # of values, whose differences and sums are finite then
 LEAST = 64  # pixels that a block needs to be judged
 _STRIP = 16 * BLOCK  # rows that are compared at once
 _HALO = MARGIN + 1  # rows beyond a strip that its pixels are compared with
@@ -157,7 +158,6 @@ def compare(
     said = {name: value for name, value in given.items() if value is not None}
     limits = replace(LIMITS[a.encoding], **said)
 
-    a, b = _without_unused_alpha(a), _without_unused_alpha(b)
     over = np.zeros((height, width), dtype=np.int8)
     full, silhouette = np.zeros((2, height, width), dtype=bool)
     means: list[NDArray[np.float64]] = []
@@ -167,9 +167,7 @@ def compare(
         rows = slice(top, min(top + _STRIP, height))
         around = slice(max(top - _HALO, 0), min(top + _STRIP + _HALO, height))
         own = slice(top - around.start, rows.stop - around.start)
-        strips = [replace(each, pixels=each.pixels[around]) for each in (a, b)]
-        color_a, color_b = (each.color for each in strips)
-        alpha_a, alpha_b = (each.coverage for each in strips)
+        (color_a, alpha_a), (color_b, alpha_b) = a.rows(around), b.rows(around)
         counted = counts[around]
         inner = (alpha_a >= FULL) & (alpha_b >= FULL)
         rim = _filtered(inner, np.maximum) & ~_filtered(inner, np.minimum)
@@ -333,25 +331,20 @@ def _check_alike(a: Picture, b: Picture) -> None:
         raise InputError(f"{', '.join(spaces)}: convert one")
 
 
-def _without_unused_alpha(picture: Picture) -> Picture:
-    """Without the alpha of a linear image that is 0 everywhere, which strips do not tell."""
-    pixels = picture.pixels
-    if picture.encoding == "linear" and not pixels.shape[2] % 2 and not pixels[..., -1].any():
-        return replace(picture, pixels=pixels[..., :-1])
-    return picture
-
-
 def _check_finite(picture: Picture) -> None:
     if picture.encoding == "srgb8":
         return
-    finite = np.isfinite(picture.pixels)
-    if finite.all():
+    good = np.abs(picture.pixels) <= HIGHEST
+    if good.all():
         return
-    nans = int(np.isnan(picture.pixels).sum())
-    row, column, channel = np.argwhere(~finite)[0]
+    row, column, channel = np.unravel_index(int(good.argmin()), good.shape)
+    nans, infinite = (int(test(picture.pixels).sum()) for test in (np.isnan, np.isinf))
+    what = f"{nans} NaN and {infinite} infinite values"
+    if not nans + infinite:
+        what = f"values beyond {HIGHEST:g}"
     raise InputError(
-        f"{picture.name} holds {nans} NaN and {int((~finite).sum()) - nans} infinite values, the "
-        f"first at pixel ({column}, {row}), channel {channel}: mend what drew it"
+        f"{picture.name} holds {what}, the first at pixel ({column}, {row}), channel {channel}: "
+        "mend what drew it"
     )
 
 
