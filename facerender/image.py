@@ -65,7 +65,7 @@ class Picture:
     color_space : as the file says it, "" where it says nothing
     """
 
-    pixels: NDArray[np.float32] | NDArray[np.uint8]
+    pixels: NDArray[Any]
     encoding: Encoding
     name: str
     metadata: Mapping[str, str] = field(default_factory=dict)
@@ -91,7 +91,7 @@ class Picture:
             return color, np.ones(pixels.shape[:2], dtype=np.float32)
         if self.encoding == "linear":
             return color, pixels[..., -1]
-        coverage = pixels[..., -1] / np.float32(255.0)
+        coverage = pixels[..., -1].astype(np.float32) / np.float32(255.0)
         return color * coverage[..., None], coverage
 
     @cached_property

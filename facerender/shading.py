@@ -239,6 +239,8 @@ class Shading:
                 light: _without(FRONTAL, own) if _is_frontal(own) else own
                 for light, own in changes.items()
             }
+            for own in changes.values():
+                replace(term, **dict(own))  # validates what those of frontal light replace
             for light in frontal:
                 changes[light] = _changes(dict(changes.get(light, ())) | dict(FRONTAL))
         if specular_lights is not None:

@@ -96,10 +96,12 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
     content = read_file(path, "a scene as TOML", MOST_BYTES)
     try:
         tables = tomllib.loads(content.decode("utf-8-sig"))
-    except RecursionError:
-        raise InputError(f"{name} is not TOML: it is nested too deep") from None
-    except ValueError as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{name} is not TOML: {reason(error)}") from None
+    except RecursionError:
+        raise InputError(f"{name} is not TOML that is read: it is nested too deep") from None
+    except ValueError:  # Python reads no numbers of 5000 digits
+        raise InputError(f"{name} is not TOML that is read: a number is too long") from None
     try:
         return {key: scene_value(key, value) for key, value in tables.items()}
     except InputError as error:
