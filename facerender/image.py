@@ -136,8 +136,8 @@ def encode_srgb8(linear: NDArray[np.float32], exposure: float = 0.0) -> NDArray[
     """
     if not -100.0 <= exposure <= 100.0:
         raise InputError(f"exposure = {exposure:g} is outside [-100, 100]")
-    scaled = linear if exposure == 0.0 else linear * np.float32(2.0**exposure)
     with np.errstate(over="ignore"):  # beyond 65504 is infinite, and white
+        scaled = linear if exposure == 0.0 else linear * np.float32(2.0**exposure)
         halves = scaled.astype(np.float16)
     return _srgb_bytes()[halves.view(np.uint16)]
 

@@ -4,8 +4,8 @@ what is damaged leaves it as it was."""
 from __future__ import annotations
 
 import json
-import re
 import math
+import re
 from pathlib import Path
 
 import numpy as np

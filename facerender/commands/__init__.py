@@ -77,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except Exception as error:
             if os.environ.get("FACERENDER_DEBUG"):
                 traceback.print_exception(error)
-            what = f"{type(error).__name__}: {clipped(str(error))}"
+            what = f"{type(error).__name__}: {clipped(str(error))}".removesuffix(": ")
             print(
                 f"facerender: error: this is a fault of facerender, please report it ({what}); "
                 "FACERENDER_DEBUG=1 shows where",
