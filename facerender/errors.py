@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
+_LONGEST = 500  # characters of a message, where what others have written makes it long
 _noted: ContextVar[list[str] | None] = ContextVar("_noted", default=None)
 
 
@@ -19,6 +20,9 @@ class FacerenderError(Exception):
 
 class InputError(FacerenderError, ValueError):
     """A file, a value or a combination of options that cannot be used."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(clipped(message, _LONGEST))
 
 
 class ContextError(FacerenderError, RuntimeError):
@@ -51,13 +55,31 @@ def noting() -> Iterator[list[str]]:
         _noted.reset(token)
 
 
-def reason(error: OSError) -> str:
-    """Return what an operating system's error says, for the middle of a sentence."""
-    return (error.strerror or str(error)).lower()
+def clipped(text: str, most: int = 160) -> str:
+    """Return a text of others on one line that can be printed, its middle left out where it is
+    longer than ``most`` characters."""
+    line = "".join(each if each.isprintable() else "?" for each in " ".join(text.split()))
+    return line if len(line) <= most else f"{line[: most // 2]} ... {line[-(most // 2) :]}"
+
+
+def shown(value: Any) -> str:
+    """Return a value as a message tells it: on one line, and not at length."""
+    try:
+        return clipped(repr(value), 120)
+    except (ValueError, RecursionError):  # Python does not print numbers of 5000 digits
+        return f"a {type(value).__name__} that is too long to print"
+
+
+def reason(error: Exception) -> str:
+    """Return what an error of the operating system or of a library says, for the middle of a
+    sentence; its kind where it says nothing."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror.lower()
+    return clipped(str(error)) or type(error).__name__
 
 
 def check_range(name: str, value: Any, low: float, high: float) -> None:
     """Raise InputError where a value is no number, or outside [low, high]."""
     number = isinstance(value, numbers.Real) and not isinstance(value, bool)
     if not (number and low <= value <= high):
-        raise InputError(f"{name} = {value!r} is outside [{low:g}, {high:g}]")
+        raise InputError(f"{name} = {shown(value)} is outside [{low:g}, {high:g}]")

@@ -352,10 +352,10 @@ def _words(job: Job) -> dict[str, Any]:
     options = {
         name: f"--{name.replace('_', '-')} {shlex.quote(value)}" for name, value in given.items()
     }
-    words += ["--flip-v"] * file.flip_v
+    words += ["--flip-v"] * file.flip_v + ["--allow-outside"] * file.allow_outside
     called = [repr(file.path)] if file.path else []
     called += [f"{name}={value!r}" for name, value in given.items()]
-    called += ["flip_v=True"] * file.flip_v
+    called += ["flip_v=True"] * file.flip_v + ["allow_outside=True"] * file.allow_outside
     return {
         "shell": " ".join(words),
         "maps": options,

@@ -23,7 +23,13 @@ from facerender.scenes.scene import ONLY, Only, Scene
 from facerender.scenes.vectors import Vector, non_negative
 from facerender.shading import Shading
 
-_NO_PATHS = ("flip_v", "triangles", "millimetres", "occlusion")  # of a mesh file's fields
+_NO_PATHS = (
+    "flip_v",
+    "triangles",
+    "millimetres",
+    "occlusion",
+    "allow_outside",
+)  # of a mesh file's fields
 
 
 @dataclass(frozen=True)
@@ -42,6 +48,7 @@ class MeshFile:
     lobe_map: str | None = None
     millimetres: float | None = None
     occlusion: bool = False
+    allow_outside: bool = False
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -50,7 +57,7 @@ class MeshFile:
                 object.__setattr__(self, each.name, os.fspath(value))
             elif each.name not in _NO_PATHS and not isinstance(value, str | None):
                 raise InputError(f"mesh {each.name} = {value!r}: give a path as text")
-        for name in ("flip_v", "occlusion"):
+        for name in ("flip_v", "occlusion", "allow_outside"):
             if not isinstance(switch := getattr(self, name), bool):
                 raise InputError(f"mesh {name} = {switch!r}: give true or false")
         if self.millimetres is not None:

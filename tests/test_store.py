@@ -38,9 +38,9 @@ def reads(monkeypatch):
     """The mesh files that were read by trimesh."""
     seen = []
 
-    def spy(path, skip_images):
+    def spy(path, *options):
         seen.append(path)
-        return read(path, skip_images)
+        return read(path, *options)
 
     read = loading.read
     monkeypatch.setattr(loading, "read", spy)

@@ -5,16 +5,18 @@ from __future__ import annotations
 
 import argparse
 import gc
+import os
 import re
 import signal
 import sys
+import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any, NoReturn, TextIO
 
 from facerender._version import __version__
-from facerender.errors import FacerenderError, FacerenderWarning, InputError
+from facerender.errors import FacerenderError, FacerenderWarning, InputError, clipped
 
 _COMMANDS = {
     "render": "render a mesh file, or the built-in head",
@@ -27,6 +29,7 @@ _COMMANDS = {
     "shaders": "the GLSL library, for programs of your own",
     "doctor": "what OpenGL is found here, what is missing",
 }
+FAULT = 70  # EX_SOFTWARE of sysexits.h; 1 is of images that differ, 3 of jobs that failed
 
 
 class _Parser(argparse.ArgumentParser):
@@ -50,7 +53,8 @@ def console() -> NoReturn:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status: 0 done, 1 images differ, 2 bad input, no OpenGL."""
+    """Run a command and return its exit status: 0 done, 1 images differ, 2 bad input, no OpenGL,
+    70 a fault of facerender itself."""
     caught: list[str] = []
     with warnings.catch_warnings():
         warnings.simplefilter("always", FacerenderWarning)
@@ -67,6 +71,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 2
         except KeyboardInterrupt:
             return 130
+        except MemoryError:
+            print("facerender: error: out of memory: make maps or images smaller", file=sys.stderr)
+            return 2
+        except Exception as error:
+            if os.environ.get("FACERENDER_DEBUG"):
+                traceback.print_exception(error)
+            what = f"{type(error).__name__}: {clipped(str(error))}".removesuffix(": ")
+            print(
+                f"facerender: error: this is a fault of facerender, please report it ({what}); "
+                "FACERENDER_DEBUG=1 shows where",
+                file=sys.stderr,
+            )
+            return FAULT
 
 
 def _warning_printer(caught: list[str]) -> Callable[..., None]:
@@ -78,7 +95,7 @@ def _warning_printer(caught: list[str]) -> Callable[..., None]:
         file: TextIO | None = None,
         line: str | None = None,
     ) -> None:
-        if issubclass(category, FacerenderWarning):
+        if issubclass(category, FacerenderWarning) and str(message) not in caught:
             caught.append(str(message))
             print(f"facerender: warning: {message}", file=sys.stderr)
 

@@ -38,6 +38,11 @@ def add(explore: argparse.ArgumentParser) -> None:
     for name in ("albedo", "normal-map", "specular-map", "roughness-map"):
         maps.add_argument(f"--{name}", metavar="FILE")
     maps.add_argument("--flip-v", action="store_true", help="turn texture coordinates upside down")
+    maps.add_argument(
+        "--allow-outside",
+        action="store_true",
+        help="open what the mesh file refers to wherever it lies (below its folder alone)",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -59,6 +64,7 @@ def run(options: argparse.Namespace) -> int:
         options.specular_map,
         options.roughness_map,
         options.flip_v,
+        allow_outside=options.allow_outside,
     )
     import_trimesh()
     job, mesh = Job(file), file.load()

@@ -22,6 +22,11 @@ def add(measure: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="for measure.json, plots and index.html (out/measure)",
     )
+    measure.add_argument(
+        "--allow-outside",
+        action="store_true",
+        help="open what the mesh file refers to wherever it lies (below its folder alone)",
+    )
     measure.add_argument("--m", type=float, help="rms slope of the mesh (0.3)")
     measure.add_argument("--quick", action="store_true", help="smaller images, fewer repeats")
     measure.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
@@ -52,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
         measurement, triptychs = earlier, None
     else:
         import_trimesh()
-        mesh = load_mesh(options.mesh)
+        mesh = load_mesh(options.mesh, allow_outside=options.allow_outside)
         m = 0.3 if options.m is None else options.m
         with Progress() as progress:
             measurement, triptychs = measure(mesh, m, options.quick, options.backend, progress)

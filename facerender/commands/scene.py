@@ -73,6 +73,11 @@ def add_scene(
     for name in ("albedo", "normal-map", "specular-map", "roughness-map", "lobe-map"):
         maps.add_argument(f"--{name}", metavar="FILE")
     maps.add_argument("--flip-v", action="store_true", help="turn texture coordinates upside down")
+    maps.add_argument(
+        "--allow-outside",
+        action="store_true",
+        help="open what the mesh file refers to wherever it lies (below its folder alone)",
+    )
     maps.add_argument("--anisotropy", type=float, default=1.0, help="of texture filtering (1)")
     maps.add_argument("--float-albedo", action="store_true", help="albedo as linear float16")
 
@@ -173,6 +178,7 @@ def job_of(
         options.lobe_map,
         options.millimetres,
         options.occlusion,
+        options.allow_outside,
     )
     job = Job(
         mesh,

@@ -23,7 +23,7 @@ from facerender.drawing.prepare import simplify, start_maps
 from facerender.drawing.program import ENVIRONMENT_MAP, Lighting
 from facerender.drawing.reference import data_view
 from facerender.drawing.resources import Resources, read
-from facerender.errors import ContextError, InputError
+from facerender.errors import ContextError, InputError, warn
 from facerender.job import Job
 from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera
@@ -31,7 +31,7 @@ from facerender.scenes.light import Light
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import ONLY, Only, Scene, slope_ranges
 from facerender.scenes.texture import Kind
-from facerender.scenes.view import View, sample_grid, view_of
+from facerender.scenes.view import View, hidden, sample_grid, view_of
 from facerender.shading import Shading
 from facerender.terms import AnyLobe
 
@@ -158,10 +158,15 @@ class Renderer:
         Raises
         ------
         InputError : a map is damaged, m lies outside the lobe's domain and the shading asks for an
-            error then, an unknown term
+            error then, an unknown term, values whose image is not finite
+
+        Warns
+        -----
+        FacerenderWarning : no pixel shows the mesh, and why
         """
         if only in ("normal", "albedo", "depth", "cosines", "visibility"):
             linear = data_view(self.gbuffer(scene, shading), scene, only)
+            _check(linear, scene)
             metadata = {**self.metadata, "samples": "1"}
             return Frame(linear, only, scene.background is None, metadata)
         if only not in (None, "specular", "diffuse"):
@@ -180,6 +185,7 @@ class Renderer:
                 shifted = view.shifted(shift, self.size)
                 linear += self._shaded(scene, shifted, shading, 1, only, backs)
             linear /= samples
+        _check(linear, scene)
         metadata = {key: str(value) for key, value in shading.as_dict().items()}
         metadata |= {**self.metadata, "samples": str(samples)}
         metadata |= {"shaded": "once a pixel"} if once else {}
@@ -329,6 +335,22 @@ def _from_visibility(shaded: Pass, visibility: Visibility | None, backs: bool) -
     """A pass that shades, behind what it reads."""
     first, *others = [visibility.drawn(), shaded] if visibility else [shaded]
     return [replace(first, backs=backs), *others]
+
+
+def _check(linear: NDArray[np.float32], scene: Scene) -> None:
+    """Raise InputError where a pixel is not finite, and warn where none shows the mesh."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = linear.sum()  # three times as fast as looking at each
+    if not np.isfinite(total) and not (finite := np.isfinite(linear).all(axis=-1)).all():
+        row, column = np.unravel_index(int(finite.argmin()), finite.shape)
+        raise InputError(
+            f"{(~finite).sum()} pixels of {scene.mesh.name} are not finite, the first at ({column},"
+            f" {row}): a light stands on the surface, or lights and weights are too strong for "
+            "float32; move it, or lower them"
+        )
+    coverage = linear[..., 3]
+    if not coverage[len(coverage) // 2].any() and not coverage.any():
+        warn(f"no pixel shows {scene.mesh.name}: {hidden(scene, linear.shape[1::-1])}")
 
 
 def _check_samples(samples: int) -> None:

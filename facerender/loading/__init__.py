@@ -8,12 +8,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from facerender.data import data_dir
-from facerender.errors import noting
+from facerender.errors import clipped, noting
 from facerender.loading.kept import Files
 from facerender.loading.read import read
+from facerender.loading.referred import Referred
 from facerender.loading.repair import assemble, clean
-from facerender.loading.translate import override, piece_of
+from facerender.loading.translate import override
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.texture import Texture
 
@@ -31,6 +34,7 @@ def load_mesh(
     flip_v: bool = False,
     millimetres: float | None = None,
     cache: bool = False,
+    allow_outside: bool = False,
 ) -> Mesh:
     """Read a mesh file, or the built-in head.
 
@@ -46,13 +50,17 @@ def load_mesh(
         1000 in .glb and .gltf, nothing in others
     cache : take the mesh with its decoded maps from ``~/.cache/facerender`` if no file has changed
         since it was put there, or else decode all of its maps, and put it there in the background
+    allow_outside : open what the file refers to wherever it says; else only what lies below its
+        folder by name
 
     Raises
     ------
     InputError : the file or a map is missing, empty, damaged, of no known format, or has no faces;
         millimetres outside [1e-6, 1e6]
     """
-    files = _files(path, albedo, normal_map, specular_map, roughness_map, flip_v, lobe_map)
+    files = _files(
+        path, albedo, normal_map, specular_map, roughness_map, flip_v, lobe_map, allow_outside
+    )
     if not cache:
         return _scaled(_read(files)[0], millimetres)
     if (found := files.find()) is not None:
@@ -61,7 +69,7 @@ def load_mesh(
     with noting() as warnings:
         mesh, referred = _read(files)
     if name is not None:
-        files.keep(name, mesh, referred, warnings)
+        files.keep(name, mesh, referred.files, warnings)
     return _scaled(mesh, millimetres)
 
 
@@ -85,6 +93,7 @@ def _files(
     roughness_map: Path_ | None,
     flip_v: bool,
     lobe_map: Path_ | None,
+    allow_outside: bool,
 ) -> Files:
     maps = {
         "albedo_map": albedo,
@@ -97,25 +106,23 @@ def _files(
         Path(path) if path is not None else data_dir("assets") / "head.glb",
         {name: Path(file) for name, file in maps.items() if file is not None},
         flip_v,
+        allow_outside,
     )
 
 
-def _read(files: Files) -> tuple[Mesh, dict[str, bytes | None]]:
-    """Return a mesh, and by name the files that its file refers to; None is not there."""
+def _read(files: Files) -> tuple[Mesh, Referred]:
+    """Return a mesh, and the files that its file refers to."""
     source = files.source
+    name = clipped(source.name, 80)
     overrides = {name: Texture.open(file) for name, file in files.maps.items()}
-    geometries, referred = read(source, skip_images="albedo_map" in overrides)
-    lost_images = None in referred.values()
-    textures: dict[int, Texture] = {}  # by image: Pillow decodes an image in one thread only
-    pieces = [
-        piece_of(geometry, transform, source, textures, lost_images)
-        for geometry, transform in geometries
-    ]
-    if files.flip_v:
-        for piece in pieces:
-            if piece.uv is not None:
-                piece.uv[:, 1] = 1.0 - piece.uv[:, 1]
-    if overrides:
-        override(pieces, overrides, source)
-    millimetres = 1000.0 if source.suffix.lower() in (".glb", ".gltf") else None
-    return assemble(clean(pieces, source.name), source.name, millimetres), referred
+    with np.errstate(all="ignore"):  # what overflows is found and dropped
+        found, referred = read(source, "albedo_map" in overrides, files.allow_outside)
+        pieces = clean(found, name)
+        if files.flip_v:
+            for piece in pieces:
+                if piece.uv is not None:
+                    piece.uv = piece.uv * (1.0, -1.0) + (0.0, 1.0)
+        if overrides:
+            override(pieces, overrides, name)
+        millimetres = 1000.0 if source.suffix.lower() in (".glb", ".gltf") else None
+        return assemble(pieces, name, millimetres), referred

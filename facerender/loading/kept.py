@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from facerender import store
 from facerender._version import __version__
-from facerender.errors import FacerenderError, warn
-from facerender.loading.read import referred
+from facerender.errors import FacerenderError, InputError, warn
+from facerender.files import read_file
+from facerender.loading.referred import content_of
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.texture import Kind, Levels, Texture, pack
@@ -49,38 +50,51 @@ class Files:
     ----------
     source : the mesh file; what it refers to lies where that says
     maps : by the field of :class:`Material`, image files in place of the mesh file's own maps
-    flip_v : see :func:`facerender.load_mesh`
+    flip_v, allow_outside : see :func:`facerender.load_mesh`
     """
 
     source: Path
     maps: Mapping[str, Path]
     flip_v: bool
+    allow_outside: bool
 
     def digest(self) -> str | None:
         """Return the entry's name in the store, or None where a file cannot be read."""
         names = [self.source.name, *((field, path.name) for field, path in self.maps.items())]
         try:
-            facts = [__version__, _readers(), names, self.flip_v]
-            contents = [path.read_bytes() for path in (self.source, *self.maps.values())]
-        except OSError:
+            facts = [__version__, _readers(), names, self.flip_v, self.allow_outside]
+            contents = [read_file(path, "a file") for path in (self.source, *self.maps.values())]
+        except InputError:
             return None
         return _digest(repr(facts).encode(), *(_digest(each).encode() for each in contents))
 
     def find(self) -> Mesh | None:
         """Return the mesh from the store, and warn of what was warned of when it was read; None
-        where it is not there, or a file that the mesh file refers to is another now."""
+        where it is not there, is damaged, or a file that the mesh file refers to is another now."""
         name = self.digest()
         content = None if name is None else store.read(_KIND, name)
         if content is None:
             return None
+        try:
+            found, warnings = self._unpacked(content)
+        except Exception:  # whatever another program has left there
+            return None
+        for message in warnings:
+            warn(message)
+        return found
+
+    def _unpacked(self, content: memoryview) -> tuple[Mesh | None, list[str]]:
+        """Return the mesh of an entry, and what was warned of."""
         (length,) = _LENGTH.unpack_from(content)
         facts = json.loads(bytes(content[_LENGTH.size : _LENGTH.size + length]))
-        folder = self.source.parent
-        if any(_digest_of(folder, each) != known for each, known in facts["files"].items()):
-            return None
-        for message in facts["warnings"]:
-            warn(message)
-        return _mesh(facts, _arrays(content, _LENGTH.size + length, facts["arrays"]))
+        if any(self._digest_of(each) != known for each, known in facts["files"].items()):
+            return None, []
+        mesh = _mesh(facts, _arrays(content, _LENGTH.size + length, facts["arrays"]))
+        return mesh, [str(each) for each in facts["warnings"]]
+
+    def _digest_of(self, name: str) -> str | None:
+        content = content_of(self.source.parent, name, self.allow_outside)
+        return None if content is None else _digest(content)
 
     def keep(
         self, name: str, mesh: Mesh, referred: Mapping[str, bytes | None], warnings: Sequence[str]
@@ -97,7 +111,7 @@ class Files:
             return
         if None in referred.values() and "albedo_map" not in self.maps:
             return  # the warning of it names the folder, and what lies there
-        files = {each: data and _digest(data) for each, data in referred.items()}
+        files = {each: None if data is None else _digest(data) for each, data in referred.items()}
         chains = _start(mesh)
 
         def write() -> None:
@@ -118,13 +132,6 @@ def _digest(*contents: bytes) -> str:
     return whole.hexdigest()
 
 
-def _digest_of(folder: Path, name: str) -> str | None:
-    try:
-        return _digest(referred(folder, name))
-    except OSError:
-        return None
-
-
 def _readers() -> list[tuple[str, int, int]]:
     """What reads meshes and decodes images: file, size and time of change of our modules, and of
     the libraries that are installed."""
@@ -132,7 +139,7 @@ def _readers() -> list[tuple[str, int, int]]:
     found = [Path(spec.origin) for spec in specs if spec and spec.origin]
     for folder in ("loading", "scenes"):
         found += sorted((_PACKAGE / folder).glob("*.py"))
-    facts = ((path, path.stat()) for path in (*found, _PACKAGE / "image.py"))
+    facts = ((path, path.stat()) for path in (*found, _PACKAGE / "image.py", _PACKAGE / "files.py"))
     return [(str(path), each.st_size, each.st_mtime_ns) for path, each in facts]
 
 

@@ -1,180 +1,239 @@
-"""Mesh files as trimesh reads them, and what it would pass over."""
+"""Mesh files as pieces: glTF read here, the other formats by trimesh, and what it would pass
+over."""
 
 from __future__ import annotations
 
-import json
-import os
+import logging
+import re
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from threading import get_ident
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
-from facerender.errors import InputError, reason, warn
+from facerender.errors import InputError, clipped, reason, warn
+from facerender.files import read_file
+from facerender.loading.gltf import read_gltf
+from facerender.loading.gltf_schema import damaged
+from facerender.loading.images import SUFFIXES as IMAGES
+from facerender.loading.images import image_of, missing_image, unreadable
+from facerender.loading.kinds import check_kind
+from facerender.loading.obj import has_relative, with_absolute
+from facerender.loading.ply import check_faces, checked_ply
+from facerender.loading.referred import Referred
+from facerender.loading.repair import Piece, check_count
+from facerender.loading.translate import piece_of
+from facerender.scenes.texture import Texture
 
 if TYPE_CHECKING:
     import trimesh
 
-
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
-_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".tga")
-# glTF extensions that may be required: handled, or without effect on what is drawn here.
-_GLTF_EXTENSIONS = {
-    "KHR_draco_mesh_compression",
-    "KHR_mesh_quantization",
-    "KHR_materials_pbrSpecularGlossiness",
-    "KHR_materials_specular",
-    "KHR_materials_ior",
-    "KHR_materials_unlit",
-}
+_MATERIALS = re.compile(rb"^[ \t]*usemtl[ \t]+(.*)", re.MULTILINE)
+_SOLIDS = re.compile(rb"endsolid", re.IGNORECASE)
+_TRIANGLE = 50  # bytes in a binary STL file, behind a header of 84
 
 
-def read(
-    path: Path, skip_images: bool
-) -> tuple[list[tuple[trimesh.Trimesh, NDArray[np.float64]]], dict[str, bytes | None]]:
-    """Return every instance of a geometry with faces and its transform, and by name the files that
-    the file refers to; None was not found."""
-    suffix = path.suffix.lower()
-    if path.is_dir():
-        raise InputError(f"{path} is a directory; give a mesh file in it")
-    if suffix not in SUFFIXES:
-        raise InputError(f"{path}: unknown mesh format {suffix!r}; give {', '.join(SUFFIXES)}")
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {reason(error)}") from None
-    if not data:
-        raise InputError(f"{path.name} is an empty file: there is no geometry in it")
-    if suffix in (".glb", ".gltf"):
-        _check_gltf(data, path.name, skip_images)
+def read(path: Path, without_albedo: bool, allow_outside: bool) -> tuple[list[Piece], Referred]:
+    """Return every instance of a geometry with faces, and the files that were referred to.
 
-    import trimesh
-    from trimesh.resolvers import FilePathResolver
-
-    class Resolver(FilePathResolver):  # type: ignore[misc]
-        """Remembers what was asked for, and what could not be found or is no image, which trimesh
-        passes over."""
-
-        def __init__(self) -> None:
-            super().__init__(str(path))
-            self.files: dict[str, bytes | None] = {}
-            self.broken: list[str] = []
-
-        def get(self, name: str) -> bytes:
-            self.files[name] = None
-            content = self.files[name] = referred(path.parent, name)
-            if name.lower().endswith(_IMAGE_SUFFIXES) and not _is_image(content):
-                self.broken.append(name)
-            return content
-
-    resolver = Resolver()
-    try:
-        scene = trimesh.load_scene(
-            trimesh.util.wrap_as_stream(data),
-            file_type=suffix[1:],
-            resolver=resolver,
-            process=False,
-        )
-    except Exception as error:  # each reader of trimesh fails in its own way on a damaged file
-        if missing := _missing(resolver.files):
-            raise InputError(
-                f"{missing[0]} (named by {path.name}) not found in {path.parent}"
-            ) from None
-        raise InputError(f"{path.name} is damaged ({error}); export it again") from None
-    instances = [
-        (geometry, np.asarray(transform))
-        for transform, name in (scene.graph[node] for node in scene.graph.nodes_geometry)
-        if isinstance(geometry := scene.geometry[name], trimesh.Trimesh) and len(geometry.faces)
-    ]
-    if not instances:
-        points = any(len(getattr(g, "vertices", ())) for g in scene.geometry.values())
-        what = "are only points and no faces" if points else "is no geometry"
-        raise InputError(f"there {what} in {path.name}; give a triangle mesh")
-    if not skip_images:
-        if resolver.broken:
-            raise InputError(
-                f"{resolver.broken[0]} (named by {path.name}) is not an image that can "
-                "be read; replace it, or pass --albedo FILE"
-            )
-        _warn_missing(_missing(resolver.files), path)
-    return instances, resolver.files
-
-
-def referred(folder: Path, name: str) -> bytes:
-    """Return the content of a file that a mesh file in a folder refers to: by its path, or else
-    beside the mesh file.
+    without_albedo : the albedo of the file is not wanted
 
     Raises
     ------
-    OSError : it is not there, or cannot be read
+    InputError : the file, or one that it refers to and that is needed, cannot be used
     """
-    name = name.replace("\\", "/").strip()
-    for each in (name, name.lstrip("/"), os.path.basename(name)):
-        if (folder / each).exists():
-            return (folder / each).read_bytes()
-    raise FileNotFoundError(name)
-
-
-def _missing(files: Mapping[str, bytes | None]) -> list[str]:
-    return [name for name, content in files.items() if content is None]
-
-
-def _is_image(content: bytes) -> bool:
-    from io import BytesIO
-
-    from PIL import Image
-
-    try:
-        Image.open(BytesIO(content))
-    except (OSError, Image.DecompressionBombError):
-        return False
-    return True
-
-
-def _warn_missing(missing: Sequence[str], path: Path) -> None:
-    beside = [each.name for each in path.parent.iterdir() if each.suffix in _IMAGE_SUFFIXES]
-    for name in missing:
-        hint = f"pass --albedo {beside[0] if len(beside) == 1 else 'FILE'}"
-        warn(
-            f"{name} (named by {path.name}) not found in {path.parent}: "
-            f"rendering without it; {hint}"
+    suffix = path.suffix.lower()
+    shown = clipped(str(path))
+    if path.is_dir():
+        raise InputError(f"{shown} is a directory; give a mesh file in it")
+    if suffix not in SUFFIXES:
+        raise InputError(
+            f"{shown}: unknown mesh format {clipped(suffix, 40)!r}; give {', '.join(SUFFIXES)}"
         )
-
-
-def _check_gltf(data: bytes, name: str, skip_images: bool) -> None:
-    """Find what trimesh would pass over: truncation, no mesh, extensions without a decoder, and
-    textures in a GLB that are no images."""
-    text, binary = data, len(data)
-    if data[:4] == b"glTF":
-        if len(data) < 20 or (declared := struct.unpack_from("<I", data, 8)[0]) > len(data):
-            said = declared if len(data) >= 20 else "at least 20"
-            raise InputError(
-                f"{name} is truncated: its header says {said} bytes, the file has {len(data)}"
-            )
-        text = data[20 : 20 + struct.unpack_from("<I", data, 12)[0]]
-        binary = 20 + len(text) + 8
+    data = read_file(path, "a mesh file")
+    name = clipped(path.name, 80)
+    if not data:
+        raise InputError(f"{name} is an empty file: there is no geometry in it")
+    check_kind(data, suffix, name)
+    referred = Referred(path, allow_outside)
+    if suffix in (".glb", ".gltf"):
+        pieces = read_gltf(data, referred, without_albedo)
+        if not pieces:
+            raise _no_faces(name, points=False)
+        return pieces, referred
     try:
-        document = json.loads(text)
-        primitives = [p for mesh in document.get("meshes", ()) for p in mesh["primitives"]]
-        embedded = [image for image in document.get("images", ()) if "bufferView" in image]
-        views = [document["bufferViews"][image["bufferView"]] for image in embedded]
-        required = set(document.get("extensionsRequired", ()))
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(f"{name} is not glTF: its JSON cannot be read") from None
-    if not primitives:
-        raise InputError(f"there is no mesh in {name}; give a file with a triangle mesh")
-    for view in [] if skip_images or text is data else views:
-        start = binary + view.get("byteOffset", 0)
-        if not _is_image(data[start : start + view.get("byteLength", 0)]):
-            raise InputError(
-                f"a texture in {name} is not an image that can be read; pass --albedo FILE"
-            )
-    if unknown := sorted(required - _GLTF_EXTENSIONS):
-        raise InputError(f"{name} requires the extension {unknown[0]}; export it without")
-    if any("KHR_draco_mesh_compression" in p.get("extensions", ()) for p in primitives):
-        try:
-            import DracoPy  # noqa: F401
-        except ImportError:
-            raise InputError(f"{name} is compressed with Draco: pip install DracoPy") from None
+        import trimesh  # noqa: F401  # its loggers are there then
+
+        with _quiet():
+            pieces = _by_trimesh(data, name, suffix, referred, without_albedo)
+    except InputError:
+        raise
+    except Exception as error:  # each reader of trimesh fails in its own way on a damaged file
+        raise damaged(name, reason(error)) from None
+    return pieces, referred
+
+
+def _no_faces(name: str, points: bool) -> InputError:
+    what = "are only points and no faces" if points else "is no geometry"
+    return InputError(f"there {what} in {name}; give a triangle mesh")
+
+
+def _by_trimesh(
+    data: bytes, name: str, suffix: str, referred: Referred, without_albedo: bool
+) -> list[Piece]:
+    texture = None
+    strangers = 0
+    if suffix == ".ply":
+        data, texture = checked_ply(data)
+    elif suffix == ".stl":
+        check_count(len(_SOLIDS.findall(data)), name)
+        data = _checked_stl(data, name)
+    else:
+        check_count(len(set(_MATERIALS.findall(data))), name)
+        if has_relative(data):
+            data, strangers = with_absolute(data)
+    resolver = _Resolver(referred)
+    try:
+        geometries = _geometries(data, suffix, name, resolver)
+        lost = suffix == ".obj" and _lost_references(data, geometries)
+    except InputError:
+        raise
+    except Exception:
+        if suffix != ".obj":
+            raise
+        lost = True
+    if lost:  # a reference to what is not there
+        data, more = with_absolute(data)
+        strangers += more
+        if strangers and re.search(rb"^f[ \t]", data, re.MULTILINE) is None:
+            raise ValueError(f"no vertex of its {strangers} faces is there")
+        geometries = _geometries(data, suffix, name, resolver)
+    if referred.refused:
+        raise referred.refused[0]
+    if texture is not None:
+        _give_texture(geometries, resolver, texture)
+    for each in dict.fromkeys(resolver.broken):
+        unreadable(f"{clipped(each, 80)} (named by {name})", "albedo", not without_albedo)
+    missing = referred.missing()
+    if not without_albedo:
+        for each in missing:
+            missing_image(referred, each)
+    textures: dict[int, Texture] = {}
+    pieces = [piece_of(each, referred.source, textures, bool(missing)) for each in geometries]
+    pieces[0].strangers += strangers
+    return pieces
+
+
+def _geometries(data: bytes, suffix: str, name: str, resolver: _Resolver) -> list[trimesh.Trimesh]:
+    """Return what has faces in a file, at least one."""
+    import trimesh
+
+    scene = trimesh.load_scene(
+        trimesh.util.wrap_as_stream(data),
+        file_type=suffix[1:],
+        resolver=resolver,
+        process=False,
+        **({"skip_materials": True} if suffix == ".ply" else {}),
+    )
+    instances = (scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry)
+    found = [each for each in instances if isinstance(each, trimesh.Trimesh) and len(each.faces)]
+    if not found:
+        points = any(len(getattr(each, "vertices", ())) for each in scene.geometry.values())
+        raise _no_faces(name, points)
+    for each in found:
+        check_faces(each.metadata)
+    return found
+
+
+def _lost_references(data: bytes, geometries: list[trimesh.Trimesh]) -> bool:
+    """Whether faces of an OBJ file name texture coordinates or normals that have not come."""
+    uv, normals = (
+        re.search(pattern, data, re.MULTILINE) is not None
+        for pattern in (rb"^f[ \t]+\d+/\d", rb"^f[ \t]+\d+/\d*/\d")
+    )
+    return any(
+        (uv and getattr(each.visual, "uv", None) is None)
+        or (normals and "vertex_normals" not in each._cache.cache)
+        for each in geometries
+    )
+
+
+class _Resolver:
+    """Reads for trimesh what is referred to, and remembers what is no image, which it passes
+    over."""
+
+    def __init__(self, referred: Referred) -> None:
+        self.referred = referred
+        self.broken: list[str] = []
+        self.file_name = referred.source.name
+
+    def get(self, name: str) -> bytes:
+        is_image = name.lower().endswith(IMAGES)
+        content = self.referred.read(name, "an image file" if is_image else "an MTL file")
+        if is_image:
+            try:
+                image_of(content)
+            except ValueError:
+                self.broken.append(name)
+        return content
+
+    __getitem__ = get
+
+
+def _give_texture(geometries: list[trimesh.Trimesh], resolver: _Resolver, name: str) -> None:
+    """Give the geometries of a PLY file its texture."""
+    try:
+        image = image_of(resolver.referred.read(name, "an image file"))
+    except FileNotFoundError:
+        return
+    except InputError:
+        raise
+    except ValueError:
+        resolver.broken.append(name)
+        return
+    image.info["file_path"] = name
+    for geometry in geometries:
+        if geometry.visual.kind == "texture":
+            geometry.visual.material.image = image
+
+
+def _checked_stl(data: bytes, name: str) -> bytes:
+    """Return an STL file, without what lies behind the triangles of a binary one.
+
+    Raises
+    ------
+    ValueError : it is binary and too short
+    """
+    if len(data) < 84 or (data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:1024]):
+        return data
+    (count,) = struct.unpack_from("<I", data, 80)
+    needed = 84 + _TRIANGLE * count
+    if needed > len(data):
+        raise ValueError(f"{count} triangles need {needed} bytes, it has {len(data)}")
+    if needed < len(data):
+        warn(f"{name} has {len(data) - needed} bytes behind its {count} triangles: left out")
+    return data[:needed]
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep what trimesh logs in this thread off standard error: whatever matters is told by us."""
+    me = get_ident()
+
+    def is_of_another(record: logging.LogRecord) -> bool:
+        return record.thread != me
+
+    loggers = [
+        each
+        for name, each in logging.root.manager.loggerDict.items()
+        if name.partition(".")[0] == "trimesh" and isinstance(each, logging.Logger)
+    ]
+    for each in loggers:
+        each.addFilter(is_of_another)
+    try:
+        yield
+    finally:
+        for each in loggers:
+            each.removeFilter(is_of_another)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +13,19 @@ from facerender.errors import InputError, warn
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh, Part
 
-_HUGE = 1e100  # coordinates beyond it overflow when they are squared
+# Areas, their squares and their products with positions are finite and not 0 in between.
+_HUGE, _TINY = 1e60, 1e-60
+_MOST_UV = 1e6  # float32 has no texels any more long before
+_MOST_PIECES = 1024  # parts with a material each: a draw call in every pass
+_FAR = 32.0  # times as far from the middle as nine tenths of the vertices: these are drawn tiny
 
 
 @dataclass
 class Piece:
-    """A part on its way: normals may be absent, faces may be bad."""
+    """A part on its way: normals may be absent, faces may be bad.
+
+    strangers : faces that were left out because they name vertices that are not there
+    """
 
     positions: NDArray[np.float64]
     faces: NDArray[np.int64]
@@ -25,6 +33,31 @@ class Piece:
     uv: NDArray[np.float64] | None
     colors: NDArray[np.float64] | None
     material: Material
+    strangers: int = 0
+
+
+def check_count(count: int, name: str) -> None:
+    """Raise InputError where a file has too many parts."""
+    if count > _MOST_PIECES:
+        raise InputError(f"{name} has over {_MOST_PIECES} parts with a material each: join some")
+
+
+def placed(piece: Piece, transform: NDArray[np.float64]) -> Piece:
+    """Return a piece where a transform (4, 4) puts it."""
+    linear = transform[:3, :3]
+    determinant = float(np.linalg.det(linear)) if np.isfinite(transform).all() else 0.0
+    normals = piece.normals
+    if normals is not None:
+        inverse = None
+        with suppress(np.linalg.LinAlgError):
+            inverse = np.linalg.inv(linear) if determinant else None
+        normals = None if inverse is None else np.asarray(normals, dtype=np.float64) @ inverse
+    return replace(
+        piece,
+        positions=piece.positions @ linear.T + transform[:3, 3],
+        faces=piece.faces[:, ::-1] if determinant < 0.0 else piece.faces,
+        normals=normals,
+    )
 
 
 def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
@@ -33,6 +66,7 @@ def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
     pieces = [piece for piece in pieces if len(piece.faces)]
     if not pieces:
         raise InputError(f"no face of {name} has a finite, non-zero area; export the mesh again")
+    _drop_bad_uv(pieces, name)
     _complete_normals(pieces, name)
 
     corners = np.concatenate([_corners(piece) for piece in pieces])
@@ -111,21 +145,73 @@ def _outwardness(corners: NDArray[np.float64]) -> float:
 
 
 def _drop_bad_faces(pieces: Sequence[Piece], name: str) -> None:
-    bad_vertices = bad_faces = flat_faces = 0
+    """Drop faces of vertices that are not there, or are no numbers, and those without area."""
+    strangers = sum(piece.strangers for piece in pieces)
+    infinite = huge = bad_faces = huge_faces = flat_faces = 0
     for piece in pieces:
-        finite = np.asarray((np.abs(piece.positions) < _HUGE).all(axis=1))
-        if not finite.all():
+        known = ((piece.faces >= 0) & (piece.faces < len(piece.positions))).all(axis=1)
+        if not known.all():
+            strangers += int((~known).sum())
+            piece.faces = piece.faces[known]
+        small = np.asarray((np.abs(piece.positions) < _HUGE).all(axis=1))
+        if not small.all():
+            finite = np.asarray(np.isfinite(piece.positions).all(axis=1))
+            infinite += int((~finite).sum())
+            huge += int((finite & ~small).sum())
             keep = finite[piece.faces].all(axis=1)
-            bad_vertices += int((~finite).sum())
             bad_faces += int((~keep).sum())
             piece.faces = piece.faces[keep]
+            keep = small[piece.faces].all(axis=1)
+            huge_faces += int((~keep).sum())
+            piece.faces = piece.faces[keep]
+    _check_extent([piece for piece in pieces if len(piece.faces)], name)
+    for piece in pieces:
         keep = _face_normals(_corners(piece)).any(axis=1)
         flat_faces += int((~keep).sum())
         piece.faces = piece.faces[keep]
-    if bad_vertices:
-        warn(f"{name} has {bad_vertices} non-finite vertices: {bad_faces} faces dropped")
+    if strangers:
+        warn(f"{name} has {strangers} faces of vertices that are not there: dropped")
+    if infinite:
+        warn(f"{name} has {infinite} non-finite vertices: {bad_faces} faces dropped")
+    if huge:
+        warn(f"{name} has {huge} vertices beyond {_HUGE:g}: {huge_faces} faces dropped")
     if flat_faces:
         warn(f"{name} has {flat_faces} degenerate faces: dropped")
+
+
+def _check_extent(pieces: Sequence[Piece], name: str) -> None:
+    """Refuse a mesh too small to compute areas of, and warn of vertices so far out that the rest
+    would be a dot in the picture."""
+    if not pieces:
+        return
+    used = np.concatenate([piece.positions[_used(piece)] for piece in pieces])
+    extent = float(np.ptp(used, axis=0).max())
+    if 0.0 < extent < _TINY:
+        raise InputError(f"{name} is {extent:g} units wide, of {_TINY:g} at least: scale it up")
+    middle = np.median(used, axis=0)
+    distances = np.linalg.norm(used - middle, axis=1)
+    near = float(np.quantile(distances, 0.9))
+    far = distances > max(_FAR * near, _TINY)
+    if far.any():
+        x, y, z = used[np.argmax(distances)]
+        warn(
+            f"{name} has {int(far.sum())} vertices far out, one at ({x:.4g}, {y:.4g}, {z:.4g}); "
+            f"nine tenths are within {near:.4g} of ({', '.join(f'{v:.4g}' for v in middle)}), and "
+            "are drawn tiny: remove what lies outside"
+        )
+
+
+def _drop_bad_uv(pieces: Sequence[Piece], name: str) -> None:
+    """Put texture coordinates that are no numbers, or of no use as float32, at 0."""
+    count = 0
+    for piece in pieces:
+        if piece.uv is not None:
+            bad = ~np.asarray((np.abs(piece.uv) <= _MOST_UV).all(axis=1))
+            if bad.any():
+                count += int((bad & _used(piece)).sum())
+                piece.uv = np.where(bad[:, None], 0.0, piece.uv)
+    if count:
+        warn(f"{name} has {count} texture coordinates that are not in [-1e6, 1e6]: taken as 0")
 
 
 def _complete_normals(pieces: Sequence[Piece], name: str) -> None:

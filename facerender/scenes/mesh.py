@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import check_range
-from facerender.scenes.material import Material
+from facerender.scenes.material import Material, check_maps
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +63,7 @@ class Mesh:
     def __post_init__(self) -> None:
         if self.millimetres is not None:
             check_range("millimetres", self.millimetres, 1e-6, 1e6)
+        check_maps(self.name, self.materials)
 
     @property
     def center(self) -> NDArray[np.float64]:

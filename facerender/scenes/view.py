@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from facerender.errors import InputError
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
-from facerender.scenes.vectors import direction_to
+from facerender.scenes.vectors import direction_to, within_reach
 
 _XYW = [0, 1, 3]  # of clip coordinates, without the depth buffer's
 
@@ -87,17 +87,17 @@ def view_of(scene: Scene, aspect: float) -> View:
 
     Raises
     ------
-    InputError : the eye stands at the target
+    InputError : the eye stands at the target, or either is 1e6 radii of the mesh away
     """
     mesh, camera = scene.mesh, scene.camera
     target = np.zeros(3)
     if camera.target is not None:
-        target = mesh.normalised(camera.target)
+        target = within_reach(f"camera target {camera.target}", mesh.normalised(camera.target))
     if camera.position is None:
         distance = _framing_distance(mesh, camera.elevation, camera.fov, aspect) / camera.zoom
         eye = target + distance * direction_to(camera.azimuth, camera.elevation)
     else:
-        eye = mesh.normalised(camera.position)
+        eye = within_reach(f"camera position {camera.position}", mesh.normalised(camera.position))
     gaze = target - eye
     distance = float(np.linalg.norm(gaze))
     if distance < 1e-6:
@@ -110,6 +110,37 @@ def view_of(scene: Scene, aspect: float) -> View:
     far = max(depth + 1.0, 0.02)
     near = max(depth - 1.0, far * 1e-3)
     return View(eye, forward, _look(eye, forward, up) @ _project(camera.fov, aspect, near, far))
+
+
+def hidden(scene: Scene, size: tuple[int, ...]) -> str:
+    """Tell why an image of this size shows nothing of the mesh, and what helps."""
+    width, height = size
+    view = view_of(scene, width / height)
+    places = np.concatenate([scene.mesh.normalised(each.positions) for each in scene.mesh.parts])
+    x, y, w = (np.column_stack([places, np.ones(len(places))]) @ view.matrix[:, _XYW]).T
+    before = w > 0.0
+    if not before.any():
+        return "all of it lies behind the camera; turn the camera, or move it back"
+    x, y = x[before] / w[before], y[before] / w[before]
+    extents = (x.max() - x.min()) * width / 2.0, (y.max() - y.min()) * height / 2.0
+    if (inside := (np.abs(x) <= 1.0) & (np.abs(y) <= 1.0)).any():
+        if max(extents) < 2.0:
+            return f"it is {max(extents):.2g} pixels large; come nearer, or zoom in"
+        return (
+            f"{inside.sum()} of its vertices are in the frame, but no triangle covers a "
+            "pixel there; show more of it, or give more pixels"
+        )
+    ways = [
+        word
+        for word, out in (
+            ("left of", x.max() < -1.0),
+            ("right of", x.min() > 1.0),
+            ("above", y.max() < -1.0),
+            ("below", y.min() > 1.0),
+        )
+        if out
+    ]
+    return f"it lies {' and '.join(ways) or 'around'} the frame; set camera target, or position"
 
 
 def _look(

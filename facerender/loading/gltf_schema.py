@@ -1,0 +1,200 @@
+"""The JSON of a glTF file, checked against a table of what is read of it. The table says what the
+schema of glTF 2.0 (Khronos, 2021, section 5) says of these properties; others are passed over."""
+
+from __future__ import annotations
+
+import json
+import reprlib
+from collections.abc import Callable
+from typing import Any
+
+from facerender.errors import InputError, reason
+
+MOST_VALUES = 2_000_000  # of a document: each takes up to 100 bytes of memory
+MOST_ENTRIES = 1 << 17  # of one of its lists: nodes, accessors
+
+# An object by its properties; ! marks those that it must have. "#nodes" is an index into nodes,
+# "[x]" a list of x, "{x}" an object of any names, "3 x" a list of so many.
+_OBJECTS: dict[str, dict[str, str]] = {
+    "document": {
+        "extensionsRequired": "[text]",
+        "buffers": "[buffer]",
+        "bufferViews": "[view]",
+        "accessors": "[accessor]",
+        "images": "[image]",
+        "textures": "[texture]",
+        "materials": "[material]",
+        "meshes": "[mesh]",
+        "nodes": "[node]",
+        "scenes": "[scene]",
+        "scene": "#scenes",
+    },
+    "buffer": {"byteLength!": "size", "uri": "text"},
+    "view": {
+        "buffer!": "#buffers",
+        "byteOffset": "size",
+        "byteLength!": "size",
+        "byteStride": "size",
+    },
+    "accessor": {
+        "bufferView": "#bufferViews",
+        "byteOffset": "size",
+        "componentType!": "component",
+        "normalized": "switch",
+        "count!": "size",
+        "type!": "type",
+        "sparse": "sparse",
+    },
+    "sparse": {"count!": "size", "indices!": "sparse part", "values!": "sparse part"},
+    "sparse part": {
+        "bufferView!": "#bufferViews",
+        "byteOffset": "size",
+        "componentType": "component",
+    },
+    "image": {"uri": "text", "bufferView": "#bufferViews"},
+    "texture": {"source": "#images", "extensions": "texture extensions"},
+    "texture extensions": {"EXT_texture_webp": "webp"},
+    "webp": {"source": "#images"},
+    "material": {
+        "pbrMetallicRoughness": "metallic",
+        "normalTexture": "map",
+        "occlusionTexture": "map",
+        "extensions": "material extensions",
+    },
+    "metallic": {
+        "baseColorFactor": "4 number",
+        "baseColorTexture": "map",
+        "metallicRoughnessTexture": "map",
+        "roughnessFactor": "number",
+    },
+    "map": {"index!": "#textures", "texCoord": "size"},
+    "material extensions": {"KHR_materials_pbrSpecularGlossiness": "glossy"},
+    "glossy": {"diffuseFactor": "4 number", "diffuseTexture": "map"},
+    "mesh": {"primitives!": "[primitive]"},
+    "primitive": {
+        "attributes!": "{#accessors}",
+        "indices": "#accessors",
+        "material": "#materials",
+        "mode": "mode",
+        "extensions": "primitive extensions",
+    },
+    "primitive extensions": {"KHR_draco_mesh_compression": "draco"},
+    "draco": {"bufferView!": "#bufferViews", "attributes!": "{size}"},
+    "node": {
+        "mesh": "#meshes",
+        "children": "[#nodes]",
+        "matrix": "16 number",
+        "translation": "3 number",
+        "rotation": "4 number",
+        "scale": "3 number",
+    },
+    "scene": {"nodes": "[#nodes]"},
+}
+COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+
+
+def _is_number(value: Any) -> bool:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return number and -1e300 < value < 1e300
+
+
+# What a value may be, and what it is called. An integer may be written as 3.0.
+_VALUES: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "text": (lambda value: isinstance(value, str), "text"),
+    "switch": (lambda value: isinstance(value, bool), "true or false"),
+    "number": (_is_number, "a number"),
+    "size": (
+        lambda value: _is_number(value) and 0 <= value < 1 << 53 and value == int(value),
+        "a whole number from 0 on",
+    ),
+    "component": (
+        lambda value: _is_number(value) and value in COMPONENTS,
+        "a component type of glTF",
+    ),
+    "type": (lambda value: isinstance(value, str) and value in TYPES, "an accessor type of glTF"),
+    "mode": (lambda value: _is_number(value) and value in range(7), "a primitive mode of glTF"),
+}
+
+
+def document_of(text: bytes, name: str) -> dict[str, Any]:
+    """Return the checked document of a glTF file: no more than the properties of the table, with
+    every list of the document that is missing as an empty one.
+
+    Raises
+    ------
+    InputError : it is no JSON, has no mesh, or holds something else than it should
+    """
+    if text.count(b",") + text.count(b"[") + text.count(b"{") > MOST_VALUES:
+        raise InputError(f"{name} has more than {MOST_VALUES} values in its JSON: export it anew")
+    try:
+        document = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            f"{name} is not glTF: its JSON cannot be read ({reason(error)}); export it again"
+        ) from None
+    tables = _OBJECTS["document"]
+    if not isinstance(document, dict) or document.keys().isdisjoint({"asset", *tables}):
+        raise InputError(f"{name} is not glTF but other JSON ({reprlib.repr(document)})")
+    if document.get("meshes", []) == []:
+        raise InputError(f"there is no mesh in {name}; give a file with a triangle mesh")
+    counts = {key: len(each) for key, each in document.items() if isinstance(each, list)}
+    for key in tables.keys() & counts.keys():
+        if counts[key] > MOST_ENTRIES:
+            raise InputError(
+                f"{name} has {counts[key]} {key}, of {MOST_ENTRIES} at most: export it anew"
+            )
+    try:
+        checked = _checked(document, "document", "", counts)
+    except ValueError as error:
+        raise damaged(name, str(error)) from None
+    return {**{key: [] for key, shape in tables.items() if shape[0] == "["}, **checked}
+
+
+def damaged(name: str, what: str) -> InputError:
+    return InputError(f"{name} is damaged ({what}); export it again")
+
+
+def _checked(value: Any, shape: str, where: str, counts: dict[str, int]) -> Any:
+    """Return a value as its shape has it; ValueError says what it is instead."""
+    if (properties := _OBJECTS.get(shape)) is not None:
+        _expect(isinstance(value, dict), value, where, "an object")
+        result = {}
+        for key, inner in properties.items():
+            name = key.rstrip("!")
+            path = f"{where}.{name}" if where else name
+            if name in value:
+                result[name] = _checked(value[name], inner, path, counts)
+            elif key != name:
+                raise ValueError(f"{path} is missing")
+        return result
+    if shape[0] == "{":
+        _expect(isinstance(value, dict), value, where, "an object")
+        return {
+            key: _checked(each, shape[1:-1], f"{where}[{reprlib.repr(key)}]", counts)
+            for key, each in value.items()
+        }
+    if shape[0] == "[":
+        _expect(isinstance(value, list), value, where, "a list")
+        return [
+            _checked(each, shape[1:-1], f"{where}[{i}]", counts) for i, each in enumerate(value)
+        ]
+    if shape[0] == "#":
+        count = counts.get(shape[1:], 0)
+        good = _VALUES["size"][0](value) and value < count
+        _expect(good, value, where, f"an index into the {count} {shape[1:]}")
+        return int(value)
+    if shape[0].isdigit():
+        length, inner = shape.split(" ", 1)
+        _expect(
+            isinstance(value, list) and len(value) == int(length), value, where, f"{length} numbers"
+        )
+        return [_checked(each, inner, f"{where}[{i}]", counts) for i, each in enumerate(value)]
+    check, what = _VALUES[shape]
+    _expect(check(value), value, where, what)
+    return int(value) if shape in ("size", "component", "mode") else value
+
+
+def _expect(good: bool, value: Any, where: str, what: str) -> None:
+    if not good:
+        raise ValueError(f"{where} = {reprlib.repr(value)} is not {what}")

@@ -1,0 +1,51 @@
+"""Images that a mesh file brings or names: opened, or said to be left out."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from typing import TYPE_CHECKING
+
+from facerender.errors import InputError, clipped, reason, warn
+from facerender.loading.referred import Referred
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".tga")
+
+
+def image_of(content: bytes) -> Image:
+    """Return an image, which is decoded later.
+
+    Raises
+    ------
+    ValueError : it is none that Pillow reads
+    """
+    from PIL import Image
+
+    try:
+        return Image.open(BytesIO(content))
+    except Exception as error:  # its readers fail in their own ways on a damaged file
+        raise ValueError(reason(error)) from None
+
+
+def unreadable(shown: str, kind: str, fatal: bool) -> None:
+    """Tell of an image that cannot be opened: as InputError where it is needed."""
+    message = f"{shown} is not an image that can be read"
+    if not fatal:
+        warn(f"{message}: left out")
+        return
+    option = {"albedo": "--albedo", "normal": "--normal-map", "roughness": "--roughness-map"}
+    remedy = f", or pass {option[kind]} FILE" if kind in option else ""
+    raise InputError(f"{message}; replace it{remedy}")
+
+
+def missing_image(referred: Referred, name: str) -> None:
+    """Warn of an image that is not there."""
+    folder = referred.source.parent
+    beside = [each.name for each in folder.iterdir() if each.suffix.lower() in SUFFIXES]
+    hint = f"pass --albedo {clipped(beside[0], 80) if len(beside) == 1 else 'FILE'}"
+    warn(
+        f"{clipped(name, 80)} (named by {clipped(referred.source.name, 80)}) "
+        f"{referred.why_not(name)}: rendering without it; {hint}"
+    )
