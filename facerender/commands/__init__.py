@@ -4,9 +4,10 @@ error is one line on standard error and exit status 2; warnings go to standard e
 from __future__ import annotations
 
 import argparse
+import atexit
 import gc
+import os
 import re
-import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -14,6 +15,7 @@ from importlib import import_module
 from typing import Any, NoReturn, TextIO
 
 from facerender._version import __version__
+from facerender.commands.streams import make_usable, say, tell
 from facerender.errors import FacerenderError, FacerenderWarning, InputError
 
 _COMMANDS = {
@@ -40,13 +42,23 @@ class _Parser(argparse.ArgumentParser):
 
 
 def console() -> NoReturn:
-    """Entry point of the command. Ctrl-C ends the process at once, since trimesh would catch and
-    forget a KeyboardInterrupt; while a file is written, it is cleaned up first. So does a reader of
-    standard output that has read enough."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+    """Run the command of this process, and end it."""
+    make_usable()
     gc.set_threshold(100_000)  # imports leave nothing to collect: 40 ms of a cold start
-    sys.exit(main())
+    status: int | str | None = 2
+    # Behind threads and what others have registered: no finalizer has more to do, and a signal
+    # among them would find no handler.
+    atexit.register(lambda: os._exit(int(status or 0)))
+    try:
+        status = main()
+    except SystemExit as asked:  # --help, --version
+        status = asked.code
+    try:
+        tell(end="")
+    except FacerenderError as error:
+        say(f"error: {error}")
+        status = 2
+    sys.exit(status)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -63,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             command: Callable[[argparse.Namespace], int] = options.command
             return command(options)
         except FacerenderError as error:
-            print(f"facerender: error: {' '.join(str(error).split())}", file=sys.stderr)
+            say(f"error: {' '.join(str(error).split())}")
             return 2
         except KeyboardInterrupt:
             return 130
@@ -80,7 +92,7 @@ def _warning_printer(caught: list[str]) -> Callable[..., None]:
     ) -> None:
         if issubclass(category, FacerenderWarning):
             caught.append(str(message))
-            print(f"facerender: warning: {message}", file=sys.stderr)
+            say(f"warning: {message}")
 
     return show
 
