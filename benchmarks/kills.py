@@ -36,6 +36,7 @@ from PIL import Image
 _SIGNALS = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM)
 _MARK = "FACERENDER_KILLS"  # in the environment of what is started here
 _UNFINISHED = ".facerender-"
+_MEASURED = Path(__file__).parents[1] / "docs/measurements/llvmpipe.json"
 _TERM = 1 << (signal.SIGTERM - 1)
 
 # What a command gets, and what it writes; IN and OUT are folders.
@@ -53,6 +54,13 @@ COMMANDS = {
     "reproduce": "reproduce -o OUT",
     "batch": "batch IN/jobs.jsonl -o OUT --workers 1 --chunk 2",
 }
+# What the explorer saves.
+COSTS = ("base", "a", "b", "difference")
+SAVED = {
+    **{"kind": "facerender explorer cost", "version": "0.1.0", "gpu": "a GPU", "browser": "one"},
+    **{"method": "GPU timer", "unit": "ms a picture", "mesh": "small.obj", "size": [512, 512]},
+    **{"samples": 4, "passes": 64, "link": "b=lobe:d8", "shadings": {"a": "exact", "b": "d8"}},
+}
 
 
 @dataclass
@@ -68,6 +76,8 @@ class Trial:
         for path in (self.given, self.out, *self.places):
             path.mkdir(parents=True)
         inputs(self.given)
+        if self.name == "import":
+            shutil.copy(_MEASURED, self.out / "measure.json")
         text = COMMANDS[self.name].replace("IN/", f"{self.given}/").replace("OUT", str(self.out))
         self.command = [sys.executable, "-m", "facerender", *text.split()]
         self.environment = os.environ | {
@@ -132,6 +142,8 @@ def inputs(folder: Path) -> None:
             pixels = rng.integers(0, 256, (96, 96, 3), dtype=np.uint8)
             Image.fromarray(pixels).save(folder / name / f"{number}.png")
     rows = [{"id": f"job{i}", "mesh": str(mesh), "image.size": 48} for i in range(8)]
+    rounds = {"median": 2.0, "low": 1.9, "high": 2.1, "rounds": [2.0, 2.1, 1.9]}
+    (folder / "explorer.json").write_text(json.dumps(SAVED | dict.fromkeys(COSTS, rounds)))
     (folder / "jobs.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
 
 

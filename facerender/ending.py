@@ -13,6 +13,7 @@ from types import FrameType
 
 _WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 _PATIENCE = 2.0  # seconds that children have to end
+_ending = False
 _actions: list[Callable[[], str | None]] = []
 
 
@@ -23,9 +24,18 @@ def heed_signals() -> None:
         signal.signal(number, _end)
 
 
+def hold() -> None:
+    """Keep a thread from what it is about to begin, once the process is being ended."""
+    if _ending:
+        from threading import Event
+
+        Event().wait()
+
+
 @contextmanager
 def if_ended(action: Callable[[], str | None]) -> Iterator[None]:
     """Call action if a signal ends the process meanwhile; what it returns is said."""
+    hold()
     _actions.append(action)
     try:
         yield
@@ -53,6 +63,8 @@ def temporary_folder() -> Iterator[str]:
 
 
 def _end(number: int, frame: FrameType | None) -> None:
+    global _ending
+    _ending = True
     with suppress(Exception):
         _end_children()
     said = []

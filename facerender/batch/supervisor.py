@@ -22,6 +22,7 @@ from facerender.batch.groups import Group
 from facerender.batch.messages import Order, PlanOrder, Said, failure
 from facerender.batch.output import begin, commit
 from facerender.batch.place import Place
+from facerender.ending import hold
 from facerender.errors import FacerenderError
 
 Heard = Callable[[str, str, str], None]  # worker, what it says, the job's id
@@ -216,6 +217,7 @@ class Supervisor:
             limit = struct.pack("ll", math.ceil(timeout), 0)  # of a worker that stops in a message
             ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
             ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
+            hold()
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "facerender.batch.worker", str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],

@@ -56,7 +56,7 @@ def console() -> NoReturn:
     try:
         tell(end="")
     except FacerenderError as error:
-        say(f"error: {error}")
+        say(f"facerender: error: {error}")
         status = 2
     sys.exit(status)
 
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             command: Callable[[argparse.Namespace], int] = options.command
             return command(options)
         except FacerenderError as error:
-            say(f"error: {' '.join(str(error).split())}")
+            say(f"facerender: error: {' '.join(str(error).split())}")
             return 2
         except KeyboardInterrupt:
             return 130
@@ -92,7 +92,7 @@ def _warning_printer(caught: list[str]) -> Callable[..., None]:
     ) -> None:
         if issubclass(category, FacerenderWarning):
             caught.append(str(message))
-            say(f"warning: {message}")
+            say(f"facerender: warning: {message}")
 
     return show
 

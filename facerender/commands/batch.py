@@ -172,7 +172,7 @@ def _plans(
 
 def _saying(options: argparse.Namespace) -> Callable[[str], None]:
     """What informs, unless nobody wants to know."""
-    return (lambda text: None) if options.quiet else say
+    return (lambda text: None) if options.quiet else (lambda text: say(f"facerender: {text}"))
 
 
 def _with_plans(read: Callable[[], Iterator[Row]], plans: Plans) -> Iterator[Row]:
@@ -235,7 +235,7 @@ def _checked(options: argparse.Namespace, common: dict[str, Any]) -> int:
     checked = check_jobs(options.jobs, common)
     if checked.faults:
         for fault in checked.faults[:-1]:
-            say(f"error: {fault}")
+            say(f"facerender: error: {fault}")
         more = f"; and {checked.more} more rows" if checked.more else ""
         raise InputError(f"{checked.faults[-1]}{more}")
     if options.check:

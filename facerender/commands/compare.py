@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
             if options.report:
                 entries.append(entry(pair))
             if pair.error:
-                say(f"error: {pair.error}")
+                say(f"facerender: error: {pair.error}")
             elif not options.json:
                 tell(f"{pair.name}: {pair.comparison}")
         if options.report:

@@ -73,14 +73,13 @@ def run(options: argparse.Namespace) -> int:
             count = len(measurement.imports)
             measurement = measurement.with_import(imported)
             place = "added" if len(measurement.imports) > count else "in place of an earlier one"
-            told.append(f"{file}: {imported.gpu}: {place}")
+            told.append(f"facerender: {file}: {imported.gpu}: {place}")
         progress("report", 0.0)
         paths = report.write(measurement, triptychs, folder)
     content = measurement.as_dict()
     tell(json.dumps(content, indent=2) if options.json else report.table(measurement))
     for line in measurement.not_measured:
-        say(f"not measured: {line}")
+        say(f"facerender: not measured: {line}")
     if not options.quiet:
-        for line in (*told, *map(str, paths)):
-            say(line)
+        say(*told, *paths)
     return 0

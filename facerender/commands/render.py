@@ -103,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         tell(options.output)
         if plan:
-            say("\n".join(plan["text"].splitlines()[-2:]))
+            say(*plan["text"].splitlines()[-2:])
     return 0
 
 

@@ -40,10 +40,10 @@ def tell(*lines: object, end: str = "\n") -> None:
         ) from None
 
 
-def say(text: object) -> None:
-    """Print a line on standard error, if it can be."""
+def say(*lines: object) -> None:
+    """Print what is no result on standard error, if it can be."""
     try:
-        _print(f"facerender: {text}\n", sys.stderr)
+        _print("\n".join(map(str, lines)) + "\n", sys.stderr)
     except OSError:
         _mute(sys.stderr)
 
