@@ -142,7 +142,7 @@ def inputs(folder: Path) -> None:
             pixels = rng.integers(0, 256, (96, 96, 3), dtype=np.uint8)
             Image.fromarray(pixels).save(folder / name / f"{number}.png")
     rows = [{"id": f"job{i}", "mesh": str(mesh), "image.size": 48} for i in range(8)]
-    rounds = {"median": 2.0, "low": 1.9, "high": 2.1, "rounds": [2.0, 2.1, 1.9]}
+    rounds = {"median": 2.0, "low": 2.0, "high": 2.0, "rounds": [2.0, 2.0, 2.0]}
     (folder / "explorer.json").write_text(json.dumps(SAVED | dict.fromkeys(COSTS, rounds)))
     (folder / "jobs.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
 

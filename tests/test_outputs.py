@@ -350,7 +350,7 @@ def kill(*arguments):
 
 
 def test_killed_at_random():
-    done = kill("--kills", "3", "--seed", "2", "render", "normal-map")
+    done = kill("--kills", "3", "--seed", "2", "render")
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -433,8 +433,8 @@ def test_a_render_imports_no_bars_and_the_package_nothing_at_all(tmp_path, egl):
         "print(*{'numpy', 'argparse', 'moderngl'} & set(sys.modules))\n"
         "from facerender.commands import main\n"
         f"main(['render', {str(MINI_HEAD)!r}, '--size', '32', '-o', 'a.png'])\n"
-        "print(*{'tqdm', 'tempfile'} & set(sys.modules))\n"
+        "print('tqdm' in sys.modules)\n"
     )
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert done.stdout == "\na.png\n\n"
+    assert done.stdout == "\na.png\nFalse\n"
