@@ -31,12 +31,8 @@ class Bar:
     """
 
     def __init__(self, quiet: bool = False) -> None:
+        self._shown = shown(quiet)
         self._bar: Any = None
-        if shown(quiet):
-            from tqdm import tqdm
-
-            form = "{desc} {percentage:3.0f}%|{bar:24}| {elapsed}<{remaining}"
-            self._bar = tqdm(total=1.0, bar_format=form, leave=False, dynamic_ncols=True)
         self._done: list[str] = []
         self._what, self._share = "", 0.0
         self._held = ExitStack()
@@ -52,25 +48,32 @@ class Bar:
         traceback: TracebackType | None,
     ) -> None:
         self._held.close()
-        if self._bar is not None:
-            self._bar.close()
+        self._close()
 
     def __call__(self, what: str, done: float) -> None:
-        begins = what != self._what
-        if begins and self._what:
-            self._done.append(self._what)
-        self._what, self._share = what, done
+        if what != self._what:
+            self._begin(what)
+        self._share = done
         if self._bar is not None:
-            if begins:
-                self._bar.reset()
-                self._bar.set_description_str(what, refresh=False)
             self._bar.update(done - self._bar.n)
-            if begins:
-                self._bar.refresh()
 
-    def _ended(self) -> str:
+    def _begin(self, what: str) -> None:
+        if self._what:
+            self._done.append(self._what)
+        self._what = what
+        self._close()
+        if self._shown:
+            from tqdm import tqdm
+
+            form = "{desc} {percentage:3.0f}%|{bar:24}| {elapsed}<{remaining}"
+            self._bar = tqdm(desc=what, total=1.0, bar_format=form, leave=False)
+
+    def _close(self) -> None:
         if self._bar is not None:
             self._bar.close()
+
+    def _ended(self) -> str:
+        self._close()
         if not self._what:
             return "before it began"
         now = f"{100.0 * self._share:.0f} % of {self._what}"
