@@ -20,8 +20,9 @@ _actions: list[Callable[[], str | None]] = []
 def heed_signals() -> None:
     """Have SIGINT, SIGTERM and a reader of the output that has gone end the process, with status
     130, 143 and 141. An exception would not: trimesh catches and forgets a KeyboardInterrupt."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGPIPE):
-        signal.signal(number, _end)
+    for name in ("SIGINT", "SIGTERM", "SIGPIPE"):
+        if hasattr(signal, name):  # not all of them on Windows
+            signal.signal(getattr(signal, name), _end)
 
 
 def hold() -> None:

@@ -23,7 +23,7 @@ from facerender.batch.messages import Order, PlanOrder, Said, failure
 from facerender.batch.output import begin, commit
 from facerender.batch.place import Place
 from facerender.ending import hold
-from facerender.errors import FacerenderError
+from facerender.errors import FacerenderError, reason
 
 Heard = Callable[[str, str, str], None]  # worker, what it says, the job's id
 
@@ -150,7 +150,10 @@ class Supervisor:
             ordered = [records[position] for position in sorted(records)]
             commit(settings, chunk, tar, ordered)
         except OSError as error:
-            raise CannotDraw(f"cannot write to {settings.output}: {error}") from None
+            raise CannotDraw(
+                f"cannot write to {settings.output}: {reason(error)}; make room, and run the same "
+                "command again"
+            ) from None
         finally:
             if tar is not None:
                 tar.unlink(missing_ok=True)
