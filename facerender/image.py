@@ -5,13 +5,15 @@ from __future__ import annotations
 
 import math
 import os
+import stat
 import struct
-import tempfile
 import threading
+import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, field
+from errno import EACCES
 from functools import cached_property, lru_cache
 from io import BytesIO
 from pathlib import Path
@@ -21,6 +23,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from facerender.ending import if_ended, temporary_folder
 from facerender.errors import InputError, clipped, reason
 from facerender.files import read_file
 
@@ -31,7 +34,10 @@ Encoding = Literal["linear", "srgb8"]
 
 REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # what an EXR has that says nothing
 SRGB_GAMMA = 0.45455  # what a PNG says of itself for programs that know no sRGB
-_SILENT, _UMASK = threading.Lock(), threading.Lock()
+_SILENT = threading.Lock()
+
+ABANDONED = 3600.0  # seconds after which an unfinished file is nobody's any more
+_UNFINISHED = ".facerender-"  # how its name begins
 
 MAX_SIDE = 16384  # pixels
 MAX_PIXELS = 178_956_970  # from which on Pillow as well suspects a decompression bomb
@@ -142,32 +148,66 @@ def encode_srgb8(linear: NDArray[np.float32], exposure: float = 0.0) -> NDArray[
     return _srgb_bytes()[halves.view(np.uint16)]
 
 
+def check_writable(path: str | os.PathLike[str]) -> Path:
+    """Return a path at which a file can be written, or replaced.
+
+    Raises
+    ------
+    InputError : the folder is missing or not writable, the name is too long, or there is something
+        else than a file
+    """
+    target, mode = Path(path), stat.S_IFREG
+    try:
+        with suppress(FileNotFoundError):
+            mode = target.stat().st_mode
+        target.parent.stat()
+        if not os.access(target.parent, os.W_OK | os.X_OK):
+            raise PermissionError(EACCES, os.strerror(EACCES))
+    except OSError as error:
+        raise InputError(
+            f"cannot write {target}: {reason(error)}; give a file in a writable folder"
+        ) from None
+    if not stat.S_ISREG(mode):
+        kind = "a directory" if stat.S_ISDIR(mode) else "no regular file"
+        raise InputError(f"cannot write {target}: it is {kind}; give a file name")
+    return target
+
+
 def write_whole(path: str | os.PathLike[str], write: Callable[[str], None]) -> None:
     """Call write with a temporary name beside path, and rename it to path when it succeeded.
 
     Raises
     ------
-    InputError : the folder is missing or not writable, or path is a folder
+    InputError : as of :func:`check_writable`, or the disk is full
     """
-    target = Path(path)
-    if target.is_dir():
-        raise InputError(f"cannot write {target}: it is a directory; give a file name")
-    try:
-        handle, temporary = tempfile.mkstemp(
-            prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent
-        )
-    except OSError as error:
-        why = reason(error)
-        raise InputError(f"cannot write {target}: {why}; give a writable place") from None
-    os.close(handle)
-    try:
-        write(temporary)
-        os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, target)
-    except OSError as error:
-        raise InputError(f"cannot write {target}: {error.strerror or error}") from None
-    finally:
-        Path(temporary).unlink(missing_ok=True)
+    target = check_writable(path)
+    temporary = target.with_name(f"{_UNFINISHED}{os.urandom(8).hex()}")
+
+    def remove() -> None:
+        with suppress(OSError):
+            temporary.unlink()
+
+    with if_ended(remove):
+        try:
+            write(str(temporary))
+            os.replace(temporary, target)
+        except OSError as error:
+            why = reason(error)
+            raise InputError(
+                f"cannot write {target}: {why}; make room there, or give another place"
+            ) from None
+        finally:
+            remove()
+
+
+def remove_abandoned(folder: str | os.PathLike[str]) -> None:
+    """Remove what :func:`write_whole` has left in a folder where its process was killed."""
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name.startswith(_UNFINISHED):
+                with suppress(OSError):
+                    if entry.stat().st_mtime < time.time() - ABANDONED:
+                        os.unlink(entry)
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
@@ -179,11 +219,9 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
     write_whole(path, write)
 
 
-def _umask() -> int:
-    with _UMASK:  # two threads at once would leave none
-        mask = os.umask(0)
-        os.umask(mask)
-        return mask
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write UTF-8, what of a file's name is none escaped; as :func:`write_bytes`."""
+    write_bytes(path, text.encode(errors="backslashreplace"))
 
 
 def save_png(
@@ -240,7 +278,7 @@ def exr_bytes(
     go through the folder of temporary files.
     """
     openexr(name)  # the temporary name says nothing to a user
-    with tempfile.TemporaryDirectory(prefix="facerender-") as folder:
+    with temporary_folder() as folder:
         path = Path(folder, name)
         _write_exr(path, channels, metadata)
         return path.read_bytes()

@@ -269,7 +269,7 @@ def test_page_is_whole_or_not_there(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(InputError, match="report.html: No space left"):
+    with pytest.raises(InputError, match="report.html: no space left"):
         write_report(path, [entry(pairs[0])])
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]

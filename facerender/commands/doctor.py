@@ -9,6 +9,7 @@ import sys
 
 from facerender import store
 from facerender._version import __version__
+from facerender.commands.streams import tell
 from facerender.drawing.context import probe
 
 
@@ -20,17 +21,17 @@ def add(doctor: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     findings = probe()
     if options.json:
-        print(json.dumps([dataclasses.asdict(finding) for finding in findings], indent=2))
+        tell(json.dumps([dataclasses.asdict(finding) for finding in findings], indent=2))
     else:
-        print(f"facerender {__version__}, Python {sys.version.split()[0]}")
+        tell(f"facerender {__version__}, Python {sys.version.split()[0]}")
         for finding in findings:
             if finding.error:
-                print(f"{finding.backend:7} {finding.error}")
+                tell(f"{finding.backend:7} {finding.error}")
             else:
-                print(
+                tell(
                     f"{finding.backend:7} {finding.renderer}, OpenGL {finding.version}, "
                     f"up to {finding.samples} samples and {finding.size} pixels a side"
                 )
         used, most = store.size() >> 20, store.limit() >> 20
-        print(f"cache   {store.folder()}, {used} of at most {most} MiB")
+        tell(f"cache   {store.folder()}, {used} of at most {most} MiB")
     return 0 if any(not finding.error for finding in findings) else 2
