@@ -73,6 +73,7 @@ STRICT = Limits(0.05, 1e-3)
 @dataclass(frozen=True)
 class Comparison:
     """The figures of every gate, and what they say. Positions are (x, y) from the top left.
+    ``bool(comparison)`` is ``comparison.same``.
 
     Attributes
     ----------
@@ -106,6 +107,9 @@ class Comparison:
     def same(self) -> bool:
         """Whether every gate was passed."""
         return not self.reasons
+
+    def __bool__(self) -> bool:
+        return self.same
 
     def as_dict(self) -> dict[str, Any]:
         """Return every figure, for JSON."""
@@ -234,7 +238,7 @@ class Pair:
 
     def as_dict(self) -> dict[str, Any]:
         """Return name, error and every figure, for JSON."""
-        figures = self.comparison.as_dict() if self.comparison else {}
+        figures = {} if self.comparison is None else self.comparison.as_dict()
         return {"name": self.name, "error": self.error, **figures}
 
 

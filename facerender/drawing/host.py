@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -27,19 +28,33 @@ class HostContext:
 
 
 def current_context() -> HostContext | None:
-    """Return the context of EGL, GLX or OSMesa that is current in this thread, if there is one."""
+    """Return the context of EGL, GLX or OSMesa that is current in this thread, if there is one; not
+    one that was current before a fork, for its driver's threads are not here."""
     for find in (_egl, _glx, _osmesa):
-        if (found := find()) is not None:
+        if (found := find()) is not None and found.handle not in _inherited:
             return found
     return None
+
+
+_inherited: set[int] = set()  # handles
+
+
+def _disown() -> None:
+    while (host := current_context()) is not None:
+        _inherited.add(host.handle)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_disown)
 
 
 _libraries: dict[str, ctypes.CDLL] = {}
 
 
 def _loaded(*names: str) -> ctypes.CDLL | None:
-    """A library that the process has loaded; what is not loaded has no current context."""
-    for name in names:
+    """A library that the process has loaded; what is not loaded has no current context. There are
+    none of these libraries on Windows."""
+    for name in names if sys.platform != "win32" else ():
         if name not in _libraries:
             try:
                 _libraries[name] = ctypes.CDLL(name, mode=os.RTLD_NOLOAD | os.RTLD_NOW)

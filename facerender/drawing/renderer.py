@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import warnings
+import weakref
+from contextlib import suppress
 from dataclasses import replace
 from types import TracebackType
 from typing import TYPE_CHECKING
@@ -12,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender._version import __version__
-from facerender.drawing.context import Backend, create_context
+from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.frame import Frame, GBuffer
 from facerender.drawing.passes import Pass
 from facerender.drawing.passes.shade import shade_pass
@@ -45,7 +48,9 @@ MAX_SAMPLES = 64
 class Renderer:
     """Draws scenes. Meshes, programs and framebuffers are kept for the next frame.
 
-    Use it as a context manager, or call :meth:`release`. One renderer serves one thread at a time.
+    Use it as a context manager, or call :meth:`release`; one that is dropped frees what it has, with
+    a ResourceWarning. Threads may share a renderer, and wait for each other. One that was made
+    before a fork is of no use in the child, which makes its own.
 
     Parameters
     ----------
@@ -53,7 +58,8 @@ class Renderer:
     samples : per pixel, 1 to 64. Up to what the driver offers (4 on Mesa's software driver) they
         are shared: a pixel is shaded once for each surface that they see. More than that are as
         many images with one each, whose mean is shaded anew at every sample
-    backend : "auto", "egl", "osmesa", or "current" for the host's context
+    backend : "auto", "egl", "osmesa", "native" for WGL, CGL or GLX, or "current" for the host's
+        context
     anisotropy : of texture filtering, 1 to 16; 8 nearly doubles a frame on a software driver
     float_albedo : keep albedo maps as linear float16 in place of 8-bit sRGB, so that drivers agree
         to the last digits
@@ -85,6 +91,8 @@ class Renderer:
         self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
         self.context = create_context(backend)
         self._resources = Resources(self.context, self.size, anisotropy, self.albedo_kind)
+        self._free = weakref.finalize(self, _free_dropped, self.context, self._resources)
+        self._free.atexit = False
         try:
             with self.context.drawing():
                 self._check_limits()
@@ -116,12 +124,11 @@ class Renderer:
 
     def release(self) -> None:
         """Free everything on the GPU, and the context unless it is the host's; a second time does
-        nothing."""
-        if self.context.released:
+        nothing, nor does it in a child of the process that made the renderer."""
+        if self.context.released or self.context.inherited:
             return
-        with self.context.drawing():
-            self._resources.release()
-        self.context.release()
+        _free(self.context, self._resources)
+        self._free.detach()
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -300,8 +307,8 @@ class Renderer:
     def _draw(self, passes: list[Pass], scene: Scene) -> list[NDArray[np.float32]]:
         """Draw passes in their order, and return the images of the last."""
         drawn: dict[str, moderngl.Texture] = {}
-        self._resources.settle()
         with self.context.drawing() as gl:
+            self._resources.settle()
             if scene.environment is not None:
                 drawn[ENVIRONMENT_MAP] = self._resources.environment(scene.environment.panorama)
             for step in passes:
@@ -314,6 +321,26 @@ class Renderer:
                     names = (step.name, *step.others)
                     drawn |= zip(names, target.color_attachments, strict=False)  # type: ignore[arg-type]
             return [read(target, index) for index in range(step.target.colors)]
+
+
+def _free(context: Context, resources: Resources) -> None:
+    with context.drawing():
+        resources.release()
+    context.release()
+
+
+def _free_dropped(context: Context, resources: Resources) -> None:
+    """Free what a renderer had that nobody released. What is in a host's context which is not
+    current now stays there until the host frees it."""
+    if context.released or context.inherited:
+        return
+    warnings.warn(
+        "a Renderer was dropped without release(): make it in a with statement",
+        ResourceWarning,
+        stacklevel=2,
+    )
+    with suppress(ContextError):
+        _free(context, resources)
 
 
 def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:

@@ -122,7 +122,8 @@ class Texture:
         """
         with self._levels_lock:
             if kind not in self._levels:
-                future = _executor().submit(lambda: _CHAINS[kind](self.rgb()))
+                with _starting:
+                    future = _executor().submit(lambda: _CHAINS[kind](self.rgb()))
                 self._levels[kind] = future
                 if kind != "linear-color":
                     drop = WeakMethod(self._drop_image)  # a future keeps what it has called
@@ -201,6 +202,21 @@ def _upright_rgb(image: Image, name: str) -> Image:
 @lru_cache(maxsize=1)
 def _executor() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max_workers=3, thread_name_prefix="facerender-textures")
+
+
+_starting = threading.Lock()
+
+
+def _finish() -> None:
+    """Finish what has been started, before a fork: its threads would not be in the child."""
+    with _starting:
+        if _executor.cache_info().currsize:
+            _executor().shutdown()
+            _executor.cache_clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_finish)
 
 
 def _data_levels(image: Image) -> Levels:
