@@ -1,5 +1,5 @@
-"""facerender in other people's programs: after a fork, in threads, dropped without release, and with
-values of the wrong type."""
+"""facerender in other people's programs: after a fork, in threads, dropped without release, and
+with values of the wrong type."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ import facerender as fr
 from facerender.drawing import context as contexts
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.evaluate import Evaluator
-from facerender.drawing.resources import MOST_PROGRAMS
 from tests.awkward_files import MINI_HEAD
 
 ROOT = Path(__file__).parents[1]
@@ -165,3 +164,141 @@ def test_levels_and_occlusion_in_a_child():
 
     fr.with_occlusion(fr.simplified(mesh, 300))
     assert in_child(work) == work()
+
+
+# --- Threads and renderers that are dropped ------------------------------------------------------
+
+
+def test_threads_share_a_renderer(backend):
+    mesh = fr.load_mesh(MINI_HEAD)
+    scenes = [fr.Scene(mesh, fr.Camera(azimuth=30.0 * turn)) for turn in range(8)]
+    with fr.Renderer((96, 96), backend=backend) as renderer:
+        expected = [renderer.render(scene).linear for scene in scenes]
+        with ThreadPoolExecutor(4) as pool:
+            drawn = [*pool.map(lambda scene: renderer.render(scene).linear, scenes * 4)]
+    for frame, wanted in zip(drawn, expected * 4, strict=True):
+        np.testing.assert_array_equal(frame, wanted)
+
+
+def test_threads_draw_with_renderers_of_their_own(backend):
+    mesh = fr.load_mesh(MINI_HEAD)
+    expected = fr.render(mesh, size=(96, 96), backend=backend).linear
+    with ThreadPoolExecutor(4) as pool:
+        drawn = pool.map(lambda _: fr.render(mesh, size=(96, 96), backend=backend), range(8))
+        for frame in drawn:
+            np.testing.assert_array_equal(frame.linear, expected)
+
+
+def resident() -> int:
+    """Of the process, MiB."""
+    gc.collect()
+    ctypes.CDLL(None).malloc_trim(0)  # what it has not given back comes and goes
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") >> 20
+
+
+def drop(scene: fr.Scene, backend: Backend) -> None:
+    """Draw, and forget the renderer."""
+    fr.Renderer((64, 64), samples=1, backend=backend).render(scene)
+
+
+def test_dropped_renderers_free_what_they_have(backend):
+    scene = fr.Scene(fr.load_mesh(MINI_HEAD))
+    held = []
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        for _ in range(3):
+            for _ in range(8):
+                drop(scene, backend)
+            held.append(resident())
+    assert [warning.category for warning in told] == [ResourceWarning] * 24
+    assert "dropped without release(): make it in a with statement" in str(told[0].message)
+    assert held[2] - held[1] < 16  # 12 MiB each, before they were freed
+
+
+def test_a_renderer_that_is_dropped_while_another_draws(backend, monkeypatch):
+    """As the garbage collector may do, in any thread at any time."""
+    scene = fr.Scene(fr.load_mesh(MINI_HEAD))
+    with fr.Renderer((64, 64), backend=backend) as renderer:
+        expected = renderer.render(scene).linear
+        draw = renderer._resources.draw
+
+        def draw_beside(*arguments: Any) -> Any:
+            drop(scene, backend)
+            return draw(*arguments)
+
+        monkeypatch.setattr(renderer._resources, "draw", draw_beside)
+        with pytest.warns(ResourceWarning, match="dropped without release"):
+            np.testing.assert_array_equal(renderer.render(scene).linear, expected)
+
+
+def test_a_dropped_guest_frees_what_it_has_where_its_host_is_current(backend):
+    scene = fr.Scene(fr.load_mesh(MINI_HEAD))
+    host = create_context(backend)
+    is_texture = host.function("glIsTexture", ctypes.c_uint, result=ctypes.c_ubyte)
+    with host.gl:
+        guest = fr.Renderer((32, 32), samples=1, backend="current")
+        guest.render(scene)
+        named = [number for number in range(1, 200) if is_texture(number)]
+        with pytest.warns(ResourceWarning, match="dropped without release"):
+            del guest
+        assert named
+        assert not any(map(is_texture, named))
+    with host.gl:
+        guest = fr.Renderer((32, 32), samples=1, backend="current")
+    with pytest.warns(ResourceWarning, match="dropped without release"):
+        del guest
+    host.release()
+
+
+@pytest.mark.parametrize("end", ["", "raise SystemExit(3)", "import os; os.fork() or exit()"])
+def test_the_interpreter_ends_without_noise(egl, end):
+    """A renderer is alive then, in a cycle, and decoding has begun."""
+    code = (
+        "import facerender as fr\n"
+        "renderer = fr.Renderer((32, 32))\n"
+        f"mesh = fr.load_mesh({str(MINI_HEAD)!r})\n"
+        "renderer.render(fr.Scene(mesh))\n"
+        "renderer.itself = renderer\n"
+        f"fr.load_mesh().materials[0].albedo_map.levels('color')\n{end}"
+    )
+    run = subprocess.run(
+        [sys.executable, "-X", "dev", "-W", "ignore::DeprecationWarning", "-c", code],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert (run.returncode, run.stdout, run.stderr) == (3 if "3" in end else 0, "", "")
+
+
+def test_programs_are_bounded_and_kept_while_they_are_used(egl, monkeypatch):
+    monkeypatch.setattr("facerender.drawing.resources.MOST_PROGRAMS", 4)
+    scene = fr.Scene(fr.load_mesh(MINI_HEAD))
+    with fr.Renderer((32, 32), samples=1, backend=egl) as renderer:
+        resources = renderer._resources
+        made = []
+        compile_ = renderer.context.gl.program
+        monkeypatch.setattr(
+            renderer.context.gl, "program", lambda **own: made.append(1) or compile_(**own)
+        )
+        expected = renderer.render(scene).linear
+        each = len(made)
+        for step in range(8):
+            renderer.render(scene, fr.Shading(m=0.2 + 0.001 * step))
+            if step % 2:
+                renderer.render(scene)
+        assert len(resources.programs) <= 4 + each
+        drawn = {array for own in resources.geometries.values() for array in own.arrays}
+        assert drawn | resources.screens.keys() <= set(resources.programs.values())
+        count = len(made)
+        np.testing.assert_array_equal(renderer.render(scene).linear, expected)
+        assert len(made) == count, "what is in use was compiled anew"
+        renderer.render(scene, fr.Shading(m=0.2))
+        assert len(made) > count
+
+        monkeypatch.setattr("facerender.drawing.resources.MOST_PROGRAMS", 0)
+        for _ in range(2):
+            count = len(made)
+            renderer.render(scene)
+        assert len(made) == count, "a frame with more programs than are kept is compiled once"

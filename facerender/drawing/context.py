@@ -25,15 +25,19 @@ BACKENDS: tuple[Backend, ...] = ("auto", "egl", "osmesa", "native", "current")
 AUTO: tuple[Backend, ...] = (
     ("native",) if sys.platform in ("win32", "darwin") else ("egl", "osmesa")
 )
-PACKAGES = {
-    "egl": "libegl1 libgl1 libgl1-mesa-dri",
-    "osmesa": "libosmesa6",
-    "native": "libgl1 libgl1-mesa-dri libx11-6",
+_MESA = "libgl1 libgl1-mesa-dri"
+REMEDIES = {
+    "egl": f"on Debian or Ubuntu: {{sudo}}apt-get install libegl1 {_MESA}",
+    "osmesa": "on Debian 12: {sudo}apt-get install libosmesa6; later ones have none: use egl",
+    "native": "install a graphics driver that has OpenGL 3.3"
+    if AUTO == ("native",)
+    else f"on Debian or Ubuntu: {{sudo}}apt-get install {_MESA} libx11-6 xvfb",
+    "current": "make a context current first, or use the backend auto",
 }
 SOFTWARE = ("llvmpipe", "softpipe", "swr", "swiftshader", "software rasterizer", "apple software")
 _GL_VERSION = 330
 
-# What this process, and those that it was forked from, have opened of drivers: whether the CPU draws.
+# Drivers that this process, and those that it was forked from, have opened: whether the CPU draws.
 # A driver's threads do not survive a fork: what was opened before the last one is lost.
 _opened: dict[str, bool] = {}
 _lost: dict[str, bool] = {}
@@ -318,8 +322,7 @@ def create_context(backend: Backend = "auto") -> Context:
 
     Parameters
     ----------
-    backend : "auto" tries EGL, then OSMesa, and on Windows and macOS "native", which is WGL, CGL, or
-        GLX elsewhere; "current" takes the host's
+    backend : "auto" tries those of AUTO; "native" is WGL, CGL or GLX; "current" takes the host's
 
     Raises
     ------
@@ -364,15 +367,10 @@ def _open(name: str, host: HostContext | None) -> Context:
 
 
 def _remedy(tried: tuple[str, ...]) -> str:
-    if tried == ("current",):
-        return "make a context current first, or use the backend auto"
     if not _lost.keys().isdisjoint(tried):
         return "start processes by spawn or forkserver (multiprocessing.get_context), not by fork"
-    if tried == ("native",) and sys.platform in ("win32", "darwin"):
-        return "install a graphics driver that has OpenGL 3.3"
-    packages = " ".join(PACKAGES[name] for name in tried)
-    sudo = "" if hasattr(os, "geteuid") and os.geteuid() == 0 else "sudo "
-    return f"on Debian or Ubuntu: {sudo}apt-get install {packages}"
+    root = hasattr(os, "geteuid") and os.geteuid() == 0
+    return REMEDIES[tried[0]].format(sudo="" if root else "sudo ")
 
 
 @dataclass(frozen=True)

@@ -48,9 +48,9 @@ MAX_SAMPLES = 64
 class Renderer:
     """Draws scenes. Meshes, programs and framebuffers are kept for the next frame.
 
-    Use it as a context manager, or call :meth:`release`; one that is dropped frees what it has, with
-    a ResourceWarning. Threads may share a renderer, and wait for each other. One that was made
-    before a fork is of no use in the child, which makes its own.
+    Use it as a context manager, or call :meth:`release`; one that is dropped frees what it has, and
+    warns (ResourceWarning). Threads may share a renderer, and wait for each other. One that was
+    made before a fork is of no use in the child, which makes its own.
 
     Parameters
     ----------
