@@ -661,8 +661,8 @@ def test_no_opengl(cli: Cli) -> None:
 @pytest.mark.usefixtures("no_opengl")
 def test_no_opengl_of_the_backend_asked_for(cli: Cli) -> None:
     cli.fail_to_render(
-        r"no OpenGL context \(osmesa: libosmesa is not there\); on Debian 12: "
-        r".*apt-get install libosmesa6; later ones have none: use egl$",
+        r"no OpenGL context \(osmesa: libosmesa is not there\); "
+        r".*apt-get install libosmesa6; Mesa 25.1 has none: use egl$",
         "--backend",
         "osmesa",
     )

@@ -686,13 +686,10 @@ def test_the_window_systems_context_draws_the_same_image(egl, display, tmp_path)
     assert compare(drawn_elsewhere(tmp_path, egl), image, block=STRICT.block)
 
 
-@pytest.mark.parametrize(
-    ("display", "message"),
-    [("", "DISPLAY names no X server: start one"), ("/nowhere:0", "cannot open display")],
-)
-def test_the_window_system_is_not_there(monkeypatch, display, message):
-    monkeypatch.setenv("DISPLAY", display)
-    with pytest.raises(fr.ContextError, match=rf"no OpenGL context \(native: .*{message}.*xvfb$"):
+def test_the_window_system_is_not_there(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    message = r"no OpenGL context \(native: DISPLAY names no X server: start one, .*xvfb$"
+    with pytest.raises(fr.ContextError, match=message):
         fr.Renderer(backend="native")
 
 

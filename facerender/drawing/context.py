@@ -16,7 +16,7 @@ import glcontext
 import moderngl
 
 from facerender.drawing.host import HostContext, bind_osmesa, current_context, put_aside_state
-from facerender.errors import ContextError, InputError
+from facerender.errors import ContextError, InputError, shown
 
 Backend = Literal["auto", "egl", "osmesa", "native", "current"]
 
@@ -28,7 +28,7 @@ AUTO: tuple[Backend, ...] = (
 _MESA = "libgl1 libgl1-mesa-dri"
 REMEDIES = {
     "egl": f"on Debian or Ubuntu: {{sudo}}apt-get install libegl1 {_MESA}",
-    "osmesa": "on Debian 12: {sudo}apt-get install libosmesa6; later ones have none: use egl",
+    "osmesa": "on Debian or Ubuntu: {sudo}apt-get install libosmesa6; Mesa 25.1 has none: use egl",
     "native": "install a graphics driver that has OpenGL 3.3"
     if AUTO == ("native",)
     else f"on Debian or Ubuntu: {{sudo}}apt-get install {_MESA} libx11-6 xvfb",
@@ -329,8 +329,8 @@ def create_context(backend: Backend = "auto") -> Context:
     InputError : an unknown backend
     ContextError : none works; the message says what was tried, what each said, and the remedy
     """
-    if backend not in BACKENDS:
-        raise InputError(f"unknown backend {backend!r}; known: {', '.join(BACKENDS)}")
+    if str(backend) not in BACKENDS:
+        raise InputError(f"unknown backend {shown(backend)}; known: {', '.join(BACKENDS)}")
     tried = AUTO if backend == "auto" else (backend,)
     host = current_context()
     said = []

@@ -26,7 +26,14 @@ from facerender.drawing.prepare import simplify, start_maps
 from facerender.drawing.program import ENVIRONMENT_MAP, Lighting
 from facerender.drawing.reference import data_view
 from facerender.drawing.resources import Resources, read
-from facerender.errors import ContextError, InputError
+from facerender.errors import (
+    ContextError,
+    InputError,
+    check_count,
+    check_range,
+    check_switch,
+    check_type,
+)
 from facerender.job import Job
 from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera
@@ -34,7 +41,7 @@ from facerender.scenes.light import Light
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import ONLY, Only, Scene, slope_ranges
 from facerender.scenes.texture import Kind
-from facerender.scenes.view import View, sample_grid, view_of
+from facerender.scenes.view import View, checked_size, sample_grid, view_of
 from facerender.shading import Shading
 from facerender.terms import AnyLobe
 
@@ -79,13 +86,10 @@ class Renderer:
         anisotropy: float = 1.0,
         float_albedo: bool = False,
     ) -> None:
-        width, height = size
-        if not (1 <= width <= MAX_SIZE and 1 <= height <= MAX_SIZE):
-            raise InputError(f"size {width} x {height}: give 1 to {MAX_SIZE} pixels a side")
-        _check_samples(samples)
-        if not 1.0 <= anisotropy <= 16.0:
-            raise InputError(f"anisotropy = {anisotropy:g} is outside [1, 16]")
-        self.size = (width, height)
+        self.size = checked_size(size, MAX_SIZE)
+        check_count("samples", samples, MAX_SAMPLES)
+        check_range("anisotropy", anisotropy, 1.0, 16.0)
+        check_switch("float_albedo", float_albedo)
         self.samples = samples
         self.anisotropy = anisotropy
         self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
@@ -103,6 +107,7 @@ class Renderer:
     @classmethod
     def of(cls, job: Job, backend: Backend = "auto") -> Renderer:
         """Return a renderer for the images of a job; errors as of the class."""
+        check_type("job", job, Job, "a facerender.Job")
         return cls(
             job.image.size,
             samples=job.image.samples,
@@ -167,6 +172,10 @@ class Renderer:
         InputError : a map is damaged, m lies outside the lobe's domain and the shading asks for an
             error then, an unknown term
         """
+        _check_scene(scene, shading)
+        for name, value in (("backs", backs), ("once", once)):
+            check_switch(name, value)
+        check_type("only", only, str | None, f"one of {', '.join(ONLY)}")
         if only in ("normal", "albedo", "depth", "cosines", "visibility"):
             linear = data_view(self.gbuffer(scene, shading), scene, only)
             metadata = {**self.metadata, "samples": "1"}
@@ -174,7 +183,7 @@ class Renderer:
         if only not in (None, "specular", "diffuse"):
             raise InputError(f"unknown term {only!r}; known: {', '.join(ONLY)}")
         samples = self.samples if samples is None else samples
-        _check_samples(samples)
+        check_count("samples", samples, MAX_SAMPLES)
         scene = simplify(scene, shading)
         start_maps(scene.mesh, self.albedo_kind, shading.slope_filter)
         view = view_of(scene, self.size[0] / self.size[1])
@@ -203,10 +212,13 @@ class Renderer:
     def can_shade_once(self, scene: Scene, samples: int) -> bool:
         """Tell whether frames with so many samples can be shaded once a pixel: with several, as
         many as the driver has, of up to 16 million triangles, on a background of up to 1000."""
+        _check_scene(scene)
+        check_count("samples", samples, MAX_SAMPLES)
         return samples > 1 and self._can_defer(scene, samples)
 
     def gbuffer(self, scene: Scene, shading: Shading = Shading()) -> GBuffer:
         """Draw what shading reads at each pixel's centre; errors as in :meth:`render`."""
+        _check_scene(scene, shading)
         scene = simplify(scene, shading)
         start_maps(scene.mesh, self.albedo_kind, shading.slope_filter)
         view = view_of(scene, self.size[0] / self.size[1])
@@ -358,9 +370,9 @@ def _from_visibility(shaded: Pass, visibility: Visibility | None, backs: bool) -
     return [replace(first, backs=backs), *others]
 
 
-def _check_samples(samples: int) -> None:
-    if not 1 <= samples <= MAX_SAMPLES:
-        raise InputError(f"samples = {samples}: give 1 to {MAX_SAMPLES}")
+def _check_scene(scene: Scene, shading: Shading = Shading()) -> None:
+    check_type("scene", scene, Scene, "a facerender.Scene")
+    check_type("shading", shading, Shading, "a facerender.Shading")
 
 
 def render(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from facerender.data import data_dir
-from facerender.errors import noting
+from facerender.errors import check_path, check_switch, noting
 from facerender.loading.kept import Files
 from facerender.loading.read import read
 from facerender.loading.repair import assemble, clean
@@ -52,6 +52,8 @@ def load_mesh(
     InputError : the file or a map is missing, empty, damaged, of no known format, or has no faces;
         millimetres outside [1e-6, 1e6]
     """
+    check_switch("flip_v", flip_v)
+    check_switch("cache", cache)
     files = _files(path, albedo, normal_map, specular_map, roughness_map, flip_v, lobe_map)
     if not cache:
         return _scaled(_read(files)[0], millimetres)
@@ -93,6 +95,9 @@ def _files(
         "roughness_map": roughness_map,
         "lobe_map": lobe_map,
     }
+    for name, file in {"mesh file": path, **maps}.items():
+        if file is not None:
+            check_path(name, file)
     return Files(
         Path(path) if path is not None else data_dir("assets") / "head.glb",
         {name: Path(file) for name, file in maps.items() if file is not None},

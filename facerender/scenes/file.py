@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from facerender.errors import InputError, check_range, reason
+from facerender.errors import InputError, check_path, check_range, reason
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light, parse_light
 from facerender.scenes.material import MAPS, Material
@@ -90,6 +90,7 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     import tomllib
 
+    check_path("scene file", path)
     name = Path(path).name
     try:
         tables = tomllib.loads(Path(path).read_text(encoding="utf-8"))

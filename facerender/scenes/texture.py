@@ -16,7 +16,7 @@ from weakref import WeakMethod, WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, reason
+from facerender.errors import InputError, check_path, check_type, reason
 from facerender.image import linear_to_srgb, srgb_to_linear
 from facerender.terms.slope_variance import MAP_DEVIATION
 
@@ -40,6 +40,8 @@ class Texture:
     """
 
     def __init__(self, decode: Callable[[], Image], name: str) -> None:
+        check_type("name of a texture", name, str, "text")
+        check_type("decode", decode, Callable, "a function that returns a Pillow image")
         self.name = name
         self._decode: Callable[[], Image] | None = decode  # until it has been asked
         self._lock = threading.Lock()
@@ -66,6 +68,7 @@ class Texture:
         """
         from PIL import Image, UnidentifiedImageError
 
+        check_path("image file", path)
         try:
             image = Image.open(BytesIO(Path(path).read_bytes()))
         except UnidentifiedImageError:

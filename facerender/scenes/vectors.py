@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError
+from facerender.errors import InputError, shown
 
 Vector = tuple[float, float, float]
 
@@ -31,6 +31,16 @@ def non_negative(name: str, value: Any) -> Vector:
     if min(numbers) < 0.0:
         raise InputError(f"{name} = {numbers} is negative")
     return numbers
+
+
+def check_array(name: str, value: Any, columns: int) -> None:
+    """Raise InputError where a value is no array (N, columns) of numbers, or (N,) for 0 columns."""
+    shape = (columns,) if columns else ()
+    if not (isinstance(value, np.ndarray) and value.dtype.kind in "fiu"):
+        raise InputError(f"{name} = {shown(value)}: give an array of numbers")
+    if value.ndim != 1 + len(shape) or value.shape[1:] != shape:
+        wanted = f"(N, {columns})" if columns else "(N,)"
+        raise InputError(f"{name} has the shape {value.shape}: give {wanted}")
 
 
 def direction_to(azimuth: float, elevation: float) -> NDArray[np.float64]:
