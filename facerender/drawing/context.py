@@ -15,7 +15,13 @@ from typing import Any, Literal, Protocol
 import glcontext
 import moderngl
 
-from facerender.drawing.host import HostContext, bind_osmesa, current_context, put_aside_state
+from facerender.drawing.host import (
+    HostContext,
+    bind_osmesa,
+    current_context,
+    egl_in_use,
+    put_aside_state,
+)
 from facerender.errors import ContextError, InputError, shown
 
 Backend = Literal["auto", "egl", "osmesa", "native", "current"]
@@ -41,9 +47,17 @@ _GL_VERSION = 330
 # A driver's threads do not survive a fork: what was opened before the last one is lost.
 _opened: dict[str, bool] = {}
 _lost: dict[str, bool] = {}
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=lambda: _lost.update(_opened))
 _FORKED = "it was in use before this process was forked"
+
+
+def _lose() -> None:
+    if "egl" not in _opened and egl_in_use():  # somebody else's
+        _opened["egl"] = True
+    _lost.update(_opened)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_lose)
 
 
 class _Loader(Protocol):

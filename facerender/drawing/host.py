@@ -86,6 +86,25 @@ def _egl() -> HostContext | None:
     return HostContext(context, library.eglGetProcAddress, rebind)
 
 
+def egl_in_use() -> bool:
+    """Tell whether somebody in this process has opened EGL's display of a device."""
+    library = _loaded("libEGL.so.1")
+    if library is None:
+        return False
+    library.eglGetProcAddress.restype = ctypes.c_void_p
+    names = b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT"
+    found = [library.eglGetProcAddress(name) for name in names]
+    if not all(found):
+        return False
+    query = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
+    get = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p)
+    devices, count = (ctypes.c_void_p * 16)(), ctypes.c_int()
+    query(found[0])(len(devices), devices, ctypes.byref(count))
+    displays = [get(found[1])(0x313F, device, None) for device in devices[: count.value]]
+    library.eglQueryString.argtypes = [ctypes.c_void_p, ctypes.c_int]
+    return any(_pointer(library.eglQueryString, each, 0x3054) for each in displays)  # its version
+
+
 def _glx() -> HostContext | None:
     library = _loaded("libGLX.so.0", "libGL.so.1")
     if library is None or not (context := _pointer(library.glXGetCurrentContext)):
