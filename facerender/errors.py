@@ -4,8 +4,9 @@ that names the thing, the value and the remedy."""
 from __future__ import annotations
 
 import numbers
+import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
@@ -83,3 +84,44 @@ def check_range(name: str, value: Any, low: float, high: float) -> None:
     number = isinstance(value, numbers.Real) and not isinstance(value, bool)
     if not (number and low <= value <= high):
         raise InputError(f"{name} = {shown(value)} is outside [{low:g}, {high:g}]")
+
+
+def check_type(name: str, value: Any, kinds: Any, remedy: str) -> None:
+    """Raise InputError where a value is of none of these types, as isinstance takes them."""
+    if not isinstance(value, kinds):
+        raise InputError(f"{name} = {shown(value)}: give {remedy}")
+
+
+def check_switch(name: str, value: Any) -> None:
+    """Raise InputError where a value is neither true nor false."""
+    check_type(name, value, bool, "true or false")
+
+
+def check_path(name: str, value: Any) -> None:
+    """Raise InputError where a value is no path."""
+    check_type(name, value, str | os.PathLike, "a path as text")
+
+
+def is_count(value: Any, most: int) -> bool:
+    """Tell whether a value is a whole number in [1, most]."""
+    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    return whole and 1 <= int(value) <= most
+
+
+def check_count(name: str, value: Any, most: int) -> None:
+    """Raise InputError where a value is no whole number in [1, most]."""
+    if not is_count(value, most):
+        raise InputError(f"{name} = {shown(value)}: give 1 to {most}")
+
+
+def each_of(name: str, values: Any, kind: Any, remedy: str) -> tuple[Any, ...]:
+    """Return values as a tuple.
+
+    Raises
+    ------
+    InputError : one of them is not of this type, as isinstance takes it
+    """
+    found = tuple(values) if isinstance(values, Iterable) else (values,)
+    if not all(isinstance(each, kind) for each in found):
+        raise InputError(f"{name} = {shown(values)}: give {remedy}")
+    return found

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_range, shown
+from facerender.errors import InputError, check_range, check_type, shown
 from facerender.terms import FRESNEL, MASKING, MODELS, AnyLobe, GPower, Model, lobe_entry
 from facerender.terms.entry import named
 from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
@@ -229,6 +229,9 @@ class Shading:
         words: dict[str, Any] = {n: value for n, value in given if value is not _GIVEN_BY_TERM}
         term = replace(term, **words) if words else term
         changes = _by_light(lights)
+        check_type("outside", outside, str, "a word")
+        check_type("diffuse", diffuse, str, "a word")
+        check_type("scatter_samples", scatter_samples, float | int, "a number")
         if frontal_lights is not None:
             frontal = _indices("frontal_lights", frontal_lights)
             if frontal and not term.entry.factors:

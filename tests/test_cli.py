@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import re
 import subprocess
 import sys
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.commands import main
+from facerender.commands import doctor, main
 from facerender.commands.scene import CAMERAS
 from facerender.drawing import context
 from facerender.scenes.light import LIGHTS
@@ -631,6 +632,8 @@ def test_exr_without_its_package(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> N
 
 # --- OpenGL --------------------------------------------------------------------------------------
 
+OWN = ("egl", "osmesa", "native")
+
 
 @pytest.fixture
 def no_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -640,21 +643,22 @@ def no_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
 
         return opener
 
-    monkeypatch.setattr(context, "_OPENERS", {name: refuse(name) for name in ("egl", "osmesa")})
+    monkeypatch.setattr(context, "_OPENERS", {name: refuse(name) for name in OWN})
 
 
 @pytest.mark.usefixtures("no_opengl")
 def test_no_opengl(cli: Cli) -> None:
     cli.fail_to_render(
         r"no OpenGL context \(egl: libegl is not there; osmesa: libosmesa is not there\); "
-        r".*apt-get install .*libegl1 .*libosmesa6"
+        r".*apt-get install libegl1 libgl1 libgl1-mesa-dri$"
     )
 
 
 @pytest.mark.usefixtures("no_opengl")
 def test_no_opengl_of_the_backend_asked_for(cli: Cli) -> None:
     cli.fail_to_render(
-        r"no OpenGL context \(osmesa: libosmesa is not there\); .*apt-get install libosmesa6$",
+        r"no OpenGL context \(osmesa: libosmesa is not there\); "
+        r".*apt-get install libosmesa6; Mesa 25.1 has none: use egl$",
         "--backend",
         "osmesa",
     )
@@ -663,20 +667,32 @@ def test_no_opengl_of_the_backend_asked_for(cli: Cli) -> None:
 def test_doctor(cli: Cli) -> None:
     status, out, err = cli.run("doctor", "--json")
     assert (status, err) == (0, "")
-    findings = {finding["backend"]: finding for finding in json.loads(out)}
-    assert set(findings) == {"egl", "osmesa"}
+    told = json.loads(out)
+    findings = {finding["backend"]: finding for finding in told["backends"]}
+    assert set(findings) == set(OWN)
     assert set(findings["egl"]) == {"backend", "renderer", "version", "samples", "size", "error"}
+    assert told["auto"] in ("egl", "osmesa")
+    assert told["packages"][""]["numpy"] == np.__version__
     status, out, err = cli.run("doctor")
     assert (status, err) == (0, "")
     assert findings["egl"]["renderer"] in out
+    assert f"Python {platform.python_version()}" in out
+
+
+def test_doctor_tells_how_to_get_what_is_missing(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(doctor.PACKAGES, "hdr", ("not-there-at-all",))
+    _, out, _ = cli.run("doctor")
+    assert "hdr     not-there-at-all is missing: pip install 'facerender[hdr]'\n" in out
 
 
 @pytest.mark.usefixtures("no_opengl")
 def test_doctor_without_opengl(cli: Cli) -> None:
     status, out, err = cli.run("doctor")
     assert (status, err) == (2, "")
-    assert re.search(r"egl .*apt-get install", out)
+    assert re.search(r"egl .*apt-get install libegl1", out)
     assert re.search(r"osmesa .*apt-get install libosmesa6", out)
+    assert re.search(r"native .*apt-get install libgl1", out)
+    assert "\nauto    finds none that works\n" in out
 
 
 def test_shaders_lists_every_function(cli):

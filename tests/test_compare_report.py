@@ -155,7 +155,7 @@ def test_figures_stand_beside_their_limits(parsed: Page) -> None:
 
 def test_reasons_and_errors_in_words(parsed: Page, pairs: list[Pair]) -> None:
     for pair in pairs:
-        said = pair.comparison.reasons if pair.comparison else (pair.error,)
+        said = (pair.error,) if pair.comparison is None else pair.comparison.reasons
         for reason in said:
             assert reason in parsed.text[at(pair.name)]
 

@@ -54,7 +54,7 @@ def add(batch: argparse.ArgumentParser) -> None:
     drawing = batch.add_argument_group("workers")
     drawing.add_argument("--workers", type=int, metavar="N", help="processes here (those that pay)")
     drawing.add_argument("--scheduler", metavar="ADDRESS", help="of Dask, in place of workers here")
-    drawing.add_argument("--backend", choices=("auto", "egl", "osmesa"), default="auto")
+    drawing.add_argument("--backend", choices=("auto", "egl", "osmesa", "native"), default="auto")
     drawing.add_argument(
         "--timeout", type=float, default=300.0, help="seconds of silence: a job hangs (300)"
     )

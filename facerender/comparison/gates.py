@@ -11,7 +11,6 @@ changed.
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -22,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.frame import Frame
-from facerender.errors import InputError
+from facerender.errors import InputError, check_range
 from facerender.image import SUFFIXES, Encoding, Picture, picture_of, read_image
 
 BLOCK = 16
@@ -64,8 +63,7 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
-            if not 0.0 <= value < math.inf:
-                raise InputError(f"limit {name} = {value:g} is negative or not finite")
+            check_range(f"limit {name}", value, 0.0, 1e30)
 
 
 LIMITS: dict[Encoding, Limits] = {"linear": Limits(0.05, 5e-3), "srgb8": Limits(8.0, 1.0)}
@@ -76,6 +74,7 @@ STRICT = Limits(0.05, 1e-3)
 @dataclass(frozen=True)
 class Comparison:
     """The figures of every gate, and what they say. Positions are (x, y) from the top left.
+    ``bool(comparison)`` is ``comparison.same``.
 
     Attributes
     ----------
@@ -109,6 +108,9 @@ class Comparison:
     def same(self) -> bool:
         """Whether every gate was passed."""
         return not self.reasons
+
+    def __bool__(self) -> bool:
+        return self.same
 
     def as_dict(self) -> dict[str, Any]:
         """Return every figure, for JSON."""
@@ -151,7 +153,9 @@ def compare(
     height, width = a.pixels.shape[:2]
     counts = np.ones((height, width), dtype=bool) if mask is None else np.asarray(mask) != 0
     if counts.shape != (height, width):
-        raise InputError(f"the mask is {_size(counts)}, the images are {_size(a.pixels)} pixels")
+        raise InputError(
+            f"the mask has the shape {counts.shape}, the images are {_size(a.pixels)} pixels"
+        )
     if not counts.any():
         raise InputError("the mask is 0 everywhere: nothing would be compared")
     given = {"point": point, "block": block, "coverage": coverage}
@@ -255,7 +259,7 @@ class Pair:
 
     def as_dict(self) -> dict[str, Any]:
         """Return name, error and every figure, for JSON."""
-        figures = self.comparison.as_dict() if self.comparison else {}
+        figures = {} if self.comparison is None else self.comparison.as_dict()
         return {"name": self.name, "error": self.error, **figures}
 
 

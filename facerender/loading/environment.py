@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, clipped
+from facerender.errors import InputError, check_type, clipped
 from facerender.files import read_file
 from facerender.image import MAX_BYTES, check_pixels, read_image
 from facerender.scenes.environment import Environment, Panorama, studio
@@ -24,6 +24,7 @@ def load_environment(file: EnvironmentFile) -> Environment:
     InputError : a file that is missing, damaged, of another kind or shape, or holds a radiance that
         is no number in [0, 1e9]; .hdr without OpenImageIO, .exr without OpenEXR
     """
+    check_type("environment", file, EnvironmentFile, "a facerender.EnvironmentFile")
     panorama = studio() if file.file == STUDIO else _panorama(file.file, *_state(file.file))
     return Environment(panorama, file.rotation, file.scale)
 

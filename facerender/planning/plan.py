@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from facerender.drawing.prepare import simplify
 from facerender.drawing.renderer import Renderer
-from facerender.errors import InputError
+from facerender.errors import InputError, check_switch, check_type, each_of
 from facerender.glsl.code import call
 from facerender.glsl.library import Language, Target, term_source
 from facerender.image import save_png
@@ -305,6 +305,18 @@ def plan(
         share of the pixels, or one with a guarantee
     ContextError : no OpenGL context
     """
+    check_type("scene", scene, Scene, "a facerender.Scene")
+    check_type("budget", budget, str | float, 'an error with its unit, such as "1/255"')
+    check_type("full", full, Shading, "a facerender.Shading")
+    check_type("cost", cost, str, f'where prices come from, such as "{FRAME}"')
+    check_type("renderer", renderer, Renderer | None, "a facerender.Renderer")
+    for name, value in (("guarantee", guarantee), ("verify_cost", verify_cost)):
+        check_switch(name, value)
+    if cameras is not None:
+        cameras = each_of("cameras", cameras, Camera, "several facerender.Camera")
+    if sizes is not None:
+        remedy = "widths and heights, such as [(512, 512)]"
+        sizes = each_of("sizes", sizes, tuple | list, remedy)
     allowed = Budget.parse(budget, exposure, within)
     if full.term.lobe != "exact":
         raise InputError(f"a plan chooses the lobe: leave {full.term.lobe} out")

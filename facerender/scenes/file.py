@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from facerender.errors import InputError, check_range, clipped, reason, shown
+from facerender.errors import InputError, check_path, check_range, clipped, reason, shown
 from facerender.files import read_file
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light, parse_light
@@ -92,6 +92,7 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     import tomllib
 
+    check_path("scene file", path)
     name = clipped(Path(path).name)
     content = read_file(path, "a scene as TOML", MOST_BYTES)
     try:

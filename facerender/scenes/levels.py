@@ -14,7 +14,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, shown, warn
+from facerender.errors import InputError, check_type, shown, warn
 from facerender.scenes.mesh import Mesh, Part
 
 if TYPE_CHECKING:
@@ -61,6 +61,7 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     -----
     FacerenderWarning : seams and parts need more triangles
     """
+    check_type("mesh", mesh, Mesh, "a facerender.Mesh")
     check_triangles(triangles)
     if sum(len(part.faces) for part in mesh.parts) <= triangles:
         return mesh

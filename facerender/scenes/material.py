@@ -87,7 +87,8 @@ class Material:
         if self.scattering is not None:
             from facerender.terms.scattering import profile_of
 
-            own = None if self.scattering == "none" else profile_of(self.scattering)
+            none = isinstance(self.scattering, str) and self.scattering == "none"
+            own = None if none else profile_of(self.scattering)
             object.__setattr__(self, "scattering", own)
 
     def __getstate__(self) -> dict[str, Any]:

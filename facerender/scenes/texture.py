@@ -16,7 +16,7 @@ from weakref import WeakMethod, WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, clipped, reason
+from facerender.errors import InputError, check_path, check_type, clipped, reason
 from facerender.files import read_file
 from facerender.image import check_pixels, linear_to_srgb, open_image, srgb_to_linear, texels
 from facerender.terms.slope_variance import MAP_DEVIATION
@@ -48,6 +48,8 @@ class Texture:
     def __init__(
         self, decode: Callable[[], Image], name: str, size: tuple[int, int] | None = None
     ) -> None:
+        check_type("name of a texture", name, str, "text")
+        check_type("decode", decode, Callable, "a function that returns a Pillow image")
         self.name = name
         self._size = size
         self._decode: Callable[[], Image] | None = decode  # until it has been asked
@@ -73,6 +75,7 @@ class Texture:
         ------
         InputError : the file is missing or not an image
         """
+        check_path("image file", path)
         return cls.of(read_file(path, "an image file"), clipped(Path(path).name))
 
     @classmethod
@@ -141,7 +144,8 @@ class Texture:
         """
         with self._levels_lock:
             if kind not in self._levels:
-                future = _executor().submit(lambda: self._chain(kind))
+                with _starting:
+                    future = _executor().submit(lambda: self._chain(kind))
                 self._levels[kind] = future
                 if kind != "linear-color":
                     drop = WeakMethod(self._drop_image)  # a future keeps what it has called
@@ -229,6 +233,21 @@ def _upright_rgb(image: Image, name: str) -> Image:
 @lru_cache(maxsize=1)
 def _executor() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max_workers=3, thread_name_prefix="facerender-textures")
+
+
+_starting = threading.Lock()
+
+
+def _finish() -> None:
+    """Finish what has been started, before a fork: its threads would not be in the child."""
+    with _starting:
+        if _executor.cache_info().currsize:
+            _executor().shutdown()
+            _executor.cache_clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_finish)
 
 
 def _data_levels(image: Image) -> Levels:

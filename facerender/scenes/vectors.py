@@ -52,6 +52,16 @@ def within_reach(name: str, place: NDArray[np.float64]) -> NDArray[np.float64]:
     return place
 
 
+def check_array(name: str, value: Any, columns: int) -> None:
+    """Raise InputError where a value is no array (N, columns) of numbers, or (N,) for 0 columns."""
+    shape = (columns,) if columns else ()
+    if not (isinstance(value, np.ndarray) and value.dtype.kind in "fiu"):
+        raise InputError(f"{name} = {shown(value)}: give an array of numbers")
+    if value.ndim != 1 + len(shape) or value.shape[1:] != shape:
+        wanted = f"(N, {columns})" if columns else "(N,)"
+        raise InputError(f"{name} has the shape {value.shape}: give {wanted}")
+
+
 def direction_to(azimuth: float, elevation: float) -> NDArray[np.float64]:
     """Unit vector from the subject: azimuth 0 is +z (in front), 90 is +x; elevation 90 is +y."""
     a, e = math.radians(azimuth), math.radians(elevation)

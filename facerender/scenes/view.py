@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError
+from facerender.errors import InputError, check_range, check_type, is_count, shown
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import direction_to, within_reach
@@ -45,7 +46,7 @@ class View:
         The corner of the top left pixel is (0, 0) and its centre (0.5, 0.5). Rounded to 1e-9 of a
         pixel, so that a principal point in the middle is there to the last digit.
         """
-        width, height = np.divide(size, 2.0)
+        width, height = np.divide(checked_size(size), 2.0)
         pixels = np.array([[width, 0.0, width], [0.0, height, height], [0.0, 0.0, 1.0]])
         return np.round(pixels @ self._lens, 9)
 
@@ -55,6 +56,7 @@ class View:
 
         mesh : whose bounds are those of the scene that the camera sees
         """
+        check_type("mesh", mesh, Mesh, "a facerender.Mesh")
         pose = np.asarray(np.linalg.solve(self._lens, self.matrix[:, _XYW].T), np.float64)
         pose[:, 3] = mesh.radius * pose[:, 3] - pose[:, :3] @ mesh.center
         return pose
@@ -82,6 +84,21 @@ def sample_grid(count: int) -> NDArray[np.float64]:
     return np.stack([(index + 0.5) / count, turned], axis=-1) - 0.5
 
 
+def checked_size(size: Any, most: int = 1 << 30) -> tuple[int, int]:
+    """Return width and height of an image, each in [1, most].
+
+    Raises
+    ------
+    InputError : it is something else
+    """
+    if not isinstance(size, tuple | list | np.ndarray) or np.shape(size) != (2,):
+        raise InputError(f"size = {shown(size)}: give width and height in pixels")
+    width, height = size
+    if not all(is_count(side, most) for side in size):
+        raise InputError(f"size {shown(width)} x {shown(height)}: give 1 to {most} pixels a side")
+    return int(width), int(height)
+
+
 def view_of(scene: Scene, aspect: float) -> View:
     """Place the camera of a scene for images of the given aspect ratio, width over height.
 
@@ -89,6 +106,8 @@ def view_of(scene: Scene, aspect: float) -> View:
     ------
     InputError : the eye stands at the target, or either is 1e6 radii of the mesh away
     """
+    check_type("scene", scene, Scene, "a facerender.Scene")
+    check_range("aspect", aspect, 1e-6, 1e6)
     mesh, camera = scene.mesh, scene.camera
     target = np.zeros(3)
     if camera.target is not None:
