@@ -204,7 +204,8 @@ def load(job: Job, cache: bool = False) -> Scene:
     """Return the scene of a job, whose maps are being decoded."""
     mesh = job.mesh.kept() if cache else None
     if mesh is None:
-        import_trimesh()
+        if job.mesh.path and Path(job.mesh.path).suffix.lower() not in (".glb", ".gltf"):
+            import_trimesh()
         mesh = job.mesh.load(cache)
     scene = job.scene(mesh)
     albedo: Kind = "linear-color" if job.image.float_albedo else "color"

@@ -130,8 +130,9 @@ def document_of(text: bytes, name: str) -> dict[str, Any]:
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
+        why = reason(error).partition(";")[0]
         raise InputError(
-            f"{name} is not glTF: its JSON cannot be read ({reason(error)}); export it again"
+            f"{name} is not glTF: its JSON cannot be read ({why}); export it again"
         ) from None
     tables = _OBJECTS["document"]
     if not isinstance(document, dict) or document.keys().isdisjoint({"asset", *tables}):

@@ -1,0 +1,718 @@
+"""Mesh files that somebody has broken, by accident or on purpose: each is loaded as a sound mesh
+with a warning for what was left out, or refused in one line that names file and cause."""
+
+from __future__ import annotations
+
+import base64
+import json
+import logging
+import os
+import pickle
+import struct
+import threading
+import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import facerender as fr
+from facerender import store
+from facerender.loading.obj import with_absolute
+from tests import awkward_files as files
+from tests.awkward_files import MINI_HEAD, mini_head
+
+Change = Callable[[dict[str, Any]], Any]
+
+TRIANGLE = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+PLY = (
+    "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n"
+    "property float z\nelement face {count}\nproperty list uchar int vertex_indices\nend_header\n"
+    "0 0 0\n1 0 0\n0 1 0\n0 0 1\n"
+)
+
+
+def write(path: Path, content: bytes | str) -> Path:
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def changed(path: Path, change: Change, **options: Any) -> Path:
+    """Write the head as GLB, its document changed."""
+    document, binary = files.gltf(mini_head(), **options)
+    change(document)
+    return write(path, files.join_glb(document, binary))
+
+
+def refused(path: Path, **options: Any) -> str:
+    """Return the line with which a file is refused."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", fr.FacerenderWarning)
+        with pytest.raises(fr.InputError) as caught:
+            fr.load_mesh(path, **options)
+    message = str(caught.value)
+    assert message.isprintable()
+    assert len(message) < 400
+    assert "()" not in message
+    return message
+
+
+def loaded(path: Path, **options: Any) -> tuple[fr.Mesh, list[str]]:
+    """Return a mesh, whose values are sound, and what was warned of."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("error")
+        warnings.simplefilter("always", fr.FacerenderWarning)
+        mesh = fr.load_mesh(path, **options)
+    for part in mesh.parts:
+        assert len(part.faces)
+        assert part.faces.max() < len(part.positions)
+        used = np.unique(part.faces)
+        assert np.isfinite(part.positions[used]).all()
+        np.testing.assert_allclose(np.linalg.norm(part.normals[used], axis=1), 1.0, atol=1e-5)
+        assert part.uv is None or np.isfinite(part.uv.astype(np.float32)).all()
+    assert np.isfinite(mesh.bounds).all()
+    return mesh, [str(each.message) for each in caught]
+
+
+# --- glTF against its schema ---------------------------------------------------------------------
+
+
+def at(*path: Any, value: Any) -> Change:
+    """Put a value into a document."""
+
+    def change(document: Any) -> None:
+        for key in path[:-1]:
+            document = document[key]
+        document[path[-1]] = value
+
+    return change
+
+
+def without(*path: Any) -> Change:
+    def change(document: Any) -> None:
+        for key in path[:-1]:
+            document = document[key]
+        del document[path[-1]]
+
+    return change
+
+
+def both(*changes: Change) -> Change:
+    return lambda document: [change(document) for change in changes]
+
+
+PRIMITIVE = ("meshes", 0, "primitives", 0)
+SPARSE = {
+    "count": 1,
+    "indices": {"bufferView": 3, "componentType": 5125},
+    "values": {"bufferView": 0},
+}
+DAMAGED: dict[str, tuple[Change, str]] = {
+    "view out of range": (
+        at("accessors", 0, "bufferView", value=99),
+        r"accessors\[0\]\.bufferView = 99 is not an index into the 5 bufferViews",
+    ),
+    "no view": (without("accessors", 0, "bufferView"), r"accessors\[0\] has no bufferView"),
+    "view a number": (at("bufferViews", value=[7]), r"bufferViews\[0\] = 7 is not an object"),
+    "offset text": (
+        at("bufferViews", 0, "byteOffset", value="x"),
+        r"bufferViews\[0\]\.byteOffset = 'x' is not a whole number",
+    ),
+    "offset negative": (at("bufferViews", 0, "byteOffset", value=-4), "= -4 is not a whole number"),
+    "primitive a number": (at(*PRIMITIVE, value=3), r"primitives\[0\] = 3 is not an object"),
+    "map a number": (
+        at("materials", 0, "pbrMetallicRoughness", "metallicRoughnessTexture", value=5),
+        r"metallicRoughnessTexture = 5 is not an object",
+    ),
+    "map out of range": (
+        at("materials", 0, "normalTexture", value={"index": 1}),
+        r"normalTexture\.index = 1 is not an index into the 1 textures",
+    ),
+    "image out of range": (at("textures", 0, "source", value=9), "source = 9 is not an index"),
+    "buffer too short": (
+        at("buffers", 0, "byteLength", value=10**9),
+        r"buffers\[0\] should have 1000000000 bytes, and has \d+",
+    ),
+    "view behind the buffer": (
+        at("bufferViews", 1, "byteLength", value=10**9),
+        r"bufferViews\[1\] ends at byte \d+ of buffers\[0\]",
+    ),
+    "accessor behind its view": (
+        at("accessors", 0, "count", value=300_000_000),
+        r"accessors\[0\] needs 3600000000 bytes of bufferViews\[0\]",
+    ),
+    "zeros without end": (
+        both(
+            without("accessors", 0, "bufferView"),
+            at("accessors", 0, "count", value=300_000_000),
+            at("accessors", 0, "sparse", value=SPARSE),
+        ),
+        r"accessors\[0\]\.count = 300000000 without a bufferView",
+    ),
+    "sparse out of range": (
+        both(
+            at("accessors", 0, "sparse", value=SPARSE),
+            at("accessors", 0, "sparse", "count", value=6722),
+        ),
+        r"bufferViews\[0\]",
+    ),
+    "stride": (at("bufferViews", 0, "byteStride", value=4), r"byteStride = 4 is less than 12"),
+    "component type": (
+        at("accessors", 0, "componentType", value=1),
+        "componentType = 1 is not a component type",
+    ),
+    "indices of floats": (at(*PRIMITIVE, "indices", value=0), "indices have the wrong type"),
+    "positions of pairs": (
+        at(*PRIMITIVE, "attributes", "POSITION", value=2),
+        "POSITION has the wrong type",
+    ),
+    "fewer normals": (
+        at("accessors", 1, "count", value=7),
+        "NORMAL has 7 entries, POSITION 3444",
+    ),
+    "cycle": (at("nodes", 0, "children", value=[0]), r"nodes\[0\] has two parents, or is below"),
+    "two parents": (
+        both(at("scenes", 0, "nodes", value=[0, 0])),
+        r"nodes\[0\] has two parents, or is below",
+    ),
+    "scene out of range": (at("scene", value=1), "scene = 1 is not an index into the 1 scenes"),
+    "scale of two": (at("nodes", 0, "scale", value=[1, 1]), r"scale = \[1, 1\] is not 3 numbers"),
+    "not a number": (
+        at("nodes", 0, "translation", value=[float("nan"), 0, 0]),
+        r"translation\[0\] = nan is not a number",
+    ),
+    "400 digits": (
+        at("nodes", 0, "translation", value=[10**400, 0, 0]),
+        r"translation\[0\] = 1000\d*\.\.\.\d* is not a number",
+    ),
+    "an absurd number": (at("bufferViews", 0, "byteOffset", value=1e300), "not a whole number"),
+    "no buffer": (at("buffers", value=[]), r"buffer = 0 is not an index into the 0 buffers"),
+    "data that is no base64": (
+        at("buffers", 0, "uri", value="data:;base64,A"),
+        "is damaged",
+    ),
+    "instances": (
+        both(
+            at("nodes", value=[{"mesh": 0}] * 1025),
+            at("scenes", 0, "nodes", value=list(range(1025))),
+        ),
+        "over 1024 parts",
+    ),
+    "repeated": (
+        both(
+            at("nodes", value=[{"mesh": 0}] * 600), at("scenes", 0, "nodes", value=list(range(600)))
+        ),
+        "draws what it holds more than 8 times over",
+    ),
+    "nodes without end": (at("nodes", value=[{}] * 140_000), "has 140000 nodes, of 131072 at most"),
+}
+
+
+@pytest.mark.parametrize("case", DAMAGED)
+def test_damaged_gltf(case: str, tmp_path: Path) -> None:
+    change, message = DAMAGED[case]
+    path = changed(tmp_path / "a.glb", change)
+    with pytest.raises(fr.InputError, match=message):
+        fr.load_mesh(path)
+    assert refused(path).startswith("a.glb ")
+
+
+JSON: dict[str, tuple[bytes, str]] = {
+    "deep": (b'{"asset":{},"meshes":' + b"[" * 100_000, "is not glTF: its JSON cannot be read"),
+    "4301 digits": (b'{"asset":{},"scene":' + b"9" * 4301 + b"}", "its JSON cannot be read"),
+    "1e400": (b'{"asset":{},"scene":1e400,"meshes":[{"primitives":[]}]}', "scene = inf is not"),
+    "many values": (b'{"asset":{},"meshes":[' + b"[]," * 10**6 + b"0]}", "more than 2000000 value"),
+    "an error page": (b'{"error": "not found"}', r"is not glTF but other JSON \(\{'error'"),
+    "bytes": (bytes(range(128, 256)), "its JSON cannot be read"),
+    "null": (b"null", r"is not glTF but other JSON \(None"),
+}
+
+
+@pytest.mark.parametrize("case", JSON)
+def test_json_that_is_no_gltf(case: str, tmp_path: Path) -> None:
+    content, message = JSON[case]
+    assert message.replace("\\", "") in refused(write(tmp_path / "a.gltf", content))
+
+
+def test_glb_chunks(tmp_path: Path) -> None:
+    good = MINI_HEAD.read_bytes()
+    for offset, value, message in (
+        (4, 1, "glTF of version 1: export it as version 2"),
+        (12, 2**32 - 1, "a chunk of 4294967295 bytes in a file of"),
+        (16, 0, "it has no chunk of JSON"),
+        (8, len(good) + 1, "is truncated: its header says"),
+    ):
+        data = bytearray(good)
+        struct.pack_into("<I", data, offset, value)
+        assert message in refused(write(tmp_path / "a.glb", bytes(data)))
+
+
+def test_what_is_not_read_may_be_anything(tmp_path: Path) -> None:
+    """Names, extras, animations, cameras and extensions that nothing is drawn of."""
+
+    def change(document: dict[str, Any]) -> None:
+        document |= {"extras": json.loads("[" * 500 + "]" * 500), "animations": 7, "cameras": None}
+        document["nodes"][0] |= {"name": 5, "camera": 3, "extras": {"units": []}}
+        document["meshes"][0] |= {"name": ["x"], "extras": {"process": True}}
+        document["accessors"].append({"componentType": 5126, "count": 3 * 10**8, "type": "VEC3"})
+
+    mesh, told = loaded(changed(tmp_path / "a.glb", change))
+    assert told == []
+    np.testing.assert_allclose(mesh.bounds, fr.load_mesh(MINI_HEAD).bounds, atol=1e-7)
+
+
+def test_gltf_by_its_content(tmp_path: Path) -> None:
+    """A GLB file named .gltf, and the other way round."""
+    expected = fr.load_mesh(MINI_HEAD).bounds
+    assert (loaded(write(tmp_path / "a.gltf", MINI_HEAD.read_bytes()))[0].bounds == expected).all()
+    path = files.write_gltf(tmp_path / "b.gltf", mini_head())
+    np.testing.assert_allclose(loaded(path.rename(tmp_path / "b.glb"))[0].bounds, expected)
+
+
+def test_sparse_accessor(tmp_path: Path) -> None:
+    """Values of some entries stand beside those of the view."""
+    document, binary = files.gltf(mini_head())
+    binary += struct.pack("<I3f", 5, 1.0, 2.0, 3.0)
+    start = len(binary) - 16
+    document["buffers"][0]["byteLength"] = len(binary)
+    document["bufferViews"] += [
+        {"buffer": 0, "byteOffset": start, "byteLength": 4},
+        {"buffer": 0, "byteOffset": start + 4, "byteLength": 12},
+    ]
+    document["accessors"][0]["sparse"] = {
+        "count": 1,
+        "indices": {"bufferView": 5, "componentType": 5125},
+        "values": {"bufferView": 6},
+    }
+    mesh, _ = loaded(write(tmp_path / "a.glb", files.join_glb(document, binary)))
+    expected = mini_head().positions.copy()
+    expected[5] = 1.0, 2.0, 3.0
+    np.testing.assert_allclose(mesh.parts[0].positions, expected)
+
+
+def test_normalised_integers_and_strides(tmp_path: Path) -> None:
+    """Positions as 16-bit integers of 8 bytes each, as KHR_mesh_quantization has them."""
+    head = mini_head()
+    steps = np.round(head.positions * 4 * 32767).astype("<i2")
+    padded = np.insert(steps, 3, 0, axis=1).astype("<i2")
+    document, binary = files.gltf(head)
+    document["bufferViews"].append(
+        {"buffer": 0, "byteOffset": len(binary), "byteLength": padded.nbytes, "byteStride": 8}
+    )
+    document["accessors"][0] |= {"bufferView": 5, "componentType": 5122, "normalized": True}
+    binary += padded.tobytes()
+    document["buffers"][0]["byteLength"] = len(binary)
+    mesh, _ = loaded(write(tmp_path / "a.glb", files.join_glb(document, binary)))
+    np.testing.assert_allclose(mesh.parts[0].positions, head.positions * 4, atol=2e-5)
+
+
+@pytest.mark.parametrize("mode", [5, 6])
+def test_strips_and_fans(mode: int, tmp_path: Path) -> None:
+    """The corners of a square, once around or from side to side."""
+    around = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
+    positions = around[[0, 1, 3, 2]] if mode == 5 else around
+    head = files.Head(positions, positions, positions[:, :2], np.array([[0, 1, 2]]), b"")
+    document, binary = files.gltf(head, normals=False, image={"uri": "none.png"})
+    document["materials"] = [{}]
+    primitive = document["meshes"][0]["primitives"][0] | {"mode": mode}
+    del primitive["indices"]
+    document["meshes"][0]["primitives"] = [primitive]
+    mesh, _ = loaded(write(tmp_path / "a.glb", files.join_glb(document, binary)))
+    (part,) = mesh.parts
+    corners = part.positions[part.faces]
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    np.testing.assert_array_equal(np.abs(areas[:, 2]), [1, 1])
+    assert areas[0, 2] == areas[1, 2]
+
+
+def test_primitives_that_share_their_vertices_keep_their_own(tmp_path: Path) -> None:
+    document, binary = files.gltf(mini_head())
+    count = document["accessors"][3]["count"]
+    document["accessors"][3]["count"] = 300
+    document["accessors"].append(
+        {**document["accessors"][3], "byteOffset": 1200, "count": count - 300}
+    )
+    first = document["meshes"][0]["primitives"][0]
+    document["meshes"][0]["primitives"].append({**first, "indices": 4})
+    mesh, _ = loaded(write(tmp_path / "a.glb", files.join_glb(document, binary)))
+    assert sum(len(part.faces) for part in mesh.parts) == len(mini_head().faces)
+    assert len(mesh.parts[0].positions) <= 300
+    corners = np.concatenate([part.positions[part.faces] for part in mesh.parts])
+    (whole,) = fr.load_mesh(MINI_HEAD).parts
+    np.testing.assert_array_equal(corners, whole.positions[whole.faces])
+
+
+def test_factors_outside_their_domain(tmp_path: Path) -> None:
+    material = {"pbrMetallicRoughness": {"baseColorFactor": [3, 0.5, -1, 1]}}
+    mesh, told = loaded(files.write_glb(tmp_path / "a.glb", mini_head(), material=material))
+    assert mesh.materials[0].albedo == (1.0, 0.5, 0.0)
+    assert told == [
+        f"the albedo factor {value} of a.glb is outside [0, 1]: brought there" for value in (3, -1)
+    ]
+
+
+@pytest.mark.parametrize("kind", ["occlusion", "normal"])
+def test_a_damaged_map_is_not_left_out_without_a_word(kind: str, tmp_path: Path) -> None:
+    material = {f"{kind}Texture": {"index": 0}}
+    image = {"uri": "page.png"}
+    path = files.write_glb(tmp_path / "a.glb", mini_head(), material=material, image=image)
+    write(tmp_path / "page.png", "<html></html>")
+    assert "page.png (named by a.glb) is not an image that can be read; replace it" in refused(path)
+    write(tmp_path / "skin.jpg", mini_head().skin)
+    mesh, told = loaded(path, albedo=tmp_path / "skin.jpg")
+    assert told == ["page.png (named by a.glb) is not an image that can be read: left out"]
+    assert mesh.materials[0].albedo_map is not None
+
+
+def test_a_texture_without_an_image_that_is_understood(tmp_path: Path) -> None:
+    path = changed(tmp_path / "a.glb", at("textures", value=[{"extensions": {"KHR_basisu": {}}}]))
+    mesh, told = loaded(path)
+    assert told == ["the albedo map of a.glb has no image that is understood: left out"]
+    assert mesh.materials[0].albedo == fr.Material().albedo
+
+
+def test_damaged_draco(tmp_path: Path) -> None:
+    pytest.importorskip("DracoPy")
+    data = files.write_draco(tmp_path / "a.glb", mini_head()).read_bytes()
+    document, binary = files.split_glb(data)
+    broken = files.join_glb(document, binary[:5] + bytes(len(binary) - 5))
+    assert "Draco says" in refused(write(tmp_path / "a.glb", broken))
+
+
+# --- faces, coordinates --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("index", [-1, 4, 2**31 - 1, -(2**31)])
+def test_faces_of_no_vertex_in_ply(index: int, tmp_path: Path) -> None:
+    good = "3 0 2 1\n3 0 1 3\n"
+    path = write(tmp_path / "a.ply", PLY.format(count=3) + good + f"3 0 1 {index}\n")
+    mesh, told = loaded(path)
+    assert "a.ply has 1 faces of vertices that are not there: dropped" in told
+    assert sum(len(part.faces) for part in mesh.parts) == 2
+    path = write(tmp_path / "a.ply", PLY.format(count=1) + f"3 0 1 {index}\n")
+    assert "no face of a.ply" in refused(path)
+
+
+def test_faces_of_no_vertex_in_gltf(tmp_path: Path) -> None:
+    head = mini_head()
+    faces = head.faces.copy()
+    faces[7, 1] = 2**32 - 1
+    mesh, told = loaded(files.write_glb(tmp_path / "a.glb", head.with_faces(faces)))
+    assert told == ["a.glb has 1 faces of vertices that are not there: dropped"]
+    assert len(mesh.parts[0].faces) == len(faces) - 1
+
+
+@pytest.mark.parametrize("corner", ["999", "0", "-999", "1/9", "1//9"])
+def test_faces_of_no_vertex_in_obj(corner: str, tmp_path: Path) -> None:
+    slash = "/1" if corner == "1/9" else "//1" if corner == "1//9" else ""
+    lines = f"vt 0 0\nvn 0 0 1\nf 1{slash} 2{slash} 3{slash}\nf {corner} 2{slash} 3{slash}\n"
+    mesh, told = loaded(write(tmp_path / "a.obj", TRIANGLE + lines.encode()))
+    assert told == ["a.obj has 1 faces of vertices that are not there: dropped"]
+    assert len(mesh.parts[0].faces) == 1
+
+
+def test_references_of_obj_count_backwards_from_their_line(tmp_path: Path) -> None:
+    lines = b"f -3 -2 -1\n" + TRIANGLE.replace(b"0 0 0", b"0 0 9") + b"f -3 -2 -1\n"
+    mesh, told = loaded(write(tmp_path / "a.obj", TRIANGLE + lines))
+    (part,) = mesh.parts
+    assert not any("dropped" in each for each in told)
+    np.testing.assert_array_equal(part.positions[part.faces].max(axis=1)[:, 2], [0, 9])
+    text, dropped = with_absolute(b"vt 0 0\n" + TRIANGLE + b"f -3/-1 -2/1 3/-1/\nf 1 2 # 3\n")
+    assert (text.splitlines()[-2:], dropped) == ([b"f 1/1 2/1 3/1/", b""], 1)
+
+
+def test_a_vertex_far_out_is_named(tmp_path: Path) -> None:
+    positions = mini_head().positions.copy()
+    positions[17] = 1e30, 0.0, 0.0
+    path = files.write_obj(tmp_path / "a.obj", mini_head().with_positions(positions), uv=False)
+    _, told = loaded(path)
+    (line,) = [each for each in told if "far out" in each]
+    assert line.startswith("a.obj has 1 vertices far out, one at (1e+30, 0, 0); nine tenths are ")
+    assert not any("far out" in each for each in loaded(MINI_HEAD)[1])
+
+
+def test_coordinates_that_no_area_can_be_computed_of(tmp_path: Path) -> None:
+    tiny = mini_head().with_positions(mini_head().positions * 1e-150)
+    path = files.write_obj(tmp_path / "a.obj", tiny)
+    assert "units wide, of 1e-60 at least: scale it up" in refused(path)
+    positions = mini_head().positions.copy()
+    positions[3] = 1e70
+    mesh, told = loaded(files.write_obj(tmp_path / "a.obj", mini_head().with_positions(positions)))
+    assert any(each.startswith("a.obj has 1 vertices beyond 1e+60: ") for each in told)
+    assert mesh.radius < 1.0
+
+
+@pytest.mark.parametrize("value", ["1e100", "nan", "-inf"])
+def test_texture_coordinates_of_no_use(value: str, tmp_path: Path) -> None:
+    lines = f"vt {value} 1\nvt 0.5 0\nf 1/1 2/2 3/2\n"
+    mesh, told = loaded(write(tmp_path / "a.obj", TRIANGLE + lines.encode()))
+    assert told == ["a.obj has 1 texture coordinates that are not in [-1e6, 1e6]: taken as 0"]
+    assert mesh.parts[0].uv is not None
+
+
+# --- PLY, STL, OBJ -------------------------------------------------------------------------------
+
+VERTICES = "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\n"
+HEADERS: dict[str, tuple[str, str]] = {
+    "count": ("element vertex 99999999999\nproperty float x\n", "tells of 199999999998 bytes or m"),
+    "negative count": (
+        "element vertex -3\nproperty float x\n",
+        "its header says 'element vertex -",
+    ),
+    "unknown type": ("element vertex 3\nproperty text x\n", "its header says 'property text x'"),
+    "unknown line": ("element vertex 3\nproperty float x\nx\n", "its header says 'x'"),
+    "no element": ("property float x\n", "Property defined before any element"),
+}
+
+
+@pytest.mark.parametrize("case", HEADERS)
+def test_damaged_header_of_ply(case: str, tmp_path: Path) -> None:
+    lines, message = HEADERS[case]
+    content = f"ply\nformat ascii 1.0\n{lines}end_header\n0 0 0\n1 0 0\n0 1 0\n"
+    assert message in refused(write(tmp_path / "a.ply", content))
+
+
+def test_lists_of_ply(tmp_path: Path) -> None:
+    """Binary lists of a negative length, of a length beyond the file's, and of several lengths."""
+    head = PLY.replace("ascii", "binary_little_endian").replace("uchar", "{type}")
+    head = head[: head.index("0 0 0\n")]
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], "<f4").tobytes()
+    faces = struct.pack("<b3i", -1, 0, 1, 2) + struct.pack("<b3i", 3, 0, 1, 2)
+    for kind, content in (("char", faces), ("uint", struct.pack("<I6i", 2**31, *range(6)))):
+        path = write(
+            tmp_path / "a.ply", head.format(count=2, type=kind).encode() + vertices + content
+        )
+        assert refused(path).startswith("a.ply is damaged (")
+    mixed = struct.pack("<B4i", 4, 0, 1, 2, 3) + struct.pack("<B4i", 3, 0, 1, 2, 3)
+    path = write(tmp_path / "a.ply", head.format(count=2, type="uchar").encode() + vertices + mixed)
+    assert "its faces have different numbers of vertex_indices" in refused(path)
+
+
+def test_lines_that_no_header_tells_of(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.ply", PLY.format(count=1) + "3 0 1 2\n" + "1\n" * 100)
+    assert "its header tells of 5 lines, it has more" in refused(path)
+
+
+def test_negative_faces_of_a_ply_with_texture_coordinates(tmp_path: Path) -> None:
+    text = PLY.format(count=2).replace("float z\n", "float z\nproperty float s\nproperty float t\n")
+    for corner in ("0 0 0", "1 0 0", "0 1 0", "0 0 1"):
+        text = text.replace(f"\n{corner}\n", f"\n{corner} 0.5 0.5\n")
+    path = write(tmp_path / "a.ply", text + "3 0 1 2\n3 0 1 -1\n")
+    assert "a face names vertex -1" in refused(path)
+
+
+def test_edges_of_a_ply_are_passed_over(tmp_path: Path) -> None:
+    text = PLY.format(count=1).replace(
+        "end_header", "element edge 1\nproperty int vertex1\nproperty int vertex2\nend_header"
+    )
+    mesh, told = loaded(write(tmp_path / "a.ply", text + "3 0 1 2\n0 1\n"))
+    assert (len(mesh.parts[0].faces), told) == (1, [])
+
+
+@pytest.mark.parametrize("content", ["<html></html>", None], ids=["damaged", "missing"])
+def test_texture_of_a_ply(
+    content: str | None, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """It is told of, and trimesh's log is not."""
+    text = PLY.format(count=1).replace("ascii 1.0\n", "ascii 1.0\ncomment TextureFile page.png\n")
+    path = write(tmp_path / "a.ply", text + "3 0 1 2\n")
+    logging.lastResort.setLevel(logging.WARNING) if logging.lastResort else None
+    if content is None:
+        assert "page.png (named by a.ply) not found in" in loaded(path)[1][0]
+    else:
+        write(tmp_path / "page.png", content)
+        assert "page.png (named by a.ply) is not an image" in refused(path)
+    assert capfd.readouterr().err == ""
+
+
+def test_stl_of_another_size(tmp_path: Path) -> None:
+    data = files.write_stl(tmp_path / "a.stl", mini_head()).read_bytes()
+    assert "triangles need 336184 bytes, it has 336134" in refused(
+        write(tmp_path / "a.stl", data[:-50])
+    )
+    huge = data[:80] + struct.pack("<I", 2**32 - 1) + data[84:]
+    assert "4294967295 triangles need" in refused(write(tmp_path / "a.stl", huge))
+    mesh, told = loaded(write(tmp_path / "a.stl", data + b"xyz"))
+    assert told == ["a.stl has 3 bytes behind its 6722 triangles: left out"]
+    assert len(mesh.parts[0].faces) == 6722
+
+
+def test_more_parts_than_can_be_drawn(tmp_path: Path) -> None:
+    lines = b"".join(b"usemtl m%d\nf 1 2 3\n" % i for i in range(1025))
+    assert "a.obj has over 1024 parts" in refused(write(tmp_path / "a.obj", TRIANGLE + lines))
+    solids = b"solid facet\n" + b"endsolid\n" * 1025
+    assert "a.stl has over 1024 parts" in refused(write(tmp_path / "a.stl", solids))
+
+
+@pytest.mark.parametrize("line", [b"f 1 2 " + b"9" * 400, b"v " + b"1" * 400 + b" x 0", b"\0" * 99])
+def test_lines_that_are_no_obj(line: bytes, tmp_path: Path) -> None:
+    path = write(tmp_path / "a.obj", TRIANGLE + line + b"\nf 1 2 3\n")
+    with suppress(fr.InputError):
+        loaded(path)
+
+
+# --- what the file really is ---------------------------------------------------------------------
+
+KINDS: dict[str, tuple[bytes, str]] = {
+    "git-lfs": (b"version https://git-lfs.github.com/spec/v1\noid sha256:1\n", "git lfs pull"),
+    "page": (b"\xef\xbb\xbf\n<!DOCTYPE html><html></html>", "an HTML page; download"),
+    "XML": (b"<?xml version='1.0'?><COLLADA/>", "an XML file"),
+    "zip": (b"PK\x03\x04" + bytes(99), "a ZIP archive"),
+    "gzip": (b"\x1f\x8b" + bytes(99), "a gzip archive; unpack it"),
+    "tar": (b"a.obj".ljust(257, b"\0") + b"ustar" + bytes(250), "a tar archive; unpack it"),
+    "FBX": (b"Kaydara FBX Binary  \0", "an FBX file; export it as .glb"),
+    "PNG": (b"\x89PNG\r\n\x1a\n" + bytes(99), "a PNG image; give it as --albedo"),
+    "USD": (b"PXR-USDC" + bytes(99), "a USD file; export it as .glb"),
+}
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf", ".obj", ".ply", ".stl"])
+@pytest.mark.parametrize("case", KINDS)
+def test_what_a_file_really_is(case: str, suffix: str, tmp_path: Path) -> None:
+    content, message = KINDS[case]
+    line = refused(write(tmp_path / f"a{suffix}", content))
+    assert line.startswith(f"a{suffix} is not ")
+    assert message in line
+
+
+def test_meshes_of_another_name_and_error_pages(tmp_path: Path) -> None:
+    assert refused(write(tmp_path / "a.obj", MINI_HEAD.read_bytes())) == (
+        "a.obj is not OBJ but glTF; name it .glb"
+    )
+    assert "is not STL but PLY; name it .ply" in refused(write(tmp_path / "a.stl", PLY))
+    line = refused(write(tmp_path / "a.ply", '{"message": "no access"}'))
+    assert line == 'a.ply is not PLY but JSON ({"message": "no access"}); give a mesh'
+
+
+# --- files that are named ------------------------------------------------------------------------
+
+
+@pytest.fixture
+def inside(tmp_path: Path) -> Path:
+    """A folder for the mesh, beside a file that is none of its business."""
+    write(tmp_path / "secret.jpg", mini_head().skin)
+    (tmp_path / "in").mkdir()
+    return tmp_path / "in"
+
+
+@pytest.mark.parametrize("absolute", [False, True])
+def test_images_outside_are_not_opened(absolute: bool, inside: Path) -> None:
+    name = str(inside.parent / "secret.jpg") if absolute else "../secret.jpg"
+    path = files.write_obj(inside / "a.obj", mini_head(), mtl="a.mtl")
+    write(inside / "a.mtl", files.SKIN_MTL.format(texture=name))
+    mesh, told = loaded(path)
+    (line,) = told
+    assert mesh.materials[0].albedo_map is None
+    assert "lies outside" in line
+    assert "pass --allow-outside (allow_outside=True)" in line
+    mesh, told = loaded(path, allow_outside=True)
+    assert mesh.materials[0].albedo_map is not None
+    assert told == []
+    write(inside / "secret.jpg", mini_head().skin)  # as exporters of other machines have it
+    assert loaded(path)[1] == []
+
+
+def test_buffers_and_libraries_outside_are_not_opened(inside: Path) -> None:
+    path = files.write_gltf(inside / "a.gltf", mini_head())
+    (inside / "a.bin").rename(inside.parent / "b.bin")
+    for uri in ("../b.bin", "%2e%2e/b.bin", "../in/../b.bin", str(inside.parent / "b.bin")):
+        document = json.loads(path.read_text())
+        document["buffers"][0]["uri"] = uri
+        write(path, json.dumps(document))
+        assert "(named by a.gltf) " in refused(path)
+        loaded(path, allow_outside=True)
+    write(inside.parent / "a.mtl", files.SKIN_MTL.format(texture="secret.jpg"))
+    path = files.write_obj(inside / "a.obj", mini_head(), mtl="../a.mtl")
+    assert "../a.mtl (named by a.obj) lies outside" in loaded(path)[1][0]
+
+
+@pytest.mark.parametrize("uri", ["file:///etc/passwd", "http://localhost:1/b.bin", "\0", "", "."])
+def test_uris_that_are_no_files(uri: str, inside: Path) -> None:
+    path = files.write_gltf(inside / "a.gltf", mini_head())
+    document = json.loads(path.read_text())
+    document["buffers"][0]["uri"] = uri
+    assert "a.gltf" in refused(write(path, json.dumps(document)))
+
+
+def test_a_link_of_the_folder_is_followed(inside: Path) -> None:
+    path = files.write_textured_obj(inside / "a.obj", mini_head())
+    (inside / "skin.jpg").unlink()
+    (inside / "skin.jpg").symlink_to(inside.parent / "secret.jpg")
+    assert loaded(path)[1] == []
+
+
+def test_data_uris(tmp_path: Path) -> None:
+    document, binary = files.gltf(mini_head())
+    text = base64.b64encode(binary).decode()
+    document["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{text}"
+    mesh, told = loaded(write(tmp_path / "a.gltf", json.dumps(document)))
+    assert told == []
+    assert mesh.materials[0].albedo_map is not None
+    document["buffers"][0]["uri"] = "data:application/octet-stream,abc"
+    assert "and has 3" in refused(write(tmp_path / "a.gltf", json.dumps(document)))
+
+
+def pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def endless(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+SPECIAL = {"pipe": pipe, "device": endless, "directory": Path.mkdir}
+
+
+@pytest.mark.parametrize("what", SPECIAL)
+@pytest.mark.parametrize("place", ["mesh", "buffer", "image", "mtllib", "map"])
+def test_what_is_no_file_is_not_read(what: str, place: str, tmp_path: Path) -> None:
+    if place == "mesh":
+        path = special = tmp_path / "a.glb"
+    elif place in ("buffer", "image"):
+        path = files.write_gltf(tmp_path / "a.gltf", mini_head())
+        special = tmp_path / ("a.bin" if place == "buffer" else "skin.jpg")
+    else:
+        path = files.write_textured_obj(tmp_path / "a.obj", mini_head())
+        special = tmp_path / ("a.mtl" if place == "mtllib" else "skin.jpg")
+    special.unlink(missing_ok=True)
+    SPECIAL[what](special)
+    assert f"{special.name} is a {what}; give " in refused(path)
+
+
+# --- the store -----------------------------------------------------------------------------------
+
+
+def test_a_damaged_entry_of_the_store_is_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whole by its checksum, and yet not what this version wrote."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("FACERENDER_CACHE_MIB", raising=False)
+    expected = fr.load_mesh(MINI_HEAD, cache=True).bounds
+    for thread in threading.enumerate():
+        if thread.name == "facerender-store":
+            thread.join()
+    (entry,) = (tmp_path / "facerender" / "meshes").iterdir()
+    content = bytes(store.read("meshes", entry.name) or b"")
+    (length,) = struct.unpack_from("<Q", content)
+    facts = json.loads(content[8 : 8 + length])
+    broken = [b"", b"\xff" * 99, content[:8], content[: length + 50]]
+    broken.append(struct.pack("<Q", 2) + b"[]")
+    for key in facts:
+        head = json.dumps({name: each for name, each in facts.items() if name != key}).encode()
+        broken.append(struct.pack("<Q", len(head)) + head + content[8 + length :])
+    for each in broken:
+        store.write("meshes", entry.name, [each])
+        mesh = fr.load_mesh(MINI_HEAD, cache=True)
+        np.testing.assert_array_equal(mesh.bounds, expected)
+        for thread in threading.enumerate():
+            if thread.name == "facerender-store":
+                thread.join()
+
+
+def test_meshes_pickle_as_before() -> None:
+    mesh = pickle.loads(pickle.dumps(fr.load_mesh(MINI_HEAD)))
+    np.testing.assert_array_equal(mesh.bounds, fr.load_mesh(MINI_HEAD).bounds)
