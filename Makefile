@@ -1,6 +1,7 @@
 # make render   a picture of the built-in head: out/head.png
 # make test     ruff, mypy, pytest
 # make slow     the exhaustive tests as well
+# make fuzz MINUTES=10   files changed at random for every reader: what breaks is put into out/fuzz
 # make docs     every generated document anew
 # make head     assets/head.glb anew from its generator
 # make npm      the shaders as an npm package: out/npm
@@ -13,11 +14,12 @@ VENV = .venv/bin
 # thread, since there is one for each core.
 PYTEST = LP_NUM_THREADS=1 $(VENV)/pytest -n auto --dist loadfile
 
+MINUTES ?= 10
 PREFIX ?= /usr/local
 SHARE = $(DESTDIR)$(PREFIX)/share
 VERSION = $(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' facerender/_version.py)
 
-.PHONY: render test slow docs head npm install-shaders system test-system
+.PHONY: render test slow fuzz docs head npm install-shaders system test-system
 
 render: .venv/installed | system
 	mkdir -p out
@@ -31,6 +33,9 @@ test: .venv/installed-dev | test-system
 
 slow: .venv/installed-dev | test-system
 	$(PYTEST) -m "slow or not slow"
+
+fuzz: .venv/installed-dev | test-system
+	$(VENV)/python -m trials.fuzz --minutes $(MINUTES)
 
 docs: .venv/installed-dev | test-system
 	$(VENV)/python -m docs

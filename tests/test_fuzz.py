@@ -1,0 +1,112 @@
+"""Every reader on files that are changed at random: a result that holds, or one line of what is
+wrong. ``make fuzz`` goes on where this ends."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import pytest
+
+import facerender as fr
+from facerender.errors import InputError, warn
+from tests.conftest import require_module
+from trials.fuzz.mutate import mutate
+from trials.fuzz.subjects import FAULTS, LARGE, Subject, examine, subjects
+
+ROOT = Path(__file__).parents[1]
+FOUND = sorted((Path(__file__).parent / "data" / "fuzz").iterdir())
+INPUTS = 60  # for each subject
+
+
+def named(name: str) -> Subject:
+    (subject,) = (each for each in subjects() if each.name == name)
+    return subject
+
+
+@pytest.mark.parametrize("subject", subjects(), ids=lambda subject: subject.name)
+def test_a_seed_is_read_without_a_word(subject: Subject, tmp_path: Path) -> None:
+    assert examine(subject, subject.seed, tmp_path / "a").outcome == "clean"
+
+
+@pytest.mark.parametrize("subject", subjects(), ids=lambda subject: subject.name)
+def test_changed_files_are_read_or_refused(subject: Subject, tmp_path: Path) -> None:
+    random, faults = Random(subject.name), set()
+    for _ in range(INPUTS):
+        content = subject.seed
+        for _ in range(random.choice((1, 1, 2, 4))):
+            content = mutate(content, subject.suffix, random)
+        result = examine(subject, content, tmp_path / "a")
+        if result.outcome in FAULTS:
+            faults.add(result)
+    assert not faults
+
+
+@pytest.mark.parametrize("path", FOUND, ids=lambda path: path.name)
+def test_what_broke_once_does_not_break_again(path: Path, tmp_path: Path) -> None:
+    subject = named(path.stem.rpartition("-")[0])
+    assert examine(subject, path.read_bytes(), tmp_path / "a").outcome not in FAULTS
+
+
+def test_the_guided_fuzzer_runs(tmp_path: Path) -> None:
+    require_module("atheris")
+    command = [sys.executable, "-m", "trials.fuzz", "--inputs", "200", "--only", "jobs-"]
+    run = subprocess.run(
+        [*command, "-o", tmp_path], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert int(run.stdout.split()[0]) >= 200
+
+
+def too_much(folder: Path) -> None:
+    raise InputError("x" * 1000)
+
+
+def a_bug(folder: Path) -> None:
+    raise IndexError
+
+
+def not_said(folder: Path) -> None:
+    raise InputError("a.glb is damaged (); export it again")
+
+
+def noise(folder: Path) -> None:
+    import warnings
+
+    warnings.warn("something", stacklevel=1)
+
+
+def many_lines(folder: Path) -> None:
+    warn("a\nb")
+
+
+def greedy(folder: Path) -> None:
+    bytearray(LARGE + (64 << 20))
+
+
+@pytest.mark.parametrize(
+    ("examiner", "outcome"),
+    [
+        (too_much, "unsound"),
+        (a_bug, "crash"),
+        (not_said, "unsound"),
+        (noise, "unsound"),
+        (many_lines, "unsound"),
+        (greedy, "large"),
+    ],
+)
+def test_faults_are_seen(examiner: object, outcome: str, tmp_path: Path) -> None:
+    subject = Subject("made up", {"a": b""}, "a", examiner)  # type: ignore[arg-type]
+    assert examine(subject, b"", tmp_path / "a").outcome == outcome
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan])
+def test_a_picture_that_shows_nothing_is_seen(
+    value: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frame = fr.Frame(np.full((8, 8, 4), value, np.float32), None, False, {})
+    monkeypatch.setattr(fr.Renderer, "render", lambda *_: frame)
+    assert examine(named("a.glb-0"), named("a.glb-0").seed, tmp_path / "a").outcome == "unsound"

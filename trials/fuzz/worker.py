@@ -1,0 +1,129 @@
+"""A process of the fuzzer: examines what Atheris and our own mutations make, counts outcomes, and
+writes inputs that show a fault."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import resource
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from random import Random
+from typing import NoReturn
+
+import numpy as np
+
+HANGS = 60  # seconds, after which an input's process is ended
+SPACE = 16 << 30  # bytes of addresses: an allocation beyond them fails
+LONGEST = 1 << 16  # bytes of an input
+# What Atheris follows: our modules, and what parses for us.
+FOLLOWED = ("facerender", "trimesh.exchange", "trimesh.visual", "PIL", "tomllib")
+SHARED = Path("/dev/shm")
+
+
+@dataclass(frozen=True)
+class Share:
+    """What a process is to do.
+
+    Attributes
+    ----------
+    output : folder of faults, counts and logs
+    name : of its files, and what its random numbers come from
+    inputs : how many, or None
+    until : seconds since the epoch, that count where inputs is None
+    only : what the names of subjects contain
+    """
+
+    output: str
+    name: str
+    inputs: int | None
+    until: float
+    only: str
+
+    @property
+    def tally(self) -> np.memmap[tuple[int], np.dtype[np.int64]]:
+        """How often each outcome was seen, in a file: it outlives the process."""
+        from trials.fuzz.subjects import OUTCOMES
+
+        path = Path(self.output, f"{self.name}.counts")
+        return np.memmap(path, np.int64, "r+" if path.exists() else "w+", shape=len(OUTCOMES))
+
+    @property
+    def counts(self) -> Counter[str]:
+        from trials.fuzz.subjects import OUTCOMES
+
+        return Counter(dict(zip(OUTCOMES, self.tally.tolist(), strict=True)))
+
+    @property
+    def done(self) -> bool:
+        if self.inputs is None:
+            return time.time() >= self.until
+        return int(self.tally.sum()) >= self.inputs
+
+
+def work(share: Share) -> NoReturn:
+    """Examine inputs until the share is done; a process that ends before has met a fault that ends
+    processes."""
+    import atheris
+
+    with atheris.instrument_imports(include=FOLLOWED):
+        from trials.fuzz.mutate import mutate
+        from trials.fuzz.subjects import FAULTS, OUTCOMES, examine, subjects
+    logging.disable()
+    resource.setrlimit(resource.RLIMIT_AS, (SPACE, SPACE))
+    chosen = [each for each in subjects() if share.only in each.name]
+    tally = share.tally
+    # After a death the same random numbers would lead to it again.
+    random = Random(f"{share.name}-{tally.sum()}")
+    known: set[str] = set()
+    with tempfile.TemporaryDirectory(dir=SHARED if SHARED.exists() else None) as folder:
+        place, corpus = Path(folder, "input"), Path(folder, "corpus")
+        corpus.mkdir()
+        for number, subject in enumerate(chosen):
+            (corpus / str(number)).write_bytes(bytes([number]) + subject.seed)
+
+        def one(data: bytes) -> None:
+            subject = chosen[data[0] % len(chosen)] if data else chosen[0]
+            result = examine(subject, data[1:], place)
+            tally[OUTCOMES.index(result.outcome)] += 1
+            if result.outcome in FAULTS and result.signature not in known:
+                known.add(result.signature)
+                _keep(
+                    Path(share.output),
+                    subject.name,
+                    subject.suffix,
+                    data[1:],
+                    f"{result.outcome}: {result.signature}",
+                )
+            if share.done:
+                sys.exit(0)
+
+        def changed(data: bytes, longest: int, seed: int) -> bytes:
+            subject = chosen[data[0] % len(chosen)] if data else chosen[0]
+            content = mutate(data[1:] or subject.seed, subject.suffix, Random(seed))
+            return (data[:1] + content)[:longest]
+
+        settings = {
+            "seed": random.randrange(1, 2**31),
+            "timeout": HANGS,
+            "max_len": LONGEST,
+            "len_control": 0,
+            "rss_limit_mb": 0,
+            "detect_leaks": 0,
+            "verbosity": 0,
+            "artifact_prefix": f"{share.output}/{share.name}-",
+        }
+        flags = [f"-{name}={value}" for name, value in settings.items()]
+        atheris.Setup([sys.argv[0], *flags, str(corpus)], one, custom_mutator=changed)
+        atheris.Fuzz()
+    sys.exit(0)
+
+
+def _keep(output: Path, subject: str, suffix: str, content: bytes, seen: str) -> None:
+    name = f"{subject}-{hashlib.sha256(content).hexdigest()[:8]}"
+    (output / f"{name}{suffix}").write_bytes(content)
+    (output / f"{name}.txt").write_text(seen + "\n")
