@@ -248,7 +248,7 @@ def test_values_whose_differences_overflow_are_refused():
             FAULT,
             r"fault of facerender.*\(ValueError: no such thing\)",
         ),
-        (AssertionError(), FAULT, r"\(AssertionError: \)"),
+        (AssertionError(), FAULT, r"\(AssertionError\)"),
         (MemoryError(), 2, "out of memory"),
         (RecursionError("deep"), FAULT, "RecursionError"),
     ],

@@ -200,6 +200,10 @@ def _viewer(pair: Pair) -> str:
     """Show the images there are, and how they differ if they could be compared."""
     places = _places(pair)
     a, b = pair.reference, pair.image
+    if any(each.pixels[..., 0].size > pictures.MOST_SHOWN for each in (a, b) if each):
+        return (
+            f'<p class="note">Images of more than {pictures.MOST_SHOWN} pixels are not shown.</p>'
+        )
     both = (("a", "<b>A</b> reference", a), ("b", "<b>B</b> image", b))
     figures = [
         _figure(kind, caption, pictures.shown(picture), places)
