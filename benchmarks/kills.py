@@ -55,7 +55,7 @@ COMMANDS = {
     "batch": "batch IN/jobs.jsonl -o OUT --workers 1 --chunk 2",
 }
 # What the explorer saves.
-COSTS = ("base", "a", "b", "difference")
+COSTS = ("base", "a", "b")
 SAVED = {
     **{"kind": "facerender explorer cost", "version": "0.1.0", "gpu": "a GPU", "browser": "one"},
     **{"method": "GPU timer", "unit": "ms a picture", "mesh": "small.obj", "size": [512, 512]},
@@ -143,7 +143,10 @@ def inputs(folder: Path) -> None:
             Image.fromarray(pixels).save(folder / name / f"{number}.png")
     rows = [{"id": f"job{i}", "mesh": str(mesh), "image.size": 48} for i in range(8)]
     rounds = {"median": 2.0, "low": 2.0, "high": 2.0, "rounds": [2.0, 2.0, 2.0]}
-    (folder / "explorer.json").write_text(json.dumps(SAVED | dict.fromkeys(COSTS, rounds)))
+    same = dict.fromkeys(rounds, 0.0) | {"rounds": [0.0, 0.0, 0.0]}
+    (folder / "explorer.json").write_text(
+        json.dumps(SAVED | dict.fromkeys(COSTS, rounds) | {"difference": same})
+    )
     (folder / "jobs.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
 
 

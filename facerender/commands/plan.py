@@ -100,10 +100,10 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"--target {options.target} is of a shader: say --emit OUT.glsl")
     if options.guarantee and (options.camera or options.error_map):
         raise InputError("--guarantee is not measured: leave --camera and --error-map out")
-    if options.error_map and not options.error_map.lower().endswith(".png"):
-        raise InputError(f"--error-map {options.error_map}: give a .png")
     job, cameras = job_of(options, options.camera or [], sizes[-1])
     check_outputs([options.emit, options.pinned, options.error_map], files_read(options, job))
+    if options.error_map and not options.error_map.lower().endswith(".png"):
+        raise InputError(f"--error-map {options.error_map}: give a .png")
     _check_pinned(options.pinned)
     scene = load(job)
     choices: dict[str, Any] = {
