@@ -697,8 +697,11 @@ def test_the_window_system_is_not_there(monkeypatch):
     ("platform", "order"), [("linux", ("egl", "osmesa")), ("win32", ("native",))]
 )
 def test_auto_takes_the_window_system_where_there_is_no_egl(platform, order):
-    code = f"import sys; sys.platform = {platform!r}; import facerender.drawing.context as c"
-    run = [sys.executable, "-c", f"{code}; print(c.AUTO, c.current_context())"]
+    code = (
+        "import importlib, sys, facerender.drawing.context as c; "
+        f"sys.platform = {platform!r}; importlib.reload(c); print(c.AUTO, c.current_context())"
+    )
+    run = [sys.executable, "-c", code]
     output = subprocess.run(run, check=True, capture_output=True, text=True).stdout
     assert output.strip() == f"{order} None"
 
