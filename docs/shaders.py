@@ -38,9 +38,10 @@ facerender shaders flatten cook_torrance --target hlsl           HLSL; or msl (M
 
 HLSL, Metal's language and WGSL are translated from the same files, with their headers and
 comments: functions and constants of numbers, vectors and matrices, of the library and of a file of
-your own that includes it; what has samplers or arrays (environment, shadow, scatter) is refused.
-They know no choices: all are made, by macros of your file, `--lobe` and `--m`, or the defaults, and
-macros that are numbers become constants.
+your own that includes it. What has samplers or arrays (environment, shadow, scatter) is refused,
+and so is an assignment within an expression, which WGSL does not know. They know no choices: all
+are made, by macros of your file, `--lobe` and `--m`, or the defaults, and macros that are numbers
+become constants.
 
 Choices are macros, said before the include (or given to `flatten`):
 

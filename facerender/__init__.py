@@ -19,33 +19,39 @@ shader_source   one file of the GLSL library, flat, for a target; shader_dir: th
                 resolve_includes, moderngl_includes: for programs of your own
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from facerender import brdf, lobes
 from facerender._version import __version__
-from facerender.drawing.frame import Frame, GBuffer
-from facerender.drawing.renderer import Renderer, render
-from facerender.errors import ContextError, FacerenderError, FacerenderWarning, InputError
-from facerender.glsl.library import moderngl_includes, resolve_includes, shader_dir, shader_source
-from facerender.job import ImageSettings, Job, MeshFile, Output
-from facerender.loading import load_mesh
-from facerender.scenes.camera import Camera, turntable
-from facerender.scenes.file import EnvironmentFile, load_scene
-from facerender.scenes.levels import simplified
-from facerender.scenes.light import Light
-from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh
-from facerender.scenes.scene import Scene
-from facerender.scenes.texture import Texture
-from facerender.scenes.view import View, view_of
-from facerender.shading import Shading, Term
 
 if TYPE_CHECKING:
+    from facerender import brdf, lobes
     from facerender.comparison.gates import compare
+    from facerender.drawing.frame import Frame, GBuffer
+    from facerender.drawing.renderer import Renderer, render
+    from facerender.errors import ContextError, FacerenderError, FacerenderWarning, InputError
+    from facerender.glsl.library import (
+        moderngl_includes,
+        resolve_includes,
+        shader_dir,
+        shader_source,
+    )
+    from facerender.job import ImageSettings, Job, MeshFile, Output
+    from facerender.loading import load_mesh
     from facerender.loading.environment import load_environment
     from facerender.planning.plan import Plan, plan
+    from facerender.scenes.camera import Camera, turntable
     from facerender.scenes.environment import Environment, Panorama
+    from facerender.scenes.file import EnvironmentFile, load_scene
+    from facerender.scenes.levels import simplified
+    from facerender.scenes.light import Light
+    from facerender.scenes.material import Material
+    from facerender.scenes.mesh import Mesh
     from facerender.scenes.occlusion import with_occlusion
+    from facerender.scenes.scene import Scene
+    from facerender.scenes.texture import Texture
+    from facerender.scenes.view import View, view_of
+    from facerender.shading import Shading, Term
 
 __all__ = [
     "Camera",
@@ -92,26 +98,42 @@ __all__ = [
 ]
 
 
+_HOMES = {
+    "comparison.gates": ("compare",),
+    "drawing.frame": ("Frame", "GBuffer"),
+    "drawing.renderer": ("Renderer", "render"),
+    "errors": ("ContextError", "FacerenderError", "FacerenderWarning", "InputError"),
+    "glsl.library": ("moderngl_includes", "resolve_includes", "shader_dir", "shader_source"),
+    "job": ("ImageSettings", "Job", "MeshFile", "Output"),
+    "loading": ("load_mesh",),
+    "loading.environment": ("load_environment",),
+    "planning.plan": ("Plan", "plan"),
+    "scenes.camera": ("Camera", "turntable"),
+    "scenes.environment": ("Environment", "Panorama"),
+    "scenes.file": ("EnvironmentFile", "load_scene"),
+    "scenes.levels": ("simplified",),
+    "scenes.light": ("Light",),
+    "scenes.material": ("Material",),
+    "scenes.mesh": ("Mesh",),
+    "scenes.occlusion": ("with_occlusion",),
+    "scenes.scene": ("Scene",),
+    "scenes.texture": ("Texture",),
+    "scenes.view": ("View", "view_of"),
+    "shading": ("Shading", "Term"),
+}
+_HOME = {name: home for home, names in _HOMES.items() for name in names}
+
+
 def __getattr__(name: str) -> Any:
-    """Import what a render does not need when it is asked for, so that a cold start is short."""
-    if name in ("Plan", "plan"):
-        from facerender.planning import plan as planner
+    """Import what is asked for, when it is: a cold start is short, and the command can heed signals
+    before its imports."""
+    if name in ("brdf", "lobes"):
+        return import_module(f"facerender.{name}")
+    if name not in _HOME:
+        raise AttributeError(f"module 'facerender' has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(f"facerender.{_HOME[name]}"), name)
+    return value
 
-        return getattr(planner, name)
-    if name in ("Environment", "Panorama"):
-        from facerender.scenes import environment
 
-        return getattr(environment, name)
-    if name == "load_environment":
-        from facerender.loading.environment import load_environment
-
-        return load_environment
-    if name == "with_occlusion":
-        from facerender.scenes.occlusion import with_occlusion
-
-        return with_occlusion
-    if name == "compare":
-        from facerender.comparison.gates import compare
-
-        return compare
-    raise AttributeError(f"module 'facerender' has no attribute {name!r}")
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,5 +1,18 @@
-"""``python -m facerender`` is the command ``facerender``."""
+"""Where the command begins, as ``facerender`` and as ``python -m facerender``: signals are heeded
+before the imports, which take most of a short run."""
 
-from facerender.commands import console
+from typing import NoReturn
 
-console()
+from facerender.ending import heed_signals
+
+
+def console() -> NoReturn:
+    """Run the command, and end the process."""
+    heed_signals()
+    from facerender.commands import console
+
+    console()
+
+
+if __name__ == "__main__":
+    console()

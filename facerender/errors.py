@@ -4,12 +4,14 @@ that names the thing, the value and the remedy."""
 from __future__ import annotations
 
 import numbers
+import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
+_LONGEST = 500  # characters of a message, where what others have written makes it long
 _noted: ContextVar[list[str] | None] = ContextVar("_noted", default=None)
 
 
@@ -19,6 +21,9 @@ class FacerenderError(Exception):
 
 class InputError(FacerenderError, ValueError):
     """A file, a value or a combination of options that cannot be used."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(clipped(message, _LONGEST))
 
 
 class ContextError(FacerenderError, RuntimeError):
@@ -58,6 +63,14 @@ def clipped(text: str, most: int = 160) -> str:
     return line if len(line) <= most else f"{line[: most // 2]} ... {line[-(most // 2) :]}"
 
 
+def shown(value: Any) -> str:
+    """Return a value as a message tells it: on one line, and not at length."""
+    try:
+        return clipped(repr(value), 120)
+    except (ValueError, RecursionError):  # Python does not print numbers of 5000 digits
+        return f"a {type(value).__name__} that is too long to print"
+
+
 def reason(error: Exception) -> str:
     """Return what an error of the operating system or of a library says, for the middle of a
     sentence; its kind where it says nothing."""
@@ -70,4 +83,45 @@ def check_range(name: str, value: Any, low: float, high: float) -> None:
     """Raise InputError where a value is no number, or outside [low, high]."""
     number = isinstance(value, numbers.Real) and not isinstance(value, bool)
     if not (number and low <= value <= high):
-        raise InputError(f"{name} = {value!r} is outside [{low:g}, {high:g}]")
+        raise InputError(f"{name} = {shown(value)} is outside [{low:g}, {high:g}]")
+
+
+def check_type(name: str, value: Any, kinds: Any, remedy: str) -> None:
+    """Raise InputError where a value is of none of these types, as isinstance takes them."""
+    if not isinstance(value, kinds):
+        raise InputError(f"{name} = {shown(value)}: give {remedy}")
+
+
+def check_switch(name: str, value: Any) -> None:
+    """Raise InputError where a value is neither true nor false."""
+    check_type(name, value, bool, "true or false")
+
+
+def check_path(name: str, value: Any) -> None:
+    """Raise InputError where a value is no path."""
+    check_type(name, value, str | os.PathLike, "a path as text")
+
+
+def is_count(value: Any, most: int) -> bool:
+    """Tell whether a value is a whole number in [1, most]."""
+    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    return whole and 1 <= int(value) <= most
+
+
+def check_count(name: str, value: Any, most: int) -> None:
+    """Raise InputError where a value is no whole number in [1, most]."""
+    if not is_count(value, most):
+        raise InputError(f"{name} = {shown(value)}: give 1 to {most}")
+
+
+def each_of(name: str, values: Any, kind: Any, remedy: str) -> tuple[Any, ...]:
+    """Return values as a tuple.
+
+    Raises
+    ------
+    InputError : one of them is not of this type, as isinstance takes it
+    """
+    found = tuple(values) if isinstance(values, Iterable) else (values,)
+    if not all(isinstance(each, kind) for each in found):
+        raise InputError(f"{name} = {shown(values)}: give {remedy}")
+    return found

@@ -44,4 +44,4 @@ def read_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> byte
     except InputError:
         raise
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
-        raise InputError(f"cannot read {shown}: {reason(error)}") from None
+        raise InputError(f"cannot read {shown}: {reason(error)}; give {what}") from None

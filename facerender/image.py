@@ -3,28 +3,56 @@ what they hold."""
 
 from __future__ import annotations
 
+import math
 import os
+import stat
 import struct
-import tempfile
 import threading
+import time
 import zlib
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
+from errno import EACCES
+from functools import cached_property, lru_cache
+from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal
+from typing import IO, TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, reason
+from facerender.ending import if_ended, temporary_folder
+from facerender.errors import InputError, clipped, reason
+from facerender.files import read_file
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 Encoding = Literal["linear", "srgb8"]
 
 REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # what an EXR has that says nothing
 SRGB_GAMMA = 0.45455  # what a PNG says of itself for programs that know no sRGB
-_SILENT, _UMASK = threading.Lock(), threading.Lock()
+_SILENT = threading.Lock()
+
+ABANDONED = 3600.0  # seconds after which an unfinished file is nobody's any more
+_UNFINISHED = ".facerender-"  # how its name begins
+
+MAX_SIDE = 16384  # pixels
+MAX_PIXELS = 178_956_970  # from which on Pillow as well suspects a decompression bomb
+MAX_BYTES = 1 << 31  # decoded
+_UNSUSPECTED = 64 << 20  # bytes that a file of any size may hold
+_MOST_PACKED = 2000  # times its size; deflate packs 1032 at most
+_LONGEST_HEADER = 1 << 16  # of a NumPy array
+_STRIP = 256  # rows
+_EXR, _NPY, _LFS = b"v/1\x01", b"\x93NUMPY", b"version https://git-lfs"
+_EXR_PARTS = 0x10  # of the third byte of the flags
+_OTHERS = {  # what a file may be in place of an image, by its start
+    _LFS: "a pointer of Git LFS: git lfs pull",
+    b"<!doctype html": "a page of HTML",
+    b"<html": "a page of HTML",
+}
 
 SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
 
@@ -35,15 +63,15 @@ class Picture:
 
     Attributes
     ----------
-    pixels : (H, W, 1 to 4) float32, row 0 on top; linear, or the 8-bit steps 0 to 255. An even
-        number of channels ends with alpha
+    pixels : (H, W, 1 to 4), row 0 on top; linear float32, or the 8-bit steps 0 to 255, uint8. An
+        even number of channels ends with alpha
     encoding : "linear" or "srgb8"
     name : for messages
     metadata : that the file carries
     color_space : as the file says it, "" where it says nothing
     """
 
-    pixels: NDArray[np.float32]
+    pixels: NDArray[Any]
     encoding: Encoding
     name: str
     metadata: Mapping[str, str] = field(default_factory=dict)
@@ -53,19 +81,29 @@ class Picture:
     def coverage(self) -> NDArray[np.float32]:
         """Alpha (H, W), in [0, 1]; 1 in an image without, or a linear one whose alpha is unused: 0
         everywhere."""
-        scale = 255.0 if self.encoding == "srgb8" else 1.0
-        alpha = self.pixels[..., -1] / np.float32(scale)
-        absent = self.pixels.shape[2] % 2 or (self.encoding == "linear" and not alpha.any())
-        return np.ones_like(alpha) if absent else alpha
+        return self.rows(slice(None))[1]
 
     @property
     def color(self) -> NDArray[np.float32]:
         """Colour (H, W, 1 or 3), premultiplied by coverage, as linear images are."""
-        channels = self.pixels.shape[2]
-        if channels % 2:
-            return self.pixels
-        color = self.pixels[..., :-1]
-        return color if self.encoding == "linear" else color * self.coverage[..., None]
+        return self.rows(slice(None))[0]
+
+    def rows(self, rows: slice) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return colour and coverage of some rows."""
+        pixels = self.pixels[rows]
+        channels = pixels.shape[2]
+        color = pixels[..., : channels - 1 + channels % 2].astype(np.float32, copy=False)
+        if self._opaque:
+            return color, np.ones(pixels.shape[:2], dtype=np.float32)
+        if self.encoding == "linear":
+            return color, pixels[..., -1]
+        coverage = pixels[..., -1].astype(np.float32) / np.float32(255.0)
+        return color * coverage[..., None], coverage
+
+    @cached_property
+    def _opaque(self) -> bool:
+        used = self.encoding == "srgb8" or bool(self.pixels[..., -1].any())
+        return self.pixels.shape[2] % 2 == 1 or not used
 
 
 def srgb_to_linear(encoded: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -104,10 +142,35 @@ def encode_srgb8(linear: NDArray[np.float32], exposure: float = 0.0) -> NDArray[
     """
     if not -100.0 <= exposure <= 100.0:
         raise InputError(f"exposure = {exposure:g} is outside [-100, 100]")
-    scaled = linear if exposure == 0.0 else linear * np.float32(2.0**exposure)
     with np.errstate(over="ignore"):  # beyond 65504 is infinite, and white
+        scaled = linear if exposure == 0.0 else linear * np.float32(2.0**exposure)
         halves = scaled.astype(np.float16)
     return _srgb_bytes()[halves.view(np.uint16)]
+
+
+def check_writable(path: str | os.PathLike[str]) -> Path:
+    """Return a path at which a file can be written, or replaced.
+
+    Raises
+    ------
+    InputError : the folder is missing or not writable, the name is too long, or there is something
+        else than a file
+    """
+    target, mode = Path(path), stat.S_IFREG
+    try:
+        with suppress(FileNotFoundError):
+            mode = target.stat().st_mode
+        target.parent.stat()
+        if not os.access(target.parent, os.W_OK | os.X_OK):
+            raise PermissionError(EACCES, os.strerror(EACCES))
+    except OSError as error:
+        raise InputError(
+            f"cannot write {target}: {reason(error)}; give a file in a writable folder"
+        ) from None
+    if not stat.S_ISREG(mode):
+        kind = "a directory" if stat.S_ISDIR(mode) else "no regular file"
+        raise InputError(f"cannot write {target}: it is {kind}; give a file name")
+    return target
 
 
 def write_whole(path: str | os.PathLike[str], write: Callable[[str], None]) -> None:
@@ -115,27 +178,36 @@ def write_whole(path: str | os.PathLike[str], write: Callable[[str], None]) -> N
 
     Raises
     ------
-    InputError : the folder is missing or not writable, or path is a folder
+    InputError : as of :func:`check_writable`, or the disk is full
     """
-    target = Path(path)
-    if target.is_dir():
-        raise InputError(f"cannot write {target}: it is a directory; give a file name")
-    try:
-        handle, temporary = tempfile.mkstemp(
-            prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent
-        )
-    except OSError as error:
-        why = reason(error)
-        raise InputError(f"cannot write {target}: {why}; give a writable place") from None
-    os.close(handle)
-    try:
-        write(temporary)
-        os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, target)
-    except OSError as error:
-        raise InputError(f"cannot write {target}: {error.strerror or error}") from None
-    finally:
-        Path(temporary).unlink(missing_ok=True)
+    target = check_writable(path)
+    temporary = target.with_name(f"{_UNFINISHED}{os.urandom(8).hex()}")
+
+    def remove() -> None:
+        with suppress(OSError):
+            temporary.unlink()
+
+    with if_ended(remove):
+        try:
+            write(str(temporary))
+            os.replace(temporary, target)
+        except OSError as error:
+            why = reason(error)
+            raise InputError(
+                f"cannot write {target}: {why}; make room there, or give another place"
+            ) from None
+        finally:
+            remove()
+
+
+def remove_abandoned(folder: str | os.PathLike[str]) -> None:
+    """Remove what :func:`write_whole` has left in a folder where its process was killed."""
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name.startswith(_UNFINISHED):
+                with suppress(OSError):
+                    if entry.stat().st_mtime < time.time() - ABANDONED:
+                        os.unlink(entry)
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
@@ -147,11 +219,9 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
     write_whole(path, write)
 
 
-def _umask() -> int:
-    with _UMASK:  # two threads at once would leave none
-        mask = os.umask(0)
-        os.umask(mask)
-        return mask
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write UTF-8, what of a file's name is none escaped; as :func:`write_bytes`."""
+    write_bytes(path, text.encode(errors="backslashreplace"))
 
 
 def save_png(
@@ -208,7 +278,7 @@ def exr_bytes(
     go through the folder of temporary files.
     """
     openexr(name)  # the temporary name says nothing to a user
-    with tempfile.TemporaryDirectory(prefix="facerender-") as folder:
+    with temporary_folder() as folder:
         path = Path(folder, name)
         _write_exr(path, channels, metadata)
         return path.read_bytes()
@@ -233,33 +303,85 @@ def _write_exr(
     write_whole(path, write)
 
 
+def check_pixels(name: str, width: int, height: int, bytes_each: int, of: float) -> None:
+    """Check the size of an image that a file claims to hold, before there is memory for it.
+
+    Parameters
+    ----------
+    bytes_each : that a pixel takes, decoded
+    of : bytes, of the file
+
+    Raises
+    ------
+    InputError : no pixel, more than MAX_SIDE a side, MAX_PIXELS or MAX_BYTES, or far more than a
+        file of so many bytes can hold
+    """
+    size, content = f"{name} is {width} x {height} pixels", width * height * bytes_each
+    if width < 1 or height < 1:
+        raise InputError(f"{size}: write it anew")
+    if max(width, height) > MAX_SIDE or width * height > MAX_PIXELS or content > MAX_BYTES:
+        raise InputError(
+            f"{size} of {bytes_each} bytes: at most {MAX_SIDE} a side, {MAX_PIXELS:.3g} pixels and "
+            f"{MAX_BYTES >> 20} MiB; make it smaller"
+        )
+    if content > _UNSUSPECTED and content > _MOST_PACKED * of:
+        raise InputError(f"{size}, which {of} bytes cannot hold: it is damaged; write it anew")
+
+
+def open_image(content: bytes, name: str, formats: tuple[str, ...], known: str) -> Image:
+    """Return a Pillow image of a file's content, its size checked; its pixels are decoded later.
+
+    Parameters
+    ----------
+    formats : that it may have, as Pillow names them
+    known : those to give, in words
+
+    Raises
+    ------
+    InputError : it has none of them, or is damaged or too large
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        image = Image.open(BytesIO(content), formats=formats)
+    except UnidentifiedImageError:
+        start = content[:64].lstrip().lower()
+        kind = next((kind for head, kind in _OTHERS.items() if start.startswith(head)), "")
+        raise InputError(f"{name} is {kind or 'not an image'}; give a {known}") from None
+    except Image.DecompressionBombError:
+        raise InputError(
+            f"{name} has too many pixels: at most {MAX_PIXELS:.3g}; make it smaller"
+        ) from None
+    except Exception as error:  # each decoder of Pillow fails in its own way
+        raise InputError(f"{name} is damaged ({reason(error)}); write it anew") from None
+    check_pixels(name, *image.size, 4, len(content))
+    return image
+
+
 def read_image(path: str | os.PathLike[str]) -> Picture:
     """Read .exr (the extra ``exr``), .npz or .npy (linear float, or 8-bit), .png or .jpg (8-bit).
 
     Raises
     ------
-    InputError : a file that is missing, damaged, or of another kind; the message has the remedy
+    InputError : a file that is missing, damaged, too large, or of another kind; the message has the
+        remedy
     """
     path = Path(path)
-    try:
-        with path.open("rb") as file:
-            start = file.read(32)
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {reason(error)}") from None
-    if not start:
-        raise InputError(f"{path} is empty: write it anew")
-    if start.startswith(b"version https://git-lfs"):
-        raise InputError(f"{path} is a pointer of Git LFS: git lfs pull")
     suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(
+            f"{path}: unknown image format {suffix!r}; give .exr, .npz, .npy, .png or .jpg"
+        )
+    content = read_file(path, "an image file", MAX_BYTES)
+    if not content:
+        raise InputError(f"{path} is empty: write it anew")
+    if content.startswith(_LFS):
+        raise InputError(f"{path} is {_OTHERS[_LFS]}")
     if suffix == ".exr":
-        return _read_exr(path)
+        return _read_exr(path, content)
     if suffix in (".npz", ".npy"):
-        return _read_numpy(path)
-    if suffix in (".png", ".jpg", ".jpeg"):
-        return _read_8_bit(path, start)
-    raise InputError(
-        f"{path}: unknown image format {suffix!r}; give .exr, .npz, .npy, .png or .jpg"
-    )
+        return _read_numpy(path, content)
+    return _read_8_bit(path, content)
 
 
 def picture_of(values: NDArray[Any], name: str) -> Picture:
@@ -273,51 +395,96 @@ def picture_of(values: NDArray[Any], name: str) -> Picture:
     if pixels.ndim != 3 or not 1 <= pixels.shape[2] <= 4 or 0 in pixels.shape:
         raise InputError(f"{name} has shape {values.shape}: give (H, W, 3) or (H, W, 4)")
     if pixels.dtype == np.uint8:
-        return Picture(pixels.astype(np.float32), "srgb8", name)
+        return Picture(pixels, "srgb8", name)
     if not np.issubdtype(pixels.dtype, np.floating):
         raise InputError(f"{name} holds {pixels.dtype}: give linear float, or uint8")
     with np.errstate(over="ignore"):
-        return Picture(pixels.astype(np.float32), "linear", name)
+        return Picture(pixels.astype(np.float32, copy=False), "linear", name)
 
 
-def _read_exr(path: Path) -> Picture:
+def _read_exr(path: Path, content: bytes) -> Picture:
     OpenEXR = openexr(path)
     try:
+        headers = _exr_headers(content)
+        _check_exr(path, headers, len(content))
+        del content
         with _silence():
             file = OpenEXR.File(str(path), separate_channels=True)
-            parts = len(file.parts)
-            header = file.header()
-            # Of a deep image this has lists of samples, which are no numbers.
-            channels = {
-                name: np.asarray(channel.pixels, dtype=np.float32)
-                for name, channel in file.channels().items()
-            }
-    except (RuntimeError, ValueError, TypeError) as error:
+            header, found = file.header(), file.channels()
+        names = [name for name in "RGBA" if name in found and "R" in found]
+        names = names or sorted(found, reverse=True)
+        if names not in (["R", "G", "B"], ["R", "G", "B", "A"], ["Y"], ["Y", "A"]):
+            channels = clipped(", ".join(found))
+            raise InputError(f"{path} has channels {channels}: give R, G, B, and A if any")
+        pixels = _in_window([found[name].pixels for name in names], header)
+        metadata = {key: value for key, value in header.items() if isinstance(value, str)}
+        primaries = header.get("chromaticities", REC_709)
+        space = "" if np.allclose(primaries, REC_709, atol=1e-4) else f"of primaries {primaries}"
+    except InputError:
+        raise
+    except Exception as error:  # of its own, and of what a damaged file makes of a header
         raise InputError(
-            f"{path} is no image that OpenEXR reads ({error}); write it anew"
+            f"{path} is no image that OpenEXR reads ({reason(error)}); write it anew"
         ) from None
-    if parts > 1:
-        raise InputError(f"{path} has {parts} parts: write the one that counts as a file")
-    names = [name for name in "RGBA" if name in channels and "R" in channels]
-    names = names or sorted(channels, reverse=True)
-    if names not in (["R", "G", "B"], ["R", "G", "B", "A"], ["Y"], ["Y", "A"]):
-        raise InputError(f"{path} has channels {', '.join(channels)}: give R, G, B, and A if any")
-    pixels = _in_window(np.stack([channels[name] for name in names], axis=-1), header)
-    metadata = {key: value for key, value in header.items() if isinstance(value, str)}
-    primaries = header.get("chromaticities", REC_709)
-    space = "" if np.allclose(primaries, REC_709, atol=1e-4) else f"of primaries {primaries}"
     return Picture(pixels, "linear", str(path), metadata, space)
 
 
-def _in_window(pixels: NDArray[np.float32], header: Mapping[str, Any]) -> NDArray[np.float32]:
-    """Place the pixels of an EXR's data window in its display window; 0 around them."""
-    (left, top), (right, bottom) = header["displayWindow"]
-    shown = np.zeros((bottom - top + 1, right - left + 1, pixels.shape[2]), dtype=np.float32)
-    x, y = np.subtract(header["dataWindow"][0], (left, top))
-    height, width = pixels.shape[:2]
-    rows = np.arange(max(y, 0), min(y + height, shown.shape[0]))
-    columns = np.arange(max(x, 0), min(x + width, shown.shape[1]))
-    shown[np.ix_(rows, columns)] = pixels[np.ix_(rows - y, columns - x)]
+def _exr_headers(content: bytes) -> list[dict[bytes, bytes]]:
+    """Return the attributes of each part of an EXR file.
+
+    Raises
+    ------
+    ValueError, IndexError, struct.error : it is none
+
+    References: OpenEXR, "OpenEXR File Layout".
+    """
+    if not content.startswith(_EXR):
+        raise ValueError("it does not start as EXR files do")
+    headers, at = [], 8
+    while True:
+        header: dict[bytes, bytes] = {}
+        while content[at]:
+            end = content.index(0, at)
+            start = content.index(0, end + 1) + 5
+            (size,) = struct.unpack_from("<I", content, start - 4)
+            header[content[at:end]] = content[start : start + size]
+            at = start + size
+        headers.append(header)
+        at += 1
+        if not content[5] & _EXR_PARTS or not content[at]:
+            return headers
+
+
+def _check_exr(path: Path, headers: Sequence[Mapping[bytes, bytes]], of: int) -> None:
+    """Refuse what is no flat image of a part, and what is too large, before OpenEXR reads it."""
+    if len(headers) > 1:
+        raise InputError(f"{path} has {len(headers)} parts: write the one that counts as a file")
+    (header,) = headers
+    if header.get(b"type", b"").startswith(b"deep"):
+        raise InputError(f"{path} is a deep image: flatten it")
+    channels, at, count = header[b"channels"], 0, 0
+    while channels[at]:
+        at, count = channels.index(0, at) + 17, count + 1
+    for name, most in ((b"dataWindow", max(count, 4)), (b"displayWindow", 4)):
+        left, top, right, bottom = struct.unpack("<4i", header[name])
+        check_pixels(str(path), right - left + 1, bottom - top + 1, 4 * most, of)
+
+
+def _in_window(channels: Sequence[NDArray[Any]], header: Mapping[str, Any]) -> NDArray[np.float32]:
+    """Place the channels of an EXR's data window in its display window; 0 around them."""
+    (left, top), (right, bottom) = np.asarray(header["displayWindow"]).tolist()
+    shown = np.zeros((bottom - top + 1, right - left + 1, len(channels)), dtype=np.float32)
+    corner = np.asarray(header["dataWindow"]).tolist()[0]
+    x, y = corner[0] - left, corner[1] - top
+    height, width = channels[0].shape
+    rows = slice(max(y, 0), max(min(y + height, shown.shape[0]), 0))
+    columns = slice(max(x, 0), max(min(x + width, shown.shape[1]), 0))
+    for number, values in enumerate(channels):
+        if values.shape != (height, width):
+            raise ValueError("its channels are of several sizes")
+        seen = values[max(-y, 0) :, max(-x, 0) :]
+        place = shown[rows, columns, number]
+        place[:] = seen[: place.shape[0], : place.shape[1]]
     return shown
 
 
@@ -357,50 +524,79 @@ def openexr(path: str | os.PathLike[str]) -> Any:
     return OpenEXR
 
 
-def _read_numpy(path: Path) -> Picture:
-    import zipfile
+def _read_numpy(path: Path, content: bytes) -> Picture:
+    from zipfile import ZipFile
 
     try:
-        with path.open("rb") as file:
-            loaded = np.load(file, allow_pickle=False)
-            arrays = {"": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path} is no NumPy file ({error}); write it anew") from None
-    if len(arrays) > 1 and "linear" in arrays:
-        arrays = {"linear": arrays["linear"]}
-    if len(arrays) != 1:
-        raise InputError(f"{path} holds {', '.join(arrays) or 'no array'}: name one of them linear")
-    (values,) = arrays.values()
-    return picture_of(values, str(path))
+        if content.startswith(_NPY):
+            return picture_of(_array(BytesIO(content), str(path), len(content)), str(path))
+        with ZipFile(BytesIO(content)) as file:
+            names = [name.removesuffix(".npy") for name in file.namelist()]
+            if len(names) > 1 and "linear" in names:
+                names = ["linear"]
+            if len(names) != 1:
+                held = clipped(", ".join(names)) or "no array"
+                raise InputError(f"{path} holds {held}: name one of them linear")
+            (entry,) = (
+                each for each in file.infolist() if each.filename.removesuffix(".npy") == names[0]
+            )
+            with file.open(entry) as member:
+                return picture_of(_array(member, str(path), len(content)), str(path))
+    except InputError:
+        raise
+    except Exception as error:  # NumPy, zipfile and zlib fail in many ways
+        raise InputError(f"{path} is no NumPy file ({reason(error)}); write it anew") from None
 
 
-def _read_8_bit(path: Path, start: bytes) -> Picture:
-    from PIL import Image, UnidentifiedImageError
+def _array(file: IO[bytes], name: str, of: int) -> NDArray[Any]:
+    """Read an array, of a file of so many bytes, whose header is checked before.
 
-    if start.startswith(b"\x89PNG") and start[24:25] == b"\x10":  # Pillow would drop the lower byte
+    Raises
+    ------
+    InputError : it holds no numbers, or is no image, or too large
+    """
+    start = file.read(_LONGEST_HEADER)
+    head = BytesIO(start)
+    read = {1: npy.read_array_header_1_0, 2: npy.read_array_header_2_0}
+    shape, _, kind = read[npy.read_magic(head)[0]](head)
+    if kind.hasobject:
+        raise InputError(f"{name} holds objects of Python, which are not read: give floats")
+    if len(shape) in (2, 3):
+        check_pixels(name, shape[1], shape[0], kind.itemsize * math.prod(shape[2:]), of)
+        file.seek(0)
+        return np.asarray(npy.read_array(file, allow_pickle=False))
+    raise InputError(f"{name} has shape {clipped(str(shape))}: give (H, W, 3) or (H, W, 4)")
+
+
+def _read_8_bit(path: Path, content: bytes) -> Picture:
+    if content.startswith(b"\x89PNG") and content[24:25] == b"\x10":  # Pillow drops the lower byte
         raise InputError(f"{path} is a 16-bit PNG: save as 8-bit PNG, or as EXR")
-    try:
-        with Image.open(path, formats=("PNG", "JPEG")) as image:
-            image.load()
-    except UnidentifiedImageError:
-        raise InputError(f"{path} is neither PNG nor JPEG: write it anew") from None
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise InputError(f"{path} is damaged ({error}); write it anew") from None
+    image = open_image(content, str(path), ("PNG", "JPEG"), "PNG or JPEG")
     if image.mode not in ("L", "LA", "RGB", "RGBA"):
         kind = {"P": "a palette image", "CMYK": "a CMYK image", "1": "an image of single bits"}
         raise InputError(f"{path} is {kind.get(image.mode, image.mode)}: save it as RGB")
     if "transparency" in image.info:
         raise InputError(f"{path} has one transparent colour: save it as RGBA")
+    try:
+        pixels = texels(image, image.mode)
+    except Exception as error:  # each decoder of Pillow fails in its own way
+        raise InputError(f"{path} is damaged ({reason(error)}); write it anew") from None
     metadata = {str(key): value for key, value in image.info.items() if isinstance(value, str)}
     profile = image.info.get("icc_profile") or b""
     space = f"ICC profile {zlib.crc32(profile):08x}" if profile else ""
     gamma = image.info.get("gamma", SRGB_GAMMA)
     if abs(gamma - SRGB_GAMMA) > 1e-4:
         space = space or f"gamma {gamma:.4g}"
-    return Picture(
-        np.asarray(image, dtype=np.float32).reshape(image.height, image.width, -1),
-        "srgb8",
-        str(path),
-        metadata,
-        space,
-    )
+    return Picture(pixels, "srgb8", str(path), metadata, space)
+
+
+def texels(image: Image, mode: str) -> NDArray[np.uint8]:
+    """Return the pixels of a Pillow image in a mode, (H, W, channels), strip by strip, so that no
+    other copy of the whole is made; raises whatever Pillow does."""
+    image.load()
+    pixels = np.empty((image.height, image.width, len(mode)), dtype=np.uint8)
+    for top in range(0, image.height, _STRIP):
+        strip = image.crop((0, top, image.width, min(top + _STRIP, image.height)))
+        rows = pixels[top : top + _STRIP]
+        rows[:] = np.asarray(strip.convert(mode)).reshape(rows.shape)
+    return pixels

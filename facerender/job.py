@@ -133,7 +133,7 @@ class Output:
         if Path(self.path).suffix.lower() not in (".png", ".exr"):
             suffix = Path(self.path).suffix
             raise InputError(f"{self.path}: unknown image format {suffix!r}; give .png or .exr")
-        if self.only is not None and self.only not in ONLY:
+        if self.only is not None and not (isinstance(self.only, str) and self.only in ONLY):
             raise InputError(f"unknown term {self.only!r}; known: {', '.join(ONLY)}")
         check_range("exposure", self.exposure, -100.0, 100.0)
 

@@ -3,6 +3,7 @@ TOML and JSON. How they become GLSL is told in ``glsl/code.py``; nothing here ne
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
@@ -12,10 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_range
+from facerender.errors import InputError, check_range, check_type, shown
 from facerender.terms import FRESNEL, MASKING, MODELS, AnyLobe, GPower, Model, lobe_entry
 from facerender.terms.entry import named
 from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
+
+_INDEX = re.compile("[0-9]{1,9}")  # of a light
 
 Changes = tuple[tuple[str, Any], ...]  # of a term's fields
 
@@ -66,9 +69,9 @@ class Term:
         named("Fresnel term", FRESNEL, self.fresnel)
         named("masking term", MASKING, self.masking)
         if not model.factors and self.fresnel != Term.fresnel:
-            raise InputError(f"{self.model} has no Fresnel term: leave {self.fresnel!r} out")
+            raise InputError(f"{self.model} has no Fresnel term: leave {shown(self.fresnel)} out")
         if not model.factors and self.masking != Term.masking:
-            raise InputError(f"{self.model} has no masking term: leave {self.masking!r} out")
+            raise InputError(f"{self.model} has no masking term: leave {shown(self.masking)} out")
         if self.small_slope is not None:
             _check_switch("small_slope", self.small_slope)
         if self.m is not None:
@@ -221,11 +224,14 @@ class Shading:
         environment_samples: int = 32,
     ) -> None:
         if not isinstance(term, Term):
-            raise InputError(f"term = {term!r}: give a Term")
+            raise InputError(f"term = {shown(term)}: give a Term")
         given = zip(_TERM_FIELDS, (model, lobe, fresnel, masking, m, small_slope), strict=True)
         words: dict[str, Any] = {n: value for n, value in given if value is not _GIVEN_BY_TERM}
         term = replace(term, **words) if words else term
         changes = _by_light(lights)
+        check_type("outside", outside, str, "a word")
+        check_type("diffuse", diffuse, str, "a word")
+        check_type("scatter_samples", scatter_samples, float | int, "a number")
         if frontal_lights is not None:
             frontal = _indices("frontal_lights", frontal_lights)
             if frontal and not term.entry.factors:
@@ -236,6 +242,8 @@ class Shading:
                 light: _without(FRONTAL, own) if _is_frontal(own) else own
                 for light, own in changes.items()
             }
+            for own in changes.values():
+                replace(term, **dict(own))  # validates what those of frontal light replace
             for light in frontal:
                 changes[light] = _changes(dict(changes.get(light, ())) | dict(FRONTAL))
         if specular_lights is not None:
@@ -262,18 +270,18 @@ class Shading:
             object.__setattr__(self, name, value)
         if outside not in OUTSIDE:
             known = ", ".join(OUTSIDE)
-            raise InputError(f"unknown choice outside the domain {outside!r}; known: {known}")
+            raise InputError(f"unknown choice outside the domain {shown(outside)}; known: {known}")
         if diffuse not in DIFFUSE:
-            raise InputError(f"unknown diffuse term {diffuse!r}; known: {', '.join(DIFFUSE)}")
+            raise InputError(f"unknown diffuse term {shown(diffuse)}; known: {', '.join(DIFFUSE)}")
         for name in SWITCHES:
             _check_switch(name, getattr(self, name))
         if scatter_samples not in SCATTER_SAMPLES or isinstance(scatter_samples, bool):
             known = ", ".join(map(str, SCATTER_SAMPLES))
-            raise InputError(f"scatter_samples = {scatter_samples!r}: give one of {known}")
+            raise InputError(f"scatter_samples = {shown(scatter_samples)}: give one of {known}")
         even = range(0, MAX_ENVIRONMENT_SAMPLES + 1, 2)
         if type(environment_samples) is not int or environment_samples not in even:
             raise InputError(
-                f"environment_samples = {environment_samples!r}: give an even number up to "
+                f"environment_samples = {shown(environment_samples)}: give an even number up to "
                 f"{MAX_ENVIRONMENT_SAMPLES}"
             )
         if ks is not None:
@@ -354,9 +362,11 @@ class Shading:
         InputError : an unknown key or a value outside its domain
         """
         if not isinstance(table, Mapping):
-            raise InputError(f"shading = {table!r}: give a table")
+            raise InputError(f"shading = {shown(table)}: give a table")
         if unknown := sorted(set(table) - set(_KEYS)):
-            raise InputError(f"unknown key {unknown[0]!r} in shading; known: {', '.join(_KEYS)}")
+            raise InputError(
+                f"unknown key {shown(unknown[0])} in shading; known: {', '.join(_KEYS)}"
+            )
         values = dict(table)
         if "lobe" in values:
             values["lobe"] = _lobe(values["lobe"])
@@ -387,7 +397,7 @@ _DEFAULTS = asdict(Term()) | {
 
 def _check_switch(name: str, value: Any) -> None:
     if not isinstance(value, bool):
-        raise InputError(f"{name} = {value!r}: give true or false")
+        raise InputError(f"{name} = {shown(value)}: give true or false")
 
 
 def _indices(name: str, lights: Any) -> tuple[int, ...]:
@@ -396,7 +406,9 @@ def _indices(name: str, lights: Any) -> tuple[int, ...]:
         if len(set(indices)) < len(lights):
             raise TypeError
     except TypeError:
-        raise InputError(f"{name} = {lights!r}: give a list of whole numbers, each once") from None
+        raise InputError(
+            f"{name} = {shown(lights)}: give a list of whole numbers, each once"
+        ) from None
     return tuple(indices)
 
 
@@ -411,13 +423,13 @@ def _by_light(given: Any) -> dict[int, Changes]:
     except (TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"lights = {given!r} of the shading: {remedy}") from None
+        raise InputError(f"lights = {shown(given)} of the shading: {remedy}") from None
 
 
 def _changes(given: Mapping[str, Any]) -> Changes:
     if unknown := sorted(set(given) - set(_TERM_FIELDS)):
         known = ", ".join(_TERM_FIELDS)
-        raise InputError(f"unknown key {unknown[0]!r} in the term of a light; known: {known}")
+        raise InputError(f"unknown key {shown(unknown[0])} in the term of a light; known: {known}")
     for name, value in given.items():
         if value is None:
             raise InputError(f"{name} = None in the term of a light: give a value")
@@ -425,12 +437,13 @@ def _changes(given: Mapping[str, Any]) -> Changes:
 
 
 def _is_frontal(changes: Changes) -> bool:
-    return set(FRONTAL) <= set(changes)
+    return all(each in changes for each in FRONTAL)
 
 
 def _without(some: Changes, changes: Changes) -> Changes:
     """The changes, less some where all of those are among them."""
-    return tuple(c for c in changes if c not in some) if set(some) <= set(changes) else changes
+    whole = all(each in changes for each in some)
+    return tuple(each for each in changes if each not in some) if whole else changes
 
 
 def _told(changes: Changes) -> dict[str, Any]:
@@ -443,18 +456,18 @@ def _lobe(given: Any) -> Any:
     try:
         return GPower(**given)
     except TypeError:
-        raise InputError(f"lobe = {given!r}: give a name, or g, factor, offset") from None
+        raise InputError(f"lobe = {shown(given)}: give a name, or g, factor, offset") from None
 
 
 def _lights(given: Any) -> dict[int, Mapping[str, Any]]:
     """Read a table of changes by index, which TOML and JSON have as text."""
     remedy = 'give a table such as { 1 = { lobe = "d16" } }'
-    if not isinstance(given, Mapping) or not all(str(light).isdecimal() for light in given):
-        raise InputError(f"lights = {given!r} of the shading: {remedy}")
+    if not isinstance(given, Mapping) or not all(_INDEX.fullmatch(str(light)) for light in given):
+        raise InputError(f"lights = {shown(given)} of the shading: {remedy}")
     lights: dict[int, Mapping[str, Any]] = {}
     for light, changes in given.items():
         if not isinstance(changes, Mapping):
-            raise InputError(f"lights.{light} = {changes!r} of the shading: {remedy}")
+            raise InputError(f"lights.{light} = {shown(changes)} of the shading: {remedy}")
         own = {"lobe": _lobe(changes["lobe"])} if "lobe" in changes else {}
         lights[int(light)] = {**changes, **own}
     return lights

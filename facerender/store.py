@@ -16,14 +16,13 @@ from pathlib import Path
 import numpy as np
 
 from facerender.errors import InputError
-from facerender.image import write_whole
+from facerender.image import ABANDONED, write_whole
 
 _LIMIT = "FACERENDER_CACHE_MIB"
 _DEFAULT_LIMIT = 1024
 _HEAD = struct.Struct("<12sI")  # magic, CRC-32 of the content
 _MAGIC = b"facerender 1"
 _START = 64  # of the content: what is aligned in it is aligned in memory
-_ABANDONED = 3600.0  # seconds after which a temporary file is nobody's any more
 
 
 def folder() -> Path:
@@ -120,7 +119,7 @@ def _let_go(newest: Path) -> None:
     total = 0
     for used, count, path in sorted(_entries(), reverse=True):
         total += count
-        abandoned = path.name.startswith(".") and used < time.time() - _ABANDONED
+        abandoned = path.name.startswith(".") and used < time.time() - ABANDONED
         if (total > limit() or abandoned) and path != newest:
             with suppress(OSError):
                 path.unlink()

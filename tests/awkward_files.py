@@ -43,7 +43,7 @@ class Head:
     def upper(self) -> NDArray[np.bool_]:
         """Whether a face lies in the upper half."""
         heights = self.positions[self.faces].mean(axis=1)[:, 1]
-        return heights > np.median(heights)
+        return np.asarray(heights > np.median(heights))
 
     def flat(self) -> Head:
         """The head with three vertices and one normal for every face."""

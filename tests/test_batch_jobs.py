@@ -688,7 +688,7 @@ def test_files_that_are_not_there(tmp_path):
     for form in ("jsonl", "csv", "toml", "py", "parquet"):
         for name in (f"none.{form}", f"folder.{form}"):
             (tmp_path / f"folder.{form}").mkdir(exist_ok=True)
-            with pytest.raises(InputError, match=f"cannot read .*{name}: (no such|is a dir)"):
+            with pytest.raises(InputError, match=f"{name}:? (no such|is a dir)"):
                 list(read_jobs(tmp_path / name))
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import re
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.commands import main
+from facerender.commands import doctor, main
 from facerender.commands.scene import CAMERAS
 from facerender.drawing import context
 from facerender.scenes.light import LIGHTS
@@ -392,14 +392,14 @@ def test_options_count_before_the_scene_file(cli: Cli, write: Callable[..., Path
         ("[material]\nalbedo_map = 'a.png'", r"scene\.toml: unknown key 'albedo_map' in material"),
         ("material = { m = 3.0 }", r"scene\.toml: m = 3\.0 is outside \[0\.0001, 2\]"),
         ("material = { m = 'rough' }", r"scene\.toml: m = 'rough' is outside"),
-        ("material = { albedo = 'red' }", r"scene\.toml: albedo = 'red': give a finite number"),
+        ("material = { albedo = 'red' }", r"scene\.toml: albedo = 'red': give a number in"),
         ("camera = { fov = 500 }", r"scene\.toml: camera fov = 500 is outside \[1, 150\]"),
         ("camera = 5", r"scene\.toml: unknown value 5 in camera"),
         ("camera = { position = [0, 0] }", r"scene\.toml: camera position = \[0, 0\]"),
         ("lights = ['sun']", r"scene\.toml: unknown light 'sun'"),
         ("lights = 5", r"scene\.toml: .*lights"),
         ("lights = 'key'", r"scene\.toml: .*lights"),
-        ("ambient = nan", r"scene\.toml: ambient = nan: give a finite number"),
+        ("ambient = nan", r"scene\.toml: ambient = nan: give a number in"),
         ("background = 'blue'", r"scene\.toml: background = 'blue'"),
         ("<html>", r"scene\.toml is not TOML"),
         (b"\xff\xfe\x00", r"scene\.toml is not TOML"),
@@ -444,7 +444,7 @@ def test_missing_scene_file(cli: Cli, tmp_path: Path) -> None:
         ("--light", "sun", r"unknown light 'sun'; give key, rim"),
         ("--light", "1", r"unknown light '1'; give key"),
         ("--light", "0,100", r"light elevation = 100\.0 is outside"),
-        ("--light", "0,0,-1", r"light irradiance = .* is negative"),
+        ("--light", "0,0,-1", r"light irradiance = -1.0: give a number in"),
         ("--light", "0,0,nan", r"light irradiance = nan"),
         ("--light", "point:0,0", r"unknown light 'point:0,0'.*point:X,Y,Z"),
         ("--camera", "top", r"--camera 'top': give .* numbers .*, or front, three-quarter"),
@@ -455,7 +455,7 @@ def test_missing_scene_file(cli: Cli, tmp_path: Path) -> None:
         ("--ambient", "1,2", r"--ambient '1,2': give 1 or 3 numbers"),
         ("--ambient", "-1", r"ambient"),
         ("--background", "blue", r"--background 'blue': give 3 numbers"),
-        ("--background", "nan,0,0", r"background = \(nan, 0\.0, 0\.0\): give a finite number"),
+        ("--background", "nan,0,0", r"background = \(nan, 0\.0, 0\.0\): give a number in"),
         ("--model", "phong", r"argument --model: invalid choice: 'phong'"),
         ("--lobe", "d5", r"argument --lobe: invalid choice: 'd5'"),
         ("--only", "shadow", r"argument --only: invalid choice: 'shadow'"),
@@ -515,7 +515,7 @@ def test_name_with_a_line_break(cli: Cli, tmp_path: Path) -> None:
 @pytest.mark.parametrize("option", ["--albedo", "--normal-map", "--specular-map"])
 def test_map_that_is_no_image(option: str, cli: Cli, write: Callable[..., Path]) -> None:
     page = write("page.png", "<html></html>")
-    cli.fail_to_render(r"page\.png is not an image; give a PNG", option, page)
+    cli.fail_to_render(r"page\.png is a page of HTML; give a PNG", option, page)
 
 
 def test_missing_map(cli: Cli, tmp_path: Path) -> None:
@@ -584,11 +584,8 @@ def test_output_that_is_a_folder(name: str, cli: Cli) -> None:
 
 
 def test_folder_that_must_not_be_written(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(**_: Any) -> None:  # root may write everywhere
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(tempfile, "mkstemp", refuse)
-    cli.fail_to_render(r"cannot write .*: permission denied; give a writable place")
+    monkeypatch.setattr(os, "access", lambda *_: False)  # root may write everywhere
+    cli.fail_to_render(r"cannot write .*: permission denied; give a file in a writable folder")
 
 
 def test_bad_input_leaves_the_existing_image(cli: Cli) -> None:
@@ -607,7 +604,7 @@ def test_full_disk_leaves_the_existing_png(cli: Cli, monkeypatch: pytest.MonkeyP
 
     cli.png.write_bytes(b"precious")
     monkeypatch.setattr(Path, "write_bytes", full)
-    cli.fail_to_render(r"cannot write .*head\.png: No space left on device")
+    cli.fail_to_render(r"cannot write .*head\.png: no space left on device; make room there")
     assert cli.png.read_bytes() == b"precious"
 
 
@@ -624,7 +621,7 @@ def test_full_disk_leaves_the_existing_exr(cli: Cli, monkeypatch: pytest.MonkeyP
     path = cli.folder / "head.exr"
     path.write_bytes(b"precious")
     monkeypatch.setattr(OpenEXR, "File", File)
-    cli.fail_to_render(r"cannot write .*head\.exr: Cannot write image file", "-o", path)
+    cli.fail_to_render(r"cannot write .*head\.exr: cannot write image file", "-o", path)
     assert path.read_bytes() == b"precious"
 
 
@@ -635,6 +632,8 @@ def test_exr_without_its_package(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> N
 
 # --- OpenGL --------------------------------------------------------------------------------------
 
+OWN = ("egl", "osmesa", "native")
+
 
 @pytest.fixture
 def no_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -644,21 +643,22 @@ def no_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
 
         return opener
 
-    monkeypatch.setattr(context, "_OPENERS", {name: refuse(name) for name in ("egl", "osmesa")})
+    monkeypatch.setattr(context, "_OPENERS", {name: refuse(name) for name in OWN})
 
 
 @pytest.mark.usefixtures("no_opengl")
 def test_no_opengl(cli: Cli) -> None:
     cli.fail_to_render(
         r"no OpenGL context \(egl: libegl is not there; osmesa: libosmesa is not there\); "
-        r".*apt-get install .*libegl1 .*libosmesa6"
+        r".*apt-get install libegl1 libgl1 libgl1-mesa-dri$"
     )
 
 
 @pytest.mark.usefixtures("no_opengl")
 def test_no_opengl_of_the_backend_asked_for(cli: Cli) -> None:
     cli.fail_to_render(
-        r"no OpenGL context \(osmesa: libosmesa is not there\); .*apt-get install libosmesa6$",
+        r"no OpenGL context \(osmesa: libosmesa is not there\); "
+        r".*apt-get install libosmesa6; Mesa 25.1 has none: use egl$",
         "--backend",
         "osmesa",
     )
@@ -667,20 +667,32 @@ def test_no_opengl_of_the_backend_asked_for(cli: Cli) -> None:
 def test_doctor(cli: Cli) -> None:
     status, out, err = cli.run("doctor", "--json")
     assert (status, err) == (0, "")
-    findings = {finding["backend"]: finding for finding in json.loads(out)}
-    assert set(findings) == {"egl", "osmesa"}
+    told = json.loads(out)
+    findings = {finding["backend"]: finding for finding in told["backends"]}
+    assert set(findings) == set(OWN)
     assert set(findings["egl"]) == {"backend", "renderer", "version", "samples", "size", "error"}
+    assert told["auto"] in ("egl", "osmesa")
+    assert told["packages"][""]["numpy"] == np.__version__
     status, out, err = cli.run("doctor")
     assert (status, err) == (0, "")
     assert findings["egl"]["renderer"] in out
+    assert f"Python {platform.python_version()}" in out
+
+
+def test_doctor_tells_how_to_get_what_is_missing(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(doctor.PACKAGES, "hdr", ("not-there-at-all",))
+    _, out, _ = cli.run("doctor")
+    assert "hdr     not-there-at-all is missing: pip install 'facerender[hdr]'\n" in out
 
 
 @pytest.mark.usefixtures("no_opengl")
 def test_doctor_without_opengl(cli: Cli) -> None:
     status, out, err = cli.run("doctor")
     assert (status, err) == (2, "")
-    assert re.search(r"egl .*apt-get install", out)
+    assert re.search(r"egl .*apt-get install libegl1", out)
     assert re.search(r"osmesa .*apt-get install libosmesa6", out)
+    assert re.search(r"native .*apt-get install libgl1", out)
+    assert "\nauto    finds none that works\n" in out
 
 
 def test_shaders_lists_every_function(cli):

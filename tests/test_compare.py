@@ -435,9 +435,9 @@ UNREADABLE = {
     "empty.exr": (b"", r"empty\.exr is empty: write it anew"),
     "empty.png": (b"", r"empty\.png is empty"),
     "page.exr": (b"<html></html>" * 9, r"page\.exr is no image that OpenEXR reads"),
-    "page.png": (b"<html></html>" * 9, r"page\.png is neither PNG nor JPEG"),
+    "page.png": (b"<html></html>" * 9, r"page\.png is a page of HTML; give a PNG or JPEG"),
     "page.npz": (b"<html></html>" * 9, r"page\.npz is no NumPy file"),
-    "stub.png": (b"\x89PNG\r\n\x1a\n", r"stub\.png is neither PNG nor JPEG"),
+    "stub.png": (b"\x89PNG\r\n\x1a\n", r"stub\.png is not an image; give a PNG or JPEG"),
     "half.png": (encoded("PNG", noise(64, 64, 3))[:6000], r"half\.png is damaged"),
     "half.jpg": (encoded("JPEG", noise(64, 64, 3))[:2000], r"half\.jpg is damaged"),
     "half.npz": (numpy_file(np.savez, plain())[:9000], r"half\.npz is no NumPy file"),
@@ -461,11 +461,11 @@ UNREADABLE = {
     "none.npz": (numpy_file(np.savez), r"none\.npz holds no array"),
     "pickle.npy": (
         numpy_file(np.save, np.array([{}], dtype=object)),
-        r"pickle\.npy is no NumPy file .*allow_pickle",
+        r"pickle\.npy holds objects of Python, which are not read: give floats",
     ),
     "pickle.npz": (
         numpy_file(np.savez, np.array([{}], dtype=object)),
-        r"pickle\.npz is no NumPy file .*allow_pickle",
+        r"pickle\.npz holds objects of Python, which are not read: give floats",
     ),
     "integer.npy": (
         numpy_file(np.save, np.zeros((64, 64, 3), dtype=np.int32)),

@@ -8,182 +8,20 @@ approximation has no meaning are among the inputs: it must still give a number.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.evaluate import Evaluator, Inputs
-from facerender.terms import MASKING
 from tests.test_shaders import FILES, functions
 from trials import cases
 from trials.cases import Case
+from trials.many import GROUPS, MANY, Random, cases_of, faults
 
-FEW, MANY = 2**18, 2**20  # samples of one draw
+FEW = 2**18  # samples of a draw
 MANY_DRAWS = -(-(10**8) // MANY)
-
-OWN_INPUTS = (  # what is called with other inputs here than in trials/cases.py
-    *("fr_masking_v_cavity", "fr_masking_kelemen", "fr_masking_of", "fr_masking_v_cavity_ratio"),
-    *(
-        "fr_masking_kelemen_ratio",
-        "fr_lobe_fitted_coefficients",
-        "fr_slope_filtered",
-        "fr_slope_variance_map",
-    ),
-    *("fr_slope_variance_pixel", "fr_slope_variance_disc", "fr_cosine_disc"),
-    *("fr_shadow_hard", "fr_shadow_lit", "fr_shadow_disc"),
-    *("fr_scatter_profile", "fr_scatter_turn", "fr_scatter"),
-)
-TO_DIVIDE = "p.y + p.z, 4.0 * p.x, p.y, p.z"  # dot(n, h), dot(h, h), dot(n, l), dot(n, v)
-OF_VECTORS = "dot(n, l + v), dot(l + v, l + v), dot(n, l), dot(n, v)"
-WIDE, NARROW = "vec4(0.1, 0.2, 0.0, -0.01)", "vec4(0.3, 0.2, 0.1, -9.0)"
-GAUSSIANS = f"vec4[4]({WIDE}, {NARROW}, {WIDE}, {NARROW})"
-SPIRAL = f"vec3[16]({', '.join(['vec3(3.0 * n.xy, tan2)', 'vec3(-40.0 * l.xy, c)'] * 8)})"
-OTHERS = (
-    ("scatter", f"fr_scatter_profile(tan2, {GAUSSIANS})[0]"),
-    ("scatter", "fr_scatter_turn(ivec2(16384.0 * p.xy)) + 4.0"),
-    (
-        "scatter",
-        f"fr_scatter(p_texels, n_texels, ivec2(gl_FragCoord.xy), 2.0, {GAUSSIANS}, p, {SPIRAL})[1]",
-    ),
-    ("masking", "fr_masking_v_cavity(c, p.x, p.y, p.z)"),
-    ("masking", "fr_masking_kelemen(max(p.x, 0.5 * (p.y + p.z)), p.y, p.z)"),
-    ("masking", f"length(fr_masking_v_cavity_ratio({TO_DIVIDE}))"),
-    ("masking", "length(fr_masking_kelemen_ratio(dot(n, l), dot(n, v)))"),
-    *(
-        ("masking", f"length(fr_masking_of({each}, {x.macro}))")
-        for each in (TO_DIVIDE, OF_VECTORS)
-        for x in MASKING.values()
-    ),
-    *(("lobe/fitted", f"length(fr_lobe_fitted_coefficients(m, {k}) * m * m)") for k in (0, 4)),
-    *(("lobe/fitted", f"length(fr_lobe_fitted_fine_coefficients(m, {k}) * m * m)") for k in (0, 4)),
-    ("slope_variance", "fr_slope_filtered(m, tan2)"),
-    ("slope_variance", "fr_slope_variance_map(c)"),
-    ("slope_variance", "fr_slope_variance_pixel(tan2 * n, n - l)"),
-    ("slope_variance", "fr_slope_variance_disc(0.34 * c, 0.97, p.x)"),
-    ("slope_variance", "fr_cosine_disc(dot(n, l), 0.5 * c, 1.0 - 0.06 * c)"),
-    ("shadow", "fr_shadow_lit(c_texels, ivec3(7, 0, 64), 1.2 * n.xy, n.z)"),
-    ("shadow", "fr_shadow_hard(c_texels, ivec3(7, 0, 64), 1.2 * n, 0.004)"),
-    (
-        "shadow",
-        "fr_shadow_disc(c_texels, ivec3(7, 0, 64), 1.2 * n, 8.0 * l.xy, 0.36 * c, 2.0, 0.004, m)",
-    ),
-)
-BRDF = re.compile(r"\bfr_(?!\w+_pdf)\w+\(n, l, v, m\b")
-
-
-def cases_of(group: str) -> dict[str, Case]:
-    """Return the cases of a group by name, that of OTHERS among them."""
-    if group != "others":
-        return cases.cases_of(group)
-    return {call: Case(cases.include(file), call, {}, np.zeros(1)) for file, call in OTHERS}
-
-
-GROUPS = (*(group for group in cases.GROUPS if group not in OWN_INPUTS), "others")
-
-
-class Random:
-    """Inputs of the shader functions, in float32, dense where formulas break."""
-
-    def __init__(self, seed: int, count: int) -> None:
-        self.random, self.count = np.random.default_rng(seed), count
-
-    def pick(self, count: int) -> NDArray[np.int64]:
-        return self.random.integers(count, size=self.count)
-
-    def often(self, one_of: int) -> NDArray[np.bool_]:
-        """True for one of so many."""
-        return self.pick(one_of) == 0
-
-    def even(self) -> NDArray[np.float32]:
-        """[0, 1)"""
-        return self.random.random(self.count, dtype=np.float32)
-
-    def small(self) -> NDArray[np.float32]:
-        """(0, 1]: log-uniform down to a bound that is drawn too; a third lies below 1e-12."""
-        return np.exp2(-126 * self.even() * self.even())
-
-    def cosine(self) -> NDArray[np.float32]:
-        """[0, 1] and an ulp more: uniform, log-uniform towards 0, towards 1, and the ends."""
-        kind, tiny = self.pick(8), self.small()
-        ends = np.float32([0.0, 1.0, 1.00000012])[self.pick(3)]
-        return np.select([kind < 3, kind < 5, kind < 7], [self.even(), tiny, 1 - tiny], ends)
-
-    def direction(self) -> NDArray[np.float32]:
-        """A unit vector: a quarter points below z = 0, many lie in that plane or along an axis."""
-        z = np.minimum(self.cosine(), 1)
-        r = np.sqrt((1 - z) * (1 + z))
-        turn = np.where(self.often(4), 0, np.float32(2.0 * np.pi) * self.even())
-        return np.stack([r * np.cos(turn), r * np.sin(turn), np.where(self.often(4), -z, z)], -1)
-
-    def stretched(self, x: NDArray[np.float32]) -> NDArray[np.float32]:
-        by = np.where(self.often(2), 0, np.float32(1e-6) * (2 * self.even() - 1))
-        return x * (1 + by)[:, None]
-
-    def inputs(self) -> dict[str, NDArray[np.float32]]:
-        """Unit vectors n, l, v; p in (0, 1] for products of them; m, f0, c; tan2 by three names."""
-        light, eye = self.direction(), self.direction()
-        kind = self.pick(4)[:, None]
-        mirrored = light * np.float32([-1, -1, 1])
-        eye = np.select([kind == 1, kind == 2, kind == 3], [mirrored, light, -light], eye)
-        shifted = unit(eye + self.small()[:, None] / 2 * self.direction())
-        eye = np.where(self.often(2)[:, None], shifted, eye)
-
-        up = np.where(self.often(2)[:, None], np.float32([0, 0, 1]), self.direction())
-        axes = np.float32([[0, 1, 0], [1, 0, 0]])
-        across = unit(np.cross(axes[(np.abs(up[:, 0]) < 0.5).astype(int)], up))
-        frame = np.stack([across, np.cross(up, across), up], -1)
-        n = self.stretched(up)
-        l, v = (self.stretched(np.einsum("nij,nj->ni", frame, x)) for x in (light, eye))
-
-        m = np.clip(2 * np.exp2(np.float32(-14.3) * self.even()), np.float32(1e-4), 2)
-        m = np.where(self.often(8), np.float32([1e-4, 2.0])[self.pick(2)], m)
-        reflectances = np.float32([0.0, 1e-8, 0.028, 0.99999994])
-        f0 = np.where(self.often(2), reflectances[self.pick(4)], np.float32(0.999) * self.even())
-        p = np.stack([self.cosine(), self.cosine(), self.cosine()], -1).clip(np.float32(1e-37))
-        kind, tan2 = self.pick(8), self.small()
-        tan2 = np.select([kind == 0, kind > 4], [np.float32(0), 1 / tan2], tan2)
-        vectors = {"n": n, "l": l, "v": v, "p": p}
-        scalars = {"m": m, "f0": f0, "c": self.cosine()}
-        scalars |= {"second_m": np.roll(m, 1), "lobe_weight": self.even()}
-        vectors["map"] = np.stack([self.cosine(), self.even(), self.small()], -1)
-        vectors["plane"] = 16.0 * vectors["map"] - 8.0
-        scalars["w"] = 12.6 * self.small()
-        return vectors | scalars | dict.fromkeys(("tan2", "x", "steepness"), tan2)
-
-
-def unit(x: NDArray[np.float32]) -> NDArray[np.float32]:
-    return x / np.linalg.norm(x, axis=-1, keepdims=True)
-
-
-def faults(evaluator: Evaluator, tried: Mapping[str, Case], inputs: Inputs) -> list[str]:
-    """Tell what is wrong with the values of cases at other inputs than theirs, and the inputs of
-    the first value that is."""
-    calls = {name: case.expression.replace("_texels", "") for name, case in tried.items()}
-    words = {name: re.findall(r"\w+", call) for name, call in calls.items()}
-    used = {x: inputs[x] for x in inputs if any(x in each for each in words.values())}
-    there = {name: replace(case, inputs=used) for name, case in tried.items()}
-    # a dot product of two float32 vectors may round to the other side of 0
-    below = np.minimum(*((inputs["n"] * inputs[name]).sum(axis=-1) for name in "lv")) < -2e-7
-    told = []
-    for name, found in cases.evaluated(there, evaluator).items():
-        lit = below & (found != 0.0) & bool(BRDF.search(tried[name].expression))
-        wrong = lit | ~((found >= 0.0) & (found < np.inf))
-        if wrong.any():
-            first = wrong.argmax()
-            bad = {
-                "NaN": np.isnan(found),
-                "infinite": np.isinf(found),
-                "negative": found < 0.0,
-                "not 0 below the surface": lit,
-            }
-            counts = ", ".join(f"{where.sum()} {what}" for what, where in bad.items())
-            told.append(f"{name}: {counts} in {len(found)} samples; first: {found[first]:.9g} at")
-            told += [f"{x} = {used[x][first].tolist()}" for x in used if x in words[name]]
-    return told
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -173,7 +174,7 @@ WRONG = {  # what is wrong with a file, and what is told
     "cut": (json.dumps(saved())[:-20].encode(), "it is no JSON"),
     "deep": (NESTED.encode(), "it is no JSON"),
     "list": (b"[]", "the whole is [], not an object of JSON"),
-    "large": (b" " * 2_000_000, "it has more than 1 MiB"),
+    "large": (b" " * 2_000_000, "cost.json has 2000000 bytes, of 1048576 at most"),
     "digits": (b'{"kind": ' + b"9" * 5000 + b"}", "it is no JSON"),
     "foreign": ({"kind": "three.js"}, "kind is 'three.js', not 'facerender explorer cost'"),
     "measurement": ({"schema": "facerender.measure/1"}, "kind is None"),
@@ -214,9 +215,9 @@ def test_a_wrong_file_is_refused(name, folder, measured, tmp_path, capsys):
         assert main(["measure", "--import", good, "--import", str(path), "-o", str(place)]) == 2
         out, err = capsys.readouterr()
         assert out == ""
-        assert err.startswith(f"facerender: error: {path}: ")
+        assert err.startswith(f"facerender: error: {path}")
         assert told in err
-        assert err.endswith("; give a file that the explorer saved\n")
+        assert re.search("; give (a file that|what) the explorer saved\n$", err)
         assert err.count("\n") == 1
         assert len(err) < 400
     assert [each.name for each in folder.iterdir()] == ["measure.json"]
@@ -234,10 +235,10 @@ def test_every_value_is_needed(name):
 
 
 def test_a_file_that_cannot_be_read_is_told(tmp_path, capsys):
-    for path, why in ((tmp_path / "absent.json", "no such file"), (tmp_path, "is a directory")):
+    for path, why in ((tmp_path / "absent.json", ": no such file"), (tmp_path, " is a directory")):
         assert main(["measure", "--import", str(path), "-o", str(tmp_path / "new")]) == 2
         told = capsys.readouterr().err
-        assert f"cannot read {path}: {why}" in told
+        assert f"{path}{why}" in told
         assert told.endswith("; give what the explorer saved\n")
     assert not (tmp_path / "new").exists()
 

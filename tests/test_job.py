@@ -123,7 +123,7 @@ def test_a_pickle_holds_each_texture_once(head):
         ({"shading": {"lights": [1]}}, r"lights = \[1\] of the shading: give a table such as"),
         ({"shading": {"lights": {"1": {"ks": 1}}}}, "unknown key 'ks' in the term of a light"),
         ({"shading": {"lights": {"1": {"m": None}}}}, "m = None in the term of a light"),
-        ({"ambient": -1.0}, "ambient = .* is negative"),
+        ({"ambient": -1.0}, "ambient = .*-1.0.*: give a number in"),
         ({"mesh": {"triangles": 0}}, "triangles = 0: give a whole number of at least 1"),
         ({"mesh": {"triangles": "all"}}, "triangles = 'all': give a whole number"),
         ({"outputs": [{"path": 5}]}, "output path = 5: give a path"),

@@ -19,11 +19,12 @@ from trials import metal
 from trials.cases import cases_of, evaluated
 from trials.hosts import CHOICES as SCENES
 from trials.hosts import SCENE, SIZE, desktop
-from trials.targets import TRANSLATED, UNTRANSLATED, Remote, groups_of, hlsl_compiled
+from trials.targets import LAVAPIPE, TRANSLATED, UNTRANSLATED, Remote, compiled, groups_of
 
 # Every file, and some of those with their choices made.
 TEXTS = [each for each in CHOICES if each[0] not in UNTRANSLATED]
 TEXTS = [each for i, each in enumerate(TEXTS) if each[1:] == (None, None) or i % 4 == 0]
+SETS = "bool set(out float x) { x = 1.0; return true; }\n"
 MAIN = {
     "hlsl": "float4 main() : SV_Target { return 0; }",
     "wgsl": "@fragment fn main() -> @location(0) vec4f { return vec4f(); }",
@@ -55,13 +56,16 @@ float walked(float c, vec3 n, int count) {
     const mat2 turn = mat2(0.6, 0.8, -0.8, 0.6);
     vec2 turned = turn * kept + n.xy * turn;
     bool same = kept == vec2(2.0 * c, 2.0);
+    kept.x++;
+    --kept.xy;
+    n.xy += kept;
     c = atan(turned.y, turned.x) + dot(max(n, 0.0), clamp(n, 0.0, 1.0));
     return mix(total + other, c, same ? 0.25 : 1.0) + mix(n, vec3(UNIT), 0.5).b + length(turned);
 }
 """
 
 
-@pytest.fixture(scope="module", params=TRANSLATED)
+@pytest.fixture(scope="module", params=LAVAPIPE)
 def target(request: pytest.FixtureRequest) -> Iterator[Remote]:
     require_module("wgpu")
     with Remote(request.param) as remote:
@@ -79,6 +83,7 @@ def test_functions_agree_with_float64(target):
         pytest.fail("\n".join(told), pytrace=False)
 
 
+@pytest.mark.parametrize("target", TRANSLATED, indirect=True)
 def test_plain_glsl_means_the_same(target, egl: Backend):
     random = np.random.default_rng(2)
     inputs = {"c": random.random(500, np.float32), "n": random.random((500, 3), np.float32) - 0.5}
@@ -98,7 +103,7 @@ def test_every_file_and_choice_compiles_without_a_warning(language):
     device = Device()
     for name, lobe, m in TEXTS:
         text = f"{fr.shader_source(name, language, lobe=lobe, m=m)}\n{MAIN[language]}\n"
-        device.compile(hlsl_compiled(text) if language == "hlsl" else text)
+        device.compile(compiled(text, hlsl=True) if language == "hlsl" else text)
 
 
 def test_metal_compiles_as_cpp_and_draws_what_opengl_does(egl):
@@ -151,6 +156,22 @@ def test_the_choices_of_a_file_of_ones_own_count(language, tmp_path):
         ("float f(float x) { return y; }\n", "'y' is not declared"),
         ("float f(float x) { return noise1(x); }\n", "the function noise1, which is not known"),
         ("float f(float x) { return x }\n", "; is missing before '}'"),
+        ("float f(float x[3]) { return x[0]; }\n", "an array"),
+        ("float f() { return float[2](1.0, 2.0)[0]; }\n", "an array"),
+        ("float f(float x) { return x[0]; }\n", "'[' of a float"),
+        ("float f(vec3 x) { return float(x.length()); }\n", "'length' of a vec3"),
+        ("float f(float x) { float a = x = 1.0; return a; }\n", "'=' within an expression"),
+        ("float f(float x) { if ((x -= 1.0) > 0.0) return x; }\n", "'-=' within an expression"),
+        ("float f(vec3 x) { int i = 0; return x[i++]; }\n", "'++' within an expression"),
+        ("float f(int i) { return float(--i); }\n", "'--' within an expression"),
+        (f"{SETS}float f(vec3 x) {{ set(x.y); return x.y; }}\n", "what set assigns: give it"),
+        (f"{SETS}float f(bool b, float x) {{ b = b && set(x); return x; }}\n", "use if"),
+        (f"{SETS}float f(bool b, float x) {{ b = b ? set(x) : b; return x; }}\n", "use if"),
+        ("float f(float x) { return x; }\nfloat f(vec3 x) { return x.x; }\n", "a second function"),
+        ("float f(vec3 x) { for (int i = 0; i < 9; x.xy++) ++i; return x.x; }\n", "use its body"),
+        ("float f(float x) { do x += 1.0; while (x < 0.0); return x; }\n", "'do'; of statements"),
+        ("float f(float x) { if (x < 0.0) discard; return x; }\n", "'discard'; of statements"),
+        ("float f(float x) { return (x", "the end comes too early"),
         ("float f(float x) { return x.y; }\n", "'y' of a float"),
         ("#extension GL_X : require\n", "not translated: #extension GL_X"),
         ("#if (X)\n#endif\n", "cannot decide #if (X)"),

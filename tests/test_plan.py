@@ -19,6 +19,7 @@ import facerender as fr
 from facerender import lobes
 from facerender.drawing import reference
 from facerender.drawing.frame import GBuffer
+from facerender.glsl.library import LANGUAGES
 from facerender.lobes import GPower
 from facerender.planning import drawn, search
 from facerender.planning.bound import bound
@@ -42,7 +43,9 @@ from facerender.shading import Shading
 from facerender.terms.fitting import fit_g_power
 from tests.conftest import require_module
 from tests.test_glsl import OUTPUT, run
+from trials import metal
 from trials.subjects import BUDGETS, KINDS, Subject, brute_force, subjects
+from trials.targets import compiled
 
 KEY = (LIGHTS["key"],)
 POINT = fr.Light(irradiance=3.0, position=(0.2, 0.3, 0.5))
@@ -747,6 +750,33 @@ def test_its_shader_compiles(target, plans, tmp_path):
         path.write_text(f"{text}\n{OUTPUT[target]}out vec4 result;\n{main}\n")
         options = ["-V", "-o", path.with_suffix(".spv")] if target == "vulkan" else []
         run(["glslangValidator", *options, path])
+
+
+C_LIKE = "float used(float3 n, float3 l, float3 v, float m, float f0) {{ return {call}; }}"
+USED = {
+    "hlsl": C_LIKE + "\nfloat4 main() : SV_Target {{ return 0; }}",
+    "msl": C_LIKE,
+    "wgsl": "fn used(n: vec3f, l: vec3f, v: vec3f, m: f32, f0: f32) -> f32 {{ return {call}; }}",
+}
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_its_shader_in_other_languages_has_what_lights_call(language, plans):
+    require_module("wgpu")
+    from trials.webgpu import Device
+
+    texts = []
+    for plan in plans:
+        text = plan.shader(language)
+        calls = re.findall(r"^// BRDF of light \d+: (.*fr_.*)$", text, re.MULTILINE)
+        texts += [f"{text}\n{USED[language].format(call=each)}\n" for each in dict.fromkeys(calls)]
+    assert len(texts) > 6
+    if language == "msl":
+        metal.drawn(texts, [], 1)
+        return
+    device = Device()
+    for text in texts:
+        device.compile(compiled(text, hlsl=True) if language == "hlsl" else text)
 
 
 def test_its_shader_without_a_target_is_to_be_included(plans):

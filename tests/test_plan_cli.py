@@ -376,9 +376,9 @@ def test_places_that_cannot_be_written(option, cli):
     del others[option]
     written = [word for name, file in others.items() for word in (name, cli.folder / file)]
     options = ("--budget", "1/255", *written, option, place)
-    cli.fail(r"cannot write .*: give a file in a writable folder", "plan", *FACE, *options)
+    cli.fail(r"cannot write .*; give a file in a writable folder", "plan", *FACE, *options)
     cli.fail(
-        r"cannot write .*: give a file", "plan", *FACE, "--budget", "1/255", option, cli.folder
+        r"cannot write .*; give a file", "plan", *FACE, "--budget", "1/255", option, cli.folder
     )
 
 
@@ -386,11 +386,11 @@ def test_results_replace_neither_one_another_nor_what_is_read(cli, tmp_path):
     image = tmp_path / "rough.png"
     Image.new("L", (4, 4), 90).save(image)
     before = image.read_bytes()
-    for options in (
-        ("--emit", tmp_path / "a.txt", "--scene", tmp_path / "a.txt"),
-        ("--roughness-map", image, "--error-map", image),
+    for message, *options in (
+        ("is written twice", "--emit", tmp_path / "a.txt", "--scene", tmp_path / "a.txt"),
+        ("is read, and would be", "--roughness-map", image, "--error-map", image),
     ):
-        cli.fail(r"is read, or written twice", "plan", *FACE, "--budget", "1/255", *options)
+        cli.fail(message, "plan", *FACE, "--budget", "1/255", *options)
     assert image.read_bytes() == before
     cli.fail(r"give a \.png", "plan", *FACE, "--budget", "1/255", "--error-map", tmp_path / "a.exr")
 

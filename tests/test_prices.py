@@ -146,7 +146,7 @@ def test_the_compiler_agrees_with_the_table(radv, bare):
     ]
     table = load_prices("navi21", scene, wanted)
     if not table.source.startswith(radv):
-        missing(f"{radv} is here, and the table is {table.source}")
+        pytest.skip(f"{radv} is here, and the table is {table.source}")
     here = load_prices("radv:navi21", scene, wanted)
     terms = [*(each.term for each in wanted), wanted[-1].term.frontal]
     assert set(here.terms) >= {term_name(each, 0.3) for each in terms}

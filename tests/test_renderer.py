@@ -5,8 +5,11 @@ from __future__ import annotations
 import ctypes
 import gc
 import json
+import os
 import resource
 import shutil
+import subprocess
+import sys
 import weakref
 from collections.abc import Iterator
 from dataclasses import replace
@@ -18,7 +21,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.comparison.gates import block_error, point_error
+from facerender.comparison.gates import STRICT, block_error, compare, point_error
 from facerender.drawing import reference
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.host import CAPABILITIES, STATE
@@ -26,13 +29,14 @@ from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.prepare import simplify
 from facerender.drawing.program import LightGroup, Program
 from facerender.glsl.code import prelude
+from facerender.image import Picture, read_image
 from facerender.lobes import GPower
 from facerender.scenes import texture
 from facerender.scenes.scene import slope_ranges
 from facerender.scenes.view import view_of
 from facerender.terms import MODELS, Model
 from tests.awkward_files import MINI_HEAD
-from tests.conftest import require_backend
+from tests.conftest import missing, require_backend
 
 
 def told(shading: fr.Shading) -> str:
@@ -663,6 +667,52 @@ def test_guest_draws_the_same_and_leaves_the_host_as_it_was(host, head):
     assert host.state() == before
     host.context.function("glPixelStorei", ctypes.c_int, ctypes.c_int)(0x0D02, 0)
     assert host.target.read(components=4)[:4] == bytes([64, 128, 191, 255])
+
+
+def drawn_elsewhere(folder: Path, backend: str, **environment: str) -> Picture:
+    """The built-in head, drawn by the command line with other environment variables."""
+    command = [sys.executable, "-m", "facerender", "render", "-o", folder / "head.exr"]
+    subprocess.run(
+        [*command, "--size", "192", "--backend", backend],
+        env={**os.environ, **environment},
+        check=True,
+        capture_output=True,
+    )
+    return read_image(folder / "head.exr")
+
+
+def test_the_window_systems_context_draws_the_same_image(egl, display, tmp_path):
+    image = drawn_elsewhere(tmp_path, "native", DISPLAY=display)
+    assert compare(drawn_elsewhere(tmp_path, egl), image, block=STRICT.block)
+
+
+def test_the_window_system_is_not_there(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    message = r"no OpenGL context \(native: DISPLAY names no X server: start one, .*xvfb$"
+    with pytest.raises(fr.ContextError, match=message):
+        fr.Renderer(backend="native")
+
+
+@pytest.mark.parametrize(
+    ("platform", "order"), [("linux", ("egl", "osmesa")), ("win32", ("native",))]
+)
+def test_auto_takes_the_window_system_where_there_is_no_egl(platform, order):
+    code = (
+        "import importlib, sys, facerender.drawing.context as c; "
+        f"sys.platform = {platform!r}; importlib.reload(c); print(c.AUTO, c.current_context())"
+    )
+    run = [sys.executable, "-c", code]
+    output = subprocess.run(run, check=True, capture_output=True, text=True).stdout
+    assert output.strip() == f"{order} None"
+
+
+def test_vulkans_software_driver_draws_the_same_image(egl, tmp_path):
+    """Mesa's zink over lavapipe."""
+    zink = {"GALLIUM_DRIVER": "zink", "LIBGL_ALWAYS_SOFTWARE": "1"}
+    image = drawn_elsewhere(tmp_path, egl, **zink)
+    if "zink" not in image.metadata["GL_RENDERER"]:
+        missing("no zink or lavapipe: apt-get install mesa-vulkan-drivers")
+    assert compare(drawn_elsewhere(tmp_path, egl), image)
 
 
 @pytest.mark.parametrize("guest", ["egl", "osmesa"])

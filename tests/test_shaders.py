@@ -46,6 +46,15 @@ def test_exact_term_is_accurate_where_it_shows(evaluate, model):
     assert error.max() < 1e-4
 
 
+@pytest.mark.parametrize("f0", [0.0, 1e-8, 0.028])
+def test_a_normal_off_unit_length_adds_what_the_header_says(evaluate, f0):
+    m = np.resize(np.float32(np.linspace(0.05, 1.0, 20)), 100000)
+    inputs = directions(m, lowest=0.02)
+    inputs["n"] = inputs["n"] * np.float32(0.999999)
+    case = brdf_case(Term("cook-torrance"), inputs, f0=f0)
+    assert not case.fault(evaluate(case.prelude, case.expression, inputs))
+
+
 def test_what_lies_outside_the_domain_counts_as_its_end(evaluate):
     inputs = {"c": np.float32(np.linspace(0.0, 1.0, 100))}
     for lobe in ("fitted", "fitted_fine"):

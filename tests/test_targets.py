@@ -14,13 +14,16 @@ from trials.cases import GROUPS, cases_of, evaluated
 from trials.targets import TARGETS, Remote
 
 
+def opened(name: str) -> Remote:
+    try:
+        return Remote(name)
+    except Exception as error:  # glcontext raises bare Exception
+        missing(f"{name}: {error}")
+
+
 @pytest.fixture(scope="module", params=TARGETS)
 def target(request: pytest.FixtureRequest) -> Iterator[Remote]:
-    try:
-        remote = Remote(request.param)
-    except Exception as error:  # glcontext raises bare Exception
-        missing(f"{request.param}: {error}")
-    with remote:
+    with opened(request.param) as remote:
         yield remote
 
 

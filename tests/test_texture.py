@@ -92,7 +92,7 @@ def test_16_bit_grey_is_scaled_and_not_clipped():
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("page.jpg", b"<html></html>", "page.jpg is not an image; give a PNG"),
+        ("page.jpg", b"<html></html>", "page.jpg is a page of HTML; give a PNG"),
         ("empty.png", b"", "empty.png is not an image"),
         ("absent.png", None, "cannot read .*absent.png: no such file"),
     ],
@@ -116,7 +116,7 @@ def test_truncated_image_is_named_when_it_is_read(tmp_path):
 
 def test_huge_image_is_refused_before_it_is_decoded():
     huge = Texture(lambda: Image.new("L", (16385, 1)), "huge.png")
-    with pytest.raises(InputError, match="huge.png is 16385 x 1 texels: at most 16384"):
+    with pytest.raises(InputError, match="huge.png is 16385 x 1 pixels .*: at most 16384 a side"):
         huge.levels("data").result()
 
 

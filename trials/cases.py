@@ -780,7 +780,7 @@ def half_vector(axis: str, small_slope: int) -> Case:
 
 
 NOISE = 1.3e-6  # cosines up to this are noise, and headers state no error there
-UNSTATED = 1e60  # more than any value
+UNSTATED = 1e300  # more than any value
 NO_MORE = 2e-6  # what headers add to a Fresnel term, of which 1 - V.H knows the digits of 1
 
 
@@ -817,10 +817,12 @@ def brdf_case(
     peak /= 4.0 * np.pi * m**2
     lengths = [np.linalg.norm(x, axis=-1) for x in (n, l, v)]
     off = np.abs(np.subtract(lengths, 1.0)).max(axis=0)
-    e = 4e-7 * (1.0 + 1.0 / (n_dot_l + n_dot_v)) + 2.0 * np.maximum(off - 1e-7, 0.0)
-    e = lobe.amplified(e)
+    off = np.maximum(off - 1e-7, 0.0)
+    e = lobe.amplified(4e-7 * (1.0 + 1.0 / (n_dot_l + n_dot_v)) + 2.0 * off)
     accurate = lobe.of_tan2 is not None and term.keeps_small_slopes(0.0)
     bound = 1e-5 + 2e-7 / n_dot_l + 2e-7 / n_dot_v + e / (m if accurate else m**2)
+    if term.entry.factors:
+        bound += 3.0 * off / (f0 + NO_MORE) ** 0.2  # of (1 - V.H)^5
     return Case(
         f"const float f0 = {f0};\n" + (prelude or flat(code.prelude([term], 0.0))),
         call or code.call(term),

@@ -4,15 +4,43 @@ that its header states."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.evaluate import Evaluator, Inputs
-from trials.cases import Case
+from facerender.drawing.evaluate import Inputs
+from facerender.shading import Term
+from facerender.terms import FRESNEL, MASKING, MODELS, lobe_entry
+from facerender.terms.lobe import MIN_SLOPE
+from trials.cases import ALL_LOBES, F0, Case, Each
 
 Make = Callable[[Inputs], Case]
 Bounds = tuple[float, float]
+
+_COOK_TORRANCE = Term("cook-torrance")
+# Terms with the reflectance at normal incidence: each lobe, masking and Fresnel term.
+VARIANTS = [
+    *(
+        (Term(model, lobe, small_slope=small), F0)
+        for model in MODELS
+        for lobe in ALL_LOBES
+        for small in ((True, False) if lobe == "exact" else (True,))
+    ),
+    *(
+        (replace(_COOK_TORRANCE, masking=name, lobe=x), F0)
+        for name in MASKING
+        for x in ("exact", "d16")
+    ),
+    *((replace(_COOK_TORRANCE, fresnel=name), F0) for name in FRESNEL),
+    # 1 - V.H counts where f0 does not
+    *((replace(_COOK_TORRANCE, lobe=x), f0) for x in ("exact", "d8") for f0 in (0.0, 1e-8)),
+]
+
+
+def slopes_of(term: Term) -> Bounds:
+    """Return the ends of the slopes at which a term's bound holds."""
+    return MIN_SLOPE, 0.999 * lobe_entry(term.lobe).end(term.entry.k)
 
 
 def rounded(vectors: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -22,7 +50,7 @@ def rounded(vectors: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def climb(
-    evaluator: Evaluator,
+    target: Each,
     make: Make,
     first: Inputs,
     slopes: Bounds,
@@ -45,7 +73,7 @@ def climb(
 
     def shares(inputs: Inputs) -> NDArray[np.float64]:
         case = make(inputs)
-        result = evaluator(case.prelude, case.expression, inputs)
+        result = target.each(case.prelude, [case.expression], inputs)[0]
         sound = np.isfinite(result) & (result >= 0.0)
         return np.where(sound, case.share(result), np.inf)
 

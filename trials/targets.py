@@ -11,9 +11,9 @@ import ctypes
 import multiprocessing
 import os
 import subprocess
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Protocol
@@ -126,11 +126,13 @@ class _WebGL:
         return np.concatenate(pixels[:, :count].transpose(0, 2, 1))[: len(expressions)]
 
 
-class _Translated:
-    """HLSL, by glslang, or WGSL, on lavapipe: GLSL that the package translated."""
+class _Lavapipe:
+    """Vulkan, by wgpu: HLSL and WGSL that the package translated, and GLSL 450. Inputs are buffers;
+    there are no textures."""
 
-    def __init__(self, language: Language) -> None:
-        self._language: Language = language
+    def __init__(self, language: Language | None) -> None:
+        """language : None for GLSL"""
+        self._language = language
         self._device = Device()
         self.renderer, self.version = self._device.renderer, self._device.version
 
@@ -140,37 +142,56 @@ class _Translated:
     def each(self, prelude: str, expressions: Sequence[str], inputs: Inputs) -> NDArray[np.float32]:
         images = {name: texels(values) for name, values in inputs.items()}
         height = next(iter(images.values())).shape[0]
+        counts = tuple((name, image.shape[2]) for name, image in images.items())
         results = []
         for first in range(0, len(expressions), EACH):
             few = [*expressions[first : first + EACH], *["0.0"] * (EACH - 1)][:EACH]
-            code = self._fragment(prelude, few, {name: x.shape[2] for name, x in images.items()})
+            code = _fragment(self._language, prelude, tuple(few), counts)
             drawn = self._device.draw(code, (WIDTH, height), list(images.values()))
             results.append(drawn.reshape(-1, EACH).T)
         count = len(next(iter(inputs.values())))
         return np.concatenate(results)[: len(expressions), :count]
 
-    def _fragment(
-        self, prelude: str, expressions: Sequence[str], inputs: Mapping[str, int]
-    ) -> str | bytes:
-        """inputs : how many components each has"""
-        parameters = ", ".join(f"{_VECTOR[count]} {name}" for name, count in inputs.items())
-        body = f"vec4 evaluated({parameters}) {{ return vec4({', '.join(expressions)}); }}"
-        text = translated(f"{prelude}\n{body}\n", self._language)
-        vector, buffer, main = _READING[self._language]
-        values = [
-            f"{vector}({', '.join(f'{name}_values[3 * i + {k}]' for k in range(3))})"
-            if count == 3
-            else f"{name}_values[i]"
-            for name, count in inputs.items()
-        ]
-        buffers = [buffer.format(i=i, name=name) for i, name in enumerate(inputs)]
-        code = "\n".join([text, *buffers, main.replace("VALUES", ", ".join(values))])
-        return hlsl_compiled(code) if self._language == "hlsl" else code
+
+@cache
+def _fragment(
+    language: Language | None,
+    prelude: str,
+    expressions: Sequence[str],
+    inputs: Sequence[tuple[str, int]],
+) -> str | bytes:
+    """inputs : how many components each has"""
+    parameters = ", ".join(f"{_VECTOR[count]} {name}" for name, count in inputs)
+    body = f"vec4 evaluated({parameters}) {{ return vec4({', '.join(expressions)}); }}"
+    text = f"{prelude}\n{body}\n"
+    # naga knows no RelaxedPrecision
+    text = translated(text, language) if language else _VULKAN + text.replace("mediump", "highp")
+    vector, buffer, main = _READING[language]
+    values = [
+        f"{vector}({', '.join(f'{name}_values[3 * i + {k}]' for k in range(3))})"
+        if count == 3
+        else f"{name}_values[i]"
+        for name, count in inputs
+    ]
+    buffers = [buffer.format(i=i, name=name) for i, (name, _) in enumerate(inputs)]
+    code = "\n".join([text, *buffers, main.replace("VALUES", ", ".join(values))])
+    return code if language == "wgsl" else compiled(code, hlsl=language == "hlsl")
 
 
+_VULKAN = "#version 450\nprecision highp float;\nprecision highp int;\n"
 _VECTOR = {1: "float", 3: "vec3"}
 # Of each language: a vector, a buffer of inputs, and the function that reads them.
 _READING = {
+    None: (
+        "vec3",
+        "layout(std430, binding = {i}) readonly buffer {name}_buffer {{ float {name}_values[]; }};",
+        f"""layout(location = 0) out vec4 result;
+void main() {{
+    uint i = uint(gl_FragCoord.y) * {WIDTH}u + uint(gl_FragCoord.x);
+    result = evaluated(VALUES);
+}}
+""",
+    ),
     "hlsl": (
         "float3",
         "[[vk::binding({i}, 0)]] StructuredBuffer<float> {name}_values;",
@@ -192,12 +213,13 @@ _READING = {
 }
 
 
-def hlsl_compiled(text: str) -> bytes:
-    """Return the SPIR-V of a fragment shader, by glslang's HLSL front end."""
+def compiled(text: str, hlsl: bool = False) -> bytes:
+    """Return the SPIR-V of a fragment shader, of GLSL for Vulkan or of HLSL, by glslang."""
     with TemporaryDirectory() as folder:
-        path, output = Path(folder, "x.frag.hlsl"), Path(folder, "x.spv")
+        path, output = Path(folder, "x.frag"), Path(folder, "x.spv")
         path.write_text(text, encoding="utf-8")
-        options = ["-D", "-V", "-S", "frag", "-e", "main", "-o", str(output), str(path)]
+        options = ["-V", "-S", "frag", "-o", str(output), str(path)]
+        options += ["-D", "-e", "main"] if hlsl else []
         done = subprocess.run(["glslangValidator", *options], capture_output=True, text=True)
         if done.returncode or "WARNING" in done.stdout:
             raise RuntimeError(done.stdout)
@@ -213,16 +235,20 @@ TARGETS: dict[str, Callable[[], Evaluate]] = {
     "WebGL 2, Chromium": _WebGL,
 }
 TRANSLATED: dict[str, Callable[[], Evaluate]] = {
-    "HLSL, lavapipe": partial(_Translated, "hlsl"),
-    "WGSL, lavapipe": partial(_Translated, "wgsl"),
+    "HLSL, Vulkan": partial(_Lavapipe, "hlsl"),
+    "WGSL, Vulkan": partial(_Lavapipe, "wgsl"),
+}
+LAVAPIPE: dict[str, Callable[[], Evaluate]] = {
+    "GLSL 450, Vulkan": partial(_Lavapipe, None),
+    **TRANSLATED,
 }
 UNTRANSLATED = ("environment", "scatter", "shadow")  # files with samplers or arrays
 
 
-def groups_of(target: str) -> tuple[str, ...]:
-    """Return the groups of cases that a target has."""
-    left_out = tuple(f"fr_{name}" for name in UNTRANSLATED)
-    return tuple(name for name in GROUPS if target in TARGETS or not name.startswith(left_out))
+def groups_of(target: str, groups: Sequence[str] = GROUPS) -> tuple[str, ...]:
+    """Return those of groups of cases that a target has."""
+    left_out = ("images", *(f"fr_{name}" for name in UNTRANSLATED))
+    return tuple(name for name in groups if target in TARGETS or not name.startswith(left_out))
 
 
 _here: Evaluate  # in the process of a target
@@ -230,7 +256,7 @@ _here: Evaluate  # in the process of a target
 
 def _open(target: str) -> tuple[str, str]:
     global _here
-    _here = (TARGETS | TRANSLATED)[target]()
+    _here = (TARGETS | LAVAPIPE)[target]()
     return _here.renderer, _here.version
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,7 @@ class Device:
             info["device"],
             f"{info['description']}, wgpu {wgpu.__version__}",
         )
+        self._pipeline = lru_cache(16)(self._new_pipeline)  # what climbs draw again and again
 
     def compile(self, fragment: str | bytes) -> None:
         """Translate a shader, and draw nothing.
@@ -62,25 +64,7 @@ class Device:
         width, height = size
         usage = wgpu.TextureUsage.RENDER_ATTACHMENT | wgpu.TextureUsage.COPY_SRC
         target = device.create_texture(size=(width, height, 1), format="rgba32float", usage=usage)
-        stages = [
-            device.create_shader_module(label="triangle vert", code=TRIANGLE),
-            device.create_shader_module(label="drawn frag", code=fragment),
-        ]
-        kind = {"type": wgpu.BufferBindingType.read_only_storage}
-        read = {"visibility": wgpu.ShaderStage.FRAGMENT, "buffer": kind}
-        group = device.create_bind_group_layout(
-            entries=[{"binding": i, **read} for i in range(len(inputs))]
-        )
-        pipeline = device.create_render_pipeline(
-            layout=device.create_pipeline_layout(bind_group_layouts=[group]),
-            vertex={"module": stages[0], "entry_point": "main"},
-            fragment={
-                "module": stages[1],
-                "entry_point": "main",
-                "targets": [{"format": "rgba32float"}],
-            },
-            primitive={"topology": "triangle-list"},
-        )
+        group, pipeline = self._pipeline(fragment, len(inputs))
         encoder = device.create_command_encoder()
         clear = {"load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 0)}
         drawing = encoder.begin_render_pass(
@@ -100,3 +84,27 @@ class Device:
             {"texture": target}, {"bytes_per_row": width * 16}, (width, height, 1)
         )
         return np.frombuffer(data, np.float32).reshape(height, width, 4)
+
+    def _new_pipeline(self, fragment: str | bytes, inputs: int) -> tuple[Any, Any]:
+        """Return the layout of the inputs, and what draws."""
+        wgpu, device = self._wgpu, self._device
+        stages = [
+            device.create_shader_module(label="triangle vert", code=TRIANGLE),
+            device.create_shader_module(label="drawn frag", code=fragment),
+        ]
+        kind = {"type": wgpu.BufferBindingType.read_only_storage}
+        read = {"visibility": wgpu.ShaderStage.FRAGMENT, "buffer": kind}
+        group = device.create_bind_group_layout(
+            entries=[{"binding": i, **read} for i in range(inputs)]
+        )
+        pipeline = device.create_render_pipeline(
+            layout=device.create_pipeline_layout(bind_group_layouts=[group]),
+            vertex={"module": stages[0], "entry_point": "main"},
+            fragment={
+                "module": stages[1],
+                "entry_point": "main",
+                "targets": [{"format": "rgba32float"}],
+            },
+            primitive={"topology": "triangle-list"},
+        )
+        return group, pipeline

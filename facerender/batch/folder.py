@@ -28,9 +28,10 @@ from facerender.batch.output import (
 from facerender.batch.passes import transforms_frame
 from facerender.batch.place import Place
 from facerender.batch.work import Work
+from facerender.ending import if_ended
 from facerender.errors import InputError, reason
 
-_TABLES = ("jobs.jsonl", "jobs.parquet", "failed.jsonl", "transforms.json")
+TABLES = ("jobs.jsonl", "jobs.parquet", "failed.jsonl", "transforms.json")
 Table = Literal["jsonl", "parquet"]
 
 
@@ -61,6 +62,7 @@ def driving(settings: Settings, about: Mapping[str, Any]) -> Iterator[Place]:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 place.sweep()
                 held.callback(place.sweep)
+                held.enter_context(if_ended(place.sweep))
             tell(place, settings, about)
         except BlockingIOError:
             raise InputError(
@@ -98,7 +100,7 @@ def status(output: str) -> Status:
 def set_aside(place: Place, work: Work) -> None:
     """Remove tables that will be others, and then move records of jobs that are no longer asked for
     as they were out of the way."""
-    for name in _TABLES if work.todo or work.stale else ():
+    for name in TABLES if work.todo or work.stale else ():
         place.drop(name)
     for name in work.stale & record_names(place):
         place.rename(f"{RECORDS}/{name}.jsonl", f"{STALE}/{name}.jsonl")

@@ -18,11 +18,13 @@ from typing import Any
 from facerender.batch.product import product
 from facerender.batch.tables import MESH_PATHS, Table, nested, short, told
 from facerender.errors import FacerenderError, InputError, reason
+from facerender.files import read_file
 
 # A row, or what is wrong with it, and the line where it ends in a file that has lines of rows.
 Found = tuple[int | None, Table | InputError]
 
 _LONGEST_LINE = 2**20
+_MOST_TOML = 2**26  # bytes
 _NUMBER = re.compile(r"[+-]?([0-9]+|[0-9]+\.[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _WORDS = {"true": True, "false": False, "null": None}
 _TEXT = {  # columns of a .csv file that hold text whatever it looks like
@@ -45,6 +47,8 @@ def found_rows(path: str | os.PathLike[str]) -> Iterator[Found]:
         known = ", ".join(_FORMS)
         raise InputError(f"{file}: unknown kind of table {file.suffix!r}; give {known}") from None
     try:
+        if file.exists() and not (file.is_file() or file.is_dir()):
+            raise InputError(f"{file} is no regular file; give a table")
         yield from form(file)
     except OSError as error:
         raise InputError(f"cannot read {file}: {reason(error)}") from None
@@ -192,9 +196,9 @@ def read_toml(path: Path) -> Table:
     import tomllib
 
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {reason(error)}") from None
+        return tomllib.loads(read_file(path, "tables as TOML", _MOST_TOML).decode("utf-8-sig"))
+    except InputError:
+        raise
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path.name} is not TOML: {_why(error)}") from None
 

@@ -22,7 +22,7 @@ from facerender.job import ImageSettings, MeshFile
 from facerender.scenes.file import KEYS, STUDIO, from_table, scene_value
 from facerender.scenes.material import MAX_SECOND_SLOPE
 from facerender.scenes.scene import ONLY, Scene
-from facerender.scenes.vectors import non_negative
+from facerender.scenes.vectors import HIGHEST, non_negative
 from facerender.shading import MAX_WEIGHT, Shading
 from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
 from facerender.terms.slope_variance import MAX_RADIUS
@@ -42,7 +42,7 @@ LIMITS: dict[str, dict[str, tuple[float, float]]] = {
     "lights": {
         "azimuth": (-3600, 3600),
         "elevation": (-90, 90),
-        "irradiance": (0, 1e300),
+        "irradiance": (0, HIGHEST),
         "radius": (0, MAX_RADIUS),
     },
     "environment": {"rotation": (-3600, 3600), "scale": (0, 1e9)},

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-import sys
 import threading
 import time
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Any
 
@@ -13,37 +13,43 @@ from tqdm import tqdm
 
 from facerender.batch.supervisor import Outcome
 from facerender.batch.work import Work
+from facerender.ending import if_ended
+from facerender.progress import shown
 
-_A_MINUTE = 60.0  # between lines in a log
-_FRAME = 0.2  # seconds between those on a terminal
+_FRAME = 0.2  # seconds between those that are drawn
 
 
 class Progress:
-    """Jobs done of all, rate, time left and failures, and on a terminal what each worker does.
+    """On a terminal jobs done of all, rate, time left and failures, and what each worker does.
+    Where a signal ends the process it is said how many are done.
 
     Parameters
     ----------
     work : all of it, and what is left
     workers : of this process, of which every step is heard; 0 where only chunks are
     lines : whether standard output gets a line of JSON for each chunk and each failed job
+    quiet : no bars
     """
 
-    def __init__(self, work: Work, workers: int, lines: bool) -> None:
-        terminal = sys.stderr.isatty()
-        every = _FRAME if terminal else _A_MINUTE
+    def __init__(self, work: Work, workers: int, lines: bool, quiet: bool = False) -> None:
+        terminal = shown(quiet)
         self._bar = tqdm(
             total=work.jobs,
             initial=work.jobs - work.left,
             unit=" jobs",
-            mininterval=every,
+            mininterval=_FRAME,
+            disable=not terminal,
             smoothing=0.05,
         )
-        shown = range(1, 1 + workers) if terminal else ()
-        self._free = [tqdm(bar_format="{desc}", position=place, leave=False) for place in shown]
+        places = range(1, 1 + workers) if terminal else ()
+        self._free = [tqdm(bar_format="{desc}", position=place, leave=False) for place in places]
         self._of: dict[int, tqdm[Any]] = {}  # by the supervisor's thread
         self._workers, self._lines, self._failed = workers, lines, 0
+        self._jobs, self._done = work.jobs, work.jobs - work.left
+        self._held = ExitStack()
 
     def __enter__(self) -> Progress:
+        self._held.enter_context(if_ended(self._ended))
         return self
 
     def __exit__(
@@ -52,6 +58,7 @@ class Progress:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
+        self._held.close()
         for bar in (*self._of.values(), *self._free, self._bar):
             bar.close()
 
@@ -67,8 +74,10 @@ class Progress:
 
     def finished(self, outcome: Outcome) -> None:
         """Take note of a chunk that is done."""
+        jobs = outcome.drawn + outcome.kept + len(outcome.failed)
+        self._done += jobs
         if not self._workers:
-            self._bar.update(outcome.drawn + outcome.kept + len(outcome.failed))
+            self._bar.update(jobs)
         self._failed += len(outcome.failed)
         if self._failed:
             self._bar.set_postfix_str(f"{self._failed} failed", refresh=False)
@@ -91,5 +100,8 @@ class Progress:
             return
         try:
             print(json.dumps({"time": round(time.time(), 3), "event": event, **facts}), flush=True)
-        except BrokenPipeError:  # who reads has read enough
+        except OSError:  # who reads has read enough, or the disk is full
             self._lines = False
+
+    def _ended(self) -> str:
+        return f"{self._done} of {self._jobs} jobs are done; the same command goes on"

@@ -22,7 +22,8 @@ from facerender.batch.groups import Group
 from facerender.batch.messages import Order, PlanOrder, Said, failure
 from facerender.batch.output import begin, commit
 from facerender.batch.place import Place
-from facerender.errors import FacerenderError
+from facerender.ending import hold
+from facerender.errors import FacerenderError, reason
 
 Heard = Callable[[str, str, str], None]  # worker, what it says, the job's id
 
@@ -149,7 +150,10 @@ class Supervisor:
             ordered = [records[position] for position in sorted(records)]
             commit(settings, chunk, tar, ordered)
         except OSError as error:
-            raise CannotDraw(f"cannot write to {settings.output}: {error}") from None
+            raise CannotDraw(
+                f"cannot write to {settings.output}: {reason(error)}; make room, and run the same "
+                "command again"
+            ) from None
         finally:
             if tar is not None:
                 tar.unlink(missing_ok=True)
@@ -216,6 +220,7 @@ class Supervisor:
             limit = struct.pack("ll", math.ceil(timeout), 0)  # of a worker that stops in a message
             ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
             ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
+            hold()
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "facerender.batch.worker", str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],

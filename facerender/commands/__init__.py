@@ -4,17 +4,20 @@ error is one line on standard error and exit status 2; warnings go to standard e
 from __future__ import annotations
 
 import argparse
+import atexit
 import gc
+import os
 import re
-import signal
 import sys
+import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any, NoReturn, TextIO
 
 from facerender._version import __version__
-from facerender.errors import FacerenderError, FacerenderWarning, InputError
+from facerender.commands.streams import make_usable, say, tell
+from facerender.errors import FacerenderError, FacerenderWarning, InputError, clipped
 
 _COMMANDS = {
     "render": "render a mesh file, or the built-in head",
@@ -27,6 +30,7 @@ _COMMANDS = {
     "shaders": "the GLSL library, for programs of your own",
     "doctor": "what OpenGL is found here, what is missing",
 }
+FAULT = 70  # EX_SOFTWARE of sysexits.h; 1 is of images that differ, 3 of jobs that failed
 
 
 class _Parser(argparse.ArgumentParser):
@@ -40,17 +44,28 @@ class _Parser(argparse.ArgumentParser):
 
 
 def console() -> NoReturn:
-    """Entry point of the command. Ctrl-C ends the process at once, since trimesh would catch and
-    forget a KeyboardInterrupt; while a file is written, it is cleaned up first. So does a reader of
-    standard output that has read enough."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+    """Run the command of this process, and end it."""
+    make_usable()
     gc.set_threshold(100_000)  # imports leave nothing to collect: 40 ms of a cold start
-    sys.exit(main())
+    status: int | str | None = 2
+    # Behind threads and what others have registered: no finalizer has more to do, and a signal
+    # among them would find no handler.
+    atexit.register(lambda: os._exit(int(status or 0)))
+    try:
+        status = main()
+    except SystemExit as asked:  # --help, --version
+        status = asked.code
+    try:
+        tell(end="")
+    except FacerenderError as error:
+        say(f"facerender: error: {error}")
+        status = 2
+    sys.exit(status)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status: 0 done, 1 images differ, 2 bad input, no OpenGL."""
+    """Run a command and return its exit status: 0 done, 1 images differ, 2 bad input, no OpenGL,
+    70 a fault of facerender itself."""
     caught: list[str] = []
     with warnings.catch_warnings():
         warnings.simplefilter("always", FacerenderWarning)
@@ -63,10 +78,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
             command: Callable[[argparse.Namespace], int] = options.command
             return command(options)
         except FacerenderError as error:
-            print(f"facerender: error: {' '.join(str(error).split())}", file=sys.stderr)
+            say(f"facerender: error: {' '.join(str(error).split())}")
             return 2
         except KeyboardInterrupt:
             return 130
+        except MemoryError:
+            say("facerender: error: out of memory: make maps or images smaller")
+            return 2
+        except Exception as error:
+            if os.environ.get("FACERENDER_DEBUG"):
+                traceback.print_exception(error)
+            what = f"{type(error).__name__}: {clipped(str(error))}".removesuffix(": ")
+            say(
+                f"facerender: error: this is a fault of facerender, please report it ({what}); "
+                "FACERENDER_DEBUG=1 shows where"
+            )
+            return FAULT
 
 
 def _warning_printer(caught: list[str]) -> Callable[..., None]:
@@ -78,9 +105,9 @@ def _warning_printer(caught: list[str]) -> Callable[..., None]:
         file: TextIO | None = None,
         line: str | None = None,
     ) -> None:
-        if issubclass(category, FacerenderWarning):
+        if issubclass(category, FacerenderWarning) and str(message) not in caught:
             caught.append(str(message))
-            print(f"facerender: warning: {message}", file=sys.stderr)
+            say(f"facerender: warning: {message}")
 
     return show
 

@@ -6,7 +6,6 @@ import argparse
 import json
 import os
 import signal
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -14,6 +13,8 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from facerender.commands.common import add_quiet, check_outputs
+from facerender.commands.streams import say, tell
 from facerender.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ def add(batch: argparse.ArgumentParser) -> None:
     drawing = batch.add_argument_group("workers")
     drawing.add_argument("--workers", type=int, metavar="N", help="processes here (those that pay)")
     drawing.add_argument("--scheduler", metavar="ADDRESS", help="of Dask, in place of workers here")
-    drawing.add_argument("--backend", choices=("auto", "egl", "osmesa"), default="auto")
+    drawing.add_argument("--backend", choices=("auto", "egl", "osmesa", "native"), default="auto")
     drawing.add_argument(
         "--timeout", type=float, default=300.0, help="seconds of silence: a job hangs (300)"
     )
@@ -70,6 +71,7 @@ def add(batch: argparse.ArgumentParser) -> None:
     written.add_argument("--transforms", action="store_true", help="write transforms.json as well")
     written.add_argument("--retry-failed", action="store_true", help="draw failed jobs again")
     written.add_argument("--json", action="store_true", help="tell each step as a line of JSON")
+    add_quiet(written)
 
     ask = batch.add_argument_group("instead of drawing")
     ask.add_argument("--check", action="store_true", help="read and check all jobs")
@@ -81,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
     if options.schema:
         from facerender.batch.schema import schema
 
-        print(json.dumps(schema(), indent=2))
+        tell(json.dumps(schema(), indent=2))
         return 0
     if options.status:
         return _tell(options.status, options.json)
@@ -93,6 +95,7 @@ def run(options: argparse.Namespace) -> int:
         Budget.parse(options.budget, within=options.within or 1.0)
     if options.jobs is None:
         raise InputError("no jobs: give a table of them, such as jobs.csv")
+    _check_read(options)
     common = _common(options)
     jobs = _checked(options, common)
     if options.check:
@@ -100,6 +103,18 @@ def run(options: argparse.Namespace) -> int:
     if options.output is None:
         raise InputError("no output: say -o FOLDER")
     return _draw(options, common, jobs)
+
+
+def _check_read(options: argparse.Namespace) -> None:
+    """A table that is read is not replaced by one of the batch."""
+    if options.output is None or "://" in options.output or options.check:
+        return
+    from facerender.batch.folder import TABLES
+    from facerender.batch.output import ABOUT
+
+    written = (Path(options.output, name) for name in (*TABLES, ABOUT))
+    read = [options.jobs, options.scene, options.mesh]
+    check_outputs([path for path in written if path.is_file()], read)
 
 
 def _draw(options: argparse.Namespace, common: dict[str, Any], jobs: int) -> int:
@@ -135,7 +150,7 @@ def _draw(options: argparse.Namespace, common: dict[str, Any], jobs: int) -> int
         folder.set_aside(place, work)
         drawn = 0
         if work.todo:
-            with Progress(work, engine().workers, options.json) as told:
+            with Progress(work, engine().workers, options.json, options.quiet) as told:
                 drawn = driver.run(read(), work, settings, engine(), told)
         folder.finish(place, options.table, options.transforms)
     return _tell(output, options.json, drawn, time.monotonic() - began)
@@ -151,11 +166,13 @@ def _plans(
     from facerender.batch.groups import grouped
     from facerender.batch.plans import planned
 
-    def say(text: str) -> None:
-        print(f"facerender: {text}", file=sys.stderr)
-
     groups = grouped(read, options.budget, options.within or "100%")
-    return planned(groups, place, settings, engine, options.retry_failed, say)
+    return planned(groups, place, settings, engine, options.retry_failed, _saying(options))
+
+
+def _saying(options: argparse.Namespace) -> Callable[[str], None]:
+    """What informs, unless nobody wants to know."""
+    return (lambda text: None) if options.quiet else (lambda text: say(f"facerender: {text}"))
 
 
 def _with_plans(read: Callable[[], Iterator[Row]], plans: Plans) -> Iterator[Row]:
@@ -183,7 +200,7 @@ def _engine(options: argparse.Namespace) -> AbstractContextManager[Engine]:
     if options.workers is not None:
         return engine.local(options.workers)
     workers, why = engine.workers_that_pay()
-    print(f"{workers} worker{'s' if workers > 1 else ''}: {why}", file=sys.stderr)
+    _saying(options)(f"{workers} worker{'s' if workers > 1 else ''}: {why}")
     return engine.local(workers)
 
 
@@ -207,7 +224,7 @@ def _tell(output: str, as_json: bool, drawn: int | None = None, seconds: float =
         text += f"; {drawn} drawn now, {drawn / seconds:.1f} a second"
     if plans:
         text += f"; {plans_text(plans)}"
-    print(json.dumps({"event": "end", **facts}) if as_json else text)
+    tell(json.dumps({"event": "end", **facts}) if as_json else text)
     return _FAILED if found.failed else 0
 
 
@@ -218,11 +235,11 @@ def _checked(options: argparse.Namespace, common: dict[str, Any]) -> int:
     checked = check_jobs(options.jobs, common)
     if checked.faults:
         for fault in checked.faults[:-1]:
-            print(f"facerender: error: {fault}", file=sys.stderr)
+            say(f"facerender: error: {fault}")
         more = f"; and {checked.more} more rows" if checked.more else ""
         raise InputError(f"{checked.faults[-1]}{more}")
     if options.check:
-        print(f"{options.jobs}: {checked.rows} jobs of {checked.meshes} meshes")
+        tell(f"{options.jobs}: {checked.rows} jobs of {checked.meshes} meshes")
     return checked.rows
 
 

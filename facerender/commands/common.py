@@ -1,16 +1,21 @@
-"""What several commands share: values from text, folders, progress, interrupts."""
+"""What several commands share: options, values from text, where results go."""
 
 from __future__ import annotations
 
+import argparse
 import math
-import signal
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from facerender.errors import InputError, reason
+from facerender.image import check_writable, remove_abandoned
+from facerender.job import MeshFile
+from facerender.loading.named import named_files
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -47,10 +52,48 @@ def numbers_of(option: str, text: str, counts: Sequence[int]) -> list[float]:
     return numbers
 
 
-def clean_up_on_interrupt() -> None:
-    """From here on files are written, which Ctrl-C must not leave half-written."""
-    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+def add_quiet(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
+    command.add_argument(
+        "--quiet", action="store_true", help="only warnings and errors on standard error"
+    )
+
+
+def check_outputs(
+    written: Iterable[str | Path | None], read: Iterable[str | Path | None] = ()
+) -> None:
+    """Refuse, before any work, what cannot be written, is written twice, or is read as well, by
+    whatever name; and remove what killed runs have left beside it.
+
+    read : is looked at only where a file is there already that will be written
+    """
+    names = [name for name in written if name]
+    for number, name in enumerate(names):
+        folder = check_writable(name).parent
+        if any(_same(name, other) for other in names[:number]):
+            raise InputError(f"{name} is written twice: give another name")
+        remove_abandoned(folder)
+    if not (there := [name for name in names if os.path.exists(name)]):
+        return
+    for other in read:
+        for name in there:
+            if other and _same(name, other):
+                raise InputError(f"{name} is read, and would be replaced: give another name")
+
+
+def _same(a: str | Path, b: str | Path) -> bool:
+    try:
+        return os.path.samefile(a, b)
+    except OSError:  # one is not there
+        return os.path.realpath(a) == os.path.realpath(b)
+
+
+def mesh_files(mesh: MeshFile) -> Iterator[str | Path]:
+    """Yield what is read of a mesh: the files that are given, and those that its file names, where
+    they would be looked for."""
+    yield from (value for value in asdict(mesh).values() if isinstance(value, str))
+    if mesh.path is not None:
+        for path in named_files(Path(mesh.path)):
+            yield from (path, Path(mesh.path).with_name(path.name))
 
 
 def make_folder(text: str) -> Path:
@@ -60,22 +103,6 @@ def make_folder(text: str) -> Path:
     except OSError as error:
         raise InputError(f"cannot make {text}: {reason(error)}; give a writable folder") from None
     return Path(text)
-
-
-class Progress:
-    """A line on standard error that says what is done, and vanishes; on a terminal only."""
-
-    def __enter__(self) -> Progress:
-        return self
-
-    def __call__(self, what: str, done: float) -> None:
-        if sys.stderr.isatty():
-            bar = "#" * round(24 * done)
-            print(f"\r\033[K{bar:24}  {what}", end="", file=sys.stderr, flush=True)
-
-    def __exit__(self, *exception: object) -> None:
-        if sys.stderr.isatty():
-            print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
 def import_trimesh() -> None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 
-from facerender.commands.common import clean_up_on_interrupt
+from facerender.commands.common import add_quiet, check_outputs
+from facerender.commands.streams import say, tell
 from facerender.errors import InputError
 from facerender.image import read_image
+from facerender.progress import Bar
 
 
 def add(compare: argparse.ArgumentParser) -> None:
@@ -28,6 +29,7 @@ def add(compare: argparse.ArgumentParser) -> None:
     compare.add_argument("--heatmap", metavar="OUT.png", help="map of FLIP, for two images")
     compare.add_argument("--report", metavar="OUT.html", help="a page to look at the images")
     compare.add_argument("--json", action="store_true", help="every figure")
+    add_quiet(compare)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -40,22 +42,26 @@ def run(options: argparse.Namespace) -> int:
     names = pairs_of(options.a, options.b)
     if options.heatmap and len(names) > 1:
         raise InputError(f"--heatmap takes two images, not the {len(names)} of two folders")
+    read = [path for _, *paths in names for path in paths]
+    check_outputs([options.heatmap, options.report], [*read, options.mask])
     results, entries, status = [], [], 0
-    for name in names:
-        pair = Pair.of(*name, mask=mask, **limits)
-        status = max(status, pair.status)
-        results.append(pair.as_dict())
+    with Bar(options.quiet) as progress:
+        for number, name in enumerate(names):
+            progress(f"{len(names)} pairs", number / len(names))
+            pair = Pair.of(*name, mask=mask, **limits)
+            status = max(status, pair.status)
+            results.append(pair.as_dict())
+            if options.report:
+                entries.append(entry(pair))
+            if pair.error:
+                say(f"facerender: error: {pair.error}")
+            elif not options.json:
+                tell(f"{pair.name}: {pair.comparison}")
         if options.report:
-            entries.append(entry(pair))
-        if pair.error:
-            print(f"facerender: error: {pair.error}", file=sys.stderr)
-        elif not options.json:
-            print(f"{pair.name}: {pair.comparison}")
-    clean_up_on_interrupt()
-    if options.report:
-        write_report(options.report, entries)
+            progress("report", 0.0)
+            write_report(options.report, entries)
+        if options.heatmap:
+            save_heat_map(options.heatmap, pair)
     if options.json:
-        print(json.dumps({"same": status == 0, "pairs": results}, indent=2))
-    if options.heatmap:
-        save_heat_map(options.heatmap, pair)
+        tell(json.dumps({"same": status == 0, "pairs": results}, indent=2))
     return status

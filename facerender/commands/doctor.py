@@ -5,11 +5,26 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-import sys
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 from facerender import store
 from facerender._version import __version__
-from facerender.drawing.context import probe
+from facerender.commands.streams import tell
+from facerender.drawing.context import AUTO, Finding, probe
+
+# Python packages by what needs them: "" everything, others are extras.
+PACKAGES = {
+    "": ("moderngl", "glcontext", "numpy", "trimesh", "Pillow", "scipy"),
+    "exr": ("OpenEXR",),
+    "hdr": ("OpenImageIO",),
+    "draco": ("DracoPy",),
+    "lod": ("wasmtime",),
+    "rays": ("embreex",),
+    "batch": ("distributed", "fsspec", "pyarrow"),
+    "measure": ("matplotlib", "flip-evaluator", "vulkan"),
+}
 
 
 def add(doctor: argparse.ArgumentParser) -> None:
@@ -19,18 +34,52 @@ def add(doctor: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     findings = probe()
+    usable = [finding.backend for finding in findings if not finding.error]
+    facts: dict[str, Any] = {
+        "facerender": __version__,
+        "python": platform.python_version(),
+        "system": _system(),
+        "backends": [dataclasses.asdict(finding) for finding in findings],
+        "auto": next((name for name in AUTO if name in usable), None),
+        "packages": {
+            extra: {name: _version_of(name) for name in names} for extra, names in PACKAGES.items()
+        },
+    }
     if options.json:
-        print(json.dumps([dataclasses.asdict(finding) for finding in findings], indent=2))
+        tell(json.dumps(facts, indent=2))
     else:
-        print(f"facerender {__version__}, Python {sys.version.split()[0]}")
-        for finding in findings:
-            if finding.error:
-                print(f"{finding.backend:7} {finding.error}")
-            else:
-                print(
-                    f"{finding.backend:7} {finding.renderer}, OpenGL {finding.version}, "
-                    f"up to {finding.samples} samples and {finding.size} pixels a side"
-                )
-        used, most = store.size() >> 20, store.limit() >> 20
-        print(f"cache   {store.folder()}, {used} of at most {most} MiB")
-    return 0 if any(not finding.error for finding in findings) else 2
+        tell(*_lines(facts, findings))
+    return 0 if usable else 2
+
+
+def _lines(facts: dict[str, Any], findings: list[Finding]) -> list[str]:
+    lines = [f"facerender {facts['facerender']}, Python {facts['python']}, {facts['system']}"]
+    lines += [f"{finding.backend:7} {_said(finding)}" for finding in findings]
+    lines.append(f"auto    {facts['auto'] or 'finds none that works'}")
+    for extra, versions in facts["packages"].items():
+        words = [f"{name} {version or 'is missing'}" for name, version in versions.items()]
+        remedy = "" if all(versions.values()) else f": pip install 'facerender[{extra}]'"
+        lines.append(f"{extra or 'Python':7} {', '.join(words)}{remedy}")
+    used, most = store.size() >> 20, store.limit() >> 20
+    return [*lines, f"cache   {store.folder()}, {used} of at most {most} MiB"]
+
+
+def _said(finding: Finding) -> str:
+    return finding.error or (
+        f"{finding.renderer}, OpenGL {finding.version}, up to {finding.samples} samples and "
+        f"{finding.size} pixels a side"
+    )
+
+
+def _system() -> str:
+    try:
+        return platform.freedesktop_os_release()["PRETTY_NAME"]
+    except (OSError, KeyError):
+        return f"{platform.system()} {platform.release()}"
+
+
+def _version_of(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facerender.commands.common import clean_up_on_interrupt, import_trimesh
+from facerender.commands.common import add_quiet, check_outputs, import_trimesh, mesh_files
+from facerender.commands.streams import tell
 from facerender.errors import InputError
 from facerender.explorer import explorer
-from facerender.image import write_bytes
+from facerender.image import write_text
 from facerender.job import Job, MeshFile
+from facerender.progress import Bar, Progress
 
 if TYPE_CHECKING:
     from facerender.planning.plan import Plan
@@ -43,6 +43,7 @@ def add(explore: argparse.ArgumentParser) -> None:
         action="store_true",
         help="open what the mesh file refers to wherever it lies (below its folder alone)",
     )
+    add_quiet(explore)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -50,9 +51,6 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             f"{options.output}: the explorer is a page; give a name that ends in .html"
         )
-    path = Path(options.output)
-    if path.is_dir() or not os.access(path.resolve().parent, os.W_OK):
-        raise InputError(f"cannot write {path}: give a file in a writable folder")
     if options.plan is not None:
         from facerender.planning.budget import Budget
 
@@ -66,21 +64,24 @@ def run(options: argparse.Namespace) -> int:
         options.flip_v,
         allow_outside=options.allow_outside,
     )
+    check_outputs([options.output], mesh_files(file))
     import_trimesh()
-    job, mesh = Job(file), file.load()
-    page = explorer(job, mesh, None if options.plan is None else _planned(job, mesh, options.plan))
-    clean_up_on_interrupt()
-    write_bytes(options.output, page.encode())
-    print(options.output)
+    with Bar(options.quiet) as progress:
+        progress("mesh", 0.0)
+        job, mesh = Job(file), file.load()
+        planned = _planned(job, mesh, options.plan, progress) if options.plan else None
+        progress("page", 0.0)
+        page = explorer(job, mesh, planned)
+    write_text(options.output, page)
+    tell(options.output)
     return 0
 
 
-def _planned(job: Job, mesh: Mesh, budget: str) -> Plan:
+def _planned(job: Job, mesh: Mesh, budget: str, progress: Progress) -> Plan:
     """Return the plan of what the page begins with. Its cost is that of a fragment: the page draws
     all samples and triangles."""
     from facerender.drawing.renderer import Renderer
     from facerender.planning.plan import plan
 
-    print("facerender: planning takes up to a minute", file=sys.stderr)
     with Renderer.of(job) as renderer:
-        return plan(job.scene(mesh), budget, cost="auto", renderer=renderer)
+        return plan(job.scene(mesh), budget, cost="auto", renderer=renderer, progress=progress)

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import replace
 
-from facerender.commands.common import Progress, clean_up_on_interrupt, import_trimesh, make_folder
+from facerender.commands.common import (
+    add_quiet,
+    check_outputs,
+    import_trimesh,
+    make_folder,
+    mesh_files,
+)
+from facerender.commands.streams import say, tell
 from facerender.drawing.context import BACKENDS
+from facerender.job import MeshFile
 from facerender.loading import load_mesh
+from facerender.progress import Bar
 
 
 def add(measure: argparse.ArgumentParser) -> None:
@@ -40,6 +48,7 @@ def add(measure: argparse.ArgumentParser) -> None:
         "--quick or --backend to the measurement in DIR, where there is one. May be repeated",
     )
     measure.add_argument("--json", action="store_true", help="print measure.json, no table")
+    add_quiet(measure)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -50,31 +59,32 @@ def run(options: argparse.Namespace) -> int:
     plots.check()
     imports = [read_imported(file) for file in options.imports]
     folder = make_folder(options.output)
+    read = [*mesh_files(MeshFile(options.mesh)), *options.imports]
+    check_outputs([folder / name for name in (report.JSON, report.PAGE)], read)
     kept = report.read_imports(folder)
     asked = options.mesh or options.quick or options.m is not None or options.backend != "auto"
     earlier = report.read(folder) if imports and not asked else None
-    if earlier:
-        measurement, triptychs = earlier, None
-    else:
-        import_trimesh()
-        mesh = load_mesh(options.mesh, allow_outside=options.allow_outside)
-        m = 0.3 if options.m is None else options.m
-        with Progress() as progress:
-            measurement, triptychs = measure(mesh, m, options.quick, options.backend, progress)
-        measurement = replace(measurement, imports=kept)
     told = []
-    for file, imported in zip(options.imports, imports, strict=True):
-        count = len(measurement.imports)
-        measurement = measurement.with_import(imported)
-        place = "added" if len(measurement.imports) > count else "in place of an earlier one"
-        told.append(f"facerender: {file}: {imported.gpu}: {place}")
-    with Progress() as progress:
+    with Bar(options.quiet) as progress:
+        if earlier:
+            measurement, triptychs = earlier, None
+        else:
+            import_trimesh()
+            mesh = load_mesh(options.mesh, allow_outside=options.allow_outside)
+            m = 0.3 if options.m is None else options.m
+            measurement, triptychs = measure(mesh, m, options.quick, options.backend, progress)
+            measurement = replace(measurement, imports=kept)
+        for file, imported in zip(options.imports, imports, strict=True):
+            count = len(measurement.imports)
+            measurement = measurement.with_import(imported)
+            place = "added" if len(measurement.imports) > count else "in place of an earlier one"
+            told.append(f"facerender: {file}: {imported.gpu}: {place}")
         progress("report", 0.0)
-        clean_up_on_interrupt()
         paths = report.write(measurement, triptychs, folder)
     content = measurement.as_dict()
-    print(json.dumps(content, indent=2) if options.json else report.table(measurement))
+    tell(json.dumps(content, indent=2) if options.json else report.table(measurement))
     for line in measurement.not_measured:
-        print(f"facerender: not measured: {line}", file=sys.stderr)
-    print(*told, *paths, sep="\n", file=sys.stderr)
+        say(f"facerender: not measured: {line}")
+    if not options.quiet:
+        say(*told, *paths)
     return 0

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import sys
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import clean_up_on_interrupt, parse_sizes
-from facerender.commands.scene import WHERE, add_scene, job_of, load
+from facerender.commands.common import add_quiet, check_outputs, parse_sizes
+from facerender.commands.scene import WHERE, add_scene, files_read, job_of, load
+from facerender.commands.streams import tell
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError, reason
-from facerender.glsl.library import TARGETS
-from facerender.image import write_bytes
+from facerender.glsl.library import LANGUAGES, TARGETS
+from facerender.image import write_text
+from facerender.progress import Bar
 
 
 def add(plan: argparse.ArgumentParser) -> None:
@@ -75,7 +75,11 @@ def add(plan: argparse.ArgumentParser) -> None:
     output = plan.add_argument_group("results")
     output.add_argument("--json", action="store_true", help="every figure")
     output.add_argument("--emit", metavar="OUT.glsl", help="the shader, with these choices made")
-    output.add_argument("--target", choices=TARGETS, help="of the shader: begin with its #version")
+    output.add_argument(
+        "--target",
+        choices=(*TARGETS, *LANGUAGES),
+        help="of the shader: begin with its #version, or another language",
+    )
     output.add_argument(
         "--scene",
         dest="pinned",
@@ -83,12 +87,12 @@ def add(plan: argparse.ArgumentParser) -> None:
         help="the scene with this shading, for facerender render --scene",
     )
     output.add_argument("--error-map", metavar="OUT.png", help="of the camera with the largest")
+    add_quiet(output)
 
 
 def run(options: argparse.Namespace) -> int:
     from facerender.planning.budget import Budget
     from facerender.planning.plan import plan
-    from facerender.pricing.table import COMPILED, HERE
 
     Budget.parse(options.budget, options.exposure, options.within)
     sizes = parse_sizes(options.size)
@@ -96,12 +100,12 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"--target {options.target} is of a shader: say --emit OUT.glsl")
     if options.guarantee and (options.camera or options.error_map):
         raise InputError("--guarantee is not measured: leave --camera and --error-map out")
-    _check_outputs(options)
-    _check_pinned(options.pinned)
     job, cameras = job_of(options, options.camera or [], sizes[-1])
+    check_outputs([options.emit, options.pinned, options.error_map], files_read(options, job))
+    if options.error_map and not options.error_map.lower().endswith(".png"):
+        raise InputError(f"--error-map {options.error_map}: give a .png")
+    _check_pinned(options.pinned)
     scene = load(job)
-    if options.cost == HERE or options.cost in COMPILED:
-        print("facerender: measuring costs takes a minute or two", file=sys.stderr)
     choices: dict[str, Any] = {
         "cost": options.cost,
         "verify_cost": options.verify_cost,
@@ -109,37 +113,21 @@ def run(options: argparse.Namespace) -> int:
         "within": options.within,
         "full": job.shading,
     }
-    if options.guarantee:
-        planned = plan(scene, options.budget, guarantee=True, **choices)
-    else:
-        with Renderer.of(job, options.backend) as renderer:
-            choices |= {"cameras": cameras, "sizes": sizes, "renderer": renderer}
-            planned = plan(scene, options.budget, **choices)
-    clean_up_on_interrupt()
+    with Bar(options.quiet) as choices["progress"]:
+        if options.guarantee:
+            planned = plan(scene, options.budget, guarantee=True, **choices)
+        else:
+            with Renderer.of(job, options.backend) as renderer:
+                choices |= {"cameras": cameras, "sizes": sizes, "renderer": renderer}
+                planned = plan(scene, options.budget, **choices)
     if options.emit:
-        write_bytes(options.emit, planned.shader(options.target).encode())
+        write_text(options.emit, planned.shader(options.target))
     if options.pinned:
-        write_bytes(options.pinned, (_PINNED + planned.scene_toml()).encode())
+        write_text(options.pinned, _PINNED + planned.scene_toml())
     if options.error_map:
         planned.save_error_map(options.error_map)
-    print(json.dumps(planned.as_dict(), indent=2) if options.json else planned.explain())
+    tell(json.dumps(planned.as_dict(), indent=2) if options.json else planned.explain())
     return 0
-
-
-def _check_outputs(options: argparse.Namespace) -> None:
-    """Nothing is planned for results that cannot be written, or that would replace one another or
-    what is read."""
-    read = ("mesh", "scene", "albedo", "normal_map", "specular_map", "roughness_map")
-    taken = {Path(name).resolve() for key in read if (name := getattr(options, key))}
-    for name in filter(None, (options.emit, options.pinned, options.error_map)):
-        path = Path(name).resolve()
-        if path in taken:
-            raise InputError(f"{name} is read, or written twice: give another name")
-        if path.is_dir() or not os.access(path.parent, os.W_OK):
-            raise InputError(f"cannot write {name}: give a file in a writable folder")
-        taken.add(path)
-    if options.error_map and not options.error_map.lower().endswith(".png"):
-        raise InputError(f"--error-map {options.error_map}: give a .png")
 
 
 _PINNED = "# Written by facerender plan.\n"

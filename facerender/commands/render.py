@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import warnings
 from typing import Any
 
-from facerender.commands.common import clean_up_on_interrupt, parse_size
-from facerender.commands.scene import WHERE, add_scene, job_of, load
+from facerender.commands.common import check_outputs, parse_size
+from facerender.commands.scene import WHERE, add_scene, files_read, job_of, load
+from facerender.commands.streams import say, tell
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import FacerenderWarning, InputError
@@ -67,6 +67,7 @@ def run(options: argparse.Namespace) -> int:
     output = Output(options.output, options.only, options.exposure)
     size = parse_size(options.size)
     job, _ = job_of(options, [options.camera] if options.camera else [], size, (output,))
+    check_outputs([output.path], files_read(options, job))
     scene, shading = load(job, options.cache), job.shading
     plan: dict[str, Any] = {}
     detail = Detail(job.image.samples, None)
@@ -86,7 +87,6 @@ def run(options: argparse.Namespace) -> int:
         drawn = detail.of(scene)
         frame = renderer.render(drawn, shading, output.only, samples, detail.backs, detail.once)
         backend = renderer.context.backend
-    clean_up_on_interrupt()
     frame.save(output.path, output.exposure)
     if options.json:
         facts = {
@@ -99,11 +99,11 @@ def run(options: argparse.Namespace) -> int:
         }
         if plan:
             facts["plan"] = plan
-        print(json.dumps(facts, indent=2))
+        tell(json.dumps(facts, indent=2))
     else:
-        print(options.output)
+        tell(options.output)
         if plan:
-            print(*plan["text"].splitlines()[-2:], sep="\n", file=sys.stderr)
+            say(*plan["text"].splitlines()[-2:])
     return 0
 
 

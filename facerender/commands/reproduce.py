@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
-from facerender.commands.common import clean_up_on_interrupt, make_folder
+from facerender.commands.common import add_quiet, make_folder
+from facerender.commands.streams import tell
+from facerender.progress import Bar
 
 
 def add(reproduce: argparse.ArgumentParser) -> None:
@@ -13,6 +14,7 @@ def add(reproduce: argparse.ArgumentParser) -> None:
     reproduce.add_argument(
         "-o", "--output", default="out/reproduction", metavar="DIR", help="(out/reproduction)"
     )
+    add_quiet(reproduce)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -21,8 +23,9 @@ def run(options: argparse.Namespace) -> int:
 
     plots.check()
     folder = make_folder(options.output)
-    result = reproduce(progress=lambda step: print(f"facerender: {step}", file=sys.stderr))
-    clean_up_on_interrupt()
-    for path in result.write(folder):
-        print(path)
+    with Bar(options.quiet) as progress:
+        result = reproduce(progress=progress)
+        progress("report", 0.0)
+        paths = result.write(folder)
+    tell(*paths)
     return 0

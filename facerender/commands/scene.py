@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import import_trimesh, numbers_of
+from facerender.commands.common import import_trimesh, mesh_files, numbers_of
 from facerender.drawing.prepare import start_maps
 from facerender.errors import InputError
 from facerender.job import ImageSettings, Job, MeshFile, Output
@@ -190,6 +190,14 @@ def job_of(
         **settings,
     )
     return job, cameras or (job.camera,)
+
+
+def files_read(options: argparse.Namespace, job: Job) -> Iterator[str | Path]:
+    """Yield what options and job say is read."""
+    yield from mesh_files(job.mesh)
+    yield from filter(None, [options.scene, job.environment and job.environment.file])
+    places = [options.camera] if isinstance(options.camera, str) else options.camera or []
+    yield from (place for place in places if place.lower().endswith(".toml"))
 
 
 def load(job: Job, cache: bool = False) -> Scene:

@@ -7,7 +7,8 @@ import dataclasses
 import json
 import textwrap
 
-from facerender.commands.common import clean_up_on_interrupt
+from facerender.commands.common import check_outputs
+from facerender.commands.streams import tell
 from facerender.glsl.library import LANGUAGES, TARGETS, shader_dir, shader_source
 from facerender.terms import LOBES
 
@@ -45,31 +46,31 @@ def run_list(options: argparse.Namespace) -> int:
     from facerender.glsl.catalogue import functions
 
     if options.json:
-        print(json.dumps([dataclasses.asdict(function) for function in functions()], indent=2))
+        tell(json.dumps([dataclasses.asdict(function) for function in functions()], indent=2))
         return 0
     for function in functions():
-        print(f"{function.signature}    {function.file}")
-        print(f"    {function.summary}")
+        tell(f"{function.signature}    {function.file}")
+        tell(f"    {function.summary}")
         for name, text in (("unit", function.unit), ("error", function.error)):
             lines = textwrap.wrap(text, 86, break_on_hyphens=False)
-            print(f"    {name:6}" + f"\n{'':10}".join(lines))
+            tell(f"    {name:6}" + f"\n{'':10}".join(lines))
     return 0
 
 
 def run_path(options: argparse.Namespace) -> int:
-    print(shader_dir())
+    tell(shader_dir())
     return 0
 
 
 def run_flatten(options: argparse.Namespace) -> int:
-    print(shader_source(options.name, options.target, lobe=options.lobe, m=options.m), end="")
+    tell(shader_source(options.name, options.target, lobe=options.lobe, m=options.m), end="")
     return 0
 
 
 def run_prepare_normal_map(options: argparse.Namespace) -> int:
     from facerender.scenes.prepared import prepare_normal_map
 
-    clean_up_on_interrupt()
+    check_outputs([options.output], [options.source])
     prepare_normal_map(options.source, options.output)
-    print(options.output)
+    tell(options.output)
     return 0

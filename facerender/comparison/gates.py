@@ -11,7 +11,6 @@ changed.
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -22,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.frame import Frame
-from facerender.errors import InputError
+from facerender.errors import InputError, check_range
 from facerender.image import SUFFIXES, Encoding, Picture, picture_of, read_image
 
 BLOCK = 16
@@ -34,7 +33,10 @@ FADED = 0.2  # excess of coverage that counts as changed
 SHIFT = 0.05  # pixels by which drivers may place what they draw differently
 FLOOR = 0.01  # radiance below which relative differences are taken of this
 FULL = 0.99  # coverage from which a pixel is inside: half floats and filters miss 1
+HIGHEST = 1e30  # of values, whose differences and sums are finite then
 LEAST = 64  # pixels that a block needs to be judged
+_STRIP = 16 * BLOCK  # rows that are compared at once
+_HALO = MARGIN + 1  # rows beyond a strip that its pixels are compared with
 
 SHAPE = "another shape, texture or light"
 
@@ -61,8 +63,7 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
-            if not 0.0 <= value < math.inf:
-                raise InputError(f"limit {name} = {value:g} is negative or not finite")
+            check_range(f"limit {name}", value, 0.0, 1e30)
 
 
 LIMITS: dict[Encoding, Limits] = {"linear": Limits(0.05, 5e-3), "srgb8": Limits(8.0, 1.0)}
@@ -73,6 +74,7 @@ STRICT = Limits(0.05, 1e-3)
 @dataclass(frozen=True)
 class Comparison:
     """The figures of every gate, and what they say. Positions are (x, y) from the top left.
+    ``bool(comparison)`` is ``comparison.same``.
 
     Attributes
     ----------
@@ -106,6 +108,9 @@ class Comparison:
     def same(self) -> bool:
         """Whether every gate was passed."""
         return not self.reasons
+
+    def __bool__(self) -> bool:
+        return self.same
 
     def as_dict(self) -> dict[str, Any]:
         """Return every figure, for JSON."""
@@ -148,47 +153,67 @@ def compare(
     height, width = a.pixels.shape[:2]
     counts = np.ones((height, width), dtype=bool) if mask is None else np.asarray(mask) != 0
     if counts.shape != (height, width):
-        raise InputError(f"the mask is {_size(counts)}, the images are {_size(a.pixels)} pixels")
+        raise InputError(
+            f"the mask has the shape {counts.shape}, the images are {_size(a.pixels)} pixels"
+        )
     if not counts.any():
         raise InputError("the mask is 0 everywhere: nothing would be compared")
     given = {"point": point, "block": block, "coverage": coverage}
     said = {name: value for name, value in given.items() if value is not None}
     limits = replace(LIMITS[a.encoding], **said)
 
-    color_a, color_b, alpha_a, alpha_b = a.color, b.color, a.coverage, b.coverage
-    full = (alpha_a >= FULL) & (alpha_b >= FULL)
-    silhouette = _filtered(full, np.maximum) & ~_filtered(full, np.minimum)
-    excess = np.where(counts, _excess(color_a, color_b), np.float32(0.0))
-    relative = np.abs(excess) / np.where(silhouette, np.float32(SILHOUETTE), np.float32(1.0))
-    over = relative > limits.point
-    means = _block_means(color_a, color_b, full & counts, a.encoding, SHIFT)
-    faded = np.abs(_excess(alpha_a[..., None], alpha_b[..., None])) > FADED
-    changed = (((alpha_a >= 0.5) != (alpha_b >= 0.5)) | faded) & counts
-    channels = range(color_a.shape[2])
-    # Channel by channel: NumPy is slow along a short last axis.
-    apart = np.maximum.reduce([np.abs(color_b[..., i] - color_a[..., i]) for i in channels])
-    difference = apart[counts]
-    row, column = np.unravel_index(relative.argmax(), relative.shape)
-    across, down = np.unravel_index(np.abs(np.nan_to_num(means)).argmax(), means.shape)[::-1]
+    over = np.zeros((height, width), dtype=np.int8)
+    full, silhouette = np.zeros((2, height, width), dtype=bool)
+    means: list[NDArray[np.float64]] = []
+    worst, point_at, excess_there = -1.0, (0, 0), 0.0
+    changed, largest, total = 0, 0.0, 0.0
+    for top in range(0, height, _STRIP):  # so that only the images themselves take much memory
+        rows = slice(top, min(top + _STRIP, height))
+        around = slice(max(top - _HALO, 0), min(top + _STRIP + _HALO, height))
+        own = slice(top - around.start, rows.stop - around.start)
+        (color_a, alpha_a), (color_b, alpha_b) = a.rows(around), b.rows(around)
+        counted = counts[around]
+        inner = (alpha_a >= FULL) & (alpha_b >= FULL)
+        rim = _filtered(inner, np.maximum) & ~_filtered(inner, np.minimum)
+        excess = np.where(counted, _excess(color_a, color_b), np.float32(0.0))
+        relative = np.abs(excess) / np.where(rim, np.float32(SILHOUETTE), np.float32(1.0))
+        change = _block_means(color_a, color_b, inner & counted, a.encoding, SHIFT, own)
+        faded = np.abs(_excess(alpha_a[..., None], alpha_b[..., None])) > FADED
+        faded |= (alpha_a >= 0.5) != (alpha_b >= 0.5)
+        channels = range(color_a.shape[2])
+        # Channel by channel: NumPy is slow along a short last axis.
+        apart = np.maximum.reduce([np.abs(color_b[..., i] - color_a[..., i]) for i in channels])
+
+        over[rows] = (np.sign(excess) * (relative > limits.point))[own]
+        full[rows], silhouette[rows] = inner[own], rim[own]
+        means.append(change)
+        changed += int((faded & counted)[own].sum())
+        difference = apart[own][counted[own]]
+        largest = max(largest, float(difference.max(initial=0.0)))
+        total += float(difference.sum(dtype=np.float64))
+        row, column = np.unravel_index(relative[own].argmax(), relative[own].shape)
+        if relative[own][row, column] > worst:
+            worst, excess_there = relative[own][row, column], float(excess[own][row, column])
+            point_at = int(column), top + int(row)
+    blocks = np.concatenate(means)
+    across, down = np.unravel_index(np.abs(np.nan_to_num(blocks)).argmax(), blocks.shape)[::-1]
     result = Comparison(
         reasons=(),
         encoding=a.encoding,
         size=(width, height),
         limits=limits,
-        point=float(excess[row, column]),
-        point_at=(int(column), int(row)),
-        points=int(over.sum()),
-        block=float(np.nan_to_num(means[down, across])),
+        point=excess_there,
+        point_at=point_at,
+        points=int(np.count_nonzero(over)),
+        block=float(np.nan_to_num(blocks[down, across])),
         block_at=(int(across) * BLOCK, int(down) * BLOCK),
-        blocks=int((np.abs(means) > limits.block).sum()),
-        blocks_judged=int(np.isfinite(means).sum()),
-        coverage=float(changed.mean()),
-        largest=float(difference.max()),
-        mean=float(difference.mean()),
+        blocks=int((np.abs(blocks) > limits.block).sum()),
+        blocks_judged=int(np.isfinite(blocks).sum()),
+        coverage=changed / (height * width),
+        largest=largest,
+        mean=total / int(counts.sum()),
     )
-    return replace(
-        result, reasons=_reasons(result, np.sign(excess) * over, full, silhouette, means)
-    )
+    return replace(result, reasons=_reasons(result, over, full, silhouette, blocks))
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +259,7 @@ class Pair:
 
     def as_dict(self) -> dict[str, Any]:
         """Return name, error and every figure, for JSON."""
-        figures = self.comparison.as_dict() if self.comparison else {}
+        figures = {} if self.comparison is None else self.comparison.as_dict()
         return {"name": self.name, "error": self.error, **figures}
 
 
@@ -311,14 +336,19 @@ def _check_alike(a: Picture, b: Picture) -> None:
 
 
 def _check_finite(picture: Picture) -> None:
-    finite = np.isfinite(picture.pixels)
-    if finite.all():
+    if picture.encoding == "srgb8":
         return
-    nans = int(np.isnan(picture.pixels).sum())
-    row, column, channel = np.argwhere(~finite)[0]
+    good = np.abs(picture.pixels) <= HIGHEST
+    if good.all():
+        return
+    row, column, channel = np.unravel_index(int(good.argmin()), good.shape)
+    nans, infinite = (int(test(picture.pixels).sum()) for test in (np.isnan, np.isinf))
+    what = f"{nans} NaN and {infinite} infinite values"
+    if not nans + infinite:
+        what = f"values beyond {HIGHEST:g}"
     raise InputError(
-        f"{picture.name} holds {nans} NaN and {int((~finite).sum()) - nans} infinite values, the "
-        f"first at pixel ({column}, {row}), channel {channel}: mend what drew it"
+        f"{picture.name} holds {what}, the first at pixel ({column}, {row}), channel {channel}: "
+        "mend what drew it"
     )
 
 
@@ -352,26 +382,36 @@ def _excess(a: Float, b: Float) -> Float:
 
 
 def _block_means(
-    a: Float, b: Float, covered: Mask, encoding: Encoding, shift: float = 0.0
-) -> Float:
+    a: Float,
+    b: Float,
+    covered: Mask,
+    encoding: Encoding,
+    shift: float = 0.0,
+    rows: slice = slice(None),
+) -> NDArray[np.float64]:
     """Return how each block's mean changed, in its worst channel; NaN where too few of its pixels
     lie inside the coverage.
 
     shift : pixels, along rows and columns; what so small a shift explains is taken off
+    rows : that count; the others lie around them
     """
     inside = covered
     for _ in range(MARGIN):
         inside = _filtered(inside, np.minimum)
+    inside = inside[rows]
     count = _block_sums(inside)
     worst = np.zeros(count.shape)
     for channel in range(a.shape[2]):
-        x, y = (np.ascontiguousarray(image[..., channel]) for image in (a, b))
+        whole = np.ascontiguousarray(a[..., channel])
+        x, y = whole[rows], b[rows, :, channel]
         of = np.maximum(count, 1.0)
         if encoding == "linear":
             of = np.maximum(_block_sums(np.abs(x) * inside), FLOOR * of)
         change = _block_sums((y - x) * inside) / of
         if shift:
-            slopes = (np.diff(x, axis=axis, append=x.take([-1], axis)) for axis in (0, 1))
+            slopes = (
+                np.diff(whole, axis=axis, append=whole.take([-1], axis))[rows] for axis in (0, 1)
+            )
             explained = sum(np.abs(_block_sums(slope * inside)) for slope in slopes)
             change = np.sign(change) * np.maximum(np.abs(change) - shift * explained / of, 0.0)
         worst = np.where(np.abs(change) > np.abs(worst), change, worst)
@@ -387,7 +427,7 @@ def _block_sums(values: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _reasons(
-    result: Comparison, over: Float, full: Mask, silhouette: Mask, means: Float
+    result: Comparison, over: NDArray[np.int8], full: Mask, silhouette: Mask, means: Float
 ) -> tuple[str, ...]:
     """Say why the images differ, and what that looks like.
 

@@ -7,7 +7,9 @@ values that are not finite are magenta.
 
 from __future__ import annotations
 
+import math
 import os
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from facerender.comparison.gates import Pair
 from facerender.errors import InputError
 from facerender.image import Encoding, Picture, encode_srgb8, save_png
 
+MOST_SHOWN = 1 << 24  # pixels: what shows more is no page to look at
 LEVELS = 32  # of the difference, either way
 DARKER, BRIGHTER, UNCOVERED = (74, 163, 255), (255, 148, 41), (190, 70, 255)
 NOT_FINITE = (255, 0, 255)
@@ -41,7 +44,9 @@ def thumbnail(picture: Picture, side: int) -> Bytes:
     """Return what an image shows, no side longer than so many pixels."""
     from PIL import Image
 
-    image = Image.fromarray(shown(picture))
+    height, width = picture.pixels.shape[:2]
+    step = max(math.isqrt(height * width // MOST_SHOWN), 1)
+    image = Image.fromarray(shown(replace(picture, pixels=picture.pixels[::step, ::step])))
     image.thumbnail((side, side))
     return np.asarray(image)
 
@@ -68,8 +73,13 @@ def heat_map(a: Picture, b: Picture) -> Bytes:
 
     Raises
     ------
-    InputError : flip-evaluator is missing
+    InputError : flip-evaluator is missing, or the images have more than MOST_SHOWN pixels
     """
+    height, width = a.pixels.shape[:2]
+    if height * width > MOST_SHOWN:
+        raise InputError(
+            f"no heat map of {width} x {height} pixels: at most {MOST_SHOWN}; give smaller images"
+        )
     return flip.heat_map(shown(a) / 255.0, shown(b) / 255.0)
 
 

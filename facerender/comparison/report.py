@@ -95,7 +95,7 @@ def _page(entries: Sequence[Entry]) -> str:
 
 
 def _row(pair: Pair) -> str:
-    gates = _gates(pair.comparison) if pair.comparison else ()
+    gates = () if pair.comparison is None else _gates(pair.comparison)
     figures = [gate.relation for gate in gates] or ["–"] * 3
     name = f'<a href="#pair-{INDEX}">{escape(pair.name)}</a>'
     return row(name, [_verdict(pair), *figures], VERDICTS[pair.status])
@@ -103,7 +103,7 @@ def _row(pair: Pair) -> str:
 
 def _section(pair: Pair) -> str:
     title = f"{escape(pair.name)} {_verdict(pair)}"
-    gates = _gate_table(pair.comparison) if pair.comparison else ""
+    gates = "" if pair.comparison is None else _gate_table(pair.comparison)
     tables = f'<div class="tables">{gates}{_facts(pair)}</div>'
     if pair.status == 0 and pair.reference:
         source = _source(pictures.thumbnail(pair.reference, THUMBNAIL))
@@ -111,7 +111,7 @@ def _section(pair: Pair) -> str:
             f'<details class="same"><summary>{title}</summary><div id="pair-{INDEX}">'
             f'<img class="thumbnail" src="{source}" alt="the image">{tables}</div></details>'
         )
-    reasons = pair.comparison.reasons if pair.comparison else (pair.error,)
+    reasons = (pair.error,) if pair.comparison is None else pair.comparison.reasons
     said = "".join(f"<li>{escape(reason)}</li>" for reason in reasons)
     return (
         f'<section id="pair-{INDEX}" class="{VERDICTS[pair.status]}"><h2>{title}</h2>'
@@ -200,6 +200,10 @@ def _viewer(pair: Pair) -> str:
     """Show the images there are, and how they differ if they could be compared."""
     places = _places(pair)
     a, b = pair.reference, pair.image
+    if any(each.pixels[..., 0].size > pictures.MOST_SHOWN for each in (a, b) if each):
+        return (
+            f'<p class="note">Images of more than {pictures.MOST_SHOWN} pixels are not shown.</p>'
+        )
     both = (("a", "<b>A</b> reference", a), ("b", "<b>B</b> image", b))
     figures = [
         _figure(kind, caption, pictures.shown(picture), places)
@@ -209,7 +213,7 @@ def _viewer(pair: Pair) -> str:
     if not figures:
         return ""
     controls = ""
-    if a and b and pair.comparison:
+    if a and b and pair.comparison is not None:
         controls = _choices("view", {mode: mode for mode in MODES})
         try:
             heat = pictures.heat_map(a, b)
@@ -223,7 +227,7 @@ def _viewer(pair: Pair) -> str:
     if places:
         controls += _choices("zoom", {"whole": "", **centres})
         controls += '<label><input type="checkbox" class="marks" checked>marks</label>'
-    if pair.comparison:
+    if pair.comparison is not None:
         controls += _MOTION
     if controls:
         controls = f'<div class="controls">{controls}</div>'
@@ -237,7 +241,7 @@ def _viewer(pair: Pair) -> str:
 def _places(pair: Pair) -> dict[str, tuple[int, int, int]]:
     """Return x, y and side of what is worth a look."""
     places = {}
-    if result := pair.comparison:
+    if (result := pair.comparison) is not None:
         if result.point:
             places["worst pixel"] = (*result.point_at, 1)
         if result.block:

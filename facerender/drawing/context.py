@@ -1,26 +1,63 @@
-"""An OpenGL 3.3 context without a window: EGL, OSMesa, or the one that the host has current."""
+"""An OpenGL 3.3 context without a window: EGL, OSMesa, the window system's (WGL, CGL, GLX), or the
+one that the host has current. What a process has after a fork is told here as well."""
 
 from __future__ import annotations
 
 import ctypes
 import os
+import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
 import glcontext
 import moderngl
 
-from facerender.drawing.host import HostContext, bind_osmesa, current_context, put_aside_state
-from facerender.errors import ContextError, InputError
+from facerender.drawing.host import (
+    HostContext,
+    bind_osmesa,
+    current_context,
+    egl_in_use,
+    put_aside_state,
+)
+from facerender.errors import ContextError, InputError, shown
 
-Backend = Literal["auto", "egl", "osmesa", "current"]
+Backend = Literal["auto", "egl", "osmesa", "native", "current"]
 
-BACKENDS: tuple[Backend, ...] = ("auto", "egl", "osmesa", "current")
-PACKAGES = {"egl": "libegl1 libgl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
-SOFTWARE = ("llvmpipe", "softpipe", "swr", "swiftshader", "software rasterizer")
+BACKENDS: tuple[Backend, ...] = ("auto", "egl", "osmesa", "native", "current")
+# In the order in which auto tries them: elsewhere than on Linux there is the window system's alone.
+AUTO: tuple[Backend, ...] = (
+    ("native",) if sys.platform in ("win32", "darwin") else ("egl", "osmesa")
+)
+_MESA = "libgl1 libgl1-mesa-dri"
+REMEDIES = {
+    "egl": f"on Debian or Ubuntu: {{sudo}}apt-get install libegl1 {_MESA}",
+    "osmesa": "on Debian or Ubuntu: {sudo}apt-get install libosmesa6; Mesa 25.1 has none: use egl",
+    "native": "install a graphics driver that has OpenGL 3.3"
+    if AUTO == ("native",)
+    else f"on Debian or Ubuntu: {{sudo}}apt-get install {_MESA} libx11-6 xvfb",
+    "current": "make a context current first, or use the backend auto",
+}
+SOFTWARE = ("llvmpipe", "softpipe", "swr", "swiftshader", "software rasterizer", "apple software")
 _GL_VERSION = 330
+
+# Drivers that this process, and those that it was forked from, have opened: whether the CPU draws.
+# A driver's threads do not survive a fork: what was opened before the last one is lost.
+_opened: dict[str, bool] = {}
+_lost: dict[str, bool] = {}
+_FORKED = "it was in use before this process was forked"
+
+
+def _lose() -> None:
+    if "egl" not in _opened and egl_in_use():  # somebody else's
+        _opened["egl"] = True
+    _lost.update(_opened)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_lose)
 
 
 class _Loader(Protocol):
@@ -66,6 +103,7 @@ class _OSMesaContext(ForeignContext):
     )
 
     def __init__(self) -> None:
+        _check_not_lost("osmesa")
         self._library = _open_library("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
         super().__init__(self._library.OSMesaGetProcAddress)
         flat = [value for pair in self._ATTRIBUTES for value in pair]
@@ -96,6 +134,62 @@ class _OSMesaContext(ForeignContext):
             self._context = None
 
 
+class _SurfacelessContext(ForeignContext):
+    """A context of a display of Mesa's that is not the one which other EGL contexts share, and so
+    has a software driver of its own, whose threads run."""
+
+    driver = "surfaceless"
+    _PLATFORM_SURFACELESS, _OPENGL_API = 0x31DD, 0x30A2
+    _CONFIG = (0x3033, 0, 0x3040, 8, 0x3038)  # any surface type; renders OpenGL
+    _ATTRIBUTES = (0x3098, _GL_VERSION // 100, 0x30FB, _GL_VERSION % 100 // 10, 0x30FD, 1, 0x3038)
+
+    def __init__(self) -> None:
+        self._library = _open_library("libEGL.so.1")
+        super().__init__(self._library.eglGetProcAddress)
+        config, count = ctypes.c_void_p(), ctypes.c_int()
+        self._display = self._egl("GetPlatformDisplay", self._PLATFORM_SURFACELESS, None, None)
+        self._egl("Initialize", self._display, None, None)
+        self._egl("BindAPI", self._OPENGL_API)
+        wanted = (ctypes.c_int * len(self._CONFIG))(*self._CONFIG)
+        found = ctypes.byref(config), 1, ctypes.byref(count)
+        self._egl("ChooseConfig", self._display, wanted, *found)
+        attributes = (ctypes.c_int * len(self._ATTRIBUTES))(*self._ATTRIBUTES)
+        self._context = self._egl("CreateContext", self._display, config, None, attributes)
+        self._egl("MakeCurrent", self._display, None, None, self._context)
+
+    def _egl(self, name: str, *arguments: Any) -> ctypes.c_void_p:
+        """Call a function, none of which returns 0 where all is well."""
+        function = getattr(self._library, f"egl{name}")
+        function.restype = ctypes.c_void_p
+        if not (result := function(*arguments)):
+            raise ContextError(f"{_FORKED}, and egl{name} failed for another display")
+        return ctypes.c_void_p(result)
+
+    def __enter__(self) -> _SurfacelessContext:
+        self._egl("MakeCurrent", self._display, None, None, self._context)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._egl("MakeCurrent", self._display, None, None, None)
+
+    def release(self) -> None:
+        self._egl("DestroyContext", self._display, self._context)
+
+
+def check_process(process: int) -> None:
+    """Raise ContextError where what was made in this process is of no use here."""
+    if process != os.getpid():
+        raise ContextError(
+            "this renderer was made in the process that this one was forked from: make a new one "
+            "here"
+        )
+
+
+def _check_not_lost(driver: str) -> None:
+    if driver in _lost:
+        raise ContextError(_FORKED)
+
+
 def _open_library(*names: str) -> ctypes.CDLL:
     for name in names:
         try:
@@ -106,11 +200,27 @@ def _open_library(*names: str) -> ctypes.CDLL:
 
 
 def _egl() -> _Loader:
+    if _lost.get("egl") and _SurfacelessContext.driver not in _lost:
+        return _SurfacelessContext()
+    _check_not_lost("egl")
     for library in ("libEGL.so.1", "libGL.so.1"):
         _open_library(library)
     # With the names given, glcontext starts no ldconfig and no compiler to look for them.
     loader: _Loader = glcontext.get_backend_by_name("egl")(
         mode="standalone", glversion=_GL_VERSION, libegl="libEGL.so.1", libgl="libGL.so.1"
+    )
+    return loader
+
+
+def _native() -> _Loader:
+    _check_not_lost("native")
+    libraries = {} if AUTO == ("native",) else {"libgl": "libGL.so.1", "libx11": "libX11.so.6"}
+    for library in libraries.values():
+        _open_library(library)
+    if libraries and not os.environ.get("DISPLAY"):
+        raise ContextError("DISPLAY names no X server: start one, such as Xvfb by xvfb-run")
+    loader: _Loader = glcontext.default_backend()(
+        mode="standalone", glversion=_GL_VERSION, **libraries
     )
     return loader
 
@@ -133,10 +243,11 @@ class Context:
 
     Attributes
     ----------
-    backend : "egl", "osmesa" or "current"
+    backend : "egl", "osmesa", "native" or "current"
     gl : the moderngl context; current within :meth:`drawing` alone
     handle : of a host's context
     renderer, version : GL_RENDERER and GL_VERSION, to be recorded with every figure and golden
+    process : in which it was made, and alone can be used
     """
 
     backend: str
@@ -145,6 +256,8 @@ class Context:
     handle: int
     renderer: str
     version: str
+    process: int = field(default_factory=os.getpid)
+    _lock: threading.RLock = field(default_factory=threading.RLock, repr=False, compare=False)
 
     @property
     def most_samples(self) -> int:
@@ -163,33 +276,41 @@ class Context:
     @contextmanager
     def drawing(self) -> Iterator[moderngl.Context]:
         """Make the context current, and afterwards what was current before; a host's own context
-        finds its state as it was.
+        finds its state as it was. Other threads wait for their turn.
 
         Raises
         ------
-        ContextError : the context was released, or the host's is not current in this thread
+        ContextError : the context was released, or made in the process that this one was forked
+            from, or the host's is not current in this thread
         """
-        if self.released:
-            raise ContextError("this renderer was released: make a new one")
-        host = current_context()
-        if self.backend == "current":
-            if host is None or host.handle != self.handle:
-                raise ContextError(
-                    "the context in which this renderer was made is not current in this thread: "
-                    "make it current first"
-                )
-            restore = put_aside_state(self.loader.load)
+        check_process(self.process)
+        with self._lock:
+            if self.released:
+                raise ContextError("this renderer was released: make a new one")
+            host = current_context()
+            if self.backend == "current":
+                if host is None or host.handle != self.handle:
+                    raise ContextError(
+                        "the context in which this renderer was made is not current in this "
+                        "thread: make it current first"
+                    )
+                restore = put_aside_state(self.loader.load)
+                try:
+                    yield self.gl
+                finally:
+                    restore()
+                return
             try:
-                yield self.gl
+                with self.gl:
+                    yield self.gl
             finally:
-                restore()
-            return
-        try:
-            with self.gl:
-                yield self.gl
-        finally:
-            if host is not None:
-                host.rebind()
+                if host is not None:
+                    host.rebind()
+
+    @property
+    def inherited(self) -> bool:
+        """Whether it is of the process that this one was forked from, which alone may free it."""
+        return self.process != os.getpid()
 
     @property
     def released(self) -> bool:
@@ -197,13 +318,15 @@ class Context:
         return isinstance(self.gl.mglo, moderngl.InvalidObject)
 
     def release(self) -> None:
-        """Free the context, unless it is the host's; a second time does nothing."""
-        self.gl.release()
+        """Free the context, unless it is the host's or inherited; a second time does nothing."""
+        if not self.inherited:
+            self.gl.release()
 
 
 _OPENERS: dict[str, Callable[[], Any]] = {
     "egl": _egl,
     "osmesa": _OSMesaContext,
+    "native": _native,
     "current": _current,
 }
 
@@ -213,16 +336,16 @@ def create_context(backend: Backend = "auto") -> Context:
 
     Parameters
     ----------
-    backend : "auto" tries EGL, then OSMesa; "current" takes the host's
+    backend : "auto" tries those of AUTO; "native" is WGL, CGL or GLX; "current" takes the host's
 
     Raises
     ------
     InputError : an unknown backend
     ContextError : none works; the message says what was tried, what each said, and the remedy
     """
-    if backend not in BACKENDS:
-        raise InputError(f"unknown backend {backend!r}; known: {', '.join(BACKENDS)}")
-    tried = ("egl", "osmesa") if backend == "auto" else (backend,)
+    if str(backend) not in BACKENDS:
+        raise InputError(f"unknown backend {shown(backend)}; known: {', '.join(BACKENDS)}")
+    tried = AUTO if backend == "auto" else (backend,)
     host = current_context()
     said = []
     for name in tried:
@@ -252,15 +375,16 @@ def _open(name: str, host: HostContext | None) -> Context:
         with gl:
             pass  # on the way out no context of ours stays current
     handle = guest.handle if guest else 0
+    if not guest:
+        _opened[getattr(loader, "driver", name)] = is_software(info["GL_RENDERER"])
     return Context(name, gl, loader, handle, info["GL_RENDERER"], info["GL_VERSION"])
 
 
 def _remedy(tried: tuple[str, ...]) -> str:
-    if tried == ("current",):
-        return "make a context current first, or use the backend auto"
-    packages = " ".join(PACKAGES[name] for name in tried)
-    sudo = "" if hasattr(os, "geteuid") and os.geteuid() == 0 else "sudo "
-    return f"on Debian or Ubuntu: {sudo}apt-get install {packages}"
+    if not _lost.keys().isdisjoint(tried):
+        return "start processes by spawn or forkserver (multiprocessing.get_context), not by fork"
+    root = hasattr(os, "geteuid") and os.geteuid() == 0
+    return REMEDIES[tried[0]].format(sudo="" if root else "sudo ")
 
 
 @dataclass(frozen=True)
@@ -276,10 +400,9 @@ class Finding:
 
 
 def probe() -> list[Finding]:
-    """Try EGL and OSMesa, one after the other, and tell what each offers or lacks."""
+    """Try every backend of our own, one after the other, and tell what each offers or lacks."""
     findings = []
-    names: tuple[Backend, ...] = ("egl", "osmesa")
-    for name in names:
+    for name in BACKENDS[1:-1]:
         try:
             context = create_context(name)
         except ContextError as error:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
+
+from facerender.drawing.context import check_process
 
 Inputs = Mapping[str, NDArray[np.float32]]
 Glsl = Literal["330 core", "450 core", "300 es"]
@@ -73,7 +76,7 @@ class Evaluator:
 
     def __init__(self, gl: moderngl.Context, glsl: Glsl = "330 core") -> None:
         """gl : becomes the evaluator's; glsl : what its shaders begin with"""
-        self.gl, self.glsl = gl, glsl
+        self.gl, self.glsl, self._process = gl, glsl, os.getpid()
         gl.gc_mode = "context_gc"
         with gl:
             self.renderer, self.version = gl.info["GL_RENDERER"], gl.info["GL_VERSION"]
@@ -98,7 +101,9 @@ class Evaluator:
         Raises
         ------
         moderngl.Error : what does not compile, with the compiler's message
+        ContextError : the evaluator was made in the process that this one was forked from
         """
+        check_process(self._process)
         results = []
         with self.gl as gl:
             gl.gc()  # what the call before left
@@ -127,6 +132,7 @@ class Evaluator:
     ) -> Iterator[NDArray[np.float32]]:
         """Yield what a fragment shader draws, (height, width, 4), for each value of its
         ``uniform uint seed``."""
+        check_process(self._process)
         with self.gl as gl:
             gl.gc()  # what the call before left
             program = gl.program(vertex_shader(self.glsl), fragment)

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError
+from facerender.errors import InputError, check_path, check_range, check_switch, check_type, shown
 from facerender.image import encode_srgb8, save_exr, save_png
-from facerender.scenes.scene import Only
+from facerender.scenes.scene import ONLY, Only
 from facerender.scenes.view import View
 
 
@@ -38,12 +38,21 @@ class Frame:
     transparent: bool
     metadata: Mapping[str, str]
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.linear, np.ndarray) or self.linear.ndim != 3:
+            raise InputError(f"linear = {shown(self.linear)}: give an array (H, W, 4)")
+        if self.only is not None and str(self.only) not in ONLY:
+            raise InputError(f"unknown term {shown(self.only)}; known: {', '.join(ONLY)}")
+        check_switch("transparent", self.transparent)
+        check_type("metadata", self.metadata, Mapping, "texts by name")
+
     def srgb8(self, exposure: float = 0.0) -> NDArray[np.uint8]:
         """8-bit image for looking at: (H, W, 3), or (H, W, 4) with straight alpha if transparent.
 
         Radiance and albedo are sRGB, normals 0.5 n + 0.5, cosines and visibility as they are, depth
         from the nearest (white) to the farthest; exposure, in stops, applies to radiance.
         """
+        check_range("exposure", exposure, -100.0, 100.0)
         color, coverage = self.linear[..., :3], self.linear[..., 3:]
         if self.only == "normal":
             pixels = _bytes((color * 0.5 + 0.5) * coverage)
@@ -65,6 +74,8 @@ class Frame:
         ------
         InputError : another suffix, a place that cannot be written, EXR without its package
         """
+        check_path("image file", path)
+        check_range("exposure", exposure, -100.0, 100.0)
         suffix = os.path.splitext(path)[1].lower()
         if suffix == ".png":
             save_png(path, self.srgb8(exposure), self.metadata)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -27,19 +28,33 @@ class HostContext:
 
 
 def current_context() -> HostContext | None:
-    """Return the context of EGL, GLX or OSMesa that is current in this thread, if there is one."""
+    """Return the context of EGL, GLX or OSMesa that is current in this thread, if there is one; not
+    one that was current before a fork, for its driver's threads are not here."""
     for find in (_egl, _glx, _osmesa):
-        if (found := find()) is not None:
+        if (found := find()) is not None and found.handle not in _inherited:
             return found
     return None
+
+
+_inherited: set[int] = set()  # handles
+
+
+def _disown() -> None:
+    while (host := current_context()) is not None:
+        _inherited.add(host.handle)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_disown)
 
 
 _libraries: dict[str, ctypes.CDLL] = {}
 
 
 def _loaded(*names: str) -> ctypes.CDLL | None:
-    """A library that the process has loaded; what is not loaded has no current context."""
-    for name in names:
+    """A library that the process has loaded; what is not loaded has no current context. There are
+    none of these libraries on Windows."""
+    for name in names if sys.platform != "win32" else ():
         if name not in _libraries:
             try:
                 _libraries[name] = ctypes.CDLL(name, mode=os.RTLD_NOLOAD | os.RTLD_NOW)
@@ -69,6 +84,25 @@ def _egl() -> HostContext | None:
         make_current(display, draw, read, context)
 
     return HostContext(context, library.eglGetProcAddress, rebind)
+
+
+def egl_in_use() -> bool:
+    """Tell whether somebody in this process has opened EGL's display of a device."""
+    library = _loaded("libEGL.so.1")
+    if library is None:
+        return False
+    library.eglGetProcAddress.restype = ctypes.c_void_p
+    names = b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT"
+    found = [library.eglGetProcAddress(name) for name in names]
+    if not all(found):
+        return False
+    query = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
+    get = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p)
+    devices, count = (ctypes.c_void_p * 16)(), ctypes.c_int()
+    query(found[0])(len(devices), devices, ctypes.byref(count))
+    displays = [get(found[1])(0x313F, device, None) for device in devices[: count.value]]
+    library.eglQueryString.argtypes = [ctypes.c_void_p, ctypes.c_int]
+    return any(_pointer(library.eglQueryString, each, 0x3054) for each in displays)  # its version
 
 
 def _glx() -> HostContext | None:

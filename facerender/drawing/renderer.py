@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import warnings
+import weakref
+from contextlib import suppress
 from dataclasses import replace
 from types import TracebackType
 from typing import TYPE_CHECKING
@@ -12,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender._version import __version__
-from facerender.drawing.context import Backend, create_context
+from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.frame import Frame, GBuffer
 from facerender.drawing.passes import Pass
 from facerender.drawing.passes.shade import shade_pass
@@ -23,7 +26,15 @@ from facerender.drawing.prepare import simplify, start_maps
 from facerender.drawing.program import ENVIRONMENT_MAP, Lighting
 from facerender.drawing.reference import data_view
 from facerender.drawing.resources import Resources, read
-from facerender.errors import ContextError, InputError
+from facerender.errors import (
+    ContextError,
+    InputError,
+    check_count,
+    check_range,
+    check_switch,
+    check_type,
+    warn,
+)
 from facerender.job import Job
 from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera
@@ -31,7 +42,7 @@ from facerender.scenes.light import Light
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import ONLY, Only, Scene, slope_ranges
 from facerender.scenes.texture import Kind
-from facerender.scenes.view import View, sample_grid, view_of
+from facerender.scenes.view import View, checked_size, hidden, sample_grid, view_of
 from facerender.shading import Shading
 from facerender.terms import AnyLobe
 
@@ -45,7 +56,9 @@ MAX_SAMPLES = 64
 class Renderer:
     """Draws scenes. Meshes, programs and framebuffers are kept for the next frame.
 
-    Use it as a context manager, or call :meth:`release`. One renderer serves one thread at a time.
+    Use it as a context manager, or call :meth:`release`; one that is dropped frees what it has, and
+    warns (ResourceWarning). Threads may share a renderer, and wait for each other. One that was
+    made before a fork is of no use in the child, which makes its own.
 
     Parameters
     ----------
@@ -53,7 +66,8 @@ class Renderer:
     samples : per pixel, 1 to 64. Up to what the driver offers (4 on Mesa's software driver) they
         are shared: a pixel is shaded once for each surface that they see. More than that are as
         many images with one each, whose mean is shaded anew at every sample
-    backend : "auto", "egl", "osmesa", or "current" for the host's context
+    backend : "auto", "egl", "osmesa", "native" for WGL, CGL or GLX, or "current" for the host's
+        context
     anisotropy : of texture filtering, 1 to 16; 8 nearly doubles a frame on a software driver
     float_albedo : keep albedo maps as linear float16 in place of 8-bit sRGB, so that drivers agree
         to the last digits
@@ -73,18 +87,17 @@ class Renderer:
         anisotropy: float = 1.0,
         float_albedo: bool = False,
     ) -> None:
-        width, height = size
-        if not (1 <= width <= MAX_SIZE and 1 <= height <= MAX_SIZE):
-            raise InputError(f"size {width} x {height}: give 1 to {MAX_SIZE} pixels a side")
-        _check_samples(samples)
-        if not 1.0 <= anisotropy <= 16.0:
-            raise InputError(f"anisotropy = {anisotropy:g} is outside [1, 16]")
-        self.size = (width, height)
+        self.size = checked_size(size, MAX_SIZE)
+        check_count("samples", samples, MAX_SAMPLES)
+        check_range("anisotropy", anisotropy, 1.0, 16.0)
+        check_switch("float_albedo", float_albedo)
         self.samples = samples
         self.anisotropy = anisotropy
         self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
         self.context = create_context(backend)
         self._resources = Resources(self.context, self.size, anisotropy, self.albedo_kind)
+        self._free = weakref.finalize(self, _free_dropped, self.context, self._resources)
+        self._free.atexit = False
         try:
             with self.context.drawing():
                 self._check_limits()
@@ -95,6 +108,7 @@ class Renderer:
     @classmethod
     def of(cls, job: Job, backend: Backend = "auto") -> Renderer:
         """Return a renderer for the images of a job; errors as of the class."""
+        check_type("job", job, Job, "a facerender.Job")
         return cls(
             job.image.size,
             samples=job.image.samples,
@@ -116,12 +130,11 @@ class Renderer:
 
     def release(self) -> None:
         """Free everything on the GPU, and the context unless it is the host's; a second time does
-        nothing."""
-        if self.context.released:
+        nothing, nor does it in a child of the process that made the renderer."""
+        if self.context.released or self.context.inherited:
             return
-        with self.context.drawing():
-            self._resources.release()
-        self.context.release()
+        _free(self.context, self._resources)
+        self._free.detach()
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -158,16 +171,25 @@ class Renderer:
         Raises
         ------
         InputError : a map is damaged, m lies outside the lobe's domain and the shading asks for an
-            error then, an unknown term
+            error then, an unknown term, values whose image is not finite
+
+        Warns
+        -----
+        FacerenderWarning : no pixel shows the mesh, and why
         """
+        _check_scene(scene, shading)
+        for name, value in (("backs", backs), ("once", once)):
+            check_switch(name, value)
+        check_type("only", only, str | None, f"one of {', '.join(ONLY)}")
         if only in ("normal", "albedo", "depth", "cosines", "visibility"):
             linear = data_view(self.gbuffer(scene, shading), scene, only)
+            _check(linear, scene)
             metadata = {**self.metadata, "samples": "1"}
             return Frame(linear, only, scene.background is None, metadata)
         if only not in (None, "specular", "diffuse"):
             raise InputError(f"unknown term {only!r}; known: {', '.join(ONLY)}")
         samples = self.samples if samples is None else samples
-        _check_samples(samples)
+        check_count("samples", samples, MAX_SAMPLES)
         scene = simplify(scene, shading)
         start_maps(scene.mesh, self.albedo_kind, shading.slope_filter)
         view = view_of(scene, self.size[0] / self.size[1])
@@ -180,6 +202,7 @@ class Renderer:
                 shifted = view.shifted(shift, self.size)
                 linear += self._shaded(scene, shifted, shading, 1, only, backs)
             linear /= samples
+        _check(linear, scene)
         metadata = {key: str(value) for key, value in shading.as_dict().items()}
         metadata |= {**self.metadata, "samples": str(samples)}
         metadata |= {"shaded": "once a pixel"} if once else {}
@@ -196,10 +219,13 @@ class Renderer:
     def can_shade_once(self, scene: Scene, samples: int) -> bool:
         """Tell whether frames with so many samples can be shaded once a pixel: with several, as
         many as the driver has, of up to 16 million triangles, on a background of up to 1000."""
+        _check_scene(scene)
+        check_count("samples", samples, MAX_SAMPLES)
         return samples > 1 and self._can_defer(scene, samples)
 
     def gbuffer(self, scene: Scene, shading: Shading = Shading()) -> GBuffer:
         """Draw what shading reads at each pixel's centre; errors as in :meth:`render`."""
+        _check_scene(scene, shading)
         scene = simplify(scene, shading)
         start_maps(scene.mesh, self.albedo_kind, shading.slope_filter)
         view = view_of(scene, self.size[0] / self.size[1])
@@ -300,8 +326,8 @@ class Renderer:
     def _draw(self, passes: list[Pass], scene: Scene) -> list[NDArray[np.float32]]:
         """Draw passes in their order, and return the images of the last."""
         drawn: dict[str, moderngl.Texture] = {}
-        self._resources.settle()
         with self.context.drawing() as gl:
+            self._resources.settle()
             if scene.environment is not None:
                 drawn[ENVIRONMENT_MAP] = self._resources.environment(scene.environment.panorama)
             for step in passes:
@@ -314,6 +340,26 @@ class Renderer:
                     names = (step.name, *step.others)
                     drawn |= zip(names, target.color_attachments, strict=False)  # type: ignore[arg-type]
             return [read(target, index) for index in range(step.target.colors)]
+
+
+def _free(context: Context, resources: Resources) -> None:
+    with context.drawing():
+        resources.release()
+    context.release()
+
+
+def _free_dropped(context: Context, resources: Resources) -> None:
+    """Free what a renderer had that nobody released. What is in a host's context which is not
+    current now stays there until the host frees it."""
+    if context.released or context.inherited:
+        return
+    warnings.warn(
+        "a Renderer was dropped without release(): make it in a with statement",
+        ResourceWarning,
+        stacklevel=2,
+    )
+    with suppress(ContextError):
+        _free(context, resources)
 
 
 def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:
@@ -331,9 +377,25 @@ def _from_visibility(shaded: Pass, visibility: Visibility | None, backs: bool) -
     return [replace(first, backs=backs), *others]
 
 
-def _check_samples(samples: int) -> None:
-    if not 1 <= samples <= MAX_SAMPLES:
-        raise InputError(f"samples = {samples}: give 1 to {MAX_SAMPLES}")
+def _check(linear: NDArray[np.float32], scene: Scene) -> None:
+    """Raise InputError where a pixel is not finite, and warn where none shows the mesh."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = linear.sum()  # three times as fast as looking at each
+    if not np.isfinite(total) and not (finite := np.isfinite(linear).all(axis=-1)).all():
+        row, column = np.unravel_index(int(finite.argmin()), finite.shape)
+        raise InputError(
+            f"{(~finite).sum()} pixels of {scene.mesh.name} are not finite, the first at ({column},"
+            f" {row}): a light stands on the surface, or lights and weights are too strong for "
+            "float32; move it, or lower them"
+        )
+    coverage = linear[..., 3]
+    if not coverage[len(coverage) // 2].any() and not coverage.any():
+        warn(f"no pixel shows {scene.mesh.name}: {hidden(scene, linear.shape[1::-1])}")
+
+
+def _check_scene(scene: Scene, shading: Shading = Shading()) -> None:
+    check_type("scene", scene, Scene, "a facerender.Scene")
+    check_type("shading", shading, Shading, "a facerender.Shading")
 
 
 def render(

@@ -27,6 +27,9 @@ from facerender.scenes.texture import Kind, Texture
 if TYPE_CHECKING:
     from facerender.scenes.environment import Panorama
 
+# Programs that are kept beside those of the last frame; llvmpipe takes 2 MB for each.
+MOST_PROGRAMS = 64
+
 _TEXTURE_2D = 0x0DE1
 _SRGB8_ALPHA8 = 0x8C43
 _RGB8 = 0x8051
@@ -89,7 +92,8 @@ class Resources:
         self.textures: WeakKeyDictionary[Texture, dict[Kind, moderngl.Texture]]
         self.textures = WeakKeyDictionary()
         self.environments: WeakKeyDictionary[Panorama, moderngl.Texture] = WeakKeyDictionary()
-        self.programs: dict[Program, moderngl.Program] = {}
+        self.programs: dict[Program, moderngl.Program] = {}  # the longest unused first
+        self._drawn: set[Program] = set()  # what the last frame used of them
         self.targets: dict[Target, moderngl.Framebuffer] = {}
         self.held: dict[Target, Hashable] = {}  # the keys of what targets hold
         self.screens: dict[moderngl.Program, moderngl.VertexArray] = {}
@@ -103,8 +107,15 @@ class Resources:
         self.context.gl.gc()
 
     def settle(self) -> None:
-        """Give memory back to the system that decoding, uploads and compilers took and freed, once
-        after frames that needed any: 110 MiB for the built-in head, which malloc would keep."""
+        """Drop programs beyond MOST_PROGRAMS, and give memory back to the system that decoding,
+        uploads and compilers took and freed, once after frames that needed any: 110 MiB for the
+        built-in head, which malloc would keep. The context is current."""
+        unused = [source for source in self.programs if source not in self._drawn]
+        for source in unused[: max(len(self.programs) - MOST_PROGRAMS, 0)]:
+            program = self.programs.pop(source)
+            for arrays in (self.screens, *(each.arrays for each in self.geometries.values())):
+                arrays.pop(program, None)
+        self._drawn.clear()
         if not self._settled and (trim := _malloc_trim()):
             trim(0)
         self._settled = True
@@ -210,9 +221,13 @@ class Resources:
         return self.targets[kind]
 
     def program(self, source: Program) -> moderngl.Program:
-        """Compile a program, once."""
-        if source not in self.programs:
+        """Compile a program, once while it is in use; see :meth:`settle`."""
+        self._drawn.add(source)
+        if source in self.programs:
+            self.programs[source] = self.programs.pop(source)
+        else:
             self._settled = False
+            self.context.gl.gc()
             stages = source.sources("330 core")
             try:
                 self.programs[source] = self.context.gl.program(

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Literal
 
 from facerender._version import __version__
 from facerender.data import data_dir
-from facerender.errors import InputError
+from facerender.errors import InputError, check_range, check_type
 from facerender.glsl.code import defines, file_of, lobe_macros, term_macros
 from facerender.glsl.includes import Expansion
 from facerender.shading import SMALL_SLOPE, Term
 from facerender.terms import LOBES, MODELS, AnyLobe, GPower, lobe_entry
 from facerender.terms.entry import Entry
-from facerender.terms.lobe import TITLES
+from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE, TITLES
 
 if TYPE_CHECKING:
     import moderngl
@@ -76,6 +76,8 @@ def shader_source(
         language, a file with samplers, arrays, or more than functions and constants
     """
     macros = {} if lobe is None else lobe_macros(lobe)
+    if m is not None:
+        check_range("m", m, MIN_SLOPE, MAX_SLOPE)
     if lobe == "exact" and m is not None and m >= SMALL_SLOPE:
         macros["FR_SMALL_SLOPE"] = "0"
     return _flat(name, target, macros, lobe, m)
@@ -101,8 +103,9 @@ def _flat(
     lobe: AnyLobe | None,
     m: float | None,
 ) -> str:
-    if target is not None and target not in (*TARGETS, *LANGUAGES):
+    if target is not None and str(target) not in (*TARGETS, *LANGUAGES):
         raise InputError(f"unknown target {target!r}; known: {', '.join((*TARGETS, *LANGUAGES))}")
+    check_type("name", name, str, "that of a file or function of the library, or a path as text")
     path = _path(name)
     chosen = {macro.split("(")[0]: value for macro, value in macros.items()}
     if m is not None:
@@ -156,6 +159,7 @@ def resolve_includes(text: str) -> str:
     ------
     InputError : a file that is missing, or that includes itself; the message gives the line
     """
+    check_type("text", text, str, "GLSL as text")
     expansion = Expansion(shader_dir(), numbered=True)
     expansion.text(text.removeprefix("\ufeff"))
     return "\n".join(expansion.lines)
@@ -175,6 +179,7 @@ def translated(text: str, language: Language) -> str:
 def moderngl_includes(context: moderngl.Context) -> None:
     """Make ``#include "facerender/cook_torrance.glsl"``, in quotes, and every other file of the
     library, work in the programs of a moderngl context."""
+    check_type("context", getattr(context, "includes", None), dict, "a moderngl.Context")
     for name in library():
         context.includes[f"facerender/{name}.glsl"] = shader_source(name)
 

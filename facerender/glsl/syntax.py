@@ -47,6 +47,8 @@ _LEVELS = [["||"], ["^^"], ["&&"], ["|"], ["^"], ["&"], ["==", "!="], ["<", ">",
            ["<<", ">>"], ["+", "-"], ["*", "/", "%"]]  # fmt: skip
 _COMPONENTS = str.maketrans("stpqrgba", "xyzwxyzw")
 _ASSIGN = {"=", "+=", "-=", "*=", "/=", "%=", "&=", "|=", "^=", "<<=", ">>="}
+_STEP = {"++", "--"}
+_OTHER_STATEMENTS = {"do", "switch", "case", "default", "discard"}
 
 
 @dataclass(frozen=True)
@@ -220,6 +222,7 @@ class Parser:
         self._scopes: list[dict[str, str]] = [{}]
         self.functions: dict[str, Function] = {}
         self._function = Function("", [])
+        self._conditions = 0  # of which one decides whether what follows is evaluated
 
     def program(self) -> list[Node]:
         """Return the declarations; the last node holds what stands behind them.
@@ -231,7 +234,7 @@ class Parser:
         nodes = []
         while self._next.kind != "end":
             nodes.append(self._declaration())
-        return [*nodes, Node("end", [self._take()])]
+        return [*nodes, Node("end", [self._next])]
 
     @property
     def _next(self) -> Token:
@@ -239,6 +242,8 @@ class Parser:
 
     def _take(self, *wanted: str) -> Token:
         token = self._next
+        if token.kind == "end":
+            raise self._error("the end comes too early")
         if wanted and token.text not in wanted:
             raise self._error(f"{' or '.join(wanted)} is missing before {token.text!r}")
         self._at += 1
@@ -277,12 +282,14 @@ class Parser:
                 word = self._take().text
                 qualifier = word if word in ("out", "inout") else qualifier
             kind, own = self._type(), self._take().text
+            if self._next.text == "[":
+                raise self._error("an array")
             known.parameters.append((qualifier, kind, own))
             parameters.append(Node(qualifier, list(self._code[first : self._at]), kind, own))
             if self._next.text == ",":
                 parameters.append(self._take())
         head: list[Token | Node] = [*self._code[start : start + 3], *parameters, self._take(")")]
-        self.functions[name.text] = known
+        self._add(name.text, known)
         if self._next.text == ";":
             return Node("prototype", [*head, self._take()], type_, name.text)
         self._scopes.append({own: kind for _, kind, own in known.parameters})
@@ -290,6 +297,14 @@ class Parser:
         body = self._block()
         self._scopes.pop()
         return Node("function", [*head, body], type_, name.text)
+
+    def _add(self, name: str, function: Function) -> None:
+        """Note a function, perhaps for the second time behind its prototype."""
+        first = self.functions.setdefault(name, function)
+        one, other = ([kind for _, kind, _ in each.parameters] for each in (first, function))
+        if one != other:
+            raise self._error(f"a second function {name!r}: give it a name of its own")
+        self.functions[name] = function
 
     # --- statements ---
 
@@ -315,7 +330,10 @@ class Parser:
         if word == "for":
             self._scopes.append({})
             parts = [self._take(), self._take("("), self._variables()]
-            parts += [self._expression(), self._take(";"), self._expression(), self._take(")")]
+            parts += [self._expression(), self._take(";"), self._changed(), self._take(")")]
+            step = parts[5]
+            if isinstance(step, Node) and any(map(_several, step.parts[:2])):
+                raise self._error("several components of a vector, assigned by for: use its body")
             parts.append(self._statement())
             self._scopes.pop()
             return Node("for", parts)
@@ -328,7 +346,9 @@ class Parser:
             return Node(word, [self._take(), self._take(";")])
         if word in QUALIFIERS or (word in TYPES and self._code[self._at + 1].kind == "name"):
             return self._variables()
-        return Node("expression", [self._expression(), self._take(";")])
+        if word in _OTHER_STATEMENTS:
+            raise self._error(f"{word!r}; of statements if, for and while are")
+        return Node("expression", [self._changed(), self._take(";")])
 
     def _variables(self) -> Node:
         """A declaration; its parts are tokens, and nodes with a name and perhaps a value."""
@@ -352,12 +372,30 @@ class Parser:
 
     # --- expressions ---
 
-    def _expression(self) -> Node:
+    def _changed(self) -> Node:
+        """An expression that is a statement, which alone may assign: WGSL knows no other, and HLSL
+        evaluates both sides of conditions."""
+        if self._next.text in _STEP:
+            sign, operand = self._take(), self._unary()
+            self._assign(operand)
+            return Node("prefix", [sign, operand], operand.type)
         left = self._ternary()
-        if self._next.text in _ASSIGN:
+        if left.kind in ("name", "swizzle", "index") and self._next.text in _ASSIGN | _STEP:
             self._assign(left)
+            if self._next.text in _STEP:
+                return Node("postfix", [left, self._take()], left.type)
             return Node("assign", [left, self._take(), self._expression()], left.type)
         return left
+
+    def _expression(self) -> Node:
+        """An expression that assigns nothing, but by calls."""
+        expression = self._ternary()
+        if self._next.text in _ASSIGN | _STEP:
+            raise self._within(self._next.text)
+        return expression
+
+    def _within(self, what: str) -> InputError:
+        return self._error(f"{what!r} within an expression: give it a statement of its own")
 
     def _assign(self, node: Node) -> None:
         """Note that a variable, or a part of it, gets a value."""
@@ -369,10 +407,11 @@ class Parser:
         condition = self._binary(0)
         if self._next.text != "?":
             return condition
+        self._conditions += 1
         question, yes = self._take(), self._expression()
-        return Node(
-            "ternary", [condition, question, yes, self._take(":"), self._ternary()], yes.type
-        )
+        colon, no = self._take(":"), self._ternary()
+        self._conditions -= 1
+        return Node("ternary", [condition, question, yes, colon, no], yes.type)
 
     def _binary(self, level: int) -> Node:
         if level == len(_LEVELS):
@@ -380,7 +419,9 @@ class Parser:
         left = self._binary(level + 1)
         while self._next.text in _LEVELS[level]:
             sign = self._take()
+            self._conditions += sign.text in ("&&", "||")
             right = self._binary(level + 1)
+            self._conditions -= sign.text in ("&&", "||")
             type_ = (
                 "bool" if level in (0, 1, 2, 6, 7) else _product(sign.text, left.type, right.type)
             )
@@ -391,26 +432,24 @@ class Parser:
         if self._next.text in ("-", "+", "!", "~"):
             sign, operand = self._take(), self._unary()
             return Node("unary", [sign, operand], operand.type)
-        if self._next.text in ("++", "--"):
-            sign, operand = self._take(), self._unary()
-            self._assign(operand)
-            return Node("prefix", [sign, operand], operand.type)
+        if self._next.text in _STEP:
+            raise self._within(self._next.text)
         node = self._primary()
-        while self._next.text in (".", "[", "++", "--"):
-            if self._next.text in ("++", "--"):
-                self._assign(node)
-                node = Node("postfix", [node, self._take()], node.type)
-            elif self._next.text == "[":
+        while self._next.text in (".", "["):
+            if self._next.text == "[":
+                if node.type not in VECTORS and node.type not in MATRICES:
+                    raise self._error(f"'[' of a {node.type}")
                 type_ = _element(node.type)
                 node = Node(
                     "index", [node, self._take(), self._expression(), self._take("]")], type_
                 )
             else:
                 dot, field_ = self._take(), self._take()
-                if node.type not in VECTORS:
+                own = field_.text.translate(_COMPONENTS)
+                if node.type not in VECTORS or not re.fullmatch("[xyzw]{1,4}", own):
                     raise self._error(f"{field_.text!r} of a {node.type}")
-                field_ = replace(field_, text=field_.text.translate(_COMPONENTS))
-                scalar, count = VECTORS[node.type][0], len(field_.text)
+                field_ = replace(field_, text=own)
+                scalar, count = VECTORS[node.type][0], len(own)
                 node = Node("swizzle", [node, dot, field_], _vector(scalar, count), field_.text)
         return node
 
@@ -427,6 +466,8 @@ class Parser:
             return Node("number", [token], "bool")
         if token.kind != "name":
             raise self._error(f"{token.text!r}")
+        if token.text in TYPES and self._next.text == "[":
+            raise self._error("an array")
         if self._next.text == "(":
             return self._call(token)
         for scope in reversed(self._scopes):
@@ -448,8 +489,13 @@ class Parser:
         if name.text in self.functions:
             function = self.functions[name.text]
             for argument, (qualifier, _, _) in zip(arguments, function.parameters, strict=False):
-                if qualifier != "in":
-                    self._assign(argument)
+                if qualifier == "in":
+                    continue
+                if argument.kind != "name":
+                    raise self._error(f"what {name.text} assigns: give it a whole variable")
+                if self._conditions:
+                    raise self._error(f"{name.text}, which assigns, within ?:, && or ||: use if")
+                self._assign(argument)
             return Node("call", parts, function.type, name.text)
         if name.text not in RESULTS:
             raise self._error(f"the function {name.text}, which is not known")
@@ -457,6 +503,10 @@ class Parser:
         if result == "widest":
             result = max((each.type for each in arguments), key=lambda kind: kind in VECTORS)
         return Node("built-in", parts, result, name.text)
+
+
+def _several(part: Token | Node) -> bool:
+    return isinstance(part, Node) and part.kind == "swizzle" and len(part.name) > 1
 
 
 def _vector(scalar: str, count: int) -> str:

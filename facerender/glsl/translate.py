@@ -276,7 +276,19 @@ class Wgsl(Writer):
 
     def write_prefix(self, node: Node) -> str:
         sign, operand = node.parts
-        return _before(node) + self.bare(operand) + self.bare(sign)
+        return self._step(_before(node), operand, self.bare(sign))
+
+    def write_postfix(self, node: Node) -> str:
+        operand, sign = node.parts
+        return self._step(_before(node), operand, self.bare(sign))
+
+    def _step(self, gap: str, operand: Token | Node, sign: str) -> str:
+        """++ and -- are of whole numbers alone."""
+        if isinstance(operand, Node) and operand.type not in ("int", "uint"):
+            one = Node("number", [Token("number", "1.0", " ")], "float")
+            added = Node("assign", [operand, Token("sign", f"{sign[0]}=", " "), one], operand.type)
+            return gap + self.bare(added)
+        return gap + self.bare(operand) + sign
 
     def write_call(self, node: Node) -> str:
         out = [qualifier != "in" for qualifier, _, _ in self._known[node.name].parameters]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from facerender.data import data_dir
-from facerender.errors import clipped, noting
+from facerender.errors import check_path, check_switch, clipped, noting
 from facerender.loading.kept import Files
 from facerender.loading.read import read
 from facerender.loading.referred import Referred
@@ -58,6 +58,8 @@ def load_mesh(
     InputError : the file or a map is missing, empty, damaged, of no known format, or has no faces;
         millimetres outside [1e-6, 1e6]
     """
+    check_switch("flip_v", flip_v)
+    check_switch("cache", cache)
     files = _files(
         path, albedo, normal_map, specular_map, roughness_map, flip_v, lobe_map, allow_outside
     )
@@ -102,6 +104,9 @@ def _files(
         "roughness_map": roughness_map,
         "lobe_map": lobe_map,
     }
+    for name, file in {"mesh file": path, **maps}.items():
+        if file is not None:
+            check_path(name, file)
     return Files(
         Path(path) if path is not None else data_dir("assets") / "head.glb",
         {name: Path(file) for name, file in maps.items() if file is not None},

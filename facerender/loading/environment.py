@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, reason
-from facerender.image import read_image
+from facerender.errors import InputError, check_type, clipped
+from facerender.files import read_file
+from facerender.image import MAX_BYTES, check_pixels, read_image
 from facerender.scenes.environment import Environment, Panorama, studio
 from facerender.scenes.file import STUDIO, EnvironmentFile
 
@@ -23,6 +24,7 @@ def load_environment(file: EnvironmentFile) -> Environment:
     InputError : a file that is missing, damaged, of another kind or shape, or holds a radiance that
         is no number in [0, 1e9]; .hdr without OpenImageIO, .exr without OpenEXR
     """
+    check_type("environment", file, EnvironmentFile, "a facerender.EnvironmentFile")
     panorama = studio() if file.file == STUDIO else _panorama(file.file, *_state(file.file))
     return Environment(panorama, file.rotation, file.scale)
 
@@ -58,20 +60,22 @@ def _read(path: Path) -> NDArray[np.float32]:
 
 
 def _read_hdr(path: Path) -> NDArray[np.float32]:
-    try:
-        with path.open("rb"):
-            pass
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {reason(error)}") from None
+    content = read_file(path, "an environment", MAX_BYTES)
     try:
         import OpenImageIO as oiio
     except ImportError:
         raise InputError(
             f"{path}: .hdr needs the package OpenImageIO; pip install 'facerender[hdr]'"
         ) from None
-    file = oiio.ImageInput.open(str(path))
-    pixels = file.read_image(oiio.FLOAT) if file else None
-    if pixels is None:
-        why = (file.geterror() if file else oiio.geterror()).strip()
-        raise InputError(f"{path} is no image that OpenImageIO reads ({why}); write it anew")
-    return np.asarray(pixels, dtype=np.float32)
+    file, why = None, "it does not start as Radiance files do"
+    if content.startswith(b"#?"):  # else another of its readers would take it
+        file = oiio.ImageInput.open(str(path))
+        why = oiio.geterror()
+    if file:
+        spec = file.spec()
+        check_pixels(str(path), spec.width, spec.height, 4 * spec.nchannels, len(content))
+        if (pixels := file.read_image(oiio.FLOAT)) is not None:
+            return np.asarray(pixels, dtype=np.float32)
+        why = file.geterror()
+    why = clipped(why) or "damaged"
+    raise InputError(f"{path} is no image that OpenImageIO reads ({why}); write it anew")

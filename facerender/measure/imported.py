@@ -6,14 +6,14 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
 from reprlib import repr as short
 from typing import Any, NoReturn
 from unicodedata import category
 
 import numpy as np
 
-from facerender.errors import InputError, check_range, reason
+from facerender.errors import InputError, check_range
+from facerender.files import read_file
 
 KIND = "facerender explorer cost"
 UNIT = "ms a picture"
@@ -124,17 +124,8 @@ def read_imported(path: str) -> Imported:
     ------
     InputError : a file that cannot be read, is none that the explorer saves, or is damaged
     """
+    data = read_file(path, "what the explorer saved", MOST_BYTES)
     try:
-        with Path(path).open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-    except OSError as error:
-        why = reason(error)
-        raise InputError(f"cannot read {path}: {why}; give what the explorer saved") from None
-    except ValueError:  # a zero byte in the name
-        raise InputError(f"cannot read {path!r}: no name of a file") from None
-    try:
-        if len(data) > MOST_BYTES:
-            raise InputError(f"it has more than {MOST_BYTES >> 20} MiB")
         content = _mapping(_parsed(data), "the whole")
         for name, value in (("kind", KIND), ("unit", UNIT)):
             if content.get(name) != value:

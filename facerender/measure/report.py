@@ -67,7 +67,7 @@ DOMINATED = (
 )
 
 
-JSON = "measure.json"
+JSON, PAGE = "measure.json", "index.html"
 _ELSEWHERE = "move it away, or give another folder"
 
 
@@ -106,7 +106,7 @@ def write(
     files = {
         JSON: content.encode(),
         **{drawn.file: drawn.png for drawn in (*trades, *curves, *strips)},
-        "index.html": _page(measurement, trades, curves, strips).encode(),
+        PAGE: _page(measurement, trades, curves, strips).encode(),
     }
     return write_files(directory, files)
 

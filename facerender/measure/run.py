@@ -8,7 +8,7 @@ import platform
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +38,7 @@ from facerender.measure.skin import skin_parts
 from facerender.pricing import amd, cost
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import Variant, lobe_terms, of_model, terms
+from facerender.progress import Progress, unheard
 from facerender.scenes.camera import Camera
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
@@ -47,15 +48,13 @@ from facerender.terms import LOBES
 SLOPES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 DEGREES = np.linspace(0.0, 90.0, 91)
 
-Progress = Callable[[str, float], object]
-
 
 def measure(
     mesh: Mesh,
     m: float = 0.3,
     quick: bool = False,
     backend: Backend = "auto",
-    progress: Progress = lambda what, done: None,
+    progress: Progress = unheard,
 ) -> tuple[Measurement, list[Triptych]]:
     """Measure what every form and lobe of both models, and numbers of samples, cost and lose, on
     this machine.
@@ -83,7 +82,7 @@ def measure(
     for model in MODELS:
 
         def stage(what: str, model: str = model) -> Callable[[float], object]:
-            return lambda done: progress(f"{model}: {what}", done)
+            return partial(progress, f"{model}: {what}")
 
         term_ns = cost.by_slope(terms(model), cost.OF_VECTORS, repeats, backend, stage("terms"))
         lobe_ns: dict[str, Interval] = {}

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from facerender.comparison import flip
 from facerender.comparison.gates import FLOOR
-from facerender.errors import InputError
+from facerender.errors import InputError, check_range
 from facerender.image import linear_to_srgb
 
 Unit = Literal["display", "relative", "flip"]
@@ -61,8 +61,7 @@ class Budget:
             share = 0.0
         if not 0.0 < share <= 1.0:
             raise InputError(f"within {within}: give a share of the pixels such as 99.9% or 0.999")
-        if not -100.0 <= exposure <= 100.0:
-            raise InputError(f"exposure = {exposure:g} is outside [-100, 100]")
+        check_range("exposure", exposure, -100.0, 100.0)
         remedy = "give a share of the display's range such as 1/255, 0.5%, or 0.02 flip"
         match = _GIVEN.fullmatch(str(given).strip())
         try:

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from facerender.drawing.prepare import simplify
 from facerender.drawing.renderer import Renderer
-from facerender.errors import InputError
+from facerender.errors import InputError, check_switch, check_type, each_of
 from facerender.glsl.code import call
-from facerender.glsl.library import Target, term_source
+from facerender.glsl.library import Language, Target, term_source
 from facerender.image import save_png
 from facerender.planning.bound import Unbounded, bound
 from facerender.planning.budget import ROUNDING, Budget, highest_but
@@ -29,6 +29,7 @@ from facerender.planning.frames import measured_frames, verified
 from facerender.planning.search import Choice, Cost, Region, Witnesses, constants_seen
 from facerender.pricing.interval import Interval
 from facerender.pricing.table import FRAME
+from facerender.progress import Progress, unheard
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import scene_toml
 from facerender.scenes.planned import Detail, Planned
@@ -135,7 +136,7 @@ class Plan:
             lines["measured"] = f"{self.measured.value:.2f} of the full frame ({ends}), in turns"
         return lines
 
-    def shader(self, target: Target | None = None) -> str:
+    def shader(self, target: Target | Language | None = None) -> str:
         """Return the library's file with the chosen terms alone, its constants folded; target as in
         :func:`facerender.shader_source`. Comments tell what a host must leave out besides, and what
         to call for each light.
@@ -270,6 +271,7 @@ def plan(
     verify_cost: bool = False,
     exposure: float = 0.0,
     renderer: Renderer | None = None,
+    progress: Progress = unheard,
 ) -> Plan:
     """Find a cheaper frame of a scene whose error stays within a budget: the fewest samples,
     pixels shaded once and the fewest triangles with these, and the cheapest shading with all that.
@@ -294,6 +296,7 @@ def plan(
     exposure : of the displayed image, in stops
     renderer : draws; what it shades with several samples a pixel counts as well; None makes one of
         1024 x 1024 pixels with 4 samples
+    progress : called with what is done now and the share of it that is done
 
     Raises
     ------
@@ -302,6 +305,18 @@ def plan(
         share of the pixels, or one with a guarantee
     ContextError : no OpenGL context
     """
+    check_type("scene", scene, Scene, "a facerender.Scene")
+    check_type("budget", budget, str | float, 'an error with its unit, such as "1/255"')
+    check_type("full", full, Shading, "a facerender.Shading")
+    check_type("cost", cost, str, f'where prices come from, such as "{FRAME}"')
+    check_type("renderer", renderer, Renderer | None, "a facerender.Renderer")
+    for name, value in (("guarantee", guarantee), ("verify_cost", verify_cost)):
+        check_switch(name, value)
+    if cameras is not None:
+        cameras = each_of("cameras", cameras, Camera, "several facerender.Camera")
+    if sizes is not None:
+        remedy = "widths and heights, such as [(512, 512)]"
+        sizes = each_of("sizes", sizes, tuple | list, remedy)
     allowed = Budget.parse(budget, exposure, within)
     if full.term.lobe != "exact":
         raise InputError(f"a plan chooses the lobe: leave {full.term.lobe} out")
@@ -317,7 +332,7 @@ def plan(
             raise InputError(f"a guarantee holds at every pixel: leave within {within} out")
         if verify_cost:
             raise InputError("a guarantee is of no frame: leave verify_cost out")
-        return _guaranteed(scene, full, allowed, cost)
+        return _guaranteed(scene, full, allowed, cost, progress)
     at = (scene.camera,) if cameras is None else tuple(cameras)
     with ExitStack() as stack:
         drawing = renderer or stack.enter_context(Renderer())
@@ -326,13 +341,17 @@ def plan(
             for size in (sizes or [drawing.size])
         ]
         places = [Place(replace(scene, camera=camera), each) for each in renderers for camera in at]
-        views = [Region.seen(place, full, allowed) for place in places]
+        views = []
+        for number, place in enumerate(places):
+            progress("views", number / len(places))
+            views.append(Region.seen(place, full, allowed))
         if not any(view.counted.any() for view in views):
             raise InputError(f"the cameras see nothing of {scene.mesh.name}")
         constants = constants_seen(scene, full, views)
         software = drawing.context.software
+        progress("prices", 0.0)
         choice = Choice(scene, full, allowed, constants, cost, software, views)
-        return _measured(choice, at, places, views, cost == FRAME, verify_cost)
+        return _measured(choice, at, places, views, cost == FRAME, verify_cost, progress)
 
 
 def _resized(renderer: Renderer, size: tuple[int, int]) -> Renderer:
@@ -353,16 +372,19 @@ def _measured(
     views: Sequence[Region],
     framed: bool,
     verify: bool,
+    progress: Progress,
 ) -> Plan:
     samples = places[0].renderer.samples
     drawn = None
     if samples > 1 or framed or verify:
         drawn = Drawn(places, choice.full, choice.budget)
     if drawn and framed and choice.limit >= 0.0:
+        progress("samples and triangles", 0.0)
         drawn.coarsen()
     witnesses = Witnesses(views, choice, drawn)
-    shading = choice.first(witnesses.let_pass)
+    shading = choice.first(witnesses.let_pass, progress)
     if drawn and framed:
+        progress("frames", 0.0)
         choice.frames = measured_frames(choice, drawn)
     maps = [view.errors(shading) for view in views]
     worst = int(np.argmax([errors.max() for errors in maps]))
@@ -378,6 +400,7 @@ def _measured(
         (int(x), int(y)),
         *as_drawn,
     )
+    progress("decisions", 0.0)
     told = decisions(
         choice,
         shading,
@@ -404,7 +427,7 @@ def _measured(
     )
 
 
-def _guaranteed(scene: Scene, full: Shading, budget: Budget, cost: str) -> Plan:
+def _guaranteed(scene: Scene, full: Shading, budget: Budget, cost: str, progress: Progress) -> Plan:
     bound(scene, full, full, budget)  # refuses at once what it cannot bound
     ends = [end for slopes in slope_ranges(simplify(scene, full), full) for end in slopes]
     brightest = [float(np.max(light.irradiance)) for light in scene.lights]
@@ -418,7 +441,7 @@ def _guaranteed(scene: Scene, full: Shading, budget: Budget, cost: str) -> Plan:
         except Unbounded:
             return math.inf
 
-    shading = choice.first(lambda each: at_most(each) <= choice.limit)
+    shading = choice.first(lambda each: at_most(each) <= choice.limit, progress)
     told = decisions(choice, shading, at_most, at_most, might="might err by up to")
     return _plan(choice, shading, Error(at_most(shading), at_most(shading)), told)
 

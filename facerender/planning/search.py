@@ -31,6 +31,7 @@ from facerender.planning.candidates import (
 from facerender.planning.drawn import Drawn, Place, Scattered
 from facerender.pricing.frame import Frames
 from facerender.pricing.table import NoPrice, load_prices
+from facerender.progress import Progress
 from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
 
@@ -147,11 +148,13 @@ class Choice:
             less *= self.frames.own.slope
         return less / self.cost(self.full).full_total
 
-    def first(self, fits: Callable[[Shading], bool]) -> Shading:
+    def first(self, fits: Callable[[Shading], bool], progress: Progress) -> Shading:
         """Return the first that fits; nothing but the full one is as near as rounding."""
-        if self.limit < 0.0:
-            return self.full
-        return next(each for each in self.ordered if each is self.full or fits(each))
+        for number, each in enumerate(self.ordered if self.limit >= 0.0 else ()):
+            progress("shadings", number / len(self.ordered))
+            if each is self.full or fits(each):
+                return each
+        return self.full
 
 
 class Witnesses:

@@ -16,13 +16,13 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from facerender.ending import temporary_folder
 from facerender.errors import FacerenderError, InputError, NotMeasured
 from facerender.glsl.library import resolve_includes
 from facerender.pricing import variants
@@ -153,7 +153,7 @@ def spirv(**sources: str) -> tuple[bytes, ...]:
     if compiler is None:
         raise _not_measured("glslangValidator is not installed", "glslang-tools")
     options = "-V -R --target-env vulkan1.1 --auto-map-locations --auto-map-bindings"
-    with tempfile.TemporaryDirectory() as folder:
+    with temporary_folder() as folder:
         for stage, source in sources.items():
             Path(folder, f"program.{stage}").write_text(source, encoding="utf-8")
         files = [f"program.{stage}" for stage in sources]

@@ -15,12 +15,12 @@ import re
 import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from facerender.ending import temporary_folder
 from facerender.errors import InputError, NotMeasured
 from facerender.glsl.library import translated
 from facerender.glsl.translate import Msl
@@ -146,7 +146,7 @@ def statistics(terms: Mapping[str, tuple[str, str]], gpu: str) -> dict[str, Inst
 
 def compilers() -> list[str]:
     """Return the compilers' names and versions; errors as in :func:`statistics`."""
-    with tempfile.TemporaryDirectory() as folder:
+    with temporary_folder() as folder:
         query = "OCL_DRIVER_VERSION"
         subprocess.run([_ocloc(), "query", query], cwd=folder, capture_output=True, check=True)
         intel = Path(folder, query).read_text(encoding="utf-8").strip("\0\n ")
@@ -181,7 +181,7 @@ def _program(prefix: str, prelude: str, expression: str) -> str:
 def _intel(program: str, gpu: str) -> dict[str, list[str]]:
     """Return the operations of each kernel by its name."""
     environment = {name: value for name, value in os.environ.items() if "IGC_" not in name}
-    with tempfile.TemporaryDirectory() as folder:
+    with temporary_folder() as folder:
         Path(folder, "terms.cl").write_text(_OPENCL + program, encoding="utf-8")
         command = [_ocloc(), "compile", "-file", "terms.cl", "-device", gpu]
         run = subprocess.run(
@@ -226,7 +226,7 @@ def _nvidia(program: str, gpu: str) -> dict[str, list[str]]:
         binary = output("CUBIN")
     finally:
         nvrtc.nvrtcDestroyProgram(ctypes.byref(handle))
-    with tempfile.TemporaryDirectory() as folder:
+    with temporary_folder() as folder:
         path = Path(folder, "terms.cubin")
         path.write_bytes(binary)
         listing = subprocess.run(

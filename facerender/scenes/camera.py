@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from facerender.errors import check_range
+from facerender.errors import check_count, check_range, check_type
 from facerender.scenes.vectors import Vector, vector
 
 
@@ -40,6 +40,13 @@ class Camera:
 
 
 def turntable(camera: Camera = Camera(), count: int = 8) -> tuple[Camera, ...]:
-    """Return cameras all around, beginning with this one, at its elevation."""
+    """Return cameras all around, beginning with this one, at its elevation.
+
+    Raises
+    ------
+    InputError : no camera, a count that is no whole number in [1, 100000]
+    """
+    check_type("camera", camera, Camera, "a facerender.Camera")
+    check_count("count", count, 100000)
     turns = (camera.azimuth + 360.0 * turn / count for turn in range(count))
     return tuple(replace(camera, azimuth=azimuth, position=None) for azimuth in turns)

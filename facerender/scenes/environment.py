@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_range
+from facerender.errors import InputError, check_range, check_type, shown
 from facerender.scenes.vectors import direction_to
 from facerender.terms.environment import harmonics
 
@@ -42,7 +42,14 @@ class Panorama:
     radiance: Float32
 
     def __post_init__(self) -> None:
-        values = np.asarray(self.radiance, dtype=np.float32)
+        check_type("name of a panorama", self.name, str, "text")
+        try:
+            values = np.asarray(self.radiance, dtype=np.float32)
+        except (TypeError, ValueError):
+            raise InputError(
+                f"environment {self.name} has the radiance {shown(self.radiance)}: give an array "
+                "of numbers"
+            ) from None
         if values.ndim != 3 or values.shape[1:] != (2 * len(values), 3) or len(values) < 2:
             shape = " x ".join(map(str, values.shape[1::-1] + values.shape[2:]))
             raise InputError(
@@ -136,6 +143,7 @@ class Environment:
     scale: float = 1.0
 
     def __post_init__(self) -> None:
+        check_type("panorama", self.panorama, Panorama, "a facerender.Panorama")
         check_range("environment rotation", self.rotation, -3600.0, 3600.0)
         check_range("environment scale", self.scale, 0.0, HIGHEST)
 

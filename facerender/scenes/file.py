@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from facerender.errors import InputError, check_range, reason
+from facerender.errors import InputError, check_path, check_range, clipped, reason, shown
+from facerender.files import read_file
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light, parse_light
 from facerender.scenes.material import MAPS, Material
@@ -27,6 +28,7 @@ KEYS = (
     *("camera", "cameras", "lights", "environment", "material", "shading", "planned"),
     *("ambient", "background"),
 )
+MOST_BYTES = 1 << 24  # of a file
 STUDIO = "studio"  # an environment that is no file
 
 
@@ -47,7 +49,7 @@ class EnvironmentFile:
 
     def __post_init__(self) -> None:
         if not isinstance(self.file, str | os.PathLike) or not os.fspath(self.file):
-            raise InputError(f"environment file = {self.file!r}: give a path, or {STUDIO}")
+            raise InputError(f"environment file = {shown(self.file)}: give a path, or {STUDIO}")
         object.__setattr__(self, "file", os.fspath(self.file))
         check_range("environment rotation", self.rotation, -3600.0, 3600.0)
         check_range("environment scale", self.scale, 0.0, 1e9)
@@ -69,8 +71,8 @@ def parse_environment(text: str) -> EnvironmentFile:
         if isinstance(error, InputError):
             raise
         raise InputError(
-            f"environment {text!r}: give FILE or {STUDIO}, and behind it ,ROTATION in degrees and "
-            ",SCALE"
+            f"environment {shown(text)}: give FILE or {STUDIO}, and behind it ,ROTATION in "
+            "degrees and ,SCALE"
         ) from None
 
 
@@ -90,13 +92,17 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     import tomllib
 
-    name = Path(path).name
+    check_path("scene file", path)
+    name = clipped(Path(path).name)
+    content = read_file(path, "a scene as TOML", MOST_BYTES)
     try:
-        tables = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {reason(error)}") from None
+        tables = tomllib.loads(content.decode("utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{name} is not TOML: {error}") from None
+        raise InputError(f"{name} is not TOML: {reason(error)}") from None
+    except RecursionError:
+        raise InputError(f"{name} is not TOML that is read: it is nested too deep") from None
+    except ValueError:  # Python reads no numbers of 5000 digits
+        raise InputError(f"{name} is not TOML that is read: a number is too long") from None
     try:
         return {key: scene_value(key, value) for key, value in tables.items()}
     except InputError as error:
@@ -114,14 +120,14 @@ def scene_value(key: str, value: Any) -> Any:
         return from_table(Camera, key, value)
     if key == "lights":
         if not isinstance(value, list):
-            raise InputError(f"lights = {value!r}: give a list of names or tables")
+            raise InputError(f"lights = {shown(value)}: give a list of names or tables")
         return tuple(
             parse_light(item) if isinstance(item, str) else from_table(Light, key, item)
             for item in value
         )
     if key == "cameras":
         if not isinstance(value, list) or not value:
-            raise InputError(f"cameras = {value!r}: give a list of tables")
+            raise InputError(f"cameras = {shown(value)}: give a list of tables")
         return tuple(from_table(Camera, key, item) for item in value)
     if key == "shading":
         Shading.from_dict(value)  # validates
@@ -139,7 +145,7 @@ def scene_value(key: str, value: Any) -> Any:
         return None
     if key in ("ambient", "background"):
         return vector(key, value)
-    raise InputError(f"unknown key {key!r}; known: {', '.join(KEYS)}")
+    raise InputError(f"unknown key {shown(key)}; known: {', '.join(KEYS)}")
 
 
 def scene_toml(scene: Scene, shading: Shading, planned: Planned | None = None) -> str:
@@ -218,10 +224,10 @@ def from_table(kind: type[Any], key: str, table: Any, without: Collection[str] =
     InputError : no table, an unknown or a missing key, a value outside its domain
     """
     known = [each.name for each in fields(kind) if each.name not in without]
-    if not isinstance(table, Mapping) or (unknown := set(table) - set(known)):
-        what = f"key {sorted(unknown)[0]!r}" if isinstance(table, Mapping) else f"value {table!r}"
+    if not isinstance(table, Mapping) or (unknown := [name for name in table if name not in known]):
+        what = f"key {shown(unknown[0])}" if isinstance(table, Mapping) else f"value {shown(table)}"
         raise InputError(f"unknown {what} in {key}; known: {', '.join(known)}")
     needed = [each.name for each in fields(kind) if each.default is MISSING]
     if lacking := [name for name in needed if name not in table]:
-        raise InputError(f"{key} {dict(table)} lacks {lacking[0]}")
+        raise InputError(f"{key} {shown(dict(table))} lacks {lacking[0]}")
     return kind(**table)

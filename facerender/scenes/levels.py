@@ -14,7 +14,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, warn
+from facerender.errors import InputError, check_type, shown, warn
 from facerender.scenes.mesh import Mesh, Part
 
 if TYPE_CHECKING:
@@ -61,6 +61,7 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     -----
     FacerenderWarning : seams and parts need more triangles
     """
+    check_type("mesh", mesh, Mesh, "a facerender.Mesh")
     check_triangles(triangles)
     if sum(len(part.faces) for part in mesh.parts) <= triangles:
         return mesh
@@ -75,7 +76,7 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
 def check_triangles(value: Any) -> None:
     """Raise InputError where a value is no number of triangles."""
     if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-        raise InputError(f"triangles = {value!r}: give a whole number of at least 1")
+        raise InputError(f"triangles = {shown(value)}: give a whole number of at least 1")
 
 
 def _simplify(mesh: Mesh, triangles: int) -> Mesh:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_range
-from facerender.scenes.vectors import Vector, direction_to, non_negative, vector
+from facerender.errors import InputError, check_range, shown
+from facerender.scenes.vectors import Vector, direction_to, non_negative, vector, within_reach
 from facerender.terms.slope_variance import MAX_RADIUS
 
 if TYPE_CHECKING:
@@ -29,8 +29,8 @@ class Light:
     Parameters
     ----------
     azimuth, elevation : degrees, the direction in which a distant light stands, as for the camera
-    irradiance : what a surface facing the light receives, one number or linear RGB; of a point
-        light: at the centre of the mesh. pi shows a white diffuse surface as 1.
+    irradiance : what a surface facing the light receives, one number or linear RGB in [0, 1e9]; of
+        a point light: at the centre of the mesh. pi shows a white diffuse surface as 1.
     position : of a point light, in the mesh's units; azimuth and elevation then do not count
     radius : degrees, at most 20: the angle between the centre and the rim of the disc as which the
         light is seen, of a point light from the mesh's centre; 0 for a light without size
@@ -53,7 +53,7 @@ class Light:
             object.__setattr__(self, "position", vector("light position", self.position))
         check_range("light radius", self.radius, 0.0, MAX_RADIUS)
         if not isinstance(self.shadow, bool):
-            raise InputError(f"light shadow = {self.shadow!r}: give true or false")
+            raise InputError(f"light shadow = {shown(self.shadow)}: give true or false")
 
     @property
     def direction(self) -> Float:
@@ -118,10 +118,10 @@ def _point(light: Light, mesh: Mesh) -> tuple[Float, Float]:
 
     Raises
     ------
-    InputError : the light stands at the centre itself
+    InputError : the light stands at the centre itself, or 1e6 radii of the mesh away
     """
     assert light.position is not None
-    position = mesh.normalised(light.position)
+    position = within_reach(f"point light {light.position}", mesh.normalised(light.position))
     distance2 = float(position @ position)
     if distance2 < 1e-12:
         raise InputError(f"point light {light.position} is at the mesh's centre; move it")
@@ -282,13 +282,13 @@ def parse_light(text: str) -> Light:
             raise ValueError
     except (KeyError, ValueError):
         raise InputError(
-            f"unknown light {text!r}; give {', '.join(LIGHTS)}, or AZIMUTH,ELEVATION[,IRRADIANCE],"
-            " or point:X,Y,Z[,IRRADIANCE], and behind it ,radius=DEGREES where it has a size and"
-            " ,shadow where it casts one"
+            f"unknown light {shown(text)}; give {', '.join(LIGHTS)}, or AZIMUTH,ELEVATION"
+            "[,IRRADIANCE], or point:X,Y,Z[,IRRADIANCE], and behind it ,radius=DEGREES where it has"
+            " a size and ,shadow where it casts one"
         ) from None
     if first in LIGHTS:
         return replace(LIGHTS[first], **own)
-    received = vector("light irradiance", irradiance if irradiance[1:] else irradiance[0])
+    received = non_negative("light irradiance", irradiance if irradiance[1:] else irradiance[0])
     if kind == "point":
         place = vector("light position", where)
         return Light(irradiance=received, position=place, **own)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from facerender.errors import InputError, check_range
-from facerender.scenes.texture import Texture, pack
+from facerender.errors import InputError, check_range, shown
+from facerender.scenes.texture import MOST_TEXELS, Texture, pack
 from facerender.scenes.vectors import Vector, non_negative
 from facerender.shading import MAX_WEIGHT
 from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
@@ -80,11 +81,14 @@ class Material:
         for name in MAPS:
             value = getattr(self, name)
             if value is not None and not isinstance(value, Texture):
-                raise InputError(f"{name} = {value!r}: give facerender.Texture.open(FILE) or None")
+                raise InputError(
+                    f"{name} = {shown(value)}: give facerender.Texture.open(FILE) or None"
+                )
         if self.scattering is not None:
             from facerender.terms.scattering import profile_of
 
-            own = None if self.scattering == "none" else profile_of(self.scattering)
+            none = isinstance(self.scattering, str) and self.scattering == "none"
+            own = None if none else profile_of(self.scattering)
             object.__setattr__(self, "scattering", own)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -123,3 +127,21 @@ class Material:
         """Occlusion, roughness and specular weight as one texture, so that one fetch serves."""
         maps = (self.occlusion_map, self.roughness_map, self.specular_map)
         return pack(*maps) if any(maps) else None
+
+
+def check_maps(name: str, materials: Sequence[Material]) -> None:
+    """Raise InputError where the maps of a mesh have more than MOST_TEXELS together."""
+    sizes: dict[object, tuple[int, int]] = {}
+    for each in materials:
+        for texture in (each.albedo_map, each.normal_map, each.lobe_map):
+            if texture is not None:
+                sizes[texture] = texture.size
+        packed = each.occlusion_map, each.roughness_map, each.specular_map
+        if any(packed):
+            widths, heights = zip(*(texture.size for texture in packed if texture), strict=True)
+            sizes[packed] = max(widths), max(heights)
+    if (total := sum(width * height for width, height in sizes.values())) > MOST_TEXELS:
+        raise InputError(
+            f"the maps of {name} have {total / 1e6:.0f} million texels together, of "
+            f"{MOST_TEXELS / 1e6:.0f} at most: make them smaller"
+        )

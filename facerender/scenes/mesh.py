@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import check_range
-from facerender.scenes.material import Material
+from facerender.errors import InputError, check_range, check_type, each_of
+from facerender.scenes.material import Material, check_maps
+from facerender.scenes.vectors import check_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +35,13 @@ class Part:
     uv: NDArray[np.float64] | None = None
     colors: NDArray[np.float64] | None = None
     occlusion: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        for name, columns in (("positions", 3), ("normals", 3), ("faces", 3)):
+            check_array(name, getattr(self, name), columns)
+        for name, columns in (("uv", 2), ("colors", 3), ("occlusion", 0)):
+            if (values := getattr(self, name)) is not None:
+                check_array(name, values, columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +70,22 @@ class Mesh:
     millimetres: float | None = None
 
     def __post_init__(self) -> None:
+        check_type("name of a mesh", self.name, str, "text")
+        parts = each_of("parts", self.parts, Part, "several facerender.scenes.mesh.Part")
+        materials = each_of("materials", self.materials, Material, "several facerender.Material")
+        if not 0 < len(parts) == len(materials):
+            raise InputError(
+                f"{self.name} has {len(parts)} parts and {len(materials)} materials: give one for "
+                "each, and one part at least"
+            )
+        object.__setattr__(self, "parts", parts)
+        object.__setattr__(self, "materials", materials)
+        check_array("bounds", self.bounds, 3)
+        check_array("profile", self.profile, 2)
+        check_range("radius", self.radius, 0.0, math.inf)
         if self.millimetres is not None:
             check_range("millimetres", self.millimetres, 1e-6, 1e6)
+        check_maps(self.name, self.materials)
 
     @property
     def center(self) -> NDArray[np.float64]:

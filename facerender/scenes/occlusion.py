@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from facerender import store
 from facerender._version import __version__
-from facerender.errors import InputError, warn
+from facerender.errors import InputError, check_switch, check_type, warn
 from facerender.scenes.mesh import Mesh
 
 Floats = NDArray[np.float32]
@@ -46,6 +46,8 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
     -----
     FacerenderWarning : every part has an occlusion map: the mesh is returned as it is
     """
+    check_type("mesh", mesh, Mesh, "a facerender.Mesh")
+    check_switch("cache", cache)
     pairs = zip(mesh.parts, mesh.materials, strict=True)
     bare = [part.uv is None or material.occlusion_map is None for part, material in pairs]
     if not any(bare):

@@ -6,7 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from operator import index
 
-from facerender.errors import InputError
+from facerender.errors import InputError, shown
+from facerender.image import MAX_SIDE
 from facerender.scenes.levels import simplified
 from facerender.scenes.scene import Scene
 
@@ -68,18 +69,21 @@ class Planned:
             numbers = [index(self.samples), *(number for size in sizes for number in size)]
         except (TypeError, ValueError):
             numbers = []
-        if len(numbers) < 3 or min(numbers) < 1:
+        if len(numbers) < 3 or not 1 <= min(numbers) <= max(numbers) <= MAX_SIDE:
             raise InputError(
-                f"planned sizes = {self.sizes!r}, samples = {self.samples!r}: give widths and "
-                "heights such as [[512, 512], [1024, 1024]], and a number"
+                f"planned sizes = {shown(self.sizes)}, samples = {shown(self.samples)}: give "
+                f"widths and heights up to {MAX_SIDE}, such as [[512, 512], [1024, 1024]], and a "
+                "number"
             )
         for name in ("drawn_samples", "triangles"):
             value = getattr(self, name)
-            if value is not None and (type(value) is not int or value < 1):
-                raise InputError(f"planned {name} = {value!r}: give a whole number of at least 1")
+            if value is not None and (type(value) is not int or not 1 <= value < 2**63):
+                raise InputError(
+                    f"planned {name} = {shown(value)}: give a whole number of at least 1"
+                )
         for name in ("backs", "once"):
             if not isinstance(value := getattr(self, name), bool):
-                raise InputError(f"planned {name} = {value!r}: give true or false")
+                raise InputError(f"planned {name} = {shown(value)}: give true or false")
         object.__setattr__(self, "sizes", sizes)
 
     def holds(self, size: tuple[int, int], samples: int) -> bool:

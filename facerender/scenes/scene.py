@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, get_args
 
+from facerender.errors import check_type, each_of
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import LIGHTS, Light, disc_of
 from facerender.scenes.mesh import Mesh, slope_range
@@ -47,11 +48,19 @@ class Scene:
     environment: Environment | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "lights", tuple(self.lights))
+        check_type("mesh", self.mesh, Mesh, "a Mesh, as facerender.load_mesh(FILE) returns it")
+        check_type("camera", self.camera, Camera, "a facerender.Camera")
+        lights = each_of("lights", self.lights, Light, "several facerender.Light")
+        object.__setattr__(self, "lights", lights)
         object.__setattr__(self, "ambient", non_negative("ambient", self.ambient))
         if self.background is not None:
             background = non_negative("background", self.background)
             object.__setattr__(self, "background", background)
+        if self.environment is not None:
+            from facerender.scenes.environment import Environment
+
+            remedy = "an Environment, as facerender.load_environment returns it"
+            check_type("environment", self.environment, Environment, remedy)
 
 
 def slope_ranges(scene: Scene, shading: Shading) -> list[tuple[float, float]]:

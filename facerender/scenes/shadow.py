@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from facerender.errors import InputError
 from facerender.scenes.light import Light
 from facerender.scenes.mesh import Mesh
+from facerender.scenes.vectors import within_reach
 
 NEAREST = 1.05  # a point light, in radii of the mesh's bounding sphere
 
@@ -37,14 +38,15 @@ def light_space(light: Light, mesh: Mesh) -> LightSpace:
 
     Raises
     ------
-    InputError : a point light stands within the mesh's bounding sphere, or nearly so
+    InputError : a point light stands within the mesh's bounding sphere, or nearly so, or 1e6 radii
+        away
     """
     tan_radius = math.tan(math.radians(light.radius))
     if light.position is None:
         matrix = np.eye(4)
         matrix[:3, :3] = light_axes(light, mesh)
         return LightSpace(matrix, tan_radius, 1.0)
-    place = mesh.normalised(light.position)
+    place = within_reach(f"point light {light.position}", mesh.normalised(light.position))
     distance = float(np.linalg.norm(place))
     if distance < NEAREST:
         raise InputError(

@@ -3,12 +3,12 @@ background. No OpenGL here."""
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 from weakref import WeakMethod, WeakValueDictionary
@@ -16,8 +16,9 @@ from weakref import WeakMethod, WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, reason
-from facerender.image import linear_to_srgb, srgb_to_linear
+from facerender.errors import InputError, check_path, check_type, clipped, reason
+from facerender.files import read_file
+from facerender.image import check_pixels, linear_to_srgb, open_image, srgb_to_linear, texels
 from facerender.terms.slope_variance import MAP_DEVIATION
 
 if TYPE_CHECKING:
@@ -26,7 +27,11 @@ if TYPE_CHECKING:
 Kind = Literal["color", "linear-color", "normal", "data"]
 Levels = list[NDArray[Any]]
 
-MAX_SIZE = 16384
+FORMATS = (
+    *("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"),
+    "AVIF",
+)
+MOST_TEXELS = 6 * 8192**2  # of the maps of a mesh together: 4 GiB with mip levels, twice
 _STRIP = 32  # rows
 
 
@@ -37,10 +42,16 @@ class Texture:
     ----------
     decode : returns the Pillow image, in any mode; runs in a thread
     name : what messages call it: the file, or the map and the mesh file that holds it
+    size : width and height of what ``decode`` makes of other textures, which is not kept then
     """
 
-    def __init__(self, decode: Callable[[], Image], name: str) -> None:
+    def __init__(
+        self, decode: Callable[[], Image], name: str, size: tuple[int, int] | None = None
+    ) -> None:
+        check_type("name of a texture", name, str, "text")
+        check_type("decode", decode, Callable, "a function that returns a Pillow image")
         self.name = name
+        self._size = size
         self._decode: Callable[[], Image] | None = decode  # until it has been asked
         self._lock = threading.Lock()
         self._levels_lock = threading.Lock()
@@ -64,17 +75,19 @@ class Texture:
         ------
         InputError : the file is missing or not an image
         """
-        from PIL import Image, UnidentifiedImageError
+        check_path("image file", path)
+        return cls.of(read_file(path, "an image file"), clipped(Path(path).name))
 
-        try:
-            image = Image.open(BytesIO(Path(path).read_bytes()))
-        except UnidentifiedImageError:
-            raise InputError(f"{path} is not an image; give a PNG, JPEG, TIFF or WebP") from None
-        except Image.DecompressionBombError as error:
-            raise InputError(f"{path} is too large an image: {error}") from None
-        except OSError as error:
-            raise InputError(f"cannot read {path}: {reason(error)}") from None
-        return cls(lambda: image, Path(path).name)
+    @classmethod
+    def of(cls, content: bytes, name: str) -> Texture:
+        """Take the content of an image file; it is decoded later.
+
+        Raises
+        ------
+        InputError : it is not an image, or too large
+        """
+        image = open_image(content, name, FORMATS, "PNG, JPEG, TIFF or WebP")
+        return cls(lambda: image, name)
 
     @classmethod
     def known(cls, texels: NDArray[np.uint8], name: str, levels: Mapping[Kind, Levels]) -> Texture:
@@ -86,7 +99,7 @@ class Texture:
 
             return _flipped(Image.fromarray(texels))
 
-        texture = cls(decode, name)
+        texture = cls(decode, name, texels.shape[1::-1])
         for kind, chain in levels.items():
             texture._levels[kind] = Future()
             texture._levels[kind].set_result(chain)
@@ -97,20 +110,29 @@ class Texture:
 
         Raises
         ------
-        InputError : the image is damaged, or has a side over 16384 texels
+        InputError : the image is damaged or too large: see :func:`facerender.image.check_pixels`
         """
         with self._lock:
             if self._rgb is not None:
                 return self._rgb
             if self._decode is None:
                 return self._finest()
-            self._rgb = _upright_rgb(self._decode(), self.name)
-            self._decode = None
-            return self._rgb
+            image = _upright_rgb(self._decode(), self.name)
+            if self._size is None:
+                self._rgb, self._decode = image, None
+            return image
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, which a file tells before it is decoded."""
+        if self._size is not None:
+            return self._size
+        image, decode = self._rgb, self._decode  # one of both, until a chain alone is left
+        return (image or (decode() if decode else self.rgb())).size
 
     def channel(self, index: int, name: str) -> Texture:
         """One channel of this texture as a grey texture of its own."""
-        return Texture(lambda: _flipped(self.rgb().getchannel(index)), name)
+        return Texture(lambda: _flipped(self.rgb().getchannel(index)), name, self.size)
 
     def levels(self, kind: Kind) -> Future[Levels]:
         """Start computing the mip chain in a thread, once, and return its future.
@@ -122,12 +144,22 @@ class Texture:
         """
         with self._levels_lock:
             if kind not in self._levels:
-                future = _executor().submit(lambda: _CHAINS[kind](self.rgb()))
+                with _starting:
+                    future = _executor().submit(lambda: self._chain(kind))
                 self._levels[kind] = future
                 if kind != "linear-color":
                     drop = WeakMethod(self._drop_image)  # a future keeps what it has called
                     future.add_done_callback(lambda chain: (own := drop()) and own(chain))
             return self._levels[kind]
+
+    def _chain(self, kind: Kind) -> Levels:
+        try:
+            return _CHAINS[kind](self.rgb())
+        except MemoryError:
+            width, height = self.size
+            raise InputError(
+                f"no memory for {self.name} of {width} x {height} texels: make it smaller"
+            ) from None
 
     def _drop_image(self, chain: Future[Levels]) -> None:
         """Keep the image once: an 8-bit chain holds it as well."""
@@ -167,13 +199,14 @@ def pack(
         from PIL import Image
 
         bands = [texture and texture.rgb().getchannel(0) for texture in (red, green, blue)]
-        sizes = [band.size for band in bands if band]
-        size = max(width for width, _ in sizes), max(height for _, height in sizes)
         filled = [band.resize(size) if band else Image.new("L", size, 255) for band in bands]
         return _flipped(Image.merge("RGB", filled))
 
-    names = [texture.name for texture in (red, green, blue) if texture]
-    packed = known or Texture(decode, " + ".join(dict.fromkeys(names)))
+    present = [texture for texture in (red, green, blue) if texture]
+    names = " + ".join(dict.fromkeys(texture.name for texture in present))
+    widths, heights = zip(*(texture.size for texture in present), strict=True)
+    size = max(widths), max(heights)
+    packed = known or Texture(decode, names, size)
     _packed[red, green, blue] = packed
     return packed
 
@@ -187,15 +220,14 @@ def _flipped(image: Image) -> Image:
 def _upright_rgb(image: Image, name: str) -> Image:
     from PIL import Image as images
 
-    if max(image.size) > MAX_SIZE:
-        raise InputError(f"{name} is {image.width} x {image.height} texels: at most {MAX_SIZE}")
+    check_pixels(name, *image.size, 4, math.inf)
     try:
         image.load()
-    except (OSError, SyntaxError, ValueError) as error:
-        raise InputError(f"{name} is damaged ({error}); replace the file") from None
-    if image.mode.startswith("I"):  # 16-bit grey, which Pillow's convert would clip at 255
-        image = images.fromarray((np.asarray(image) // 257).astype(np.uint8))
-    return _flipped(image.convert("RGB"))
+        if image.mode.startswith("I"):  # 16-bit grey, which Pillow's convert would clip at 255
+            image = images.fromarray((np.clip(np.asarray(image), 0, 65535) // 257).astype(np.uint8))
+        return _flipped(image if image.mode == "RGB" else image.convert("RGB"))
+    except Exception as error:  # each decoder of Pillow fails in its own way
+        raise InputError(f"{name} is damaged ({reason(error)}); replace the file") from None
 
 
 @lru_cache(maxsize=1)
@@ -203,15 +235,30 @@ def _executor() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max_workers=3, thread_name_prefix="facerender-textures")
 
 
+_starting = threading.Lock()
+
+
+def _finish() -> None:
+    """Finish what has been started, before a fork: its threads would not be in the child."""
+    with _starting:
+        if _executor.cache_info().currsize:
+            _executor().shutdown()
+            _executor.cache_clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_finish)
+
+
 def _data_levels(image: Image) -> Levels:
     from PIL.Image import Resampling
 
-    levels = [image]
+    levels = [texels(image, "RGB")]
     while max(image.size) > 1:
         half = max(image.width // 2, 1), max(image.height // 2, 1)
         image = image.resize(half, Resampling.BOX)
-        levels.append(image)
-    return [np.asarray(level) for level in levels]
+        levels.append(texels(image, "RGB"))
+    return levels
 
 
 def _even(texels: NDArray[Any]) -> NDArray[Any]:
@@ -220,14 +267,6 @@ def _even(texels: NDArray[Any]) -> NDArray[Any]:
         if texels.shape[axis] == 1:
             texels = np.repeat(texels, 2, axis)
     return texels[: texels.shape[0] // 2 * 2, : texels.shape[1] // 2 * 2]
-
-
-def _chain(texels: NDArray[Any], halve: Callable[[NDArray[Any]], NDArray[Any]]) -> Levels:
-    levels = [texels]
-    while max(texels.shape[:2]) > 1:
-        texels = halve(np.ascontiguousarray(_even(texels)))
-        levels.append(texels)
-    return levels
 
 
 @lru_cache(maxsize=1)
@@ -243,9 +282,9 @@ def _halve_srgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     decode, encode = _light_tables()
     height, width, channels = texels.shape
     halved = np.empty((height // 2, width // 2, channels), dtype=np.uint8)
-    for top in range(0, height, _STRIP):  # in strips that stay in the cache
+    for top, strip in _strips(texels):
         # Four channels of 16 bits side by side are added as one number, without a carry.
-        light = decode[texels[top : top + _STRIP]].view(np.uint64)[..., 0]
+        light = decode[strip].view(np.uint64)[..., 0]
         rows = light[0::2] + light[1::2]
         blocks = rows[:, 0::2] + rows[:, 1::2]
         halved[top // 2 : top // 2 + len(blocks)] = encode[blocks.view(np.uint16)].reshape(
@@ -255,7 +294,10 @@ def _halve_srgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _color_levels(image: Image) -> Levels:
-    return _chain(np.asarray(image.convert("RGBA")), _halve_srgb)
+    levels = [texels(image, "RGBA")]
+    while max(levels[-1].shape[:2]) > 1:
+        levels.append(_halve_srgb(_even(levels[-1])))
+    return levels
 
 
 def _halve_linear(texels: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -266,8 +308,22 @@ def _halve_linear(texels: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def _linear_color_levels(image: Image) -> Levels:
     decoded = srgb_to_linear(np.arange(256) / 255.0).astype(np.float32)
-    chain = _chain(decoded[np.asarray(image.convert("RGBA"))], _halve_linear)
-    return [level.astype(np.float16) for level in chain]
+    finest = texels(image, "RGBA")
+    levels = [decoded.astype(np.float16)[finest]]
+    if max(image.size) == 1:
+        return levels
+    halved = [_halve_linear(decoded[strip]) for _, strip in _strips(_even(finest))]
+    means = np.concatenate(halved)
+    while True:
+        levels.append(means.astype(np.float16))
+        if max(means.shape[:2]) == 1:
+            return levels
+        means = _halve_linear(_even(means))
+
+
+def _strips(rows: NDArray[Any]) -> list[tuple[int, NDArray[Any]]]:
+    """Return some rows at a time, which stay in the cache, and the number of the first."""
+    return [(top, rows[top : top + _STRIP]) for top in range(0, len(rows), _STRIP)]
 
 
 def _halve_planes(planes: NDArray[Any]) -> NDArray[np.float32]:
@@ -299,16 +355,19 @@ def _with_deviation(means: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def _normal_levels(image: Image) -> Levels:
-    texels = np.asarray(image)
-    levels = [np.insert(texels, 3, 0, axis=-1)]
+    levels = [texels(image, "RGBA")]
+    levels[0][..., 3] = 0
     if max(image.size) == 1:
         return levels
-    even = _even(texels)
-    strips = range(0, len(even), _STRIP)  # that stay in the cache
-    halved = [_halve_planes(_unit_planes(even[top : top + _STRIP])) for top in strips]
-    means = np.concatenate(halved, axis=1)
+    even = _even(levels[0][..., :3])
+    means = np.empty((3, even.shape[0] // 2, even.shape[1] // 2), dtype=np.float32)
+    for top, strip in _strips(even):
+        means[:, top // 2 : (top + len(strip)) // 2] = _halve_planes(_unit_planes(strip))
     while True:
-        levels.append(_with_deviation(means))
+        strips = _strips(np.moveaxis(means, 0, -1))
+        levels.append(
+            np.concatenate([_with_deviation(np.moveaxis(each, -1, 0)) for _, each in strips])
+        )
         if max(means.shape[1:]) == 1:
             return levels
         means = _halve_planes(np.moveaxis(_even(np.moveaxis(means, 0, -1)), -1, 0))

@@ -3,34 +3,63 @@
 from __future__ import annotations
 
 import math
+from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError
+from facerender.errors import InputError, shown
 
 Vector = tuple[float, float, float]
 
+FARTHEST = 1e30  # of places, in the mesh's units
+HIGHEST = 1e9  # of radiance, irradiance and albedo: what is drawn stays in float32
+MOST_RADII = 1e6  # of the mesh, between its centre and what sees or lights it
 
-def vector(name: str, value: Any) -> Vector:
-    """Return three finite numbers; one number stands for three equal ones."""
-    try:
-        array = np.broadcast_to(np.asarray(value, dtype=np.float64), 3)
-    except (TypeError, ValueError):
-        array = np.array([math.nan])
-    if not np.isfinite(array).all():
-        raise InputError(f"{name} = {value!r}: give a finite number, or three")
-    x, y, z = (float(component) for component in array)
+
+def vector(name: str, value: Any, low: float = -FARTHEST, high: float = FARTHEST) -> Vector:
+    """Return three numbers in [low, high]; one number stands for three equal ones."""
+    given = value.tolist() if isinstance(value, np.ndarray) else value
+    numbers = [*given] if isinstance(given, list | tuple) else [given] * 3
+    if len(numbers) != 3 or not all(_is_number(each) and low <= each <= high for each in numbers):
+        raise InputError(f"{name} = {shown(value)}: give a number in [{low:g}, {high:g}], or three")
+    x, y, z = (float(each) for each in numbers)
     return x, y, z
 
 
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
 def non_negative(name: str, value: Any) -> Vector:
-    """Return three finite numbers, none below 0, such as a colour or an irradiance."""
-    numbers = vector(name, value)
-    if min(numbers) < 0.0:
-        raise InputError(f"{name} = {numbers} is negative")
-    return numbers
+    """Return three numbers in [0, HIGHEST], such as a colour or an irradiance."""
+    return vector(name, value, 0.0, HIGHEST)
+
+
+def within_reach(name: str, place: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a place in the renderer's space, (3,), that float32 tells from its neighbours.
+
+    Raises
+    ------
+    InputError : it is more than MOST_RADII from the mesh's centre
+    """
+    if not (np.abs(place) <= MOST_RADII).all():
+        raise InputError(
+            f"{name} is {np.abs(place).max():.3g} radii of the mesh from its centre: give "
+            f"{MOST_RADII:g} at most"
+        )
+    return place
+
+
+def check_array(name: str, value: Any, columns: int) -> None:
+    """Raise InputError where a value is no array (N, columns) of numbers, or (N,) for 0 columns."""
+    shape = (columns,) if columns else ()
+    if not (isinstance(value, np.ndarray) and value.dtype.kind in "fiu"):
+        raise InputError(f"{name} = {shown(value)}: give an array of numbers")
+    if value.ndim != 1 + len(shape) or value.shape[1:] != shape:
+        wanted = f"(N, {columns})" if columns else "(N,)"
+        raise InputError(f"{name} has the shape {value.shape}: give {wanted}")
 
 
 def direction_to(azimuth: float, elevation: float) -> NDArray[np.float64]:

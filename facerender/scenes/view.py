@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError
+from facerender.errors import InputError, check_range, check_type, is_count, shown
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
-from facerender.scenes.vectors import direction_to
+from facerender.scenes.vectors import direction_to, within_reach
 
 _XYW = [0, 1, 3]  # of clip coordinates, without the depth buffer's
 
@@ -45,7 +46,7 @@ class View:
         The corner of the top left pixel is (0, 0) and its centre (0.5, 0.5). Rounded to 1e-9 of a
         pixel, so that a principal point in the middle is there to the last digit.
         """
-        width, height = np.divide(size, 2.0)
+        width, height = np.divide(checked_size(size), 2.0)
         pixels = np.array([[width, 0.0, width], [0.0, height, height], [0.0, 0.0, 1.0]])
         return np.round(pixels @ self._lens, 9)
 
@@ -55,6 +56,7 @@ class View:
 
         mesh : whose bounds are those of the scene that the camera sees
         """
+        check_type("mesh", mesh, Mesh, "a facerender.Mesh")
         pose = np.asarray(np.linalg.solve(self._lens, self.matrix[:, _XYW].T), np.float64)
         pose[:, 3] = mesh.radius * pose[:, 3] - pose[:, :3] @ mesh.center
         return pose
@@ -82,22 +84,39 @@ def sample_grid(count: int) -> NDArray[np.float64]:
     return np.stack([(index + 0.5) / count, turned], axis=-1) - 0.5
 
 
+def checked_size(size: Any, most: int = 1 << 30) -> tuple[int, int]:
+    """Return width and height of an image, each in [1, most].
+
+    Raises
+    ------
+    InputError : it is something else
+    """
+    if not isinstance(size, tuple | list | np.ndarray) or np.shape(size) != (2,):
+        raise InputError(f"size = {shown(size)}: give width and height in pixels")
+    width, height = size
+    if not all(is_count(side, most) for side in size):
+        raise InputError(f"size {shown(width)} x {shown(height)}: give 1 to {most} pixels a side")
+    return int(width), int(height)
+
+
 def view_of(scene: Scene, aspect: float) -> View:
     """Place the camera of a scene for images of the given aspect ratio, width over height.
 
     Raises
     ------
-    InputError : the eye stands at the target
+    InputError : the eye stands at the target, or either is 1e6 radii of the mesh away
     """
+    check_type("scene", scene, Scene, "a facerender.Scene")
+    check_range("aspect", aspect, 1e-6, 1e6)
     mesh, camera = scene.mesh, scene.camera
     target = np.zeros(3)
     if camera.target is not None:
-        target = mesh.normalised(camera.target)
+        target = within_reach(f"camera target {camera.target}", mesh.normalised(camera.target))
     if camera.position is None:
         distance = _framing_distance(mesh, camera.elevation, camera.fov, aspect) / camera.zoom
         eye = target + distance * direction_to(camera.azimuth, camera.elevation)
     else:
-        eye = mesh.normalised(camera.position)
+        eye = within_reach(f"camera position {camera.position}", mesh.normalised(camera.position))
     gaze = target - eye
     distance = float(np.linalg.norm(gaze))
     if distance < 1e-6:
@@ -110,6 +129,37 @@ def view_of(scene: Scene, aspect: float) -> View:
     far = max(depth + 1.0, 0.02)
     near = max(depth - 1.0, far * 1e-3)
     return View(eye, forward, _look(eye, forward, up) @ _project(camera.fov, aspect, near, far))
+
+
+def hidden(scene: Scene, size: tuple[int, ...]) -> str:
+    """Tell why an image of this size shows nothing of the mesh, and what helps."""
+    width, height = size
+    view = view_of(scene, width / height)
+    places = np.concatenate([scene.mesh.normalised(each.positions) for each in scene.mesh.parts])
+    x, y, w = (np.column_stack([places, np.ones(len(places))]) @ view.matrix[:, _XYW]).T
+    before = w > 0.0
+    if not before.any():
+        return "all of it lies behind the camera; turn the camera, or move it back"
+    x, y = x[before] / w[before], y[before] / w[before]
+    extents = (x.max() - x.min()) * width / 2.0, (y.max() - y.min()) * height / 2.0
+    if (inside := (np.abs(x) <= 1.0) & (np.abs(y) <= 1.0)).any():
+        if max(extents) < 2.0:
+            return f"it is {max(extents):.2g} pixels large; come nearer, or zoom in"
+        return (
+            f"{inside.sum()} of its vertices are in the frame, but no triangle covers a "
+            "pixel there; show more of it, or give more pixels"
+        )
+    ways = [
+        word
+        for word, out in (
+            ("left of", x.max() < -1.0),
+            ("right of", x.min() > 1.0),
+            ("above", y.max() < -1.0),
+            ("below", y.min() > 1.0),
+        )
+        if out
+    ]
+    return f"it lies {' and '.join(ways) or 'around'} the frame; set camera target, or position"
 
 
 def _look(

@@ -16,7 +16,7 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError
+from facerender.errors import InputError, check_range
 from facerender.terms.entry import ULP, Entry, named, registry
 
 Float = NDArray[np.float64]
@@ -154,8 +154,8 @@ class GPower:
     Parameters
     ----------
     g : in 1 to 31; the paper's lobes have 4, 8, 16, the factor 2/g and the offset k/g
-    factor : > 0
-    offset : the lobe's domain ends where s = 0
+    factor : in [1e-9, 1e6]
+    offset : in [-1e6, 1e6]; the lobe's domain ends where s = 0
 
     Raises
     ------
@@ -172,10 +172,8 @@ class GPower:
         whole = isinstance(self.g, (int, np.integer)) and not isinstance(self.g, bool)
         if not whole or not 1 <= self.g <= 31:
             raise InputError(f"g = {self.g} is no whole number in 1 to 31")
-        if not 0.0 < self.factor < math.inf:
-            raise InputError(f"factor = {self.factor:g} of the g-power is not in (0, inf)")
-        if not math.isfinite(self.offset):
-            raise InputError(f"offset = {self.offset:g} of the g-power is not finite")
+        check_range("factor of the g-power", self.factor, 1e-9, 1e6)
+        check_range("offset of the g-power", self.offset, -1e6, 1e6)
 
     def __str__(self) -> str:
         sign = "-" if self.offset > 0.0 else "+"

@@ -15,7 +15,7 @@
 //             FR_SMALL_SLOPE is 0 (the cosine power: 7e-7/m^2 more, from log2; FR_STEEPNESS
 //             a/m^2 - b: e a g/(2 m^2)). For cosines above 1.3e-6, and for the vectors as they
 //             are: that they were rounded correctly adds a quarter of that, and a length that is
-//             off by d > 1e-7 adds 2 d to e
+//             off by d > 1e-7 adds 2 d to e, and 3 d/(f0 + 2e-6)^0.2 beside it
 //   source    Cook and Torrance (1982), in the normalisation used since: Walter et al. (2007),
 //             F G D'/(4 (N.L)(N.V)) with D' = 4 D/pi
 #ifndef FR_COOK_TORRANCE_GLSL

@@ -9,10 +9,10 @@
 //   unit      lengths are of one unit, the host's; what is scattered has that of the image
 //
 //   gaussians  of the profile that are wider than half a pixel. Of one with the weight w, red,
-//              green and blue, and the variance v > 0 in square units: w/(2 pi v), and behind it
-//              -log2(e)/(2 v)
-//   light      irradiance, red, green, blue; behind it how much more surface a pixel shows than if
-//              it faced the eye, fr_scatter_area of the mesh's normal
+//              green and blue, and the variance v > 0 in square units: w/(2 pi v), in all at most
+//              1e8, and behind it -log2(e)/(2 v)
+//   light      irradiance, red, green, blue, in [0, 1e12]; behind it how much more surface a pixel
+//              shows than if it faced the eye, fr_scatter_area of the mesh's normal
 //   place      position of what a pixel shows; behind it a number other than 0 that surfaces share
 //              which scatter into each other. Both are float textures without filtering
 #ifndef FR_SCATTER_GLSL
@@ -84,8 +84,9 @@ float fr_scatter_turn(ivec2 pixel) {
 //   scale     pixels of a unit of length across the view, at the pixel's depth
 //   rest      share of each channel that leaves where it enters: 1 less the weights of the Gaussians
 //   spiral    places around the pixel, before they are turned, in units of length, and 1 over the
-//             density of places there; such as radii by the distribution of the profile, and angles
-//             2.39996 i (Vogel 1979)
+//             density of places there, in [0, 1e12]: more, with the most light and profile, would
+//             overflow; such as radii by the distribution of the profile, and angles 2.39996 i
+//             (Vogel 1979)
 //   error     8 samples 17 of 255 at 99 % of the pixels of a face, 16 11, 32 8, 64 7; float32 adds
 //             1e-5 of the largest irradiance, but where a place rounds into another pixel
 vec3 fr_scatter(

@@ -28,7 +28,7 @@ from trials.fuzz import seeds
 
 SLOW = 10.0  # seconds
 LARGE = 1 << 30  # bytes of resident memory that one input adds
-LONGEST = 500  # characters of a message, on one line
+LONGEST = 600  # characters of a message, on one line
 _HEAD = Path(__file__).parents[2] / "tests" / "data" / "mini_head.glb"
 _CLEAR, _STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")
 OUTCOMES = ("clean", "warned", "refused", "crash", "unsound", "slow", "large")
@@ -110,9 +110,11 @@ def examine(subject: Subject, content: bytes, folder: Path) -> Result:
     if result.outcome == "clean" and caught:
         result = Result("warned")
         for each in caught:
+            if "/PIL/" in each.filename:
+                continue  # Pillow's own words, of tags and sizes
             if not issubclass(each.category, fr.FacerenderWarning):
                 result = Result("unsound", _plain(f"{each.category.__name__}: {each.message}"))
-            elif why := _bad_message(str(each.message)):
+            if why := _bad_message(str(each.message)):
                 result = Result("unsound", f"{subject.name}: a warning {why}")
     if result.outcome not in FAULTS and time.perf_counter() - start > SLOW:
         return Result("slow", subject.name)

@@ -4,8 +4,8 @@ paper's claims against what is measured here."""
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from importlib.metadata import version
 
 from facerender.drawing.context import Backend
@@ -14,13 +14,14 @@ from facerender.measure import plots
 from facerender.measure.reproduce import claims, figures
 from facerender.measure.reproduce.page import Reproduction
 from facerender.measure.run import environment
+from facerender.progress import Progress, unheard
 
 
 def reproduce(
     repeats: int = 25,
     size: tuple[int, int] = (360, 420),
     backend: Backend = "auto",
-    progress: Callable[[str], object] = lambda step: None,
+    progress: Progress = unheard,
 ) -> Reproduction:
     """Draw the paper's figures and measure what it claims.
 
@@ -28,7 +29,7 @@ def reproduce(
     ----------
     repeats : of every measurement of time
     size : of one face in figure 5, in pixels
-    progress : called with the name of each step as it begins
+    progress : called with what is done now and the share of it that is done
 
     Raises
     ------
@@ -36,23 +37,22 @@ def reproduce(
     ContextError : no OpenGL context
     """
     plots.check()
-    progress("figures 1 to 4")
+    progress("figures 1 to 4", 0.0)
     drawn = figures.charts()
-    progress("figure 5")
+    progress("figure 5", 0.0)
     drawn["fig5.png"] = figures.faces(size, backend)
     machine = environment(backend)
-    progress("scalar code")
+    progress("scalar code", 0.0)
     try:
         scalar, compiler = claims.scalar_cost(repeats)
         where = f"{compiler}; {machine.processor}"
     except NotMeasured as error:
         scalar, compiler, where = {}, "none", str(error)
-    progress(f"GLSL on {machine.GL_RENDERER}")
-    glsl = claims.glsl_cost(repeats, backend)
+    glsl = claims.glsl_cost(repeats, backend, partial(progress, f"GLSL on {machine.GL_RENDERER}"))
     renderer = machine.GL_RENDERER
     if machine.software:
         renderer += f" on {machine.processor}"
-    progress("AMD's compiler")
+    progress("AMD's compiler", 0.0)
     held = [
         *claims.error_claims(),
         *claims.scalar_claims(scalar, where),

@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import os
 import subprocess
-import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from facerender import lobes
 from facerender.brdf import K_COOK_TORRANCE
 from facerender.drawing.context import Backend
+from facerender.ending import temporary_folder
 from facerender.errors import NotMeasured
 from facerender.measure.error import lobe_error, printed_error
 from facerender.measure.measurement import MODELS
@@ -134,7 +134,7 @@ def scalar_cost(repeats: int) -> tuple[dict[str, Interval], str]:
     NotMeasured : no compiler, or one that fails
     """
     source = str(Path(__file__).with_name("scalar.c"))
-    with tempfile.TemporaryDirectory() as folder:
+    with temporary_folder() as folder:
         program = os.path.join(folder, "scalar")
         try:
             _output("cc", *FLAGS, source, "-o", program, "-lm")
@@ -214,14 +214,20 @@ class Contest:
         return f"{self.title}: D16 against exact, as printed"
 
 
-def glsl_cost(repeats: int, backend: Backend) -> dict[Contest, dict[str, Interval]]:
-    """Measure whole terms, and the lobes alone."""
+def glsl_cost(
+    repeats: int, backend: Backend, progress: Callable[[float], object] = lambda done: None
+) -> dict[Contest, dict[str, Interval]]:
+    """Measure whole terms, and the lobes alone; progress as of :func:`by_slope`."""
     contests = [Contest(model, whole) for whole in (True, False) for model in MODELS]
     empty = {True: OF_VECTORS, False: OF_COSINE}
-    return {
-        contest: by_slope(contest.forms, empty[contest.whole], repeats, backend)
-        for contest in contests
-    }
+    costs = {}
+    for number, contest in enumerate(contests):
+
+        def told(done: float, before: int = number) -> None:
+            progress((before + done) / len(contests))
+
+        costs[contest] = by_slope(contest.forms, empty[contest.whole], repeats, backend, told)
+    return costs
 
 
 def amd_claims() -> list[Claim]:

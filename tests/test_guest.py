@@ -1,0 +1,324 @@
+"""facerender in other people's programs: after a fork, in threads, dropped without release, and
+with values of the wrong type."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import facerender as fr
+from facerender.drawing import context as contexts
+from facerender.drawing.context import Backend, create_context
+from facerender.drawing.evaluate import Evaluator
+from tests.awkward_files import MINI_HEAD
+
+ROOT = Path(__file__).parents[1]
+
+
+# --- Fork ----------------------------------------------------------------------------------------
+
+
+def digest(linear: np.ndarray) -> str:
+    return blake2b(linear.tobytes()).hexdigest()
+
+
+def in_child(function: Callable[[], str]) -> str:
+    """Return what a function returns, or the error that it raises, in a child made by fork, which
+    is killed after four minutes."""
+    fork = multiprocessing.get_context("fork")
+    ours, its = fork.Pipe(duplex=False)
+
+    def run() -> None:
+        signal.alarm(240)  # kills it
+        try:
+            its.send(function())
+        except fr.FacerenderError as error:
+            its.send(f"{type(error).__name__}: {error}")
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of threads beside a fork
+        child = fork.Process(target=run)
+        child.start()
+    its.close()
+    try:
+        told: str = ours.recv()
+    except EOFError:
+        told = "no answer"
+    child.join()
+    assert child.exitcode == 0, f"{told}; the child ended with {child.exitcode}"
+    return told
+
+
+@pytest.fixture(scope="module")
+def drawn(egl: Backend) -> Iterator[tuple[fr.Renderer, str]]:
+    """A renderer that has drawn the built-in head, and what."""
+    with fr.Renderer((64, 64), samples=4, backend=egl) as renderer:
+        yield renderer, digest(renderer.render(fr.Scene(fr.load_mesh())).linear)
+
+
+def test_a_child_draws_the_same(drawn):
+    assert in_child(lambda: digest(fr.render(size=(64, 64)).linear)) == drawn[1]
+
+
+def test_a_child_draws_a_mesh_whose_maps_are_being_decoded(drawn):
+    mesh = fr.load_mesh()
+    maps = [mesh.materials[0].albedo_map.levels(kind) for kind in ("color", "linear-color")]
+    assert in_child(lambda: digest(fr.render(mesh, size=(64, 64)).linear)) == drawn[1]
+    assert all(levels.done() for levels in maps)
+
+
+def test_a_childs_child_is_told_what_to_do(drawn):
+    def draw() -> str:
+        return in_child(lambda: digest(fr.render(size=(64, 64), backend="egl").linear))
+
+    def draw_and_fork() -> str:
+        own = digest(fr.render(size=(64, 64), backend="egl").linear)
+        return " ".join([own, draw()])
+
+    own, told = in_child(draw_and_fork).split(maxsplit=1)
+    assert own == drawn[1]
+    assert told.startswith("ContextError: no OpenGL context (egl: it was in use before this")
+    assert told.endswith("start processes by spawn or forkserver (multiprocessing.get_context), "
+                         "not by fork")  # fmt: skip
+    assert in_child(draw) == drawn[1], "a child that has not drawn does not stand in the way"
+
+
+def test_a_renderer_of_before_the_fork_is_refused(drawn):
+    renderer, expected = drawn
+    scene = fr.Scene(fr.load_mesh())
+
+    def use() -> str:
+        with renderer:
+            return digest(renderer.render(scene).linear)
+
+    said = "ContextError: this renderer was made in the process that this one was forked from"
+    assert in_child(use).startswith(said)
+    assert in_child(lambda: str(renderer.release())) == "None"
+    assert digest(renderer.render(scene).linear) == expected
+
+
+def test_osmesa_is_refused_after_a_fork(drawn):
+    from tests.conftest import require_backend
+
+    require_backend("osmesa")
+    told = in_child(lambda: digest(fr.render(size=(64, 64), backend="osmesa").linear))
+    assert told.startswith("ContextError: no OpenGL context (osmesa: it was in use before this")
+
+
+def test_a_hosts_context_is_refused_after_a_fork(egl):
+    host = create_context(egl)
+    with host.gl as gl:
+        target = gl.framebuffer([gl.renderbuffer((64, 64), 4)])
+        target.clear(0.25, 0.5, 0.75, 1.0)  # is not finished yet
+        told = in_child(lambda: digest(fr.render(size=(64, 64), backend="current").linear))
+        own = in_child(lambda: digest(fr.render(size=(64, 64), backend="egl").linear))
+        assert target.read(components=4)[:4] == bytes([64, 128, 191, 255])
+    host.release()
+    assert told.startswith("ContextError: no OpenGL context (current: no EGL, GLX or OSMesa")
+    assert own == digest(fr.render(size=(64, 64), backend="egl").linear)
+
+
+def test_a_gpu_is_refused_after_a_fork(drawn, monkeypatch):
+    monkeypatch.setitem(contexts._opened, "egl", False)
+    told = in_child(lambda: digest(fr.render(size=(16, 16), backend="egl").linear))
+    assert told.startswith("ContextError: no OpenGL context (egl: it was in use before this")
+
+
+def test_a_child_draws_where_somebody_else_has_drawn_before_the_fork(drawn):
+    """As a program that has made a context of its own before it calls facerender."""
+    code = """
+import sys, moderngl, faulthandler, os
+import facerender as fr
+from hashlib import blake2b
+gl = moderngl.create_context(standalone=True, backend="egl")
+target = gl.framebuffer([gl.renderbuffer((64, 64), 4)])
+target.clear(0.25, 0.5, 0.75, 1.0)
+if os.fork():
+    sys.exit(os.waitstatus_to_exitcode(os.wait()[1]))
+faulthandler.dump_traceback_later(200, exit=True)
+print(blake2b(fr.render(size=(64, 64)).linear.tobytes()).hexdigest())
+"""
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=240, cwd=ROOT
+    )
+    assert (run.stdout.strip(), run.stderr, run.returncode) == (drawn[1], "", 0)
+
+
+def test_maps_are_decoded_in_a_child(drawn):
+    def decode() -> str:
+        levels = fr.load_mesh().materials[0].albedo_map.levels("color").result()
+        return digest(levels[0])
+
+    assert in_child(decode) == decode()
+
+
+def test_an_evaluator_of_before_the_fork_is_refused(egl):
+    numbers = {"x": np.ones(4, np.float32)}
+    evaluate = Evaluator(create_context(egl).gl)
+    assert (evaluate("", "2.0 * x", numbers) == 2.0).all()
+    told = in_child(lambda: str(evaluate("", "2.0 * x", numbers)))
+    evaluate.release()
+    assert told.startswith("ContextError: this renderer was made in the process")
+
+
+def test_levels_and_occlusion_in_a_child():
+    mesh = fr.load_mesh(MINI_HEAD)
+
+    def work() -> str:
+        baked = fr.with_occlusion(fr.load_mesh(MINI_HEAD))
+        return digest(fr.simplified(baked, 300).parts[0].positions)
+
+    fr.with_occlusion(fr.simplified(mesh, 300))
+    assert in_child(work) == work()
+
+
+# --- Threads and renderers that are dropped ------------------------------------------------------
+
+
+def test_threads_share_a_renderer(backend):
+    mesh = fr.load_mesh(MINI_HEAD)
+    scenes = [fr.Scene(mesh, fr.Camera(azimuth=30.0 * turn)) for turn in range(8)]
+    with fr.Renderer((96, 96), backend=backend) as renderer:
+        expected = [renderer.render(scene).linear for scene in scenes]
+        with ThreadPoolExecutor(4) as pool:
+            drawn = [*pool.map(lambda scene: renderer.render(scene).linear, scenes * 4)]
+    for frame, wanted in zip(drawn, expected * 4, strict=True):
+        np.testing.assert_array_equal(frame, wanted)
+
+
+def test_threads_draw_with_renderers_of_their_own(backend):
+    mesh = fr.load_mesh(MINI_HEAD)
+    expected = fr.render(mesh, size=(96, 96), backend=backend).linear
+    with ThreadPoolExecutor(4) as pool:
+        drawn = pool.map(lambda _: fr.render(mesh, size=(96, 96), backend=backend), range(8))
+        for frame in drawn:
+            np.testing.assert_array_equal(frame.linear, expected)
+
+
+def resident() -> int:
+    """Of the process, MiB."""
+    gc.collect()
+    ctypes.CDLL(None).malloc_trim(0)  # what it has not given back comes and goes
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") >> 20
+
+
+def drop(scene: fr.Scene, backend: Backend) -> None:
+    """Draw, and forget the renderer."""
+    fr.Renderer((64, 64), samples=1, backend=backend).render(scene)
+
+
+def test_dropped_renderers_free_what_they_have(backend):
+    scene = fr.Scene(fr.load_mesh(MINI_HEAD))
+    held = []
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        for _ in range(3):
+            for _ in range(8):
+                drop(scene, backend)
+            held.append(resident())
+    assert [warning.category for warning in told] == [ResourceWarning] * 24
+    assert "dropped without release(): make it in a with statement" in str(told[0].message)
+    assert held[2] - held[1] < 16  # 12 MiB each, before they were freed
+
+
+def test_a_renderer_that_is_dropped_while_another_draws(backend, monkeypatch):
+    """As the garbage collector may do, in any thread at any time."""
+    scene = fr.Scene(fr.load_mesh(MINI_HEAD))
+    with fr.Renderer((64, 64), backend=backend) as renderer:
+        expected = renderer.render(scene).linear
+        draw = renderer._resources.draw
+
+        def draw_beside(*arguments: Any) -> Any:
+            drop(scene, backend)
+            return draw(*arguments)
+
+        monkeypatch.setattr(renderer._resources, "draw", draw_beside)
+        with pytest.warns(ResourceWarning, match="dropped without release"):
+            np.testing.assert_array_equal(renderer.render(scene).linear, expected)
+
+
+def test_a_dropped_guest_frees_what_it_has_where_its_host_is_current(backend):
+    scene = fr.Scene(fr.load_mesh(MINI_HEAD))
+    host = create_context(backend)
+    is_texture = host.function("glIsTexture", ctypes.c_uint, result=ctypes.c_ubyte)
+    with host.gl:
+        guest = fr.Renderer((32, 32), samples=1, backend="current")
+        guest.render(scene)
+        named = [number for number in range(1, 200) if is_texture(number)]
+        with pytest.warns(ResourceWarning, match="dropped without release"):
+            del guest
+        assert named
+        assert not any(map(is_texture, named))
+    with host.gl:
+        guest = fr.Renderer((32, 32), samples=1, backend="current")
+    with pytest.warns(ResourceWarning, match="dropped without release"):
+        del guest
+    host.release()
+
+
+@pytest.mark.parametrize("end", ["", "raise SystemExit(3)", "import os; os.fork() or exit()"])
+def test_the_interpreter_ends_without_noise(egl, end):
+    """A renderer is alive then, in a cycle, and decoding has begun."""
+    code = (
+        "import facerender as fr\n"
+        "renderer = fr.Renderer((32, 32))\n"
+        f"mesh = fr.load_mesh({str(MINI_HEAD)!r})\n"
+        "renderer.render(fr.Scene(mesh))\n"
+        "renderer.itself = renderer\n"
+        f"fr.load_mesh().materials[0].albedo_map.levels('color')\n{end}"
+    )
+    run = subprocess.run(
+        [sys.executable, "-X", "dev", "-W", "ignore::DeprecationWarning", "-c", code],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
+    assert (run.returncode, run.stdout, run.stderr) == (3 if "3" in end else 0, "", "")
+
+
+def test_programs_are_bounded_and_kept_while_they_are_used(egl, monkeypatch):
+    monkeypatch.setattr("facerender.drawing.resources.MOST_PROGRAMS", 4)
+    scene = fr.Scene(fr.load_mesh(MINI_HEAD))
+    with fr.Renderer((32, 32), samples=1, backend=egl) as renderer:
+        resources = renderer._resources
+        made = []
+        compile_ = renderer.context.gl.program
+        monkeypatch.setattr(
+            renderer.context.gl, "program", lambda **own: made.append(1) or compile_(**own)
+        )
+        expected = renderer.render(scene).linear
+        each = len(made)
+        for step in range(8):
+            renderer.render(scene, fr.Shading(m=0.2 + 0.001 * step))
+            if step % 2:
+                renderer.render(scene)
+        assert len(resources.programs) <= 4 + each
+        drawn = {array for own in resources.geometries.values() for array in own.arrays}
+        assert drawn | resources.screens.keys() <= set(resources.programs.values())
+        count = len(made)
+        np.testing.assert_array_equal(renderer.render(scene).linear, expected)
+        assert len(made) == count, "what is in use was compiled anew"
+        renderer.render(scene, fr.Shading(m=0.2))
+        assert len(made) > count
+
+        monkeypatch.setattr("facerender.drawing.resources.MOST_PROGRAMS", 0)
+        for _ in range(2):
+            count = len(made)
+            renderer.render(scene)
+        assert len(made) == count, "a frame with more programs than are kept is compiled once"

@@ -1,0 +1,442 @@
+"""Images, scenes and numbers that nobody should give: a checked value or one line, in bounded
+memory, never a traceback, a picture that is not finite, or an empty one without a word."""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+import zipfile
+import zlib
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import facerender as fr
+from facerender.commands import FAULT, main
+from facerender.comparison import gates
+from facerender.drawing import renderer as drawing
+from facerender.errors import InputError
+from facerender.image import MAX_PIXELS, check_pixels, read_image
+from facerender.scenes import material as materials
+from facerender.scenes.file import load_scene
+from facerender.scenes.light import parse_light
+from facerender.scenes.texture import Texture
+
+LONGEST = 500
+
+
+def content(save, *arguments: object, **options: object) -> bytes:
+    memory = io.BytesIO()
+    save(memory, *arguments, **options)
+    return memory.getvalue()
+
+
+def pixels(height: int = 12, width: int = 14, channels: int = 3) -> np.ndarray:
+    values = np.random.default_rng(1).integers(0, 256, (height, width, channels), dtype=np.uint8)
+    return np.squeeze(values)
+
+
+def png(array: np.ndarray) -> bytes:
+    return content(Image.fromarray(array).save, "PNG")
+
+
+def chunk(name: bytes, data: bytes) -> bytes:
+    checksum = zlib.crc32(name + data)
+    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", checksum)
+
+
+def refused(read, path: Path) -> str:
+    """The message with which a file is refused."""
+    with pytest.raises(InputError) as caught:
+        read(path)
+    message = str(caught.value)
+    assert path.name in message
+    assert len(message) <= LONGEST
+    assert message.isprintable()
+    return message
+
+
+def decode(path: Path) -> None:
+    Texture.open(path).levels("color").result()
+
+
+# --- images --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("read", [read_image, decode])
+@pytest.mark.parametrize("length", [0, 1, 2, 3, 5, 8, 25])
+@pytest.mark.parametrize("name", ["IHDR", "gAMA", "pHYs", "cHRM", "sRGB", "tRNS", "acTL", "fcTL"])
+def test_chunks_of_a_png_that_are_cut_off(read, name, length, tmp_path):
+    path = tmp_path / "cut.png"
+    whole = png(pixels())
+    path.write_bytes(whole[:33] + chunk(name.encode(), b"\x07" * length) + whole[33:])
+    with suppress(InputError):
+        read(path)
+
+
+def _npy(header: str) -> bytes:
+    text = header.encode().ljust(117) + b"\n"
+    return b"\x93NUMPY\x01\0" + struct.pack("<H", len(text)) + text + bytes(64)
+
+
+def _npz(name: str, data: bytes, damage: bool = False) -> bytes:
+    memory = io.BytesIO()
+    with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr(name, data)
+    packed = bytearray(memory.getvalue())
+    if damage:
+        packed[60:90] = b"\xff" * 30
+    return bytes(packed)
+
+
+FLOATS = content(np.save, pixels().astype(np.float32))
+IMAGES = {
+    "zlib.npz": (_npz("linear.npy", FLOATS, damage=True), "is no NumPy file"),
+    "token.npy": (_npy("{'descr': '<f4', 'fortran_order': False, 'shape': (3, "), "no NumPy"),
+    "vast.npy": (
+        _npy("{'descr': '<f4', 'fortran_order': False, 'shape': (99999999, 99999999, 3)}"),
+        "at most 16384 a side",
+    ),
+    "below.npy": (_npy("{'descr': '<f4', 'fortran_order': False, 'shape': (-1, 4, 3)}"), "pixels"),
+    "bomb.npy": (
+        _npy("{'descr': '<f4', 'fortran_order': False, 'shape': (9000, 9000, 3)}"),
+        "which 192 bytes cannot hold",
+    ),
+    "deep.npy": (_npy("{'descr': '<f4', 'shape': (" + "-" * 90), "is no NumPy file"),
+    "object.npy": (content(np.save, np.array([{}], object)), "objects of Python"),
+    "text.npz": (_npz("linear.npy", b"hello"), "is no NumPy file"),
+    "bomb.png": (
+        (start := png(pixels()))[:8]
+        + chunk(b"IHDR", struct.pack(">IIBBBBB", 16000, 16000, 8, 2, 0, 0, 0))
+        + start[33:],
+        "too many pixels",
+    ),
+    "wide.png": (
+        start[:8] + chunk(b"IHDR", struct.pack(">IIBBBBB", 20000, 4, 8, 2, 0, 0, 0)) + start[33:],
+        "20000 x 4 pixels .* at most 16384 a side",
+    ),
+    "empty.jpg": (b"", "is empty|not an image"),
+    "page.png": (b"<!DOCTYPE html><html></html>", "is a page of HTML"),
+    "pointer.png": (b"version https://git-lfs.github.com/spec/v1\n", "pointer of Git LFS"),
+}
+
+
+@pytest.mark.parametrize("name", IMAGES)
+def test_images_that_are_none(name, tmp_path, capsys):
+    data, message = IMAGES[name]
+    path = tmp_path / name
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=message):
+        read_image(path)
+    refused(read_image, path)
+    if path.suffix != ".npy" and path.suffix != ".npz":
+        refused(decode, path)
+    assert main(["compare", str(path), str(path)]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    assert err.count("\n") == 1
+
+
+def test_a_zip_bomb_is_refused_before_it_is_unpacked(tmp_path):
+    head = content(
+        np.lib.format.write_array_header_1_0,
+        {"descr": "<f8", "fortran_order": False, "shape": (16000, 11000, 3)},
+    )
+    path = tmp_path / "bomb.npz"
+    path.write_bytes(_npz("linear.npy", head + bytes(1 << 20)))
+    assert "2048 MiB" in refused(read_image, path)
+
+
+def _exr(display: tuple[int, ...], data: tuple[int, ...], tmp_path: Path) -> Path:
+    OpenEXR = pytest.importorskip("OpenEXR")
+    path = tmp_path / "window.exr"
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"RGB": np.ones((4, 4, 3), np.float32)}).write(str(path))
+    content = path.read_bytes()
+    for name, corners in ((b"dataWindow", data), (b"displayWindow", display)):
+        at = content.index(name + b"\0box2i\0") + len(name) + 11
+        content = content[:at] + struct.pack("<4i", *corners) + content[at + 16 :]
+    path.write_bytes(content)
+    return path
+
+
+OWN = (0, 0, 3, 3)
+EXTREME = (-(2**31), -(2**31), 2**31 - 1, 2**31 - 1)
+
+
+@pytest.mark.parametrize(
+    ("display", "data", "message"),
+    [
+        ((0, 0, 19999, 19999), OWN, "20000 x 20000 pixels .* at most 16384 a side"),
+        ((0, 0, 9999, 9999), OWN, "10000 x 10000 pixels, which .* bytes cannot hold"),
+        (OWN, (0, 0, 19999, 19999), "at most 16384 a side"),
+        (OWN, (0, 0, 9999, 9999), "cannot hold"),
+        (EXTREME, OWN, "at most 16384 a side"),
+        (OWN, EXTREME, "at most 16384 a side"),
+        ((5, 5, 2, 2), OWN, "-2 x -2 pixels"),
+    ],
+)
+def test_windows_of_an_exr_that_are_too_large(display, data, message, tmp_path):
+    path = _exr(display, data, tmp_path)
+    with pytest.raises(InputError, match=message):
+        read_image(path)
+    refused(read_image, path)
+
+
+def test_limits_of_images_are_what_they_say():
+    check_pixels("a", 16384, MAX_PIXELS // 16384, 4, 1 << 30)
+    for size in ((16385, 1), (1, 16385), (16384, MAX_PIXELS // 16384 + 1), (0, 4), (4, 0)):
+        with pytest.raises(InputError):
+            check_pixels("a", *size, 4, 1 << 30)
+    with pytest.raises(InputError, match="at most .* 2048 MiB"):
+        check_pixels("a", 16384, 10000, 16, 1 << 30)
+
+
+def test_maps_of_a_mesh_have_a_limit_together(monkeypatch, tmp_path):
+    Image.fromarray(pixels()).save(tmp_path / "a.png")
+    map = fr.Texture.open(tmp_path / "a.png")
+    head = fr.load_mesh()
+    monkeypatch.setattr(materials, "MOST_TEXELS", 12 * 14 - 1)
+    with pytest.raises(InputError, match="maps of head.glb have .* texels together, of .* at most"):
+        head.with_material(albedo_map=map, normal_map=None, roughness_map=None, occlusion_map=None)
+
+
+def test_a_map_is_as_large_before_it_is_decoded(tmp_path):
+    Image.fromarray(pixels()).save(tmp_path / "a.png")
+    map = fr.Texture.open(tmp_path / "a.png")
+    assert map.size == map.channel(1, "green").size == (14, 12)
+    map.levels("color").result()
+    assert map.size == (14, 12)
+
+
+# --- compare -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rows", [1, 16, 300, 700])
+def test_strips_give_the_figures_of_the_whole(rows, monkeypatch):
+    """Of an image whose upper half nothing covers: there the alpha of a strip is 0 everywhere."""
+    chance = np.random.default_rng(rows)
+    a = chance.random((rows, 90, 4), dtype=np.float32)
+    a[..., 3] = np.arange(rows)[:, None] >= rows // 2
+    b = a.copy()
+    b[chance.random((rows, 90)) < 0.01] *= np.float32(1.5)
+    b[..., 3] = a[..., 3]
+    strips = fr.compare(a, b).as_dict()
+    monkeypatch.setattr(gates, "_STRIP", 1 << 20)
+    whole = fr.compare(a, b).as_dict()
+    assert strips.pop("mean") == pytest.approx(whole.pop("mean"), rel=1e-6)
+    assert strips == whole
+
+
+def test_values_whose_differences_overflow_are_refused():
+    a = np.zeros((32, 32, 3), np.float32)
+    b = a.copy()
+    b[3, 4] = 2e38
+    with pytest.raises(InputError, match=r"B holds values beyond 1e\+30, .* pixel \(4, 3\)"):
+        fr.compare(a, b)
+
+
+@pytest.mark.parametrize(
+    ("fault", "status", "told"),
+    [
+        (
+            ValueError("no\nsuch thing"),
+            FAULT,
+            r"fault of facerender.*\(ValueError: no such thing\)",
+        ),
+        (AssertionError(), FAULT, r"\(AssertionError\)"),
+        (MemoryError(), 2, "out of memory"),
+        (RecursionError("deep"), FAULT, "RecursionError"),
+    ],
+)
+def test_a_fault_of_compare_is_not_taken_for_a_difference(
+    fault, status, told, monkeypatch, tmp_path, capsys
+):
+    def fail(*_: object) -> None:
+        raise fault
+
+    monkeypatch.setattr(gates, "read_image", fail)
+    assert main(["compare", str(tmp_path / "a.png"), str(tmp_path / "a.png")]) == status
+    out, err = capsys.readouterr()
+    assert not out
+    assert err.count("\n") == 1
+    assert re.search(told, err)
+    assert FAULT not in (0, 1, 2, 3, 130)
+
+
+def test_a_fault_shows_its_place_where_asked(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(gates, "read_image", lambda _: 1 / 0)
+    monkeypatch.setenv("FACERENDER_DEBUG", "1")
+    assert main(["compare", str(tmp_path / "a.png"), str(tmp_path / "a.png")]) == FAULT
+    assert "Traceback" in capsys.readouterr().err
+
+
+# --- numbers -------------------------------------------------------------------------------------
+
+DIGITS = "1" + "0" * 400
+SCENES = {
+    "digits": f"ambient = {DIGITS}",
+    "digits of an angle": f"[camera]\nazimuth = {DIGITS}",
+    "too many digits": f"ambient = 1{'0' * 5000}",
+    "true": "ambient = true",
+    "list of true": "ambient = [true, 0, 0]",
+    "text": "ambient = ['1', '1', '1']",
+    "four": "ambient = [1, 1, 1, 1]",
+    "nan": "background = nan",
+    "inf": "background = [inf, 0, 0]",
+    "huge": "ambient = 1e300",
+    "place": "[camera]\nposition = [1e300, 0, 0]",
+    "light": "lights = [{ position = [1e31, 0, 0] }]",
+    "irradiance": "lights = [{ irradiance = 1e10 }]",
+    "nested": f"ambient = {'[' * 60}{']' * 60}",
+    "nested too deep": f"ambient = {'[' * 5000}{']' * 5000}",
+    "albedo": "[material]\nalbedo = 1e10",
+    "sizes": f"[planned]\nsizes = [[{DIGITS}, 1]]\nsamples = 4",
+    "factor": f"[shading]\nlobe = {{ g = 4, factor = {DIGITS} }}",
+    "lights": f"[shading]\nlights = {{ {DIGITS} = {{ lobe = 'd16' }} }}",
+    "frontal": "[shading]\nfrontal_lights = [0]\nlights = { 0 = { fresnel = [[]] } }",
+    "frontal table": "[shading]\nfrontal_lights = [0]\nlights = { 0 = { lobe = { a = {} } } }",
+    "long": f"'{'x' * 10_000}' = 1",
+    "escape": "'\\u001b[31m' = 1",
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_numbers_of_scenes(name, tmp_path):
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENES[name])
+    refused(load_scene, path)
+
+
+def test_scenes_may_begin_with_a_byte_order_mark(tmp_path):
+    (tmp_path / "mark.toml").write_bytes(b"\xef\xbb\xbfambient = 0.5\n")
+    assert load_scene(tmp_path / "mark.toml") == {"ambient": (0.5, 0.5, 0.5)}
+    (tmp_path / "latin.toml").write_bytes(b"# \xe9\n")
+    refused(load_scene, tmp_path / "latin.toml")
+
+
+@pytest.mark.parametrize(
+    "text", ["0,0,1e300", "point:1e31,0,0,1", "0,0,nan", "inf,0", "key,radius=1e300", "0,0,-1"]
+)
+def test_numbers_of_lights(text):
+    with pytest.raises(InputError, match="outside|give a number in"):
+        parse_light(text)
+
+
+def test_a_message_tells_a_value_and_not_at_length():
+    with pytest.raises(InputError) as caught:
+        fr.Camera(azimuth=10**5000)
+    assert len(str(caught.value)) < 200
+    with pytest.raises(InputError) as caught:
+        fr.Light(position=["x" * 10**6, 0, 0])
+    assert len(str(caught.value)) < 300
+
+
+# --- pictures ------------------------------------------------------------------------------------
+
+HEAD = fr.load_mesh()
+
+
+def beside(*radii: float) -> tuple[float, ...]:
+    return tuple((HEAD.center + HEAD.radius * np.array(radii)).tolist())
+
+
+HIDDEN = {
+    "behind": ({"position": beside(0, 0, 3), "target": beside(0, 0, 6)}, "behind the camera"),
+    "outside": ({"target": beside(6, 0, 0)}, "left of the frame; set camera target"),
+    "below": ({"target": beside(0, 9, 0)}, "below the frame"),
+    "small": ({"position": beside(1.3, 0, 1e5)}, r"it is .* pixels large; come nearer"),
+}
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("name", HIDDEN)
+def test_a_picture_without_the_mesh_says_why(name, samples, recwarn):
+    camera, told = HIDDEN[name]
+    with fr.Renderer((64, 48), samples=samples) as renderer:
+        for only in (None, "normal"):
+            with pytest.warns(fr.FacerenderWarning, match=f"no pixel shows head.glb: .*{told}"):
+                renderer.render(fr.Scene(HEAD, fr.Camera(**camera)), only=only)
+
+
+def test_a_picture_with_the_mesh_says_nothing(recwarn):
+    with fr.Renderer((64, 48)) as renderer:
+        renderer.render(fr.Scene(HEAD, fr.Camera(zoom=0.2, target=beside(2.6, 0, 0))))
+    assert not recwarn.list
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_pixel_that_is_not_finite_does_not_leave(value, monkeypatch):
+    def read(*arguments: object) -> np.ndarray:
+        image = true_read(*arguments)
+        image[5, 7, 1] = value
+        return image
+
+    true_read = drawing.read
+    monkeypatch.setattr(drawing, "read", read)
+    with (
+        fr.Renderer((64, 48)) as renderer,
+        pytest.raises(InputError, match=r"1 pixels of head.glb are not finite, .* \(7, 5\)"),
+    ):
+        renderer.render(fr.Scene(HEAD))
+
+
+def test_large_pixels_are_finite(monkeypatch):
+    """The sum of an image may overflow where no pixel has."""
+    image = np.full((8, 8, 4), 3e38, np.float32)
+    drawing._check(image, fr.Scene(HEAD))
+
+
+STRONG = {"irradiance": 1e9}
+ENDS = {
+    "orbit": ({"azimuth": 3600, "elevation": 90, "fov": 150, "zoom": 1000}, {}, {}),
+    "from below": ({"azimuth": -3600, "elevation": -90, "fov": 1, "zoom": 0.01}, {}, {}),
+    "far": ({"position": beside(9.9e5, 0, 0)}, {}, {}),
+    "near": ({"position": beside(0, 0, 2e-6)}, {}, {}),
+    "strong light": ({}, STRONG, {"ks": 1e6, "kd": 1e6, "albedo": 1e9, "m": 1e-4}),
+    "smooth": ({}, {}, {"m": 1e-4, "f0": 0.999}),
+    "rough": ({}, {}, {"m": 2, "f0": 0, "ks": 0, "kd": 0, "albedo": 0}),
+    "two lobes": ({}, STRONG, {"m": 0.01, "second_slope": 100, "lobe_weight": 0.5}),
+    "far light": ({}, STRONG | {"position": beside(9.9e5, 0, 0), "shadow": True}, {}),
+    "light within": ({}, STRONG | {"position": beside(0, 0, 1e-5)}, {}),
+    "on a vertex": ({}, STRONG | {"position": tuple(HEAD.parts[0].positions[100].tolist())}, {}),
+    "wide light": ({}, STRONG | {"radius": 20, "shadow": True}, {}),
+}
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.filterwarnings("ignore::facerender.FacerenderWarning")
+def test_ends_of_domains_are_finite(samples):
+    with fr.Renderer((40, 40), samples=samples) as renderer:
+        for name, (camera, light, changes) in ENDS.items():
+            mesh = HEAD.with_material(**changes) if changes else HEAD
+            scene = fr.Scene(mesh, fr.Camera(**camera), (fr.Light(**light),), ambient=1e9)
+            for shading in (fr.Shading(), fr.Shading(model="ward"), fr.Shading(diffuse="coupled")):
+                frame = renderer.render(scene, shading)
+                assert np.isfinite(frame.linear).all(), name
+                for exposure in (-100.0, 100.0):
+                    frame.srgb8(exposure)
+
+
+@pytest.mark.parametrize("name", ["position", "target"])
+def test_cameras_beyond_what_float32_tells_are_refused(name):
+    camera = fr.Camera(**{name: (1e30, 0.0, 0.0)})
+    with (
+        fr.Renderer((16, 16)) as renderer,
+        pytest.raises(InputError, match=rf"camera {name} .* radii of the mesh .* give 1e\+06"),
+    ):
+        renderer.render(fr.Scene(HEAD, camera))
+
+
+@pytest.mark.parametrize("extra", [{}, {"radius": 3.0}, {"shadow": True}])
+def test_point_lights_beyond_what_float32_tells_are_refused(extra):
+    light = fr.Light(position=(1e30, 0.0, 0.0), **extra)
+    with (
+        fr.Renderer((16, 16)) as renderer,
+        pytest.raises(InputError, match=r"point light .* radii of the mesh .* give 1e\+06 at most"),
+    ):
+        renderer.render(fr.Scene(HEAD, lights=(light,)))

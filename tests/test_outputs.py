@@ -1,0 +1,440 @@
+"""Where results go: nothing that is read is replaced, no stream and no disk gives a traceback, a
+signal leaves nothing half done, and long work shows itself."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import facerender as fr
+from facerender import image
+from facerender.commands import main
+from facerender.drawing.renderer import Renderer
+from facerender.progress import Bar
+from tests.awkward_files import MINI_HEAD, write_textured_obj
+from tests.awkward_files import mini_head as read_mini_head
+from tests.test_cli import assert_error
+
+ROOT = Path(__file__).parents[1]
+SMALL = ("--size", "32", "--samples", "1")
+
+
+def process(*arguments, **options):
+    command = [sys.executable, "-m", "facerender", *map(str, arguments)]
+    options = {"capture_output": True, "text": True, "timeout": 120} | options
+    return subprocess.run(command, check=False, **options)
+
+
+# --- outputs that are read -----------------------------------------------------------------------
+
+
+@pytest.fixture
+def inputs(tmp_path, monkeypatch):
+    """A folder with one file of each kind, in which the command runs."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("skin.png", "other.png", "mask.png"):
+        Image.new("RGB", (32, 32), (200, 150, 120)).save(tmp_path / name)
+    mesh = write_textured_obj(tmp_path / "head.obj", read_mini_head())
+    (tmp_path / "scene.toml").write_text("ambient = 0.1\n")
+    np.save(tmp_path / "around.npy", np.ones((8, 16, 3), np.float32))
+    (tmp_path / "lit.toml").write_text('[environment]\nfile = "around.npy"\n')
+    (tmp_path / "path.toml").write_text("[[cameras]]\nazimuth = 10\n")
+    (tmp_path / "explorer.json").write_text("{}")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "jobs.jsonl").write_text('{"image.size": 32}\n')
+    assert mesh.is_file()
+    return tmp_path
+
+
+def linked(how, name, suffix):
+    """Another name of a file."""
+    other = f"other{suffix}"
+    Path(other).unlink(missing_ok=True)
+    (os.symlink if how == "symlink" else os.link)(os.path.abspath(name), other)
+    return other
+
+
+RENDER = ("render", "head.obj", *SMALL)
+PLAN = ("plan", "head.obj", "--budget", "1/255")
+
+
+READ = [
+    ("skin.png", (*RENDER, "--albedo", "skin.png", "-o"), ".png"),
+    ("skin.png", (*RENDER, "--lobe-map", "skin.png", "-o"), ".png"),
+    ("head.obj", (*RENDER, "-o"), ".png"),
+    ("scene.toml", (*RENDER, "--scene", "scene.toml", "-o"), ".png"),
+    ("around.npy", (*RENDER, "--environment", "around.npy,90,0.5", "-o"), ".exr"),
+    ("around.npy", (*RENDER, "--scene", "lit.toml", "-o"), ".exr"),
+    ("path.toml", (*RENDER, "--camera", "path.toml", "-o"), ".png"),
+    ("skin.png", (*PLAN, "--albedo", "skin.png", "--error-map"), ".png"),
+    ("head.obj", (*PLAN, "--emit"), ".glsl"),
+    ("scene.toml", (*PLAN, "--from", "scene.toml", "--scene"), ".toml"),
+    ("path.toml", (*PLAN, "--camera", "path.toml", "--emit"), ".glsl"),
+    ("skin.png", ("compare", "skin.png", "mask.png", "--heatmap"), ".png"),
+    ("mask.png", ("compare", "skin.png", "mask.png", "--report"), ".html"),
+    ("mask.png", ("compare", "skin.png", "skin.png", "--mask", "mask.png", "--report"), ".a"),
+    ("skin.png", ("explore", "head.obj", "--albedo", "skin.png", "-o"), ".html"),
+    ("skin.png", ("shaders", "prepare-normal-map", "skin.png"), ".ktx2"),
+]
+
+
+@pytest.mark.parametrize(
+    ("read", "arguments", "suffix", "how"),
+    [
+        (*case, how)
+        for case in READ
+        for how in ("same", "symlink", "hard link")
+        if how != "same" or case[0].endswith(case[2])  # which the command takes as a name
+    ],
+)
+def test_what_is_read_is_not_replaced(read, arguments, suffix, how, inputs, capsys, monkeypatch):
+    monkeypatch.setattr(Renderer, "of", None)  # nothing is drawn
+    output = read if how == "same" else linked(how, read, suffix)
+    before = {path.name: path.read_bytes() for path in inputs.iterdir() if path.is_file()}
+    status = main([*arguments, output])
+    printed = capsys.readouterr()
+    assert_error(status, printed.out, printed.err, "is read, and would be replaced: give another")
+    assert len(printed.err.splitlines()) == 1
+    assert before == {path.name: path.read_bytes() for path in inputs.iterdir() if path.is_file()}
+
+
+def test_what_the_mesh_file_names_is_not_replaced(inputs, capsys):
+    output = linked("hard link", "skin.jpg", ".png")
+    status = main([*RENDER, "-o", output])
+    printed = capsys.readouterr()
+    assert_error(status, printed.out, printed.err, "is read, and would be replaced")
+
+
+def test_outputs_that_are_one_file(inputs, capsys):
+    status = main([*PLAN, "--emit", "a.png", "--error-map", "out/../a.png"])
+    printed = capsys.readouterr()
+    assert_error(status, printed.out, printed.err, "a.png is written twice: give another name")
+
+
+def test_a_table_of_jobs_in_the_folder_of_its_batch(inputs, capsys):
+    before = (inputs / "out/jobs.jsonl").read_bytes()
+    status = main(["batch", "out/jobs.jsonl", "-o", "out", "--workers", "1"])
+    printed = capsys.readouterr()
+    assert_error(status, printed.out, printed.err, "jobs.jsonl is read, and would be replaced")
+    assert (inputs / "out/jobs.jsonl").read_bytes() == before
+    assert os.listdir(inputs / "out") == ["jobs.jsonl"]
+
+
+def test_a_measurement_does_not_replace_what_it_imports(inputs, capsys):
+    (inputs / "measure.json").write_text("{}")
+    status = main(["measure", "-o", ".", "--import", "measure.json"])
+    printed = capsys.readouterr()
+    assert_error(status, printed.out, printed.err, "measure.json")
+    assert (inputs / "measure.json").read_text() == "{}"
+
+
+# --- places --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("gone/a.png", "no such file or directory; give a file in a writable folder"),
+        ("folder.png", "it is a directory; give a file name"),
+        ("pipe.png", "it is no regular file; give a file name"),
+        ("full.png", "it is no regular file; give a file name"),
+        ("loop.png", "too many levels of symbolic links"),
+        ("file/a.png", "not a directory; give a file in a writable folder"),
+        ("/proc/a.png", "give a"),
+        (f"{'x' * 300}.png", "file name too long; give a file in a writable folder"),
+    ],
+)
+def test_places_that_cannot_be_written(name, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Renderer, "of", None)
+    (tmp_path / "folder.png").mkdir()
+    (tmp_path / "file").touch()
+    os.mkfifo("pipe.png")
+    os.symlink("/dev/full", "full.png")
+    os.symlink("loop.png", "loop.png")
+    if name.startswith("/proc"):
+        monkeypatch.undo()
+    status = main(["render", str(MINI_HEAD), *SMALL, "-o", name])
+    printed = capsys.readouterr()
+    assert_error(status, printed.out, printed.err, f"cannot write .*{message}")
+
+
+def test_the_longest_name(tmp_path, egl):
+    path = tmp_path / f"{'x' * 251}.png"
+    assert main(["render", str(MINI_HEAD), *SMALL, "-o", str(path)]) == 0
+    assert os.listdir(tmp_path) == [path.name]
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.exr"])
+def test_a_disk_without_room(name, tmp_path, egl):
+    (tmp_path / name).write_bytes(b"old")
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (512, 512))
+
+    arguments = ("render", MINI_HEAD, *SMALL, "--no-cache", "-o", tmp_path / name)
+    done = process(*arguments, preexec_fn=limit)
+    assert_error(
+        done.returncode, done.stdout, done.stderr, rf"cannot write .*{name}: .*; make room"
+    )
+    assert len(done.stderr.splitlines()) == 1
+    assert os.listdir(tmp_path) == [name]
+    assert (tmp_path / name).read_bytes() == b"old"
+
+
+def test_two_writers_of_one_file(tmp_path):
+    contents = [bytes([number]) * 100_000 for number in range(4)]
+
+    def write(content):
+        for _ in range(50):
+            image.write_bytes(tmp_path / "a.png", content)
+
+    threads = [threading.Thread(target=write, args=(content,)) for content in contents]
+    for thread in threads:
+        thread.start()
+    while any(thread.is_alive() for thread in threads):
+        if (tmp_path / "a.png").exists():
+            assert (tmp_path / "a.png").read_bytes() in contents
+    assert os.listdir(tmp_path) == ["a.png"]
+
+
+def test_what_killed_runs_have_left_is_removed(tmp_path, egl):
+    old, new = tmp_path / ".facerender-0", tmp_path / ".facerender-1"
+    for path in (old, new, tmp_path / ".other"):
+        path.touch()
+    for path in (old, tmp_path / ".other"):
+        os.utime(path, (0, 0))
+    assert main(["render", str(MINI_HEAD), *SMALL, "-o", str(tmp_path / "a.png")]) == 0
+    assert {*os.listdir(tmp_path)} == {"a.png", new.name, ".other"}
+
+
+# --- streams -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "arguments", [("--version",), ("--help",), ("shaders", "path"), ("shaders", "list")]
+)
+def test_standard_output_that_is_full(arguments):
+    with open("/dev/full", "w") as full:
+        done = process(*arguments, stdout=full, stderr=subprocess.PIPE, capture_output=False)
+    assert_error(done.returncode, "", done.stderr, "cannot write standard output: no space left")
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_both_streams_full(tmp_path, egl):
+    with open("/dev/full", "w") as full:
+        arguments = ("render", MINI_HEAD, *SMALL, "-o", tmp_path / "a.png")
+        done = process(*arguments, stdout=full, stderr=full, capture_output=False)
+    assert done.returncode == 2
+    with Image.open(tmp_path / "a.png") as written:
+        written.load()
+
+
+@pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
+def test_closed_streams(closed, tmp_path, egl):
+    """A file that is opened must not get a stream's number."""
+    path = tmp_path / "a.png"
+    mesh = write_textured_obj(tmp_path / "head.obj", read_mini_head())
+    (tmp_path / "skin.jpg").unlink()  # which is warned of
+    command = f"{sys.executable} -m facerender render {mesh} --size 32 -o {path} {closed}"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True)
+    assert done.returncode == 0
+    assert "Traceback" not in done.stderr
+    with Image.open(path) as written:
+        written.load()
+
+
+def test_a_reader_that_has_gone():
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = process("shaders", "list", stdout=writing, stderr=subprocess.PIPE, capture_output=False)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+@pytest.mark.parametrize("encoding", [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C"}])
+def test_letters_that_a_stream_has_not(encoding, tmp_path, egl):
+    path = tmp_path / "Gesicht ä\udcff.png"
+    environment = os.environ | encoding | {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    command = [sys.executable, "-m", "facerender", "render", str(MINI_HEAD), *SMALL, "-o"]
+    done = subprocess.run([*command, os.fsencode(path)], env=environment, capture_output=True)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert os.listdir(os.fsencode(tmp_path)) == [os.fsencode(path.name)]
+    gone = subprocess.run([*command[:-4], b"\xff\xc3.glb", "-o", "a.png"], env=environment,
+                          capture_output=True, cwd=tmp_path)  # fmt: skip
+    assert gone.returncode == 2
+    assert b"Traceback" not in gone.stderr
+
+
+# --- signals -------------------------------------------------------------------------------------
+
+
+def heeds(process):
+    """Tell whether it catches SIGTERM."""
+    lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
+    (caught,) = [line.split()[1] for line in lines if line.startswith("SigCgt")]
+    return int(caught, 16) >> signal.SIGTERM - 1 & 1
+
+
+@pytest.mark.parametrize(
+    ("sent", "word"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")]
+)
+def test_a_signal_among_the_imports(sent, word, tmp_path):
+    command = [sys.executable, "-m", "facerender", "render", "-o", str(tmp_path / "a.png")]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
+        while not heeds(running):
+            time.sleep(0.001)
+        running.send_signal(sent)
+        _, said = running.communicate(timeout=60)
+    assert (running.returncode, said) == (128 + sent, f"facerender: {word}\n")
+    assert os.listdir(tmp_path) == []
+
+
+ENDED = """
+import os, signal, subprocess, sys, threading
+from pathlib import Path
+from facerender.ending import heed_signals, if_ended, temporary_folder
+from facerender.image import write_whole
+from facerender.progress import Bar
+
+heed_signals()
+
+def write(name):
+    Path(name).write_text("half")
+    child = subprocess.Popen([sys.executable, "-c", "import time; print(1, flush=True);"
+        "time.sleep(600)"], stdout=subprocess.PIPE)
+    child.stdout.readline()
+    print(child.pid, folder, flush=True)
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+    except BaseException:  # as trimesh does
+        pass
+
+with temporary_folder() as folder, Bar() as progress:
+    progress("reading", 0.5)
+    progress("writing", 0.25)
+    write_whole(sys.argv[1], write)
+print("went on")
+"""
+
+
+def test_a_signal_undoes_what_is_half_done(tmp_path):
+    (tmp_path / "a.png").write_bytes(b"old")
+    command = [sys.executable, "-c", ENDED, tmp_path / "a.png"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.stderr == "facerender: interrupted: done: reading, 25 % of writing\n"
+    assert done.returncode == 130
+    child, folder = done.stdout.split()
+    assert not os.path.exists(folder)
+    assert not os.path.exists(f"/proc/{child}")
+    assert os.listdir(tmp_path) == ["a.png"]
+    assert (tmp_path / "a.png").read_bytes() == b"old"
+
+
+def kill(*arguments):
+    command = [sys.executable, ROOT / "benchmarks/kills.py", *arguments]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    return subprocess.run(command, env=environment, capture_output=True, text=True)
+
+
+def test_killed_at_random():
+    done = kill("--kills", "3", "--seed", "2", "render")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_killed_at_random_two_hundred_times():
+    done = kill("--kills", "200")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+# --- progress ------------------------------------------------------------------------------------
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+@pytest.mark.parametrize("stream", [io.StringIO, Terminal])
+def test_a_bar_is_on_terminals_alone(stream, quiet, monkeypatch):
+    error = stream()
+    monkeypatch.setattr(sys, "stderr", error)
+    with Bar(quiet) as progress:
+        for what in ("views", "shadings"):
+            for done in (0.0, 0.5, 1.0):
+                progress(what, done)
+    told = error.getvalue()
+    if stream is Terminal and not quiet:
+        assert "views   0%" in told
+        assert "shadings   0%" in told
+        assert told.rpartition("\r")[0].rpartition("\r")[2].strip() == ""  # it has vanished
+    else:
+        assert told == ""
+
+
+def test_a_plan_tells_what_it_does(egl):
+    told = []
+    with fr.Renderer((48, 48), samples=1, backend=egl) as renderer:
+        scene = fr.Scene(fr.load_mesh(MINI_HEAD))
+        fr.plan(scene, "1/255", renderer=renderer, progress=lambda *step: told.append(step))
+    whats = list(dict.fromkeys(what for what, _ in told))
+    assert whats == ["views", "prices", "samples and triangles", "shadings", "frames", "decisions"]
+    assert all(0.0 <= done <= 1.0 for _, done in told)
+    shares = [done for what, done in told if what == "shadings"]
+    assert shares == sorted(shares)
+
+
+@pytest.mark.parametrize("options", [(), ("--quiet",)])
+def test_commands_say_nothing_where_no_terminal_is(options, inputs, capsys, egl):
+    (inputs / "a").mkdir()
+    for name in ("0.png", "1.png"):
+        Image.new("RGB", (32, 32)).save(inputs / "a" / name)
+    assert main(["compare", "a", "a", "--report", "a.html", *options]) == 0
+    assert capsys.readouterr().err == ""
+    assert main([*PLAN, "--size", "32", "--samples", "1", *options]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_quiet_keeps_warnings_and_errors(inputs, capsys, egl):
+    for path in inputs.glob("*.mtl"):
+        path.unlink()
+    assert main(["explore", "head.obj", "-o", "a.html", "--quiet"]) == 0
+    assert "facerender: warning: " in capsys.readouterr().err
+    assert main(["explore", "gone.obj", "-o", "a.html", "--quiet"]) == 2
+    assert "facerender: error: " in capsys.readouterr().err
+
+
+def test_a_batch_says_what_informs_unless_it_is_told_not_to(tmp_path, capsys, egl):
+    jobs = tmp_path / "jobs.jsonl"
+    jobs.write_text(json.dumps({"mesh": str(MINI_HEAD), "image.size": 32}) + "\n")
+    assert main(["batch", str(jobs), "-o", str(tmp_path / "a")]) == 0
+    assert capsys.readouterr().err.startswith("facerender: ")
+    assert main(["batch", str(jobs), "-o", str(tmp_path / "b"), "--quiet"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_a_render_imports_no_bars_and_the_package_nothing_at_all(tmp_path, egl):
+    code = (
+        "import sys, facerender\n"
+        "print(*{'numpy', 'argparse', 'moderngl'} & set(sys.modules))\n"
+        "from facerender.commands import main\n"
+        f"main(['render', {str(MINI_HEAD)!r}, '--size', '32', '-o', 'a.png'])\n"
+        "print('tqdm' in sys.modules)\n"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout == "\na.png\nFalse\n"
