@@ -57,13 +57,13 @@ def profile_of(given: Any) -> str | Gaussians:
     variances, weights = values[:, 0], values[:, 1:]
     if not 0 < len(values) <= MOST or not ((variances > 0.0) & (variances <= MOST_VARIANCE)).all():
         raise InputError(
-            f"scattering = {shown(given)}: give a name, or 1 to {MOST} Gaussians, each as a variance in "
-            f"(0, {MOST_VARIANCE:g}] mm^2 and weights of red, green and blue"
+            f"scattering = {shown(given)}: give a name, or 1 to {MOST} Gaussians, each as a "
+            f"variance in (0, {MOST_VARIANCE:g}] mm^2 and weights of red, green and blue"
         )
     if not ((weights >= 0.0).all() and (weights.sum(axis=0) <= 1.0 + 1e-6).all()):
         raise InputError(
-            f"scattering = {shown(given)}: give weights of at least 0, and in each channel of no more "
-            "than 1 together"
+            f"scattering = {shown(given)}: give weights of at least 0, and in each channel of no "
+            "more than 1 together"
         )
     return tuple((row[0], row[1], row[2], row[3]) for row in rows)
 
