@@ -144,7 +144,8 @@ def test_cameras_of_one_distance_share_their_scale(head, drawing):
 
 def test_a_camera_that_sees_nothing(head, drawing):
     away = fr.Camera(position=tuple(head.center + [0, 0, 3]), target=tuple(head.center + [0, 0, 9]))
-    drawn = draw(job_of(camera=away), head, drawing, PASSES, 0.0)
+    with pytest.warns(fr.FacerenderWarning, match="no pixel shows head.glb: .* behind the camera"):
+        drawn = draw(job_of(camera=away), head, drawing, PASSES, 0.0)
     for name in ("depth", "mask", "parts", "normal"):
         assert not unchanged(drawn.files[f"{name}.png"]).any()
     assert drawn.facts["depth_scale"] > 0.0

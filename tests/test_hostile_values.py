@@ -295,6 +295,7 @@ SCENES = {
     "nested": f"ambient = {'[' * 60}{']' * 60}",
     "nested too deep": f"ambient = {'[' * 5000}{']' * 5000}",
     "albedo": "[material]\nalbedo = 1e10",
+    "scattering": f"[material]\nscattering = [[{DIGITS}, 0, 0, 0]]",
     "sizes": f"[planned]\nsizes = [[{DIGITS}, 1]]\nsamples = 4",
     "factor": f"[shading]\nlobe = {{ g = 4, factor = {DIGITS} }}",
     "lights": f"[shading]\nlights = {{ {DIGITS} = {{ lobe = 'd16' }} }}",

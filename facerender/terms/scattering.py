@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError
+from facerender.errors import InputError, shown
 
 Float = NDArray[np.float64]
 Gaussians = tuple[tuple[float, float, float, float], ...]  # variance in mm^2; red, green, blue
@@ -47,23 +47,23 @@ def profile_of(given: Any) -> str | Gaussians:
     if isinstance(given, str):
         if given not in PROFILES:
             known = ", ".join((*PROFILES, "none"))
-            raise InputError(f"unknown scattering {given!r}; known: {known}")
+            raise InputError(f"unknown scattering {shown(given)}; known: {known}")
         return given
     try:
         rows = tuple(tuple(float(number) for number in row) for row in given)
         values = np.array(rows, dtype=np.float64).reshape(-1, 4)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         values = np.empty((0, 4))
     variances, weights = values[:, 0], values[:, 1:]
     if not 0 < len(values) <= MOST or not ((variances > 0.0) & (variances <= MOST_VARIANCE)).all():
         raise InputError(
-            f"scattering = {given!r}: give a name, or 1 to {MOST} Gaussians, each as a variance in "
-            f"(0, {MOST_VARIANCE:g}] mm^2 and weights of red, green and blue"
+            f"scattering = {shown(given)}: give a name, or 1 to {MOST} Gaussians, each as a "
+            f"variance in (0, {MOST_VARIANCE:g}] mm^2 and weights of red, green and blue"
         )
     if not ((weights >= 0.0).all() and (weights.sum(axis=0) <= 1.0 + 1e-6).all()):
         raise InputError(
-            f"scattering = {given!r}: give weights of at least 0, and in each channel of no more "
-            "than 1 together"
+            f"scattering = {shown(given)}: give weights of at least 0, and in each channel of no "
+            "more than 1 together"
         )
     return tuple((row[0], row[1], row[2], row[3]) for row in rows)
 
