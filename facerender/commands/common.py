@@ -16,6 +16,7 @@ from facerender.errors import InputError, reason
 from facerender.image import check_writable, remove_abandoned
 from facerender.job import MeshFile
 from facerender.loading.named import named_files
+from facerender.loading.read import GLTF
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -105,10 +106,12 @@ def make_folder(text: str) -> Path:
     return Path(text)
 
 
-def import_trimesh() -> None:
-    """Import trimesh without scipy and networkx, which it imports where it finds them, for things
-    that reading a file does not need, and which take two thirds of a cold start. The process is
-    this command's own, so nobody else misses them in trimesh."""
+def import_trimesh(mesh: str | None) -> None:
+    """Import trimesh, for a mesh that it reads, without scipy and networkx, which it imports where
+    it finds them, for things that reading a file does not need, and which take two thirds of a cold
+    start. The process is this command's own, so nobody else misses them in trimesh."""
+    if mesh is None or Path(mesh).suffix.lower() in GLTF:
+        return
     absent = [name for name in ("scipy", "networkx") if name not in sys.modules]
     sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]
     try:

@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
         allow_outside=options.allow_outside,
     )
     check_outputs([options.output], mesh_files(file))
-    import_trimesh()
+    import_trimesh(options.mesh)
     with Bar(options.quiet) as progress:
         progress("mesh", 0.0)
         job, mesh = Job(file), file.load()

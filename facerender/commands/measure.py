@@ -69,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
         if earlier:
             measurement, triptychs = earlier, None
         else:
-            import_trimesh()
+            import_trimesh(options.mesh)
             mesh = load_mesh(options.mesh, allow_outside=options.allow_outside)
             m = 0.3 if options.m is None else options.m
             measurement, triptychs = measure(mesh, m, options.quick, options.backend, progress)

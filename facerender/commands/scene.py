@@ -204,8 +204,7 @@ def load(job: Job, cache: bool = False) -> Scene:
     """Return the scene of a job, whose maps are being decoded."""
     mesh = job.mesh.kept() if cache else None
     if mesh is None:
-        if job.mesh.path and Path(job.mesh.path).suffix.lower() not in (".glb", ".gltf"):
-            import_trimesh()
+        import_trimesh(job.mesh.path)
         mesh = job.mesh.load(cache)
     scene = job.scene(mesh)
     albedo: Kind = "linear-color" if job.image.float_albedo else "color"

@@ -1,4 +1,4 @@
-"""Mesh files: read by trimesh, checked, mended where that is safe, and placed by their scene graph.
+"""Mesh files: read, checked, mended where that is safe, and placed by their scene graph.
 Materials and maps come along. No OpenGL here."""
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from facerender.data import data_dir
 from facerender.errors import check_path, check_switch, clipped, noting
 from facerender.loading.kept import Files
-from facerender.loading.read import read
+from facerender.loading.read import GLTF, read
 from facerender.loading.referred import Referred
 from facerender.loading.repair import assemble, clean
 from facerender.loading.translate import override
@@ -129,5 +129,5 @@ def _read(files: Files) -> tuple[Mesh, Referred]:
                     piece.uv = piece.uv * (1.0, -1.0) + (0.0, 1.0)
         if overrides:
             override(pieces, overrides, name)
-        millimetres = 1000.0 if source.suffix.lower() in (".glb", ".gltf") else None
+        millimetres = 1000.0 if source.suffix.lower() in GLTF else None
         return assemble(pieces, name, millimetres), referred

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from io import BytesIO
 from typing import TYPE_CHECKING
 
-from facerender.errors import InputError, clipped, reason, warn
+from facerender.errors import InputError, clipped, warn
+from facerender.image import open_image
 from facerender.loading.referred import Referred
+from facerender.scenes.texture import FORMATS
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -19,14 +20,12 @@ def image_of(content: bytes) -> Image:
 
     Raises
     ------
-    ValueError : it is none that Pillow reads
+    ValueError : it is none that is read, is damaged or too large
     """
-    from PIL import Image
-
     try:
-        return Image.open(BytesIO(content))
-    except Exception as error:  # its readers fail in their own ways on a damaged file
-        raise ValueError(reason(error)) from None
+        return open_image(content, "it", FORMATS, "PNG, JPEG, TIFF or WebP")
+    except InputError as error:
+        raise ValueError(str(error)) from None
 
 
 def unreadable(shown: str, kind: str, fatal: bool) -> None:

@@ -29,7 +29,8 @@ from facerender.scenes.texture import Texture
 if TYPE_CHECKING:
     import trimesh
 
-SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
+GLTF = (".glb", ".gltf")
+SUFFIXES = (*GLTF, ".obj", ".ply", ".stl")
 _MATERIALS = re.compile(rb"^[ \t]*usemtl[ \t]+(.*)", re.MULTILINE)
 _SOLIDS = re.compile(rb"endsolid", re.IGNORECASE)
 _TRIANGLE = 50  # bytes in a binary STL file, behind a header of 84
@@ -58,7 +59,7 @@ def read(path: Path, without_albedo: bool, allow_outside: bool) -> tuple[list[Pi
         raise InputError(f"{name} is an empty file: there is no geometry in it")
     check_kind(data, suffix, name)
     referred = Referred(path, allow_outside)
-    if suffix in (".glb", ".gltf"):
+    if suffix in GLTF:
         pieces = read_gltf(data, referred, without_albedo)
         if not pieces:
             raise _no_faces(name, points=False)
