@@ -51,7 +51,7 @@ class Texture:
         check_type("name of a texture", name, str, "text")
         check_type("decode", decode, Callable, "a function that returns a Pillow image")
         self.name = name
-        self._size = size
+        self._size, self._derived = size, size is not None
         self._decode: Callable[[], Image] | None = decode  # until it has been asked
         self._lock = threading.Lock()
         self._levels_lock = threading.Lock()
@@ -118,17 +118,17 @@ class Texture:
             if self._decode is None:
                 return self._finest()
             image = _upright_rgb(self._decode(), self.name)
-            if self._size is None:
+            if not self._derived:
                 self._rgb, self._decode = image, None
             return image
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height, which a file tells before it is decoded."""
-        if self._size is not None:
-            return self._size
-        image, decode = self._rgb, self._decode  # one of both, until a chain alone is left
-        return (image or (decode() if decode else self.rgb())).size
+        if self._size is None:
+            image, decode = self._rgb, self._decode  # one of both, until a chain alone is left
+            self._size = (image or (decode() if decode else self.rgb())).size
+        return self._size
 
     def channel(self, index: int, name: str) -> Texture:
         """One channel of this texture as a grey texture of its own."""
