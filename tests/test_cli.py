@@ -438,7 +438,7 @@ def test_missing_scene_file(cli: Cli, tmp_path: Path) -> None:
         ("--f0", "1", r"f0 = 1\.0 is outside"),
         ("--ks", "-1", r"ks = -1\.0 is outside"),
         ("--kd", "inf", r"kd = inf is outside"),
-        ("--anisotropy", "0", r"anisotropy = 0 is outside \[1, 16\]"),
+        ("--anisotropy", "0", r"anisotropy = 0.0 is outside \[1, 16\]"),
         ("--exposure", "nan", r"exposure"),
         ("--exposure", "1e9", r"exposure"),
         ("--light", "sun", r"unknown light 'sun'; give key, rim"),
@@ -621,7 +621,7 @@ def test_full_disk_leaves_the_existing_exr(cli: Cli, monkeypatch: pytest.MonkeyP
     path = cli.folder / "head.exr"
     path.write_bytes(b"precious")
     monkeypatch.setattr(OpenEXR, "File", File)
-    cli.fail_to_render(r"cannot write .*head\.exr: cannot write image file", "-o", path)
+    cli.fail_to_render(r"cannot write .*head\.exr: Cannot write image file", "-o", path)
     assert path.read_bytes() == b"precious"
 
 

@@ -617,9 +617,9 @@ def test_exr_with_odd_channels(cli, exr, tmp_path):
 @pytest.mark.parametrize(
     ("option", "value", "message"),
     [
-        ("--point", "-1", r"limit point = -1 is negative or not finite"),
-        ("--block", "nan", r"limit block = nan is negative or not finite"),
-        ("--coverage", "-0.5", r"limit coverage = -0\.5 is negative"),
+        ("--point", "-1", r"limit point = -1.0 is outside \[0,"),
+        ("--block", "nan", r"limit block = nan is outside \[0,"),
+        ("--coverage", "-0.5", r"limit coverage = -0\.5 is outside"),
         ("--point", "x", r"argument --point: invalid float value: 'x'"),
         ("--mask", "gone.png", r"cannot read gone\.png: no such file"),
         ("--colour", "1", r"unrecognized arguments: --colour 1"),

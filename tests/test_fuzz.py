@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.errors import InputError, warn
+from facerender.errors import FacerenderError, InputError, warn
 from tests.conftest import require_module
 from trials.fuzz.mutate import mutate
 from trials.fuzz.subjects import FAULTS, LARGE, Subject, examine, subjects
@@ -62,7 +62,7 @@ def test_the_guided_fuzzer_runs(tmp_path: Path) -> None:
 
 
 def too_much(folder: Path) -> None:
-    raise InputError("x" * 1000)
+    raise FacerenderError("x" * 1000)
 
 
 def a_bug(folder: Path) -> None:

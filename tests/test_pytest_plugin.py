@@ -173,7 +173,7 @@ def test_coverage_limit(suites):
         ("image(np.nan)", "*the image holds 3072 NaN and 0 infinite values*"),
         ("image()[..., 0]", "*the image is grey: give RGB"),
         ("image().astype(np.uint8)", "*the image is 8-bit, which hides what a golden is to*"),
-        ("image(), block=-1.0", "*limit block = -1 is negative*"),
+        ("image(), block=-1.0", "*limit block = -1.0 is outside*"),
         ("image(), mask=np.ones((3, 3))", "*the mask is 3 x 3*"),
     ],
 )

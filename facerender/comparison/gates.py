@@ -153,9 +153,8 @@ def compare(
     height, width = a.pixels.shape[:2]
     counts = np.ones((height, width), dtype=bool) if mask is None else np.asarray(mask) != 0
     if counts.shape != (height, width):
-        raise InputError(
-            f"the mask has the shape {counts.shape}, the images are {_size(a.pixels)} pixels"
-        )
+        size = _size(counts) if counts.ndim == 2 else f"of shape {counts.shape}"
+        raise InputError(f"the mask is {size}, the images are {_size(a.pixels)} pixels")
     if not counts.any():
         raise InputError("the mask is 0 everywhere: nothing would be compared")
     given = {"point": point, "block": block, "coverage": coverage}

@@ -306,7 +306,7 @@ def plan(
     ContextError : no OpenGL context
     """
     check_type("scene", scene, Scene, "a facerender.Scene")
-    check_type("budget", budget, str | float, 'an error with its unit, such as "1/255"')
+    check_type("budget", budget, str | float | int, 'an error with its unit, such as "1/255"')
     check_type("full", full, Shading, "a facerender.Shading")
     check_type("cost", cost, str, f'where prices come from, such as "{FRAME}"')
     check_type("renderer", renderer, Renderer | None, "a facerender.Renderer")
