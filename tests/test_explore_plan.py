@@ -290,7 +290,7 @@ def test_the_command_plans(tmp_path, capsys, monkeypatch, egl):
     assert main(["explore", str(MINI), "--plan", "1/255", "-o", str(out)]) == 0
     printed = capsys.readouterr()
     assert printed.out == f"{out}\n"
-    assert "planning takes" in printed.err
+    assert printed.err == ""  # progress is for terminals
     facts = json.loads(out.read_text().split('id="facts">')[1].split("</script>")[0])
     assert facts["plan"]["lines"]["budget"].startswith("1/255")
     assert all(each["on"] for each in facts["plan"]["decisions"])

@@ -462,6 +462,7 @@ def test_more_samples_err_less_at_the_silhouette(drawing, scene):
     assert four.silhouette.over == pytest.approx((errors > 1 / 255).mean())
 
 
+@pytest.mark.filterwarnings("ignore:no pixel shows")
 def test_samples_of_nothing_are_refused(drawing, scene):
     away = replace(scene, camera=fr.Camera(position=(0, 0, 5), target=(0, 0, 9)))
     with pytest.raises(fr.InputError, match=r"the camera sees nothing of mini_head\.glb"):

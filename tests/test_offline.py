@@ -63,9 +63,9 @@ def test_what_a_term_may_use_is_compiled(table, gpu):
 #include "facerender/cook_torrance.glsl"
 vec3 turned(vec3 a, float s) { return -s * a / 2.0 + vec3(s) - vec3(a.x, s, 1e-3); }
 float several(vec2 a) { return mix(a.x, abs(a.y), 0.25) + pow(a.x, 5.0) + float(3); }
-float several(vec3 a) { return several(vec2(a.y, clamp(a.z, 0.0, 1.0))) + inversesqrt(a.x); }
+float more(vec3 a) { return several(vec2(a.y, clamp(a.z, 0.0, 1.0))) + inversesqrt(a.x); }
 """
-    value = "fr_cook_torrance(normalize(n), l, v, m, f0) * several(turned(n, m))"
+    value = "fr_cook_torrance(normalize(n), l, v, m, f0) * more(turned(n, m))"
     found = offline.statistics({"vectors": (vectors, value)}, gpu)["vectors"]
     assert 30 < found.all < 120
 
