@@ -385,8 +385,8 @@ def _check(linear: NDArray[np.float32], scene: Scene) -> None:
         row, column = np.unravel_index(int(finite.argmin()), finite.shape)
         raise InputError(
             f"{(~finite).sum()} pixels of {scene.mesh.name} are not finite, the first at ({column},"
-            f" {row}): a light stands on the surface, a triangle has no width, or lights and weights "
-            "are too strong for float32; move it, mend the mesh, or lower them"
+            f" {row}): a light stands on the surface, a triangle has no width, or lights and "
+            "weights are too strong for float32; move it, mend the mesh, or lower them"
         )
     coverage = linear[..., 3]
     if not coverage[len(coverage) // 2].any() and not coverage.any():
