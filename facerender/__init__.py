@@ -22,6 +22,7 @@ shader_source   one file of the GLSL library, flat, for a target; shader_dir: th
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from facerender import forked  # noqa: F401  # notes the process
 from facerender._version import __version__
 
 if TYPE_CHECKING:

@@ -231,7 +231,6 @@ class Shading:
         changes = _by_light(lights)
         check_type("outside", outside, str, "a word")
         check_type("diffuse", diffuse, str, "a word")
-        check_type("scatter_samples", scatter_samples, float | int, "a number")
         if frontal_lights is not None:
             frontal = _indices("frontal_lights", frontal_lights)
             if frontal and not term.entry.factors:
@@ -275,7 +274,8 @@ class Shading:
             raise InputError(f"unknown diffuse term {shown(diffuse)}; known: {', '.join(DIFFUSE)}")
         for name in SWITCHES:
             _check_switch(name, getattr(self, name))
-        if scatter_samples not in SCATTER_SAMPLES or isinstance(scatter_samples, bool):
+        number = isinstance(scatter_samples, int | float) and not isinstance(scatter_samples, bool)
+        if not number or scatter_samples not in SCATTER_SAMPLES:
             known = ", ".join(map(str, SCATTER_SAMPLES))
             raise InputError(f"scatter_samples = {shown(scatter_samples)}: give one of {known}")
         even = range(0, MAX_ENVIRONMENT_SAMPLES + 1, 2)

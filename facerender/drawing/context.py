@@ -23,6 +23,7 @@ from facerender.drawing.host import (
     put_aside_state,
 )
 from facerender.errors import ContextError, InputError, shown
+from facerender.forked import IMPORTER
 
 Backend = Literal["auto", "egl", "osmesa", "native", "current"]
 
@@ -58,6 +59,8 @@ def _lose() -> None:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_lose)
+if os.getpid() != IMPORTER:
+    _lose()
 
 
 class _Loader(Protocol):
