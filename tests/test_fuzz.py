@@ -45,6 +45,13 @@ def test_changed_files_are_read_or_refused(subject: Subject, tmp_path: Path) -> 
     assert not faults
 
 
+@pytest.mark.parametrize("subject", subjects(), ids=lambda subject: subject.name)
+def test_whatever_is_left_of_a_file_can_be_changed(subject: Subject) -> None:
+    random = Random(subject.name)
+    for length in range(64):
+        mutate(subject.seed[:length], subject.suffix, random)
+
+
 @pytest.mark.parametrize("path", FOUND, ids=lambda path: path.name)
 def test_what_broke_once_does_not_break_again(path: Path, tmp_path: Path) -> None:
     subject = named(path.stem.rpartition("-")[0])

@@ -192,7 +192,7 @@ def png(data: bytes, random: Random) -> bytes:
 
 def npy(data: bytes, random: Random) -> bytes:
     """Change the header of a .npy, which stays of the length that it declares."""
-    if not data.startswith(b"\x93NUMPY\x01\x00") or random.random() < 0.2:
+    if not data.startswith(b"\x93NUMPY\x01\x00") or len(data) < 10 or random.random() < 0.2:
         return any_bytes(data, random)
     (length,) = struct.unpack_from("<H", data, 8)
     header = text(data[10 : 10 + length].rstrip(b"\n"), random)[:60_000] + b"\n"
