@@ -3,26 +3,33 @@
     python benchmarks/memory.py [--frames 2000] [--samples 4] [--size 1024]
     python benchmarks/memory.py --dropped 500 [--samples 4] [--size 256]
     python benchmarks/memory.py --slopes 500 [--samples 4] [--size 256]
+    python benchmarks/memory.py --maps 8192 [--samples 4] [--size 1024]
 
 Frames: the camera moves, every frame is read back. Dropped: each frame has a renderer of its own,
 which nobody releases. Slopes: each frame has a program of its own. Prints resident MiB, which is
-flat when nothing leaks.
+flat when nothing leaks. Maps: albedo, normals and roughness of so many texels a side, drawn as
+coarse as the image shows them, and whole: what each process holds at the most, and how they differ.
 """
 
 from __future__ import annotations
 
 import argparse
 import resource
+import subprocess
+import sys
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import moderngl  # noqa: F401
-import numpy  # noqa: F401
-import PIL.Image  # noqa: F401
+import numpy as np
 import trimesh  # noqa: F401
+from numpy.typing import NDArray
+from PIL import Image
 
 import facerender as fr
+from facerender.image import linear_to_srgb, read_image
 
 
 def resident() -> int:
@@ -54,14 +61,67 @@ def slopes(count: int, size: int, samples: int) -> Iterator[None]:
             yield
 
 
+# Runs the command, and prints what the process held at the most; its rusage has its parent's.
+COMMAND = """
+import sys
+from pathlib import Path
+from facerender.commands import main
+main(sys.argv[1:])
+(line,) = (each for each in Path("/proc/self/status").read_text().splitlines() if "VmHWM" in each)
+print(line)
+"""
+
+
+def noise(side: int, seed: int) -> NDArray[np.float32]:
+    """Of four octaves, (side, side)."""
+    random, total = np.random.default_rng(seed), np.zeros((side, side), np.float32)
+    for octave in (1, 2, 16, 128):
+        grid = random.standard_normal((side // octave, side // octave)).astype(np.float32)
+        total += np.asarray(Image.fromarray(grid).resize((side, side), Image.Resampling.BICUBIC))
+    return total
+
+
+def maps(side: int, size: int, samples: int) -> None:
+    height = 0.05 * noise(side, 1)
+    slopes = [np.roll(height, 1, axis) - height for axis in (1, 0)]
+    normals = np.stack([*slopes, np.ones_like(height)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    values = {
+        "albedo": np.array((190.0, 150.0, 130.0)) + 14.0 * noise(side, 2)[..., None],
+        "normal-map": 127.5 + 127.5 * normals,
+        "roughness-map": 130.0 + 12.0 * noise(side, 3),
+    }
+    with TemporaryDirectory() as folder:
+        files = []
+        for name, texels in values.items():
+            path = f"{folder}/{name}.png"
+            Image.fromarray(texels.clip(0, 255).astype(np.uint8)).save(path, compress_level=1)
+            files += [f"--{name}", path]
+        pictures = []
+        for kind in ([], ["--full-maps"]):
+            image = f"{folder}/image{len(pictures)}.exr"
+            command = [sys.executable, "-c", COMMAND, "render", *files, *kind, "-o", image]
+            command += ["--no-cache", "--size", str(size), "--samples", str(samples)]
+            told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+            most = int(told.split()[-2]) * 1024 / 1e6
+            print(f"{' '.join(kind) or 'reduced'}: {most:.0f} MB at the most", flush=True)
+            linear = read_image(image).pixels[..., :3]
+            pictures.append(linear_to_srgb(np.clip(linear, 0.0, 1.0)) * 255.0)
+    off = np.abs(pictures[0] - pictures[1]).max(axis=-1)
+    print(f"above 1/255: {(off > 1.0).mean():.4%} of the pixels; at most {off.max():.2f}/255")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, default=2000)
     parser.add_argument("--dropped", type=int, default=0)
     parser.add_argument("--slopes", type=int, default=0)
+    parser.add_argument("--maps", type=int, default=0)
     parser.add_argument("--samples", type=int, default=4)
     parser.add_argument("--size", type=int, default=1024)
     options = parser.parse_args()
+    if options.maps:
+        return maps(options.maps, options.size, options.samples)
     imports = resident()
     count, what = options.frames, frames
     if options.dropped or options.slopes:

@@ -5,7 +5,9 @@
 >>> frame.save("head.png")
 
 render          one image in one call; Renderer keeps what it uploads, for several
-load_mesh       a mesh file with its materials; Mesh.with_material changes them
+load_mesh       a mesh file with its materials, or what another library has read of one
+Mesh            from_arrays makes one; with_material changes its materials, select its parts
+Material        reflectance of a part; Texture: its maps, of files, arrays and Pillow's images
 simplified      a mesh with fewer triangles; with_occlusion: what it hides of the light around it
 Scene           mesh, Camera, Light, ambient, background, environment
 Environment     light from all around: load_environment reads an EnvironmentFile; of a Panorama
@@ -14,6 +16,7 @@ Job             what to render as plain data, for files and other machines
 Frame, GBuffer  what a renderer returns
 compare         whether two images are the same, and why not
 plan            the cheapest Shading of a scene within an error budget; turntable: cameras for it
+load_cameras    the cameras of a file; save_animation: images as .gif, .webp or .mp4
 brdf, lobes     the same functions in float64
 shader_source   one file of the GLSL library, flat, for a target; shader_dir: the include path;
                 resolve_includes, moderngl_includes: for programs of your own
@@ -24,9 +27,11 @@ from typing import TYPE_CHECKING, Any
 
 from facerender import forked  # noqa: F401  # notes the process
 from facerender._version import __version__
+from facerender.scenes import sources
 
 if TYPE_CHECKING:
     from facerender import brdf, lobes
+    from facerender.animation import save_animation
     from facerender.comparison.gates import compare
     from facerender.drawing.frame import Frame, GBuffer
     from facerender.drawing.renderer import Renderer, render
@@ -39,6 +44,7 @@ if TYPE_CHECKING:
     )
     from facerender.job import ImageSettings, Job, MeshFile, Output
     from facerender.loading import load_mesh
+    from facerender.loading.cameras import load_cameras
     from facerender.loading.environment import load_environment
     from facerender.planning.plan import Plan, plan
     from facerender.scenes.camera import Camera, turntable
@@ -82,6 +88,7 @@ __all__ = [
     "__version__",
     "brdf",
     "compare",
+    "load_cameras",
     "load_environment",
     "load_mesh",
     "load_scene",
@@ -90,6 +97,7 @@ __all__ = [
     "plan",
     "render",
     "resolve_includes",
+    "save_animation",
     "shader_dir",
     "shader_source",
     "simplified",
@@ -100,6 +108,7 @@ __all__ = [
 
 
 _HOMES = {
+    "animation": ("save_animation",),
     "comparison.gates": ("compare",),
     "drawing.frame": ("Frame", "GBuffer"),
     "drawing.renderer": ("Renderer", "render"),
@@ -107,6 +116,7 @@ _HOMES = {
     "glsl.library": ("moderngl_includes", "resolve_includes", "shader_dir", "shader_source"),
     "job": ("ImageSettings", "Job", "MeshFile", "Output"),
     "loading": ("load_mesh",),
+    "loading.cameras": ("load_cameras",),
     "loading.environment": ("load_environment",),
     "planning.plan": ("Plan", "plan"),
     "scenes.camera": ("Camera", "turntable"),
@@ -134,6 +144,13 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'facerender' has no attribute {name!r}")
     value = globals()[name] = getattr(import_module(f"facerender.{_HOME[name]}"), name)
     return value
+
+
+def _load_mesh(source: Any) -> Any:
+    return __getattr__("load_mesh")(source)
+
+
+sources.reader = _load_mesh
 
 
 def __dir__() -> list[str]:

@@ -9,6 +9,7 @@ import shlex
 import zlib
 from base64 import b64encode
 from collections.abc import Mapping
+from dataclasses import replace
 from html import escape
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
@@ -19,14 +20,17 @@ from numpy.typing import NDArray
 from facerender._version import __version__
 from facerender.drawing.prepare import part_maps
 from facerender.drawing.program import part_uniforms, surface_features
+from facerender.errors import warn
 from facerender.glsl.library import TARGETS, shader_dir, shader_source
 from facerender.job import Job
 from facerender.page.document import document, file_text
 from facerender.pricing.shown import shown_prices, six_digits
 from facerender.pricing.table import FAMILY_NAMES, shipped
 from facerender.scenes.light import LIGHT_KINDS, Light
-from facerender.scenes.mesh import Mesh, slope_range
-from facerender.scenes.texture import Kind, Texture
+from facerender.scenes.material import MAPS
+from facerender.scenes.mesh import Mesh, drawn_alpha, slope_range
+from facerender.scenes.mips import Kind
+from facerender.scenes.texture import Texture
 from facerender.shading import FRONTAL, MAX_WEIGHT, SMALL_SLOPE, Shading
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, GPower, lobe_entry
 from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE, Lobe
@@ -70,7 +74,7 @@ _HOST = ("shade.frag", "gbuffer.frag", "surface.vert", "screen.vert")
 
 
 def explorer(job: Job, mesh: Mesh, planned: Plan | None = None) -> str:
-    """Return the page.
+    """Return the page. What it cannot draw is left out: see :func:`plain`.
 
     Parameters
     ----------
@@ -82,6 +86,7 @@ def explorer(job: Job, mesh: Mesh, planned: Plan | None = None) -> str:
     ------
     InputError : a map that is damaged; maps over 2048 texels a side are made smaller
     """
+    mesh = plain(mesh)
     columns: list[NDArray[np.int64]] = []
     textures: list[tuple[Texture, Kind]] = []
     parts = [_part(mesh, index, columns, textures) for index in range(len(mesh.parts))]
@@ -119,6 +124,39 @@ def explorer(job: Job, mesh: Mesh, planned: Plan | None = None) -> str:
     body = file_text("explorer/explorer.html") + "".join(data)
     scripts = (f"explorer/{name}.js" for name in _SCRIPTS)
     return document(f"facerender explorer: {mesh.name}", body, "explorer/explorer.css", *scripts)
+
+
+def plain(mesh: Mesh) -> Mesh:
+    """Return a mesh as the page draws it: all parts opaque, but for blended ones, which are left
+    out where others stay; no emission, maps as strong as they are, and those alone that lie by the
+    first texture coordinates, all of them repeated and smoothed.
+
+    Warns
+    -----
+    FacerenderWarning : something is left out
+    """
+    alphas = [*map(drawn_alpha, mesh.parts, mesh.materials)]
+    kept = [number for number, alpha in enumerate(alphas) if alpha != "blend"]
+    lost = ["blended parts"] * ("blend" in alphas) + ["masks"] * ("mask" in alphas)
+    materials = []
+    for material in mesh.materials:
+        lost += ["emission"] * any(material.emissive)
+        second = [name for name in MAPS if material.by_second(name)]
+        lost += ["maps by second texture coordinates"] * bool(second)
+        default = (material.normal_strength, material.occlusion_strength) == (1.0, 1.0)
+        lost += ["strengths of maps"] * (not default)
+        maps = {name: getattr(material, name) for name in MAPS if name not in second}
+        if not material.packs:
+            maps = {name: own and own.sampled(Texture.wrap) for name, own in maps.items()}
+        bare = dict.fromkeys((*second, "opacity_map", "emissive_map"))
+        further = {"alpha": "opaque", "emissive": 0.0, "second_uv": ()}
+        strengths = {"normal_strength": 1.0, "occlusion_strength": 1.0}
+        materials.append(replace(material, **{**maps, **bare, **further, **strengths}))
+    if lost:
+        warn(f"the explorer shows {mesh.name} without {', '.join(dict.fromkeys(lost))}")
+    shown = kept or range(len(alphas))
+    parts = tuple(mesh.parts[number] for number in shown)
+    return replace(mesh, parts=parts, materials=tuple(materials[number] for number in shown))
 
 
 _ORBIT = ("azimuth", "elevation", "zoom", "fov")
@@ -353,13 +391,18 @@ def _words(job: Job) -> dict[str, Any]:
         name: f"--{name.replace('_', '-')} {shlex.quote(value)}" for name, value in given.items()
     }
     words += ["--flip-v"] * file.flip_v + ["--allow-outside"] * file.allow_outside
+    named = {"parts": file.parts, "hide": file.hide}
+    chosen = {name: ",".join(names) for name, names in named.items() if names}
+    words += [f"--{name} {shlex.quote(names)}" for name, names in chosen.items()]
     called = [repr(file.path)] if file.path else []
     called += [f"{name}={value!r}" for name, value in given.items()]
     called += ["flip_v=True"] * file.flip_v + ["allow_outside=True"] * file.allow_outside
+    selected = ", ".join(f"{name}={names!r}" for name, names in chosen.items())
+    select = f".select({selected})" if selected else ""
     return {
         "shell": " ".join(words),
         "maps": options,
-        "python": f"fr.load_mesh({', '.join(called)})",
+        "python": f"fr.load_mesh({', '.join(called)}){select}",
     }
 
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from facerender.errors import InputError, clipped, reason
 
@@ -18,9 +21,10 @@ _KINDS = {
 }
 
 
-def read_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> bytes:
-    """Return the content of a regular file; nothing else is opened, for a pipe may never begin and
-    a device never end.
+@contextmanager
+def open_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> Iterator[BinaryIO]:
+    """Open a regular file; nothing else is opened, for a pipe may never begin and a device never
+    end.
 
     Parameters
     ----------
@@ -29,7 +33,8 @@ def read_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> byte
 
     Raises
     ------
-    InputError : it is missing, may not be read, is no regular file, or is larger
+    InputError : it is missing, may not be read, is no regular file, or is larger; also what reading
+        it raises
     """
     shown = clipped(os.fsdecode(path))
     try:
@@ -40,8 +45,14 @@ def read_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> byte
         if facts.st_size > most:
             raise InputError(f"{shown} has {facts.st_size} bytes, of {most} at most; give {what}")
         with Path(path).open("rb") as file:
-            return file.read(facts.st_size)
+            yield file
     except InputError:
         raise
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         raise InputError(f"cannot read {shown}: {reason(error)}; give {what}") from None
+
+
+def read_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> bytes:
+    """Return the content of a regular file; parameters and errors as of :func:`open_file`."""
+    with open_file(path, what, most) as file:
+        return file.read(os.fstat(file.fileno()).st_size)

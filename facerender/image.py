@@ -3,6 +3,7 @@ what they hold."""
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import stat
@@ -17,7 +18,7 @@ from errno import EACCES
 from functools import cached_property, lru_cache
 from io import BytesIO
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Literal
+from typing import IO, TYPE_CHECKING, Any, BinaryIO, Literal
 
 import numpy as np
 from numpy.lib import format as npy
@@ -34,6 +35,7 @@ Encoding = Literal["linear", "srgb8"]
 
 REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # what an EXR has that says nothing
 SRGB_GAMMA = 0.45455  # what a PNG says of itself for programs that know no sRGB
+_DESCRIPTION = 0x010E  # of Exif
 _SILENT = threading.Lock()
 
 ABANDONED = 3600.0  # seconds after which an unfinished file is nobody's any more
@@ -54,6 +56,12 @@ _OTHERS = {  # what a file may be in place of an image, by its start
     b"<html": "a page of HTML",
 }
 
+Format = Literal["png", "exr", "jpeg", "webp"]
+WRITTEN: dict[str, Format] = {
+    **{".png": "png", ".exr": "exr"},
+    **{".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp"},
+}
+QUALITY = 95  # of JPEG and WebP
 SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
 
 
@@ -260,6 +268,57 @@ def png_bytes(pixels: NDArray[np.uint8] | NDArray[np.uint16], metadata: Mapping[
     return b"".join([b"\x89PNG\r\n\x1a\n", *packed])
 
 
+def format_of(path: str | os.PathLike[str]) -> Format:
+    """Return the format of an image file that will be written.
+
+    Raises
+    ------
+    InputError : its suffix says none
+    """
+    suffix = os.path.splitext(path)[1].lower()
+    if suffix not in WRITTEN:
+        raise InputError(
+            f"{clipped(os.fsdecode(path))}: unknown image format {suffix!r}; give .png, .exr, .jpg "
+            "or .webp"
+        )
+    return WRITTEN[suffix]
+
+
+def check_opaque(name: str, transparent: bool) -> None:
+    """Raise InputError where an image without a background goes to a file that cannot say so."""
+    if transparent:
+        raise InputError(f"{name} holds no transparency: give a background, or .png or .webp")
+
+
+def lossy_bytes(
+    kind: Literal["jpeg", "webp"], pixels: NDArray[np.uint8], metadata: Mapping[str, str]
+) -> bytes:
+    """Return a JPEG or WebP of 8-bit pixels (H, W, 3), in WebP also (H, W, 4) with straight alpha.
+
+    Metadata are JSON, in the Exif field ImageDescription. Colours are not subsampled in a JPEG.
+
+    Raises
+    ------
+    InputError : a JPEG with alpha; more pixels a side than the format has
+    """
+    from PIL import Image
+
+    if kind == "jpeg":
+        check_opaque("JPEG", pixels.shape[-1] == 4)
+    exif = Image.Exif()
+    exif[_DESCRIPTION] = json.dumps(dict(metadata))
+    file = BytesIO()
+    try:
+        Image.fromarray(pixels).save(file, kind, quality=QUALITY, subsampling=0, exif=exif)
+    except (OSError, ValueError) as error:
+        height, width = pixels.shape[:2]
+        raise InputError(
+            f"no {kind} of {width} x {height} pixels can be made ({reason(error)}): give a smaller "
+            "size, or .png"
+        ) from None
+    return file.getvalue()
+
+
 def save_exr(
     path: str | os.PathLike[str], linear: NDArray[np.float32], metadata: Mapping[str, str]
 ) -> None:
@@ -328,11 +387,12 @@ def check_pixels(name: str, width: int, height: int, bytes_each: int, of: float)
         raise InputError(f"{size}, which {of} bytes cannot hold: it is damaged; write it anew")
 
 
-def open_image(content: bytes, name: str, formats: tuple[str, ...], known: str) -> Image:
-    """Return a Pillow image of a file's content, its size checked; its pixels are decoded later.
+def open_image(content: bytes | BinaryIO, name: str, formats: tuple[str, ...], known: str) -> Image:
+    """Return a Pillow image of a file, its size checked; its pixels are decoded later.
 
     Parameters
     ----------
+    content : of the file, or the file, which stays open until then
     formats : that it may have, as Pillow names them
     known : those to give, in words
 
@@ -342,10 +402,14 @@ def open_image(content: bytes, name: str, formats: tuple[str, ...], known: str) 
     """
     from PIL import Image, UnidentifiedImageError
 
+    file = BytesIO(content) if isinstance(content, bytes) else content
+    length = file.seek(0, os.SEEK_END)
+    file.seek(0)
     try:
-        image = Image.open(BytesIO(content), formats=formats)
+        image = Image.open(file, formats=formats)
     except UnidentifiedImageError:
-        start = content[:64].lstrip().lower()
+        file.seek(0)
+        start = file.read(64).lstrip().lower()
         kind = next((kind for head, kind in _OTHERS.items() if start.startswith(head)), "")
         raise InputError(f"{name} is {kind or 'not an image'}; give a {known}") from None
     except Image.DecompressionBombError:
@@ -354,7 +418,7 @@ def open_image(content: bytes, name: str, formats: tuple[str, ...], known: str) 
         ) from None
     except Exception as error:  # each decoder of Pillow fails in its own way
         raise InputError(f"{name} is damaged ({reason(error)}); write it anew") from None
-    check_pixels(name, *image.size, 4, len(content))
+    check_pixels(name, *image.size, 4, length)
     return image
 
 

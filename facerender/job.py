@@ -7,36 +7,28 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from operator import index
-from pathlib import Path
 from typing import Any
 
 from facerender.errors import InputError, check_range
-from facerender.loading import kept_mesh, load_mesh
+from facerender.image import format_of
+from facerender.loading import check_normal_map_y, kept_mesh, load_mesh
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import KEYS, EnvironmentFile, from_table, scene_value, toml_text
 from facerender.scenes.levels import check_triangles, simplified
 from facerender.scenes.light import Light
 from facerender.scenes.material import MAPS, Material
-from facerender.scenes.mesh import Mesh
+from facerender.scenes.mesh import Mesh, names_of
 from facerender.scenes.planned import Planned
 from facerender.scenes.scene import ONLY, Only, Scene
 from facerender.scenes.vectors import Vector, non_negative
 from facerender.shading import Shading
 
-_NO_PATHS = (
-    "flip_v",
-    "triangles",
-    "millimetres",
-    "occlusion",
-    "allow_outside",
-)  # of a mesh file's fields
-
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A mesh by its files, and how much of it; parameters as of :func:`facerender.load_mesh` and
-    :func:`facerender.simplified`, paths as text; occlusion, whether it is baked, as of
-    :func:`facerender.with_occlusion`."""
+    """A mesh by its files, and how much of it; parameters as of :func:`facerender.load_mesh`,
+    :meth:`facerender.Mesh.select` and :func:`facerender.simplified`, paths as text; occlusion,
+    whether it is baked, as of :func:`facerender.with_occlusion`."""
 
     path: str | None = None
     albedo: str | None = None
@@ -49,17 +41,24 @@ class MeshFile:
     millimetres: float | None = None
     occlusion: bool = False
     allow_outside: bool = False
+    parts: tuple[str, ...] | None = None
+    hide: tuple[str, ...] | None = None
+    normal_map_y: str = "up"
 
     def __post_init__(self) -> None:
+        for name in ("parts", "hide"):
+            if (names := getattr(self, name)) is not None:
+                object.__setattr__(self, name, names_of(f"mesh {name}", names) or None)
         for each in fields(self):
             value = getattr(self, each.name)
             if isinstance(value, os.PathLike):
                 object.__setattr__(self, each.name, os.fspath(value))
-            elif each.name not in _NO_PATHS and not isinstance(value, str | None):
+            elif each.name in MESH_PATHS and not isinstance(value, str | None):
                 raise InputError(f"mesh {each.name} = {value!r}: give a path as text")
         for name in ("flip_v", "occlusion", "allow_outside"):
             if not isinstance(switch := getattr(self, name), bool):
                 raise InputError(f"mesh {name} = {switch!r}: give true or false")
+        check_normal_map_y(self.normal_map_y)
         if self.millimetres is not None:
             check_range("millimetres", self.millimetres, 1e-6, 1e6)
         if self.triangles is not None:
@@ -76,15 +75,21 @@ class MeshFile:
 
     @property
     def _files(self) -> dict[str, Any]:
-        others = ("triangles", "occlusion")
-        return {name: value for name, value in asdict(self).items() if name not in others}
+        others = ("path", "triangles", "occlusion", "parts", "hide")
+        files = {name: value for name, value in asdict(self).items() if name not in others}
+        return {"source": self.path, **files}
 
     def _made(self, mesh: Mesh, cache: bool) -> Mesh:
+        mesh = mesh.select(self.parts or (), self.hide or ())
         if self.occlusion:
             from facerender.scenes.occlusion import with_occlusion
 
             mesh = with_occlusion(mesh, cache=cache)
         return mesh if self.triangles is None else simplified(mesh, self.triangles)
+
+
+# Of a mesh file's fields, those that are files.
+MESH_PATHS = tuple(each.name for each in fields(MeshFile) if each.type == "str | None")
 
 
 @dataclass(frozen=True)
@@ -96,6 +101,7 @@ class ImageSettings:
     samples: int = 4
     anisotropy: float = 1.0
     float_albedo: bool = False
+    full_maps: bool = False
 
     def __post_init__(self) -> None:
         try:
@@ -107,8 +113,9 @@ class ImageSettings:
             raise InputError(f"image samples = {self.samples!r}: give a whole number")
         if not isinstance(self.anisotropy, int | float):
             raise InputError(f"image anisotropy = {self.anisotropy!r}: give a number")
-        if not isinstance(self.float_albedo, bool):
-            raise InputError(f"image float_albedo = {self.float_albedo!r}: give true or false")
+        for name in ("float_albedo", "full_maps"):
+            if not isinstance(switch := getattr(self, name), bool):
+                raise InputError(f"image {name} = {switch!r}: give true or false")
 
 
 @dataclass(frozen=True)
@@ -117,9 +124,9 @@ class Output:
 
     Parameters
     ----------
-    path : .png or .exr
+    path : .png, .exr, .jpg or .webp
     only : one term in place of the whole image, see :meth:`facerender.Renderer.render`
-    exposure : of a .png, in stops
+    exposure : of all but .exr, in stops
     """
 
     path: str
@@ -130,9 +137,7 @@ class Output:
         if not isinstance(self.path, str | os.PathLike):
             raise InputError(f"output path = {self.path!r}: give a path as text")
         object.__setattr__(self, "path", os.fspath(self.path))
-        if Path(self.path).suffix.lower() not in (".png", ".exr"):
-            suffix = Path(self.path).suffix
-            raise InputError(f"{self.path}: unknown image format {suffix!r}; give .png or .exr")
+        format_of(self.path)
         if self.only is not None and not (isinstance(self.only, str) and self.only in ONLY):
             raise InputError(f"unknown term {self.only!r}; known: {', '.join(ONLY)}")
         check_range("exposure", self.exposure, -100.0, 100.0)

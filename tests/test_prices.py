@@ -145,13 +145,14 @@ def test_the_compiler_agrees_with_the_table(radv, bare):
         Shading(fresnel="dielectric", lobe="fitted", frontal_lights=(1,)),
     ]
     table = load_prices("navi21", scene, wanted)
-    if not table.source.startswith(radv):
-        pytest.skip(f"{radv} is here, and the table is {table.source}")
+    same = table.source.startswith(radv)  # another Mesa's compiler counts otherwise
     here = load_prices("radv:navi21", scene, wanted)
     terms = [*(each.term for each in wanted), wanted[-1].term.frontal]
     assert set(here.terms) >= {term_name(each, 0.3) for each in terms}
     for shading in wanted:
-        assert here.cost(scene, shading) == pytest.approx(table.cost(scene, shading), rel=0.05)
+        cost = here.cost(scene, shading)
+        assert all(0.0 <= each < np.inf for each in cost)
+        assert not same or cost == pytest.approx(table.cost(scene, shading), rel=0.05)
 
 
 @pytest.mark.parametrize("family", amd.FAMILIES)

@@ -31,7 +31,7 @@ from facerender.drawing.program import LightGroup, Program
 from facerender.glsl.code import prelude
 from facerender.image import Picture, read_image
 from facerender.lobes import GPower
-from facerender.scenes import texture
+from facerender.scenes import mips
 from facerender.scenes.scene import slope_ranges
 from facerender.scenes.view import view_of
 from facerender.terms import MODELS, Model
@@ -175,8 +175,8 @@ def test_simplified_scenes_and_materials(head):
 
 
 def test_reduced_meshes_and_their_maps_are_kept(egl, monkeypatch):
-    make, made = texture._CHAINS["data"], []
-    monkeypatch.setitem(texture._CHAINS, "data", lambda image: made.append(image) or make(image))
+    make, made = mips._CHAINS["data"], []
+    monkeypatch.setitem(mips._CHAINS, "data", lambda image: made.append(image) or make(image))
     scene = fr.Scene(fr.load_mesh(), SIDE)
     shading = fr.Shading(m=0.3, ks=0.5)
     with fr.Renderer((64, 64), samples=1, backend=egl) as renderer:

@@ -25,11 +25,15 @@ RIGHT: dict[str, tuple[Any, ...]] = {
     "Camera": (None, *NUMBER),
     "Light": (None, *NUMBER),
     "Material": (None, *NUMBER),
+    "Material second_uv": ([],),
     "Mesh name": ("nonsense",),
     "Mesh radius": (1.5,),
     "Mesh bounds": (WRONG[-2],),
     "Mesh millimetres": (None, 1.5),
+    "Mesh regions": (None,),
     "Part uv": (None,),
+    "Part uv2": (None,),
+    "Part name": ("nonsense",),
     "Part colors": (None, WRONG[-2]),
     "Part occlusion": (None,),
     "Part": (WRONG[-2],),
@@ -43,6 +47,9 @@ RIGHT: dict[str, tuple[Any, ...]] = {
     "Shading normal_map": (True,),
     "Shading": (None, 1.5, True, b"x", [], (1, 2, 3, 4, 5), {}),
     "Shading.from_dict": ({},),
+    **dict.fromkeys(
+        ("MeshFile parts", "MeshFile hide"), (None, "nonsense", [], ["x"], {}, {"x": 1}, WRONG[-1])
+    ),
     "MeshFile": (None, "nonsense", 1.5, True),
     "ImageSettings": (-7, 1.5, True, float("nan")),  # the renderer tells
     "Output": (None, -7, 1.5),
@@ -61,12 +68,29 @@ RIGHT: dict[str, tuple[Any, ...]] = {
     "Frame transparent": (True,),
     "Frame only": (None,),
     "Frame metadata": ({}, {"x": 1}),
+    "Frame.save format": (None,),
     "Frame.save": (-7, 1.5),
     "Frame.srgb8": (-7, 1.5),
+    "load_cameras size": (None,),
+    "save_animation fps": (1.5,),
     "compare": (None, 1.5, True),
     "load_mesh flip_v": (True,),
     "load_mesh cache": (True,),
+    "load_mesh allow_outside": (True,),
+    **{
+        f"load_mesh {name}": (None, WRONG[-2])
+        for name in ("albedo", "normal_map", "specular_map", "roughness_map", "lobe_map")
+    },
     "load_mesh": (None, 1.5),
+    "Mesh.from_arrays name": ("nonsense",),
+    "Mesh.from_arrays millimetres": (None, 1.5),
+    "Mesh.from_arrays positions": (),
+    "Mesh.from_arrays faces": (WRONG[-2],),
+    "Mesh.from_arrays": (None,),
+    "Mesh.select": ([], {}),
+    "Texture.from_array texels": (WRONG[-2], True),
+    "Texture.from_array name": ("nonsense",),
+    "Texture.from_image name": ("nonsense",),
     "with_occlusion cache": (True,),
     "view_of aspect": (1.5,),
     "Texture decode": (len, fr.Term),
@@ -151,7 +175,7 @@ def doors(egl: Any) -> Iterator[dict[str, Door]]:
                 {"linear": frame.linear, "transparent": False, "metadata": {}, "only": None},
             ),
             "Frame.srgb8": (frame.srgb8, {"exposure": 0.0}),
-            "Frame.save": (frame.save, {"path": "a.tiff", "exposure": 0.0}),
+            "Frame.save": (frame.save, {"path": "a.tiff", "exposure": 0.0, "format": None}),
             "compare": (
                 fr.compare,
                 {
@@ -162,11 +186,26 @@ def doors(egl: Any) -> Iterator[dict[str, Door]]:
             "load_mesh": (
                 fr.load_mesh,
                 {
-                    **{"path": MINI_HEAD, "albedo": None, "normal_map": None, "flip_v": False},
+                    **{"source": MINI_HEAD, "albedo": None, "normal_map": None, "flip_v": False},
                     **{"specular_map": None, "roughness_map": None, "lobe_map": None},
-                    **{"millimetres": None, "cache": False},
+                    **{"millimetres": None, "cache": False, "allow_outside": False, "kind": None},
                 },
             ),
+            "Mesh.from_arrays": (
+                fr.Mesh.from_arrays,
+                {
+                    **{"positions": np.eye(3), "faces": [[0, 1, 2]], "uv": None, "normals": None},
+                    **{"colors": None, "material": None, "name": "a", "millimetres": None},
+                },
+            ),
+            "Mesh.select": (mesh.select, {"parts": (), "hide": ()}),
+            "Texture.from_array": (fr.Texture.from_array, {"texels": np.eye(3), "name": "a"}),
+            "Texture.from_image": (
+                fr.Texture.from_image,
+                {"image": Image.new("RGB", (2, 2)), "name": "a"},
+            ),
+            "load_cameras": (fr.load_cameras, {"path": "cameras.json"}),
+            "save_animation": (fr.save_animation, {"path": "a.gif", "pictures": [], "fps": 12.0}),
             "load_scene": (fr.load_scene, {"path": "scene.toml"}),
             "simplified": (fr.simplified, {"mesh": mesh, "triangles": 300}),
             "with_occlusion": (fr.with_occlusion, {"mesh": mesh, "cache": False}),
@@ -200,7 +239,9 @@ DOORS = [
     *("Renderer.render", "Renderer.gbuffer", "Renderer.can_shade_once", "Frame", "Frame.srgb8"),
     *("Frame.save", "compare", "load_mesh", "load_scene", "simplified", "with_occlusion"),
     *("turntable", "view_of", "View.intrinsics", "View.extrinsics", "Texture", "Texture.open"),
-    *("shader_source", "resolve_includes", "moderngl_includes", "plan"),
+    *("Mesh.from_arrays", "Mesh.select", "Texture.from_array", "Texture.from_image"),
+    *("load_cameras", "save_animation", "shader_source", "resolve_includes"),
+    *("moderngl_includes", "plan"),
 ]
 
 

@@ -787,7 +787,7 @@ NO_MORE = 2e-6  # what headers add to a Fresnel term, of which 1 - V.H knows the
 @case()
 def half_vector_square() -> Case:
     inputs = directions_at_five_slopes()
-    h = inputs["l"].astype(float) + inputs["v"]
+    h = inputs["l"].astype(np.float64) + inputs["v"].astype(np.float64)
     call = "fr_half_vector_square(l + v)"
     return Case(include("half_vector"), call, inputs, (h * h).sum(axis=-1), 4e-7, 2.0 * FLOOR)
 

@@ -350,9 +350,9 @@ def ear_distance(points: Floats) -> Floats:
 def _bent(points: Floats) -> tuple[Floats, Floats, Floats]:
     """Points of the head as places of the symmetric one: nobody is symmetric."""
     x, y, z = (points[:, axis].astype(np.float32) for axis in range(3))
-    x = x + 0.07 * np.sin(0.45 * y + 0.6) * ramp(2, 8, z) + 0.02 * np.sin(1.3 * y)
-    y = y + 0.05 * np.sin(0.5 * x) * ramp(3, 8, z)
-    return x, y, z
+    bent = x + 0.07 * np.sin(0.45 * y + 0.6) * ramp(2, 8, z) + 0.02 * np.sin(1.3 * y)
+    raised = y + 0.05 * np.sin(0.5 * bent) * ramp(3, 8, z)
+    return np.asarray(bent, np.float32), np.asarray(raised, np.float32), z
 
 
 def _without_ears(x: Floats, y: Floats, z: Floats, *, fine: bool) -> Floats:

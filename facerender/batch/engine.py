@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from facerender.errors import FacerenderError, InputError
+from facerender.memory import available
 
 _WORKER_MIB = 700  # that a worker needs at least
 _SECONDS = 30  # to find a scheduler, and a worker of it
@@ -92,7 +93,7 @@ def scheduler_gone() -> FacerenderError:
 def workers_that_pay() -> tuple[int, str]:
     """Return how many workers this machine is for, and why: one for each core that this process may
     use, and each with the memory that it needs."""
-    cores, memory = _cores(), _free_mib()
+    cores, memory = _cores(), available()
     fit = max(1, int(memory // _WORKER_MIB))
     if fit < cores:
         return fit, f"{memory:.0f} MiB of free memory, {_WORKER_MIB} for each"
@@ -108,17 +109,3 @@ def _cores() -> int:
     except (OSError, ValueError):  # no quota
         pass
     return max(1, round(cores))
-
-
-def _free_mib() -> float:
-    """Memory that this process may still take, of the machine and of its control group."""
-    free = float("inf")
-    try:
-        lines = Path("/proc/meminfo").read_text().splitlines()
-        free = next(float(line.split()[1]) for line in lines if line.startswith("MemAvailable"))
-        most = float(Path("/sys/fs/cgroup/memory.max").read_text())
-        used = float(Path("/sys/fs/cgroup/memory.current").read_text())
-        free = min(free, (most - used) / 1024.0)
-    except (OSError, ValueError, StopIteration):  # no such limit
-        pass
-    return free / 1024.0

@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from facerender.batch.product import product
-from facerender.batch.tables import MESH_PATHS, Table, nested, short, told
+from facerender.batch.tables import Table, nested, short, told
 from facerender.errors import FacerenderError, InputError, reason
 from facerender.files import read_file
+from facerender.job import MESH_PATHS
 
 # A row, or what is wrong with it, and the line where it ends in a file that has lines of rows.
 Found = tuple[int | None, Table | InputError]
@@ -28,7 +29,7 @@ _MOST_TOML = 2**26  # bytes
 _NUMBER = re.compile(r"[+-]?([0-9]+|[0-9]+\.[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _WORDS = {"true": True, "false": False, "null": None}
 _TEXT = {  # columns of a .csv file that hold text whatever it looks like
-    *("id", "passes", "mesh", "environment", "environment.file"),
+    *("id", "passes", "mesh", "mesh.parts", "mesh.hide", "environment", "environment.file"),
     *(f"mesh.{name}" for name in MESH_PATHS),
 }
 

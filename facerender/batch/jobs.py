@@ -16,18 +16,18 @@ from typing import Any
 import numpy as np
 
 from facerender.batch.forms import found_rows
-from facerender.batch.tables import MESH_PATHS, Table, listed, merged, nested, short, told
+from facerender.batch.tables import Table, listed, merged, nested, short, told
 from facerender.errors import InputError, check_range
-from facerender.job import ImageSettings, MeshFile
+from facerender.job import MESH_PATHS, ImageSettings, MeshFile
 from facerender.scenes.file import KEYS, STUDIO, from_table, scene_value
-from facerender.scenes.material import MAX_SECOND_SLOPE
+from facerender.scenes.material import MAX_NORMAL_STRENGTH, MAX_SECOND_SLOPE
 from facerender.scenes.scene import ONLY, Scene
 from facerender.scenes.vectors import HIGHEST, non_negative
 from facerender.shading import MAX_WEIGHT, Shading
 from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
 from facerender.terms.slope_variance import MAX_RADIUS
 
-PASSES: tuple[str, ...] = ("image", *ONLY, "mask", "parts", "layers")
+PASSES: tuple[str, ...] = ("image", *ONLY, "layers")
 TABLES = ("mesh", *(key for key in KEYS if key not in ("cameras", "planned")), "image")
 OWN = ("id", "passes", "exposure")  # what a row has beside the tables of a job
 # Of numbers, by table: the ends of their domains, which belong to them.
@@ -54,6 +54,10 @@ LIMITS: dict[str, dict[str, tuple[float, float]]] = {
         "kd": (0, MAX_WEIGHT),
         "second_slope": (1 / MAX_SECOND_SLOPE, MAX_SECOND_SLOPE),
         "lobe_weight": (0, 1),
+        "opacity": (0, 1),
+        "alpha_cutoff": (0, HIGHEST),
+        "normal_strength": (0, MAX_NORMAL_STRENGTH),
+        "occlusion_strength": (0, 1),
     },
     "shading": {"m": (MIN_SLOPE, MAX_SLOPE), "ks": (0, MAX_WEIGHT)},
     "image": {"size": (1, 16384), "samples": (1, 64), "anisotropy": (1, 16)},
@@ -366,7 +370,7 @@ def _check(row: Row, place: str, good: set[int]) -> None:
 
 def _without_good(key: str, table: Any) -> Any:
     """Return a table without numbers that are good, of which most are seen but once."""
-    if type(table) is not dict or key not in LIMITS:
+    if type(table) is not dict or key not in LIMITS or "extrinsics" in table:
         return table
     limits = LIMITS[key]
     kept = _TOGETHER if "second_slope" in table else _WHOLE

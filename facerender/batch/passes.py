@@ -19,7 +19,7 @@ from facerender.job import Job
 from facerender.scenes.levels import simplified
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.planned import Detail
-from facerender.scenes.scene import ONLY, Only, Scene
+from facerender.scenes.scene import DATA, Only, Scene
 from facerender.scenes.view import View, view_of
 
 if TYPE_CHECKING:
@@ -110,34 +110,31 @@ def draw(job: Job, mesh: Mesh, renderer: Renderer, passes: Sequence[str], exposu
 
     needed = PASSES if "layers" in passes else passes
     frames = _shaded(job, scene, detail, renderer, needed)
-    numbers = np.empty((0, 0), dtype=np.int64)
     if not _SHADED.keys() >= set(needed):
-        gbuffer = renderer.gbuffer(scene, job.shading)
-        numbers = gbuffer.part + 1
-        for only in ONLY:
-            if only in needed and only not in _SHADED:
+        gbuffer = renderer.gbuffer(scene, job.shading, blended=False)
+        for only in DATA:
+            if only in needed:
                 linear = data_view(gbuffer, scene, only)
                 frames[only] = Frame(linear, only, scene.background is None, metadata)
 
     files = {}
     for name in filter(passes.__contains__, PASSES):
         if name == "layers":
-            layers = _layers(frames, numbers)
+            layers = _layers(frames)
             files[file_name(name)] = exr_bytes(file_name(name), layers, frames["image"].metadata)
             continue
         pixels: NDArray[Any]
         if name == "mask":
-            pixels = np.uint8(255) * (numbers > 0)
+            pixels = np.uint8(255) * (frames[name].linear[..., 0] > 0.0)
         elif name == "parts":
-            pixels = numbers.astype(np.uint16)
+            pixels = frames[name].linear[..., 0].astype(np.uint16)
         elif name == "depth":
             scale = facts["depth_scale"] = _depth_scale(view, mesh)
             depth = frames[name].linear[..., 0].astype(np.float64)
             pixels = np.round(depth / scale).astype(np.uint16)
         else:
             pixels = frames[name].srgb8(exposure)
-        known = frames[name].metadata if name in frames else metadata
-        files[file_name(name)] = png_bytes(pixels, known)
+        files[file_name(name)] = png_bytes(pixels, frames[name].metadata)
     if {"parts", "layers"} & set(passes):
         facts["parts"] = len(mesh.parts)
     return Drawn(files, facts)
@@ -207,13 +204,10 @@ def _depth_scale(view: View, mesh: Mesh) -> float:
     return max(farthest, 0.0) * mesh.radius / _MOST or 1.0  # where all is behind the camera
 
 
-def _layers(frames: Mapping[str, Frame], numbers: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+def _layers(frames: Mapping[str, Frame]) -> dict[str, NDArray[Any]]:
     """The channels of layers.exr: every pass as float32."""
-    values = {name: frame.linear for name, frame in frames.items()}
-    for name, each in ("mask", numbers > 0), ("parts", numbers):
-        values[name] = each[..., None].astype(np.float32)
     return {
-        channel: values[name][..., index]
+        channel: frames[name].linear[..., index]
         for name, channels in _CHANNELS.items()
         for index, channel in enumerate(channels)
     }

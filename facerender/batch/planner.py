@@ -158,4 +158,5 @@ def _numbers(camera: Camera) -> list[float]:
     azimuth, elevation = np.radians([camera.azimuth, camera.elevation])
     eye = [np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth)]
     points = [*(camera.target or (0.0,) * 3), *(camera.position or (0.0,) * 3)]
-    return [*map(float, eye), camera.fov, float(np.log(camera.zoom)), *points]
+    pose = np.ravel(np.zeros((3, 4)) if camera.extrinsics is None else camera.extrinsics).tolist()
+    return [*map(float, eye), camera.fov, float(np.log(camera.zoom)), *points, *pose]

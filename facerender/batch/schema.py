@@ -10,10 +10,11 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from facerender.batch.jobs import EXPOSURE_LIMITS, ID, LIMITS, PASSES
 from facerender.job import ImageSettings, MeshFile
-from facerender.scenes.camera import Camera
+from facerender.loading import NORMAL_MAP_Y
+from facerender.scenes.camera import FRAMES, Camera
 from facerender.scenes.file import EnvironmentFile
 from facerender.scenes.light import LIGHTS, Light
-from facerender.scenes.material import MAPS, Material
+from facerender.scenes.material import MAPS, Alpha, Material
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import Vector
 from facerender.shading import (
@@ -174,6 +175,11 @@ def _vector(number: Schema) -> Schema:
     return {"anyOf": [number, {"type": "array", "items": number, **_exactly(3)}]}
 
 
+def _rows(columns: int) -> Schema:
+    row = {"type": "array", "items": _NUMBER, **_exactly(columns)}
+    return {"type": "array", "items": row, **_exactly(3)}
+
+
 def _data(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
@@ -196,6 +202,12 @@ _side = {
     "type": "integer",
     **dict(zip(("minimum", "maximum"), LIMITS["image"]["size"], strict=True)),
 }
+_names: Schema = {
+    "anyOf": [
+        {"type": "array", "items": {"type": "string"}},
+        {"type": "string", "description": "names with commas between"},
+    ]
+}
 _indices: Schema = {
     "type": "array",
     "items": {"type": "integer", "minimum": 0},
@@ -204,8 +216,18 @@ _indices: Schema = {
 
 # What types do not tell.
 _SPECIAL: dict[str, Schema] = {
+    "mesh.parts": _names,
+    "mesh.hide": _names,
+    "mesh.normal_map_y": {"enum": [*NORMAL_MAP_Y]},
+    "camera.frame": {"enum": [*FRAMES]},
+    "camera.extrinsics": _rows(4),
+    "camera.intrinsics": _rows(3),
+    "camera.size": {"type": "array", "items": {"type": "integer", "minimum": 1}, **_exactly(2)},
     "lights.irradiance": _vector(_POSITIVE),
     "material.albedo": _vector(_POSITIVE),
+    "material.alpha": {"enum": [*get_args(Alpha)]},
+    "material.emissive": _vector(_POSITIVE),
+    "material.second_uv": {"type": "array", "items": {"enum": [*MAPS]}},
     "material.scattering": {
         "anyOf": [
             {"enum": [*PROFILES, "none"]},

@@ -13,13 +13,11 @@ from typing import Any
 import numpy as np
 
 from facerender.errors import InputError
-from facerender.job import MeshFile
 from facerender.scenes.file import EnvironmentFile, parse_environment
 from facerender.scenes.light import parse_light
 
 Table = dict[str, Any]
 
-MESH_PATHS = tuple(each.name for each in fields(MeshFile) if each.type == "str | None")
 _DEEPEST = 10  # tables in tables
 _DIGITS = frozenset("0123456789")
 _MOST_BITS = 64  # of whole numbers

@@ -20,11 +20,10 @@ from facerender.batch.jobs import Row
 from facerender.batch.messages import Order, PlanOrder, Said, failure
 from facerender.batch.output import Writer
 from facerender.batch.passes import Drawn, draw
-from facerender.batch.tables import MESH_PATHS
 from facerender.drawing.context import Backend
 from facerender.drawing.renderer import Renderer
 from facerender.errors import ContextError, FacerenderWarning, InputError, noting
-from facerender.job import ImageSettings, Job, MeshFile
+from facerender.job import MESH_PATHS, ImageSettings, Job, MeshFile
 from facerender.loading.named import named_files
 from facerender.scenes.levels import simplified
 from facerender.scenes.mesh import Mesh

@@ -16,11 +16,13 @@ from importlib import import_module
 from typing import Any, NoReturn, TextIO
 
 from facerender._version import __version__
+from facerender.commands.examples import EXAMPLES
 from facerender.commands.streams import make_usable, say, tell
 from facerender.errors import FacerenderError, FacerenderWarning, InputError, clipped
 
 _COMMANDS = {
     "render": "render a mesh file, or the built-in head",
+    "info": "what a mesh file holds: parts, materials, maps, size, what was mended",
     "batch": "many images: on all cores, or on a Dask cluster",
     "plan": "a cheaper frame within a budget, with its proof",
     "measure": "what each approximation costs and loses, here",
@@ -29,15 +31,34 @@ _COMMANDS = {
     "explore": "a page to compare two shadings in, on the reader's own GPU",
     "shaders": "the GLSL library, for programs of your own",
     "doctor": "what OpenGL is found here, what is missing",
+    "completion": "what completes commands and options in bash, zsh or tcsh",
 }
 FAULT = 70  # EX_SOFTWARE of sysexits.h; 1 is of images that differ, 3 of jobs that failed
 
 
+class _Formatter(argparse.HelpFormatter):
+    """Keeps the lines of what is indented: examples."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        blocks = text.split("\n\n")
+        filled = (super(_Formatter, self)._fill_text(each, width, indent) for each in blocks)
+        pairs = zip(blocks, filled, strict=True)
+        return "\n\n".join(raw if "\n  " in raw else block for raw, block in pairs)
+
+
 class _Parser(argparse.ArgumentParser):
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
-        super().__init__(*arguments, **{"allow_abbrev": False, **keywords})
+        own = {"allow_abbrev": False, "formatter_class": _Formatter}
+        super().__init__(*arguments, **{**own, **keywords})
         # Values such as -35,10 are no options either.
         self._negative_number_matcher = re.compile(r"-[\d.]")
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Has the command that does not know an argument say so, and not the one above it."""
+        found, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return found, unknown
 
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message}; see {self.prog} --help")
@@ -71,9 +92,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.simplefilter("always", FacerenderWarning)
         warnings.showwarning = _warning_printer(caught)
         try:
-            options = _parser(sys.argv[1:] if arguments is None else arguments).parse_args(
-                arguments
-            )
+            given = sys.argv[1:] if arguments is None else arguments
+            options = parser_of(given).parse_args(given)
             options.warnings = caught
             command: Callable[[argparse.Namespace], int] = options.command
             return command(options)
@@ -112,7 +132,7 @@ def _warning_printer(caught: list[str]) -> Callable[..., None]:
     return show
 
 
-def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
+def parser_of(arguments: Sequence[str]) -> argparse.ArgumentParser:
     """Return the parser; of the commands, those among the arguments are imported."""
     parser = _Parser(prog="facerender", description="Render face meshes with skin highlights.")
     parser.add_argument("--version", action="version", version=f"facerender {__version__}")
@@ -121,4 +141,6 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
         command = commands.add_parser(name, help=text)
         if name in arguments:
             import_module(f"facerender.commands.{name}").add(command)
+            lines = "\n  ".join(["examples:", *EXAMPLES[name]])
+            command.epilog = "\n\n".join(filter(None, [command.epilog, lines]))
     return parser

@@ -13,7 +13,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facerender.commands.common import add_quiet, check_outputs
+from facerender.commands.common import add_parts, add_quiet, check_outputs
 from facerender.commands.streams import say, tell
 from facerender.errors import InputError
 
@@ -36,6 +36,7 @@ def add(batch: argparse.ArgumentParser) -> None:
     common = batch.add_argument_group("what jobs have that do not say otherwise")
     common.add_argument("--scene", metavar="FILE.toml", help="tables of a job")
     common.add_argument("--mesh", metavar="FILE", help="(the built-in head)")
+    add_parts(common)
     common.add_argument("--size", help="N or WxH in pixels (1024)")
     common.add_argument("--samples", type=int, help="per pixel (4)")
     common.add_argument("--passes", metavar="LIST", help="image,mask,depth,layers,... (image)")
@@ -249,6 +250,7 @@ def _common(options: argparse.Namespace) -> dict[str, Any]:
 
     common = read_toml(Path(options.scene)) if options.scene else {}
     given = {"mesh.path": options.mesh, "passes": options.passes}
+    given |= {f"mesh.{name}": getattr(options, name) for name in ("parts", "hide")}
     given |= {f"image.{name}": getattr(options, name) for name in ("size", "samples")}
     given = {key: value for key, value in given.items() if value is not None}
     return common | given

@@ -6,17 +6,19 @@ import argparse
 import math
 import os
 import sys
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from facerender.commands.streams import say
 from facerender.errors import InputError, reason
 from facerender.image import check_writable, remove_abandoned
-from facerender.job import MeshFile
+from facerender.job import MESH_PATHS, MeshFile
+from facerender.loading.given import GLTF
 from facerender.loading.named import named_files
-from facerender.loading.read import GLTF
+from facerender.progress import Bar
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -53,9 +55,70 @@ def numbers_of(option: str, text: str, counts: Sequence[int]) -> list[float]:
     return numbers
 
 
+_MAPS = {
+    "albedo": "image of the colour without light, sRGB-encoded",
+    "normal-map": "of normals in the space of the surface, green up",
+    "specular-map": "grey, linear: multiplies ks",
+    "roughness-map": "grey, linear: r gives m = r^2",
+    "lobe-map": "grey, linear: white where the second lobe is",
+}
+
+
+def add_maps(command: argparse._ArgumentGroup, *names: str) -> None:
+    for name in names:
+        command.add_argument(f"--{name}", metavar="FILE", help=_MAPS[name])
+
+
 def add_quiet(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
     command.add_argument(
         "--quiet", action="store_true", help="only warnings and errors on standard error"
+    )
+
+
+def add_verbose(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
+    """Add --quiet and its contrary."""
+    add_quiet(command)
+    command.add_argument(
+        "--verbose", action="store_true", help="every step and when it began, on standard error"
+    )
+
+
+def telling(options: argparse.Namespace) -> Callable[[str], None]:
+    """Return what is called with every step of a command that has :func:`add_verbose`."""
+    if options.quiet and options.verbose:
+        raise InputError("--quiet and --verbose exclude each other: leave one of them out")
+    began = time.monotonic()
+
+    def tell(what: str) -> None:
+        if options.verbose:
+            say(f"facerender: {time.monotonic() - began:.2f} s: {what}")
+
+    return tell
+
+
+def steps(options: argparse.Namespace) -> Bar:
+    """Return a bar for such a command, or what tells its steps in place of it."""
+    tell = telling(options)
+    return Bar(options.quiet, tell if options.verbose else None)
+
+
+def add_allow_outside(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
+    command.add_argument(
+        "--allow-outside",
+        action="store_true",
+        help="open what the mesh file refers to wherever it lies (below its folder alone)",
+    )
+
+
+def add_parts(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
+    command.add_argument(
+        "--parts",
+        metavar="NAME,...",
+        help="draw these parts of the mesh alone; *, ? and [...] are wildcards, and facerender "
+        "info lists the names (all)",
+    )
+    command.add_argument(
+        "--hide", metavar="NAME,...", help="draw all parts but these, named in the same way (none)"
     )
 
 
@@ -88,10 +151,10 @@ def _same(a: str | Path, b: str | Path) -> bool:
         return os.path.realpath(a) == os.path.realpath(b)
 
 
-def mesh_files(mesh: MeshFile) -> Iterator[str | Path]:
+def mesh_files(mesh: MeshFile) -> Iterator[str | Path | None]:
     """Yield what is read of a mesh: the files that are given, and those that its file names, where
     they would be looked for."""
-    yield from (value for value in asdict(mesh).values() if isinstance(value, str))
+    yield from (getattr(mesh, name) for name in MESH_PATHS)
     if mesh.path is not None:
         for path in named_files(Path(mesh.path)):
             yield from (path, Path(mesh.path).with_name(path.name))

@@ -5,11 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 
-from facerender.commands.common import add_quiet, check_outputs
+from facerender.commands.common import add_verbose, check_outputs, steps
 from facerender.commands.streams import say, tell
 from facerender.errors import InputError
 from facerender.image import read_image
-from facerender.progress import Bar
 
 
 def add(compare: argparse.ArgumentParser) -> None:
@@ -29,7 +28,7 @@ def add(compare: argparse.ArgumentParser) -> None:
     compare.add_argument("--heatmap", metavar="OUT.png", help="map of FLIP, for two images")
     compare.add_argument("--report", metavar="OUT.html", help="a page to look at the images")
     compare.add_argument("--json", action="store_true", help="every figure")
-    add_quiet(compare)
+    add_verbose(compare)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -45,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
     read = [path for _, *paths in names for path in paths]
     check_outputs([options.heatmap, options.report], [*read, options.mask])
     results, entries, status = [], [], 0
-    with Bar(options.quiet) as progress:
+    with steps(options) as progress:
         for number, name in enumerate(names):
             progress(f"{len(names)} pairs", number / len(names))
             pair = Pair.of(*name, mask=mask, **limits)

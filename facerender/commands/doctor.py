@@ -23,6 +23,7 @@ PACKAGES = {
     "lod": ("wasmtime",),
     "rays": ("embreex",),
     "batch": ("distributed", "fsspec", "pyarrow"),
+    "completion": ("shtab",),
     "measure": ("matplotlib", "flip-evaluator", "vulkan"),
 }
 

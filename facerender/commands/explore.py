@@ -6,13 +6,22 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facerender.commands.common import add_quiet, check_outputs, import_trimesh, mesh_files
+from facerender.commands.common import (
+    add_allow_outside,
+    add_maps,
+    add_parts,
+    add_verbose,
+    check_outputs,
+    import_trimesh,
+    mesh_files,
+    steps,
+)
 from facerender.commands.streams import tell
 from facerender.errors import InputError
 from facerender.explorer import explorer
 from facerender.image import write_text
 from facerender.job import Job, MeshFile
-from facerender.progress import Bar, Progress
+from facerender.progress import Progress
 
 if TYPE_CHECKING:
     from facerender.planning.plan import Plan
@@ -35,15 +44,11 @@ def add(explore: argparse.ArgumentParser) -> None:
         help="1/255, 0.5%% or '0.02 flip': what facerender plan decides within it, as switches",
     )
     maps = explore.add_argument_group("maps, in place of those of the mesh file")
-    for name in ("albedo", "normal-map", "specular-map", "roughness-map"):
-        maps.add_argument(f"--{name}", metavar="FILE")
+    add_maps(maps, "albedo", "normal-map", "specular-map", "roughness-map")
     maps.add_argument("--flip-v", action="store_true", help="turn texture coordinates upside down")
-    maps.add_argument(
-        "--allow-outside",
-        action="store_true",
-        help="open what the mesh file refers to wherever it lies (below its folder alone)",
-    )
-    add_quiet(explore)
+    add_allow_outside(maps)
+    add_parts(explore)
+    add_verbose(explore)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -63,10 +68,12 @@ def run(options: argparse.Namespace) -> int:
         options.roughness_map,
         options.flip_v,
         allow_outside=options.allow_outside,
+        parts=options.parts,
+        hide=options.hide,
     )
     check_outputs([options.output], mesh_files(file))
     import_trimesh(options.mesh)
-    with Bar(options.quiet) as progress:
+    with steps(options) as progress:
         progress("mesh", 0.0)
         job, mesh = Job(file), file.load()
         planned = _planned(job, mesh, options.plan, progress) if options.plan else None

@@ -7,17 +7,19 @@ import json
 from dataclasses import replace
 
 from facerender.commands.common import (
-    add_quiet,
+    add_allow_outside,
+    add_parts,
+    add_verbose,
     check_outputs,
     import_trimesh,
     make_folder,
     mesh_files,
+    steps,
 )
 from facerender.commands.streams import say, tell
 from facerender.drawing.context import BACKENDS
 from facerender.job import MeshFile
 from facerender.loading import load_mesh
-from facerender.progress import Bar
 
 
 def add(measure: argparse.ArgumentParser) -> None:
@@ -30,11 +32,8 @@ def add(measure: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="for measure.json, plots and index.html (out/measure)",
     )
-    measure.add_argument(
-        "--allow-outside",
-        action="store_true",
-        help="open what the mesh file refers to wherever it lies (below its folder alone)",
-    )
+    add_allow_outside(measure)
+    add_parts(measure)
     measure.add_argument("--m", type=float, help="rms slope of the mesh (0.3)")
     measure.add_argument("--quick", action="store_true", help="smaller images, fewer repeats")
     measure.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
@@ -48,7 +47,7 @@ def add(measure: argparse.ArgumentParser) -> None:
         "--quick or --backend to the measurement in DIR, where there is one. May be repeated",
     )
     measure.add_argument("--json", action="store_true", help="print measure.json, no table")
-    add_quiet(measure)
+    add_verbose(measure)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -63,14 +62,16 @@ def run(options: argparse.Namespace) -> int:
     check_outputs([folder / name for name in (report.JSON, report.PAGE)], read)
     kept = report.read_imports(folder)
     asked = options.mesh or options.quick or options.m is not None or options.backend != "auto"
+    asked = asked or options.parts is not None or options.hide is not None
     earlier = report.read(folder) if imports and not asked else None
     told = []
-    with Bar(options.quiet) as progress:
+    with steps(options) as progress:
         if earlier:
             measurement, triptychs = earlier, None
         else:
             import_trimesh(options.mesh)
             mesh = load_mesh(options.mesh, allow_outside=options.allow_outside)
+            mesh = mesh.select(options.parts or (), options.hide or ())
             m = 0.3 if options.m is None else options.m
             measurement, triptychs = measure(mesh, m, options.quick, options.backend, progress)
             measurement = replace(measurement, imports=kept)

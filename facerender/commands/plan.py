@@ -7,15 +7,14 @@ import json
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import add_quiet, check_outputs, parse_sizes
-from facerender.commands.scene import WHERE, add_scene, files_read, job_of, load
+from facerender.commands.common import add_verbose, check_outputs, parse_sizes, steps
+from facerender.commands.scene import add_scene, files_read, job_of, load
 from facerender.commands.streams import tell
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError, reason
 from facerender.glsl.library import LANGUAGES, TARGETS
 from facerender.image import write_text
-from facerender.progress import Bar
 
 
 def add(plan: argparse.ArgumentParser) -> None:
@@ -55,13 +54,6 @@ def add(plan: argparse.ArgumentParser) -> None:
     scene.add_argument(
         "--from", dest="scene", metavar="FILE.toml", help="camera, lights, material, reflectance"
     )
-    scene.add_argument(
-        "--camera",
-        action="append",
-        metavar="WHERE",
-        help=f"{WHERE}; turntable, for 8 around; a TOML file with a path of [[cameras]]; repeat "
-        "for several",
-    )
     images = plan.add_argument_group("where the error is measured")
     images.add_argument(
         "--size",
@@ -87,7 +79,7 @@ def add(plan: argparse.ArgumentParser) -> None:
         help="the scene with this shading, for facerender render --scene",
     )
     output.add_argument("--error-map", metavar="OUT.png", help="of the camera with the largest")
-    add_quiet(output)
+    add_verbose(output)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -100,7 +92,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"--target {options.target} is of a shader: say --emit OUT.glsl")
     if options.guarantee and (options.camera or options.error_map):
         raise InputError("--guarantee is not measured: leave --camera and --error-map out")
-    job, cameras = job_of(options, options.camera or [], sizes[-1])
+    job, cameras = job_of(options, sizes[-1])
     check_outputs([options.emit, options.pinned, options.error_map], files_read(options, job))
     if options.error_map and not options.error_map.lower().endswith(".png"):
         raise InputError(f"--error-map {options.error_map}: give a .png")
@@ -113,12 +105,12 @@ def run(options: argparse.Namespace) -> int:
         "within": options.within,
         "full": job.shading,
     }
-    with Bar(options.quiet) as choices["progress"]:
+    with steps(options) as choices["progress"]:
         if options.guarantee:
             planned = plan(scene, options.budget, guarantee=True, **choices)
         else:
             with Renderer.of(job, options.backend) as renderer:
-                choices |= {"cameras": cameras, "sizes": sizes, "renderer": renderer}
+                choices |= {"cameras": (*cameras.values(),), "sizes": sizes, "renderer": renderer}
                 planned = plan(scene, options.budget, **choices)
     if options.emit:
         write_text(options.emit, planned.shader(options.target))

@@ -5,24 +5,35 @@ from __future__ import annotations
 import argparse
 import json
 import warnings
+from dataclasses import replace
 from typing import Any
 
-from facerender.commands.common import check_outputs, parse_size
-from facerender.commands.scene import WHERE, add_scene, files_read, job_of, load
+from facerender.commands.common import add_verbose, check_outputs, parse_size, telling
+from facerender.commands.scene import add_scene, files_read, job_of, load
 from facerender.commands.streams import say, tell
+from facerender.commands.views import STANDARD_OUTPUT, Target
 from facerender.drawing.context import BACKENDS
+from facerender.drawing.frame import FORMATS
 from facerender.drawing.renderer import Renderer
-from facerender.errors import FacerenderWarning, InputError
-from facerender.job import Job, Output
+from facerender.errors import FacerenderWarning, InputError, check_range
+from facerender.job import Job
 from facerender.scenes.planned import Detail
 from facerender.scenes.scene import ONLY
+from facerender.scenes.view import checked_size, view_of
 from facerender.shading import OUTSIDE, Shading
 from facerender.terms import LOBES
 
 
 def add(render: argparse.ArgumentParser) -> None:
     render.set_defaults(command=run)
-    render.add_argument("-o", "--output", required=True, metavar="OUT", help=".png or .exr")
+    render.add_argument(
+        "-o",
+        "--output",
+        required=True,
+        metavar="OUT",
+        help=".png, .exr, .jpg or .webp; of several views OUT_000.png and so on, or with {index} "
+        "and {name} in it, or one .gif, .webp or .mp4; - for standard output",
+    )
     terms, scene = add_scene(render)
     terms.add_argument("--lobe", choices=tuple(LOBES), help="(exact)")
     terms.add_argument(
@@ -39,16 +50,30 @@ def add(render: argparse.ArgumentParser) -> None:
         "--within", metavar="SHARE", help="of the pixels: where --budget must hold (100%%)"
     )
     scene.add_argument("--scene", metavar="FILE.toml", help="camera, lights, material, reflectance")
-    scene.add_argument("--camera", metavar="WHERE", help=WHERE)
+    scene.add_argument(
+        "--target",
+        dest="looked_at",
+        metavar="X,Y,Z",
+        help="what images have in their centre, in the mesh's units (the centre of the frame)",
+    )
     scene.add_argument(
         "--triangles", type=int, metavar="N", help="simplify the mesh to so many (all of them)"
     )
 
     image = render.add_argument_group("image")
-    image.add_argument("--size", default="1024", help="N or WxH in pixels (1024)")
+    image.add_argument("--size", help="N or WxH in pixels (1024, or as --camera FILE says)")
     image.add_argument("--samples", type=int, default=4, help="per pixel; 1 for none (4)")
-    image.add_argument("--exposure", type=float, default=0.0, help="of the PNG, in stops (0)")
+    image.add_argument(
+        "--exposure", type=float, default=0.0, help="of all but an EXR, in stops (0)"
+    )
     image.add_argument("--only", choices=ONLY, help="one term in place of the whole image")
+    image.add_argument("--format", choices=FORMATS, help="of standard output, -o - (png)")
+    image.add_argument(
+        "--sheet", action="store_true", help="all views beside each other in one image"
+    )
+    image.add_argument(
+        "--fps", type=float, metavar="N", help="views a second, of a .gif, .webp or .mp4 (12)"
+    )
     image.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
     image.add_argument(
         "--no-cache",
@@ -56,7 +81,14 @@ def add(render: argparse.ArgumentParser) -> None:
         action="store_false",
         help="neither read nor write what is kept of meshes and plans in ~/.cache/facerender",
     )
+    image.add_argument(
+        "--memory",
+        type=float,
+        metavar="MIB",
+        help="refuse what would take more than so many (what the system has left)",
+    )
     image.add_argument("--json", action="store_true", help="describe the image as JSON")
+    add_verbose(image)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -64,14 +96,33 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"--budget plans the whole image: leave --only {options.only} out")
     if options.within is not None and options.budget is None:
         raise InputError(f"--within {options.within} is of a budget: say --budget ERROR")
-    output = Output(options.output, options.only, options.exposure)
-    size = parse_size(options.size)
-    job, _ = job_of(options, [options.camera] if options.camera else [], size, (output,))
-    check_outputs([output.path], files_read(options, job))
-    scene, shading = load(job, options.cache), job.shading
+    if options.json and options.output == STANDARD_OUTPUT:
+        raise InputError("-o - and --json both write to standard output: leave one of them out")
+    job, cameras = job_of(options, parse_size(options.size) if options.size else None)
+    if options.budget is not None and len(cameras) > 1:
+        raise InputError(
+            f"--budget plans one view, and there are {len(cameras)}: give one --camera, or all of "
+            "them to facerender plan, and its scene to render --scene"
+        )
+    check_range("exposure", options.exposure, -100.0, 100.0)
+    transparent = job.background is None
+    target = Target.of(
+        *(options.output, [*cameras], options.sheet, options.format, options.fps, transparent)
+    )
+    written = [] if options.output == STANDARD_OUTPUT else target.files
+    check_outputs(written, files_read(options, job))
+    step = telling(options)
+    step("mesh")
+    scene = load(job, options.cache, ahead=options.memory is None)
+    shading = job.shading
+    step(f"OpenGL, for {scene.mesh!r}")
+    width, height = checked_size(job.image.size)
+    for camera in cameras.values():
+        view_of(replace(scene, camera=camera), width / height)
     plan: dict[str, Any] = {}
     detail = Detail(job.image.samples, None)
-    with Renderer.of(job, options.backend) as renderer:
+    with Renderer.of(job, options.backend, options.memory) as renderer:
+        step(f"image, by {renderer.context.renderer}")
         if options.budget is not None:
             from facerender.planning.cache import planned
 
@@ -85,12 +136,16 @@ def run(options: argparse.Namespace) -> int:
             warnings.warn(_unplanned(options.scene, job), FacerenderWarning, stacklevel=1)
         samples = min(detail.samples, renderer.samples)
         drawn = detail.of(scene)
-        frame = renderer.render(drawn, shading, output.only, samples, detail.backs, detail.once)
+        scenes = (replace(drawn, camera=camera) for camera in cameras.values())
+        frames = (
+            renderer.render(each, shading, options.only, samples, detail.backs, detail.once)
+            for each in scenes
+        )
+        frame = target.write(frames, options.exposure, scene.background)
         backend = renderer.context.backend
-    frame.save(output.path, output.exposure)
     if options.json:
         facts = {
-            "output": options.output,
+            "output": target.files[0] if len(target.files) == 1 else target.files,
             "size": job.image.size,
             "backend": backend,
             "only": frame.only,
@@ -100,10 +155,11 @@ def run(options: argparse.Namespace) -> int:
         if plan:
             facts["plan"] = plan
         tell(json.dumps(facts, indent=2))
-    else:
-        tell(options.output)
-        if plan:
-            say(*plan["text"].splitlines()[-2:])
+        return 0
+    if written:
+        tell(*written)
+    if plan and not options.quiet:
+        say(*plan["text"].splitlines()[-2:])
     return 0
 
 

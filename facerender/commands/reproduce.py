@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from facerender.commands.common import add_quiet, make_folder
+from facerender.commands.common import add_verbose, make_folder, steps
 from facerender.commands.streams import tell
-from facerender.progress import Bar
 
 
 def add(reproduce: argparse.ArgumentParser) -> None:
@@ -14,7 +13,7 @@ def add(reproduce: argparse.ArgumentParser) -> None:
     reproduce.add_argument(
         "-o", "--output", default="out/reproduction", metavar="DIR", help="(out/reproduction)"
     )
-    add_quiet(reproduce)
+    add_verbose(reproduce)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -23,7 +22,7 @@ def run(options: argparse.Namespace) -> int:
 
     plots.check()
     folder = make_folder(options.output)
-    with Bar(options.quiet) as progress:
+    with steps(options) as progress:
         result = reproduce(progress=progress)
         progress("report", 0.0)
         paths = result.write(folder)

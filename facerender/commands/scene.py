@@ -4,24 +4,37 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import import_trimesh, mesh_files, numbers_of
+from facerender.commands.common import (
+    add_allow_outside,
+    add_maps,
+    add_parts,
+    import_trimesh,
+    mesh_files,
+    numbers_of,
+)
 from facerender.drawing.prepare import start_maps
-from facerender.errors import InputError
+from facerender.errors import InputError, clipped
 from facerender.job import ImageSettings, Job, MeshFile, Output
-from facerender.scenes.camera import Camera, turntable
+from facerender.loading import NORMAL_MAP_Y
+from facerender.loading.given import GLTF
+from facerender.scenes.camera import CAMERA_FILES, FRAMES, Camera, orbiting, turntable
 from facerender.scenes.file import STUDIO, load_scene, parse_environment
 from facerender.scenes.light import LIGHTS, parse_light
+from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene
-from facerender.scenes.texture import Kind
 from facerender.shading import DIFFUSE, Shading
 from facerender.terms import FRESNEL, MASKING, MODELS
 
 CAMERAS = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
-WHERE = f"{', '.join(CAMERAS)}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees"
+WHERE = (
+    f"{', '.join(CAMERAS)}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees; turntable[:N], for 8 or N "
+    "around; gltf[:NAME], of the mesh file; a .toml with [[cameras]], a .json or .npz with K and "
+    "[R|t]; repeat for several"
+)
 
 
 def add_scene(
@@ -71,23 +84,39 @@ def add_scene(
     )
 
     maps = command.add_argument_group("maps, in place of those of the mesh file")
-    for name in ("albedo", "normal-map", "specular-map", "roughness-map", "lobe-map"):
-        maps.add_argument(f"--{name}", metavar="FILE")
+    add_maps(maps, "albedo", "normal-map", "specular-map", "roughness-map", "lobe-map")
     maps.add_argument("--flip-v", action="store_true", help="turn texture coordinates upside down")
     maps.add_argument(
-        "--allow-outside",
-        action="store_true",
-        help="open what the mesh file refers to wherever it lies (below its folder alone)",
+        "--normal-map-y",
+        choices=NORMAL_MAP_Y,
+        default="up",
+        help="down: green of normal maps points down, as DirectX has it (up)",
     )
+    maps.add_argument(
+        "--normal-strength", type=float, metavar="X", help="factor on the slopes of normal maps (1)"
+    )
+    add_allow_outside(maps)
     maps.add_argument("--anisotropy", type=float, default=1.0, help="of texture filtering (1)")
     maps.add_argument("--float-albedo", action="store_true", help="albedo as linear float16")
+    maps.add_argument(
+        "--full-maps",
+        action="store_true",
+        help="keep what the image does not show of maps of more than 4096 x 4096",
+    )
 
     scene = command.add_argument_group("scene")
+    add_parts(scene)
     scene.add_argument(
         "--millimetres",
         type=float,
         metavar="MM",
         help="that a unit of the mesh is, for scattering (1000 in glTF)",
+    )
+    scene.add_argument("--camera", action="append", metavar="WHERE", help=f"{WHERE} (front)")
+    scene.add_argument(
+        "--frame",
+        choices=FRAMES,
+        help="what the image holds of the mesh, where a camera orbits (all)",
     )
     scene.add_argument("--fov", type=float, help="vertical angle of view in degrees (25)")
     scene.add_argument(
@@ -128,12 +157,14 @@ def add_scene(
 
 def job_of(
     options: argparse.Namespace,
-    places: Sequence[str],
-    size: tuple[int, int],
+    size: tuple[int, int] | None,
     outputs: tuple[Output, ...] = (),
-) -> tuple[Job, tuple[Camera, ...]]:
-    """Return what options and scene file say: the job, and the cameras of the places, or else of
-    the file, or else the job's own."""
+) -> tuple[Job, dict[str, Camera]]:
+    """Return what options and scene file say: the job, and by their names the cameras of the
+    options, or else of the file, or else the job's own.
+
+    size : of the images; None for that of the first camera, or else 1024 x 1024
+    """
     if options.m is not None and options.roughness_map is not None:
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
     settings = load_scene(options.scene) if options.scene else {}
@@ -150,10 +181,18 @@ def job_of(
         material.pop("m", None)
     path = settings.pop("cameras", ())
     camera = settings.get("camera", path[0] if path else Camera())
-    if options.fov is not None:
-        camera = dataclasses.replace(camera, fov=options.fov)
-    cameras = tuple(each for place in places for each in _cameras(place, camera)) or path
-    settings["camera"] = cameras[0] if places else camera
+    changes = _camera_settings(options)
+    camera = dataclasses.replace(orbiting(camera) if options.camera else camera, **changes)
+    if options.camera:
+        cameras = _cameras(options, camera, changes, size)
+        camera = next(iter(cameras.values()))
+    else:
+        own = path or (camera,)
+        cameras = {
+            f"camera_{number:03d}": dataclasses.replace(each, **changes)
+            for number, each in enumerate(own)
+        }
+    settings["camera"] = camera
     settings.update(_scene_settings(options))
     if "environment" in settings:
         settings.setdefault("lights", ())
@@ -165,7 +204,10 @@ def job_of(
         )
     material.update(
         (name, value)
-        for name in ("m", "f0", "ks", "kd", "second_slope", "lobe_weight", "scattering")
+        for name in (
+            *("m", "f0", "ks", "kd", "second_slope", "lobe_weight", "scattering"),
+            "normal_strength",
+        )
         if (value := getattr(options, name)) is not None
     )
     mesh = MeshFile(
@@ -180,35 +222,41 @@ def job_of(
         options.millimetres,
         options.occlusion,
         options.allow_outside,
+        parts=options.parts,
+        hide=options.hide,
+        normal_map_y=options.normal_map_y,
     )
+    size = size or camera.size or (1024, 1024)
     job = Job(
         mesh,
         material,
         shading=shading,
-        image=ImageSettings(size, options.samples, options.anisotropy, options.float_albedo),
+        image=ImageSettings(
+            size, options.samples, options.anisotropy, options.float_albedo, options.full_maps
+        ),
         outputs=outputs,
         **settings,
     )
-    return job, cameras or (job.camera,)
+    return job, cameras
 
 
-def files_read(options: argparse.Namespace, job: Job) -> Iterator[str | Path]:
+def files_read(options: argparse.Namespace, job: Job) -> Iterator[str | Path | None]:
     """Yield what options and job say is read."""
     yield from mesh_files(job.mesh)
     yield from filter(None, [options.scene, job.environment and job.environment.file])
-    places = [options.camera] if isinstance(options.camera, str) else options.camera or []
-    yield from (place for place in places if place.lower().endswith(".toml"))
+    yield from (place for place in options.camera or () if _is_file(place))
 
 
-def load(job: Job, cache: bool = False) -> Scene:
-    """Return the scene of a job, whose maps are being decoded."""
+def load(job: Job, cache: bool = False, ahead: bool = True) -> Scene:
+    """Return the scene of a job; ahead of its renderer its maps are being decoded, and kept."""
     mesh = job.mesh.kept() if cache else None
     if mesh is None:
         import_trimesh(job.mesh.path)
-        mesh = job.mesh.load(cache)
+        mesh = job.mesh.load(cache and ahead)
     scene = job.scene(mesh)
     albedo: Kind = "linear-color" if job.image.float_albedo else "color"
-    start_maps(scene.mesh, albedo, job.shading.slope_filter)
+    if ahead:
+        start_maps(scene.mesh, albedo, job.shading.slope_filter)
     return scene
 
 
@@ -234,24 +282,73 @@ def _check_unpinned(options: argparse.Namespace, pinned: Mapping[str, Any]) -> N
                 )
 
 
-def _cameras(place: str, camera: Camera) -> tuple[Camera, ...]:
-    """Return the cameras that a word means, others of their kind as the given one."""
-    if place == "turntable":
-        return turntable(camera)
-    if place.lower().endswith(".toml"):
-        if not (path := load_scene(place).get("cameras")):
-            raise InputError(f"{place} has no [[cameras]]")
-        return tuple(path)
-    orbit: dict[str, Any] = {}
+def _cameras(
+    options: argparse.Namespace,
+    camera: Camera,
+    changes: Mapping[str, Any],
+    size: tuple[int, int] | None,
+) -> dict[str, Camera]:
+    """Return by their names the cameras that options mean, others of their kind as the given one;
+    what is read of files has the changes."""
+    found: dict[str, Camera] = {}
+    for place in options.camera:
+        word, _, rest = place.partition(":")
+        if word == "turntable":
+            if rest and not rest.isdecimal():
+                raise InputError(f"--camera {place}: give turntable:N, with N views")
+            turned = turntable(camera, int(rest[:9]) if rest else 8)
+            named = {f"turntable_{number:03d}": each for number, each in enumerate(turned)}
+        elif word == "gltf" or _is_file(place):
+            file = options.mesh if word == "gltf" else place
+            named = {
+                name: dataclasses.replace(each, **changes)
+                for name, each in _file_cameras(place, file, rest, size).items()
+            }
+        else:
+            named = {place.replace(",", "_"): _orbit(place, camera)}
+        for name, each in named.items():
+            found[name if name not in found else f"{name}_{len(found):03d}"] = each
+    return found
+
+
+def _is_file(place: str) -> bool:
+    return place.lower().endswith(CAMERA_FILES)
+
+
+def _file_cameras(
+    place: str, file: str | None, name: str, size: tuple[int, int] | None
+) -> dict[str, Camera]:
+    if place.startswith("gltf") and not (file or "").lower().endswith(GLTF):
+        raise InputError(f"--camera {place}: the mesh is no .glb or .gltf; give another camera")
+    from facerender.loading.cameras import load_cameras
+
+    found = load_cameras(str(file), size)
+    if not place.startswith("gltf:"):
+        return found
+    if name not in found:
+        known = ", ".join(map(clipped, found))
+        raise InputError(f"--camera {place}: {file} has no such camera; known: {known}")
+    return {name: found[name]}
+
+
+def _orbit(place: str, camera: Camera) -> Camera:
     if place in CAMERAS:
-        orbit = {"azimuth": CAMERAS[place], "elevation": 0.0}
-    else:
-        try:
-            numbers = numbers_of("camera", place, (1, 2, 3))
-        except InputError as error:
-            raise InputError(f"{error}, or {', '.join(CAMERAS)}") from None
-        orbit = dict(zip(("azimuth", "elevation", "zoom"), numbers, strict=False))
-    return (dataclasses.replace(camera, position=None, **orbit),)
+        return orbiting(camera, azimuth=CAMERAS[place], elevation=0.0)
+    try:
+        numbers = numbers_of("camera", place, (1, 2, 3))
+    except InputError as error:
+        raise InputError(f"{error}, or {WHERE.replace(';', ',')}") from None
+    return orbiting(camera, **dict(zip(("azimuth", "elevation", "zoom"), numbers, strict=False)))
+
+
+def _camera_settings(options: argparse.Namespace) -> dict[str, Any]:
+    """The fields of Camera that options set."""
+    settings = {
+        name: value for name in ("fov", "frame") if (value := getattr(options, name)) is not None
+    }
+    if getattr(options, "looked_at", None) is not None:
+        settings["target"] = tuple(numbers_of("target", options.looked_at, (3,)))
+    return settings
 
 
 def _scene_settings(options: argparse.Namespace) -> dict[str, Any]:

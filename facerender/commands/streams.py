@@ -40,6 +40,18 @@ def tell(*lines: object, end: str = "\n") -> None:
         ) from None
 
 
+def tell_bytes(content: bytes) -> None:
+    """Write a result that is no text; raises as :func:`tell`."""
+    try:
+        sys.stdout.buffer.write(content)
+        sys.stdout.buffer.flush()
+    except OSError as error:
+        _mute(sys.stdout)
+        raise FacerenderError(
+            f"cannot write standard output: {reason(error)}; send it elsewhere"
+        ) from None
+
+
 def say(*lines: object) -> None:
     """Print what is no result on standard error, if it can be."""
     try:

@@ -63,7 +63,7 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
-            check_range(f"limit {name}", value, 0.0, 1e30)
+            check_range(f"limit {name}", value, 0.0, HIGHEST)
 
 
 LIMITS: dict[Encoding, Limits] = {"linear": Limits(0.05, 5e-3), "srgb8": Limits(8.0, 1.0)}

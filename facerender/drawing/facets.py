@@ -41,6 +41,7 @@ class Facets:
         """Take what is drawn of a part."""
         columns = part_columns(part, mesh)
         positions = columns.pop("in_position").astype(np.float32)
+        columns.pop("in_uv2", None)  # deferred shading has one kind of texture coordinates
         attributes = np.hstack([*columns.values()], dtype=np.float32, casting="same_kind")
         return cls(positions, np.asarray(part.faces, dtype=np.uint32), attributes)
 

@@ -3,19 +3,34 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import IO, TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_path, check_range, check_switch, check_type, shown
-from facerender.image import encode_srgb8, save_exr, save_png
+from facerender.errors import InputError, check_range, check_switch, check_type, shown
+from facerender.image import (
+    Format,
+    encode_srgb8,
+    exr_bytes,
+    format_of,
+    lossy_bytes,
+    png_bytes,
+    save_exr,
+    write_bytes,
+)
 from facerender.scenes.scene import ONLY, Only
 from facerender.scenes.view import View
 
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
-@dataclass(frozen=True, eq=False)
+FORMATS: tuple[Format, ...] = get_args(Format)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Frame:
     """A rendered image.
 
@@ -25,10 +40,11 @@ class Frame:
         holds the background where the scene has one, and is premultiplied by coverage otherwise.
         With ``only`` the background is 0, and colour is the specular or diffuse radiance, the
         albedo, the normal (unit vector in the mesh's space), the depth along the viewing direction
-        in the mesh's units (three times), the cosines N.L of the first light, N.V and N.H, or how
-        much of the first light that casts shadows is seen, in [0, 1] (three times).
+        in the mesh's units (three times), the cosines N.L of the first light, N.V and N.H, how
+        much of the first light that casts shadows is seen, in [0, 1] (three times), 1 where the
+        mesh is (three times), or the number of the part from 1 on (three times).
     only : which term this is, or None for the whole image
-    transparent : whether a PNG gets an alpha channel; the scene has no background
+    transparent : whether a PNG or WebP gets an alpha channel; the scene has no background
     metadata : facerender's version, GL_RENDERER, GL_VERSION, samples, texture format; of shaded
         images also model, lobe and Fresnel term
     """
@@ -49,15 +65,18 @@ class Frame:
     def srgb8(self, exposure: float = 0.0) -> NDArray[np.uint8]:
         """8-bit image for looking at: (H, W, 3), or (H, W, 4) with straight alpha if transparent.
 
-        Radiance and albedo are sRGB, normals 0.5 n + 0.5, cosines and visibility as they are, depth
-        from the nearest (white) to the farthest; exposure, in stops, applies to radiance.
+        Radiance and albedo are sRGB, normals 0.5 n + 0.5, cosines, visibility and mask as they are,
+        depth from the nearest (white) to the farthest, every part has a colour of its number;
+        exposure, in stops, applies to radiance.
         """
         check_range("exposure", exposure, -100.0, 100.0)
         color, coverage = self.linear[..., :3], self.linear[..., 3:]
         if self.only == "normal":
             pixels = _bytes((color * 0.5 + 0.5) * coverage)
-        elif self.only in ("cosines", "visibility"):
+        elif self.only in ("cosines", "visibility", "mask"):
             pixels = _bytes(color)
+        elif self.only == "parts":
+            pixels = _bytes(_part_colors(color[..., 0]))
         elif self.only == "depth":
             pixels = _bytes(_depth_as_brightness(color, coverage))
         elif self.transparent:
@@ -67,26 +86,78 @@ class Frame:
             pixels = encode_srgb8(color, exposure)
         return np.concatenate([pixels, _bytes(coverage)], axis=-1) if self.transparent else pixels
 
-    def save(self, path: str | os.PathLike[str], exposure: float = 0.0) -> None:
-        """Write .png (8-bit sRGB) or .exr (linear float32), whole or not at all.
+    def save(
+        self,
+        path: str | os.PathLike[str] | IO[bytes],
+        exposure: float = 0.0,
+        format: Format | None = None,
+    ) -> None:
+        """Write .png, .jpg or .webp (8-bit sRGB) or .exr (linear float32), a file whole or not at
+        all.
+
+        Parameters
+        ----------
+        path : the file's name, or what has a method write, such as ``io.BytesIO``
+        exposure : in stops, of the 8-bit formats
+        format : "png", "exr", "jpeg" or "webp"; None for what the name's suffix says, and PNG where
+            there is no name
 
         Raises
         ------
-        InputError : another suffix, a place that cannot be written, EXR without its package
+        InputError : another suffix, a place that cannot be written, EXR without its package, a
+            transparent JPEG
         """
-        check_path("image file", path)
+        if format is not None and not (isinstance(format, str) and format in FORMATS):
+            raise InputError(f"format = {shown(format)}: give {', '.join(FORMATS)}")
         check_range("exposure", exposure, -100.0, 100.0)
-        suffix = os.path.splitext(path)[1].lower()
-        if suffix == ".png":
-            save_png(path, self.srgb8(exposure), self.metadata)
-        elif suffix == ".exr":
+        if not isinstance(path, str | os.PathLike):
+            if not callable(getattr(path, "write", None)):
+                raise InputError(f"image file = {shown(path)}: give a path, or an open binary file")
+            path.write(self.encoded(format or "png", exposure))
+        elif (kind := format or format_of(path)) == "exr":
             save_exr(path, self.linear, self.metadata)
         else:
-            raise InputError(f"{path}: unknown image format {suffix!r}; give .png or .exr")
+            write_bytes(path, self.encoded(kind, exposure))
+
+    def encoded(self, format: Format = "png", exposure: float = 0.0) -> bytes:
+        """Return what a file would hold; parameters and errors as of :meth:`save`."""
+        if format == "exr":
+            return exr_bytes(
+                "image.exr", {"RGBA"[: self.linear.shape[2]]: self.linear}, self.metadata
+            )
+        if format == "png":
+            return png_bytes(self.srgb8(exposure), self.metadata)
+        return lossy_bytes(format, self.srgb8(exposure), self.metadata)
+
+    @property
+    def image(self) -> Image:
+        """What :meth:`srgb8` gives, as a Pillow image."""
+        from PIL import Image
+
+        return Image.fromarray(self.srgb8())
+
+    def _repr_png_(self) -> bytes:
+        """The picture, for notebooks."""
+        return self.encoded()
+
+    def __repr__(self) -> str:
+        height, width = self.linear.shape[:2]
+        term = f" of {self.only}" if self.only else ""
+        return f"<Frame {width} x {height}{term}{', transparent' * self.transparent}>"
 
 
 def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.round(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def _part_colors(numbers: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return a colour (..., 3) for each number of a part, black for 0: neighbours have hues far
+    apart, by the golden ratio."""
+    thirds = np.array([0.0, 2.0 / 3.0, 1.0 / 3.0], dtype=np.float32)
+    hue = numbers[..., None] * np.float32(0.618034) + thirds
+    wave = np.abs(6.0 * (hue % 1.0) - 3.0) - 1.0
+    level = 1.0 - 0.2 * (numbers[..., None] % 3.0)
+    return np.asarray(level * (0.25 + 0.75 * np.clip(wave, 0.0, 1.0)) * (numbers[..., None] > 0.0))
 
 
 def _depth_as_brightness(
@@ -100,7 +171,7 @@ def _depth_as_brightness(
     return np.asarray((1.0 - 0.9 * (depth - near) / span) * coverage)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class GBuffer:
     """What the fragment program shades, one sample at each pixel's centre, row 0 on top.
 
@@ -118,6 +189,11 @@ class GBuffer:
         where no material has two lobes
     facing : (H, W) float32, cosine between the mesh's normal, without its map, and the eye; None
         where nothing scatters
+    emission : (H, W, 3) float32, radiance that the surface gives off itself; None where no material
+        does
+    opacity : (H, W) float32, of a blended part, 0 where it is not; None of what is not blended
+    veils : the surfaces of blended parts before all that is not blended, in the order in which they
+        lie over each other at each pixel
     """
 
     part: NDArray[np.int64]
@@ -133,3 +209,36 @@ class GBuffer:
     second_m: NDArray[np.float32] | None = None
     lobe_weight: NDArray[np.float32] | None = None
     facing: NDArray[np.float32] | None = None
+    emission: NDArray[np.float32] | None = None
+    opacity: NDArray[np.float32] | None = None
+    veils: tuple[GBuffer, ...] = ()
+
+    @property
+    def coverage(self) -> NDArray[np.float64]:
+        """(H, W), of blended parts their opacity."""
+        clear = (self.part < 0).astype(np.float64)
+        for veil in self.veils:
+            clear = clear * (1.0 - veil.opacity) if veil.opacity is not None else clear
+        return np.asarray(1.0 - clear)
+
+    def __repr__(self) -> str:
+        height, width = self.part.shape
+        covered = 100.0 * float(self.coverage.mean())
+        return f"<GBuffer {width} x {height}, {covered:.3g} % covered>"
+
+
+def in_order(layers: Sequence[GBuffer], numbers: NDArray[np.float32]) -> list[GBuffer]:
+    """Return layers with their pixels changed about, so that numbers of each pixel, (layers, H, W),
+    rise from one to the next where it is covered."""
+    covered = np.array([layer.part >= 0 for layer in layers])
+    order = np.argsort(np.where(covered, numbers, np.inf), axis=0, kind="stable")
+    found: list[dict[str, Any]] = [{} for _ in layers]
+    for name in (each.name for each in fields(GBuffer)):
+        values = [getattr(layer, name) for layer in layers]
+        if layers and isinstance(values[0], np.ndarray):
+            stack = np.array(values)
+            places = order.reshape(order.shape + (1,) * (stack.ndim - order.ndim))
+            values = [*np.take_along_axis(stack, places, axis=0)]
+        for own, value in zip(found, values, strict=True):
+            own[name] = value
+    return [GBuffer(**own) for own in found]

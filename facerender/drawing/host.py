@@ -161,6 +161,7 @@ CAPABILITIES = {
     "COLOR_LOGIC_OP": (0x0BF2, False),
     "MULTISAMPLE": (0x809D, True),
     "SAMPLE_ALPHA_TO_COVERAGE": (0x809E, False),
+    "SAMPLE_ALPHA_TO_ONE": (0x809F, False),
     "SAMPLE_COVERAGE": (0x80A0, False),
     "SAMPLE_MASK": (0x8E51, False),
     "SAMPLE_SHADING": (0x8C36, False),
@@ -204,7 +205,7 @@ _SWITCH = ("glDisable", "glEnable")
 _TEXTURE_0, _ACTIVE_TEXTURE, _MOST_UNITS = 0x84C0, 0x84E0, 0x8B4D
 _TEXTURES = ((0x0DE1, 0x8069), (0x9100, 0x9104))  # target and binding: 2D, with several samples
 _SAMPLER_BINDING = 0x8919
-_UNITS = 7  # that drawing binds: what was drawn, shadow maps, four maps, facets
+_UNITS = 12  # that drawing binds: maps, facets, what was drawn, shadow maps, the environment
 
 
 def put_aside_state(load: Callable[[str], int]) -> Callable[[], None]:

@@ -3,14 +3,19 @@ No OpenGL here."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.density import levels_to_spare
+from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
+from facerender.scenes.mesh import Mesh, Part, coordinates
+from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene
-from facerender.scenes.texture import Kind, Texture
+from facerender.scenes.texture import LARGE, Texture
+from facerender.scenes.view import View
 from facerender.shading import Shading
 
 _MOST_SIMPLIFIED = 64  # of one mesh
@@ -51,13 +56,58 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
             changes["occlusion_map"] = None
     if not changes:
         return scene
+    return _changed(scene, tuple(changes.items()), lambda mesh: mesh.with_material(**changes))
+
+
+def _changed(scene: Scene, key: tuple[Any, ...], change: Callable[[Mesh], Mesh]) -> Scene:
+    """Return a scene with a changed mesh, the same one for the same mesh and key."""
     known = _simplified.setdefault(scene.mesh, {})
-    key = tuple(changes.items())
     if key not in known:
         if len(known) >= _MOST_SIMPLIFIED:
             del known[next(iter(known))]
-        known[key] = scene.mesh.with_material(**changes)
+        known[key] = change(scene.mesh)
     return replace(scene, mesh=known[key])
+
+
+def reduced(scene: Scene, view: View, size: tuple[int, int], anisotropy: float) -> Scene:
+    """Return a simplified scene whose large maps, of more than LARGE texels, lack the finest mip
+    levels that an image does not read. The same mesh gives the same reduced mesh again.
+
+    Parameters
+    ----------
+    view, size : of the image, width and height in pixels
+    anisotropy : of texture filtering
+    """
+    spared: dict[Texture, int] = {}
+    for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
+        for name, texture in _large(part, material):
+            uv = coordinates(part, material, name)
+            assert uv is not None
+            image = view, size, anisotropy
+            levels = levels_to_spare(scene.mesh, part, uv, texture.size, *image)
+            spared[texture] = min(levels, spared.get(texture, levels))
+    if not any(spared.values()):
+        return scene
+
+    def coarser(mesh: Mesh) -> Mesh:
+        materials = []
+        for part, each in zip(mesh.parts, mesh.materials, strict=True):
+            maps: dict[str, Any]
+            maps = {name: map.coarser(spared[map]) for name, map in _large(part, each)}
+            materials.append(replace(each, **maps))
+        return replace(mesh, materials=tuple(materials))
+
+    return _changed(scene, tuple(spared.items()), coarser)
+
+
+def _large(part: Part, material: Material) -> Iterator[tuple[str, Texture]]:
+    """Yield the large maps that a part is drawn with, and their fields."""
+    for name in MAPS:
+        texture = getattr(material, name)
+        if texture is None or coordinates(part, material, name) is None:
+            continue
+        if math.prod(texture.size) > LARGE:
+            yield name, texture
 
 
 def part_maps(
@@ -65,21 +115,33 @@ def part_maps(
 ) -> list[tuple[str, Texture, Kind]]:
     """Return the maps that a part is drawn with: name, texture, kind of mip chain.
 
-    albedo is the kind for the albedo map: "color" or "linear-color".
+    albedo is the kind for maps of colour: "color" or "linear-color".
     """
     if part.uv is None:
         return []
+    emissive = material.emissive_map if any(material.emissive) else None
     candidates: list[tuple[str, Texture | None, Kind]] = [
         ("albedo_map", material.albedo_map, albedo),
         ("normal_map", material.normal_map, "normal" if slope_filter else "data"),
         ("property_map", material.property_map, "data"),
         ("lobe_map", material.lobe_map if material.two_lobes else None, "data"),
+        ("opacity_map", None if material.alpha == "opaque" else material.opacity_map, "data"),
+        ("emissive_map", emissive, albedo),
     ]
-    return [(name, texture, kind) for name, texture, kind in candidates if texture is not None]
+    if not material.packs:
+        apart = zip(PROPERTY_MAPS, material.properties, strict=True)
+        candidates += [(name, texture, "data") for name, texture in apart]
+    return [
+        (name, texture, kind)
+        for name, texture, kind in candidates
+        if texture is not None and coordinates(part, material, name) is not None
+    ]
 
 
 def start_maps(mesh: Mesh, albedo: Kind = "color", slope_filter: bool = True) -> None:
-    """Start decoding the maps of a mesh in threads, ahead of the renderer that waits for them."""
+    """Start decoding the maps of a mesh in threads, ahead of the renderer that waits for them; not
+    large ones, which it may reduce."""
     for part, material in zip(mesh.parts, mesh.materials, strict=True):
         for _, texture, kind in part_maps(part, material, albedo, slope_filter):
-            texture.levels(kind)
+            if not texture.coarse and math.prod(texture.size) <= LARGE:
+                texture.levels(kind)

@@ -13,17 +13,19 @@ from facerender.drawing.prepare import part_maps
 from facerender.glsl.code import call, environment_call, prelude
 from facerender.glsl.library import resolve_includes
 from facerender.scenes.light import LIGHT_KINDS, Light
-from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.material import PROPERTY_MAPS, Material
+from facerender.scenes.mesh import Mesh, Part, coordinates, drawn_alpha
 from facerender.scenes.scene import Scene
 from facerender.scenes.shadow import LightSpace, light_space
 from facerender.scenes.view import View
 from facerender.shading import Shading, Term
 
-ATTRIBUTES = {"in_position": 3, "in_normal": 3, "in_uv": 2, "in_occlusion": 1, "in_color": 3}
+ATTRIBUTES = {
+    **{"in_position": 3, "in_normal": 3, "in_uv": 2, "in_occlusion": 1, "in_color": 3},
+    "in_uv2": 2,
+}
 SHADOW_MAP = "shadow_map"  # the texture of all maps
 ENVIRONMENT_MAP = "environment_map"
-PROPERTY_MAPS = ("occlusion_map", "roughness_map", "specular_map")
 
 Uniforms = Mapping[str, Any]
 
@@ -183,14 +185,19 @@ class Program:
 
 def surface_features(part: Part, material: Material, shading: Shading) -> tuple[str, ...]:
     """Return what a part has without light."""
+    alpha = drawn_alpha(part, material)
     maps = part_maps(part, material, "color", shading.slope_filter)
-    names = [name.upper() for name, _, _ in maps]
+    names = [name.upper() for name, _, _ in maps if name != "opacity_map" or alpha != "opaque"]
+    second = [name for name in names if material.by_second(name.lower())]
     names += ["SLOPE_FILTER"] * any(kind == "normal" for _, _, kind in maps)
     names += ["CURVATURE"] * shading.curvature
     names += ["CONSTANT_SLOPE"] * (shading.constant_slope is not None)
     if part.uv is not None:
         names.append("UV")
+    if "PROPERTY_MAP" in names:
         names += [name.upper() for name in PROPERTY_MAPS if getattr(material, name) is not None]
+    elif not {name.upper() for name in PROPERTY_MAPS}.isdisjoint(names):
+        names.append("PROPERTIES_APART")
     if part.occlusion is not None:
         names.append("VERTEX_OCCLUSION")
     if part.colors is not None:
@@ -199,6 +206,14 @@ def surface_features(part: Part, material: Material, shading: Shading) -> tuple[
         names.append("ALBEDO_FACTOR")
     if material.two_lobes:
         names.append("TWO_LOBES")
+    if "NORMAL_MAP" in names and material.normal_strength != 1.0:
+        names.append("NORMAL_STRENGTH")
+    if "OCCLUSION_MAP" in names and material.occlusion_strength != 1.0:
+        names.append("OCCLUSION_STRENGTH")
+    if alpha != "opaque":
+        names.append(f"ALPHA_{alpha.upper()}")
+    if second:
+        names += ["UV2", *(f"{name}_UV uv2" for name in second)]
     return tuple(names)
 
 
@@ -211,6 +226,7 @@ def shade_program(
     terms: Sequence[Term],
     smallest_m: float,
     diffuse: bool = True,
+    emits: bool = True,
 ) -> Program:
     """Return the program that shades a part of a simplified scene.
 
@@ -219,6 +235,7 @@ def shade_program(
     terms : of the lighting, as this part's slopes let them be; none for a program without
     smallest_m : of the part
     diffuse : whether diffuse light counts
+    emits : whether what the part gives off itself counts
     """
     features = surface_features(part, material, shading)
     features += shadow_features(lighting)
@@ -226,6 +243,7 @@ def shade_program(
     features += ("DIFFUSE",) * (diffuse and material.kd > 0.0)
     if shading.diffuse == "coupled" and "DIFFUSE" in features and material.ks > 0.0:
         features += ("COUPLED",)
+    features += ("EMISSIVE",) * (emits and any(material.emissive))
     shines = bool(terms) and material.ks > 0.0
     second = material.second_slope if material.two_lobes else None
     environment = ""
@@ -278,7 +296,8 @@ def scene_uniforms(scene: Scene, view: View, lighting: Lighting | None = None) -
 
 def part_uniforms(part: Part, material: Material) -> Uniforms:
     """Return the uniforms of a part."""
-    mapped = part.uv is not None and material.roughness_map is not None
+    mapped = coordinates(part, material, "roughness_map") is not None
+    mapped = mapped and material.roughness_map is not None
     return {
         "albedo_factor": np.asarray(material.albedo),
         "slope": material.roughness_factor**2 if mapped else material.m,
@@ -287,6 +306,11 @@ def part_uniforms(part: Part, material: Material) -> Uniforms:
         "lobe_weight": material.lobe_weight,
         "diffuse_brdf": material.kd / np.pi,
         "f0": material.f0,
+        "normal_strength": material.normal_strength,
+        "occlusion_strength": material.occlusion_strength,
+        "opacity": material.opacity,
+        "alpha_cutoff": material.alpha_cutoff,
+        "emissive": np.asarray(material.emissive),
     }
 
 
@@ -298,5 +322,6 @@ def part_columns(part: Part, mesh: Mesh) -> dict[str, np.ndarray[Any, Any]]:
         "in_uv": part.uv,
         "in_occlusion": None if part.occlusion is None else part.occlusion[:, None],
         "in_color": part.colors,
+        "in_uv2": part.uv2,
     }
     return {name: values for name, values in columns.items() if values is not None}

@@ -30,6 +30,7 @@ class Layers:
     ambient, diffuse : (H, W, 3) float64
     specular : (lights, H, W, 3) float64
     environment : (H, W, 3) float64, diffuse and specular
+    emission : (H, W, 3) float32, what surfaces give off themselves; None where none does
     light, albedo : (H, W, 3) float64, irradiance of the diffuse term and of the ambient one
         together, and what makes radiance of it; None where nothing scatters
     """
@@ -40,12 +41,15 @@ class Layers:
     environment: NDArray[np.float64]
     light: NDArray[np.float64] | None = None
     albedo: NDArray[np.float64] | None = None
+    emission: NDArray[np.float32] | None = None
 
     def sum(self, shading: Shading) -> NDArray[np.float64]:
         """Return the image (H, W, 3) of the lights and the ambient term that a shading has."""
         image = self.diffuse + self.environment
         if shading.ambient:
             image += self.ambient
+        if self.emission is not None:
+            image += self.emission
         for light, specular in enumerate(self.specular):
             if shading.of(light) is not None:
                 image += specular
@@ -53,8 +57,8 @@ class Layers:
 
 
 def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float64]:
-    """Shade every covered pixel of a G-buffer as ``shaders/host/shade.frag`` does, and scatter its
-    light as ``scatter.frag`` does.
+    """Shade every covered pixel of a G-buffer as ``shaders/host/shade.frag`` does, scatter its
+    light as ``scatter.frag`` does, and lay its blended parts over that.
 
     Parameters
     ----------
@@ -62,14 +66,19 @@ def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float6
 
     Returns
     -------
-    (H, W, 3) float64: linear radiance, 0 where nothing is covered
+    (H, W, 3) float64: linear radiance times coverage, 0 where nothing is covered
 
     Raises
     ------
     InputError : m lies outside the lobe's domain, and the shading asks for an error then
     """
     terms = layers(gbuffer, scene, shading)
-    return terms.sum(shading) + scattered(gbuffer, scene, shading, terms)
+    image = terms.sum(shading) + scattered(gbuffer, scene, shading, terms)
+    for veil in gbuffer.veils:
+        assert veil.opacity is not None
+        over = veil.opacity[..., None].astype(np.float64)
+        image = over * layers(veil, scene, shading).sum(shading) + (1.0 - over) * image
+    return image
 
 
 def scattered(
@@ -170,7 +179,8 @@ def layers(
             specular[light][covered] = received * (weight * value)[:, None]
         if light_of is not None and albedo_of is not None:
             light_of[covered], albedo_of[covered] = entered, albedo
-    return Layers(ambient, diffuse, specular, environment, light_of, albedo_of)
+    more = light_of, albedo_of, gbuffer.emission
+    return Layers(ambient, diffuse, specular, environment, *more)
 
 
 def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float64]:
@@ -288,6 +298,9 @@ def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]
         dark = next((i for i, light in enumerate(scene.lights) if light.shadow), None)
         seen = np.ones(len(to_eye)) if dark is None else gbuffer.visibility[covered][:, dark]
         values = np.repeat(seen[:, None], 3, axis=1)
+    elif only in ("mask", "parts"):
+        number = gbuffer.part[covered] + 1
+        values = np.repeat(np.minimum(number, 1 if only == "mask" else number)[:, None], 3, axis=1)
     else:
         v = _normalised(to_eye)
         l = v

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import os
+import threading
 import warnings
 import weakref
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from types import TracebackType
@@ -16,13 +17,15 @@ from numpy.typing import NDArray
 
 from facerender._version import __version__
 from facerender.drawing.context import Backend, Context, create_context
-from facerender.drawing.frame import Frame, GBuffer
+from facerender.drawing.frame import Frame, GBuffer, in_order
+from facerender.drawing.memory import check_memory
 from facerender.drawing.passes import Pass
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.shadow import seen_pass, shadow_passes
 from facerender.drawing.passes.surface import surface_pass
+from facerender.drawing.passes.veil import PEELED, Veil, veil_over, veils
 from facerender.drawing.passes.visibility import Visibility, can_defer, pays
-from facerender.drawing.prepare import simplify, start_maps
+from facerender.drawing.prepare import reduced, simplify, start_maps
 from facerender.drawing.program import ENVIRONMENT_MAP, Lighting
 from facerender.drawing.reference import data_view
 from facerender.drawing.resources import Resources, read
@@ -40,8 +43,9 @@ from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light
 from facerender.scenes.mesh import Mesh
-from facerender.scenes.scene import ONLY, Only, Scene, slope_ranges
-from facerender.scenes.texture import Kind
+from facerender.scenes.mips import Kind
+from facerender.scenes.scene import DATA, ONLY, Only, Scene, slope_ranges
+from facerender.scenes.sources import MeshSource
 from facerender.scenes.view import View, checked_size, hidden, sample_grid, view_of
 from facerender.shading import Shading
 from facerender.terms import AnyLobe
@@ -71,6 +75,10 @@ class Renderer:
     anisotropy : of texture filtering, 1 to 16; 8 nearly doubles a frame on a software driver
     float_albedo : keep albedo maps as linear float16 in place of 8-bit sRGB, so that drivers agree
         to the last digits
+    full_maps : keep maps of more than 4096 x 4096 texels whole, as float_albedo does; else they
+        are decoded without the finest mip levels, which the image does not read
+    memory : MiB that the process may have, at least 1: a scene that would take more is refused;
+        None for what the system has left
 
     Raises
     ------
@@ -86,13 +94,19 @@ class Renderer:
         backend: Backend = "auto",
         anisotropy: float = 1.0,
         float_albedo: bool = False,
+        full_maps: bool = False,
+        memory: float | None = None,
     ) -> None:
         self.size = checked_size(size, MAX_SIZE)
         check_count("samples", samples, MAX_SAMPLES)
         check_range("anisotropy", anisotropy, 1.0, 16.0)
-        check_switch("float_albedo", float_albedo)
+        for name, value in (("float_albedo", float_albedo), ("full_maps", full_maps)):
+            check_switch(name, value)
         self.samples = samples
-        self.anisotropy = anisotropy
+        self._peeling = threading.Lock()  # a layer is drawn by what the one before it left
+        if memory is not None:
+            check_range("memory", memory, 1.0, 1e9)
+        self.anisotropy, self.full_maps, self.memory = anisotropy, full_maps, memory
         self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
         self.context = create_context(backend)
         self._resources = Resources(self.context, self.size, anisotropy, self.albedo_kind)
@@ -106,8 +120,8 @@ class Renderer:
             raise
 
     @classmethod
-    def of(cls, job: Job, backend: Backend = "auto") -> Renderer:
-        """Return a renderer for the images of a job; errors as of the class."""
+    def of(cls, job: Job, backend: Backend = "auto", memory: float | None = None) -> Renderer:
+        """Return a renderer for the images of a job; parameters and errors as of the class."""
         check_type("job", job, Job, "a facerender.Job")
         return cls(
             job.image.size,
@@ -115,6 +129,8 @@ class Renderer:
             backend=backend,
             anisotropy=job.image.anisotropy,
             float_albedo=job.image.float_albedo,
+            full_maps=job.image.full_maps,
+            memory=memory,
         )
 
     def __enter__(self) -> Renderer:
@@ -160,8 +176,8 @@ class Renderer:
 
         Parameters
         ----------
-        only : one term in place of the whole image; normal, albedo, depth, cosines and visibility
-            have one sample a pixel
+        only : one term in place of the whole image; all but specular and diffuse have one sample a
+            pixel, and see what lies behind blended parts
         samples : per pixel, in place of the renderer's
         backs : whether backs of triangles are drawn, which show where a mesh is open or folded
         once : shade a pixel of a part once where :meth:`can_shade_once`, and else as without: of
@@ -181,18 +197,19 @@ class Renderer:
         for name, value in (("backs", backs), ("once", once)):
             check_switch(name, value)
         check_type("only", only, str | None, f"one of {', '.join(ONLY)}")
-        if only in ("normal", "albedo", "depth", "cosines", "visibility"):
-            linear = data_view(self.gbuffer(scene, shading), scene, only)
+        if only in DATA:
+            linear = data_view(self.gbuffer(scene, shading, blended=False), scene, only)
             _check(linear, scene)
             metadata = {**self.metadata, "samples": "1"}
+            if only == "parts":
+                metadata["parts"] = ", ".join(part.name for part in scene.mesh.parts)
             return Frame(linear, only, scene.background is None, metadata)
         if only not in (None, "specular", "diffuse"):
             raise InputError(f"unknown term {only!r}; known: {', '.join(ONLY)}")
         samples = self.samples if samples is None else samples
         check_count("samples", samples, MAX_SAMPLES)
-        scene = simplify(scene, shading)
-        start_maps(scene.mesh, self.albedo_kind, shading.slope_filter)
         view = view_of(scene, self.size[0] / self.size[1])
+        scene = self._simplified(scene, shading, view, samples)
         once = once and self.can_shade_once(scene, samples)
         if samples <= self.context.most_samples:
             linear = self._shaded(scene, view, shading, samples, only, backs, once)
@@ -218,30 +235,64 @@ class Renderer:
 
     def can_shade_once(self, scene: Scene, samples: int) -> bool:
         """Tell whether frames with so many samples can be shaded once a pixel: with several, as
-        many as the driver has, of up to 16 million triangles, on a background of up to 1000."""
+        many as the driver has, of up to 16 million triangles of opaque parts by one kind of texture
+        coordinates, on a background of up to 1000."""
         _check_scene(scene)
         check_count("samples", samples, MAX_SAMPLES)
         return samples > 1 and self._can_defer(scene, samples)
 
-    def gbuffer(self, scene: Scene, shading: Shading = Shading()) -> GBuffer:
-        """Draw what shading reads at each pixel's centre; errors as in :meth:`render`."""
+    def gbuffer(self, scene: Scene, shading: Shading = Shading(), blended: bool = True) -> GBuffer:
+        """Draw what shading reads at each pixel's centre; errors as in :meth:`render`.
+
+        blended : whether blended parts are drawn as well, a G-buffer for each of their layers
+        """
         _check_scene(scene, shading)
-        scene = simplify(scene, shading)
-        start_maps(scene.mesh, self.albedo_kind, shading.slope_filter)
         view = view_of(scene, self.size[0] / self.size[1])
+        scene = self._simplified(scene, shading, view, 4)
+        with self._peeling:
+            over = [
+                layer
+                for veil in (veils(scene, view) if blended else ())
+                for layer in self._layers(scene, view, shading, veil)
+            ]
+        return replace(self._gbuffer(scene, view, shading)[0], veils=tuple(over))
+
+    def _layers(self, scene: Scene, view: View, shading: Shading, veil: Veil) -> list[GBuffer]:
+        """All layers of a veil, at each pixel in the order in which its triangles are drawn."""
+        layers: list[GBuffer] = []
+        numbers: list[NDArray[np.float32]] = []
+        while True:
+            layer, number = self._gbuffer(scene, view, shading, replace(veil, layer=len(layers)))
+            if not (layer.part >= 0).any():
+                return in_order(layers, np.array(numbers))
+            layers.append(layer)
+            numbers.append(number)
+
+    def _gbuffer(
+        self, scene: Scene, view: View, shading: Shading, veil: Veil | None = None
+    ) -> tuple[GBuffer, NDArray[np.float32]]:
+        """The G-buffer of all that is not blended in a simplified scene, or of a layer of a veil,
+        with the numbers of its triangles as they are drawn."""
         visibility = self._visibility(scene, view, 1)
-        scatters = _scattering(scene, self.size) is not None
-        surface = surface_pass(scene, view, shading, visibility, scatters)
+        scatters = veil is None and _scattering(scene, self.size) is not None
+        surface = surface_pass(scene, view, shading, visibility, scatters, veil)
         passes = [visibility.drawn(), surface] if visibility else [surface]
-        position, normal, albedo, uv, *lobes = self._draw(passes, scene)
+        known: dict[str, moderngl.Texture] = {}
+        if veil is not None and veil.layer:
+            before = replace(surface.target, number=1 - surface.target.number)
+            known[PEELED] = self._resources.target(before).color_attachments[-1]  # type: ignore[assignment]
+        position, normal, albedo, uv, *others = self._draw(passes, scene, known)
+        two = any(material.two_lobes for material in scene.mesh.materials)
+        shines = any(any(material.emissive) for material in scene.mesh.materials)
+        lobes = others.pop(0) if two else None
         seen = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
         lighting = Lighting.of(scene, shading)
         if shadows := shadow_passes(scene, lighting):
-            look = seen_pass(scene, view, shading, visibility)
-            images = self._draw([*shadows, *passes[:-1], look], scene)
+            look = seen_pass(scene, view, shading, visibility, veil)
+            images = self._draw([*shadows, *passes[:-1], look], scene, known)
             number = len(lighting.shadowed)
             seen[..., lighting.shadowed] = np.concatenate(images, axis=-1)[..., :number]
-        return GBuffer(
+        gbuffer = GBuffer(
             part=position[..., 3].astype(np.int64) - 1,
             position=position[..., :3],
             normal=normal[..., :3],
@@ -252,10 +303,25 @@ class Renderer:
             uv=uv[..., :2],
             visibility=seen,
             view=view,
-            second_m=lobes[0][..., 0] if lobes else None,
-            lobe_weight=lobes[0][..., 1] if lobes else None,
+            second_m=None if lobes is None else lobes[..., 0],
+            lobe_weight=None if lobes is None else lobes[..., 1],
             facing=uv[..., 3] if scatters else None,
+            emission=others[0][..., :3] if shines else None,
+            opacity=uv[..., 3] if veil else None,
         )
+        return gbuffer, others[-1][..., 1] if veil else np.empty((0, 0), np.float32)
+
+    def _simplified(self, scene: Scene, shading: Shading, view: View, samples: int) -> Scene:
+        """Return what is drawn of a scene, whose maps are being decoded."""
+        scene = simplify(scene, shading)
+        if not (self.full_maps or self.albedo_kind == "linear-color"):
+            scene = reduced(scene, view, self.size, self.anisotropy)
+        at_once = min(samples, self.context.most_samples)
+        check_memory(scene, self.size, at_once, self.albedo_kind, self.memory)
+        with self.context.drawing():
+            self._resources.take_coarse(scene.mesh, shading.slope_filter)
+        start_maps(scene.mesh, self.albedo_kind, shading.slope_filter)
+        return scene
 
     def _shaded(
         self,
@@ -272,7 +338,9 @@ class Renderer:
         beside = scattering if samples == 1 else None
         shaded = shade_pass(scene, view, shading, samples, only, visibility, beside)
         if scattering and not beside:
-            shaded = replace(shaded, name="image", target=replace(shaded.target, sampled=True))
+            draws = tuple(draw for draw in shaded.draws if draw.depth != "blend")
+            target = replace(shaded.target, sampled=True)
+            shaded = replace(shaded, name="image", target=target, draws=draws)
         passes = _from_visibility(shaded, visibility, backs)
         if scattering:
             from facerender.drawing.passes.scatter import scatter_pass
@@ -284,7 +352,11 @@ class Renderer:
             else:
                 passes += self._apart(scene, view, shading, scattering, backs)
             how = scattering, shading.scatter_samples, background, not beside, area
-            passes.append(scatter_pass(view, *how))
+            last = [scatter_pass(view, *how)]
+            if veils(scene, view):
+                whole = shade_pass(scene, view, shading, samples, only)
+                last = veil_over(replace(whole, backs=backs), *last)
+            passes += last
         return self._draw([*shadow_passes(scene, Lighting.of(scene, shading)), *passes], scene)[0]
 
     def _apart(
@@ -323,9 +395,12 @@ class Renderer:
                 f"{most} pixels a side"
             )
 
-    def _draw(self, passes: list[Pass], scene: Scene) -> list[NDArray[np.float32]]:
-        """Draw passes in their order, and return the images of the last."""
-        drawn: dict[str, moderngl.Texture] = {}
+    def _draw(
+        self, passes: list[Pass], scene: Scene, known: Mapping[str, moderngl.Texture] = {}
+    ) -> list[NDArray[np.float32]]:
+        """Draw passes in their order, which may read textures that are known, and return the images
+        of the last."""
+        drawn = dict(known)
         with self.context.drawing() as gl:
             self._resources.settle()
             if scene.environment is not None:
@@ -399,7 +474,7 @@ def _check_scene(scene: Scene, shading: Shading = Shading()) -> None:
 
 
 def render(
-    mesh: Mesh | str | os.PathLike[str] | None = None,
+    mesh: Mesh | MeshSource | None = None,
     *,
     model: str = "cook-torrance",
     lobe: AnyLobe = "exact",
@@ -414,13 +489,13 @@ def render(
     lights: tuple[Light, ...] | None = None,
     only: Only | None = None,
 ) -> Frame:
-    """Render one image: a mesh file, a loaded mesh, or the built-in head.
+    """Render one image of a mesh, of what :func:`facerender.load_mesh` takes, or the built-in head.
 
     For several images, or further settings, make a :class:`Renderer`, which keeps what it uploads.
 
     Parameters
     ----------
-    mesh : file, mesh, or None for the built-in head
+    mesh : a mesh, a file or else what is loaded as one, or None for the built-in head
     model, lobe, fresnel, masking, outside : see :class:`Shading`
     m : rms slope for the whole mesh, in place of its roughness map
     size, samples, backend : see :class:`Renderer`

@@ -4,10 +4,9 @@ pass is drawn with them."""
 from __future__ import annotations
 
 import ctypes
-import sys
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
@@ -21,8 +20,10 @@ from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.prepare import part_maps
 from facerender.drawing.program import Program, part_columns
 from facerender.errors import ContextError, InputError
+from facerender.memory import give_back
 from facerender.scenes.mesh import Mesh, Part
-from facerender.scenes.texture import Kind, Texture
+from facerender.scenes.mips import Kind
+from facerender.scenes.texture import Texture, Wrap
 
 if TYPE_CHECKING:
     from facerender.scenes.environment import Panorama
@@ -37,6 +38,9 @@ _RGBA8 = 0x8058
 _RGBA16F = 0x881A
 _RGB, _RGBA = 0x1907, 0x1908
 _UNSIGNED_BYTE, _HALF_FLOAT = 0x1401, 0x140B
+_WRAP_AXES = (0x2802, 0x2803)
+_WRAPS: dict[Wrap, int] = {"repeat": 0x2901, "clamp": 0x812F, "mirror": 0x8370}
+_TO_COVERAGE = (0x809E, 0x809F)  # SAMPLE_ALPHA_TO_COVERAGE and SAMPLE_ALPHA_TO_ONE
 # kind of mip chain: (internal format, components, format, type, moderngl's name of the type)
 _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
     "color": (_SRGB8_ALPHA8, 4, _RGBA, _UNSIGNED_BYTE, "f1"),
@@ -58,14 +62,18 @@ class Geometry:
     def array(self, gl: moderngl.Context, program: moderngl.Program) -> moderngl.VertexArray:
         """Return the attributes as a program reads them."""
         if program not in self.arrays:
-            layout = " ".join(
-                f"{width}f" if name in program else f"{width}x4"
-                for name, width in self.widths.items()
-            )
-            used = [name for name in self.widths if name in program]
-            buffers = [(self.vertices, layout, *used)]
-            self.arrays[program] = gl.vertex_array(program, buffers, self.indices)
+            self.arrays[program] = self.made(gl, program, self.indices)
         return self.arrays[program]
+
+    def made(
+        self, gl: moderngl.Context, program: moderngl.Program, indices: moderngl.Buffer
+    ) -> moderngl.VertexArray:
+        """Make the attributes as a program reads them, by some indices."""
+        layout = " ".join(
+            f"{width}f" if name in program else f"{width}x4" for name, width in self.widths.items()
+        )
+        used = [name for name in self.widths if name in program]
+        return gl.vertex_array(program, [(self.vertices, layout, *used)], indices)
 
 
 class Resources:
@@ -116,8 +124,8 @@ class Resources:
             for arrays in (self.screens, *(each.arrays for each in self.geometries.values())):
                 arrays.pop(program, None)
         self._drawn.clear()
-        if not self._settled and (trim := _malloc_trim()):
-            trim(0)
+        if not self._settled:
+            give_back()
         self._settled = True
 
     def draw(
@@ -140,28 +148,47 @@ class Resources:
         if step.key is not None and held == step.key:
             self.held[step.target] = held
             return target
-        enabled = moderngl.DEPTH_TEST | moderngl.BLEND * step.added
-        enabled |= moderngl.CULL_FACE * (not step.backs)
-        with gl.scope(target, enable_only=enabled):
+        with gl.scope(target):
             self._prepare(target)  # an error may have left it in another state
             target.clear(*step.clear)
-            gl.blend_func = moderngl.ONE, moderngl.ONE
-            gl.cull_face = "front"  # the image is drawn upside down
             for draw in step.draws:
                 self._prepare(target, draw)
-                self._draw(draw, step, mesh, drawn)
+                self._switch(step, draw)
+                features = draw.program.features
+                with self._to_coverage(any(name.startswith("TO_COVERAGE") for name in features)):
+                    self._draw(draw, step, mesh, drawn)
         self.held[step.target] = step.key
         return target
 
     def _prepare(self, target: moderngl.Framebuffer, draw: Draw | None = None) -> None:
         """Set where a draw goes and how it meets the depth that is there; None for a clear."""
         depth = draw.depth if draw else "test"
-        colors, count = (depth != "mark",) * 4, len(target.color_attachments)
+        colors, count = (depth not in ("mark", "hide"),) * 4, len(target.color_attachments)
         target.color_mask = colors if count == 1 else [colors] * count  # type: ignore[assignment]
-        target.depth_mask = depth != "marked"
+        target.depth_mask = depth not in ("marked", "blend")
         target.viewport = (draw and draw.area) or (0, 0, *target.size)
         target.use()  # takes effect
-        self.context.gl.depth_func = {"test": "<=", "mark": "1", "marked": "=="}[depth]
+        self.context.gl.depth_func = {"mark": "1", "marked": "=="}.get(depth, "<=")
+
+    def _switch(self, step: Pass, draw: Draw) -> None:
+        """Set how a draw lies over what is there, and which sides of triangles it shows."""
+        gl, over = self.context.gl, draw.depth == "blend"
+        enabled = moderngl.DEPTH_TEST | moderngl.BLEND * (step.added or over)
+        gl.enable_only(enabled | moderngl.CULL_FACE * (not step.backs))
+        gl.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA if over else moderngl.ONE
+        gl.cull_face = "front"  # the image is drawn upside down
+
+    @contextmanager
+    def _to_coverage(self, on: bool) -> Iterator[None]:
+        """Make samples of a fragment's alpha, which becomes 1, where that is asked for."""
+        gl = self.context.gl
+        for each in _TO_COVERAGE * on:
+            gl.enable_direct(each)
+        try:
+            yield
+        finally:
+            for each in _TO_COVERAGE * on:
+                gl.disable_direct(each)
 
     def _draw(
         self, draw: Draw, step: Pass, mesh: Mesh, drawn: Mapping[str, moderngl.Texture]
@@ -169,12 +196,17 @@ class Resources:
         program = self.program(draw.program)
         set_uniforms(program, {**step.uniforms, **draw.uniforms})
         self.bind(program, draw, drawn)
-        if draw.facets is not None and draw.depth == "test":
+        screen = draw.depth in ("mark", "marked")
+        if draw.facets is not None and not screen:
             self.positions(draw.facets).array(self.context.gl, program).render()
-        elif draw.part is None or draw.depth != "test":
+        elif draw.part is None or screen:
             if program not in self.screens:
                 self.screens[program] = self.context.gl.vertex_array(program, [])
             self.screens[program].render(vertices=3)
+        elif draw.order is not None:
+            self.context.gl.gc()  # the order of the draw before
+            indices = self.context.gl.buffer(draw.part.faces[draw.order])
+            self.geometry(draw.part, mesh).made(self.context.gl, program, indices).render()
         else:
             self.geometry(draw.part, mesh).array(self.context.gl, program).render()
 
@@ -187,13 +219,28 @@ class Resources:
             filtered = "SLOPE_FILTER" in draw.program.features
             maps = part_maps(draw.part, draw.material, self.albedo_kind, filtered)
             for name, source, kind in maps:
-                textures[name] = self.texture(name, source, kind)  # before binding: it uses unit 0
+                if name in program:
+                    own = self.texture(name, source, kind)  # before binding: it uses unit 0
+                    textures[name] = own
         if draw.facets is not None and draw.depth == "marked":
             textures["facets"] = self.facet_texture(draw.facets)
         used = [(name, texture) for name, texture in textures.items() if name in program]
         for unit, (name, texture) in enumerate(used):
             texture.use(unit)
             set_uniforms(program, {name: unit})
+
+    def take_coarse(self, mesh: Mesh, slope_filter: bool) -> None:
+        """Decode and upload the coarse maps of a mesh, one after another, before targets and
+        programs take memory: those first that take most of it meanwhile."""
+        maps = {
+            each: None
+            for part, material in zip(mesh.parts, mesh.materials, strict=True)
+            for each in part_maps(part, material, self.albedo_kind, slope_filter)
+            if each[1].coarse
+        }
+        costly: tuple[Kind, ...] = ("normal", "color", "data")
+        for name, source, kind in sorted(maps, key=lambda each: costly.index(each[2])):
+            self.texture(name, source, kind)
 
     def target(self, kind: Target) -> moderngl.Framebuffer:
         """Return a framebuffer, made once for each kind."""
@@ -291,17 +338,15 @@ class Resources:
         limit = gl.info["GL_MAX_TEXTURE_SIZE"]
         if max(width, height) > limit:
             raise InputError(f"{source.name} is {width} x {height} texels: at most {limit} here")
-        size = (width, height)
-        texture = gl.texture(size, components, levels[0], 0, 1, dtype, internal_format=internal)
-        upload = self.context.function(
-            "glTexImage2D", *[ctypes.c_int] * 6, ctypes.c_uint, ctypes.c_uint, ctypes.c_void_p
-        )
-        texture.use(0)  # level 0 went up with an alignment of 1, which stays
-        for number, level in enumerate(levels[1:], start=1):
+        first = np.ascontiguousarray(levels[0][:1, :1])  # with an alignment of 1, which stays
+        texture = gl.texture((1, 1), components, first, 0, 1, dtype, internal_format=internal)
+        texture.use(0)
+        self._reserve(internal, [level.shape for level in levels], layout, data_type)
+        upload = self.context.function("glTexSubImage2D", *[ctypes.c_int] * 8, ctypes.c_void_p)
+        for number, level in enumerate(levels):
             texels = np.ascontiguousarray(level)
-            extent = level.shape[1], level.shape[0], 0
-            texel_format = layout, data_type
-            upload(_TEXTURE_2D, number, internal, *extent, *texel_format, texels.ctypes.data)
+            place = 0, 0, level.shape[1], level.shape[0]
+            upload(_TEXTURE_2D, number, *place, layout, data_type, texels.ctypes.data)
         # Properties vary slowly: between two levels nothing is seen of a step, and the second
         # level would take 5 % of a frame on a software driver.
         step = name == "property_map"
@@ -310,14 +355,32 @@ class Resources:
             smaller = moderngl.LINEAR
         texture.filter = smaller, moderngl.LINEAR
         texture.anisotropy = self.anisotropy
+        if source.nearest:
+            texture.filter = moderngl.NEAREST_MIPMAP_NEAREST, moderngl.NEAREST
+            texture.anisotropy = 1.0
+        change = self.context.function("glTexParameteri", *[ctypes.c_uint] * 2, ctypes.c_int)
+        for axis, wrap in zip(_WRAP_AXES, source.wrap, strict=True):
+            change(_TEXTURE_2D, axis, _WRAPS[wrap])
         known[kind] = texture
+        if source.coarse:
+            del levels
+            source.forget()
+            give_back()
         return texture
 
-
-@cache
-def _malloc_trim() -> Callable[[int], object] | None:
-    """What glibc alone has."""
-    return getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    def _reserve(
+        self, internal: int, shapes: Sequence[tuple[int, ...]], layout: int, data_type: int
+    ) -> None:
+        """Make place for all levels of the bound texture; at once where the driver can: Mesa would
+        hold the finest twice until it is drawn."""
+        (height, width, *_), count = shapes[0], len(shapes)
+        if self.context.loader.load("glTexStorage2D"):  # OpenGL 4.2, or ARB_texture_storage
+            store = self.context.function("glTexStorage2D", *[ctypes.c_int] * 5)
+            store(_TEXTURE_2D, count, internal, width, height)
+            return
+        image = self.context.function("glTexImage2D", *[ctypes.c_int] * 8, ctypes.c_void_p)
+        for number, (height, width, *_) in enumerate(shapes):
+            image(_TEXTURE_2D, number, internal, width, height, 0, layout, data_type, None)
 
 
 def read(target: moderngl.Framebuffer, attachment: int = 0) -> NDArray[np.float32]:

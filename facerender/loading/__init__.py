@@ -4,82 +4,124 @@ Materials and maps come along. No OpenGL here."""
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from facerender.data import data_dir
-from facerender.errors import check_path, check_switch, clipped, noting
+from facerender.errors import InputError, check_switch, check_type, noting, shown
+from facerender.loading.given import GLTF, given
 from facerender.loading.kept import Files
-from facerender.loading.read import GLTF, read
+from facerender.loading.objects import is_object, millimetres_of, name_of, pieces_of
+from facerender.loading.read import read
 from facerender.loading.referred import Referred
-from facerender.loading.repair import assemble, clean
 from facerender.loading.translate import override
 from facerender.scenes.mesh import Mesh
+from facerender.scenes.repair import Piece, clean
+from facerender.scenes.sources import MeshSource
 from facerender.scenes.texture import Texture
 
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+NORMAL_MAP_Y = ("up", "down")
 Path_ = str | os.PathLike[str]
+if TYPE_CHECKING:
+    Map = Path_ | Texture | NDArray[Any] | Image
+else:
+    Map = Any
 
 
 def load_mesh(
-    path: Path_ | None = None,
+    source: MeshSource | None = None,
     *,
-    albedo: Path_ | None = None,
-    normal_map: Path_ | None = None,
-    specular_map: Path_ | None = None,
-    roughness_map: Path_ | None = None,
-    lobe_map: Path_ | None = None,
+    albedo: Map | None = None,
+    normal_map: Map | None = None,
+    specular_map: Map | None = None,
+    roughness_map: Map | None = None,
+    lobe_map: Map | None = None,
     flip_v: bool = False,
     millimetres: float | None = None,
     cache: bool = False,
     allow_outside: bool = False,
+    kind: str | None = None,
+    normal_map_y: str = "up",
 ) -> Mesh:
-    """Read a mesh file, or the built-in head.
+    """Read a mesh file, what another library has read of one, or the built-in head.
 
     Missing textures, dropped faces and mended normals are reported as FacerenderWarning.
 
     Parameters
     ----------
-    path : .glb, .gltf, .obj (with .mtl), .ply or .stl; None for the built-in head
-    albedo, normal_map, specular_map, roughness_map, lobe_map : image files that replace the file's
-        own maps; see :class:`facerender.Material`
+    source : .glb, .gltf, .obj (with .mtl), .ply or .stl; its content as bytes, or a file that is
+        open; a ``trimesh.Trimesh`` or ``trimesh.Scene``, which is copied; None for the built-in
+        head. Arrays are :meth:`facerender.Mesh.from_arrays`
+    albedo, normal_map, specular_map, roughness_map, lobe_map : image files, textures, arrays or
+        images of Pillow that replace the file's own maps; see :class:`facerender.Material` and
+        :meth:`facerender.Texture.from_array`
     flip_v : turn the texture coordinates upside down, for files that store v the other way
     millimetres : that a unit of the file is, which scattering needs; None for what the format says:
         1000 in .glb and .gltf, nothing in others
     cache : take the mesh with its decoded maps from ``~/.cache/facerender`` if no file has changed
-        since it was put there, or else decode all of its maps, and put it there in the background
+        since it was put there, or else decode all of its maps, and put it there in the background;
+        of files and bytes alone
     allow_outside : open what the file refers to wherever it says; else only what lies below its
-        folder by name
+        folder by name. Bytes have no folder: what they refer to is not opened
+    kind : "glb", "gltf", "obj", "ply" or "stl", where neither a name nor the bytes tell it
+    normal_map_y : where green of normal maps points: "up", as OpenGL and glTF have it, or "down",
+        as DirectX has it
 
     Raises
     ------
     InputError : the file or a map is missing, empty, damaged, of no known format, or has no faces;
-        millimetres outside [1e-6, 1e6]
+        millimetres outside [1e-6, 1e6]; another normal_map_y
     """
     check_switch("flip_v", flip_v)
     check_switch("cache", cache)
-    files = _files(
-        path, albedo, normal_map, specular_map, roughness_map, flip_v, lobe_map, allow_outside
+    check_switch("allow_outside", allow_outside)
+    check_normal_map_y(normal_map_y)
+    paths, textures = _maps(
+        albedo_map=albedo,
+        normal_map=normal_map,
+        specular_map=specular_map,
+        roughness_map=roughness_map,
+        lobe_map=lobe_map,
     )
-    if not cache:
-        return _scaled(_read(files)[0], millimetres)
+    if is_object(source):
+        name = name_of(source)
+        overrides = {key: Texture.open(path) for key, path in paths.items()} | textures
+        with np.errstate(all="ignore"):
+            said = flip_v, normal_map_y, millimetres_of(source)
+            mesh = _made(pieces_of(source, name), name, overrides, *said)
+        return _scaled(mesh, millimetres)
+    files = Files(given(source, kind), paths, flip_v, allow_outside, normal_map_y)
+    if not cache or textures:
+        return _scaled(_read(files, textures)[0], millimetres)
     if (found := files.find()) is not None:
         return _scaled(found, millimetres)
-    name = files.digest()
+    digest = files.digest()
     with noting() as warnings:
-        mesh, referred = _read(files)
-    if name is not None:
-        files.keep(name, mesh, referred.files, warnings)
+        mesh, referred = _read(files, {})
+    if digest is not None:
+        files.keep(digest, mesh, referred.files, warnings)
     return _scaled(mesh, millimetres)
 
 
 def kept_mesh(
-    path: Path_ | None = None, millimetres: float | None = None, **files: Any
+    source: Path_ | None = None,
+    *,
+    millimetres: float | None = None,
+    flip_v: bool = False,
+    allow_outside: bool = False,
+    normal_map_y: str = "up",
+    **maps: Path_ | None,
 ) -> Mesh | None:
     """Return the mesh that :func:`load_mesh` would take from the cache, if it is there."""
-    mesh = _files(path, **files).find()
+    paths, _ = _maps(**{"albedo_map" if n == "albedo" else n: each for n, each in maps.items()})
+    mesh = Files(given(source), paths, flip_v, allow_outside, normal_map_y).find()
     return None if mesh is None else _scaled(mesh, millimetres)
 
 
@@ -87,47 +129,68 @@ def _scaled(mesh: Mesh, millimetres: float | None) -> Mesh:
     return mesh if millimetres is None else replace(mesh, millimetres=millimetres)
 
 
-def _files(
-    path: Path_ | None,
-    albedo: Path_ | None,
-    normal_map: Path_ | None,
-    specular_map: Path_ | None,
-    roughness_map: Path_ | None,
-    flip_v: bool,
-    lobe_map: Path_ | None,
-    allow_outside: bool,
-) -> Files:
-    maps = {
-        "albedo_map": albedo,
-        "normal_map": normal_map,
-        "specular_map": specular_map,
-        "roughness_map": roughness_map,
-        "lobe_map": lobe_map,
-    }
-    for name, file in {"mesh file": path, **maps}.items():
-        if file is not None:
-            check_path(name, file)
-    return Files(
-        Path(path) if path is not None else data_dir("assets") / "head.glb",
-        {name: Path(file) for name, file in maps.items() if file is not None},
-        flip_v,
-        allow_outside,
-    )
+def check_normal_map_y(value: Any) -> None:
+    """Raise InputError where a value is not where green of a normal map can point."""
+    if not (isinstance(value, str) and value in NORMAL_MAP_Y):
+        raise InputError(f"normal_map_y = {shown(value)}: give {' or '.join(NORMAL_MAP_Y)}")
 
 
-def _read(files: Files) -> tuple[Mesh, Referred]:
+def _maps(**given: Map | None) -> tuple[dict[str, Path], dict[str, Texture]]:
+    """Return, by the field of :class:`Material`, maps that are files, and others."""
+    paths: dict[str, Path] = {}
+    textures: dict[str, Texture] = {}
+    for name, value in given.items():
+        if value is None:
+            continue
+        if isinstance(value, Texture):
+            textures[name] = value
+        elif isinstance(value, np.ndarray):
+            textures[name] = Texture.from_array(value, f"the array of {name}")
+        elif isinstance(value, str | os.PathLike):
+            paths[name] = Path(value)
+        elif hasattr(value, "getbands"):  # of Pillow, which is not imported for this
+            textures[name] = Texture.from_image(value, f"the image of {name}")
+        else:
+            check_type(name, value, (), "a path, a texture, an array or an image of Pillow")
+    return paths, textures
+
+
+def _read(files: Files, textures: Mapping[str, Texture]) -> tuple[Mesh, Referred]:
     """Return a mesh, and the files that its file refers to."""
     source = files.source
-    name = clipped(source.name, 80)
-    overrides = {name: Texture.open(file) for name, file in files.maps.items()}
+    overrides = {name: Texture.open(file) for name, file in files.maps.items()} | {**textures}
     with np.errstate(all="ignore"):  # what overflows is found and dropped
         found, referred = read(source, "albedo_map" in overrides, files.allow_outside)
-        pieces = clean(found, name)
-        if files.flip_v:
-            for piece in pieces:
-                if piece.uv is not None:
-                    piece.uv = piece.uv * (1.0, -1.0) + (0.0, 1.0)
-        if overrides:
-            override(pieces, overrides, name)
-        millimetres = 1000.0 if source.suffix.lower() in GLTF else None
-        return assemble(pieces, name, millimetres), referred
+        millimetres = 1000.0 if source.kind in GLTF else None
+        said = files.flip_v, files.normal_map_y
+        return _made(found, source.name, overrides, *said, millimetres), referred
+
+
+def _made(
+    found: Sequence[Piece],
+    name: str,
+    overrides: Mapping[str, Texture],
+    flip_v: bool,
+    normal_map_y: str,
+    millimetres: float | None,
+) -> Mesh:
+    pieces = clean(found, name)
+    if flip_v:
+        for piece in pieces:
+            for key in ("uv", "uv2"):
+                if (uv := getattr(piece, key)) is not None:
+                    setattr(piece, key, uv * (1.0, -1.0) + (0.0, 1.0))
+    if overrides:
+        override(pieces, overrides, name)
+    if normal_map_y == "down":
+        _turn_normal_maps(pieces)
+    return Mesh.assembled(pieces, name, millimetres)
+
+
+def _turn_normal_maps(pieces: Sequence[Piece]) -> None:
+    turned: dict[Texture, Texture] = {}
+    for piece in pieces:
+        if (own := piece.material.normal_map) is not None:
+            if own not in turned:
+                turned[own] = own.turned_green()
+            piece.material = replace(piece.material, normal_map=turned[own])

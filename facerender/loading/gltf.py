@@ -1,40 +1,30 @@
-"""glTF files, text or binary: every instance of a triangle mesh, its materials and their images."""
+"""glTF files, text or binary: every instance of a triangle mesh, in the shape that is stored."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, clipped, reason, warn
-from facerender.loading.gltf_schema import COMPONENTS, TYPES, damaged, document_of
-from facerender.loading.images import image_of, missing_image, unreadable
-from facerender.loading.referred import Referred, inline
-from facerender.loading.repair import Piece, check_count, placed
-from facerender.scenes.material import SKIN_ALBEDO, Material
-from facerender.scenes.texture import Texture
+from facerender.errors import InputError, clipped, reason
+from facerender.loading.gltf_buffers import Buffers, Doc
+from facerender.loading.gltf_features import EXTENSIONS, not_understood
+from facerender.loading.gltf_material import Look, Materials, Place
+from facerender.loading.gltf_pose import morphed, skinned
+from facerender.loading.gltf_schema import damaged, document_of
+from facerender.loading.referred import Referred
+from facerender.scenes.material import MAPS, Material
+from facerender.scenes.repair import Piece, check_count, placed
 
-# Extensions that may be required: handled, or without effect on what is drawn here.
-_EXTENSIONS = {
-    "KHR_draco_mesh_compression",
-    "KHR_mesh_quantization",
-    "KHR_materials_pbrSpecularGlossiness",
-    "KHR_materials_specular",
-    "KHR_materials_ior",
-    "KHR_materials_unlit",
-    "EXT_texture_webp",
-}
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # kinds of chunks
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _TIMES, _MOST_REPEATED = 8, 1 << 20  # vertices and faces are drawn, and so many more at most
-_MOST_ZEROS = 1 << 26  # bytes that a sparse accessor need not hold
 _TRANSFORMS = ("matrix", "translation", "rotation", "scale")
 _DRACO = "KHR_draco_mesh_compression"
-
-Doc = dict[str, Any]
 
 
 def read_gltf(data: bytes, referred: Referred, without_albedo: bool) -> list[Piece]:
@@ -47,10 +37,10 @@ def read_gltf(data: bytes, referred: Referred, without_albedo: bool) -> list[Pie
     ------
     InputError : it is damaged, requires what is not understood, or draws no triangles
     """
-    name = clipped(referred.source.name, 80)
+    name = referred.name
     text, binary = _chunks(data, name)
     document = document_of(text, name)
-    if unknown := sorted(set(document.get("extensionsRequired", ())) - _EXTENSIONS):
+    if unknown := not_understood(document.get("extensionsRequired", ())):
         raise InputError(
             f"{name} requires the extension {clipped(unknown[0], 60)}; export it without"
         )
@@ -87,6 +77,21 @@ def _chunks(data: bytes, name: str) -> tuple[bytes, memoryview | None]:
     return bytes(chunks[_JSON]), chunks.get(_BINARY)
 
 
+@dataclass(frozen=True)
+class _Instance:
+    """A mesh, where a node places it.
+
+    weights : of its morph targets
+    skin : the number of a skin, which places it in the node's stead, or None
+    """
+
+    mesh: int
+    name: str
+    world: NDArray[np.float64]
+    weights: tuple[float, ...]
+    skin: int | None
+
+
 class _File:
     """A document whose properties are sound, but not yet what they say of buffers. Methods raise
     ValueError for what is damaged."""
@@ -101,48 +106,63 @@ class _File:
     ) -> None:
         self.name = name
         self.document = document
-        self.binary = binary
-        self.referred = referred
-        self.without_albedo = without_albedo
-        self.buffers: dict[int, memoryview] = {}
-        self.images: dict[int, Texture | None] = {}
-        self.materials: dict[int | None, Material] = {}
+        self.buffers = Buffers(name, document, binary, referred)
+        self.materials = Materials(self.buffers, without_albedo)
+        self.tell = self.materials.tell
+        self.worlds: dict[int, NDArray[np.float64]] = {}  # of the scene's nodes
+        self.skins: dict[int, NDArray[np.float64] | None] = {}
         self.own: dict[int, int] = {}  # elements of accessors that faces are made of
         self.drawn = 0  # vertices and faces
-        self.lost_images = False
 
     def pieces(self) -> list[Piece]:
-        instances = []
-        count = 0
-        for index, world in self._instances():
-            count += len(self.document["meshes"][index]["primitives"])
-            check_count(count, self.name)
-            instances.append((index, world))
-        meshes: dict[int, list[Piece]] = {}
+        for each in sorted(set(self.document.get("extensionsUsed", ())) - EXTENSIONS.keys()):
+            self.tell(f"{self.name} uses {clipped(each, 60)}, which is not understood: left out")
+        if self.document.get("animations"):
+            self.tell(f"{self.name} has animations: drawn as its nodes and weights are stored")
+        meshes: dict[tuple[int, int | None, tuple[float, ...]], list[Piece]] = {}
         pieces = []
-        for index, world in instances:
-            if index not in meshes:
-                meshes[index] = [
-                    piece
-                    for i, primitive in enumerate(self.document["meshes"][index]["primitives"])
-                    if (piece := self._piece(primitive, f"meshes[{index}].primitives[{i}]"))
-                ]
-            for piece in meshes[index]:
-                self._count_drawn(piece)
-                pieces.append(placed(piece, world))
+        for each in self._instances():
+            key = each.mesh, each.skin, each.weights
+            if key not in meshes:
+                meshes[key] = self._mesh(each)
+            for piece in meshes[key]:
+                self._count_drawn(len(piece.positions) + len(piece.faces))
+                own = ".".join(filter(None, (each.name, piece.name)))
+                pieces.append(replace(placed(piece, each.world), name=own))
         return pieces
 
-    def _count_drawn(self, piece: Piece) -> None:
-        self.drawn += len(piece.positions) + len(piece.faces)
+    def _mesh(self, instance: _Instance) -> list[Piece]:
+        matrices = None if instance.skin is None else self._joints(instance.skin)
+        primitives = self.document["meshes"][instance.mesh]["primitives"]
+        found = [
+            piece
+            for i, primitive in enumerate(primitives)
+            if (
+                piece := self._piece(
+                    primitive,
+                    f"meshes[{instance.mesh}].primitives[{i}]",
+                    instance.weights,
+                    matrices,
+                )
+            )
+        ]
+        if len(found) == 1:
+            found[0].name = ""  # the material's, which tells several apart
+        return found
+
+    def _count_drawn(self, count: int) -> None:
+        self.drawn += count
         if self.drawn > _TIMES * sum(self.own.values()) + _MOST_REPEATED:
             raise InputError(
                 f"{self.name} draws what it holds more than {_TIMES} times over: export fewer "
                 "instances"
             )
 
-    def _instances(self) -> Iterator[tuple[int, NDArray[np.float64]]]:
-        """Every node with a mesh below the scene's roots, and its transform; without scenes, below
-        all roots."""
+    # --- nodes -----------------------------------------------------------------------------------
+
+    def _instances(self) -> list[_Instance]:
+        """Every mesh that a node below the scene's roots shows, by the node's name or else the
+        mesh's; without scenes, below all roots."""
         nodes = self.document["nodes"]
         if scenes := self.document["scenes"]:
             roots = scenes[self.document.get("scene", 0)].get("nodes", [])
@@ -150,130 +170,102 @@ class _File:
             roots = sorted(
                 set(range(len(nodes))) - {i for node in nodes for i in node.get("children", ())}
             )
-        seen: set[int] = set()
-        origin = np.eye(4)
-        queue = [(index, origin) for index in reversed(roots)]
+        found: list[_Instance] = []
+        count = 0
+        queue = [(index, np.eye(4), True) for index in reversed(roots)]
         while queue:
-            index, world = queue.pop()
-            if index in seen:
+            index, world, shown = queue.pop()
+            if index in self.worlds:
                 raise ValueError(f"nodes[{index}] has two parents, or is below itself")
-            seen.add(index)
             node = nodes[index]
+            extensions = node.get("extensions", {})
             if not node.keys().isdisjoint(_TRANSFORMS):
                 world = world @ _transform(node)
-            if "mesh" in node:
-                yield node["mesh"], world
-            queue += [(child, world) for child in reversed(node.get("children", []))]
-
-    # --- bytes -----------------------------------------------------------------------------------
-
-    def _buffer(self, index: int) -> memoryview:
-        if index not in self.buffers:
-            declared = self.document["buffers"][index]
-            content = self._buffer_content(index, declared.get("uri"))
-            if len(content) < declared["byteLength"]:
-                raise ValueError(
-                    f"buffers[{index}] should have {declared['byteLength']} bytes, and has "
-                    f"{len(content)}"
-                )
-            self.buffers[index] = content[: declared["byteLength"]]
-        return self.buffers[index]
-
-    def _buffer_content(self, index: int, uri: str | None) -> memoryview:
-        if uri is None:
-            if index or self.binary is None:
-                raise ValueError(f"buffers[{index}] has no uri")
-            return self.binary
-        content = inline(uri)
-        if content is None:
-            try:
-                content = self.referred.read(uri, "a buffer of a glTF file")
-            except FileNotFoundError as error:
-                raise InputError(f"{clipped(uri, 80)} (named by {self.name}) {error}") from None
-        return memoryview(content)
-
-    def _view(self, index: int) -> memoryview:
-        view = self.document["bufferViews"][index]
-        buffer = self._buffer(view["buffer"])
-        start, length = view.get("byteOffset", 0), view["byteLength"]
-        if start + length > len(buffer):
-            raise ValueError(
-                f"bufferViews[{index}] ends at byte {start + length} of buffers[{view['buffer']}], "
-                f"which has {len(buffer)}"
-            )
-        return buffer[start : start + length]
-
-    def _elements(
-        self, where: str, view: int, start: int, kind: str, shape: tuple[int, int]
-    ) -> NDArray[Any]:
-        """Return elements (count, components) in a view."""
-        content = self._view(view)
-        item = np.dtype(kind).itemsize
-        row = item * shape[1]
-        stride = self.document["bufferViews"][view].get("byteStride") or row
-        if stride < row:
-            raise ValueError(f"bufferViews[{view}].byteStride = {stride} is less than {row}")
-        needed = start + stride * (shape[0] - 1) + row if shape[0] else 0
-        if needed > len(content):
-            raise ValueError(
-                f"{where} needs {needed} bytes of bufferViews[{view}], which has {len(content)}"
-            )
-        if not shape[0]:
-            return np.empty(shape, dtype=kind)
-        return np.ndarray(shape, kind, content, start, (stride, item))
-
-    def _accessor(self, index: int) -> NDArray[Any]:
-        """Return the values of an accessor, (count, components)."""
-        accessor = self.document["accessors"][index]
-        where = f"accessors[{index}]"
-        kind = COMPONENTS[accessor["componentType"]]
-        shape = accessor["count"], TYPES[accessor["type"]]
-        sparse = accessor.get("sparse")
-        if "bufferView" in accessor:
-            start = accessor.get("byteOffset", 0)
-            values = self._elements(where, accessor["bufferView"], start, kind, shape)
-        elif sparse is None:
-            raise ValueError(f"{where} has no bufferView")
-        elif shape[0] * shape[1] * np.dtype(kind).itemsize > _MOST_ZEROS:
-            raise ValueError(f"{where}.count = {shape[0]} without a bufferView")
-        else:
-            values = np.zeros(shape, dtype=kind)
-        if sparse is not None:
-            values = self._with_sparse(values, sparse, where)
-        if accessor.get("normalized") and kind != "<f4":
-            values = np.maximum(values / np.float32(np.iinfo(kind).max), np.float32(-1.0))
-        return values
-
-    def _with_sparse(self, values: NDArray[Any], sparse: Doc, where: str) -> NDArray[Any]:
-        """Return values, some of which are replaced."""
-        count = sparse["count"]
-        parts = [
-            self._elements(
-                f"{where}.sparse", part["bufferView"], part.get("byteOffset", 0), kind, (count, n)
-            )
-            for part, kind, n in (
-                (
-                    sparse["indices"],
-                    COMPONENTS[sparse["indices"].get("componentType", 5125)],
-                    1,
-                ),
-                (sparse["values"], values.dtype.str, values.shape[1]),
-            )
+            self.worlds[index] = world
+            shown = shown and extensions.get("KHR_node_visibility", {}).get("visible", True)
+            if "KHR_lights_punctual" in extensions:
+                self.tell(f"{self.name} has lights (KHR_lights_punctual): not drawn; give --light")
+            if "mesh" in node and shown:
+                mesh = self.document["meshes"][node["mesh"]]
+                places = self._places(index, world, extensions.get("EXT_mesh_gpu_instancing"))
+                count += len(mesh["primitives"]) * len(places)
+                check_count(count, self.name)
+                name = node.get("name") or mesh.get("name") or ""
+                weights = tuple(map(float, node.get("weights", mesh.get("weights", ()))))
+                skin = node.get("skin")
+                found += [_Instance(node["mesh"], name, each, weights, skin) for each in places]
+            queue += [(child, world, shown) for child in reversed(node.get("children", []))]
+        return [
+            replace(each, world=np.eye(4))  # joints place it alone
+            if each.skin is not None and self._joints(each.skin) is not None
+            else each
+            for each in found
         ]
-        indices = parts[0][:, 0]
-        if indices.dtype.kind != "u" or (indices >= len(values)).any():
-            raise ValueError(f"{where}.sparse replaces entries that are not there")
-        values = values.copy()
-        values[indices] = parts[1]
-        return values
+
+    def _places(
+        self, index: int, world: NDArray[np.float64], instances: Doc | None
+    ) -> Sequence[NDArray[np.float64]]:
+        """Where a node's mesh is drawn: once, or as EXT_mesh_gpu_instancing says."""
+        if instances is None:
+            return [world]
+        columns = {
+            key.lower(): self.buffers.accessor(instances["attributes"][key])
+            for key in ("TRANSLATION", "ROTATION", "SCALE")
+            if key in instances["attributes"]
+        }
+        for key, values in columns.items():
+            if values.shape[1] != (4 if key == "rotation" else 3):
+                raise ValueError(f"nodes[{index}]: {key} of its instances has the wrong type")
+        count = min((len(values) for values in columns.values()), default=0)
+        check_count(count, self.name)
+        return [
+            world @ _transform({key: values[i] for key, values in columns.items()})
+            for i in range(count)
+        ]
+
+    def _joints(self, index: int) -> NDArray[np.float64] | None:
+        """Return the matrices of a skin's joints (J, 4, 4); None, with a warning, where the scene
+        has not all of them."""
+        if index not in self.skins:
+            self.skins[index] = self._matrices(index)
+        return self.skins[index]
+
+    def _matrices(self, index: int) -> NDArray[np.float64] | None:
+        skin = self.document["skins"][index]
+        joints = skin["joints"]
+        if not joints or not self.worlds.keys() >= set(joints):
+            self.tell(f"{self.name} has a skin whose joints are not in its scene: drawn without")
+            return None
+        worlds = np.stack([self.worlds[joint] for joint in joints])
+        if "inverseBindMatrices" not in skin:
+            return worlds
+        inverse = self.buffers.accessor(skin["inverseBindMatrices"])
+        if inverse.shape[1] != 16 or len(inverse) < len(joints):
+            raise ValueError(f"skins[{index}] has {len(inverse)} matrices of {len(joints)} joints")
+        columns = inverse[: len(joints)].reshape(-1, 4, 4).astype(np.float64)
+        return np.asarray(worlds @ columns.transpose(0, 2, 1))
 
     # --- triangles -------------------------------------------------------------------------------
 
-    def _piece(self, primitive: Doc, where: str) -> Piece | None:
-        """Return a primitive in its own space; None where it is none of triangles."""
+    def _piece(
+        self,
+        primitive: Doc,
+        where: str,
+        weights: Sequence[float],
+        matrices: NDArray[np.float64] | None,
+    ) -> Piece | None:
+        """Return a primitive in its own space, or in the scene's where it has joints; None where it
+        is none of triangles.
+
+        Parameters
+        ----------
+        weights : of its morph targets
+        matrices : of its joints, or None
+        """
         mode = primitive.get("mode", _TRIANGLES)
         numbers = primitive["attributes"]
         if mode < _TRIANGLES or "POSITION" not in numbers:
+            self.tell(f"{self.name} has points or lines, or vertices without places: not drawn")
             return None
         draco = primitive.get("extensions", {}).get(_DRACO)
         known = {} if draco is None else self._draco(draco, where)
@@ -281,7 +273,7 @@ class _File:
         def attribute(key: str, widths: tuple[int, ...]) -> NDArray[Any] | None:
             if key not in numbers:
                 return None
-            values = known[key] if key in known else self._accessor(numbers[key])
+            values = known[key] if key in known else self.buffers.accessor(numbers[key])
             if values.ndim != 2 or values.shape[1] not in widths:
                 raise ValueError(f"{where}: {key} has the wrong type")
             return values
@@ -291,7 +283,7 @@ class _File:
         if "faces" in known:
             flat = known["faces"].reshape(-1)
         elif "indices" in primitive:
-            indices = self._accessor(primitive["indices"])
+            indices = self.buffers.accessor(primitive["indices"])
             if indices.shape[1] != 1 or indices.dtype.kind != "u":
                 raise ValueError(f"{where}: its indices have the wrong type")
             flat = indices.reshape(-1)
@@ -300,34 +292,101 @@ class _File:
         faces, kept, strangers = _compact(_triangles(flat, mode, where), len(positions))
         self.own[numbers["POSITION"]] = len(positions)
         self.own[primitive.get("indices", -1)] = len(flat)
-        columns: dict[str, NDArray[Any] | None] = {"POSITION": positions}
-        for key, widths in (("NORMAL", (3,)), ("TEXCOORD_0", (2,)), ("COLOR_0", (3, 4))):
-            values = columns[key] = attribute(key, widths)
+
+        def column(key: str, *widths: int) -> NDArray[Any] | None:
+            """Return the values of the vertices that are kept."""
+            values = attribute(key, widths)
             if values is not None and len(values) != len(positions):
                 raise ValueError(
                     f"{where}: {key} has {len(values)} entries, POSITION {len(positions)}"
                 )
-        columns = {key: each if each is None else each[kept] for key, each in columns.items()}
-        uv = columns["TEXCOORD_0"]
-        if uv is not None:
-            uv = np.array(uv, dtype=np.result_type(uv, np.float32))
-            uv[:, 1] = 1.0 - uv[:, 1]  # upwards
-        number = primitive.get("material")
-        colors = columns["COLOR_0"] if number is None else None
-        if number not in self.materials:
-            self.materials[number] = self._material(number, colors is not None)
-        material = self.materials[number]
-        if uv is None and material.albedo_map is not None:
-            warn(f"{self.name} has no texture coordinates: its texture is ignored")
-        return Piece(
-            positions=np.asarray(columns["POSITION"], dtype=np.float64),
-            faces=faces,
-            normals=columns["NORMAL"],
-            uv=None if uv is None else uv.astype(np.float64),
-            colors=None if colors is None else _unit_colors(colors),
-            material=material,
-            strangers=strangers,
+            return None if values is None else values[kept]
+
+        shape, normals = self._morphed(
+            primitive, where, weights, positions, column("NORMAL", 3), kept
         )
+        if matrices is not None:
+            columns = [
+                column(f"{key}_{i}", 4)
+                for key in ("JOINTS", "WEIGHTS")
+                for i in (0, 1)
+                if f"JOINTS_{i}" in numbers and f"WEIGHTS_{i}" in numbers
+            ]
+            if "JOINTS_2" in numbers:
+                self.tell(f"{self.name} has more than eight joints for a vertex: eight count")
+            if columns:
+                half = len(columns) // 2
+                joints, shares = (
+                    np.concatenate([each for each in half_ if each is not None], axis=1)
+                    for half_ in (columns[:half], columns[half:])
+                )
+                if joints.dtype.kind != "u":
+                    raise ValueError(f"{where}: its joints have the wrong type")
+                shape, normals, mirrored = skinned(shape, normals, joints, shares, matrices)
+                faces = faces[:, ::-1] if mirrored else faces
+        number = primitive.get("material")
+        colors = column("COLOR_0", 3, 4)
+        look = self.materials.look(number, colors is not None)
+        if colors is not None and colors.shape[1] == 4 and look.material.alpha != "opaque":
+            self.tell(f"{self.name} has alpha in its vertex colours: left out")
+
+        def place(at: Place | None) -> NDArray[np.float64] | None:
+            uv = None if at is None else column(f"TEXCOORD_{at.texcoord}", 2)
+            return None if uv is None or at is None else at.moved(uv)
+
+        uv, uv2 = place(look.first), place(look.second)
+        return Piece(
+            positions=np.asarray(shape, dtype=np.float64),
+            faces=faces,
+            normals=normals,
+            uv=uv,
+            colors=None if colors is None else _unit_colors(colors),
+            material=self._within(look, uv is not None, uv2 is not None),
+            strangers=strangers,
+            name="" if number is None else self.document["materials"][number].get("name", ""),
+            uv2=None if uv is None else uv2,
+        )
+
+    def _within(self, look: Look, first: bool, second: bool) -> Material:
+        """Return a look's material without the maps whose texture coordinates are not there."""
+        material = look.material
+        if not first:
+            if any(getattr(material, key) for key in MAPS):
+                self.tell(f"{self.name} has no texture coordinates: its texture is ignored")
+            return material
+        if second or not material.second_uv:
+            return material
+        self.tell(f"{self.name} has no second texture coordinates: the maps by them are left out")
+        without: dict[str, Any] = dict.fromkeys(material.second_uv)
+        return replace(material, second_uv=(), **without)
+
+    def _morphed(
+        self,
+        primitive: Doc,
+        where: str,
+        weights: Sequence[float],
+        positions: NDArray[Any],
+        normals: NDArray[Any] | None,
+        kept: NDArray[np.int64] | slice,
+    ) -> tuple[NDArray[Any], NDArray[Any] | None]:
+        """Return positions and normals of the vertices that are kept, with the morph targets."""
+        values = {"POSITION": positions[kept], "NORMAL": normals}
+        for i, (target, weight) in enumerate(
+            zip(primitive.get("targets", ()), weights, strict=False)
+        ):
+            for key in ("POSITION", "NORMAL"):
+                old = values[key]
+                if not weight or key not in target or old is None:
+                    continue
+                moves = self.buffers.accessor(target[key])
+                self.own[target[key]] = len(moves)
+                self._count_drawn(len(moves))
+                if moves.shape != positions.shape:
+                    raise ValueError(f"{where}.targets[{i}]: {key} has another number of entries")
+                values[key] = morphed(old, moves[kept], weight)
+        shape = values["POSITION"]
+        assert shape is not None
+        return shape, values["NORMAL"]
 
     def _draco(self, draco: Doc, where: str) -> dict[str, NDArray[Any]]:
         """Return what is compressed of a primitive: attributes by name, and faces."""
@@ -335,7 +394,7 @@ class _File:
             import DracoPy
         except ImportError:
             raise InputError(f"{self.name} is compressed with Draco: pip install DracoPy") from None
-        content = bytes(self._view(draco["bufferView"]))
+        content = bytes(self.buffers.view(draco["bufferView"]))
         try:
             decoded = DracoPy.decode(content)
             found = {each["unique_id"]: np.asarray(each["data"]) for each in decoded.attributes}
@@ -344,86 +403,6 @@ class _File:
             raise ValueError(f"{where}: Draco says {reason(error)}") from None
         values = {key: found[i] for key, i in draco["attributes"].items() if i in found}
         return values if faces is None else values | {"faces": np.asarray(faces)}
-
-    # --- materials -------------------------------------------------------------------------------
-
-    def _material(self, index: int | None, has_colors: bool) -> Material:
-        if index is None:
-            return Material(albedo=(1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO)
-        source = self.document["materials"][index]
-        metallic = source.get("pbrMetallicRoughness", {})
-        glossy = source.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
-        factor = glossy.get("diffuseFactor", metallic.get("baseColorFactor", [1.0] * 4))
-        albedo_map = None
-        if not self.without_albedo:
-            use = glossy.get("diffuseTexture", metallic.get("baseColorTexture"))
-            albedo_map = self._map(use, "albedo")
-        properties = self._map(metallic.get("metallicRoughnessTexture"), "roughness")
-        occlusion = self._map(source.get("occlusionTexture"), "occlusion")
-        normal_map = self._map(source.get("normalTexture"), "normal")
-        red, green, blue = (self._factor("albedo", each) for each in factor[:3])
-        albedo = (red, green, blue)
-        if self.lost_images and albedo_map is None and min(albedo) > 0.99:
-            albedo = SKIN_ALBEDO  # white was meant to multiply the image
-        return Material(
-            albedo=albedo,
-            # Without a map it does not count: exporters write 1 or 0.5 by default.
-            roughness_factor=self._factor("roughness", metallic.get("roughnessFactor", 1.0)),
-            albedo_map=albedo_map,
-            normal_map=normal_map,
-            roughness_map=properties and properties.channel(1, properties.name),
-            occlusion_map=occlusion and occlusion.channel(0, occlusion.name),
-        )
-
-    def _factor(self, what: str, value: float) -> float:
-        if not 0.0 <= value <= 1.0:
-            warn(f"the {what} factor {value:.6g} of {self.name} is outside [0, 1]: brought there")
-        return float(min(max(value, 0.0), 1.0))
-
-    def _map(self, use: Doc | None, kind: str) -> Texture | None:
-        """Return the texture of a material's map; one of those that are wanted must be an image."""
-        if use is None:
-            return None
-        texture = self.document["textures"][use["index"]]
-        webp = texture.get("extensions", {}).get("EXT_texture_webp", {})
-        source = webp.get("source", texture.get("source"))
-        if source is None:
-            warn(f"the {kind} map of {self.name} has no image that is understood: left out")
-            self.lost_images = True
-            return None
-        if use.get("texCoord", 0):
-            warn(
-                f"the {kind} map of {self.name} has texture coordinates of its own: "
-                "the first ones are used"
-            )
-        if source not in self.images:
-            self.images[source] = self._image(source, kind)
-        return self.images[source]
-
-    def _image(self, index: int, kind: str) -> Texture | None:
-        entry = self.document["images"][index]
-        shown = f"the {kind} map of {self.name}"
-        try:
-            if "bufferView" in entry:
-                content = bytes(self._view(entry["bufferView"]))
-            elif "uri" not in entry:
-                raise ValueError(f"images[{index}] has neither uri nor bufferView")
-            elif (found := inline(entry["uri"])) is not None:
-                content = found
-            else:
-                shown = f"{clipped(entry['uri'], 80)} (named by {self.name})"
-                content = self.referred.read(entry["uri"], "an image file")
-        except FileNotFoundError:
-            missing_image(self.referred, entry["uri"])
-            self.lost_images = True
-            return None
-        try:
-            image = image_of(content)
-        except ValueError:
-            unreadable(shown, kind, fatal=not self.without_albedo)
-            self.lost_images = True
-            return None
-        return Texture(lambda: image, f"the {kind} map of {self.name}")
 
 
 def _transform(node: Doc) -> NDArray[np.float64]:

@@ -14,17 +14,23 @@ MOST_VALUES = 2_000_000  # of a document: each takes up to 100 bytes of memory
 MOST_ENTRIES = 1 << 17  # of one of its lists: nodes, accessors
 
 # An object by its properties; ! marks those that it must have. "#nodes" is an index into nodes,
-# "[x]" a list of x, "{x}" an object of any names, "3 x" a list of so many.
+# "[x]" a list of x, "{x}" an object of any names, "3 x" a list of so many. Of any value "presence"
+# says whether it is something.
 _OBJECTS: dict[str, dict[str, str]] = {
     "document": {
         "extensionsRequired": "[text]",
+        "extensionsUsed": "[text]",
         "buffers": "[buffer]",
         "bufferViews": "[view]",
         "accessors": "[accessor]",
         "images": "[image]",
         "textures": "[texture]",
+        "samplers": "[sampler]",
         "materials": "[material]",
         "meshes": "[mesh]",
+        "skins": "[skin]",
+        "animations": "presence",
+        "cameras": "[camera]",
         "nodes": "[node]",
         "scenes": "[scene]",
         "scene": "#scenes",
@@ -35,6 +41,17 @@ _OBJECTS: dict[str, dict[str, str]] = {
         "byteOffset": "size",
         "byteLength!": "size",
         "byteStride": "size",
+        "extensions": "view extensions",
+    },
+    "view extensions": {"EXT_meshopt_compression": "packed", "KHR_meshopt_compression": "packed"},
+    "packed": {
+        "buffer!": "#buffers",
+        "byteOffset": "size",
+        "byteLength!": "size",
+        "byteStride!": "size",
+        "count!": "size",
+        "mode!": "text",
+        "filter": "text",
     },
     "accessor": {
         "bufferView": "#bufferViews",
@@ -52,42 +69,111 @@ _OBJECTS: dict[str, dict[str, str]] = {
         "componentType": "component",
     },
     "image": {"uri": "text", "bufferView": "#bufferViews"},
-    "texture": {"source": "#images", "extensions": "texture extensions"},
-    "texture extensions": {"EXT_texture_webp": "webp"},
-    "webp": {"source": "#images"},
+    "sampler": {"magFilter": "size", "wrapS": "size", "wrapT": "size"},
+    "texture": {"source": "#images", "sampler": "#samplers", "extensions": "texture extensions"},
+    "texture extensions": {
+        "EXT_texture_webp": "other image",
+        "EXT_texture_avif": "other image",
+        "MSFT_texture_dds": "other image",
+        "KHR_texture_basisu": "other image",
+    },
+    "other image": {"source": "#images"},
     "material": {
+        "name": "name",
         "pbrMetallicRoughness": "metallic",
         "normalTexture": "map",
         "occlusionTexture": "map",
+        "emissiveTexture": "map",
+        "emissiveFactor": "3 number",
+        "alphaMode": "text",
+        "alphaCutoff": "number",
         "extensions": "material extensions",
     },
     "metallic": {
         "baseColorFactor": "4 number",
         "baseColorTexture": "map",
+        "metallicFactor": "number",
         "metallicRoughnessTexture": "map",
         "roughnessFactor": "number",
     },
-    "map": {"index!": "#textures", "texCoord": "size"},
-    "material extensions": {"KHR_materials_pbrSpecularGlossiness": "glossy"},
+    "map": {
+        "index!": "#textures",
+        "texCoord": "size",
+        "scale": "number",
+        "strength": "number",
+        "extensions": "map extensions",
+    },
+    "map extensions": {"KHR_texture_transform": "transform"},
+    "transform": {
+        "offset": "2 number",
+        "rotation": "number",
+        "scale": "2 number",
+        "texCoord": "size",
+    },
+    "material extensions": {
+        "KHR_materials_pbrSpecularGlossiness": "glossy",
+        "KHR_materials_emissive_strength": "emission",
+        "KHR_materials_ior": "refraction",
+        "KHR_materials_specular": "specular",
+        "KHR_materials_unlit": "bare",
+        "KHR_materials_clearcoat": "clearcoat",
+        "KHR_materials_sheen": "sheen",
+        "KHR_materials_transmission": "transmission",
+        "KHR_materials_diffuse_transmission": "diffuse transmission",
+        "KHR_materials_anisotropy": "anisotropy",
+        "KHR_materials_iridescence": "iridescence",
+        "KHR_materials_subsurface": "bare",
+    },
     "glossy": {"diffuseFactor": "4 number", "diffuseTexture": "map"},
-    "mesh": {"primitives!": "[primitive]"},
+    "emission": {"emissiveStrength": "number"},
+    "refraction": {"ior": "number"},
+    "specular": {
+        "specularFactor": "number",
+        "specularTexture": "map",
+        "specularColorFactor": "3 number",
+        "specularColorTexture": "map",
+    },
+    "clearcoat": {"clearcoatFactor": "number"},
+    "sheen": {"sheenColorFactor": "3 number"},
+    "transmission": {"transmissionFactor": "number"},
+    "diffuse transmission": {"diffuseTransmissionFactor": "number"},
+    "anisotropy": {"anisotropyStrength": "number"},
+    "iridescence": {"iridescenceFactor": "number"},
+    "bare": {},
+    "mesh": {"primitives!": "[primitive]", "name": "name", "weights": "[number]"},
     "primitive": {
         "attributes!": "{#accessors}",
         "indices": "#accessors",
         "material": "#materials",
         "mode": "mode",
+        "targets": "[{#accessors}]",
         "extensions": "primitive extensions",
     },
     "primitive extensions": {"KHR_draco_mesh_compression": "draco"},
     "draco": {"bufferView!": "#bufferViews", "attributes!": "{size}"},
+    "camera": {"name": "text", "perspective": "perspective"},
+    "perspective": {"yfov!": "number"},
     "node": {
+        "name": "name",
         "mesh": "#meshes",
+        "skin": "#skins",
+        "weights": "[number]",
+        "camera": "#cameras",
         "children": "[#nodes]",
         "matrix": "16 number",
         "translation": "3 number",
         "rotation": "4 number",
         "scale": "3 number",
+        "extensions": "node extensions",
     },
+    "node extensions": {
+        "EXT_mesh_gpu_instancing": "instances",
+        "KHR_node_visibility": "visibility",
+        "KHR_lights_punctual": "bare",
+    },
+    "instances": {"attributes!": "{#accessors}"},
+    "visibility": {"visible": "switch"},
+    "skin": {"joints!": "[#nodes]", "inverseBindMatrices": "#accessors"},
     "scene": {"nodes": "[#nodes]"},
 }
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -102,6 +188,7 @@ def _is_number(value: Any) -> bool:
 # What a value may be, and what it is called. An integer may be written as 3.0.
 _VALUES: dict[str, tuple[Callable[[Any], bool], str]] = {
     "text": (lambda value: isinstance(value, str), "text"),
+    "name": (lambda value: True, "text"),  # for people: what is no text is none
     "switch": (lambda value: isinstance(value, bool), "true or false"),
     "number": (_is_number, "a number"),
     "size": (
@@ -191,8 +278,12 @@ def _checked(value: Any, shape: str, where: str, counts: dict[str, int]) -> Any:
             isinstance(value, list) and len(value) == int(length), value, where, f"{length} numbers"
         )
         return [_checked(each, inner, f"{where}[{i}]", counts) for i, each in enumerate(value)]
+    if shape == "presence":
+        return bool(value)
     check, what = _VALUES[shape]
     _expect(check(value), value, where, what)
+    if shape == "name":
+        return value if isinstance(value, str) else ""
     return int(value) if shape in ("size", "component", "mode") else value
 
 

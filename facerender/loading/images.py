@@ -41,10 +41,10 @@ def unreadable(shown: str, kind: str, fatal: bool) -> None:
 
 def missing_image(referred: Referred, name: str) -> None:
     """Warn of an image that is not there."""
-    folder = referred.source.parent
-    beside = [each.name for each in folder.iterdir() if each.suffix.lower() in SUFFIXES]
+    near = referred.folder.iterdir() if referred.folder else ()
+    beside = [each.name for each in near if each.suffix.lower() in SUFFIXES]
     hint = f"pass --albedo {clipped(beside[0], 80) if len(beside) == 1 else 'FILE'}"
     warn(
-        f"{clipped(name, 80)} (named by {clipped(referred.source.name, 80)}) "
+        f"{clipped(name, 80)} (named by {referred.name}) "
         f"{referred.why_not(name)}: rendering without it; {hint}"
     )

@@ -9,7 +9,7 @@ import json
 import math
 import struct
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -22,10 +22,12 @@ from facerender import store
 from facerender._version import __version__
 from facerender.errors import FacerenderError, InputError, warn
 from facerender.files import read_file
+from facerender.loading.given import Given
 from facerender.loading.referred import content_of
-from facerender.scenes.material import MAPS, Material
+from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
 from facerender.scenes.mesh import Mesh, Part
-from facerender.scenes.texture import Kind, Levels, Texture, pack
+from facerender.scenes.mips import Kind, Levels
+from facerender.scenes.texture import LARGE, Texture, pack
 
 Chains = dict[Texture, dict[Kind, Future[Levels]]]
 
@@ -36,10 +38,12 @@ _PACKAGE = Path(__file__).parents[1]
 _LIBRARIES = ("numpy", "scipy", "trimesh", "PIL", "DracoPy")
 # What the maps of a material are drawn from.
 _CHAINS: dict[str, Kind] = {
-    "albedo_map": "color",
+    **dict.fromkeys(("albedo_map", "emissive_map"), "color"),
     "normal_map": "normal",
-    **dict.fromkeys(("property_map", "lobe_map"), "data"),
+    **dict.fromkeys(("property_map", "lobe_map", "opacity_map"), "data"),
 }
+
+_ARRAYS = tuple(each.name for each in fields(Part) if each.name != "name")
 
 
 @dataclass(frozen=True)
@@ -48,22 +52,26 @@ class Files:
 
     Attributes
     ----------
-    source : the mesh file; what it refers to lies where that says
+    source : the mesh file
     maps : by the field of :class:`Material`, image files in place of the mesh file's own maps
-    flip_v, allow_outside : see :func:`facerender.load_mesh`
+    flip_v, allow_outside, normal_map_y : see :func:`facerender.load_mesh`
     """
 
-    source: Path
+    source: Given
     maps: Mapping[str, Path]
     flip_v: bool
     allow_outside: bool
+    normal_map_y: str
 
     def digest(self) -> str | None:
         """Return the entry's name in the store, or None where a file cannot be read."""
-        names = [self.source.name, *((field, path.name) for field, path in self.maps.items())]
+        path, kind = self.source.path, self.source.kind
+        names = [path.name, kind, *((field, each.name) for field, each in self.maps.items())]
         try:
-            facts = [__version__, _readers(), names, self.flip_v, self.allow_outside]
-            contents = [read_file(path, "a file") for path in (self.source, *self.maps.values())]
+            said = self.flip_v, self.allow_outside, self.normal_map_y
+            facts = [__version__, _readers(), names, *said]
+            maps = [read_file(each, "a file") for each in self.maps.values()]
+            contents = [self.source.read(), *maps]
         except InputError:
             return None
         return _digest(repr(facts).encode(), *(_digest(each).encode() for each in contents))
@@ -93,7 +101,9 @@ class Files:
         return mesh, [str(each) for each in facts["warnings"]]
 
     def _digest_of(self, name: str) -> str | None:
-        content = content_of(self.source.parent, name, self.allow_outside)
+        if self.source.folder is None:
+            return None
+        content = content_of(self.source.folder, name, self.allow_outside)
         return None if content is None else _digest(content)
 
     def keep(
@@ -111,6 +121,8 @@ class Files:
             return
         if None in referred.values() and "albedo_map" not in self.maps:
             return  # the warning of it names the folder, and what lies there
+        if any(math.prod(each.size) > LARGE for each in _maps(mesh)):
+            return  # all of them would be decoded
         files = {each: None if data is None else _digest(data) for each, data in referred.items()}
         chains = _start(mesh)
 
@@ -143,6 +155,11 @@ def _readers() -> list[tuple[str, int, int]]:
     return [(str(path), each.st_size, each.st_mtime_ns) for path, each in facts]
 
 
+def _maps(mesh: Mesh) -> Iterator[Texture]:
+    for material in mesh.materials:
+        yield from filter(None, (getattr(material, name) for name in MAPS))
+
+
 def _start(mesh: Mesh) -> Chains:
     """Start decoding every map."""
     chains: Chains = {}
@@ -150,7 +167,8 @@ def _start(mesh: Mesh) -> Chains:
         for name in (*MAPS, "property_map"):
             if (texture := getattr(material, name)) is not None:
                 known = chains.setdefault(texture, {})
-                if (kind := _CHAINS.get(name)) is not None:
+                apart = name in PROPERTY_MAPS and not material.packs
+                if (kind := "data" if apart else _CHAINS.get(name)) is not None:
                     known[kind] = texture.levels(kind)
     return chains
 
@@ -169,12 +187,13 @@ def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | m
     for texture, futures in chains.items():
         levels = {kind: [number(each) for each in f.result()] for kind, f in futures.items()}
         texels = None if levels else number(_grey_or_rgb(np.asarray(texture.rgb())))
-        textures.append({"name": texture.name, "levels": levels, "texels": texels})
+        facts_of = {"name": texture.name, "wrap": texture.wrap, "nearest": texture.nearest}
+        textures.append({**facts_of, "levels": levels, "texels": texels})
     numbers = {texture: i for i, texture in enumerate(chains)}
     facts |= {
         "name": mesh.name,
         "parts": [
-            {each.name: number(getattr(part, each.name)) for each in fields(Part)}
+            {name: number(getattr(part, name)) for name in _ARRAYS} | {"name": part.name}
             for part in mesh.parts
         ],
         "materials": [
@@ -222,16 +241,19 @@ def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
         packed = each.pop("property_map")
         material = Material(**{**each, **dict.fromkeys(MAPS), **maps})
         if packed is not None:
-            three = material.occlusion_map, material.roughness_map, material.specular_map
-            vars(material)["property_map"] = pack(*three, textures[packed])  # as when asked for
+            own = pack(*material.properties, textures[packed])
+            vars(material)["property_map"] = own  # as when asked for
         materials.append(material)
     columns: list[dict[str, Any]] = [
-        {name: None if i is None else arrays[i] for name, i in each.items()}
+        {name: None if each[name] is None else arrays[each[name]] for name in _ARRAYS}
         for each in facts["parts"]
     ]
     return Mesh(
         facts["name"],
-        tuple(Part(**each) for each in columns),
+        tuple(
+            Part(**each, name=own["name"])
+            for each, own in zip(columns, facts["parts"], strict=True)
+        ),
         tuple(materials),
         arrays[facts["bounds"]],
         facts["radius"],
@@ -245,4 +267,6 @@ def _texture(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Textur
         kind: [arrays[i] for i in numbers] for kind, numbers in facts["levels"].items()
     }
     base = next(iter(levels.values()))[0][..., :3] if levels else arrays[facts["texels"]]
-    return Texture.known(base, facts["name"], levels)
+    texture = Texture.known(base, facts["name"], levels)
+    texture.wrap, texture.nearest = tuple(facts["wrap"]), facts["nearest"]
+    return texture

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import struct
 
 from facerender.errors import InputError, clipped
 
@@ -30,13 +32,39 @@ _BEGINNINGS = (
 )
 _MARKUP = ((b"<!doctype html", "an HTML page"), (b"<html", "an HTML page"), (b"<", "an XML file"))
 _MESHES = ((b"glTF", ".glb"), (b"ply\n", ".ply"), (b"ply\r\n", ".ply"))
-_FORMATS = {".glb": "glTF", ".gltf": "glTF", ".obj": "OBJ", ".ply": "PLY", ".stl": "STL"}
+FORMATS = {".glb": "glTF", ".gltf": "glTF", ".obj": "OBJ", ".ply": "PLY", ".stl": "STL"}
+
+
+_OBJ = re.compile(rb"(?:^|\n)[ \t]*(?:v|vn|vt|f|o|g|usemtl|mtllib)[ \t]+\S")
+
+
+def kind_of(data: bytes, name: str) -> str:
+    """Return the suffix of what some bytes are, by how they begin.
+
+    Raises
+    ------
+    InputError : they are none of these kinds
+    """
+    start = data[: 1 << 16].removeprefix(b"\xef\xbb\xbf").lstrip()
+    for beginning, suffix in _MESHES:
+        if start.startswith(beginning):
+            return suffix
+    if start.startswith(b"{"):
+        return ".gltf"
+    if len(data) > 84 and len(data) == 84 + 50 * struct.unpack_from("<I", data, 80)[0]:
+        return ".stl"
+    if start[:5].lower() == b"solid" and b"facet" in start:
+        return ".stl"
+    check_kind(data, ".obj", name)
+    if b"\0" not in start and _OBJ.search(start):
+        return ".obj"
+    raise InputError(f"{name}: no mesh is known by these bytes; say its kind, such as kind='obj'")
 
 
 def check_kind(data: bytes, suffix: str, name: str) -> None:
     """Raise InputError where a file's content is known, and not what its suffix says."""
     start = data[:512].removeprefix(b"\xef\xbb\xbf").lstrip()
-    wanted = _FORMATS[suffix]
+    wanted = FORMATS[suffix]
     text = start[:16].lower()
     for beginning, kind, remedy in _BEGINNINGS:
         if start.startswith(beginning):
@@ -47,8 +75,8 @@ def check_kind(data: bytes, suffix: str, name: str) -> None:
     if data[257:262] == b"ustar":
         raise InputError(f"{name} is not {wanted} but a tar archive; unpack it")
     for beginning, other in _MESHES:
-        if start.startswith(beginning) and _FORMATS[other] != wanted:
-            raise InputError(f"{name} is not {wanted} but {_FORMATS[other]}; name it {other}")
+        if start.startswith(beginning) and FORMATS[other] != wanted:
+            raise InputError(f"{name} is not {wanted} but {FORMATS[other]}; name it {other}")
     if wanted != "glTF" and start.startswith(b"{"):
         raise InputError(f"{name} is not {wanted} but {_json(data)}")
 

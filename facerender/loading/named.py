@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import re
 import struct
@@ -9,6 +10,8 @@ from pathlib import Path
 from typing import BinaryIO
 from urllib.parse import unquote
 
+UDIM = "<UDIM>"  # in the name of a map stands for the number of a tile
+_TILE = 4 * "[0-9]"
 _MAP = re.compile(rb"^\s*(?:map_\w+|bump|norm|disp|decal|refl)\s+(.*\S)", re.MULTILINE | re.I)
 _LIBRARY = re.compile(rb"^\s*mtllib\s+(.*\S)", re.MULTILINE)
 _TEXTURE = re.compile(rb"^comment\s+TextureFile\s+(.*\S)", re.MULTILINE)
@@ -52,7 +55,11 @@ def _maps(library: Path) -> list[Path]:
         lines = _found(_MAP, library)
     except OSError:
         return []
-    return [library.parent / name for line in lines for name in (line, line.split()[-1])]
+    names = {name.strip('"') for line in lines for name in (line, line.split()[-1])}
+    tiled = {name for name in names if UDIM in name}
+    patterns = (glob.escape(str(library.parent / name)) for name in sorted(tiled))
+    tiles = [each for pattern in patterns for each in glob.glob(pattern.replace(UDIM, _TILE))]
+    return [*(library.parent / name for name in sorted(names - tiled)), *map(Path, tiles)]
 
 
 def _open(path: Path) -> BinaryIO:

@@ -1,13 +1,21 @@
-"""Faces of OBJ files, whose references trimesh takes as it finds them."""
+"""OBJ files before trimesh reads them: references of faces, which it takes as it finds them, and
+parts, which it would join by their materials."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+from facerender.errors import warn
 
 # A reference that counts backwards from its line, or is 0, which is none.
 _RELATIVE = re.compile(rb"^[ \t]*f[^\n]*[ \t/][-0]", re.MULTILINE)
 _LINE = re.compile(rb"^[ \t]*(v|vt|vn|f)[ \t]([^\n]*)", re.MULTILINE)
+_FACE = re.compile(rb"^[ \t]*f[ \t]", re.MULTILINE)
+# An object, a group or a material, of the faces that follow.
+_OWNER = re.compile(rb"^[ \t]*(o|g|usemtl)(?:[ \t]+([^\r\n]*?))?[ \t]*\r?$", re.MULTILINE)
+_MOST_GROUPS = 256  # that are parts: each is drawn by itself
 _KINDS = (b"v", b"vt", b"vn")  # in the order of a corner's references
 
 
@@ -56,3 +64,62 @@ def _absolute(corner: bytes, counts: Mapping[bytes, int], totals: Mapping[bytes,
             return b""
         references.append(b"%d" % number)
     return b"/".join(references)
+
+
+Owners = tuple[bytes, ...]  # names of object, group and material
+
+
+def with_parts(data: bytes, file: str) -> tuple[bytes, list[str]]:
+    """Return an OBJ file in which every object, group and material with faces is an object called
+    by a number, and the names of the parts that these number.
+
+    A part has its group's name, or else the object's, or else the material's; where that tells it
+    not apart from another, the material's with a dot before it as well; and where that does not
+    either, the object's too.
+
+    file : its name, to warn of groups that are too many to be parts
+    """
+    owners = {b"o": b"", b"g": b"", b"usemtl": b""}
+    starts, ends, keys, heads = [0], [0], [tuple(owners.values())], [b""]
+    for line in _OWNER.finditer(data):
+        owners[line[1]] = line[2] or b""
+        starts.append(line.start())
+        ends.append(line.end())
+        keys.append(tuple(owners.values()))
+        heads.append(line[0] if line[1] == b"usemtl" else b"")
+    starts.append(len(data))
+    spans = [*zip(ends, starts[1:], strict=True)]
+    has_faces = [_FACE.search(data, *span) is not None for span in spans]
+    drawn = _drawn(keys, has_faces)
+    if len(drawn) > _MOST_GROUPS:
+        keys = [(b"", b"", key[2]) for key in keys]
+        joined = _drawn(keys, has_faces)
+        if len(joined) < len(drawn):
+            warn(
+                f"{file} has {len(drawn)} groups with faces, of which at most {_MOST_GROUPS} are "
+                "parts: those of a material are joined"
+            )
+        drawn = joined
+    if len(drawn) < 2:
+        return data, _names(drawn)
+    numbers = {key: number for number, key in enumerate(drawn)}
+    lines = [
+        b"o %d\n%b%b" % (numbers.get(key, len(drawn)), head, data[slice(*span)])
+        for key, head, span in zip(keys, heads, spans, strict=True)
+    ]
+    return b"".join(lines), _names(drawn)
+
+
+def _drawn(keys: Sequence[Owners], has_faces: Sequence[bool]) -> list[Owners]:
+    return [*dict.fromkeys(key for key, own in zip(keys, has_faces, strict=True) if own)]
+
+
+def _names(parts: Sequence[Owners]) -> list[str]:
+    found = [group or owner or material for owner, group, material in parts]
+    for which in (slice(1, 3), slice(0, 3)):
+        counts = Counter(found)
+        found = [
+            name if counts[name] == 1 else b".".join(filter(None, key[which]))
+            for name, key in zip(found, parts, strict=True)
+        ]
+    return [name.decode("utf-8", "replace") for name in found]

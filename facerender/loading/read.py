@@ -8,35 +8,35 @@ import re
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from threading import get_ident
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from facerender.errors import InputError, clipped, reason, warn
-from facerender.files import read_file
+from facerender.loading.given import GLTF, Given
 from facerender.loading.gltf import read_gltf
 from facerender.loading.gltf_schema import damaged
-from facerender.loading.images import SUFFIXES as IMAGES
 from facerender.loading.images import image_of, missing_image, unreadable
 from facerender.loading.kinds import check_kind
-from facerender.loading.obj import has_relative, with_absolute
+from facerender.loading.obj import has_relative, with_absolute, with_parts
 from facerender.loading.ply import check_faces, checked_ply
 from facerender.loading.referred import Referred
-from facerender.loading.repair import Piece, check_count
 from facerender.loading.translate import piece_of
+from facerender.scenes.repair import Piece, check_count
 from facerender.scenes.texture import Texture
 
 if TYPE_CHECKING:
     import trimesh
 
-GLTF = (".glb", ".gltf")
-SUFFIXES = (*GLTF, ".obj", ".ply", ".stl")
-_MATERIALS = re.compile(rb"^[ \t]*usemtl[ \t]+(.*)", re.MULTILINE)
+    from facerender.loading.mtl import Library
+
 _SOLIDS = re.compile(rb"endsolid", re.IGNORECASE)
+_OPTIONS = {".ply": {"skip_materials": True}, ".obj": {"split_objects": True}}  # of trimesh
 _TRIANGLE = 50  # bytes in a binary STL file, behind a header of 84
 
 
-def read(path: Path, without_albedo: bool, allow_outside: bool) -> tuple[list[Piece], Referred]:
+def read(source: Given, without_albedo: bool, allow_outside: bool) -> tuple[list[Piece], Referred]:
     """Return every instance of a geometry with faces, and the files that were referred to.
 
     without_albedo : the albedo of the file is not wanted
@@ -45,20 +45,12 @@ def read(path: Path, without_albedo: bool, allow_outside: bool) -> tuple[list[Pi
     ------
     InputError : the file, or one that it refers to and that is needed, cannot be used
     """
-    suffix = path.suffix.lower()
-    shown = clipped(str(path))
-    if path.is_dir():
-        raise InputError(f"{shown} is a directory; give a mesh file in it")
-    if suffix not in SUFFIXES:
-        raise InputError(
-            f"{shown}: unknown mesh format {clipped(suffix, 40)!r}; give {', '.join(SUFFIXES)}"
-        )
-    data = read_file(path, "a mesh file")
-    name = clipped(path.name, 80)
+    data = source.read()
+    suffix, name = source.kind, source.name
     if not data:
         raise InputError(f"{name} is an empty file: there is no geometry in it")
     check_kind(data, suffix, name)
-    referred = Referred(path, allow_outside)
+    referred = Referred(name, source.folder, allow_outside)
     if suffix in GLTF:
         pieces = read_gltf(data, referred, without_albedo)
         if not pieces:
@@ -86,19 +78,25 @@ def _by_trimesh(
 ) -> list[Piece]:
     texture = None
     strangers = 0
+    names = [""]
+    library = None
     if suffix == ".ply":
         data, texture = checked_ply(data)
     elif suffix == ".stl":
         check_count(len(_SOLIDS.findall(data)), name)
         data = _checked_stl(data, name)
     else:
-        check_count(len(set(_MATERIALS.findall(data))), name)
+        from facerender.loading.mtl import Library
+
+        library = Library(data, referred, name, without_albedo)
+        data, names = with_parts(data, name)
+        check_count(len(names), name)
         if has_relative(data):
             data, strangers = with_absolute(data)
-    resolver = _Resolver(referred)
+    resolver = _Resolver(referred, library)
     try:
         geometries = _geometries(data, suffix, name, resolver)
-        lost = suffix == ".obj" and _lost_references(data, geometries)
+        lost = suffix == ".obj" and _lost_references(data, [*geometries.values()])
     except InputError:
         raise
     except Exception:
@@ -114,21 +112,48 @@ def _by_trimesh(
     if referred.refused:
         raise referred.refused[0]
     if texture is not None:
-        _give_texture(geometries, resolver, texture)
+        _give_texture([*geometries.values()], resolver, texture)
     for each in dict.fromkeys(resolver.broken):
         unreadable(f"{clipped(each, 80)} (named by {name})", "albedo", not without_albedo)
-    missing = referred.missing()
-    if not without_albedo:
-        for each in missing:
-            missing_image(referred, each)
     textures: dict[int, Texture] = {}
-    pieces = [piece_of(each, referred.source, textures, bool(missing)) for each in geometries]
+    lost = library is None and bool(referred.missing())
+    pieces = [piece_of(each, name, textures, lost, library) for each in geometries.values()]
     pieces[0].strangers += strangers
-    return pieces
+    numbers = [0] * len(pieces)
+    if len(names) > 1:
+        numbers = [int(each.partition("_")[0]) for each in geometries]
+    for piece, number in zip(pieces, numbers, strict=True):
+        piece.name = names[number]
+    materials = [_material_name(each) for each in geometries.values()]
+    found = [
+        part
+        for i in np.argsort(numbers, kind="stable")
+        for part in _with_tiles(pieces[i], materials[i], library)
+    ]
+    check_count(len(found), name)
+    if not without_albedo:
+        for missing in referred.missing():
+            missing_image(referred, missing)
+    return found
 
 
-def _geometries(data: bytes, suffix: str, name: str, resolver: _Resolver) -> list[trimesh.Trimesh]:
-    """Return what has faces in a file, at least one."""
+def _material_name(geometry: trimesh.Trimesh) -> str:
+    return str(getattr(getattr(geometry.visual, "material", None), "name", ""))
+
+
+def _with_tiles(piece: Piece, material: str, library: Library | None) -> Iterator[Piece]:
+    """Yield a piece, or what of it lies on each tile of UDIM, where its maps have several."""
+    tiles = {} if library is None else library.tiles(material, piece)
+    if library is None or not tiles:
+        yield piece
+        return
+    yield from library.split(piece, material, tiles)
+
+
+def _geometries(
+    data: bytes, suffix: str, name: str, resolver: _Resolver
+) -> dict[str, trimesh.Trimesh]:
+    """Return what has faces in a file, at least one, by trimesh's names."""
     import trimesh
 
     scene = trimesh.load_scene(
@@ -136,14 +161,19 @@ def _geometries(data: bytes, suffix: str, name: str, resolver: _Resolver) -> lis
         file_type=suffix[1:],
         resolver=resolver,
         process=False,
-        **({"skip_materials": True} if suffix == ".ply" else {}),
+        **_OPTIONS.get(suffix, {}),
     )
-    instances = (scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry)
-    found = [each for each in instances if isinstance(each, trimesh.Trimesh) and len(each.faces)]
+    names = (scene.graph[node][1] for node in scene.graph.nodes_geometry)
+    instances = {each: scene.geometry[each] for each in names}
+    found = {
+        key: each
+        for key, each in instances.items()
+        if isinstance(each, trimesh.Trimesh) and len(each.faces)
+    }
     if not found:
         points = any(len(getattr(each, "vertices", ())) for each in scene.geometry.values())
         raise _no_faces(name, points)
-    for each in found:
+    for each in found.values():
         check_faces(each.metadata)
     return found
 
@@ -162,22 +192,23 @@ def _lost_references(data: bytes, geometries: list[trimesh.Trimesh]) -> bool:
 
 
 class _Resolver:
-    """Reads for trimesh what is referred to, and remembers what is no image, which it passes
-    over."""
+    """Reads for trimesh what is referred to, of an OBJ file the names of materials alone, and
+    remembers what is no image, which it passes over."""
 
-    def __init__(self, referred: Referred) -> None:
+    def __init__(self, referred: Referred, library: Library | None) -> None:
         self.referred = referred
+        self.library = library
         self.broken: list[str] = []
-        self.file_name = referred.source.name
+        self.file_name = referred.name
 
     def get(self, name: str) -> bytes:
-        is_image = name.lower().endswith(IMAGES)
-        content = self.referred.read(name, "an image file" if is_image else "an MTL file")
-        if is_image:
-            try:
-                image_of(content)
-            except ValueError:
-                self.broken.append(name)
+        if self.library is not None:
+            return self.library.text
+        content = self.referred.read(name, "an image file")
+        try:
+            image_of(content)
+        except ValueError:
+            self.broken.append(name)
         return content
 
     __getitem__ = get

@@ -21,12 +21,15 @@ class Referred:
 
     Attributes
     ----------
+    name : of the mesh file, for messages
+    folder : of the mesh file; None of content in memory, of which nothing else is opened
     files : by the name in the mesh file what was read; None was not
     refused : what is there and cannot be read
     """
 
-    def __init__(self, source: Path, allow_outside: bool) -> None:
-        self.source = source
+    def __init__(self, name: str, folder: Path | None, allow_outside: bool) -> None:
+        self.name = name
+        self.folder = folder
         self.allow_outside = allow_outside
         self.files: dict[str, bytes | None] = {}
         self.refused: list[InputError] = []
@@ -45,7 +48,7 @@ class Referred:
         if (known := self.files.get(name)) is not None:
             return known
         self.files[name] = None
-        found = _place(self.source.parent, name, self.allow_outside)
+        found = self.folder and _place(self.folder, name, self.allow_outside)
         if found is None:
             raise FileNotFoundError(self.why_not(name))
         most = MOST - sum(len(each) for each in self.files.values() if each is not None)
@@ -61,8 +64,10 @@ class Referred:
 
     def why_not(self, name: str) -> str:
         """Why a file was not found, for behind the mesh file's name."""
-        folder = clipped(str(self.source.parent), 120)
-        if not self.allow_outside and not _is_inside(self.source.parent, _spellings(name)[0]):
+        if self.folder is None:
+            return "is not in the bytes that were given, which have no folder: give a path"
+        folder = clipped(str(self.folder), 120)
+        if not self.allow_outside and not _is_inside(self.folder, _spellings(name)[0]):
             return f"lies outside {folder}, and is not opened: {ALLOW}"
         return f"not found in {folder}"
 

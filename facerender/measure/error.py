@@ -107,7 +107,7 @@ def image_errors(
         gbuffer = renderer.gbuffer(scene, exact)
         reference = shade(gbuffer, scene, exact)
         images = [renderer.render(scene, shading).linear[..., :3] for shading in shadings]
-    covered = gbuffer.part >= 0
+    covered = gbuffer.coverage > 0.0
     return Renderings(
         reference, images, [image_error(image, reference, covered) for image in images]
     )

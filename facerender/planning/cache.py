@@ -68,10 +68,10 @@ def _pieces(value: Any) -> Iterator[bytes]:
         yield repr((value.shape, value.dtype.str)).encode()
         yield np.ascontiguousarray(value).tobytes()
     elif isinstance(value, Texture):
-        yield repr(value.rgb().size).encode()
+        yield repr((value.rgb().size, value.sampling)).encode()
         yield value.rgb().tobytes()
     elif isinstance(value, Renderer):
-        names = ("size", "samples", "anisotropy", "albedo_kind")
+        names = ("size", "samples", "anisotropy", "albedo_kind", "full_maps")
         facts = [getattr(value, name) for name in names] + [value.context.renderer]
         yield repr(facts).encode()
     elif isinstance(value, tuple):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from facerender.drawing.prepare import simplify
 from facerender.drawing.renderer import Renderer
-from facerender.errors import InputError, check_switch, check_type, each_of
+from facerender.errors import InputError, check_switch, check_type, each_of, warn
 from facerender.glsl.code import call
 from facerender.glsl.library import Language, Target, term_source
 from facerender.image import save_png
@@ -32,6 +32,7 @@ from facerender.pricing.table import FRAME
 from facerender.progress import Progress, unheard
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import scene_toml
+from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.planned import Detail, Planned
 from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
@@ -304,6 +305,10 @@ def plan(
         nothing, another lobe than the exact one, FLIP with a guarantee or without its package, no
         share of the pixels, or one with a guarantee
     ContextError : no OpenGL context
+
+    Warns
+    -----
+    FacerenderWarning : a part is blended: what shading changes of it is not counted
     """
     check_type("scene", scene, Scene, "a facerender.Scene")
     check_type("budget", budget, str | float | int, 'an error with its unit, such as "1/255"')
@@ -324,6 +329,8 @@ def plan(
         raise InputError("a plan chooses the lights' terms: leave lights out of the shading")
     if not scene.lights and scene.environment is None:
         raise InputError("the scene has no lights: there is no shading to plan")
+    if "blend" in map(drawn_alpha, scene.mesh.parts, scene.mesh.materials):
+        warn(f"parts of {scene.mesh.name} are blended: the plan counts what lies behind them")
     full = replace(full, term=replace(full.term, small_slope=None))  # as the slopes need it
     if guarantee:
         if cameras is not None or sizes is not None:
@@ -362,6 +369,8 @@ def _resized(renderer: Renderer, size: tuple[int, int]) -> Renderer:
         backend=renderer.context.backend,  # type: ignore[arg-type]
         anisotropy=renderer.anisotropy,
         float_albedo=renderer.albedo_kind == "linear-color",
+        full_maps=renderer.full_maps,
+        memory=renderer.memory,
     )
 
 

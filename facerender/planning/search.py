@@ -235,10 +235,10 @@ class Region:
     def seen(cls, place: Place, full: Shading, budget: Budget) -> Region:
         """Return all pixels of a place."""
         renderer, scene = place.renderer, place.scene
-        mapped = renderer.gbuffer(scene, full)
+        mapped = renderer.gbuffer(scene, full, blended=False)
         plain = mapped
         if any(each.normal_map is not None for each in simplify(scene, full).mesh.materials):
-            plain = renderer.gbuffer(scene, replace(full, normal_map=False))
+            plain = renderer.gbuffer(scene, replace(full, normal_map=False), blended=False)
         counted = mapped.part >= 0
         spared = budget.spared(int(np.count_nonzero(counted)))
         scatters = mapped.facing is not None

@@ -26,7 +26,6 @@ from facerender.drawing.passes.shadow import shadow_passes
 from facerender.drawing.program import (
     ATTRIBUTES,
     ENVIRONMENT_MAP,
-    PROPERTY_MAPS,
     Lighting,
     Program,
     part_uniforms,
@@ -41,7 +40,7 @@ from facerender.pricing.interval import Interval
 from facerender.pricing.variants import SLOPE
 from facerender.scenes.environment import Environment, studio
 from facerender.scenes.light import LIGHT_KINDS
-from facerender.scenes.material import Material
+from facerender.scenes.material import PROPERTY_MAPS, Material
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.scene import Scene
 from facerender.scenes.texture import Texture

@@ -3,10 +3,23 @@ mesh's units."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, get_args
 
-from facerender.errors import check_count, check_range, check_type
-from facerender.scenes.vectors import Vector, vector
+import numpy as np
+
+from facerender.errors import InputError, check_count, check_range, check_type, is_count, shown
+from facerender.scenes.vectors import FARTHEST, Vector, is_number, vector
+
+Frame = Literal["all", "head", "face"]
+Pose = tuple[float, float, float, float]
+
+FRAMES: tuple[Frame, ...] = get_args(Frame)
+CAMERA_FILES = (".toml", ".json", ".npz")
+MOST_CAMERAS = 100_000
+MOST_PIXELS = 1 << 30  # a side
+_NOT_ROTATED = 1e-3  # of the nine numbers of a rotation, by rounding
+_PLACED = ("azimuth", "elevation", "zoom", "target", "position", "frame")  # by extrinsics
 
 
 @dataclass(frozen=True)
@@ -17,9 +30,19 @@ class Camera:
     ----------
     azimuth, elevation : degrees; 0, 0 looks at the face, azimuth 90 sees the side at +x
     fov : vertical angle of view, degrees in [1, 150]
-    zoom : magnification relative to the framing that holds the whole mesh at every azimuth
-    target : what the centre of the image shows; None for the centre of the mesh's bounds
+    zoom : magnification relative to the framing that holds what ``frame`` says at every azimuth
+    target : what the centre of the image shows; None for the centre of what ``frame`` says
     position : the eye; None for the orbit
+    frame : "all" of the mesh, its "head", or its "face": ``facerender.scenes.framing``
+        tells how they are found
+    extrinsics : [R|t], (3, 4), from the mesh's space to the camera's as OpenCV has it: the eye at
+        0, x to the right, y down, z forward, t in the mesh's units. In place of azimuth, elevation,
+        zoom, target, position and frame
+    intrinsics : K, (3, 3), from that space to pixels of an image of ``size``, in place of fov. The
+        corner of the top left pixel is (0, 0) and its centre (0.5, 0.5): where a calibration
+        has its centre at (0, 0), as OpenCV's, add 0.5 to the principal point
+    size : width and height of the images that intrinsics are for; other images have to be of this
+        shape
     """
 
     azimuth: float = 0.0
@@ -28,6 +51,10 @@ class Camera:
     zoom: float = 1.0
     target: Vector | None = None
     position: Vector | None = None
+    frame: Frame = "all"
+    extrinsics: tuple[Pose, Pose, Pose] | None = None
+    intrinsics: tuple[Vector, Vector, Vector] | None = None
+    size: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         ends = {"azimuth": (-3600, 3600), "elevation": (-90, 90), "fov": (1, 150)}
@@ -37,6 +64,72 @@ class Camera:
         for name in ("target", "position"):
             if (value := getattr(self, name)) is not None:
                 object.__setattr__(self, name, vector(f"camera {name}", value))
+        if not (isinstance(self.frame, str) and self.frame in FRAMES):
+            raise InputError(f"camera frame = {shown(self.frame)}: give {', '.join(FRAMES)}")
+        for name, columns in (("extrinsics", 4), ("intrinsics", 3)):
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, _matrix(f"camera {name}", value, columns))
+        if self.extrinsics is not None:
+            self._check_extrinsics()
+        if (self.intrinsics is None) != (self.size is None):
+            raise InputError("camera intrinsics and camera size belong together: give both")
+        if self.intrinsics is not None:
+            self._check_intrinsics()
+
+    def _check_extrinsics(self) -> None:
+        turn = np.array(self.extrinsics)[:, :3]
+        off = np.abs(turn @ turn.T - np.eye(3)).max()
+        if off > _NOT_ROTATED or np.linalg.det(turn) < 0.0:
+            raise InputError(
+                f"camera extrinsics = {shown(self.extrinsics)}: give [R|t] with a rotation R, "
+                "whose rows are unit vectors at right angles, x to the right, y down, z forward"
+            )
+        for each in fields(self):
+            if each.name in _PLACED and (value := getattr(self, each.name)) != each.default:
+                raise InputError(
+                    f"camera {each.name} = {shown(value)} and extrinsics exclude each other: leave "
+                    "one of them out"
+                )
+
+    def _check_intrinsics(self) -> None:
+        if self.extrinsics is None:
+            raise InputError("camera intrinsics need extrinsics: give [R|t] as well")
+        if self.fov != Camera.fov:
+            raise InputError(
+                f"camera fov = {self.fov} and intrinsics exclude each other: leave one out"
+            )
+        size = self.size
+        sides = size if isinstance(size, tuple | list) else ()
+        if len(sides) != 2 or not all(is_count(side, MOST_PIXELS) for side in sides):
+            raise InputError(f"camera size = {shown(size)}: give width and height in pixels")
+        width, height = map(int, sides)
+        object.__setattr__(self, "size", (width, height))
+        k = np.array(self.intrinsics)
+        focal, middle = k[[0, 1], [0, 1]] / (width, height), k[:2, 2] / (width, height)
+        if k[2].tolist() != [0.0, 0.0, 1.0] or k[0, 1] or k[1, 0]:
+            raise InputError(
+                f"camera intrinsics = {shown(self.intrinsics)}: give [[fx, 0, cx], [0, fy, cy], "
+                "[0, 0, 1]], without skew"
+            )
+        if not ((focal >= 1e-3) & (focal <= 1e4)).all() or np.abs(middle).max() > 1e3:
+            raise InputError(
+                f"camera intrinsics = {shown(self.intrinsics)}: give fx and fy from 0.001 to 10000 "
+                f"times the image of {width} x {height} pixels, cx and cy up to 1000 times"
+            )
+
+
+def _matrix(name: str, value: Any, columns: int) -> tuple[tuple[float, ...], ...]:
+    """Return three rows of so many numbers."""
+    rows = value.tolist() if isinstance(value, np.ndarray) else value
+    good = isinstance(rows, tuple | list) and len(rows) == 3
+    if not good or not all(
+        isinstance(row, tuple | list)
+        and len(row) == columns
+        and all(is_number(each) and abs(each) <= FARTHEST for each in row)
+        for row in rows
+    ):
+        raise InputError(f"{name} = {shown(value)}: give 3 rows of {columns} numbers")
+    return tuple(tuple(float(each) for each in row) for row in rows)
 
 
 def turntable(camera: Camera = Camera(), count: int = 8) -> tuple[Camera, ...]:
@@ -47,6 +140,12 @@ def turntable(camera: Camera = Camera(), count: int = 8) -> tuple[Camera, ...]:
     InputError : no camera, a count that is no whole number in [1, 100000]
     """
     check_type("camera", camera, Camera, "a facerender.Camera")
-    check_count("count", count, 100000)
+    check_count("count", count, MOST_CAMERAS)
     turns = (camera.azimuth + 360.0 * turn / count for turn in range(count))
-    return tuple(replace(camera, azimuth=azimuth, position=None) for azimuth in turns)
+    return tuple(orbiting(camera, azimuth=azimuth) for azimuth in turns)
+
+
+def orbiting(camera: Camera, **orbit: Any) -> Camera:
+    """Return a camera of the same kind that orbits: at these angles, with this zoom."""
+    placed: dict[str, Any] = dict.fromkeys(("position", "extrinsics", "intrinsics", "size"))
+    return replace(camera, **placed, **orbit)

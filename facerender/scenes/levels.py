@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_type, shown, warn
+from facerender.scenes.framing import find_regions
 from facerender.scenes.mesh import Mesh, Part
 
 if TYPE_CHECKING:
@@ -23,10 +24,10 @@ if TYPE_CHECKING:
 Float = NDArray[np.float64]
 
 # What errors count beside a distance of the mesh's extent: of normals; of places on a map, measured
-# on the surface in radii; of linear colours, and of occlusion. Chosen by images such as those of
-# docs/levels.md.
+# on the surface in radii; of linear colours, of occlusion, and of places by second coordinates.
+# Chosen by images such as those of docs/levels.md.
 _NORMAL, _PLACE, _COLOR = 1.0, 20.0, 1.0
-_WEIGHTS = [_NORMAL] * 3 + [_PLACE] * 2 + [_COLOR] * 4
+_WEIGHTS = [_NORMAL] * 3 + [_PLACE] * 2 + [_COLOR] * 4 + [_PLACE] * 2
 _ANY_ERROR = 1e9  # the number of triangles alone ends it
 # Of what goes in, of the 4 GiB that WebAssembly has: 8 million triangles that share their vertices,
 # which take 3 GiB.
@@ -42,8 +43,8 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     normals, texture coordinates, colours and occlusion beside distances (Hoppe 1999); what is left
     of them moves to where the error is least. Open borders, seams of texture coordinates and
     normals, and borders between parts collapse along themselves, both sides at once: no crack
-    opens. Materials, the number of parts, bounds, radius and profile stay, so that a camera sees
-    both meshes alike.
+    opens. Materials, the number of parts, bounds, radius, profile, head and face stay, so that a
+    camera sees both meshes alike.
 
     The result is the same in every process, and the same object for the same arguments. Kapoulkine
     (2016-2026), meshoptimizer 1.3: meshopt_simplifyWithUpdate.
@@ -81,7 +82,7 @@ def check_triangles(value: Any) -> None:
 
 def _simplify(mesh: Mesh, triangles: int) -> Mesh:
     """All parts at once, so that their common borders stay common and the worst goes last."""
-    scales = [_scale(part) / mesh.radius for part in mesh.parts]
+    scales = [(_scale(part, part.uv), _scale(part, part.uv2)) for part in mesh.parts]
     rows = np.concatenate([_vertices(mesh, *each) for each in enumerate(scales)])
     starts = np.cumsum([0, *(len(part.positions) for part in mesh.parts)])
     faces = [part.faces + start for part, start in zip(mesh.parts, starts, strict=False)]
@@ -105,36 +106,43 @@ def _simplify(mesh: Mesh, triangles: int) -> Mesh:
                 mesh.denormalised(moved[kept]),
                 normals[kept],
                 numbers.reshape(chosen.shape).astype(np.uint32),
-                None if part.uv is None else _within(changed[kept, 3:5] / scale, part.uv),
+                _places(part.uv, changed[kept, 3:5], scale[0] / mesh.radius),
                 None if part.colors is None else _within(changed[kept, 5:8], part.colors),
                 None if part.occlusion is None else _within(changed[kept, 8], part.occlusion),
+                _places(part.uv2, changed[kept, 9:11], scale[1] / mesh.radius),
+                part.name,
             )
         )
-    return replace(mesh, parts=tuple(parts))
+    return replace(mesh, parts=tuple(parts), regions=find_regions(mesh))
 
 
-def _vertices(mesh: Mesh, index: int, scale: float) -> Float:
-    """Return number of the part, position, normal, scaled place on the maps, colour: (N, 12), and
-    occlusion where a part of the mesh has it: (N, 13)."""
+def _vertices(mesh: Mesh, index: int, scales: tuple[float, float]) -> Float:
+    """Return number of the part, position, normal, scaled place on the maps, colour: (N, 12),
+    occlusion where a part of the mesh has it or what follows: (N, 13), and where a part has it the
+    scaled second place on the maps: (N, 15)."""
     part = mesh.parts[index]
     count = len(part.positions)
     columns = [
         np.full((count, 1), index),
         mesh.normalised(part.positions),
         part.normals,
-        np.zeros((count, 2)) if part.uv is None else part.uv * scale,
+        np.zeros((count, 2)) if part.uv is None else part.uv * (scales[0] / mesh.radius),
         np.ones((count, 3)) if part.colors is None else part.colors,
     ]
-    if any(each.occlusion is not None for each in mesh.parts):
+    second = any(each.uv2 is not None for each in mesh.parts)
+    if second or any(each.occlusion is not None for each in mesh.parts):
         columns.append((np.ones(count) if part.occlusion is None else part.occlusion)[:, None])
+    if second:
+        own = np.zeros((count, 2)) if part.uv2 is None else part.uv2 * (scales[1] / mesh.radius)
+        columns.append(own)
     return np.concatenate(columns, axis=1)
 
 
-def _scale(part: Part) -> float:
-    """Return the length on the surface of a step of 1 on the part's maps."""
-    if part.uv is None:
+def _scale(part: Part, uv: Float | None) -> float:
+    """Return the length on the surface of a step of 1 on a part's maps."""
+    if uv is None:
         return 1.0
-    flat = np.concatenate([part.uv, np.zeros((len(part.uv), 1))], axis=1)
+    flat = np.concatenate([uv, np.zeros((len(uv), 1))], axis=1)
     on_map = float(_double_areas(flat[part.faces]).sum())
     on_surface = float(_double_areas(part.positions[part.faces]).sum())
     return math.sqrt(on_surface / on_map) if on_map > 0.0 else 1.0
@@ -162,6 +170,10 @@ def _normals(positions: Float, before: Float, after: Float, kept: NDArray[np.uin
         useful, (sums / np.maximum(lengths, 1e-6))[common.reshape(-1)], before[kept]
     )
     return normals
+
+
+def _places(uv: Float | None, moved: Float, scale: float) -> Float | None:
+    return None if uv is None else _within(moved / scale, uv)
 
 
 def _within(values: Float, old: Float) -> Float:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from facerender.errors import InputError, check_range, shown
 from facerender.scenes.texture import MOST_TEXELS, Texture, pack
-from facerender.scenes.vectors import Vector, non_negative
+from facerender.scenes.vectors import HIGHEST, Vector, non_negative
 from facerender.shading import MAX_WEIGHT
 from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
 
@@ -21,11 +19,15 @@ if TYPE_CHECKING:
 SKIN_ALBEDO: Vector = (0.48, 0.28, 0.21)  # linear; where a mesh brings no colour of its own
 
 
+Alpha = Literal["opaque", "mask", "blend"]
+
+PROPERTY_MAPS = ("occlusion_map", "roughness_map", "specular_map")  # in red, green and blue of one
 MAPS = (
     *("albedo_map", "normal_map", "roughness_map", "specular_map", "occlusion_map"),
-    "lobe_map",
+    *("lobe_map", "opacity_map", "emissive_map"),
 )
 MAX_SECOND_SLOPE = 100.0
+MAX_NORMAL_STRENGTH = 100.0
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,17 @@ class Material:
     scattering : how light enters and leaves beside: "skin", or Gaussians, each as its variance in
         mm^2 and its weights of red, green and blue, which add up to 1 at most; what they lack to 1
         leaves where it enters. None or "none" for a surface that does not scatter
+    alpha : what the opacity does: nothing ("opaque"); cut away what is below ``alpha_cutoff``
+        ("mask"); show what lies behind ("blend"): such a part is drawn after all others, casts no
+        shadow, and does not scatter
+    opacity : in [0, 1]
+    alpha_cutoff : >= 0; above the opacity nothing is left
+    opacity_map : grey texture or None, which multiplies the opacity
+    emissive : linear radiance, >= 0, that the part gives off itself; it lights nothing else
+    emissive_map : texture or None, sRGB-encoded, which multiplies it
+    normal_strength : factor on x and y of the normal map's texels, in [0, 100]
+    occlusion_strength : share of the occlusion map, in [0, 1]: 1 + strength (texel - 1) counts
+    second_uv : names of the maps that lie by the part's second texture coordinates
     """
 
     albedo: Vector = SKIN_ALBEDO
@@ -66,6 +79,15 @@ class Material:
     occlusion_map: Texture | None = None
     lobe_map: Texture | None = None
     scattering: str | Gaussians | None = None
+    alpha: Alpha = "opaque"
+    opacity: float = 1.0
+    alpha_cutoff: float = 0.5
+    opacity_map: Texture | None = None
+    emissive: Vector = (0.0, 0.0, 0.0)
+    emissive_map: Texture | None = None
+    normal_strength: float = 1.0
+    occlusion_strength: float = 1.0
+    second_uv: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "albedo", non_negative("albedo", self.albedo))
@@ -78,6 +100,19 @@ class Material:
         check_range("lobe_weight", self.lobe_weight, 0.0, 1.0)
         if self.two_lobes and self.roughness_map is None:
             check_range("m times second_slope", self.m * self.second_slope, MIN_SLOPE, MAX_SLOPE)
+        if not (isinstance(self.alpha, str) and self.alpha in get_args(Alpha)):
+            raise InputError(
+                f"unknown alpha {shown(self.alpha)}; known: {', '.join(get_args(Alpha))}"
+            )
+        check_range("opacity", self.opacity, 0.0, 1.0)
+        check_range("alpha_cutoff", self.alpha_cutoff, 0.0, HIGHEST)
+        object.__setattr__(self, "emissive", non_negative("emissive", self.emissive))
+        check_range("normal_strength", self.normal_strength, 0.0, MAX_NORMAL_STRENGTH)
+        check_range("occlusion_strength", self.occlusion_strength, 0.0, 1.0)
+        names = self.second_uv
+        if not isinstance(names, tuple | list) or any(each not in MAPS for each in names):
+            raise InputError(f"second_uv = {shown(names)}: give some of {', '.join(MAPS)}")
+        object.__setattr__(self, "second_uv", tuple(names))
         for name in MAPS:
             value = getattr(self, name)
             if value is not None and not isinstance(value, Texture):
@@ -112,32 +147,60 @@ class Material:
     def slopes(self) -> tuple[float, float]:
         """The smallest and largest m of all lobes, of the roughness map if there is one, which is
         then decoded."""
-        if self.roughness_map is None or self.property_map is None:
+        if self.roughness_map is None:
             return self.with_second(self.m, self.m)
-        roughness = self.property_map.levels("data").result()[0][..., 1]
-        ends = (
-            self.roughness_factor * float(end) / 255.0
-            for end in (np.min(roughness), np.max(roughness))
-        )
+        channel = self.roughness_map, 0
+        if self.property_map is not None:
+            channel = self.property_map, 1
+        texels = channel[0].ends()[:, channel[1]]
+        ends = (self.roughness_factor * float(end) / 255.0 for end in texels)
         low, high = (max(end**2, MIN_SLOPE) for end in ends)
         return self.with_second(low, high)
 
     @cached_property
     def property_map(self) -> Texture | None:
-        """Occlusion, roughness and specular weight as one texture, so that one fetch serves."""
-        maps = (self.occlusion_map, self.roughness_map, self.specular_map)
-        return pack(*maps) if any(maps) else None
+        """Occlusion, roughness and specular weight as one texture, so that one fetch serves; None
+        where there are none, and where they stay apart: they are sampled in several ways, or by
+        several texture coordinates."""
+        return pack(*self.properties) if self.packs else None
+
+    @property
+    def properties(self) -> tuple[Texture | None, Texture | None, Texture | None]:
+        """What one texture may hold: see PROPERTY_MAPS."""
+        return self.occlusion_map, self.roughness_map, self.specular_map
+
+    @property
+    def packs(self) -> bool:
+        """Whether there is a property map."""
+        pairs = zip(PROPERTY_MAPS, self.properties, strict=True)
+        return len({(name in self.second_uv, m.sampling) for name, m in pairs if m}) == 1
+
+    def by_second(self, name: str) -> bool:
+        """Tell whether a map, or "property_map", lies by the part's second texture coordinates."""
+        names = PROPERTY_MAPS if name == "property_map" else (name,)
+        return any(each in self.second_uv and getattr(self, each) is not None for each in names)
+
+    @cached_property
+    def solid(self) -> bool:
+        """Whether the opacity, whose map is then decoded, changes nothing of what is drawn."""
+        if self.alpha == "opaque":
+            return True
+        least = 1.0
+        if self.opacity_map is not None:
+            least = float(self.opacity_map.ends()[0, 0]) / 255.0
+        return self.opacity * least >= (1.0 if self.alpha == "blend" else self.alpha_cutoff)
 
 
 def check_maps(name: str, materials: Sequence[Material]) -> None:
     """Raise InputError where the maps of a mesh have more than MOST_TEXELS together."""
     sizes: dict[object, tuple[int, int]] = {}
     for each in materials:
-        for texture in (each.albedo_map, each.normal_map, each.lobe_map):
+        names = set(MAPS) - (set(PROPERTY_MAPS) if each.packs else set())
+        for texture in (getattr(each, name) for name in names):
             if texture is not None:
                 sizes[texture] = texture.size
-        packed = each.occlusion_map, each.roughness_map, each.specular_map
-        if any(packed):
+        if each.packs:
+            packed = each.properties
             widths, heights = zip(*(texture.size for texture in packed if texture), strict=True)
             sizes[packed] = max(widths), max(heights)
     if (total := sum(width * height for width, height in sizes.values())) > MOST_TEXELS:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_range, check_type, each_of
-from facerender.scenes.material import Material, check_maps
+from facerender.errors import InputError, check_range, check_type, clipped, each_of, shown
+from facerender.scenes.arrays import piece_of
+from facerender.scenes.material import Alpha, Material, check_maps
+from facerender.scenes.repair import Piece, clean, used
 from facerender.scenes.vectors import check_array
 
 
@@ -27,6 +31,9 @@ class Part:
     colors : (N, 3) linear RGB, or None
     occlusion : (N,) in [0, 1], what reaches a vertex of a light that is the same from everywhere,
         or None; see :func:`facerender.with_occlusion`
+    uv2 : (N, 2) float64, further texture coordinates beside uv, for the maps that
+        :attr:`Material.second_uv` names; or None
+    name : what files call it, or ""; see docs/formats.md
     """
 
     positions: NDArray[np.float64]
@@ -35,13 +42,45 @@ class Part:
     uv: NDArray[np.float64] | None = None
     colors: NDArray[np.float64] | None = None
     occlusion: NDArray[np.float64] | None = None
+    uv2: NDArray[np.float64] | None = None
+    name: str = ""
 
     def __post_init__(self) -> None:
+        check_type("name of a part", self.name, str, "text")
         for name, columns in (("positions", 3), ("normals", 3), ("faces", 3)):
             check_array(name, getattr(self, name), columns)
-        for name, columns in (("uv", 2), ("colors", 3), ("occlusion", 0)):
+        for name, columns in (("uv", 2), ("colors", 3), ("occlusion", 0), ("uv2", 2)):
             if (values := getattr(self, name)) is not None:
                 check_array(name, values, columns)
+        if self.uv is None and self.uv2 is not None:
+            raise InputError("uv2 without uv: give the first texture coordinates as uv")
+
+    def __repr__(self) -> str:
+        has = [
+            name for name in ("uv", "uv2", "colors", "occlusion") if vars(self)[name] is not None
+        ]
+        counts = f"{len(self.positions)} vertices, {len(self.faces)} triangles"
+        return f"<Part {', '.join([repr(self.name), counts, *has])}>"
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """Something of a mesh that a camera frames: an upright cylinder.
+
+    Attributes
+    ----------
+    center : (3,) float64, in the renderer's space
+    radius, height : half of its width and half of its height, there
+    """
+
+    center: NDArray[np.float64]
+    radius: float
+    height: float
+
+    @property
+    def profile(self) -> NDArray[np.float64]:
+        """As that of :class:`Mesh`, about the region's own axis."""
+        return np.array([(self.radius, self.height), (self.radius, -self.height)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +98,8 @@ class Mesh:
         through its centre: distance from the axis and height, in the renderer's space
     millimetres : that a unit of its space is, as a glTF file says; None where no file has said so.
         Scattering needs it
+    regions : head and face of the mesh that this one is simplified of; None where they are found in
+        its own parts, see :func:`facerender.scenes.framing.find_region`
     """
 
     name: str
@@ -68,6 +109,7 @@ class Mesh:
     radius: float
     profile: NDArray[np.float64]
     millimetres: float | None = None
+    regions: Mapping[str, Region] | None = None
 
     def __post_init__(self) -> None:
         check_type("name of a mesh", self.name, str, "text")
@@ -83,9 +125,137 @@ class Mesh:
         check_array("bounds", self.bounds, 3)
         check_array("profile", self.profile, 2)
         check_range("radius", self.radius, 0.0, math.inf)
+        if self.regions is not None:
+            check_type("regions", self.regions, Mapping, "head and face, or None")
+            each_of("regions", self.regions.values(), Region, "facerender.scenes.mesh.Region")
+            if set(self.regions) != {"head", "face"}:
+                raise InputError(f"regions = {shown(self.regions)}: give head and face, or None")
         if self.millimetres is not None:
             check_range("millimetres", self.millimetres, 1e-6, 1e6)
         check_maps(self.name, self.materials)
+
+    def __repr__(self) -> str:
+        count = len(self.parts)
+        triangles = sum(len(part.faces) for part in self.parts)
+        parts = f"{count} part{'s' * (count > 1)}, {triangles} triangles"
+        return f"<Mesh {self.name!r}, {parts}, radius {self.radius:.4g}>"
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        parts: Sequence[Part],
+        materials: Sequence[Material],
+        millimetres: float | None = None,
+    ) -> Mesh:
+        """Return a mesh of parts whose faces name vertices that are there; what of bounds, radius
+        and profile follows of them is computed."""
+        drawn = np.concatenate([each.positions[used(each)] for each in parts])
+        bounds = np.array([drawn.min(axis=0), drawn.max(axis=0)])
+        offsets = drawn - bounds.mean(axis=0)
+        radius = float(np.linalg.norm(offsets, axis=1).max())
+        within = tuple(_within(part, bounds) for part in parts)
+        profile = _profile(offsets / radius)
+        return cls(name, within, tuple(materials), bounds, radius, profile, millimetres)
+
+    @classmethod
+    def assembled(cls, pieces: Sequence[Piece], name: str, millimetres: float | None) -> Mesh:
+        """Return a mesh of pieces that are clean: :func:`facerender.scenes.repair.clean`. A piece
+        without a name is called by its number, where there are several."""
+        several = len(pieces) > 1
+        names = (each.name or f"part{i}" * several for i, each in enumerate(pieces, 1))
+        parts = [
+            Part(
+                piece.positions,
+                np.asarray(piece.normals),
+                np.ascontiguousarray(piece.faces, dtype=np.uint32),
+                piece.uv,
+                piece.colors,
+                name=own,
+                uv2=piece.uv2,
+            )
+            for piece, own in zip(pieces, _unique(names), strict=True)
+        ]
+        return cls.of(name, parts, [piece.material for piece in pieces], millimetres)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        positions: ArrayLike,
+        faces: ArrayLike,
+        *,
+        uv: ArrayLike | None = None,
+        normals: ArrayLike | None = None,
+        colors: ArrayLike | None = None,
+        material: Material | None = None,
+        name: str = "arrays",
+        millimetres: float | None = None,
+    ) -> Mesh:
+        """Return a mesh of one part, of copies of arrays or of nested lists, mended as one of a
+        file is: what cannot be drawn is dropped and faces are turned outwards, with a warning.
+
+        Parameters
+        ----------
+        positions : (N, 3), y up
+        faces : (F, 3) whole numbers from 0 on, counter-clockwise seen from outside
+        uv : (N, 2), v upwards; a vertex at a seam is there once for each side of it
+        normals : (N, 3), of any length; None to compute smooth ones
+        colors : (N, 3) or (N, 4), of which alpha is dropped: floats, linear in [0, 1]; or uint8 or
+            uint16, sRGB-encoded
+        material : None for skin, or for the colours
+        name : of the mesh and of its part
+        millimetres : that a unit is, which scattering needs
+
+        Raises
+        ------
+        InputError : another shape, values that are no numbers, a face of a vertex that is not
+            there, maps without texture coordinates
+        """
+        check_type("name of a mesh", name, str, "text")
+        piece = piece_of(positions, faces, uv, normals, colors, material)
+        piece.name = name
+        with np.errstate(all="ignore"):  # what overflows is found and dropped
+            return cls.assembled(clean([piece], name), name, millimetres)
+
+    def select(self, parts: str | Iterable[str] = (), hide: str | Iterable[str] = ()) -> Mesh:
+        """Return a mesh of some parts: those of these names, or all, without the hidden ones.
+
+        Bounds, and with them what a camera frames, are those of what is left.
+
+        Parameters
+        ----------
+        parts, hide : names, in which ``*``, ``?`` and ``[...]`` are wildcards as in names of files;
+            several, or a text with commas between them
+
+        Raises
+        ------
+        InputError : a name that no part has, or no part is left
+        """
+        wanted, hidden = names_of("parts", parts), names_of("hide", hide)
+        chosen = {i for name in wanted for i in self._called(name)} or {*range(len(self.parts))}
+        left = sorted(chosen - {i for name in hidden for i in self._called(name)})
+        if not left:
+            raise InputError(f"every part of {self.name} is hidden: {self._known()}; hide fewer")
+        if len(left) == len(self.parts):
+            return self
+        return Mesh.of(
+            self.name,
+            [replace(self.parts[i]) for i in left],  # renderers keep a part as its mesh places it
+            [self.materials[i] for i in left],
+            self.millimetres,
+        )
+
+    def _called(self, name: str) -> list[int]:
+        """Return the numbers of the parts of a name."""
+        pairs = enumerate(part.name for part in self.parts)
+        if not (found := [i for i, own in pairs if own == name or fnmatchcase(own, name)]):
+            raise InputError(f"no part of {self.name} is called {shown(name)}: {self._known()}")
+        return found
+
+    def _known(self) -> str:
+        if not any(part.name for part in self.parts):
+            return f"its {len(self.parts)} parts have no names"
+        return f"its parts are {', '.join(part.name for part in self.parts)}"
 
     @property
     def center(self) -> NDArray[np.float64]:
@@ -117,7 +287,68 @@ class Mesh:
         return replace(self, materials=tuple(replace(each, **changes) for each in self.materials))
 
 
+def coordinates(part: Part, material: Material, name: str) -> NDArray[np.float64] | None:
+    """Return the texture coordinates that a map of a part lies by; None where the part has none,
+    and the map does not count."""
+    return part.uv2 if material.by_second(name) else part.uv
+
+
+def drawn_alpha(part: Part, material: Material) -> Alpha:
+    """Return what the opacity of a part does as it is drawn, which is nothing where it is 1
+    everywhere; its map is then decoded."""
+    if material.opacity_map is not None and coordinates(part, material, "opacity_map") is None:
+        material = replace(material, opacity_map=None)
+    return "opaque" if material.solid else material.alpha
+
+
 def slope_range(part: Part, material: Material) -> tuple[float, float]:
     """Return the smallest and the largest m of all lobes; without texture coordinates no map
     counts."""
-    return material.with_second(material.m, material.m) if part.uv is None else material.slopes
+    if coordinates(part, material, "roughness_map") is None:
+        return material.with_second(material.m, material.m)
+    return material.slopes
+
+
+def names_of(option: str, given: Any) -> tuple[str, ...]:
+    """Return names of parts, of a text with commas between them or of several.
+
+    Raises
+    ------
+    InputError : something else than text
+    """
+    names = given.split(",") if isinstance(given, str) else given
+    remedy = "names of parts"
+    found = each_of(option, names, str, remedy)
+    return tuple(name for each in found if (name := each.strip()))
+
+
+def _unique(names: Iterable[str]) -> Iterator[str]:
+    """Yield names on one line, a number behind those that were there before."""
+    seen = {""}
+    for given in names:
+        plain = name = clipped(given, 80)
+        number = 1
+        while name and name in seen:
+            number += 1
+            name = f"{plain}.{number}"
+        seen.add(name)
+        yield name
+
+
+def _within(part: Part, bounds: NDArray[np.float64]) -> Part:
+    """Return a part whose vertices beyond the bounds, which are of no face, are in their middle:
+    float32 need not hold them."""
+    inside = ((part.positions >= bounds[0]) & (part.positions <= bounds[1])).all(axis=1)
+    if inside.all():
+        return part
+    positions = np.where(inside[:, None], part.positions, bounds.mean(axis=0))
+    return replace(part, positions=positions)
+
+
+def _profile(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The widest vertex in each of 512 slices of the height."""
+    widths, heights = np.hypot(positions[:, 0], positions[:, 2]), positions[:, 1]
+    slices = np.round(heights * 255.0).astype(np.int64)
+    order = np.lexsort((widths, slices))
+    widest = order[np.diff(slices[order], append=slices.max() + 1) > 0]
+    return np.stack([widths[widest], heights[widest]], axis=1)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from facerender import store
 from facerender._version import __version__
 from facerender.errors import InputError, check_switch, check_type, warn
-from facerender.scenes.mesh import Mesh
+from facerender.scenes.mesh import Mesh, coordinates, drawn_alpha
 
 Floats = NDArray[np.float32]
 Numbers = NDArray[np.int64]
@@ -31,7 +31,7 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
     plane of its normal count, weighted by their cosine: as good as 256 rays spread by the cosine
     about each normal, the same in every process, and without noise between neighbours. Vertices
     with a place and a normal in common, as at a seam of texture coordinates, have one value. All
-    parts stand in the way, of both sides.
+    opaque parts stand in the way, of both sides; others are neither in the way nor dimmed.
 
     Parameters
     ----------
@@ -44,18 +44,25 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
 
     Warns
     -----
-    FacerenderWarning : every part has an occlusion map: the mesh is returned as it is
+    FacerenderWarning : every part has an occlusion map, or is not opaque: the mesh is returned as
+        it is
     """
     check_type("mesh", mesh, Mesh, "a facerender.Mesh")
     check_switch("cache", cache)
-    pairs = zip(mesh.parts, mesh.materials, strict=True)
-    bare = [part.uv is None or material.occlusion_map is None for part, material in pairs]
+    pairs = [*zip(mesh.parts, mesh.materials, strict=True)]
+    solid = [drawn_alpha(*pair) == "opaque" for pair in pairs]
+    bare = [
+        own
+        and (material.occlusion_map is None or coordinates(part, material, "occlusion_map") is None)
+        for own, (part, material) in zip(solid, pairs, strict=True)
+    ]
     if not any(bare):
         warn(f"{mesh.name} brings occlusion maps for all of its parts: none is baked")
         return mesh
     rows = [np.hstack([mesh.normalised(part.positions), part.normals]) for part in mesh.parts]
     starts = np.cumsum([0, *map(len, rows)])
-    faces = [part.faces + start for part, start in zip(mesh.parts, starts[:-1], strict=True)]
+    all_faces = zip(mesh.parts, starts[:-1], solid, strict=True)
+    faces = [part.faces + start for part, start, own in all_faces if own]
     values = np.split(_values(np.concatenate(rows), np.concatenate(faces), cache), starts[1:-1])
     parts = [
         replace(part, occlusion=own if lacks else None)

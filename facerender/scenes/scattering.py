@@ -11,7 +11,7 @@ import numpy as np
 from facerender.errors import InputError, warn
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
-from facerender.scenes.view import view_of
+from facerender.scenes.view import target_of, view_of
 from facerender.terms.scattering import Gaussians, wide_gaussians
 
 _HEADS = (40.0, 1200.0)  # mm, of radii around heads and whole people
@@ -60,10 +60,11 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
             f"{mesh.name} is {2.0 * millimetres:.3g} mm across if its unit is {mesh.millimetres:g} "
             "mm, and scatters as such: give --millimetres if it is not"
         )
-    target = scene.camera.target
-    middle = np.zeros(3) if target is None else mesh.normalised(target)
-    distance = float(np.linalg.norm(view_of(scene, size[0] / size[1]).eye - middle))
-    pixels = 0.5 * size[1] / math.tan(math.radians(scene.camera.fov) / 2.0)
+    camera, view = scene.camera, view_of(scene, size[0] / size[1])
+    distance = float(np.linalg.norm(view.eye - target_of(mesh, camera)))
+    pixels = 0.5 * size[1] / math.tan(math.radians(camera.fov) / 2.0)
+    if camera.intrinsics is not None:
+        pixels = float(view.intrinsics(size)[1, 1])
     pixel = millimetres * distance / pixels
     wide = [wide_gaussians(each, pixel) if each else () for each in given]
     profiles = tuple(dict.fromkeys(filter(None, wide)))

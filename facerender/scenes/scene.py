@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, get_args
 
 from facerender.errors import check_type, each_of
+from facerender.scenes import sources
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import LIGHTS, Light, disc_of
 from facerender.scenes.mesh import Mesh, slope_range
@@ -19,12 +20,26 @@ from facerender.terms.slope_variance import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from facerender.scenes.environment import Environment
+    from facerender.scenes.sources import MeshSource
 
-Only = Literal["specular", "diffuse", "albedo", "normal", "depth", "cosines", "visibility"]
+Only = Literal[
+    "specular",
+    "diffuse",
+    "albedo",
+    "normal",
+    "depth",
+    "cosines",
+    "visibility",
+    "mask",
+    "parts",
+]
 
-# What an image may show in place of a whole scene.
+# What an image may show in place of a whole scene, and what of it is data of one sample a pixel.
 ONLY: tuple[Only, ...] = get_args(Only)
+DATA = tuple(name for name in ONLY if name not in ("specular", "diffuse"))
 
 
 @dataclass(frozen=True)
@@ -33,7 +48,7 @@ class Scene:
 
     Parameters
     ----------
-    mesh : from :func:`facerender.load_mesh`
+    mesh : from :func:`facerender.load_mesh`, or what that takes
     camera, lights : see there
     ambient : irradiance from everywhere, one number or linear RGB
     background : linear RGB behind the mesh, or None for transparent
@@ -47,7 +62,21 @@ class Scene:
     background: Vector | None = (0.012, 0.013, 0.016)
     environment: Environment | None = None
 
+    if TYPE_CHECKING:
+
+        def __init__(
+            self,
+            mesh: Mesh | MeshSource,
+            camera: Camera = ...,
+            lights: Sequence[Light] = ...,
+            ambient: float | Vector = ...,
+            background: Vector | None = ...,
+            environment: Environment | None = ...,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
+        if sources.reader and not isinstance(self.mesh, Mesh) and self.mesh is not None:
+            object.__setattr__(self, "mesh", sources.reader(self.mesh))
         check_type("mesh", self.mesh, Mesh, "a Mesh, as facerender.load_mesh(FILE) returns it")
         check_type("camera", self.camera, Camera, "a facerender.Camera")
         lights = each_of("lights", self.lights, Light, "several facerender.Light")
@@ -79,7 +108,8 @@ def slope_ranges(scene: Scene, shading: Shading) -> list[tuple[float, float]]:
         smallest, largest = slope_range(part, material)
         variance = shared
         if part.uv is not None and material.normal_map and shading.normal_map:
-            variance += float(slope_variance_map(1.0)) * shading.slope_filter
+            strength = material.normal_strength**2
+            variance += strength * float(slope_variance_map(1.0)) * shading.slope_filter
         if variance:
             largest = float(slope_filtered(largest, variance))
         ranges.append((smallest, largest))

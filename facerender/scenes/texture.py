@@ -1,38 +1,48 @@
-"""Maps as the GPU samples them: images decoded, converted and reduced to mip levels in the
-background. No OpenGL here."""
+"""Maps: images that are decoded, converted and reduced to mip levels in the background. No OpenGL
+here."""
 
 from __future__ import annotations
 
 import math
 import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, BinaryIO, Literal, get_args
 from weakref import WeakMethod, WeakValueDictionary
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_path, check_type, clipped, reason
-from facerender.files import read_file
-from facerender.image import check_pixels, linear_to_srgb, open_image, srgb_to_linear, texels
-from facerender.terms.slope_variance import MAP_DEVIATION
+from facerender.errors import (
+    InputError,
+    check_path,
+    check_switch,
+    check_type,
+    clipped,
+    reason,
+    shown,
+)
+from facerender.files import open_file
+from facerender.image import check_pixels, open_image
+from facerender.memory import give_back
+from facerender.scenes.mips import Kind, Levels, Rows, chain, coarse_base, coarse_chain, coarse_data
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-Kind = Literal["color", "linear-color", "normal", "data"]
-Levels = list[NDArray[Any]]
+Wrap = Literal["repeat", "clamp", "mirror"]
 
 FORMATS = (
     *("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"),
     "AVIF",
 )
 MOST_TEXELS = 6 * 8192**2  # of the maps of a mesh together: 4 GiB with mip levels, twice
-_STRIP = 32  # rows
+_MOST_KEPT = 1 << 20  # bytes of a file; a larger one is read again when it is decoded
+LARGE = 4096**2  # texels; a map of more is drawn as coarse as a picture can show it
 
 
 class Texture:
@@ -42,30 +52,51 @@ class Texture:
     ----------
     decode : returns the Pillow image, in any mode; runs in a thread
     name : what messages call it: the file, or the map and the mesh file that holds it
-    size : width and height of what ``decode`` makes of other textures, which is not kept then
+    size : width and height, where they are known
+    coarser : of a texture that is made of others, what :meth:`coarser` returns; ``decode`` returns
+        an image in mode RGB then, with row 0 at the bottom, which is not kept
+
+    Attributes
+    ----------
+    wrap : what lies beyond the image's edges, in u and in v: "repeat", "clamp" or "mirror"
+    nearest : whether the nearest texel counts alone, of the nearest mip level, and none between
+    coarse : whether it lacks the finest mip levels of its image
     """
 
+    wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
+    nearest: bool = False
+    coarse: bool = False
+    _source: Texture | None = None  # whose image this one samples otherwise
+    _fine: tuple[Texture, int] | None = None  # which lacks so many of its finest levels here
+
     def __init__(
-        self, decode: Callable[[], Image], name: str, size: tuple[int, int] | None = None
+        self,
+        decode: Callable[[], Image],
+        name: str,
+        size: tuple[int, int] | None = None,
+        coarser: Callable[[int], Texture] | None = None,
     ) -> None:
         check_type("name of a texture", name, str, "text")
         check_type("decode", decode, Callable, "a function that returns a Pillow image")
         self.name = name
-        self._size, self._derived = size, size is not None
+        self._size, self._derived = size, coarser is not None
         self._decode: Callable[[], Image] | None = decode  # until it has been asked
         self._lock = threading.Lock()
         self._levels_lock = threading.Lock()
         self._rgb: Image | None = None
         self._levels: dict[Kind, Future[Levels]] = {}
+        self._ends: NDArray[np.uint8] | None = None
+        self._make_coarser = coarser
+        self._coarser: WeakValueDictionary[int, Texture] = WeakValueDictionary()
 
-    def __getstate__(self) -> tuple[str, Image]:
+    def __getstate__(self) -> tuple[str, Image, tuple[Wrap, Wrap], bool]:
         """Pickles the decoded image, whatever it is decoded from."""
-        return self.name, self.rgb()
+        return self.name, self.rgb(), self.wrap, self.nearest
 
-    def __setstate__(self, state: tuple[str, Image]) -> None:
-        name, image = state
-        self.__init__(lambda: image, name)  # type: ignore[misc]
-        self._rgb = image
+    def __setstate__(self, state: tuple[str, Image, tuple[Wrap, Wrap], bool]) -> None:
+        name, image, wrap, nearest = state
+        Texture.__init__(self, lambda: _flipped(image), name, image.size)
+        self._rgb, self.wrap, self.nearest = image, wrap, nearest
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Texture:
@@ -76,7 +107,17 @@ class Texture:
         InputError : the file is missing or not an image
         """
         check_path("image file", path)
-        return cls.of(read_file(path, "an image file"), clipped(Path(path).name))
+        name = clipped(Path(path).name)
+
+        def decode() -> Image:
+            with open_file(path, "an image file") as file:
+                return _loaded(_opened(file, name), name)
+
+        with open_file(path, "an image file") as file:
+            if file.seek(0, os.SEEK_END) <= _MOST_KEPT:
+                file.seek(0)
+                return cls.of(file.read(), name)
+            return cls(decode, name, _opened(file, name).size)
 
     @classmethod
     def of(cls, content: bytes, name: str) -> Texture:
@@ -86,8 +127,67 @@ class Texture:
         ------
         InputError : it is not an image, or too large
         """
-        image = open_image(content, name, FORMATS, "PNG, JPEG, TIFF or WebP")
-        return cls(lambda: image, name)
+        return cls(lambda: _opened(content, name), name, _opened(content, name).size)
+
+    @classmethod
+    def alpha_of(cls, content: bytes, name: str) -> Texture | None:
+        """Return the alpha of an image file as a grey texture; None where it has none; errors as of
+        :meth:`of`."""
+        opened = _opened(content, name)
+        if not opened.has_transparency_data:
+            return None
+
+        def decode() -> Image:
+            return _loaded(_opened(content, name), name).convert("RGBA").getchannel("A")
+
+        return cls(decode, name, opened.size)
+
+    @classmethod
+    def from_array(cls, texels: ArrayLike, name: str = "an array") -> Texture:
+        """Return a texture of the numbers that an image file would hold: those of an albedo are
+        sRGB-encoded, all others linear. They are copied, and brought to 8 bits, as of a file.
+
+        Parameters
+        ----------
+        texels : (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), row 0 on top: uint8, uint16, or floats
+            in [0, 1]; alpha is dropped, ``from_array(texels[..., 3])`` is an opacity map of it
+        name : what messages call it
+
+        Raises
+        ------
+        InputError : another shape or kind of numbers, values outside [0, 1], or too many texels
+        """
+        values = _bytes_of(texels, name)
+        check_pixels(name, values.shape[1], values.shape[0], 4, math.inf)
+
+        def decode() -> Image:
+            from PIL import Image
+
+            return Image.fromarray(values)
+
+        return cls(decode, name)
+
+    @classmethod
+    def from_image(cls, image: Image, name: str = "an image") -> Texture:
+        """Return a texture of a copy of a Pillow image of any mode.
+
+        Raises
+        ------
+        InputError : it is none, or cannot be decoded
+        """
+        from PIL import Image as images
+
+        check_type("image", image, images.Image, "an image of Pillow")
+        check_pixels(name, *image.size, 4, math.inf)
+        try:
+            copy = image.copy()
+        except Exception as error:  # each decoder of Pillow fails in its own way
+            raise InputError(f"{name} is damaged ({reason(error)}); replace it") from None
+        return cls(lambda: copy, name)
+
+    def __repr__(self) -> str:
+        size = "" if self._size is None else f", {self._size[0]} x {self._size[1]}"
+        return f"<Texture {self.name!r}{size}>"
 
     @classmethod
     def known(cls, texels: NDArray[np.uint8], name: str, levels: Mapping[Kind, Levels]) -> Texture:
@@ -97,13 +197,40 @@ class Texture:
         def decode() -> Image:
             from PIL import Image
 
-            return _flipped(Image.fromarray(texels))
+            return Image.fromarray(texels).convert("RGB")
 
         texture = cls(decode, name, texels.shape[1::-1])
-        for kind, chain in levels.items():
+        texture._derived = True
+        for kind, own in levels.items():
             texture._levels[kind] = Future()
-            texture._levels[kind].set_result(chain)
+            texture._levels[kind].set_result(own)
         return texture
+
+    def sampled(self, wrap: tuple[Wrap, Wrap], nearest: bool = False) -> Texture:
+        """Return a texture of the same image, decoded once for both, that is sampled otherwise;
+        parameters as the attributes.
+
+        Raises
+        ------
+        InputError : no such words
+        """
+        known = get_args(Wrap)
+        if not (isinstance(wrap, tuple | list) and len(wrap) == 2):
+            raise InputError(f"wrap = {shown(wrap)}: give two of {', '.join(known)}, for u and v")
+        for each in wrap:
+            if not (isinstance(each, str) and each in known):
+                raise InputError(f"unknown wrap {shown(each)}; known: {', '.join(known)}")
+        check_switch("nearest", nearest)
+        source = self._source or self
+        texture = Texture(source.rgb, self.name)
+        texture._source, texture.wrap, texture.nearest = source, (wrap[0], wrap[1]), nearest
+        texture.coarse = source.coarse
+        return texture
+
+    @property
+    def sampling(self) -> tuple[tuple[Wrap, Wrap], bool]:
+        """How it is sampled: what two maps must have in common to be one."""
+        return self.wrap, self.nearest
 
     def rgb(self) -> Image:
         """The image in mode RGB, row 0 at the bottom as OpenGL has it; alpha is dropped.
@@ -112,27 +239,138 @@ class Texture:
         ------
         InputError : the image is damaged or too large: see :func:`facerender.image.check_pixels`
         """
+        if self._source:
+            return self._source.rgb()
         with self._lock:
             if self._rgb is not None:
                 return self._rgb
             if self._decode is None:
                 return self._finest()
-            image = _upright_rgb(self._decode(), self.name)
+            image = self._decode()
             if not self._derived:
-                self._rgb, self._decode = image, None
+                self._rgb = image = _upright_rgb(_loaded(image, self.name), self.name)
+                self._decode = None
             return image
+
+    def band(self, index: int) -> Image:
+        """One channel of :meth:`rgb`, in mode L."""
+        if self._source:
+            return self._source.band(index)
+        if self._fine:
+            from PIL import Image
+
+            fine, levels = self._fine
+            with fine._rows() as rows:
+                band = coarse_data(lambda *ends: rows(*ends).getchannel(index), fine.size, levels)
+            return Image.fromarray(band)
+        return self.rgb().getchannel(index)
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height, which a file tells before it is decoded."""
+        if self._source:
+            return self._source.size
         if self._size is None:
             image, decode = self._rgb, self._decode  # one of both, until a chain alone is left
             self._size = (image or (decode() if decode else self.rgb())).size
         return self._size
 
+    @property
+    def decoded_size(self) -> tuple[int, int]:
+        """Width and height of the image that is decoded: of a coarse texture, of all of it."""
+        known = self._source or (self._fine and self._fine[0])
+        return known.decoded_size if known else self.size
+
     def channel(self, index: int, name: str) -> Texture:
-        """One channel of this texture as a grey texture of its own."""
-        return Texture(lambda: _flipped(self.rgb().getchannel(index)), name, self.size)
+        """One channel of this texture as a grey texture of its own, sampled as this one."""
+
+        def decode() -> Image:
+            return self.band(index).convert("RGB")
+
+        def coarser(levels: int) -> Texture:
+            return self.coarser(levels).channel(index, name)
+
+        grey = Texture(decode, name, self.size, coarser)
+        return grey.sampled(*self.sampling) if self.sampling != grey.sampling else grey
+
+    def coarser(self, levels: int) -> Texture:
+        """Return a texture of the same image without so many of its finest mip levels. What it
+        decodes is not kept beside them, and large images are decoded one after another."""
+        if not levels:
+            return self
+        if self._fine:
+            fine, own = self._fine
+            return fine.coarser(own + levels)
+        found = self._coarser.get(levels)
+        if found is None:
+            if self._source:
+                found = self._source.coarser(levels).sampled(*self.sampling)
+            elif self._make_coarser:
+                found = self._make_coarser(levels)
+            else:
+                width, height = (max(side >> levels, 1) for side in self.size)
+                found = Texture(lambda: self._coarse_image(levels), self.name, (width, height))
+                found._fine, found._derived = (self, levels), True
+            found.coarse = True
+            self._coarser[levels] = found
+        return found
+
+    def _coarse_image(self, levels: int) -> Image:
+        from PIL import Image
+
+        with self._rows() as rows:
+            return Image.fromarray(coarse_data(rows, self.size, levels))
+
+    @contextmanager
+    def _rows(self) -> Iterator[Rows]:
+        """Yield the rows of the image, row 0 at the bottom, of which no copy is kept."""
+        with _decoding:
+            with self._lock:
+                known, decode = self._rgb, self._decode
+            if known or decode is None or self._derived:
+                upright = known or self.rgb()
+                yield lambda low, high: upright.crop((0, low, upright.width, high))
+                return
+            images = [_loaded(decode(), self.name)]
+
+            def rows(low: int, high: int) -> Image:
+                (image,) = images
+                ends = image.height - high, image.width, image.height - low
+                return _upright_rgb(image.crop((0, *ends)), self.name)
+
+            yield rows
+            images.clear()
+            give_back()
+
+    def forget(self) -> None:
+        """Drop the mip chains of a coarse texture: they can be had again."""
+        if self._source:
+            self._source.forget()
+        elif self.coarse:
+            if "data" in self._levels:
+                self.ends()
+            with self._levels_lock:
+                self._levels.clear()
+
+    def ends(self) -> NDArray[np.uint8]:
+        """Return the smallest and the largest texel of "data", (2, 3); waits for it."""
+        if self._source:
+            return self._source.ends()
+        if self._ends is None:
+            finest = self.levels("data").result()[0]
+            self._ends = np.stack([finest.min(axis=(0, 1)), finest.max(axis=(0, 1))])
+        return self._ends
+
+    def turned_green(self) -> Texture:
+        """This texture, a normal map whose green points down, with green upwards."""
+        if self._source:
+            return self._source.turned_green().sampled(*self.sampling)
+
+        def decode() -> Image:
+            raw = None if self._derived else self._decode
+            return with_green_turned(raw() if raw else _flipped(self.rgb()))
+
+        return Texture(decode, self.name, self.size)
 
     def levels(self, kind: Kind) -> Future[Levels]:
         """Start computing the mip chain in a thread, once, and return its future.
@@ -142,6 +380,8 @@ class Texture:
         normal map, averaged as unit vectors, with the slope deviation of what a texel stands for as
         alpha (``fr_slope_variance_map``), 0 in the finest; "data" uint8 (H, W, 3).
         """
+        if self._source:
+            return self._source.levels(kind)
         with self._levels_lock:
             if kind not in self._levels:
                 with _starting:
@@ -154,7 +394,12 @@ class Texture:
 
     def _chain(self, kind: Kind) -> Levels:
         try:
-            return _CHAINS[kind](self.rgb())
+            if self._fine and kind != "linear-color":
+                fine, levels = self._fine
+                with fine._rows() as rows:
+                    base = coarse_base(kind, rows, fine.size, levels)
+                return coarse_chain(base)
+            return chain(kind, self.rgb())
         except MemoryError:
             width, height = self.size
             raise InputError(
@@ -190,7 +435,8 @@ def pack(
     """Merge three grey textures into one, at the largest of their sizes; absent ones are white.
 
     The same three give the same texture while somebody holds it, so that materials which differ in
-    a factor alone share one. ``known`` is what they gave when it was kept.
+    a factor alone share one. ``known`` is what they gave when it was kept. They are sampled alike,
+    and so is what they give; maps that are not stay apart (:attr:`Material.property_map`).
     """
     if (found := _packed.get((red, green, blue))) is not None:
         return found
@@ -198,17 +444,65 @@ def pack(
     def decode() -> Image:
         from PIL import Image
 
-        bands = [texture and texture.rgb().getchannel(0) for texture in (red, green, blue)]
+        bands = [texture and texture.band(0) for texture in (red, green, blue)]
         filled = [band.resize(size) if band else Image.new("L", size, 255) for band in bands]
-        return _flipped(Image.merge("RGB", filled))
+        return Image.merge("RGB", filled)
 
     present = [texture for texture in (red, green, blue) if texture]
     names = " + ".join(dict.fromkeys(texture.name for texture in present))
     widths, heights = zip(*(texture.size for texture in present), strict=True)
     size = max(widths), max(heights)
-    packed = known or Texture(decode, names, size)
+
+    def coarser(levels: int) -> Texture:
+        return pack(*(texture and texture.coarser(levels) for texture in (red, green, blue)))
+
+    packed = known or Texture(decode, names, size, coarser)
+    packed.wrap, packed.nearest = present[0].sampling
+    packed.coarse = any(texture.coarse for texture in present)
     _packed[red, green, blue] = packed
     return packed
+
+
+def _opened(content: bytes | BinaryIO, name: str) -> Image:
+    return open_image(content, name, FORMATS, "PNG, JPEG, TIFF or WebP")
+
+
+def _bytes_of(texels: ArrayLike, name: str) -> NDArray[np.uint8]:
+    """Return a copy of texels in 8 bits, (H, W), (H, W, 3) or (H, W, 4)."""
+    try:
+        values = np.asarray(texels)
+    except (ValueError, TypeError, RuntimeError) as error:
+        raise InputError(f"{name} is no array ({reason(error)}): give (H, W, 3)") from None
+    if values.ndim == 3 and values.shape[2] == 1:
+        values = values[..., 0]
+    if values.ndim not in (2, 3) or values.shape[2:] not in ((), (3,), (4,)) or not values.size:
+        raise InputError(
+            f"{name} has the shape {values.shape}: give (H, W), (H, W, 3) or (H, W, 4) texels"
+        )
+    if values.dtype.kind == "f":
+        values = values.astype(np.float64)
+        if not ((values >= 0.0) & (values <= 1.0)).all():
+            low, high = values.min(), values.max()
+            raise InputError(
+                f"{name} has floats from {low:.4g} to {high:.4g}: bring them to [0, 1], or give "
+                "uint8"
+            )
+        return np.round(values * 255.0).astype(np.uint8)
+    if values.dtype == np.uint16:
+        return (values // 257).astype(np.uint8)
+    if values.dtype == np.bool_:
+        return values * np.uint8(255)
+    if values.dtype != np.uint8:
+        raise InputError(
+            f"{name} has numbers of type {values.dtype}: give uint8, uint16, or floats in [0, 1]"
+        )
+    return values.copy()
+
+
+def with_green_turned(image: Image) -> Image:
+    """Return an image in mode RGB whose green is 255 less what it was."""
+    same = range(256)
+    return image.convert("RGB").point([*same, *reversed(same), *same])
 
 
 def _flipped(image: Image) -> Image:
@@ -217,16 +511,23 @@ def _flipped(image: Image) -> Image:
     return image.transpose(Transpose.FLIP_TOP_BOTTOM)
 
 
-def _upright_rgb(image: Image, name: str) -> Image:
-    from PIL import Image as images
-
+def _loaded(image: Image, name: str) -> Image:
     check_pixels(name, *image.size, 4, math.inf)
     try:
         image.load()
+    except Exception as error:  # each decoder of Pillow fails in its own way
+        raise InputError(f"{name} is damaged ({reason(error)}); replace the file") from None
+    return image
+
+
+def _upright_rgb(image: Image, name: str) -> Image:
+    from PIL import Image as images
+
+    try:
         if image.mode.startswith("I"):  # 16-bit grey, which Pillow's convert would clip at 255
             image = images.fromarray((np.clip(np.asarray(image), 0, 65535) // 257).astype(np.uint8))
         return _flipped(image if image.mode == "RGB" else image.convert("RGB"))
-    except Exception as error:  # each decoder of Pillow fails in its own way
+    except Exception as error:
         raise InputError(f"{name} is damaged ({reason(error)}); replace the file") from None
 
 
@@ -236,6 +537,7 @@ def _executor() -> ThreadPoolExecutor:
 
 
 _starting = threading.Lock()
+_decoding = threading.Lock()  # of what is too large to have several of
 
 
 def _finish() -> None:
@@ -248,134 +550,3 @@ def _finish() -> None:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(before=_finish)
-
-
-def _data_levels(image: Image) -> Levels:
-    from PIL.Image import Resampling
-
-    levels = [texels(image, "RGB")]
-    while max(image.size) > 1:
-        half = max(image.width // 2, 1), max(image.height // 2, 1)
-        image = image.resize(half, Resampling.BOX)
-        levels.append(texels(image, "RGB"))
-    return levels
-
-
-def _even(texels: NDArray[Any]) -> NDArray[Any]:
-    """Make both sides even: a side of 1 is doubled, the last texel of another odd one dropped."""
-    for axis in (0, 1):
-        if texels.shape[axis] == 1:
-            texels = np.repeat(texels, 2, axis)
-    return texels[: texels.shape[0] // 2 * 2, : texels.shape[1] // 2 * 2]
-
-
-@lru_cache(maxsize=1)
-def _light_tables() -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
-    """sRGB byte to a quarter of linear light, and the sum of four quarters to sRGB byte."""
-    quarter = 16383
-    decode = np.round(srgb_to_linear(np.arange(256) / 255.0) * quarter).astype(np.uint16)
-    encode = np.round(linear_to_srgb(np.arange(65536) / (4 * quarter)) * 255.0).astype(np.uint8)
-    return decode, encode
-
-
-def _halve_srgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    decode, encode = _light_tables()
-    height, width, channels = texels.shape
-    halved = np.empty((height // 2, width // 2, channels), dtype=np.uint8)
-    for top, strip in _strips(texels):
-        # Four channels of 16 bits side by side are added as one number, without a carry.
-        light = decode[strip].view(np.uint64)[..., 0]
-        rows = light[0::2] + light[1::2]
-        blocks = rows[:, 0::2] + rows[:, 1::2]
-        halved[top // 2 : top // 2 + len(blocks)] = encode[blocks.view(np.uint16)].reshape(
-            *blocks.shape, channels
-        )
-    return halved
-
-
-def _color_levels(image: Image) -> Levels:
-    levels = [texels(image, "RGBA")]
-    while max(levels[-1].shape[:2]) > 1:
-        levels.append(_halve_srgb(_even(levels[-1])))
-    return levels
-
-
-def _halve_linear(texels: NDArray[np.float32]) -> NDArray[np.float32]:
-    height, width, channels = texels.shape
-    blocks = texels.reshape(height // 2, 2, width // 2, 2, channels)
-    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
-
-
-def _linear_color_levels(image: Image) -> Levels:
-    decoded = srgb_to_linear(np.arange(256) / 255.0).astype(np.float32)
-    finest = texels(image, "RGBA")
-    levels = [decoded.astype(np.float16)[finest]]
-    if max(image.size) == 1:
-        return levels
-    halved = [_halve_linear(decoded[strip]) for _, strip in _strips(_even(finest))]
-    means = np.concatenate(halved)
-    while True:
-        levels.append(means.astype(np.float16))
-        if max(means.shape[:2]) == 1:
-            return levels
-        means = _halve_linear(_even(means))
-
-
-def _strips(rows: NDArray[Any]) -> list[tuple[int, NDArray[Any]]]:
-    """Return some rows at a time, which stay in the cache, and the number of the first."""
-    return [(top, rows[top : top + _STRIP]) for top in range(0, len(rows), _STRIP)]
-
-
-def _halve_planes(planes: NDArray[Any]) -> NDArray[np.float32]:
-    """Return means of blocks of 2 x 2, of (C, H, W) with even sides."""
-    rows = planes[:, 0::2] + planes[:, 1::2]
-    blocks = rows[..., 0::2] + rows[..., 1::2]
-    blocks *= np.float32(0.25)
-    return np.asarray(blocks)
-
-
-def _unit_planes(texels: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return normals (3, H, W) of unit length."""
-    planes = np.moveaxis(texels, -1, 0).astype(np.float32, order="C")
-    planes -= np.float32(127.5)  # no byte stands for 0, nor three for a zero vector
-    planes *= 1.0 / np.sqrt(planes[0] ** 2 + planes[1] ** 2 + planes[2] ** 2)
-    return planes
-
-
-def _with_deviation(means: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return the texels of a level: directions of mean vectors (3, H, W), and their deviation."""
-    length = np.sqrt(means[0] ** 2 + means[1] ** 2 + means[2] ** 2).clip(1e-6, 1.0)
-    texels = np.empty((*length.shape, 4), dtype=np.uint8)
-    scale = np.float32(127.5) / length
-    for channel, plane in enumerate(means):
-        texels[..., channel] = plane * scale + np.float32(128.0)  # is cut off
-    deviation = np.sqrt((1.0 - length) / length)
-    texels[..., 3] = np.minimum(deviation * np.float32(255.0 / MAP_DEVIATION), 255.0) + 0.5
-    return texels
-
-
-def _normal_levels(image: Image) -> Levels:
-    levels = [texels(image, "RGBA")]
-    levels[0][..., 3] = 0
-    if max(image.size) == 1:
-        return levels
-    even = _even(levels[0][..., :3])
-    means = np.empty((3, even.shape[0] // 2, even.shape[1] // 2), dtype=np.float32)
-    for top, strip in _strips(even):
-        means[:, top // 2 : (top + len(strip)) // 2] = _halve_planes(_unit_planes(strip))
-    while True:
-        strips = _strips(np.moveaxis(means, 0, -1))
-        levels.append(
-            np.concatenate([_with_deviation(np.moveaxis(each, -1, 0)) for _, each in strips])
-        )
-        if max(means.shape[1:]) == 1:
-            return levels
-        means = _halve_planes(np.moveaxis(_even(np.moveaxis(means, 0, -1)), -1, 0))
-
-
-_CHAINS: dict[Kind, Callable[[Image], Levels]] = {
-    "color": _color_levels,
-    "linear-color": _linear_color_levels,
-    "normal": _normal_levels,
-    "data": _data_levels,
-}

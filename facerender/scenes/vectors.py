@@ -22,13 +22,14 @@ def vector(name: str, value: Any, low: float = -FARTHEST, high: float = FARTHEST
     """Return three numbers in [low, high]; one number stands for three equal ones."""
     given = value.tolist() if isinstance(value, np.ndarray) else value
     numbers = [*given] if isinstance(given, list | tuple) else [given] * 3
-    if len(numbers) != 3 or not all(_is_number(each) and low <= each <= high for each in numbers):
+    if len(numbers) != 3 or not all(is_number(each) and low <= each <= high for each in numbers):
         raise InputError(f"{name} = {shown(value)}: give a number in [{low:g}, {high:g}], or three")
     x, y, z = (float(each) for each in numbers)
     return x, y, z
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
+    """Tell whether a value is a number, which true and false are not."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 

@@ -10,10 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_range, check_type, is_count, shown
+from facerender.scenes.camera import Camera
+from facerender.scenes.framing import find_region
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import direction_to, within_reach
 
+_SAME_SHAPE = 0.005  # of width over height, by rounding
 _XYW = [0, 1, 3]  # of clip coordinates, without the depth buffer's
 
 
@@ -104,16 +107,18 @@ def view_of(scene: Scene, aspect: float) -> View:
 
     Raises
     ------
-    InputError : the eye stands at the target, or either is 1e6 radii of the mesh away
+    InputError : the eye stands at the target, or either is 1e6 radii of the mesh away; the camera's
+        intrinsics are for images of another shape
     """
     check_type("scene", scene, Scene, "a facerender.Scene")
     check_range("aspect", aspect, 1e-6, 1e6)
     mesh, camera = scene.mesh, scene.camera
-    target = np.zeros(3)
-    if camera.target is not None:
-        target = within_reach(f"camera target {camera.target}", mesh.normalised(camera.target))
+    if camera.extrinsics is not None:
+        return _placed(mesh, camera, aspect)
+    target = target_of(mesh, camera)
     if camera.position is None:
-        distance = _framing_distance(mesh, camera.elevation, camera.fov, aspect) / camera.zoom
+        profile = mesh.profile if camera.frame == "all" else find_region(mesh, camera.frame).profile
+        distance = _framing_distance(profile, camera.elevation, camera.fov, aspect) / camera.zoom
         eye = target + distance * direction_to(camera.azimuth, camera.elevation)
     else:
         eye = within_reach(f"camera position {camera.position}", mesh.normalised(camera.position))
@@ -125,10 +130,47 @@ def view_of(scene: Scene, aspect: float) -> View:
     up = np.array([0.0, 1.0, 0.0])
     if abs(forward[1]) > 0.9999:  # seen from above, the back of the head is on top
         up = -direction_to(camera.azimuth, 0.0) * np.sign(-forward[1])
+    lens = _project(camera.fov, aspect, *_depths(eye, forward))
+    return View(eye, forward, _look(eye, forward, up) @ lens)
+
+
+def target_of(mesh: Mesh, camera: Camera) -> NDArray[np.float64]:
+    """Return what a camera that is not placed by extrinsics looks at, (3,), in the renderer's
+    space."""
+    if camera.target is not None:
+        return within_reach(f"camera target {camera.target}", mesh.normalised(camera.target))
+    if camera.frame == "all":
+        return np.zeros(3)
+    return find_region(mesh, camera.frame).center
+
+
+def _placed(mesh: Mesh, camera: Camera, aspect: float) -> View:
+    """The view of a camera that is given by its matrices."""
+    pose = np.array(camera.extrinsics)
+    left, _, right = np.linalg.svd(pose[:, :3])
+    turn = left @ right  # the rotation next to what was rounded
+    eye = within_reach("the eye of camera extrinsics", mesh.normalised(-turn.T @ pose[:, 3]))
+    forward = turn[2]
+    near, far = _depths(eye, forward)
+    lens = _project(camera.fov, aspect, near, far)
+    if camera.intrinsics is not None and camera.size is not None:
+        width, height = camera.size
+        if not math.isclose(width / height, aspect, rel_tol=_SAME_SHAPE):
+            raise InputError(
+                f"camera intrinsics are for images of {width} x {height} pixels: give a size of "
+                "that shape"
+            )
+        k = np.array(camera.intrinsics)
+        lens[0, 0], lens[1, 1] = 2.0 * k[0, 0] / width, -2.0 * k[1, 1] / height
+        lens[2, :2] = 1.0 - 2.0 * k[:2, 2] / camera.size
+    return View(eye, forward, _look(eye, forward, -turn[1]) @ lens)
+
+
+def _depths(eye: NDArray[np.float64], forward: NDArray[np.float64]) -> tuple[float, float]:
+    """Between which the unit sphere lies, seen from an eye."""
     depth = float(eye @ -forward)  # of the mesh's centre
     far = max(depth + 1.0, 0.02)
-    near = max(depth - 1.0, far * 1e-3)
-    return View(eye, forward, _look(eye, forward, up) @ _project(camera.fov, aspect, near, far))
+    return max(depth - 1.0, far * 1e-3), far
 
 
 def hidden(scene: Scene, size: tuple[int, ...]) -> str:
@@ -183,13 +225,16 @@ def _project(fov: float, aspect: float, near: float, far: float) -> NDArray[np.f
     return matrix
 
 
-def _framing_distance(mesh: Mesh, elevation: float, fov: float, aspect: float) -> float:
-    """Distance at which every vertex, turned to any azimuth, lies inside the view, with a margin.
+def _framing_distance(
+    profile: NDArray[np.float64], elevation: float, fov: float, aspect: float
+) -> float:
+    """Distance at which all of a profile, turned to any azimuth, lies inside the view, with a
+    margin.
 
     A vertex at height y and distance r from the axis runs through a circle; each bound below is
     the largest value on that circle of what must stay under the distance.
     """
-    r, y = mesh.profile.T
+    r, y = profile.T
     sine, cosine = math.sin(math.radians(elevation)), math.cos(math.radians(elevation))
     vertical = math.tan(math.radians(fov) / 2.0)
     horizontal = vertical * aspect

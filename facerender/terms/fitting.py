@@ -49,8 +49,9 @@ def fit(
     """
     from scipy.optimize import linprog
 
-    end = float(np.max(slopes))
-    grids = [_grid(k, m) for m in np.atleast_1d(np.asarray(slopes, dtype=np.float64))]
+    rms = np.asarray(slopes, dtype=np.float64).reshape(-1)
+    end = float(rms.max())
+    grids = [_grid(k, m) for m in rms]
     u, m = (np.concatenate(part) for part in zip(*grids, strict=True))
     exact = _exact(u, m, k)
     v, w = u / m**2, (m / end) ** 2

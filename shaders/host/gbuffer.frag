@@ -1,6 +1,12 @@
 // Everything that shading reads at a pixel's centre, for the float64 reference and the data views.
 #include "facerender/constants.glsl"
 #include "host/surface.glsl"
+#if defined(ALPHA_MASK) || defined(ALPHA_BLEND)
+#include "host/alpha.glsl"
+#endif
+#ifdef EMISSIVE
+#include "host/emission.glsl"
+#endif
 
 uniform float part;  // index of the part, from 1; 0 is the background
 layout(location = 0) out vec4 position_part;
@@ -9,6 +15,12 @@ layout(location = 2) out vec4 albedo_weight;
 layout(location = 3) out vec4 uv_occlusion;
 #ifdef TWO_LOBES
 layout(location = 4) out vec4 second_slope_weight;
+#endif
+#ifdef EMITTED  // its number among the images
+layout(location = EMITTED) out vec4 emitted;
+#endif
+#ifdef LAYER  // its number among the images
+layout(location = LAYER) out vec4 layer;
 #endif
 
 void main() {
@@ -31,5 +43,23 @@ void main() {
 #endif
 #ifdef SCATTER
     uv_occlusion.a = dot(normalize(p.normal), s.view);
+#endif
+#ifdef ALPHA_BLEND
+    uv_occlusion.a = opacity_here();
+#endif
+#ifdef EMITTED
+    emitted = vec4(0.0);
+#ifdef EMISSIVE
+    emitted.rgb = emission(p);
+#endif
+#endif
+#ifdef LAYER
+    layer = vec4(gl_FragCoord.z, float(gl_PrimitiveID), 0.0, 1.0);
+#endif
+#ifdef ALPHA_MASK
+    share_left();
+#endif
+#ifdef PEEL
+    peel();
 #endif
 }

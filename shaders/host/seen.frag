@@ -3,6 +3,9 @@
 #include "host/light/light.glsl"
 #include "host/surface.glsl"
 #include "host/shadow.glsl"
+#if defined(ALPHA_MASK) || defined(ALPHA_BLEND)
+#include "host/alpha.glsl"
+#endif
 
 layout(location = 0) out vec4 seen_0;
 layout(location = 1) out vec4 seen_4;
@@ -23,4 +26,10 @@ void main() {
     seen_4 = vec4(seen[4], seen[5], seen[6], seen[7]);
     seen_8 = vec4(seen[8], seen[9], seen[10], seen[11]);
     seen_12 = vec4(seen[12], seen[13], seen[14], seen[15]);
+#ifdef ALPHA_MASK
+    share_left();
+#endif
+#ifdef PEEL
+    peel();
+#endif
 }

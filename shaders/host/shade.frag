@@ -18,6 +18,12 @@
 #if defined(DISC_LIGHTS) || defined(SPHERE_LIGHTS)
 #include "facerender/slope_variance.glsl"
 #endif
+#if defined(ALPHA_MASK) || defined(ALPHA_BLEND)
+#include "host/alpha.glsl"
+#endif
+#ifdef EMISSIVE
+#include "host/emission.glsl"
+#endif
 
 uniform float diffuse_brdf;  // kd/pi
 uniform float f0;
@@ -145,6 +151,9 @@ vec3 shaded(Point p) {
 #if defined(SPECULAR) || defined(ENVIRONMENT_SAMPLES)
     result += s.specular_weight * specular;
 #endif
+#ifdef EMISSIVE
+    result += emission(p);
+#endif
     return result;
 }
 
@@ -197,6 +206,13 @@ void main() {
         facet = next;
     } while (facet < count);
 }
+#elif defined(ALPHA_MASK)
+void main() {
+    radiance = vec4(shaded(point()), 1.0);
+    radiance.a = share_left();  // of several samples OpenGL makes it 1 then (alpha to one)
+}
+#elif defined(ALPHA_BLEND)
+void main() { radiance = opacity_here() * vec4(shaded(point()), 1.0); }
 #else
 void main() { radiance = vec4(shaded(point()), 1.0); }
 #endif

@@ -1,5 +1,6 @@
 // What lies at a point: geometry and maps, without light. Shared by shade.frag and gbuffer.frag, so
 // that the NumPy reference reads exactly what is shaded.
+#include "host/place.glsl"
 uniform vec3 eye;
 #ifdef VISIBLE
 #include "host/point/visible.glsl"
@@ -16,9 +17,26 @@ uniform sampler2D albedo_map;
 #endif
 #ifdef NORMAL_MAP
 uniform sampler2D normal_map;
+#ifdef NORMAL_STRENGTH
+uniform float normal_strength;  // factor on x and y
+#endif
 #endif
 #ifdef PROPERTY_MAP
 uniform sampler2D property_map;  // occlusion, roughness, specular weight
+#endif
+#ifdef PROPERTIES_APART
+#ifdef OCCLUSION_MAP
+uniform sampler2D occlusion_map;
+#endif
+#ifdef ROUGHNESS_MAP
+uniform sampler2D roughness_map;
+#endif
+#ifdef SPECULAR_MAP
+uniform sampler2D specular_map;
+#endif
+#endif
+#ifdef OCCLUSION_STRENGTH
+uniform float occlusion_strength;  // share of the occlusion map
 #endif
 #ifdef TWO_LOBES
 uniform float second_slope;  // factor on m
@@ -59,8 +77,11 @@ vec3 mapped_normal(Point p, float square, float facing) {
     float longest = max(max(dot(tangent, tangent), dot(bitangent, bitangent)), 1e-30);
     float scale = square * inversesqrt(square * longest);  // to the length of the vertex normal
     if (dot(p.position_x, across_y) < 0.0) scale = -scale;
-    vec3 texel = TEXEL(normal_map, p).xyz;  // in [0, 1], for [-1, 1]
+    vec3 texel = TEXEL(normal_map, p, NORMAL_MAP_UV).xyz;  // in [0, 1], for [-1, 1]
     vec2 along = texel.xy * (2.0 * scale) - scale;
+#ifdef NORMAL_STRENGTH
+    along *= normal_strength;
+#endif
     float up = facing * (texel.z * 2.0 - 1.0);
     return normalize(along.x * tangent + along.y * bitangent + up * p.normal);
 }
@@ -88,7 +109,13 @@ Surface surface(Point p) {
 #ifdef NORMAL_MAP
     n = mapped_normal(p, square, facing);
 #ifdef SLOPE_FILTER
-    variance += fr_slope_variance_map(TEXEL(normal_map, p).a);  // compilers fetch the texel once
+#ifdef NORMAL_STRENGTH
+    float strength2 = normal_strength * normal_strength;
+    variance += strength2 * fr_slope_variance_map(TEXEL(normal_map, p, NORMAL_MAP_UV).a);
+#else
+    // Compilers fetch the texel once.
+    variance += fr_slope_variance_map(TEXEL(normal_map, p, NORMAL_MAP_UV).a);
+#endif
 #endif
 #endif
 #ifdef ALBEDO_FACTOR
@@ -105,12 +132,29 @@ Surface surface(Point p) {
     s.albedo *= p.color;
 #endif
 #ifdef ALBEDO_MAP
-    s.albedo *= TEXEL(albedo_map, p).rgb;
+    s.albedo *= TEXEL(albedo_map, p, ALBEDO_MAP_UV).rgb;
 #endif
 #ifdef PROPERTY_MAP
-    vec3 properties = TEXEL(property_map, p).rgb;
+    vec3 properties = TEXEL(property_map, p, PROPERTY_MAP_UV).rgb;
+#endif
+#ifdef PROPERTIES_APART
+    vec3 properties = vec3(1.0);
+#ifdef OCCLUSION_MAP
+    properties.r = TEXEL(occlusion_map, p, OCCLUSION_MAP_UV).r;
+#endif
+#ifdef ROUGHNESS_MAP
+    properties.g = TEXEL(roughness_map, p, ROUGHNESS_MAP_UV).r;
+#endif
+#ifdef SPECULAR_MAP
+    properties.b = TEXEL(specular_map, p, SPECULAR_MAP_UV).r;
+#endif
+#endif
+#if defined(PROPERTY_MAP) || defined(PROPERTIES_APART)
 #ifdef OCCLUSION_MAP
     s.occlusion = properties.r;
+#ifdef OCCLUSION_STRENGTH
+    s.occlusion = 1.0 + occlusion_strength * (s.occlusion - 1.0);
+#endif
 #endif
 #ifdef ROUGHNESS_MAP
     s.m *= properties.g * properties.g;
@@ -125,7 +169,7 @@ Surface surface(Point p) {
 #ifdef TWO_LOBES
     s.second_m = s.m * second_slope;
 #ifdef LOBE_MAP
-    s.lobe_weight = 1.0 - (1.0 - lobe_weight) * TEXEL(lobe_map, p).r;
+    s.lobe_weight = 1.0 - (1.0 - lobe_weight) * TEXEL(lobe_map, p, LOBE_MAP_UV).r;
 #endif
 #endif
 #if (defined(SLOPE_FILTER) || defined(CURVATURE)) && !defined(CONSTANT_SLOPE)

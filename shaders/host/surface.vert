@@ -8,6 +8,10 @@ out vec3 vertex_normal;
 in vec2 in_uv;
 out vec2 uv;
 #endif
+#ifdef UV2
+in vec2 in_uv2;
+out vec2 uv2;
+#endif
 #ifdef VERTEX_OCCLUSION
 in float in_occlusion;
 out float vertex_occlusion;
@@ -22,6 +26,9 @@ void main() {
     vertex_normal = in_normal;
 #ifdef UV
     uv = in_uv;
+#endif
+#ifdef UV2
+    uv2 = in_uv2;
 #endif
 #ifdef VERTEX_OCCLUSION
     vertex_occlusion = in_occlusion;

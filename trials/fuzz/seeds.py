@@ -16,6 +16,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from facerender.image import save_exr
 from facerender.scenes.file import scene_toml
+from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 from tests import awkward_files as files
@@ -88,16 +89,74 @@ def meshes() -> Iterator[tuple[str, Mapping[str, bytes]]]:
     yield "a.glb", _written(tree, "a.glb")
     yield "a.glb", _written(lambda path: files.write_glb(path, head, normals=False), "a.glb")
     yield "a.glb", _written(lambda path: files.write_draco(path, head), "a.glb")
+    yield "a.glb", {"a.glb": featured(head)}
     yield "a.gltf", _written(lambda path: files.write_gltf(path, head), "a.gltf")
     yield "a.obj", _written(lambda path: files.write_textured_obj(path, head), "a.obj")
     yield (
         "a.obj",
         _written(lambda path: files.write_obj(path, head, uv=False, colors=colors), "a.obj"),
     )
+    yield (
+        "a.obj",
+        _written(lambda path: files.write_textured_obj(path, head), "a.obj") | {"a.mtl": MTL},
+    )
     yield "a.ply", _written(lambda path: files.write_ply(path, head), "a.ply")
     yield "a.ply", {"a.ply": ascii_ply.encode()}
     yield "a.stl", _written(lambda path: files.write_stl(path, head), "a.stl")
     yield "a.stl", {"a.stl": ascii_stl.encode()}
+
+
+MTL = b"""newmtl skin
+Kd 0.5 0.4 0.3
+Ks 0.2 0.2 0.2
+Ns 30
+Ke 0.1 0 0
+d 0.9
+Tf 1 1 1
+map_Kd -s 2 3 1 -o 0.5 -clamp on skin.jpg
+map_Bump -bm 0.5 skin.jpg
+map_d -imfchan g skin.<UDIM>.jpg
+map_Pr skin.jpg
+"""
+
+
+def featured(head: files.Head) -> bytes:
+    """A glTF file with most of what is drawn of materials, shapes and places."""
+    document, binary = files.gltf(head, [{"skin": 0, "weights": [0.5]}, {"scale": [1, 2, 1]}])
+    count = len(head.positions)
+    joints, shares = np.zeros((count, 4), "<u1"), np.full((count, 4), 0.25, "<f4")
+    blocks = {"JOINTS_0": joints, "WEIGHTS_0": shares, "TEXCOORD_1": head.uv.astype("<f4")}
+    primitive = document["meshes"][0]["primitives"][0]
+    for key, values in blocks.items():
+        view = {"buffer": 0, "byteOffset": len(binary), "byteLength": values.nbytes}
+        document["bufferViews"].append(view)
+        primitive["attributes"][key] = len(document["accessors"])
+        accessor = {"bufferView": len(document["bufferViews"]) - 1, "count": count}
+        kind = {"componentType": 5121 if key == "JOINTS_0" else 5126}
+        document["accessors"].append(accessor | kind | {"type": f"VEC{values.shape[1]}"})
+        binary += values.tobytes()
+    document["buffers"][0]["byteLength"] = len(binary)
+    primitive["targets"] = [{"POSITION": 0, "NORMAL": 1}]
+    document["skins"] = [{"joints": [1]}]
+    document["nodes"][1]["extensions"] = {
+        "EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 0, "SCALE": 1}}
+    }
+    document["samplers"] = [{"wrapS": 33071, "wrapT": 33648, "magFilter": 9728}]
+    document["textures"][0]["sampler"] = 0
+    transform = {"offset": [0.5, 0], "rotation": 1.5, "scale": [2, 3], "texCoord": 1}
+    use = {"index": 0, "extensions": {"KHR_texture_transform": transform}}
+    material = document["materials"][0]
+    material |= {"alphaMode": "MASK", "alphaCutoff": 0.25, "emissiveFactor": [0.5, 0, 0]}
+    material |= {"normalTexture": {"index": 0, "scale": 2}, "emissiveTexture": use}
+    material["occlusionTexture"] = {"index": 0, "strength": 0.5, "texCoord": 1}
+    material["pbrMetallicRoughness"]["metallicFactor"] = 0.5
+    material["extensions"] = {
+        "KHR_materials_ior": {"ior": 1.4},
+        "KHR_materials_specular": {"specularFactor": 0.5, "specularTexture": {"index": 0}},
+        "KHR_materials_emissive_strength": {"emissiveStrength": 3},
+        "KHR_materials_clearcoat": {"clearcoatFactor": 0.5},
+    }
+    return files.join_glb(document, binary)
 
 
 def images() -> Iterator[tuple[str, bytes]]:
@@ -168,6 +227,28 @@ model = "ward"
 lobe = "d8"
 specular_lights = [0, 2]
 """
+
+
+def cameras(mesh: Mesh) -> Iterator[tuple[str, bytes]]:
+    """Cameras before a mesh, by their matrices and of glTF."""
+    eye = mesh.center + [0.0, 0.0, 5.0 * mesh.radius]
+    turn = np.diag([1.0, -1.0, -1.0])
+    pose = np.column_stack([turn, -turn @ eye])
+    k = [[60.0, 0.0, 12.0], [0.0, 55.0, 11.0], [0.0, 0.0, 1.0]]
+    table = {"K": k, "Rt": pose.tolist(), "width": 24, "height": 24}
+    apart = {"name": "b", "K": k, "R": turn.tolist(), "t": pose[:, 3].tolist(), "size": [24, 24]}
+    yield "a.json", json.dumps([table, apart, {"azimuth": 10, "frame": "head"}]).encode()
+    yield from _written(partial(_save_poses, k=k, poses=np.stack([pose, pose])), "a.npz").items()
+    glb = _written(lambda path: files.write_glb(path, octahedron()), "a.glb")["a.glb"]
+    document, binary = files.split_glb(glb)
+    document["cameras"] = [{"type": "perspective", "perspective": {"yfov": 0.5, "znear": 0.1}}]
+    document["nodes"].append({"name": "eye", "camera": 0, "translation": eye.tolist()})
+    document["scenes"][0]["nodes"].append(len(document["nodes"]) - 1)
+    yield "a.glb", files.join_glb(document, binary)
+
+
+def _save_poses(path: Path, k: Any, poses: np.ndarray[Any, Any]) -> None:
+    np.savez(path, K=k, Rt=poses, size=(24, 24))
 
 
 def options() -> Iterator[Sequence[str]]:

@@ -91,6 +91,8 @@ def _subjects() -> Iterator[Subject]:
     for name, content in seeds.tables():
         yield Subject(f"jobs-{name}", {name: content}, name, _reader_of_jobs(name))
     yield Subject("explored.json", {"a.json": seeds.explored()}, "a.json", _examine_explored)
+    for name, content in seeds.cameras(_head()):
+        yield Subject(f"cameras-{name}", {name: content}, name, _reader_of_cameras(name))
     for number, words in enumerate(seeds.options()):
         content = "\n".join(words).encode()
         yield Subject(f"render-{number}.txt", {"a.txt": content}, "a.txt", _examine_render)
@@ -191,6 +193,7 @@ def _reader_of_mesh(name: str) -> Callable[[Path], None]:
                 _demand(values is None or np.isfinite(values[used]).all(), "uv or colours")
         _demand(np.isfinite(mesh.bounds).all() and 0.0 < mesh.radius < np.inf, "bounds")
         _draw(fr.Scene(mesh))
+        _draw(fr.Scene(mesh, fr.Camera(frame="face")))
 
     return examine
 
@@ -249,6 +252,15 @@ def _examine_scene(folder: Path) -> None:
     settings.pop("planned", None)
     for camera in {settings.pop("camera", fr.Camera()), *cameras}:
         _draw(fr.Scene(mesh, camera, **settings), shading)
+
+
+def _reader_of_cameras(name: str) -> Callable[[Path], None]:
+    def examine(folder: Path) -> None:
+        cameras = fr.load_cameras(folder / name, (24, 24))
+        for camera in dict.fromkeys([*cameras.values()][:4]):
+            _draw(fr.Scene(_head(), camera))
+
+    return examine
 
 
 def _examine_render(folder: Path) -> None:

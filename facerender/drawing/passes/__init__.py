@@ -7,6 +7,9 @@ from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from facerender.drawing.facets import Facets
 from facerender.drawing.program import Program, Uniforms
 from facerender.scenes.material import Material
@@ -26,6 +29,7 @@ class Target:
     size : width and height in pixels; None for the frame's
     sampled : whether later passes read its images as textures
     values : float32, RGBA or one number
+    number : tells targets apart that are alike
     """
 
     colors: int = 1
@@ -33,6 +37,7 @@ class Target:
     size: tuple[int, int] | None = None
     sampled: bool = False
     values: Literal["color", "number"] = "color"
+    number: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +48,11 @@ class Draw:
     ----------
     facets : of the part: only its positions are drawn, in the order of the facets
     area : left, lowest row, width and height in pixels of the target; None for all of it
-    depth : "test", what is behind is hidden; "mark", depth alone is drawn, over whatever is there;
-        "marked", what is drawn shows where the draw before marked. With either one triangle covers
-        the area, whose program reads the facets
+    depth : "test", what is behind is hidden; "hide", the same, and depth alone is drawn; "blend",
+        the same, and what is drawn, which hides nothing, lies over what is there; "mark", depth
+        alone is drawn, over whatever is there; "marked", what is drawn shows where the draw before
+        marked. With the last two one triangle covers the area, whose program reads the facets
+    order : of the part's triangles, their numbers as they are drawn; None for their own order
     """
 
     program: Program
@@ -54,7 +61,8 @@ class Draw:
     material: Material | None = None
     facets: Facets | None = None
     area: Area | None = None
-    depth: Literal["test", "mark", "marked"] = "test"
+    depth: Literal["test", "hide", "blend", "mark", "marked"] = "test"
+    order: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True, eq=False)

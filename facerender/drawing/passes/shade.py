@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.passes.veil import unveiled, veiling
 from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import Lighting, part_uniforms, scene_uniforms, shade_program
 from facerender.scenes.scene import Only, Scene, slope_ranges
@@ -35,8 +36,8 @@ def shade_pass(
     only : "specular" or "diffuse" in place of the whole image
     visibility : what was drawn before, with so many samples; None to shade triangles as they are
         drawn
-    scattering : whose profiles are drawn beside the image, which has no background then; None to
-        draw the image alone
+    scattering : whose profiles are drawn beside the image, which has neither background nor blended
+        parts then; None to draw the image alone
     apart : draw what scatters without the image
 
     Raises
@@ -54,7 +55,10 @@ def shade_pass(
         program = shade_program(
             *(part, material, scene, counted, lighting, terms, ends[0]),
             diffuse=only != "specular",
+            emits=only is None,
         )
+        if samples > 1 and "ALPHA_MASK" in program.features:
+            program = replace(program, features=(*program.features, f"TO_COVERAGE {samples}"))
         draws.append(Draw(program, part_uniforms(part, material), part, material))
     background = scene.background if scene.background and only is None else (0.0, 0.0, 0.0)
     uniforms = scene_uniforms(scene, view, lighting)
@@ -63,6 +67,9 @@ def shade_pass(
     drawn = Pass("shade", Target(samples=samples), tuple(draws), (*background, 0.0), uniforms)
     if scattering:
         drawn = _beside(drawn, scattering, apart)
+    shown = unveiled(scene, drawn.draws)
+    shown += () if scattering else veiling(scene, view, drawn.draws)
+    drawn = replace(drawn, draws=shown)
     return visibility.shaded(drawn, {"background": np.asarray(background)}) if visibility else drawn
 
 

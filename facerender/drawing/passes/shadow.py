@@ -3,10 +3,12 @@ pixel's centre sees."""
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from weakref import ref
 
 from facerender.drawing.facets import facets_of
 from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.passes.veil import Veil, cut_features, unveiled
 from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import (
     SHADOW_MAP,
@@ -15,8 +17,11 @@ from facerender.drawing.program import (
     part_uniforms,
     scene_uniforms,
     seen_program,
+    surface_features,
 )
 from facerender.errors import InputError
+from facerender.scenes.material import Material
+from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.scene import Scene
 from facerender.scenes.shadow import LightSpace
 from facerender.scenes.view import View
@@ -29,7 +34,8 @@ _EMPTY = -1e30
 
 def shadow_passes(scene: Scene, lighting: Lighting) -> list[Pass]:
     """Return the pass that draws the maps of all lights that cast shadows, if there are any. It is
-    drawn again only when a mesh or a light has moved.
+    drawn again only when a mesh or a light has moved. What a mask cuts away of a part casts no
+    shadow, nor does a part that is blended.
 
     Raises
     ------
@@ -47,6 +53,7 @@ def shadow_passes(scene: Scene, lighting: Lighting) -> list[Pass]:
     mesh = scene.mesh
     key = (
         *(ref(part) for part in mesh.parts),
+        *(_cut(each) for each in mesh.materials),
         *(mesh.center.tobytes(), mesh.radius),
         *(space.matrix.tobytes() for space in spaces),
     )
@@ -54,20 +61,39 @@ def shadow_passes(scene: Scene, lighting: Lighting) -> list[Pass]:
 
 
 def _draws(scene: Scene, number: int, space: LightSpace) -> list[Draw]:
-    program = Program("shadow_map.frag", "shadow_map.vert")
     uniforms = {"to_light": space.matrix, "top": space.top}
     area = (number * TEXELS, 0, TEXELS, TEXELS)
-    return [
-        Draw(program, uniforms, facets=facets_of(part, scene.mesh), area=area)
-        for part in scene.mesh.parts
-    ]
+    draws = []
+    for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
+        alpha = drawn_alpha(part, material)
+        if alpha == "blend":
+            continue
+        features = cut_features(surface_features(part, material, Shading()))
+        program = Program("shadow_map.frag", "shadow_map.vert", features)
+        if alpha == "mask":
+            own = {**part_uniforms(part, material), **uniforms}
+            draws.append(Draw(program, own, part, material, area=area))
+        else:
+            draws.append(Draw(program, uniforms, facets=facets_of(part, scene.mesh), area=area))
+    return draws
+
+
+def _cut(material: Material) -> Hashable:
+    """What cuts holes into a shadow."""
+    map_ = material.opacity_map and ref(material.opacity_map)
+    own = material.opacity, material.alpha_cutoff, material.by_second("opacity_map")
+    return (material.alpha, map_, *own) if material.alpha != "opaque" else None
 
 
 def seen_pass(
-    scene: Scene, view: View, shading: Shading, visibility: Visibility | None = None
+    scene: Scene,
+    view: View,
+    shading: Shading,
+    visibility: Visibility | None = None,
+    veil: Veil | None = None,
 ) -> Pass:
     """Return the pass that draws how much of each light that casts shadows a point sees, in the
-    order of programs; visibility as of the pass that shades."""
+    order of programs; visibility as of the pass that shades, veil as of the surface's."""
     lighting = Lighting.of(scene, shading)
     draws = [
         Draw(
@@ -79,5 +105,6 @@ def seen_pass(
         for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True)
     ]
     uniforms = scene_uniforms(scene, view, lighting)
-    drawn = Pass("seen", Target(colors=MOST // 4), tuple(draws), uniforms=uniforms)
+    shown = unveiled(scene, draws) if veil is None else veil.alone(scene, draws)
+    drawn = Pass("seen", Target(colors=MOST // 4), shown, uniforms=uniforms)
     return visibility.shaded(drawn) if visibility else drawn

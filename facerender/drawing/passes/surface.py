@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.passes.veil import Veil, unveiled
 from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import (
     Program,
@@ -23,17 +24,25 @@ def surface_pass(
     shading: Shading,
     visibility: Visibility | None = None,
     scatters: bool = False,
+    veil: Veil | None = None,
 ) -> Pass:
     """Return the pass that draws position and part, normal and m, albedo and specular weight,
     texture coordinates and occlusion of a simplified scene, where a part has two lobes second m and
-    lobe weight, and where it scatters how the mesh faces the eye; visibility as of the pass that
-    shades."""
+    lobe weight, where one shines what it gives off, and where it scatters how the mesh faces the
+    eye; visibility as of the pass that shades.
+
+    veil : draws a layer of this alone, in place of all that is not blended, with its opacity, and
+        in a last image depth and number of the triangle as it is drawn
+    """
     two = any(material.two_lobes for material in scene.mesh.materials)
+    shines = any(any(material.emissive) for material in scene.mesh.materials)
     parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
-    scatter = ("SCATTER",) * scatters
+    further = ("SCATTER",) * (scatters and veil is None)
+    further += (f"EMITTED {4 + two}",) * shines
+    further += (f"LAYER {4 + two + shines}",) * (veil is not None)
     draws = [
         Draw(
-            Program("gbuffer.frag", features=_features(part, material, shading, two) + scatter),
+            Program("gbuffer.frag", features=_features(part, material, shading, two) + further),
             {**part_uniforms(part, material), "part": number},
             part,
             material,
@@ -41,11 +50,16 @@ def surface_pass(
         for number, (part, material) in enumerate(parts, 1)
     ]
     uniforms = scene_uniforms(scene, view)
-    drawn = Pass("surface", Target(colors=5 if two else 4), tuple(draws), uniforms=uniforms)
+    shown = unveiled(scene, draws) if veil is None else veil.alone(scene, draws)
+    target = Target(colors=4 + two + shines)
+    if veil is not None:  # a layer reads the one before
+        target = Target(colors=target.colors + 1, sampled=True, number=veil.layer % 2)
+    drawn = Pass("surface", target, shown, uniforms=uniforms)
     return visibility.shaded(drawn) if visibility else drawn
 
 
 def _features(part: Part, material: Material, shading: Shading, two_lobes: bool) -> tuple[str, ...]:
     """What a part has; every program of a pass writes to all of its targets."""
     names = surface_features(part, material, shading)
+    names += ("EMISSIVE",) * any(material.emissive)
     return (*names, "TWO_LOBES") if two_lobes and not material.two_lobes else names

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from facerender.drawing.facets import IN_ROW, Facets, facets_of
 from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.program import Program, Uniforms
+from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
 
@@ -22,9 +23,15 @@ _BRIGHTEST = 1e3  # background, of which float32 takes away all but 6e-5
 
 def can_defer(scene: Scene, rows: int) -> bool:
     """Tell whether the triangles of a scene can be numbered, and fit textures of so many rows, and
-    whether parts can be added to the background."""
+    whether parts can be added to the background: all are opaque, and have one kind of texture
+    coordinates."""
     counts = [len(part.faces) for part in scene.mesh.parts]
     bright = max(scene.background or (0.0,)) > _BRIGHTEST
+    pairs = [*zip(scene.mesh.parts, scene.mesh.materials, strict=True)]
+    if any(drawn_alpha(*each) != "opaque" for each in pairs) or any(
+        part.uv2 is not None and material.second_uv for part, material in pairs
+    ):
+        return False
     return sum(counts) < _MOST_TRIANGLES and max(counts) <= rows * IN_ROW and not bright
 
 

@@ -59,7 +59,9 @@ def faces(size: tuple[int, int], backend: Backend) -> bytes:
         for model in MODELS:
             exact, d16 = (renderer.render(scene, Shading(model, lobe)) for lobe in _FACES)
             difference = np.abs(d16.linear[..., :3] - exact.linear[..., :3])
-            rows.append(np.hstack([exact.srgb8(), d16.srgb8(), encode_srgb8(8.0 * difference)]))
+            rows.append(
+                np.hstack([exact.srgb8(), d16.srgb8(), encode_srgb8(np.float32(8.0) * difference)])
+            )
     margin = 30  # pixels, on top and on the left
     width, height = 3 * size[0] + margin, 2 * size[1] + margin
     figure = _sheet(width / _DPI, height / _DPI, layout=None)

@@ -6,6 +6,9 @@ in vec3 vertex_normal;
 #ifdef UV
 in vec2 uv;
 #endif
+#ifdef UV2
+in vec2 uv2;
+#endif
 #ifdef VERTEX_OCCLUSION
 in float vertex_occlusion;
 #endif
@@ -13,7 +16,7 @@ in float vertex_occlusion;
 in vec3 vertex_color;
 #endif
 
-#define TEXEL(map, p) texture(map, (p).uv)
+#define TEXEL(map, p, place) texture(map, (p).place)
 
 Point point() {
     Point p;
@@ -31,9 +34,12 @@ Point point() {
 #ifdef UV
     p.uv = uv;
 #ifdef NORMAL_MAP
-    p.uv_x = dFdx(uv);
-    p.uv_y = dFdy(uv);
+    p.uv_x = dFdx(NORMAL_MAP_UV);
+    p.uv_y = dFdy(NORMAL_MAP_UV);
 #endif
+#endif
+#ifdef UV2
+    p.uv2 = uv2;
 #endif
 #ifdef VERTEX_OCCLUSION
     p.occlusion = vertex_occlusion;

@@ -17,9 +17,12 @@ struct Point {
 #ifdef UV
     vec2 uv;
 #if defined(NORMAL_MAP) || defined(VISIBLE)
-    vec2 uv_x;
+    vec2 uv_x;  // of the coordinates that the normal map lies by
     vec2 uv_y;
 #endif
+#endif
+#ifdef UV2
+    vec2 uv2;
 #endif
 #ifdef VERTEX_OCCLUSION
     float occlusion;

@@ -10,7 +10,7 @@ uniform vec3 ray;  // from the eye to the first pixel's outer corner; any length
 uniform vec3 ray_x;  // what a pixel to the right adds
 uniform vec3 ray_y;
 
-#define TEXEL(map, p) textureGrad(map, (p).uv, (p).uv_x, (p).uv_y)
+#define TEXEL(map, p, place) textureGrad(map, (p).place, (p).uv_x, (p).uv_y)
 
 vec4 texel_of(uint facet, int index) {
     int row = int(facet) / FACETS_IN_ROW;

@@ -1,17 +1,17 @@
-"""Mesh geometry mended where that is safe: bad faces, normals, winding; and parts put together."""
+"""Mesh geometry mended where that is safe: bad faces, normals, winding."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, warn
 from facerender.scenes.material import Material
-from facerender.scenes.mesh import Mesh, Part
 
 # Areas, their squares and their products with positions are finite and not 0 in between.
 _HUGE, _TINY = 1e60, 1e-60
@@ -20,11 +20,22 @@ _MOST_PIECES = 1024  # parts with a material each: a draw call in every pass
 _FAR = 32.0  # times as far from the middle as nine tenths of the vertices: these are drawn tiny
 
 
+class Triangles(Protocol):
+    """What is made of vertices and of faces that name them."""
+
+    @property
+    def positions(self) -> NDArray[np.float64]: ...
+
+    @property
+    def faces(self) -> NDArray[Any]: ...
+
+
 @dataclass
 class Piece:
     """A part on its way: normals may be absent, faces may be bad.
 
     strangers : faces that were left out because they name vertices that are not there
+    name : what its file calls it, which another piece may be called too
     """
 
     positions: NDArray[np.float64]
@@ -34,6 +45,8 @@ class Piece:
     colors: NDArray[np.float64] | None
     material: Material
     strangers: int = 0
+    name: str = ""
+    uv2: NDArray[np.float64] | None = None
 
 
 def check_count(count: int, name: str) -> None:
@@ -78,45 +91,6 @@ def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
     return pieces
 
 
-def assemble(pieces: Sequence[Piece], name: str, millimetres: float | None = None) -> Mesh:
-    used = np.concatenate([piece.positions[_used(piece)] for piece in pieces])
-    bounds = np.array([used.min(axis=0), used.max(axis=0)])
-    center = bounds.mean(axis=0)
-    offsets = used - center
-    for piece in pieces:
-        inside = ((piece.positions >= bounds[0]) & (piece.positions <= bounds[1])).all(axis=1)
-        if not inside.all():  # of no face: float32 need not hold it
-            piece.positions = np.where(inside[:, None], piece.positions, center)
-    radius = float(np.linalg.norm(offsets, axis=1).max())
-    return Mesh(
-        name,
-        tuple(
-            Part(
-                piece.positions,
-                _present(piece.normals),
-                np.ascontiguousarray(piece.faces, dtype=np.uint32),
-                piece.uv,
-                piece.colors,
-            )
-            for piece in pieces
-        ),
-        tuple(piece.material for piece in pieces),
-        bounds,
-        radius,
-        _profile(offsets / radius),
-        millimetres,
-    )
-
-
-def _profile(positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The widest vertex in each of 512 slices of the height."""
-    widths, heights = np.hypot(positions[:, 0], positions[:, 2]), positions[:, 1]
-    slices = np.round(heights * 255.0).astype(np.int64)
-    order = np.lexsort((widths, slices))
-    widest = order[np.diff(slices[order], append=slices.max() + 1) > 0]
-    return np.stack([widths[widest], heights[widest]], axis=1)
-
-
 def _present(normals: NDArray[np.float64] | None) -> NDArray[np.float64]:
     assert normals is not None
     return normals
@@ -127,11 +101,11 @@ def _corners(piece: Piece) -> NDArray[np.float64]:
     return np.take(piece.positions, piece.faces, axis=0)  # positions[faces] takes twice as long
 
 
-def _used(piece: Piece) -> NDArray[np.bool_]:
+def used(piece: Triangles) -> NDArray[np.bool_]:
     """Which vertices the faces use; np.unique of the faces would take fifty times as long."""
-    used = np.zeros(len(piece.positions), dtype=bool)
-    used[piece.faces] = True
-    return used
+    found = np.zeros(len(piece.positions), dtype=bool)
+    found[piece.faces] = True
+    return found
 
 
 def _face_normals(corners: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -189,16 +163,16 @@ def _check_extent(pieces: Sequence[Piece], name: str) -> None:
     would be a dot in the picture."""
     if not pieces:
         return
-    used = np.concatenate([piece.positions[_used(piece)] for piece in pieces])
-    extent = float(np.ptp(used, axis=0).max())
+    drawn = np.concatenate([piece.positions[used(piece)] for piece in pieces])
+    extent = float(np.ptp(drawn, axis=0).max())
     if 0.0 < extent < _TINY:
         raise InputError(f"{name} is {extent:g} units wide, of {_TINY:g} at least: scale it up")
-    middle = np.median(used, axis=0)
-    distances = np.linalg.norm(used - middle, axis=1)
+    middle = np.median(drawn, axis=0)
+    distances = np.linalg.norm(drawn - middle, axis=1)
     near = float(np.quantile(distances, 0.9, method="lower"))
     far = distances > max(_FAR * near, _TINY)
     if far.any():
-        x, y, z = used[np.argmax(distances)]
+        x, y, z = drawn[np.argmax(distances)]
         warn(
             f"{name} has {int(far.sum())} vertices far out, one at ({x:.4g}, {y:.4g}, {z:.4g}); "
             f"nine tenths are within {near:.4g} of ({', '.join(f'{v:.4g}' for v in middle)}), and "
@@ -210,11 +184,12 @@ def _drop_bad_uv(pieces: Sequence[Piece], name: str) -> None:
     """Put texture coordinates that are no numbers, or of no use as float32, at 0."""
     count = 0
     for piece in pieces:
-        if piece.uv is not None:
-            bad = ~np.asarray((np.abs(piece.uv) <= _MOST_UV).all(axis=1))
-            if bad.any():
-                count += int((bad & _used(piece)).sum())
-                piece.uv = np.where(bad[:, None], 0.0, piece.uv)
+        for key in ("uv", "uv2"):
+            if (uv := getattr(piece, key)) is not None:
+                bad = ~np.asarray((np.abs(uv) <= _MOST_UV).all(axis=1))
+                if bad.any():
+                    count += int((bad & used(piece)).sum())
+                    setattr(piece, key, np.where(bad[:, None], 0.0, uv))
     if count:
         warn(f"{name} has {count} texture coordinates that are not in [-1e6, 1e6]: taken as 0")
 
@@ -255,10 +230,10 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
     faces = np.concatenate(
         [piece.faces + start for piece, start in zip(pieces, starts, strict=False)]
     )
-    used = np.zeros(len(positions), dtype=bool)
-    used[faces] = True
+    drawn = np.zeros(len(positions), dtype=bool)
+    drawn[faces] = True
     welded = np.zeros(len(positions), dtype=np.int64)
-    welded[used] = _weld(positions[used])
+    welded[drawn] = _weld(positions[drawn])
     faces = _wind_consistently(faces, welded[faces], positions, name)
 
     corners = positions[faces]
@@ -291,7 +266,7 @@ def _weld(positions: NDArray[np.float64]) -> NDArray[np.int64]:
     # An even number of cells: the plane of symmetry lies inside one, not between two.
     cells = np.round((positions - low) * ((2**21 - 2) / extent)).astype(np.int64)
     keys = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
-    return np.unique(keys, return_inverse=True)[1].reshape(-1)
+    return np.asarray(np.unique(keys, return_inverse=True)[1].reshape(-1))
 
 
 def _wind_consistently(

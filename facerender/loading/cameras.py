@@ -1,0 +1,192 @@
+"""Cameras of files: of glTF and scene files, and by their matrices in JSON and NumPy files."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterable, Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+from zipfile import ZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError, check_path, clipped, reason, shown
+from facerender.files import MOST, read_file
+from facerender.loading.given import GLTF
+from facerender.loading.gltf import _chunks, _transform
+from facerender.loading.gltf_schema import damaged, document_of
+from facerender.scenes.camera import CAMERA_FILES, MOST_CAMERAS, Camera
+from facerender.scenes.file import MOST_BYTES, from_table, load_scene
+
+_PASSED_OVER = ("name", "transform_matrix")  # of a table; the latter says what Rt does
+
+
+def load_cameras(
+    path: str | os.PathLike[str], size: tuple[int, int] | None = None
+) -> dict[str, Camera]:
+    """Return the cameras of a file by their names; without any they are numbered.
+
+    Parameters
+    ----------
+    path : .toml with [[cameras]] or [camera], as of :func:`facerender.load_scene`; .json with one
+        table, a list of them, or such a list as "cameras"; .npz; .glb or .gltf, whose perspective
+        cameras stand as its scene says, with their vertical angle of view. Tables of a .json have
+        fields of :class:`Camera`, or "K" (3 x 3), "Rt" (3 x 4, or 4 x 4), or "R" and "t", "width"
+        and "height"; and a "name". Arrays of a .npz have these names, or one more axis for several
+        cameras
+    size : of images, for intrinsics that do not say for which they are
+
+    Raises
+    ------
+    InputError : a file that cannot be read, has no camera, or one that is not understood
+    """
+    check_path("camera file", path)
+    suffix, name = Path(path).suffix.lower(), clipped(Path(path).name)
+    if suffix not in (*CAMERA_FILES, *GLTF):
+        known = ", ".join((*CAMERA_FILES, *GLTF))
+        raise InputError(f"{name}: unknown format {suffix!r} of cameras; give {known}")
+    if suffix == ".toml":
+        scene = load_scene(path)
+        own = [scene["camera"]] if "camera" in scene else []
+        found = _named((("", each) for each in scene.get("cameras", own)), Path(path).stem)
+    else:
+        content = read_file(path, "a file with cameras", MOST if suffix in GLTF else MOST_BYTES)
+        try:
+            if suffix in GLTF:
+                return gltf_cameras(content, name)
+            tables = _json(content) if suffix == ".json" else _arrays(content)
+            found = _named([_camera(each, size) for each in tables], Path(path).stem)
+        except InputError as error:
+            place = "" if name in str(error) else f"{name}: "
+            raise InputError(f"{place}{error}") from None
+    if not found:
+        raise InputError(f"{name} has no [[cameras]]")
+    return found
+
+
+def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
+    """Return the perspective cameras of a glTF file's scene by their names: those of their
+    nodes, or else of the cameras.
+
+    Raises
+    ------
+    InputError : it is damaged, or has no camera, or one that is orthographic
+    """
+    document = document_of(_chunks(content, name)[0], name)
+    nodes, seen = document["nodes"], set()
+    if scenes := document["scenes"]:
+        roots = scenes[document.get("scene", 0)].get("nodes", [])
+    else:
+        roots = sorted({*range(len(nodes))} - {i for n in nodes for i in n.get("children", ())})
+    queue = [(index, np.eye(4)) for index in reversed(roots)]
+    found = []
+    while queue:
+        index, world = queue.pop()
+        node = nodes[index]
+        if index in seen:
+            raise damaged(name, f"nodes[{index}] has two parents, or is below itself")
+        seen.add(index)
+        world = world @ _transform(node)
+        if "camera" in node:
+            camera = document["cameras"][node["camera"]]
+            label = node.get("name") or camera.get("name") or ""
+            if "perspective" not in camera:
+                raise InputError(
+                    f"camera {shown(label)} of {name} is orthographic: give a perspective one"
+                )
+            found.append((label, _looking(world, camera["perspective"]["yfov"])))
+        queue += [(child, world) for child in reversed(node.get("children", []))]
+    if not found:
+        raise InputError(f"{name} has no camera: give another file, or angles")
+    return _named(found, "camera")
+
+
+def _looking(world: NDArray[np.float64], yfov: float) -> Camera:
+    """The camera of a node, which looks to -z and has y up."""
+    axes = world[:3, :3] * (1.0, -1.0, -1.0)
+    with np.errstate(all="ignore"):
+        turn = (axes / np.linalg.norm(axes, axis=0)).T
+        pose = np.column_stack([turn, -turn @ world[:3, 3]])
+    return Camera(fov=math.degrees(yfov), extrinsics=pose.tolist())
+
+
+def _named(found: Iterable[tuple[str, Camera]], stem: str) -> dict[str, Camera]:
+    """Return cameras by names, of which none is twice."""
+    cameras: dict[str, Camera] = {}
+    for number, (name, camera) in enumerate(found):
+        own = name if name and name not in cameras else f"{name or stem}_{number:03d}"
+        cameras[own] = camera
+    return cameras
+
+
+def _json(content: bytes) -> list[Any]:
+    try:
+        tables = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"its JSON cannot be read ({reason(error)})") from None
+    if isinstance(tables, Mapping) and "cameras" in tables:
+        tables = tables["cameras"]
+    tables = tables if isinstance(tables, list) else [tables]
+    if len(tables) > MOST_CAMERAS:
+        raise InputError(f"it has {len(tables)} cameras, of {MOST_CAMERAS} at most")
+    return tables
+
+
+def _arrays(content: bytes) -> list[dict[str, Any]]:
+    """Return a table for each camera of a NumPy file."""
+    try:
+        with ZipFile(BytesIO(content)) as file:
+            if sum(each.file_size for each in file.infolist()) > MOST_BYTES:
+                raise ValueError(f"more than {MOST_BYTES} bytes")
+        with np.load(BytesIO(content), allow_pickle=False) as arrays:
+            values = {key: np.asarray(arrays[key]) for key in arrays.files}
+    except Exception as error:  # NumPy, zipfile and zlib fail in many ways
+        raise InputError(f"it is no NumPy file ({reason(error)}); write it anew") from None
+    if not (poses := [key for key in ("Rt", "R", "extrinsics") if key in values]):
+        raise InputError(f"it holds {clipped(', '.join(values)) or 'nothing'}: give K, R and t")
+    several = values[poses[0]].ndim == 3
+    count = len(values[poses[0]]) if several else 1
+    depths = {"R": 2, "Rt": 2, "K": 2, "extrinsics": 2, "intrinsics": 2, "t": 1, "size": 1}
+    tables: list[dict[str, Any]] = [{} for _ in range(min(count, MOST_CAMERAS))]
+    for key, value in values.items():
+        each = depths.get(key, 0)
+        if key == "t" and value.shape[-1:] == (1,):
+            value = value[..., 0]
+        shared = value.ndim == each
+        if not shared and not (several and value.ndim == each + 1 and len(value) == count):
+            raise InputError(
+                f"{shown(key)} has {value.ndim} axes: give one matrix, or one for each camera"
+            )
+        for i, table in enumerate(tables):
+            table[key] = (value if shared else value[i]).tolist()
+    return tables
+
+
+def _camera(table: Any, size: tuple[int, int] | None) -> tuple[str, Camera]:
+    """Return a camera and its name, of a table with matrices or with a camera's fields."""
+    if not isinstance(table, Mapping):
+        raise InputError(f"camera = {shown(table)}: give a table")
+    fields = {key: value for key, value in table.items() if key not in _PASSED_OVER}
+    if "R" in fields and "t" in fields:
+        turn, shift = fields.pop("R"), fields.pop("t")
+        try:
+            pose = np.column_stack([np.array(turn, float), np.array(shift, float).reshape(3)])
+        except (TypeError, ValueError, OverflowError):
+            raise InputError("camera R and t: give 3 x 3 and 3 numbers") from None
+        fields["extrinsics"] = pose.tolist()
+    if "Rt" in fields:
+        pose = fields.pop("Rt")
+        whole = isinstance(pose, list) and len(pose) == 4 and pose[3] == [0, 0, 0, 1]
+        fields["extrinsics"] = pose[:3] if whole else pose
+    if "K" in fields:
+        fields["intrinsics"] = fields.pop("K")
+    if "width" in fields and "height" in fields:
+        fields["size"] = [fields.pop("width"), fields.pop("height")]
+    if "intrinsics" in fields and size is not None:
+        fields.setdefault("size", list(size))
+    name = table.get("name", "")
+    return (name if isinstance(name, str) else ""), from_table(Camera, "camera", fields)

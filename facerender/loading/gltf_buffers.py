@@ -1,0 +1,144 @@
+"""The bytes of a glTF file: buffers, views, which may be compressed, and accessors, which may be
+sparse."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError, clipped
+from facerender.loading.gltf_schema import COMPONENTS, TYPES
+from facerender.loading.meshopt import decoded
+from facerender.loading.referred import Referred, inline
+
+_MOST_ZEROS = 1 << 26  # bytes that a sparse accessor need not hold
+
+Doc = dict[str, Any]
+
+
+class Buffers:
+    """What the indices of a checked document stand for. Methods raise ValueError for what is
+    damaged, or is not there."""
+
+    def __init__(
+        self, name: str, document: Doc, binary: memoryview | None, referred: Referred
+    ) -> None:
+        self.name = name
+        self.document = document
+        self.binary = binary
+        self.referred = referred
+        self.buffers: dict[int, memoryview] = {}
+        self.unpacked: dict[int, memoryview] = {}  # by the number of a compressed view
+
+    def _buffer(self, index: int) -> memoryview:
+        if index not in self.buffers:
+            declared = self.document["buffers"][index]
+            content = self._buffer_content(index, declared.get("uri"))
+            if len(content) < declared["byteLength"]:
+                raise ValueError(
+                    f"buffers[{index}] should have {declared['byteLength']} bytes, and has "
+                    f"{len(content)}"
+                )
+            self.buffers[index] = content[: declared["byteLength"]]
+        return self.buffers[index]
+
+    def _buffer_content(self, index: int, uri: str | None) -> memoryview:
+        if uri is None:
+            if index or self.binary is None:
+                raise ValueError(f"buffers[{index}] has no uri")
+            return self.binary
+        content = inline(uri)
+        if content is None:
+            try:
+                content = self.referred.read(uri, "a buffer of a glTF file")
+            except FileNotFoundError as error:
+                raise InputError(f"{clipped(uri, 80)} (named by {self.name}) {error}") from None
+        return memoryview(content)
+
+    def view(self, index: int) -> memoryview:
+        """Return the bytes of a view, decompressed."""
+        view = self.document["bufferViews"][index]
+        for packed in view.get("extensions", {}).values():
+            if index not in self.unpacked:
+                self.unpacked[index] = decoded(self._packed(packed), packed, self.name)
+            return self.unpacked[index][: view["byteLength"]]
+        return self._span(view, f"bufferViews[{index}]")
+
+    def _packed(self, packed: Doc) -> bytes:
+        return bytes(self._span(packed, "a view compressed with meshopt"))
+
+    def _span(self, view: Doc, where: str) -> memoryview:
+        buffer = self._buffer(view["buffer"])
+        start, length = view.get("byteOffset", 0), view["byteLength"]
+        if start + length > len(buffer):
+            raise ValueError(
+                f"{where} ends at byte {start + length} of buffers[{view['buffer']}], "
+                f"which has {len(buffer)}"
+            )
+        return buffer[start : start + length]
+
+    def _elements(
+        self, where: str, view: int, start: int, kind: str, shape: tuple[int, int]
+    ) -> NDArray[Any]:
+        """Return elements (count, components) in a view."""
+        content = self.view(view)
+        item = np.dtype(kind).itemsize
+        row = item * shape[1]
+        stride = self.document["bufferViews"][view].get("byteStride") or row
+        if stride < row:
+            raise ValueError(f"bufferViews[{view}].byteStride = {stride} is less than {row}")
+        needed = start + stride * (shape[0] - 1) + row if shape[0] else 0
+        if needed > len(content):
+            raise ValueError(
+                f"{where} needs {needed} bytes of bufferViews[{view}], which has {len(content)}"
+            )
+        if not shape[0]:
+            return np.empty(shape, dtype=kind)
+        return np.ndarray(shape, kind, content, start, (stride, item))
+
+    def accessor(self, index: int) -> NDArray[Any]:
+        """Return the values of an accessor, (count, components)."""
+        accessor = self.document["accessors"][index]
+        where = f"accessors[{index}]"
+        kind = COMPONENTS[accessor["componentType"]]
+        shape = accessor["count"], TYPES[accessor["type"]]
+        sparse = accessor.get("sparse")
+        if "bufferView" in accessor:
+            start = accessor.get("byteOffset", 0)
+            values = self._elements(where, accessor["bufferView"], start, kind, shape)
+        elif sparse is None:
+            raise ValueError(f"{where} has no bufferView")
+        elif shape[0] * shape[1] * np.dtype(kind).itemsize > _MOST_ZEROS:
+            raise ValueError(f"{where}.count = {shape[0]} without a bufferView")
+        else:
+            values = np.zeros(shape, dtype=kind)
+        if sparse is not None:
+            values = self._with_sparse(values, sparse, where)
+        if accessor.get("normalized") and kind != "<f4":
+            values = np.maximum(values / np.float32(np.iinfo(kind).max), np.float32(-1.0))
+        return values
+
+    def _with_sparse(self, values: NDArray[Any], sparse: Doc, where: str) -> NDArray[Any]:
+        """Return values, some of which are replaced."""
+        count = sparse["count"]
+        parts = [
+            self._elements(
+                f"{where}.sparse", part["bufferView"], part.get("byteOffset", 0), kind, (count, n)
+            )
+            for part, kind, n in (
+                (
+                    sparse["indices"],
+                    COMPONENTS[sparse["indices"].get("componentType", 5125)],
+                    1,
+                ),
+                (sparse["values"], values.dtype.str, values.shape[1]),
+            )
+        ]
+        indices = parts[0][:, 0]
+        if indices.dtype.kind != "u" or (indices >= len(values)).any():
+            raise ValueError(f"{where}.sparse replaces entries that are not there")
+        values = values.copy()
+        values[indices] = parts[1]
+        return values

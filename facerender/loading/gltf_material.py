@@ -1,0 +1,313 @@
+"""Materials of glTF files: their factors, their maps, and the texture coordinates by which these
+lie."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import clipped, warn
+from facerender.loading.gltf_buffers import Buffers, Doc
+from facerender.loading.gltf_features import EXTENSIONS
+from facerender.loading.images import image_of, missing_image, unreadable
+from facerender.loading.referred import inline
+from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Alpha, Material
+from facerender.scenes.texture import Texture, Wrap
+from facerender.scenes.vectors import HIGHEST
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+_WRAPS: dict[int, Wrap] = {33071: "clamp", 33648: "mirror"}
+_NEAREST = 9728
+_ALPHAS: dict[str, Alpha] = {"MASK": "mask", "BLEND": "blend"}
+_INSTEAD = ("EXT_texture_avif", "MSFT_texture_dds")  # images, where a texture has no other
+_F0 = 0.028  # where a file does not say
+_MOST_LOOKED_AT = 1 << 22  # texels of a map, to find metal
+_METAL = 0.1  # what an image of none may show of it, as JPEG has it
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where on its image a map lies: a set of texture coordinates, and what transforms it."""
+
+    texcoord: int = 0
+    offset: tuple[float, ...] = (0.0, 0.0)
+    rotation: float = 0.0
+    scale: tuple[float, ...] = (1.0, 1.0)
+
+    @classmethod
+    def of(cls, use: Doc) -> Place:
+        """The place of a material's use of a texture."""
+        own = use.get("extensions", {}).get("KHR_texture_transform", {})
+        return cls(
+            own.get("texCoord", use.get("texCoord", 0)),
+            tuple(map(float, own.get("offset", (0.0, 0.0)))),
+            float(own.get("rotation", 0.0)),
+            tuple(map(float, own.get("scale", (1.0, 1.0)))),
+        )
+
+    def moved(self, uv: NDArray[Any]) -> NDArray[np.float64]:
+        """Return texture coordinates (N, 2), v downwards, as they are transformed, v upwards."""
+        u, v = (uv[:, i].astype(np.float64) * self.scale[i] for i in (0, 1))
+        cos, sin = math.cos(self.rotation), math.sin(self.rotation)
+        if self.rotation:
+            u, v = cos * u + sin * v, cos * v - sin * u
+        return np.stack([u + self.offset[0], 1.0 - (v + self.offset[1])], axis=1)
+
+
+@dataclass(frozen=True)
+class Look:
+    """A material, and where its maps lie: those that it names as ``second_uv`` at the second place,
+    the others at the first."""
+
+    material: Material
+    first: Place
+    second: Place | None
+
+
+class Materials:
+    """The materials of a checked document. Methods raise ValueError for what is damaged."""
+
+    def __init__(self, buffers: Buffers, without_albedo: bool) -> None:
+        self.name = buffers.name
+        self.document = buffers.document
+        self.buffers = buffers
+        self.without_albedo = without_albedo
+        self.images: dict[int, tuple[Image, Texture, Texture | None] | None] = {}
+        self.sampled: dict[tuple[int, Any, Any], Texture] = {}
+        self.looks: dict[tuple[int | None, bool], Look] = {}
+        self.lost_images = False
+        self.told: set[str] = set()
+
+    def look(self, index: int | None, has_colors: bool) -> Look:
+        """Return the look of a primitive."""
+        if (index, has_colors) not in self.looks:
+            self.looks[index, has_colors] = self._look(index, has_colors)
+        return self.looks[index, has_colors]
+
+    def tell(self, message: str) -> None:
+        """Warn, once."""
+        if message not in self.told:
+            self.told.add(message)
+            warn(message)
+
+    def _look(self, index: int | None, has_colors: bool) -> Look:
+        if index is None:
+            material = Material(albedo=(1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO)
+            return Look(material, Place(), None)
+        source = self.document["materials"][index]
+        extensions = source.get("extensions", {})
+        metallic = source.get("pbrMetallicRoughness", {})
+        glossy = extensions.get("KHR_materials_pbrSpecularGlossiness", {})
+        specular = extensions.get("KHR_materials_specular", {})
+        self._tell_of(extensions)
+        base = glossy.get("diffuseTexture", metallic.get("baseColorTexture"))
+        alpha = _ALPHAS.get(source.get("alphaMode", "OPAQUE"), "opaque")
+        emissive = self._emissive(source, extensions)
+        uses = {
+            "albedo_map": None if self.without_albedo else base,
+            "opacity_map": base if alpha != "opaque" else None,
+            "normal_map": source.get("normalTexture"),
+            "roughness_map": metallic.get("metallicRoughnessTexture"),
+            "occlusion_map": source.get("occlusionTexture"),
+            "emissive_map": source.get("emissiveTexture") if any(emissive) else None,
+            "specular_map": specular.get("specularTexture"),
+        }
+        places = {key: Place.of(use) for key, use in uses.items() if use is not None}
+        first = Place.of(base) if base else next(iter(places.values()), Place())
+        second = next((each for each in places.values() if each != first), None)
+        maps: dict[str, Any] = {}
+        for key, place in places.items():
+            kind = _kind(key)
+            if place in (first, second):
+                maps[key] = self._map(uses[key], kind, _CHANNELS.get(key))
+            else:
+                self.tell(
+                    f"the {kind} map of {self.name} lies by texture coordinates of its own beside "
+                    "two others: left out"
+                )
+        if not glossy:
+            self._look_for_metal(metallic)
+        factor = glossy.get("diffuseFactor", metallic.get("baseColorFactor", [1.0] * 4))
+        red, green, blue, opacity = (self._factor("albedo", each) for each in factor)
+        albedo = (red, green, blue)
+        lost = self.lost_images and maps.get("albedo_map") is None
+        if lost and min(albedo) > 0.99:
+            albedo = SKIN_ALBEDO  # white was meant to multiply the image
+        material = Material(
+            albedo=albedo,
+            # Without a map it does not count: exporters write 1 or 0.5 by default.
+            roughness_factor=self._factor("roughness", metallic.get("roughnessFactor", 1.0)),
+            f0=self._f0(extensions),
+            ks=self._factor("specular", specular.get("specularFactor", 1.0)),
+            alpha=alpha,
+            opacity=opacity if alpha != "opaque" else 1.0,
+            alpha_cutoff=self._factor("alphaCutoff", source.get("alphaCutoff", 0.5), HIGHEST),
+            emissive=emissive,
+            normal_strength=self._strength(source, "normalTexture", "scale", MAX_NORMAL_STRENGTH),
+            occlusion_strength=self._strength(source, "occlusionTexture", "strength", 1.0),
+            second_uv=tuple(key for key in maps if maps[key] and places[key] != first),
+            **maps,
+        )
+        return Look(material, first, second)
+
+    # --- factors ---------------------------------------------------------------------------------
+
+    def _tell_of(self, extensions: Mapping[str, Doc]) -> None:
+        """Warn of the layers that a material has and that are not drawn."""
+        for key, own in extensions.items():
+            feature = EXTENSIONS.get(key)
+            if feature is None or feature.fate != "warned":
+                continue
+            if not feature.factor or np.any(own.get(feature.factor, 0.0)):
+                self.tell(f"{self.name} has {key}: drawn otherwise ({feature.how})")
+
+    def _factor(self, what: str, value: float, most: float = 1.0) -> float:
+        if not 0.0 <= value <= most:
+            warn(
+                f"the {what} factor {value:.6g} of {self.name} is outside [0, {most:g}]: brought "
+                "there"
+            )
+        return float(min(max(value, 0.0), most))
+
+    def _strength(self, source: Doc, use: str, key: str, most: float) -> float:
+        return self._factor(f"{use}.{key}", source.get(use, {}).get(key, 1.0), most)
+
+    def _emissive(self, source: Doc, extensions: Doc) -> tuple[float, float, float]:
+        own = extensions.get("KHR_materials_emissive_strength", {})
+        strength = self._factor("emissiveStrength", own.get("emissiveStrength", 1.0), HIGHEST)
+        factor = source.get("emissiveFactor", (0.0, 0.0, 0.0))
+        red, green, blue = (strength * self._factor("emissive", each) for each in factor)
+        return red, green, blue
+
+    def _f0(self, extensions: Doc) -> float:
+        ior = extensions.get("KHR_materials_ior")
+        f0 = _F0
+        if ior is not None:
+            n = ior.get("ior", 1.5)
+            if n and n < 1.0:
+                warn(f"the ior {n:.6g} of {self.name} is below 1: brought there")
+                n = 1.0
+            f0 = ((n - 1.0) / (n + 1.0)) ** 2
+        specular = extensions.get("KHR_materials_specular", {})
+        tint = specular.get("specularColorFactor", (1.0, 1.0, 1.0))
+        if "specularColorTexture" in specular or max(tint) - min(tint) > 0.01 * max(tint):
+            self.tell(f"{self.name} has a coloured specular (KHR_materials_specular): drawn grey")
+        grey = self._factor("specularColor", sum(tint) / 3.0, HIGHEST)
+        return min(f0 * grey, 0.999)
+
+    def _look_for_metal(self, metallic: Doc) -> None:
+        """Warn of metal, whose map is then decoded unless it is large."""
+        use = metallic.get("metallicRoughnessTexture")
+        factor = metallic.get("metallicFactor", 0.0 if use is None else 1.0)
+        if factor <= 0.0:
+            return
+        source = None if use is None else self._source(self.document["textures"][use["index"]])
+        found = None if source is None else self.images.get(source)
+        if found is not None:
+            image = found[0]
+            if image.width * image.height > _MOST_LOOKED_AT:
+                self.tell(f"{self.name} has a metallic map: drawn as if it were 0")
+                return
+            try:
+                image.load()
+                blue = image if image.mode == "L" else image.convert("RGB").getchannel("B")
+                factor *= float(np.asarray(blue).max()) / 255.0
+            except Exception:  # who draws it is told
+                return
+        if factor > _METAL:
+            self.tell(f"{self.name} has metallic materials: drawn as dielectrics, which skin is")
+
+    # --- maps ------------------------------------------------------------------------------------
+
+    @staticmethod
+    def _source(texture: Doc) -> int | None:
+        """The image of a texture that can be read."""
+        others = texture.get("extensions", {})
+        found = others.get("EXT_texture_webp", {}).get("source", texture.get("source"))
+        for key in _INSTEAD:
+            found = others.get(key, {}).get("source") if found is None else found
+        return None if found is None else int(found)
+
+    def _map(
+        self, use: Doc | None, kind: str, channel: int | Literal["alpha"] | None
+    ) -> Texture | None:
+        """Return a material's map; one of those that are wanted must be an image."""
+        if use is None:
+            return None
+        texture = self.document["textures"][use["index"]]
+        source = self._source(texture)
+        if source is None:
+            basis = "KHR_texture_basisu" in texture.get("extensions", {})
+            self.tell(
+                f"the {kind} map of {self.name} has no image that is understood"
+                f"{' (KHR_texture_basisu)' * basis}: left out"
+            )
+            self.lost_images = True
+            return None
+        if source not in self.images:
+            self.images[source] = self._image(source, kind)
+        if (found := self.images[source]) is None:
+            return None
+        sampler = {}
+        if "sampler" in texture:
+            sampler = self.document["samplers"][texture["sampler"]]
+        u, v = (_WRAPS.get(sampler.get(key, 10497), "repeat") for key in ("wrapS", "wrapT"))
+        sampling: tuple[tuple[Wrap, Wrap], bool] = (u, v), sampler.get("magFilter") == _NEAREST
+        key = source, channel, sampling
+        if key not in self.sampled:
+            own = found[2] if channel == "alpha" else found[1]
+            if own is None:
+                return None
+            if isinstance(channel, int):
+                own = own.channel(channel, own.name)
+            self.sampled[key] = own.sampled(*sampling) if sampling != own.sampling else own
+        return self.sampled[key]
+
+    def _image(self, index: int, kind: str) -> tuple[Image, Texture, Texture | None] | None:
+        """Return an image, its texture, and one of its alpha, where it has that."""
+        entry = self.document["images"][index]
+        shown = f"the {kind} map of {self.name}"
+        try:
+            if "bufferView" in entry:
+                content = bytes(self.buffers.view(entry["bufferView"]))
+            elif "uri" not in entry:
+                raise ValueError(f"images[{index}] has neither uri nor bufferView")
+            elif (found := inline(entry["uri"])) is not None:
+                content = found
+            else:
+                shown = f"{clipped(entry['uri'], 80)} (named by {self.name})"
+                content = self.buffers.referred.read(entry["uri"], "an image file")
+        except FileNotFoundError:
+            missing_image(self.buffers.referred, entry["uri"])
+            self.lost_images = True
+            return None
+        try:
+            image = image_of(content)
+        except ValueError:
+            unreadable(shown, kind, fatal=not self.without_albedo)
+            self.lost_images = True
+            return None
+        name = f"the {kind} map of {self.name}"
+        alpha = Texture.alpha_of(content, f"the opacity map of {self.name}")
+        return image, Texture.of(content, name), alpha
+
+
+# Which channel of its image a map is; the others are of its colours.
+_CHANNELS: dict[str, int | Literal["alpha"]] = {
+    "opacity_map": "alpha",
+    "specular_map": "alpha",
+    "roughness_map": 1,
+    "occlusion_map": 0,
+}
+
+
+def _kind(field: str) -> str:
+    """What messages call a map."""
+    return {"emissive_map": "emission"}.get(field, field.removesuffix("_map"))

@@ -1,0 +1,212 @@
+"""Where head and face of a mesh are, found in its geometry alone: y is up, and the face looks to
++z. No network, no texture.
+
+The mesh is looked at from the front, as rows of a depth image. From the top down, the head ends at
+its neck: the narrowest row below the widest, of a height that heads have, before the rows widen to
+shoulders. Where hair hides the neck, it ends at the shoulders, and a mesh that has neither is a
+head as a whole. What is above a neck, small and without a nose is a bun of hair, and the head ends
+at the next neck. The nose is where the front of the head stands out most beside its neighbours, as
+wide as a nose is; the chin is where the front falls back below it. From nose and chin follow the
+hairline and the sides, by the proportions of faces (Farkas (1994), "Anthropometry of the head and
+face"). What is not found, such as the nose of an egg, has its usual place in the head."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.scenes.mesh import Mesh, Region
+
+Float = NDArray[np.float64]
+
+_SAMPLES = 300_000  # points on the surface
+_ROWS, _FACE_ROWS = 256, 96  # of the whole mesh, and of its head
+_SHOULDERS = 1.55  # times the width of the head
+_NECK, _WIDENED = 0.88, 1.2  # times the size of the head, at most; and of the neck, below it
+_HEAD = (0.8, 2.0)  # height of a head down to its neck, over its size
+_BREADTH = 0.75  # of the head's height, at most: what is around it is hair
+_NOSE = (0.3, 0.82)  # of the head's height from the top down
+_USUAL_NOSE = 0.6
+_RIDGE = 0.16  # to each side of the nose, times the width of the head
+_RIDGE_LEAST, _RIDGE_MOST = 0.35, 1.0  # rise over that distance, of a nose; more does not count
+_CHIN = (0.3, 0.95)  # below the nose, times the nose's distance from the top
+_USUAL_CHIN = 0.52
+_FALL = 0.4  # in three rows below the chin, times the distance to the nose's sides
+_HAIRLINE, _SIDE = 1.35, 0.95  # above and beside the nose, times the chin's distance below it
+_MARGIN = 1.1
+_MOST_HEADS = 2  # one above the other: a bun of hair, and the head
+_BUN = 0.35  # height of a bun, at most, over that of head and bun
+
+_known: WeakKeyDictionary[Mesh, Mapping[str, Region]] = WeakKeyDictionary()
+
+
+def find_region(mesh: Mesh, name: str) -> Region:
+    """Return the "head" or the "face" of a mesh; all of it where there is no more to tell."""
+    return find_regions(mesh)[name]
+
+
+def find_regions(mesh: Mesh) -> Mapping[str, Region]:
+    """Return head and face of a mesh, by these names; they are found once."""
+    if mesh.regions is not None:
+        return mesh.regions
+    if mesh not in _known:
+        _known[mesh] = _found(_surface(mesh))
+    return _known[mesh]
+
+
+def _surface(mesh: Mesh) -> Float:
+    """Return points all over the surface, (N, 3), in the renderer's space: as many to an area
+    everywhere, at least one to a triangle."""
+    corners = np.concatenate([mesh.normalised(part.positions[part.faces]) for part in mesh.parts])
+    a, b, c = np.moveaxis(corners, 1, 0)
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    total = float(areas.sum())
+    counts = 1 + (areas * (_SAMPLES / total if total > 0.0 else 0.0)).astype(np.int64)
+    triangle = np.repeat(np.arange(len(corners)), counts)
+    index = np.arange(len(triangle)) - np.repeat(np.cumsum(counts) - counts, counts)
+    # Evenly in a square by Roberts' sequence, and the square folded to a triangle.
+    u, v = np.modf((index[:, None] + 0.5) * (0.7548776662466927, 0.5698402909980532))[0].T
+    over = u + v > 1.0
+    u, v = np.where(over, 1.0 - u, u)[:, None], np.where(over, 1.0 - v, v)[:, None]
+    places: Float = a[triangle] + u * (b - a)[triangle] + v * (c - a)[triangle]
+    return places
+
+
+def _found(points: Float) -> dict[str, Region]:
+    middle = float(np.median(points[:, 0]))
+    body = points[_connected(points[:, 0] - middle, _rows(points[:, 1], _ROWS)[0])]
+    if len(body) < 3 or np.ptp(body[:, 1]) < 1e-6:  # flat on the ground
+        return dict.fromkeys(("head", "face"), _region(points))
+    found = [(neck, *_face(body, neck, middle)) for neck, middle in _ends(body)]
+    first, last, top = found[0], found[-1], float(body[:, 1].max())
+    bun = last[3] and not first[3] and top - first[0] < _BUN * (top - last[0])
+    neck, face, chin, _ = last if bun else first
+    return {"head": _region(body[body[:, 1] >= min(neck, chin)]), "face": face}
+
+
+def _rows(y: Float, count: int) -> tuple[NDArray[np.int64], float]:
+    """Return the rows of heights, from the highest down to the lowest, and how high a row is."""
+    step = float(np.ptp(y)) / count or 1.0
+    return ((y.max() - y) / step).astype(np.int64).clip(0, count - 1), step
+
+
+def _region(points: Float) -> Region:
+    """The upright cylinder about points."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    center = (low + high) / 2.0
+    radius = float(np.hypot(*(points - center)[:, [0, 2]].T).max())
+    return Region(center, radius, float(high[1] - low[1]) / 2.0)
+
+
+def _ends(points: Float) -> Iterator[tuple[float, float]]:
+    """Yield at which height the head may end, and where its middle is in x then."""
+    rows, step = _rows(points[:, 1], _ROWS)
+    low, high = np.full((2, _ROWS), np.inf), np.full((2, _ROWS), -np.inf)
+    for axis, column in enumerate((0, 2)):
+        np.minimum.at(low[axis], rows, points[:, column])
+        np.maximum.at(high[axis], rows, points[:, column])
+    filled = np.isfinite(low[0])
+    extents = np.subtract(high, low, out=np.zeros_like(low), where=filled)
+    extents[:, 1:-1] = np.median([extents[:, i : i + _ROWS - 2] for i in range(3)], axis=0)
+    size, start = np.sqrt(extents[0] * extents[1]), 0
+    for _ in range(_MOST_HEADS):
+        end = start + _neck(extents[0, start:], size[start:], step)
+        above = filled & (np.arange(_ROWS) <= end) & (np.arange(_ROWS) >= start)
+        if not above.any():
+            return
+        middle = float(np.median(low[0, above] + high[0, above])) / 2.0
+        yield float(points[:, 1].max()) - (end + 1) * step, middle
+        start = end + 1
+
+
+def _connected(x: Float, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which points have no gap between them and the middle in their row: hands have."""
+    cells = 64  # to a side
+    extent = float(np.abs(x).max()) or 1.0
+    place = (np.abs(x) * (cells / extent)).astype(np.int64).clip(0, cells - 1)
+    side = (x > 0.0).astype(np.int64)
+    covered = np.zeros((2, _ROWS, cells + 1), dtype=bool)
+    covered[side, rows, place] = True
+    covered[..., :2] = True
+    empty = ~covered[..., :-1] & ~covered[..., 1:]
+    first = np.where(empty.any(axis=-1), empty.argmax(axis=-1), cells)
+    return np.asarray(place <= first[side, rows])
+
+
+def _neck(wide: Float, size: Float, step: float) -> int:
+    """Return the row at which the head ends, of rows from the top down: how wide they are, and how
+    large as the side of a square."""
+    largest, narrowest, at = 0.0, np.inf, -1
+    for row, own in enumerate(size):
+        height = (row + 1) * step
+        if height < _HEAD[0] * largest or (own > largest and narrowest > _NECK * largest):
+            if height > largest > 0.0 and wide[row] > _SHOULDERS * np.median(wide[: row + 1]):
+                return row  # shoulders, and no neck
+            largest, narrowest, at = max(largest, own), np.inf, -1
+            continue
+        if own < narrowest:
+            narrowest, at = own, row
+        if height > _HEAD[1] * largest or (
+            narrowest <= _NECK * largest and own > _WIDENED * narrowest
+        ):
+            break
+    return at if narrowest <= _NECK * largest else len(size) - 1
+
+
+def _face(body: Float, neck: float, middle: float) -> tuple[Region, float, bool]:
+    """Return the face of a head that ends at a height, at which height its chin is, and whether it
+    has a nose."""
+    head = body[body[:, 1] >= neck]
+    high = float(head[:, 1].max())
+    step = (high - neck) / _FACE_ROWS
+    wide = min(float(np.ptp(head[:, 0])), _BREADTH * _FACE_ROWS * step)
+    side = _RIDGE * wide or step
+    front, ridge = _front(body, middle, high, step, side)
+    first, last = (int(share * _FACE_ROWS) for share in _NOSE)
+    depth = front[first:last]
+    out = np.minimum(ridge[first:last], _RIDGE_MOST) + (depth - depth.max()) / side
+    nose = first + int(out.argmax())
+    has_nose = bool(ridge[nose] >= _RIDGE_LEAST)
+    if not has_nose:
+        nose = int(_USUAL_NOSE * _FACE_ROWS)
+    chin = _chin(front, nose, _FALL * side)
+    down = (chin - nose) * step
+    bottom, above = high - (chin + 1) * step, high - (nose + 0.5) * step + _HAIRLINE * down
+    height, radius = (min(above, high) - bottom) / 2.0, min(_SIDE * down, wide / 2.0)
+    center = np.array([middle, bottom + height, front[nose] - radius])
+    return Region(center, _MARGIN * radius, _MARGIN * height), bottom, has_nose
+
+
+def _front(body: Float, middle: float, top: float, step: float, side: float) -> tuple[Float, Float]:
+    """Return of rows from the top down, on below the head, how far the middle reaches to the front,
+    and by how much that is farther than beside it, over the distance to there."""
+    count = 2 * _FACE_ROWS
+    rows = ((top - body[:, 1]) / step).astype(np.int64)
+    away = np.abs(body[:, 0] - middle)
+    every, columns = np.arange(count), []
+    for near, far in ((0.0, 0.4), (0.7, 1.3)):
+        column = np.full(count, -np.inf)
+        there = (away >= near * side) & (away <= far * side) & (rows < count)
+        np.maximum.at(column, rows[there], body[there, 2])
+        known = np.isfinite(column)
+        columns.append(
+            np.interp(every, every[known], column[known])
+            if known.any()
+            else np.full(count, body[:, 2].max())
+        )
+    front, beside = columns
+    return front[: rows.max() + 1], (front - beside) / side
+
+
+def _chin(front: Float, nose: int, fall: float) -> int:
+    """Return the row of the chin: the first, not too near the nose, below which the front falls
+    back by so much within three rows."""
+    usual, first, last = (
+        min(nose + round(share * nose), len(front) - 1) for share in (_USUAL_CHIN, *_CHIN)
+    )
+    falls = front[first : last - 2] - front[first + 3 : last + 1]
+    found = np.flatnonzero(falls >= fall)
+    return first + 1 + int(found[0]) if len(found) else usual

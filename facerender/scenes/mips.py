@@ -1,0 +1,257 @@
+"""Mip chains: texels of a map, halved again and again, as each kind of map is averaged. Strips of a
+large map give the same as its whole. No OpenGL here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.image import linear_to_srgb, srgb_to_linear, texels
+from facerender.terms.slope_variance import MAP_DEVIATION
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+Kind = Literal["color", "linear-color", "normal", "data"]
+Levels = list[NDArray[Any]]
+Rows = Callable[[int, int], "Image"]  # of an image in mode RGB, from the lowest one on
+
+_STRIP = 32  # rows
+
+
+def chain(kind: Kind, image: Image) -> Levels:
+    """Return all levels of an image in mode RGB, row 0 at the bottom; see
+    :meth:`facerender.Texture.levels`."""
+    return _CHAINS[kind](image)
+
+
+def coarse_base(
+    kind: Literal["color", "normal", "data"], rows: Rows, size: tuple[int, int], drop: int
+) -> NDArray[Any] | tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Return what :func:`coarse_chain` makes a chain of, in the memory of a strip and the result.
+
+    Parameters
+    ----------
+    size : width and height of the finest level
+    drop : how many levels to leave out, at least 1; the next has two texels a side at least
+    """
+    if kind == "data":
+        return coarse_data(rows, size, drop)
+    width, height = (side >> drop for side in size)
+    finest = np.empty((height, width, 4), dtype=np.uint8)
+    if kind == "color":
+        for top, strip in _coarse_strips(rows, height, drop):
+            finest[top : top + (strip.height >> drop)] = _halved_srgb(strip, drop)
+        return finest
+    means = np.empty((3, height // 2, width // 2), dtype=np.float32)
+    for top, strip in _coarse_strips(rows, height, drop):
+        own = _halved_normals(strip, drop)
+        bottom = top + own.shape[1]
+        finest[top:bottom] = _with_deviation(own)
+        even = own[:, : own.shape[1] & -2, : width & -2]
+        means[:, top // 2 : bottom // 2] = _halve_planes(even)
+    return finest, means
+
+
+def coarse_chain(
+    base: NDArray[Any] | tuple[NDArray[np.uint8], NDArray[np.float32]],
+) -> Levels:
+    """Return what :func:`chain` gives without its finest levels, of their base; "data" may be off
+    by 1 of 255, as Pillow rounds."""
+    if isinstance(base, tuple):
+        return [base[0], *_normal_chain(base[1])]
+    return _data_chain(base) if base.shape[2] == 3 else _color_chain(base)
+
+
+def coarse_data(rows: Rows, size: tuple[int, int], drop: int) -> NDArray[np.uint8]:
+    """Return the finest level of "data" that is left; (H, W) where rows are grey; parameters as of
+    :func:`coarse_base`."""
+    width, height = (side >> drop for side in size)
+    bands = len(rows(0, 1).getbands())
+    finest = np.empty((height, width, bands)[: 2 + (bands > 1)], dtype=np.uint8)
+    for top, strip in _coarse_strips(rows, height, drop):
+        finest[top : top + (strip.height >> drop)] = np.asarray(_halved(strip, drop))
+    return finest
+
+
+def _coarse_strips(rows: Rows, height: int, drop: int) -> Iterator[tuple[int, Image]]:
+    """Yield strips of an image, and the first row of each in the level of this height, which is
+    even."""
+    step = max(_STRIP >> drop, 2)
+    for top in range(0, height, step):
+        yield top, rows(top << drop, min(top + step, height) << drop)
+
+
+def _data_levels(image: Image) -> Levels:
+    levels = [texels(image, "RGB")]
+    while max(image.size) > 1:
+        image = _halved(image, 1)
+        levels.append(texels(image, "RGB"))
+    return levels
+
+
+def _data_chain(finest: NDArray[np.uint8]) -> Levels:
+    from PIL import Image
+
+    return [finest, *_data_levels(_halved(Image.fromarray(finest), 1))]
+
+
+def _halved(image: Image, times: int) -> Image:
+    from PIL.Image import Resampling
+
+    for _ in range(times):
+        half = max(image.width // 2, 1), max(image.height // 2, 1)
+        image = image.resize(half, Resampling.BOX)
+    return image
+
+
+def _even(texels: NDArray[Any]) -> NDArray[Any]:
+    """Make both sides even: a side of 1 is doubled, the last texel of another odd one dropped."""
+    for axis in (0, 1):
+        if texels.shape[axis] == 1:
+            texels = np.repeat(texels, 2, axis)
+    return texels[: texels.shape[0] // 2 * 2, : texels.shape[1] // 2 * 2]
+
+
+@lru_cache(maxsize=1)
+def _light_tables() -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+    """sRGB byte to a quarter of linear light, and the sum of four quarters to sRGB byte."""
+    quarter = 16383
+    decode = np.round(srgb_to_linear(np.arange(256) / 255.0) * quarter).astype(np.uint16)
+    encode = np.round(linear_to_srgb(np.arange(65536) / (4 * quarter)) * 255.0).astype(np.uint8)
+    return decode, encode
+
+
+def _halve_srgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    decode, encode = _light_tables()
+    height, width, channels = texels.shape
+    halved = np.empty((height // 2, width // 2, channels), dtype=np.uint8)
+    for top, strip in _strips(texels):
+        # Four channels of 16 bits side by side are added as one number, without a carry.
+        light = decode[strip].view(np.uint64)[..., 0]
+        rows = light[0::2] + light[1::2]
+        blocks = rows[:, 0::2] + rows[:, 1::2]
+        halved[top // 2 : top // 2 + len(blocks)] = encode[blocks.view(np.uint16)].reshape(
+            *blocks.shape, channels
+        )
+    return halved
+
+
+def _halved_srgb(image: Image, times: int) -> NDArray[np.uint8]:
+    pixels = texels(image, "RGBA")
+    for _ in range(times):
+        pixels = _halve_srgb(_even(pixels))
+    return pixels
+
+
+def _color_levels(image: Image) -> Levels:
+    return _color_chain(texels(image, "RGBA"))
+
+
+def _color_chain(finest: NDArray[np.uint8]) -> Levels:
+    levels = [finest]
+    while max(levels[-1].shape[:2]) > 1:
+        levels.append(_halve_srgb(_even(levels[-1])))
+    return levels
+
+
+def _halve_linear(texels: NDArray[np.float32]) -> NDArray[np.float32]:
+    height, width, channels = texels.shape
+    blocks = texels.reshape(height // 2, 2, width // 2, 2, channels)
+    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
+
+
+def _linear_color_levels(image: Image) -> Levels:
+    decoded = srgb_to_linear(np.arange(256) / 255.0).astype(np.float32)
+    finest = texels(image, "RGBA")
+    levels = [decoded.astype(np.float16)[finest]]
+    if max(image.size) == 1:
+        return levels
+    halved = [_halve_linear(decoded[strip]) for _, strip in _strips(_even(finest))]
+    means = np.concatenate(halved)
+    while True:
+        levels.append(means.astype(np.float16))
+        if max(means.shape[:2]) == 1:
+            return levels
+        means = _halve_linear(_even(means))
+
+
+def _strips(rows: NDArray[Any]) -> list[tuple[int, NDArray[Any]]]:
+    """Return some rows at a time, which stay in the cache, and the number of the first."""
+    return [(top, rows[top : top + _STRIP]) for top in range(0, len(rows), _STRIP)]
+
+
+def _halve_planes(planes: NDArray[Any]) -> NDArray[np.float32]:
+    """Return means of blocks of 2 x 2, of (C, H, W) with even sides."""
+    rows = planes[:, 0::2] + planes[:, 1::2]
+    blocks = rows[..., 0::2] + rows[..., 1::2]
+    blocks *= np.float32(0.25)
+    return np.asarray(blocks)
+
+
+def _unit_planes(texels: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return normals (3, H, W) of unit length."""
+    planes = np.moveaxis(texels, -1, 0).astype(np.float32, order="C")
+    planes -= np.float32(127.5)  # no byte stands for 0, nor three for a zero vector
+    planes *= 1.0 / np.sqrt(planes[0] ** 2 + planes[1] ** 2 + planes[2] ** 2)
+    return planes
+
+
+def _with_deviation(means: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return the texels of a level: directions of mean vectors (3, H, W), and their deviation."""
+    length = np.sqrt(means[0] ** 2 + means[1] ** 2 + means[2] ** 2).clip(1e-6, 1.0)
+    texels = np.empty((*length.shape, 4), dtype=np.uint8)
+    scale = np.float32(127.5) / length
+    for channel, plane in enumerate(means):
+        texels[..., channel] = plane * scale + np.float32(128.0)  # is cut off
+    deviation = np.sqrt((1.0 - length) / length)
+    texels[..., 3] = np.minimum(deviation * np.float32(255.0 / MAP_DEVIATION), 255.0) + 0.5
+    return texels
+
+
+def _halved_normals(image: Image, times: int) -> NDArray[np.float32]:
+    """Return mean vectors (3, H, W)."""
+    means = _halve_planes(_unit_planes(_even(texels(image, "RGB"))))
+    for _ in range(times - 1):
+        means = _halve_planes(_even_planes(means))
+    return means
+
+
+def _even_planes(planes: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.moveaxis(_even(np.moveaxis(planes, 0, -1)), -1, 0)
+
+
+def _normal_levels(image: Image) -> Levels:
+    finest = texels(image, "RGBA")
+    finest[..., 3] = 0
+    if max(image.size) == 1:
+        return [finest]
+    even = _even(finest[..., :3])
+    means = np.empty((3, even.shape[0] // 2, even.shape[1] // 2), dtype=np.float32)
+    for top, strip in _strips(even):
+        means[:, top // 2 : (top + len(strip)) // 2] = _halve_planes(_unit_planes(strip))
+    return [finest, *_normal_chain(means)]
+
+
+def _normal_chain(means: NDArray[np.float32]) -> Levels:
+    levels = []
+    while True:
+        strips = _strips(np.moveaxis(means, 0, -1))
+        levels.append(
+            np.concatenate([_with_deviation(np.moveaxis(each, -1, 0)) for _, each in strips])
+        )
+        if max(means.shape[1:]) == 1:
+            return levels
+        means = _halve_planes(_even_planes(means))
+
+
+_CHAINS: dict[Kind, Callable[[Image], Levels]] = {
+    "color": _color_levels,
+    "linear-color": _linear_color_levels,
+    "normal": _normal_levels,
+    "data": _data_levels,
+}

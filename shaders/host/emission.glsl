@@ -1,0 +1,13 @@
+// Light that a surface gives off itself.
+uniform vec3 emissive;  // radiance
+#ifdef EMISSIVE_MAP
+uniform sampler2D emissive_map;
+#endif
+
+vec3 emission(Point p) {
+#ifdef EMISSIVE_MAP
+    return emissive * TEXEL(emissive_map, p, EMISSIVE_MAP_UV).rgb;
+#else
+    return emissive;
+#endif
+}

@@ -1,0 +1,280 @@
+"""Cameras by their matrices, in Python and in files, and those of glTF files: what they see is
+where K [R|t] says."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import facerender as fr
+from facerender.scenes.view import view_of
+from tests.awkward_files import MINI_HEAD, join_glb, split_glb
+
+SIZE = (120, 90)
+K = [[310.0, 0.0, 71.25], [0.0, 255.0, 38.5], [0.0, 0.0, 1.0]]
+
+
+def pose_of(mesh: fr.Mesh, azimuth: float, tilt: float, distance: float) -> NDArray[np.float64]:
+    """[R|t] of a camera before a mesh, which is turned, and tilted about its own axis."""
+    a, b = np.radians([azimuth, tilt])
+    turn = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
+    roll = np.array([[np.cos(b), -np.sin(b), 0], [np.sin(b), np.cos(b), 0], [0, 0, 1]])
+    r = roll @ np.diag([1.0, -1.0, -1.0]) @ turn
+    return np.column_stack([r, [0.0, 0.0, distance * mesh.radius] - r @ mesh.center])
+
+
+def seen(mesh: fr.Mesh, camera: fr.Camera, size: tuple[int, int] = SIZE) -> Any:
+    with fr.Renderer(size, samples=1) as renderer:
+        return renderer.gbuffer(fr.Scene(mesh, camera))
+
+
+def projected(k: Any, pose: Any, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    x, y, z = np.asarray(k) @ (np.asarray(pose) @ np.column_stack([points, np.ones(len(points))]).T)
+    return np.stack([x / z, y / z], axis=-1)
+
+
+def glb(tmp_path: Path, nodes: list[Any], cameras: list[Any]) -> Path:
+    """The small head, with nodes that are roots of its scene."""
+    document, binary = split_glb(MINI_HEAD.read_bytes())
+    document["cameras"] = cameras
+    first = len(document["nodes"])
+    document["nodes"] += nodes
+    below = {child for node in nodes for child in node.get("children", ())}
+    document["scenes"][0]["nodes"] += {*range(first, first + len(nodes))} - below
+    path = tmp_path / "head.glb"
+    path.write_bytes(join_glb(document, binary))
+    return path
+
+
+@pytest.fixture(scope="module")
+def mini() -> fr.Mesh:
+    return fr.load_mesh(MINI_HEAD)
+
+
+@pytest.mark.parametrize(("azimuth", "tilt"), [(0.0, 0.0), (35.0, -20.0), (160.0, 90.0)])
+def test_pixels_are_where_the_matrices_say(mini: fr.Mesh, azimuth: float, tilt: float):
+    """fx is not fy, and the principal point is off the centre."""
+    pose = pose_of(mini, azimuth, tilt, 5.0)
+    camera = fr.Camera(extrinsics=pose, intrinsics=K, size=SIZE)
+    buffer = seen(mini, camera)
+    rows, columns = np.nonzero(buffer.part >= 0)
+    assert len(rows) > 500
+    found = projected(K, pose, mini.denormalised(buffer.position[rows, columns]))
+    np.testing.assert_allclose(found, np.column_stack([columns, rows]) + 0.5, atol=2e-3)
+    np.testing.assert_allclose(buffer.view.intrinsics(SIZE), K, atol=1e-9)
+    np.testing.assert_allclose(buffer.view.extrinsics(mini), pose, atol=1e-12 + 1e-9 * mini.radius)
+
+
+def test_every_camera_comes_back_by_its_matrices(mini: fr.Mesh):
+    for camera in (fr.Camera(), fr.Camera(130.0, 40.0, zoom=2.0), fr.Camera(elevation=90.0)):
+        view = view_of(fr.Scene(mini, camera), SIZE[0] / SIZE[1])
+        pose, k = view.extrinsics(mini), view.intrinsics(SIZE)
+        again = fr.Camera(extrinsics=pose, intrinsics=k, size=SIZE)
+        other = view_of(fr.Scene(mini, again), SIZE[0] / SIZE[1])
+        np.testing.assert_allclose(other.matrix, view.matrix, atol=1e-7)
+
+
+def test_an_image_of_another_size_is_of_the_same_shape(mini: fr.Mesh):
+    camera = fr.Camera(extrinsics=pose_of(mini, 0, 0, 5), intrinsics=K, size=SIZE)
+    twice = view_of(fr.Scene(mini, camera), 4 / 3).intrinsics((240, 180))
+    np.testing.assert_allclose(twice[:2], 2.0 * np.array(K)[:2], atol=1e-9)
+    with pytest.raises(fr.InputError, match="are for images of 120 x 90 pixels: give a size of th"):
+        view_of(fr.Scene(mini, camera), 1.0)
+
+
+GOOD = {"extrinsics": np.eye(3, 4), "intrinsics": K, "size": SIZE}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"extrinsics": np.eye(4)}, "camera extrinsics = .*: give 3 rows of 4 numbers"),
+        ({"extrinsics": np.diag([1, 1, -1.0, 0])[:3]}, "give .R|t. with a rotation R"),
+        ({"extrinsics": 2.0 * np.eye(3, 4)}, "give .R|t. with a rotation R"),
+        ({"extrinsics": np.full((3, 4), np.nan)}, "give 3 rows of 4 numbers"),
+        ({"extrinsics": None}, "camera intrinsics need extrinsics"),
+        ({"azimuth": 5.0}, "camera azimuth = 5.0 and extrinsics exclude each other: leave one"),
+        ({"frame": "face"}, "camera frame = 'face' and extrinsics exclude each other"),
+        ({"target": (0, 0, 0)}, "camera target = .* and extrinsics exclude each other"),
+        ({"fov": 30.0}, "camera fov = 30.0 and intrinsics exclude each other"),
+        ({"size": None}, "camera intrinsics and camera size belong together"),
+        ({"size": (0, 10)}, r"camera size = \(0, 10\): give width and height"),
+        ({"intrinsics": None}, "camera intrinsics and camera size belong together"),
+        ({"intrinsics": [[300, 2, 60], [0, 300, 45], [0, 0, 1]]}, "without skew"),
+        ({"intrinsics": [[300, 0, 60], [0, -300, 45], [0, 0, 1]]}, "give fx and fy from 0.001"),
+        ({"intrinsics": [[300, 0, 60], [0, 300, 1e9], [0, 0, 1]]}, "cx and cy up to 1000 times"),
+        ({"intrinsics": [[300, 0, 60]]}, "give 3 rows of 3 numbers"),
+    ],
+)
+def test_matrices_that_are_none(changes: dict[str, Any], message: str):
+    with pytest.raises(fr.InputError, match=message):
+        fr.Camera(**{**GOOD, **changes})
+
+
+def test_a_camera_with_matrices_is_a_job(mini: fr.Mesh, tmp_path: Path):
+    camera = fr.Camera(extrinsics=pose_of(mini, 20, 5, 5), intrinsics=K, size=SIZE)
+    job = fr.Job(camera=camera)
+    assert fr.Job.from_dict(json.loads(json.dumps(job.as_dict()))) == job
+    path = tmp_path / "job.toml"
+    path.write_text("[camera]\n" + job.toml().split("[camera]\n")[1].split("\n\n")[0])
+    assert fr.load_scene(path)["camera"] == camera
+
+
+def test_a_turntable_of_a_placed_camera_orbits(mini: fr.Mesh):
+    placed = fr.Camera(extrinsics=pose_of(mini, 20, 5, 5), intrinsics=K, size=SIZE)
+    assert fr.turntable(placed, 2) == (fr.Camera(0.0), fr.Camera(180.0))
+
+
+def test_an_image_is_the_same_by_the_matrices_of_its_camera(mini: fr.Mesh):
+    """That of light which scatters by pixels as well."""
+    mesh = fr.Mesh(**{**vars(mini), "millimetres": 1000.0 * 0.15 / mini.radius}).with_material(
+        scattering="skin"
+    )
+    camera = fr.Camera(25.0, 10.0, zoom=1.3)
+    with fr.Renderer(SIZE, samples=1) as renderer:
+        own = renderer.render(fr.Scene(mesh, camera)).linear
+        view = view_of(fr.Scene(mesh, camera), SIZE[0] / SIZE[1])
+        pose, k = view.extrinsics(mesh), view.intrinsics(SIZE)
+        placed = fr.Camera(extrinsics=pose, intrinsics=k, size=SIZE)
+        again = renderer.render(fr.Scene(mesh, placed)).linear
+        sharp = renderer.render(fr.Scene(mesh.with_material(scattering=None), placed)).linear
+    assert (np.abs(again - own).max(axis=-1) > 1e-3).mean() < 1e-3  # an edge may fall otherwise
+    assert np.abs(sharp - own).max() > 0.01
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+def test_cameras_of_a_json_file(mini: fr.Mesh, tmp_path: Path):
+    pose = pose_of(mini, 20, 5, 5)
+    camera = fr.Camera(extrinsics=pose, intrinsics=K, size=SIZE)
+    whole = {"K": K, "Rt": pose.tolist(), "width": 120, "height": 90}
+    apart = {"K": K, "R": pose[:, :3].tolist(), "t": pose[:, 3].tolist(), "size": SIZE}
+    square = {"intrinsics": K, "Rt": [*pose.tolist(), [0, 0, 0, 1]], "name": "left"}
+    path = tmp_path / "rig.json"
+    path.write_text(json.dumps(whole | {"transform_matrix": []}))
+    assert fr.load_cameras(path) == {"rig_000": camera}
+    for content in ([whole, apart, square], {"cameras": [whole, apart, square]}):
+        path.write_text(json.dumps(content))
+        found = fr.load_cameras(path, SIZE)
+        assert found == dict.fromkeys(("rig_000", "rig_001", "left"), camera)
+    path.write_text('{"azimuth": 30, "frame": "face"}')
+    assert [*fr.load_cameras(path).values()] == [fr.Camera(30.0, frame="face")]
+
+
+def test_cameras_of_a_numpy_file(mini: fr.Mesh, tmp_path: Path):
+    poses = np.stack([pose_of(mini, azimuth, 5, 5) for azimuth in (0, 90)])
+    path = tmp_path / "rig.npz"
+    wanted = [fr.Camera(extrinsics=pose, intrinsics=K, size=SIZE) for pose in poses]
+    np.savez(path, K=K, R=poses[..., :3], t=poses[..., 3:], width=120, height=90)
+    assert [*fr.load_cameras(path).values()] == wanted
+    np.savez(path, K=[K, K], Rt=poses, size=SIZE)
+    assert [*fr.load_cameras(path).values()] == wanted
+    np.savez(path, Rt=poses[0])
+    assert [*fr.load_cameras(path).values()] == [fr.Camera(extrinsics=poses[0])]
+
+
+BAD = {
+    "a.json": [
+        ("{", "a.json: its JSON cannot be read"),
+        ("[]", r"a.json has no \[\[cameras\]\]"),
+        ("[[1]]", r"a.json: camera = \[1\]: give a table"),
+        ('{"K": 3, "Rt": 4}', "a.json: camera extrinsics = 4: give 3 rows"),
+        ('{"R": [[1]], "t": 4}', "a.json: camera R and t: give 3 x 3"),
+        ('{"zoom": "x"}', "a.json: camera zoom = 'x'"),
+        ('{"focal": 3}', "a.json: unknown key 'focal' in camera; known: azimuth"),
+        ("[" * 100000, "a.json: its JSON cannot be read"),
+    ],
+    "a.npz": [
+        ("", "a.npz: it is no NumPy file"),
+        ("PK nonsense", "a.npz: it is no NumPy file"),
+    ],
+    "a.toml": [("ambient = 1", r"a.toml has no \[\[cameras\]\]")],
+    "a.txt": [("", "a.txt: unknown format '.txt' of cameras; give .toml, .json, .npz, .glb, .gl")],
+    "a.glb": [("{}", "a.glb is not glTF but other JSON")],
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"), [(name, *each) for name, all_ in BAD.items() for each in all_]
+)
+def test_files_without_cameras(name: str, content: str, message: str, tmp_path: Path):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(fr.InputError, match=message):
+        fr.load_cameras(tmp_path / name)
+
+
+def test_arrays_of_other_shapes(tmp_path: Path):
+    path = tmp_path / "rig.npz"
+    for arrays, message in (
+        ({"K": np.eye(3)}, "it holds K: give K, R and t"),
+        (
+            {"Rt": np.zeros((2, 3, 4)), "K": np.zeros((3, 3, 3))},
+            "'K' has 3 axes: give one matrix, or",
+        ),
+        ({"Rt": np.array(["x"])}, "'Rt' has 1 axes"),
+        ({"Rt": np.zeros((0, 3, 4))}, r"has no \[\[cameras\]\]"),
+        ({"Rt": np.zeros((3, 4))}, "give .R|t. with a rotation R"),
+    ):
+        np.savez(path, **arrays)  # type: ignore[arg-type]
+        with pytest.raises(fr.InputError, match=message):
+            fr.load_cameras(path)
+    np.savez(path, Rt=np.array([None], dtype=object))
+    with pytest.raises(fr.InputError, match="it is no NumPy file"):
+        fr.load_cameras(path)
+
+
+# --- glTF ----------------------------------------------------------------------------------------
+
+
+def test_cameras_of_a_gltf_file(mini: fr.Mesh, tmp_path: Path):
+    """A camera below a node that turns it by 90 degrees stands at +x, looks to -x, and is scaled,
+    which does not matter."""
+    quarter = [0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5)]
+    distance = 4.0 * mini.radius
+    nodes = [
+        {"name": "arm", "rotation": quarter, "scale": [2, 2, 2]},
+        {"name": "side", "camera": 0, "translation": [0.0, 0.0, distance / 2.0]},
+        {"camera": 1, "translation": [0.0, 0.0, 7.0]},
+    ]
+    first = len(split_glb(MINI_HEAD.read_bytes())[0]["nodes"])
+    nodes[0] |= {"children": [first + 1], "translation": mini.center.tolist()}
+    cameras = [
+        {"type": "perspective", "perspective": {"yfov": math.radians(30.0), "znear": 0.1}},
+        {"type": "perspective", "name": "front", "perspective": {"yfov": 0.5, "znear": 0.1}},
+    ]
+    path = glb(tmp_path, nodes, cameras)
+    found = fr.load_cameras(path)
+    assert sorted(found) == ["front", "side"]
+    view = view_of(fr.Scene(mini, found["side"]), 1.0)
+    np.testing.assert_allclose(view.forward, [-1.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(view.eye, [4.0, 0.0, 0.0], atol=1e-9)
+    wanted = fr.Camera(
+        position=tuple(mini.denormalised([4.0, 0.0, 0.0])), target=tuple(mini.center), fov=30.0
+    )
+    np.testing.assert_allclose(view.matrix, view_of(fr.Scene(mini, wanted), 1.0).matrix, atol=1e-9)
+    assert math.radians(found["front"].fov) == pytest.approx(0.5)
+    fr.load_mesh(path)  # is as it was
+
+
+@pytest.mark.parametrize(
+    ("node", "camera", "message"),
+    [
+        ({"camera": 0}, {"type": "orthographic"}, "camera '' of head.glb is orthographic"),
+        ({"camera": 0}, {"perspective": {"yfov": 3.1}}, "head.glb: camera fov = 177"),
+        ({"camera": 0}, {"perspective": {}}, r"cameras\[0\].perspective.yfov is missing"),
+        ({"camera": 1}, {"perspective": {"yfov": 1}}, "= 1 is not an index into the 1 cameras"),
+        ({"camera": 0, "scale": [0, 1, 1]}, {"perspective": {"yfov": 1}}, "give 3 rows of 4"),
+        ({"camera": 0, "scale": [-1, 1, 1]}, {"perspective": {"yfov": 1}}, "a rotation R"),
+        ({}, {"perspective": {"yfov": 1}}, "head.glb has no camera"),
+    ],
+)
+def test_cameras_that_are_not_drawn(node: Any, camera: Any, message: str, tmp_path: Path):
+    with pytest.raises(fr.InputError, match=message):
+        fr.load_cameras(glb(tmp_path, [node], [camera]))

@@ -1,0 +1,128 @@
+"""Head and face are found in meshes of many kinds, by their geometry alone, and a camera holds
+them."""
+
+from __future__ import annotations
+
+import pickle
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import facerender as fr
+from facerender.scenes.framing import find_region
+from facerender.scenes.mesh import Mesh, Region
+from facerender.scenes.view import view_of
+from tests.people import PEOPLE, ball, person
+
+# Of the built-in head, in metres: what a person would say of it.
+CHIN, CROWN, BROW = -0.105, 0.116, 0.01
+
+known = cache(person)
+
+
+def ends(mesh: Mesh, region: Region) -> tuple[float, float]:
+    """The lowest and the highest place, in the mesh's units."""
+    middle = mesh.denormalised(region.center)[1]
+    return middle - region.height * mesh.radius, middle + region.height * mesh.radius
+
+
+@pytest.mark.parametrize("name", PEOPLE)
+def test_the_face_of_a_person(name: str):
+    mesh = known(name)
+    low, high = ends(mesh, region := find_region(mesh, "face"))
+    assert CHIN - 0.025 < low < CHIN + 0.01
+    assert BROW + 0.03 < high < CROWN + 0.015
+    assert abs(mesh.denormalised(region.center)[0]) < 0.006
+    assert 0.045 < region.radius * mesh.radius < 0.09
+
+
+@pytest.mark.parametrize("name", sorted(PEOPLE.keys() - {"mask"}))
+def test_the_head_of_a_person(name: str):
+    mesh = known(name)
+    low, high = ends(mesh, region := find_region(mesh, "head"))
+    assert CHIN - 0.06 < low < CHIN + 0.005
+    top = 0.19 if name == "bun" else 0.14 if "hair" in name else CROWN
+    assert high == pytest.approx(top, abs=0.004)
+    assert 0.09 < region.radius * mesh.radius < 0.17
+
+
+@pytest.mark.parametrize(("scale", "move"), [(1000.0, (0, 0, 0)), (0.01, (5, -9, 2)), (39.37, 0)])
+def test_units_and_places_do_not_matter(scale: float, move: object):
+    shift = np.broadcast_to(np.asarray(move, float) * scale, 3)
+    own = person("arms down")
+    other = person("arms down", scale, shift)
+    for name in ("head", "face"):
+        a, b = find_region(own, name), find_region(other, name)
+        center = (other.denormalised(b.center) - shift) / scale
+        np.testing.assert_allclose(center, own.denormalised(a.center), atol=2e-3)
+        assert b.radius == pytest.approx(a.radius, rel=0.02)
+
+
+def test_the_face_of_a_scan(scan_mesh: Mesh):
+    """The eyes of the scan are at a height of 1.9, its chin at -0.45, its crown at 4."""
+    low, high = ends(scan_mesh, find_region(scan_mesh, "face"))
+    assert -1.3 < low < -0.3
+    assert 2.6 < high < 4.3
+    assert ends(scan_mesh, find_region(scan_mesh, "head"))[1] == pytest.approx(3.97, abs=0.05)
+
+
+def test_what_has_no_face_is_framed_as_it_is(tmp_path: Path):
+    path = tmp_path / "shape.ply"
+    for shape in (ball((3, 3, 3), (1, 1, 1)), trimesh.creation.box((2, 1e-9, 3))):
+        shape.export(path)
+        mesh = fr.load_mesh(path)
+        for name in ("head", "face"):
+            region = find_region(mesh, name)
+            assert np.isfinite(region.center).all()
+            assert 0.1 < region.radius < 2.5
+
+
+def test_a_triangle_has_regions(tmp_path: Path):
+    path = tmp_path / "one.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    mesh = fr.load_mesh(path)
+    view = view_of(fr.Scene(mesh, fr.Camera(frame="face")), 1.0)
+    assert np.isfinite(view.matrix).all()
+
+
+@pytest.mark.parametrize("frame", ["head", "face"])
+@pytest.mark.parametrize("azimuth", [0.0, 70.0, 200.0])
+def test_a_camera_holds_what_it_frames(head: Mesh, frame: str, azimuth: float):
+    region = find_region(head, frame)
+    camera = fr.Camera(azimuth, 10.0, frame=frame)  # type: ignore[arg-type]
+    view = view_of(fr.Scene(head, camera), 0.8)
+    turn = np.linspace(0.0, 2.0 * np.pi, 16)
+    sides = np.stack([np.cos(turn), 0.0 * turn, np.sin(turn)], axis=1) * region.radius
+    rims = [region.center + sides + (0.0, y, 0.0) for y in (-region.height, region.height)]
+    clip = np.column_stack([np.concatenate(rims), np.ones(32)]) @ view.matrix
+    across = np.abs(clip[:, :2] / clip[:, 3:])
+    assert across.max() <= 1.0
+    assert across.max() > 0.8
+    center = [*region.center, 1.0] @ view.matrix
+    np.testing.assert_allclose(center[:2] / center[3], 0.0, atol=1e-12)
+
+
+def test_a_target_and_a_zoom_override_the_guess(head: Mesh):
+    own = view_of(fr.Scene(head, fr.Camera(frame="face")), 1.0)
+    near = view_of(fr.Scene(head, fr.Camera(frame="face", zoom=2.0)), 1.0)
+    middle = find_region(head, "face").center
+    assert np.linalg.norm(near.eye - middle) == pytest.approx(np.linalg.norm(own.eye - middle) / 2)
+    place = (0.01, 0.02, 0.03)
+    moved = view_of(fr.Scene(head, fr.Camera(frame="face", target=place)), 1.0)
+    np.testing.assert_allclose(moved.eye - own.eye, head.normalised(place) - middle, atol=1e-12)
+
+
+def test_a_simplified_mesh_is_framed_as_the_whole(head: Mesh):
+    fewer = fr.simplified(head, 3000).with_material(m=0.2)
+    for name in ("head", "face"):
+        assert find_region(fewer, name) is find_region(head, name)
+    again = pickle.loads(pickle.dumps(fewer))
+    assert find_region(again, "face").radius == find_region(head, "face").radius
+
+
+def test_a_frame_is_one_of_three():
+    with pytest.raises(fr.InputError, match="camera frame = 'nose': give all, head, face"):
+        fr.Camera(frame="nose")  # type: ignore[arg-type]

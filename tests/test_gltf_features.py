@@ -1,0 +1,673 @@
+"""Every feature of glTF in the reader's table, from files made by code: drawn, or warned of."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+import facerender as fr
+from facerender.loading.gltf_features import EXTENSIONS, FEATURES, markdown
+from facerender.loading.gltf_schema import COMPONENTS
+from tests import awkward_files as files
+from tests.awkward_files import mini_head
+from tests.test_hostile_mesh import loaded, refused
+
+Case = Callable[[Path], None]
+CASES: dict[str, Case] = {}
+TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+
+
+def case(*names: str) -> Callable[[Case], Case]:
+    def register(test: Case) -> Case:
+        CASES.update(dict.fromkeys(names, test))
+        return test
+
+    return register
+
+
+class File:
+    """The small head as glTF, to be changed: accessors and images are added to it."""
+
+    def __init__(self, **options: Any) -> None:
+        self.document, self.binary = files.gltf(mini_head(), **options)
+        self.primitive: dict[str, Any] = self.document["meshes"][0]["primitives"][0]
+        self.attributes: dict[str, int] = self.primitive["attributes"]
+        self.material: dict[str, Any] = self.document["materials"][0]
+        self.node: dict[str, Any] = self.document["nodes"][0]
+
+    def view(self, content: bytes, **more: Any) -> int:
+        self.binary += bytes(-len(self.binary) % 4)
+        self.document["bufferViews"].append(
+            {"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(content), **more}
+        )
+        self.binary += content
+        self.document["buffers"][0]["byteLength"] = len(self.binary)
+        return len(self.document["bufferViews"]) - 1
+
+    def accessor(self, values: NDArray[Any], **more: Any) -> int:
+        kind = next(key for key, kind in COMPONENTS.items() if np.dtype(kind) == values.dtype)
+        entry = {"componentType": kind, "count": len(values)}
+        entry["type"] = TYPES[values[0].size]  # type: ignore[assignment]
+        if "bufferView" not in more:
+            entry["bufferView"] = self.view(values.tobytes())
+        self.document["accessors"].append(entry | more)
+        return len(self.document["accessors"]) - 1
+
+    def texture(self, image: Image.Image, **more: Any) -> dict[str, Any]:
+        """Add a texture; return the use of it."""
+        buffer = BytesIO()
+        image.save(buffer, "PNG")
+        self.document["images"].append({"bufferView": self.view(buffer.getvalue())})
+        source = len(self.document["images"]) - 1
+        self.document["textures"].append({"source": source, **more})
+        return {"index": len(self.document["textures"]) - 1}
+
+    def write(self, folder: Path) -> Path:
+        path = folder / "a.glb"
+        path.write_bytes(files.join_glb(self.document, self.binary))
+        return path
+
+    def load(self, folder: Path, **options: Any) -> tuple[fr.Mesh, list[str]]:
+        return loaded(self.write(folder), **options)
+
+    def quiet(self, folder: Path, **options: Any) -> fr.Mesh:
+        """Load without a warning."""
+        mesh, told = self.load(folder, **options)
+        assert told == []
+        return mesh
+
+
+def plain() -> fr.Mesh:
+    return fr.load_mesh(files.MINI_HEAD)
+
+
+def flat(*color: int) -> Image.Image:
+    mode = {1: "L", 3: "RGB", 4: "RGBA"}[len(color)]
+    return Image.new(mode, (4, 4), color if len(color) > 1 else color[0])
+
+
+def texels(texture: fr.Texture | None) -> NDArray[np.uint8]:
+    assert texture is not None
+    return np.asarray(texture.rgb())
+
+
+def same_shape(mesh: fr.Mesh, other: fr.Mesh, tolerance: float = 1e-6) -> None:
+    np.testing.assert_allclose(mesh.parts[0].positions, other.parts[0].positions, atol=tolerance)
+
+
+@pytest.mark.parametrize("name", [each.name for each in FEATURES])
+def test_feature(name: str, tmp_path: Path) -> None:
+    CASES[name](tmp_path)
+
+
+def test_every_case_is_a_feature_and_the_documents_show_them() -> None:
+    assert CASES.keys() == {each.name for each in FEATURES}
+    text = (Path(__file__).parents[1] / "docs" / "formats.md").read_text(encoding="utf-8")
+    assert markdown() in text
+
+
+# --- shape ---------------------------------------------------------------------------------------
+
+
+@case("node transforms")
+def _(folder: Path) -> None:
+    file = File(nodes=({}, {"translation": [9, 0, 0]}))
+    mesh = file.quiet(folder)
+    first, second = (part.positions for part in mesh.parts)
+    np.testing.assert_allclose(second - first, [[9, 0, 0]] * len(first), atol=1e-6)
+
+
+@case("primitive.mode")
+def _(folder: Path) -> None:
+    file = File()
+    file.document["meshes"][0]["primitives"].append({**file.primitive, "mode": 1})
+    mesh, told = file.load(folder)
+    assert len(mesh.parts) == 1
+    assert told == ["a.glb has points or lines, or vertices without places: not drawn"]
+
+
+@case("interleaved accessors")
+def _(folder: Path) -> None:
+    head, file = mini_head(), File()
+    rows = np.hstack([head.normals, head.positions]).astype("<f4")
+    view = file.view(rows.tobytes(), byteStride=24)
+    for key, start in (("NORMAL", 0), ("POSITION", 12)):
+        file.attributes[key] = file.accessor(
+            rows[:, :3], bufferView=view, byteOffset=start, type="VEC3"
+        )
+    same_shape(file.quiet(folder), plain())
+
+
+@case("sparse accessors")
+def _(folder: Path) -> None:
+    file = File()
+    values = np.array([[0.0, 0.2, 0.0]], "<f4")
+    sparse = {
+        "count": 1,
+        "indices": {"bufferView": file.view(np.array([5], "<u4").tobytes()), "componentType": 5125},
+        "values": {"bufferView": file.view(values.tobytes())},
+    }
+    file.document["accessors"][file.attributes["POSITION"]]["sparse"] = sparse
+    np.testing.assert_array_equal(file.quiet(folder).parts[0].positions[5], values[0])
+
+
+@case("morph targets")
+def _(folder: Path) -> None:
+    """Weights of the node go before those of the mesh; a target may be sparse, of all zeros."""
+    head, file = mini_head(), File()
+    count = len(head.positions)
+    moves = np.tile(np.array([[0.0, 0.0, 2.0]], "<f4"), (count, 1))
+    one = {
+        "count": 1,
+        "indices": {"bufferView": file.view(np.array([3], "<u4").tobytes()), "componentType": 5125},
+        "values": {"bufferView": file.view(np.array([4, 0, 0], "<f4").tobytes())},
+    }
+    sparse = {"componentType": 5126, "count": count, "type": "VEC3", "sparse": one}
+    file.document["accessors"].append(sparse)
+    zeros = len(file.document["accessors"]) - 1
+    turned = file.accessor(np.tile(np.array([[0.0, 0.0, 0.5]], "<f4"), (count, 1)))
+    file.primitive["targets"] = [
+        {"POSITION": file.accessor(moves), "NORMAL": turned},
+        {"POSITION": zeros},
+    ]
+    file.document["meshes"][0]["weights"] = [0.25, 0.5]
+    expected = head.positions.astype("<f4") + [0, 0, 0.5]
+    expected[3, 0] += 2.0
+    mesh = file.quiet(folder)
+    np.testing.assert_allclose(mesh.parts[0].positions, expected, atol=1e-5)
+    file.node["weights"] = [0.0, 0.0]
+    same_shape(file.quiet(folder), plain())
+    file.node["weights"] = [1.0, 0.0]
+    normals = head.normals + [0, 0, 0.5]
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    np.testing.assert_allclose(file.quiet(folder).parts[0].normals, normals, atol=1e-5)
+
+
+@case("skins")
+def _(folder: Path) -> None:
+    """Two joints, of which one turns its half of the vertices; the mesh's node does not count."""
+    head, file = mini_head(), File(nodes=({"translation": [50, 0, 0], "skin": 0},))
+    half = (head.positions[:, 1] > np.median(head.positions[:, 1])).astype("<u1")
+    joints = np.zeros((len(half), 4), "<u1")
+    joints[:, 0] = half
+    weights = np.tile(np.array([[255, 0, 0, 0]], "<u1"), (len(half), 1))
+    file.attributes["JOINTS_0"] = file.accessor(joints)
+    file.attributes["WEIGHTS_0"] = file.accessor(weights, normalized=True)
+    file.document["nodes"] += [
+        {"children": [2], "translation": [1, 0, 0]},
+        {"rotation": [0, 0, math.sqrt(0.5), math.sqrt(0.5)], "translation": [0, 2, 0]},
+    ]
+    file.document["scenes"][0]["nodes"] = [0, 1]
+    inverse = np.stack([np.eye(4), np.eye(4)]).astype("<f4")
+    inverse[:, 3, 0] = -1.0  # columns come first: the joints stood at x = 1
+    skin = {"joints": [1, 2], "inverseBindMatrices": file.accessor(inverse)}
+    file.document["skins"] = [skin]
+    part = file.load(folder)[0].parts[0]  # the neck is torn
+    x, y, z = head.positions.T
+    turned = np.stack([1.0 - y, 2.0 + x - 1.0, z], axis=1)
+    expected = np.where(half[:, None] > 0, turned, head.positions)
+    np.testing.assert_allclose(part.positions, expected, atol=1e-5)
+    n = head.normals
+    normals = np.where(half[:, None] > 0, np.stack([-n[:, 1], n[:, 0], n[:, 2]], axis=1), n)
+    np.testing.assert_allclose(part.normals, normals, atol=1e-5)
+    file.document["scenes"][0]["nodes"] = [0]
+    assert file.load(folder)[1][:1] == [
+        "a.glb has a skin whose joints are not in its scene: drawn without"
+    ]
+
+
+@case("animations", "KHR_animation_pointer")
+def _(folder: Path) -> None:
+    file = File()
+    file.document["animations"] = [{"channels": [], "samplers": []}]
+    file.document["extensionsUsed"] = ["KHR_animation_pointer"]
+    assert file.load(folder)[1] == [
+        "a.glb has animations: drawn as its nodes and weights are stored"
+    ]
+
+
+@case("cameras", "KHR_xmp_json_ld", "MSFT_lod", "KHR_materials_variants")
+def _(folder: Path) -> None:
+    """What changes nothing is passed over without a word."""
+    file = File()
+    file.document["cameras"] = [{"type": "perspective", "perspective": {"yfov": 1, "znear": 1}}]
+    file.document["nodes"].append({"camera": 0})
+    file.document["extensionsUsed"] = ["KHR_xmp_json_ld", "MSFT_lod", "KHR_materials_variants"]
+    file.document["extensionsRequired"] = file.document["extensionsUsed"]
+    same_shape(file.quiet(folder), plain())
+
+
+# --- what vertices bring -------------------------------------------------------------------------
+
+
+@case("COLOR_0")
+def _(folder: Path) -> None:
+    file = File()
+    color = np.tile(np.array([[51, 102, 255, 128]], "<u1"), (len(mini_head().positions), 1))
+    file.attributes["COLOR_0"] = file.accessor(color, normalized=True)
+    part = file.quiet(folder).parts[0]
+    assert part.colors is not None
+    np.testing.assert_allclose(part.colors[0], [0.2, 0.4, 1.0], atol=1e-6)
+    file.material["alphaMode"] = "BLEND"
+    assert file.load(folder)[1] == ["a.glb has alpha in its vertex colours: left out"]
+
+
+@case("TEXCOORD_n")
+def _(folder: Path) -> None:
+    head, file = mini_head(), File()
+    other = (0.5 * head.uv).astype("<f4")
+    file.attributes["TEXCOORD_1"] = file.accessor(other)
+    file.material["occlusionTexture"] = {**file.texture(flat(128)), "texCoord": 1}
+    mesh = file.quiet(folder)
+    part, material = mesh.parts[0], mesh.materials[0]
+    assert material.second_uv == ("occlusion_map",)
+    assert part.uv is not None
+    assert part.uv2 is not None
+    np.testing.assert_allclose(part.uv, head.uv, atol=1e-6)
+    np.testing.assert_allclose(part.uv2, other * (1, -1) + (0, 1), atol=1e-6)
+    file.material["normalTexture"] = {**file.texture(flat(128, 128, 255)), "texCoord": 2}
+    mesh, told = file.load(folder)
+    assert told == [
+        "the occlusion map of a.glb lies by texture coordinates of its own beside two others: "
+        "left out",
+        "a.glb has no second texture coordinates: the maps by them are left out",
+    ]
+    material = mesh.materials[0]
+    assert material.albedo_map is not None
+    assert (material.normal_map, material.occlusion_map, material.second_uv) == (None, None, ())
+
+
+@case("KHR_texture_transform")
+def _(folder: Path) -> None:
+    """The README of the extension: this shows the lower left quarter of the image."""
+    head, file = mini_head(), File()
+    own = {"offset": [0, 1], "rotation": math.pi / 2, "scale": [0.5, 0.5]}
+    use = file.material["pbrMetallicRoughness"]["baseColorTexture"]
+    use["extensions"] = {"KHR_texture_transform": own}
+    file.material["occlusionTexture"] = file.texture(flat(128))
+    file.document["extensionsRequired"] = ["KHR_texture_transform"]
+    mesh = file.quiet(folder)
+    u, v = head.uv[:, 0], 1.0 - head.uv[:, 1]
+    np.testing.assert_allclose(mesh.parts[0].uv, np.stack([0.5 * v, 0.5 * u], axis=1), atol=1e-6)
+    np.testing.assert_allclose(mesh.parts[0].uv2, head.uv, atol=1e-6)
+    use["extensions"]["KHR_texture_transform"] = {"texCoord": 0, "scale": [2, 3]}
+    u, v = 2.0 * u, 3.0 * v
+    np.testing.assert_allclose(
+        file.quiet(folder).parts[0].uv, np.stack([u, 1.0 - v], axis=1), atol=1e-6
+    )
+
+
+@case("TANGENT")
+def _(folder: Path) -> None:
+    file = File()
+    tangents = np.ones((len(mini_head().positions), 4), "<f4")
+    file.attributes["TANGENT"] = file.accessor(tangents)
+    same_shape(file.quiet(folder), plain())
+
+
+# --- materials -----------------------------------------------------------------------------------
+
+
+@case("baseColor")
+def _(folder: Path) -> None:
+    file = File()
+    file.material["pbrMetallicRoughness"]["baseColorFactor"] = [0.5, 0.25, 0.75, 0.5]
+    material = file.quiet(folder).materials[0]
+    assert material.albedo == (0.5, 0.25, 0.75)
+    assert (material.alpha, material.opacity, material.opacity_map) == ("opaque", 1.0, None)
+    assert texels(material.albedo_map).shape[2] == 3
+
+
+@case("alphaMode")
+def _(folder: Path) -> None:
+    file = File()
+    base = file.material["pbrMetallicRoughness"]
+    base["baseColorTexture"] = file.texture(flat(10, 20, 30, 90))
+    base["baseColorFactor"] = [1, 1, 1, 0.5]
+    file.material |= {"alphaMode": "MASK", "alphaCutoff": 0.25}
+    material = file.quiet(folder).materials[0]
+    assert (material.alpha, material.opacity, material.alpha_cutoff) == ("mask", 0.5, 0.25)
+    assert (texels(material.opacity_map) == 90).all()
+    assert (texels(material.albedo_map) == [10, 20, 30]).all()
+    del file.material["alphaCutoff"]
+    file.material["alphaMode"] = "BLEND"
+    replaced = Image.new("RGB", (2, 2))
+    replaced.save(folder / "own.png")
+    material = file.quiet(folder, albedo=folder / "own.png").materials[0]
+    assert (material.alpha, material.alpha_cutoff) == ("blend", 0.5)
+    assert (texels(material.opacity_map) == 90).all()  # the file's, beside another albedo
+
+
+@case("metallic")
+def _(folder: Path) -> None:
+    said = ["a.glb has metallic materials: drawn as dielectrics, which skin is"]
+    file = File()
+    base = file.material["pbrMetallicRoughness"]
+    assert file.load(folder)[1] == []  # nothing said
+    base["metallicFactor"] = 1.0
+    assert file.load(folder)[1] == said
+    base["metallicRoughnessTexture"] = file.texture(flat(0, 128, 5))
+    assert file.load(folder)[1] == []  # black, but for what JPEG leaves
+    base["metallicRoughnessTexture"] = file.texture(flat(0, 128, 255))
+    del base["metallicFactor"]
+    assert file.load(folder)[1] == said
+    base["metallicFactor"] = 0.0
+    assert file.load(folder)[1] == []
+
+
+@case("roughness")
+def _(folder: Path) -> None:
+    file = File()
+    base = file.material["pbrMetallicRoughness"]
+    base["roughnessFactor"] = 0.5
+    assert file.quiet(folder).materials[0].m == fr.Material().m
+    base["metallicRoughnessTexture"] = file.texture(flat(0, 102, 0))
+    assert file.quiet(folder).materials[0].slopes == pytest.approx(((0.5 * 0.4) ** 2,) * 2)
+
+
+@case("normalTexture.scale")
+def _(folder: Path) -> None:
+    file = File()
+    file.material["normalTexture"] = {**file.texture(flat(128, 128, 255)), "scale": 2.5}
+    assert file.quiet(folder).materials[0].normal_strength == 2.5
+    file.material["normalTexture"]["scale"] = -1
+    assert file.load(folder)[1] == [
+        "the normalTexture.scale factor -1 of a.glb is outside [0, 100]: brought there"
+    ]
+
+
+@case("occlusionTexture.strength")
+def _(folder: Path) -> None:
+    file = File()
+    file.material["occlusionTexture"] = {**file.texture(flat(50, 90, 0)), "strength": 0.25}
+    material = file.quiet(folder).materials[0]
+    assert material.occlusion_strength == 0.25
+    assert (texels(material.occlusion_map) == 50).all()
+
+
+@case("emissive", "KHR_materials_emissive_strength")
+def _(folder: Path) -> None:
+    file = File()
+    file.material["emissiveTexture"] = file.texture(flat(9, 8, 7))
+    assert file.quiet(folder).materials[0].emissive_map is None  # times 0
+    file.material["emissiveFactor"] = [1, 0.5, 0]
+    strength = {"KHR_materials_emissive_strength": {"emissiveStrength": 4}}
+    file.material["extensions"] = strength
+    material = file.quiet(folder).materials[0]
+    assert material.emissive == (4.0, 2.0, 0.0)
+    assert (texels(material.emissive_map) == [9, 8, 7]).all()
+
+
+@case("doubleSided")
+def _(folder: Path) -> None:
+    file = File()
+    file.material["doubleSided"] = True
+    same_shape(file.quiet(folder), plain())
+
+
+@case("sampler")
+def _(folder: Path) -> None:
+    file = File()
+    file.document["samplers"] = [
+        {"wrapS": 33071, "wrapT": 33648, "magFilter": 9728, "minFilter": 9985},
+        {"wrapS": 10497, "magFilter": 9729, "minFilter": 9728},
+    ]
+    file.document["textures"][0]["sampler"] = 0
+    file.material["normalTexture"] = file.texture(flat(128, 128, 255), sampler=1)
+    material = file.quiet(folder).materials[0]
+    assert material.albedo_map is not None
+    assert material.normal_map is not None
+    assert material.albedo_map.sampling == (("clamp", "mirror"), True)
+    assert material.normal_map.sampling == (("repeat", "repeat"), False)
+
+
+# --- extensions ----------------------------------------------------------------------------------
+
+
+@case("KHR_mesh_quantization")
+def _(folder: Path) -> None:
+    head, file = mini_head(), File()
+    low, extent = head.positions.min(axis=0), np.ptp(head.positions, axis=0)
+    numbers = np.round((head.positions - low) / extent * 65535).astype("<u2")
+    padded = np.hstack([numbers, np.zeros((len(numbers), 1), "<u2")])
+    view = file.view(padded.tobytes(), byteStride=8)
+    file.attributes["POSITION"] = file.accessor(
+        numbers, bufferView=view, type="VEC3", normalized=True
+    )
+    file.node |= {"translation": low.tolist(), "scale": extent.tolist()}
+    file.document["extensionsRequired"] = ["KHR_mesh_quantization"]
+    same_shape(file.quiet(folder), plain(), 2.0 * float(extent.max()) / 65535)
+
+
+@case("KHR_draco_mesh_compression")
+def _(folder: Path) -> None:
+    pytest.importorskip("DracoPy")
+    mesh, told = loaded(files.write_draco(folder / "a.glb", mini_head()))
+    assert told == []
+    np.testing.assert_allclose(mesh.bounds, plain().bounds, atol=1e-3)
+
+
+# Eight elements of 12 bytes, and two triangles, as meshoptimizer 1.3 encodes them.
+PACKED_VERTICES = (
+    "a1767676008000ff002000dbdca2827400160082020200c000ffff000077f7c2ae687c001600"
+    "04020200e000ffff8000908fe4a49870780128820000000000000000000000000000000000803f00008040000000"
+)
+PACKED_FACES = "e1f010007687566778a9866589689801690000"
+
+
+@case("EXT_meshopt_compression", "KHR_meshopt_compression")
+def _(folder: Path) -> None:
+    pytest.importorskip("wasmtime")
+    vertices = np.arange(24, dtype="<f4").reshape(8, 3) ** 2
+    faces = np.array([[0, 1, 2], [2, 1, 3]])
+    for key in ("EXT_meshopt_compression", "KHR_meshopt_compression"):
+        document: dict[str, Any] = {
+            "asset": {"version": "2.0"},
+            "extensionsRequired": [key],
+            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+            "nodes": [{"mesh": 0}],
+            "accessors": [
+                {"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3"},
+                {"bufferView": 1, "componentType": 5123, "count": 6, "type": "SCALAR"},
+            ],
+            "bufferViews": [],
+            "buffers": [{"byteLength": 0}, {"byteLength": 108}],
+        }
+        binary, start = b"", 0
+        for packed, mode, size, count in (
+            (bytes.fromhex(PACKED_VERTICES), "ATTRIBUTES", 12, 8),
+            (bytes.fromhex(PACKED_FACES), "TRIANGLES", 2, 6),
+        ):
+            own = {"buffer": 0, "byteOffset": len(binary), "byteLength": len(packed)}
+            own |= {"byteStride": size, "count": count, "mode": mode}
+            binary += packed
+            entry = {"buffer": 1, "byteOffset": start, "byteLength": size * count}
+            document["bufferViews"].append({**entry, "extensions": {key: own}})
+            start += size * count
+        document["buffers"][0]["byteLength"] = len(binary)
+        path = folder / "a.glb"
+        path.write_bytes(files.join_glb(document, binary))
+        part = loaded(path)[0].parts[0]
+        np.testing.assert_array_equal(part.positions, vertices[: len(part.positions)])
+        assert len(part.positions) == 4  # those of faces
+        assert {tuple(sorted(face)) for face in part.faces.tolist()} == {
+            tuple(sorted(face)) for face in faces.tolist()
+        }
+        own["byteStride"] = 3
+        path.write_bytes(files.join_glb(document, binary))
+        assert "is none" in refused(path)
+        own["byteStride"] = 2
+        path.write_bytes(files.join_glb(document, binary[:-8] + bytes(8)))
+        document["bufferViews"][0]["extensions"][key]["count"] = 1 << 40
+        path.write_bytes(files.join_glb(document, binary))
+        assert "damaged" in refused(path)
+
+
+@case("EXT_mesh_gpu_instancing")
+def _(folder: Path) -> None:
+    file = File()
+    moves = np.array([[0, 0, 0], [0, 9, 0], [0, 18, 0]], "<f4")
+    scales = np.array([[1, 1, 1], [1, 1, 1], [2, 2, 2]], "<f4")
+    attributes = {"TRANSLATION": file.accessor(moves), "SCALE": file.accessor(scales)}
+    file.node["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+    file.document["extensionsRequired"] = ["EXT_mesh_gpu_instancing"]
+    first, second, third = (part.positions for part in file.quiet(folder).parts)
+    np.testing.assert_allclose(second, first + [0, 9, 0], atol=1e-5)
+    np.testing.assert_allclose(third, 2.0 * first + [0, 18, 0], atol=1e-5)
+
+
+@case("KHR_node_visibility")
+def _(folder: Path) -> None:
+    file = File(nodes=({}, {"translation": [9, 0, 0]}))
+    hidden = {"KHR_node_visibility": {"visible": False}}
+    file.document["nodes"] = [{"children": [1], "extensions": hidden}, {"mesh": 0}, {"mesh": 0}]
+    file.document["scenes"][0]["nodes"] = [0, 2]
+    assert len(file.quiet(folder).parts) == 1
+
+
+@case("EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds")
+def _(folder: Path) -> None:
+    for key in ("EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds"):
+        file = File()  # any image that is read will do
+        file.document["textures"][0] = {"extensions": {key: {"source": 0}}}
+        file.document["extensionsRequired"] = [key]
+        assert file.quiet(folder).materials[0].albedo_map is not None
+
+
+@case("KHR_texture_basisu")
+def _(folder: Path) -> None:
+    file = File()
+    other = {"KHR_texture_basisu": {"source": 0}}
+    file.document["textures"][0]["extensions"] = other
+    file.document["extensionsUsed"] = ["KHR_texture_basisu"]
+    assert file.quiet(folder).materials[0].albedo_map is not None
+    file.document["textures"][0] = {"extensions": other}
+    told = file.load(folder)[1]
+    assert told == [
+        "the albedo map of a.glb has no image that is understood (KHR_texture_basisu): left out"
+    ]
+    file.document["extensionsRequired"] = ["KHR_texture_basisu"]
+    assert "requires the extension KHR_texture_basisu" in refused(file.write(folder))
+
+
+@case("KHR_materials_ior")
+def _(folder: Path) -> None:
+    file = File()
+    assert file.quiet(folder).materials[0].f0 == fr.Material().f0
+    for ior, f0 in ((1.5, 0.04), (1.33, (0.33 / 2.33) ** 2), (1.0, 0.0), (0.0, 0.999)):
+        file.material["extensions"] = {"KHR_materials_ior": {"ior": ior}}
+        assert file.quiet(folder).materials[0].f0 == pytest.approx(f0)
+
+
+@case("KHR_materials_specular")
+def _(folder: Path) -> None:
+    file = File()
+    own = {"specularFactor": 0.3, "specularTexture": file.texture(flat(1, 2, 3, 77))}
+    file.material["extensions"] = {
+        "KHR_materials_specular": own | {"specularColorFactor": [0.5, 0.5, 0.5]}
+    }
+    material = file.quiet(folder).materials[0]
+    assert (material.ks, material.f0) == (0.3, pytest.approx(0.014))
+    assert (texels(material.specular_map) == 77).all()
+    own["specularColorFactor"] = [1, 0, 0]
+    file.material["extensions"] = {"KHR_materials_specular": own}
+    assert file.load(folder)[1] == [
+        "a.glb has a coloured specular (KHR_materials_specular): drawn grey"
+    ]
+
+
+@case("KHR_materials_pbrSpecularGlossiness")
+def _(folder: Path) -> None:
+    file = File()
+    own = {"diffuseFactor": [0.5, 0.5, 0.5, 1], "specularFactor": [1, 1, 1]}
+    file.material["extensions"] = {"KHR_materials_pbrSpecularGlossiness": own}
+    mesh, told = file.load(folder)
+    assert mesh.materials[0].albedo == (0.5, 0.5, 0.5)
+    assert len(told) == 1
+    assert "pbrSpecularGlossiness" in told[0]
+
+
+LAYERS = {
+    "KHR_materials_unlit": {},
+    "KHR_materials_clearcoat": {"clearcoatFactor": 0.5},
+    "KHR_materials_sheen": {"sheenColorFactor": [0, 0.1, 0]},
+    "KHR_materials_transmission": {"transmissionFactor": 0.5},
+    "KHR_materials_diffuse_transmission": {"diffuseTransmissionFactor": 0.5},
+    "KHR_materials_anisotropy": {"anisotropyStrength": 0.5},
+    "KHR_materials_iridescence": {"iridescenceFactor": 0.5},
+}
+
+
+@case(*LAYERS, "KHR_materials_volume", "KHR_materials_dispersion")
+def _(folder: Path) -> None:
+    for key, own in LAYERS.items():
+        file = File(nodes=({}, {"translation": [9, 0, 0]}))
+        file.document["materials"].append({"extensions": {key: own}})  # two that have it
+        file.material["extensions"] = {key: own}
+        file.document["meshes"].append({"primitives": [{**file.primitive, "material": 1}]})
+        file.document["nodes"][1]["mesh"] = 1
+        file.document["extensionsRequired"] = [key]
+        assert file.load(folder)[1] == [f"a.glb has {key}: drawn otherwise ({EXTENSIONS[key].how})"]
+        if own:
+            for extensions in (file.material["extensions"], file.document["materials"][1]):
+                extensions.clear()
+            file.material["extensions"] = {key: {}}
+            file.quiet(folder)
+    file = File()
+    own = {"thicknessFactor": 1}
+    file.material["extensions"] = {"KHR_materials_volume": own, "KHR_materials_dispersion": {}}
+    file.quiet(folder)
+
+
+@case("KHR_lights_punctual")
+def _(folder: Path) -> None:
+    file = File()
+    file.document["extensions"] = {"KHR_lights_punctual": {"lights": [{"type": "point"}]}}
+    file.document["extensionsUsed"] = ["KHR_lights_punctual"]
+    file.quiet(folder)  # in no node
+    file.node["extensions"] = {"KHR_lights_punctual": {"light": 0}}
+    assert file.load(folder)[1] == [
+        "a.glb has lights (KHR_lights_punctual): not drawn; give --light"
+    ]
+
+
+@case("any other extension")
+def _(folder: Path) -> None:
+    file = File()
+    file.document["extensionsUsed"] = ["ACME_glow"]
+    assert file.load(folder)[1] == ["a.glb uses ACME_glow, which is not understood: left out"]
+    file.document["extensionsRequired"] = ["ACME_glow"]
+    assert "requires the extension ACME_glow" in refused(file.write(folder))
+
+
+# --- against the samples of others ---------------------------------------------------------------
+
+
+def test_the_document_may_be_written_by_hand(tmp_path: Path) -> None:
+    """Properties of the table that hold something else are told by their path."""
+    for where, value in (
+        (("materials", 0, "alphaCutoff"), "half"),
+        (("materials", 0, "emissiveFactor"), [1, 1]),
+        (("nodes", 0, "skin"), 3),
+        (("meshes", 0, "weights"), [None]),
+        (("meshes", 0, "primitives", 0, "targets"), [{"POSITION": 99}]),
+        (("samplers",), [{"wrapS": -1}]),
+    ):
+        document, binary = files.gltf(mini_head())
+        place = json.loads(json.dumps(document))
+        inner = place
+        for key in where[:-1]:
+            inner = inner[key]
+        inner[where[-1]] = value
+        path = tmp_path / "a.glb"
+        path.write_bytes(files.join_glb(place, binary))
+        assert str(where[-1]) in refused(path)

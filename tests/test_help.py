@@ -1,0 +1,149 @@
+"""What the command line tells of itself: help with examples, options that it does not know, steps,
+completion in shells."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from facerender.commands import _COMMANDS, main, parser_of
+from facerender.commands.examples import EXAMPLES
+from tests.conftest import missing, require_module
+
+SIZE = ("--size", "16", "--samples", "1")
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+    status = main([*map(str, words)])
+    told = capsys.readouterr()
+    return status, told.out, told.err
+
+
+@pytest.mark.parametrize("command", _COMMANDS)
+def test_every_help_ends_with_examples(command, capsys):
+    with pytest.raises(SystemExit) as done:
+        main([command, "--help"])
+    assert done.value.code == 0
+    lines = capsys.readouterr().out.split("\nexamples:\n")[1].splitlines()
+    assert lines == [f"  {each}" for each in EXAMPLES[command]]
+
+
+@pytest.mark.parametrize("example", [each for lines in EXAMPLES.values() for each in lines])
+def test_examples_are_understood(example):
+    words = shlex.split(re.sub(r'^eval "\$\((.*)\)"$', r"\1", example.partition(" > ")[0]))
+    assert words[0] == "facerender"
+    assert parser_of(words[1:]).parse_args(words[1:]).command
+
+
+@pytest.mark.parametrize("command", ["render", "plan", "explore", "measure", "batch"])
+def test_every_option_has_a_help_text(command):
+    parser = parser_of([command])
+    (commands,) = (each for each in parser._actions if each.dest == "==SUPPRESS==")
+    assert isinstance(commands.choices, dict)
+    without = [each.dest for each in commands.choices[command]._actions if not each.help]
+    assert set(without) <= {"output", "backend"}
+
+
+@pytest.mark.parametrize(
+    ("words", "told", "command"),
+    [
+        (("render", "--colour", "-o", "x.png"), "unrecognized arguments: --colour", "render"),
+        (("render",), "the following arguments are required: -o/--output", "render"),
+        (("shaders", "list", "--all"), "unrecognized arguments: --all", "shaders list"),
+        (("plan", "--budget"), "argument --budget: expected one argument", "plan"),
+        (("--nope", "doctor"), "unrecognized arguments: --nope", ""),
+    ],
+)
+def test_the_command_that_does_not_understand_is_named(words, told, command, capsys):
+    see = " ".join(filter(None, ["facerender", command, "--help"]))
+    assert run(capsys, *words) == (2, "", f"facerender: error: {told}; see {see}\n")
+
+
+def test_verbose_tells_the_steps_and_quiet_none(tmp_path, capsys):
+    out = tmp_path / "o.png"
+    assert run(capsys, "render", *SIZE, "-o", out) == (0, f"{out}\n", "")
+    assert run(capsys, "render", "--quiet", *SIZE, "-o", out) == (0, f"{out}\n", "")
+    status, written, err = run(capsys, "render", "--verbose", *SIZE, "-o", out)
+    assert (status, written) == (0, f"{out}\n")
+    lines = err.splitlines()
+    assert all(re.match(r"facerender: \d+\.\d\d s: ", line) for line in lines)
+    assert [line.split(": ")[2].split(",")[0] for line in lines] == [
+        "mesh",
+        "OpenGL",
+        "image",
+    ]
+    assert "s: 1 pairs\n" in run(capsys, "compare", "--verbose", out, out)[2]
+    assert run(capsys, "compare", out, out)[2] == ""
+    status, told, err = run(capsys, "render", "--quiet", "--verbose", *SIZE, "-o", out)
+    assert (status, told) == (2, "")
+    assert "--quiet and --verbose exclude each other" in err
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
+def test_completion_is_a_script(shell, capsys):
+    require_module("shtab")
+    status, script, err = run(capsys, "completion", shell)
+    assert (status, err) == (0, "")
+    for word in ("render", "hide", "fitted-fine"):
+        assert word in script
+
+
+def test_completion_completes(tmp_path, capsys):
+    require_module("shtab")
+    if shutil.which("bash") is None:
+        missing("no bash")
+    script = run(capsys, "completion", "bash")[1]
+    (tmp_path / "head.glb").touch()
+    asked = {
+        "re": "render reproduce",
+        "render --hi": "--hide",
+        "render --lobe d": "d4 d8 d16",
+        "render he": "head.glb",
+        "render --albedo he": "head.glb",
+        "shaders fl": "flatten",
+    }
+    for words in asked:
+        count = len(words.split())
+        script += f"\nCOMP_WORDS=(facerender {words}); COMP_CWORD={count}; COMPREPLY=()\n"
+        script += '_shtab_facerender; echo "> ${COMPREPLY[*]}"\n'
+    done = subprocess.run(
+        ["bash"], input=script, capture_output=True, text=True, cwd=tmp_path, check=True
+    )
+    told = [line[2:] for line in done.stdout.splitlines() if line.startswith("> ")]
+    assert told == [*asked.values()]
+
+
+def test_completion_without_its_package_is_told(capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    status, out, err = run(capsys, "completion", "bash")
+    assert (status, out) == (2, "")
+    assert err.startswith("facerender: error: completion needs the package shtab; pip install")
+
+
+def test_a_cold_start_pays_for_none_of_it(tmp_path: Path):
+    code = (
+        "import sys\n"
+        "from facerender.commands import main\n"
+        "main(sys.argv[1:])\n"
+        "late = {'shtab', 'tqdm', 'trimesh', 'facerender.commands.completion'}\n"
+        "assert not late & {*sys.modules}\n"
+    )
+    words = [
+        "render",
+        *SIZE,
+        "--no-cache",
+        "--only",
+        "mask",
+        "--m",
+        "0.3",
+        "-o",
+        str(tmp_path / "o.png"),
+    ]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,576 @@
+"""Meshes and maps that a program holds already: arrays, bytes, open files, objects of trimesh; and
+that everything travels: pickles, deep copies, short words for it."""
+
+from __future__ import annotations
+
+import copy
+import io
+import pickle
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+from PIL import Image
+
+import facerender as fr
+from facerender.image import srgb_to_linear
+from tests.awkward_files import (
+    MINI_HEAD,
+    mini_head,
+    repeated,
+    write_gltf,
+    write_ply,
+    write_stl,
+    write_textured_obj,
+)
+
+HEAD = mini_head()
+
+
+def assert_same(a: fr.Mesh, b: fr.Mesh) -> None:
+    """The same parts, but for their names, the same factors and the same texels of every map."""
+    assert len(a.parts) == len(b.parts)
+    for part, other in zip(a.parts, b.parts, strict=True):
+        for name in ("positions", "normals", "faces", "uv", "colors"):
+            one, two = getattr(part, name), getattr(other, name)
+            assert (one is None) == (two is None), name
+            if one is not None:
+                np.testing.assert_allclose(one, two, atol=1e-12, err_msg=name)
+    for material, like in zip(a.materials, b.materials, strict=True):
+        for name, one in vars(material).items():
+            two = getattr(like, name)
+            if isinstance(one, fr.Texture):
+                np.testing.assert_array_equal(np.asarray(one.rgb()), np.asarray(two.rgb()), name)
+            else:
+                assert one == pytest.approx(two, abs=1e-6) if isinstance(one, float) else True
+
+
+def scene_of(path: Path) -> Any:
+    return trimesh.load_scene(path, process=False)
+
+
+# --- files in memory -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("write", [None, write_ply, write_stl, write_textured_obj])
+def test_bytes_and_open_files_are_what_their_file_is(write, tmp_path):
+    path = MINI_HEAD
+    if write:
+        path = write(tmp_path / f"a.{write.__name__[-3:]}", HEAD)
+    known = fr.load_mesh(path)
+    content = path.read_bytes()
+    with path.open("rb") as file:
+        assert_same(fr.load_mesh(file), known)
+    if write is write_textured_obj:
+        return
+    for source in (content, bytearray(content), memoryview(content), io.BytesIO(content)):
+        mesh = fr.load_mesh(source)
+        assert_same(mesh, known)
+        assert mesh.millimetres == known.millimetres
+    assert_same(fr.load_mesh(content, kind=path.suffix[1:]), known)
+    assert_same(fr.load_mesh(content, kind=path.suffix.upper()), known)
+
+
+def test_an_open_file_finds_what_lies_beside_it_and_bytes_do_not(tmp_path):
+    path = write_gltf(tmp_path / "a.gltf", HEAD)
+    with path.open("rb") as file:
+        assert_same(fr.load_mesh(file), fr.load_mesh(path))
+    with pytest.raises(fr.InputError, match=r"a\.bin .* have no folder: give a path"):
+        fr.load_mesh(path.read_bytes())
+    textured = write_textured_obj(tmp_path / "a.obj", HEAD)
+    with pytest.warns(fr.FacerenderWarning, match=r"a\.mtl \(named by bytes\) .*no folder"):
+        mesh = fr.load_mesh(textured.read_bytes(), allow_outside=True)
+    assert mesh.materials[0].albedo_map is None
+
+
+def test_bytes_are_kept_in_the_store(tmp_path, monkeypatch):
+    monkeypatch.setenv("FACERENDER_CACHE_MIB", "64")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    content = MINI_HEAD.read_bytes()
+    first = fr.load_mesh(content, cache=True)
+    for thread in __import__("threading").enumerate():
+        if thread.name == "facerender-store":
+            thread.join()
+    monkeypatch.setattr("facerender.loading.read", lambda *_: pytest.fail("it was read anew"))
+    assert_same(fr.load_mesh(content, cache=True), first)
+
+
+@pytest.mark.parametrize(
+    ("source", "options", "message"),
+    [
+        (b"", {}, "bytes: no mesh is known by these bytes; say its kind, such as kind='obj'"),
+        (b"hello", {}, "bytes: no mesh is known by these bytes"),
+        (b"hello", {"kind": "obj"}, "there is no geometry in bytes"),
+        (b"PK\x03\x04 usdz", {}, "but a ZIP archive"),
+        (b"glTF", {}, "bytes is truncated"),
+        (b"", {"kind": "glb"}, "bytes is an empty file"),
+        (
+            b"v 0 0 0",
+            {"kind": "fbx"},
+            "unknown kind 'fbx' of mesh; known: glb, gltf, obj, ply, stl",
+        ),
+        (b"v 0 0 0", {"kind": 5}, "unknown kind 5"),
+        (io.BytesIO(), {}, "file has no more bytes to read: rewind it with seek(0)"),
+        (io.StringIO("v 0 0 0"), {}, "file is open as text: open it as bytes, with mode 'rb'"),
+        (5, {}, "mesh file = 5: give a path, bytes, a file that is open"),
+        ([[0, 0, 0]], {}, "mesh file = [[0, 0, 0]]: give a path"),
+        (np.eye(3), {}, "give a path, bytes"),
+    ],
+)
+def test_what_is_no_mesh_is_told(source, options, message):
+    with pytest.raises(fr.InputError, match=re.escape(message)) as told:
+        fr.load_mesh(source, **options)
+    assert "\n" not in str(told.value)
+
+
+def test_a_file_that_is_closed_is_told(tmp_path):
+    file = MINI_HEAD.open("rb")
+    file.close()
+    with pytest.raises(fr.InputError, match="cannot read mini_head.glb: .*closed"):
+        fr.load_mesh(file)
+    with (tmp_path / "a").open("wb") as writing, pytest.raises(fr.InputError, match="cannot read"):
+        fr.load_mesh(writing)
+
+
+def test_a_kind_is_told_of_a_file_with_another_name(tmp_path):
+    path = tmp_path / "head.bin"
+    path.write_bytes(MINI_HEAD.read_bytes())
+    with pytest.raises(fr.InputError, match=r"unknown mesh format '\.bin'"):
+        fr.load_mesh(path)
+    assert_same(fr.load_mesh(path, kind="glb"), fr.load_mesh(MINI_HEAD))
+    with path.open("rb") as file:
+        assert_same(fr.load_mesh(file), fr.load_mesh(MINI_HEAD))
+
+
+# --- trimesh -------------------------------------------------------------------------------------
+
+
+def test_a_scene_of_trimesh_is_what_its_file_is():
+    scene, known = scene_of(MINI_HEAD), fr.load_mesh(MINI_HEAD)
+    mesh = fr.load_mesh(scene)
+    assert_same(mesh, known)
+    assert mesh.millimetres == 1000.0
+    (geometry,) = scene.geometry.values()
+    assert_same(fr.load_mesh(geometry), known)
+
+
+def test_instances_of_a_scene_lie_where_its_graph_says():
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    ball.visual.vertex_colors = np.tile(np.uint8([255, 128, 0, 255]), (len(ball.vertices), 1))
+    scene = trimesh.Scene()
+    mirror = np.diag([-2.0, 1.0, 1.0, 1.0])
+    mirror[:3, 3] = 10.0, 0.0, 0.0
+    scene.add_geometry(ball, node_name="one")
+    scene.add_geometry(ball, node_name="two", transform=mirror)
+    scene.add_geometry(trimesh.PointCloud(np.eye(3)))
+    scene.units = "centimeters"
+    mesh = fr.load_mesh(scene)
+    assert sorted(part.name for part in mesh.parts) == ["one", "two"]
+    two = mesh.select("two")
+    np.testing.assert_allclose(two.bounds, [(8, -1, -1), (12, 1, 1)], atol=1e-6)
+    assert (
+        np.einsum("ij,ij->i", two.parts[0].normals, two.parts[0].positions - (10, 0, 0)) > 0
+    ).all()
+    np.testing.assert_allclose(
+        two.parts[0].colors[0], srgb_to_linear(np.array([255, 128, 0]) / 255)
+    )  # type: ignore[index]
+    assert mesh.millimetres == 10.0
+    assert fr.load_mesh(scene, millimetres=2.0).millimetres == 2.0
+
+
+def test_objects_of_trimesh_are_copied():
+    box = trimesh.creation.box()
+    mesh = fr.load_mesh(box)
+    before = mesh.parts[0].positions.copy()
+    box.vertices *= 7.0
+    np.testing.assert_array_equal(mesh.parts[0].positions, before)
+
+
+def test_materials_of_trimesh_cut_and_blend():
+    image = Image.new("RGBA", (4, 4), (200, 100, 50, 64))
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorFactor=[255, 128, 0, 128],
+        baseColorTexture=image,
+        roughnessFactor=0.25,
+        alphaMode="MASK",
+        alphaCutoff=0.3,
+        emissiveFactor=[0.5, 0.0, 0.0],
+    )
+    box = trimesh.creation.box()
+    box.visual = trimesh.visual.TextureVisuals(
+        uv=np.zeros((len(box.vertices), 2)), material=material
+    )
+    (own,) = fr.load_mesh(box).materials
+    assert own.albedo == pytest.approx((1.0, 128 / 255, 0.0))
+    assert (own.alpha, own.alpha_cutoff, own.roughness_factor) == ("mask", 0.3, 0.25)
+    assert own.opacity == pytest.approx(128 / 255)
+    assert own.emissive == (0.5, 0.0, 0.0)
+    assert np.asarray(own.opacity_map.rgb())[0, 0, 0] == 64  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: trimesh.Trimesh(), "there is no face in a trimesh.Trimesh"),
+        (lambda: trimesh.Scene(), "there is no face in a trimesh.Scene"),
+        (lambda: trimesh.Trimesh(np.eye(3), [[0, 1, 7]], process=False), "no face"),
+        (lambda: trimesh.Trimesh(np.full((3, 3), np.nan), [[0, 1, 2]], process=False), "no face"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::facerender.FacerenderWarning", "ignore::RuntimeWarning")
+def test_trimesh_without_faces_is_told(make, message):
+    with pytest.raises(fr.InputError, match=message):
+        fr.load_mesh(make())
+
+
+def test_maps_are_given_as_arrays_images_and_textures():
+    texels = np.arange(8 * 8 * 3, dtype=np.uint8).reshape(8, 8, 3)
+    given: list[Any] = [texels, Image.fromarray(texels), fr.Texture.from_array(texels)]
+    for each in given:
+        (material,) = fr.load_mesh(MINI_HEAD, albedo=each, cache=True).materials
+        np.testing.assert_array_equal(np.asarray(material.albedo_map.rgb())[::-1], texels)  # type: ignore[union-attr]
+    with pytest.raises(fr.InputError, match="albedo_map = 5: give a path, a texture, an array"):
+        fr.load_mesh(MINI_HEAD, albedo=5)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        str,
+        Path,
+        Path.read_bytes,
+        lambda path: io.BytesIO(path.read_bytes()),
+        scene_of,
+        fr.load_mesh,
+    ],
+)
+def test_a_picture_is_the_same_of_whatever_a_mesh_is_given_as(make: Callable[[Path], Any]):
+    size = (64, 64)
+    known = fr.load_mesh(MINI_HEAD)
+    if make is scene_of:  # trimesh does not tell how maps are sampled
+        known = repeated(known)
+    expected = fr.render(known, size=size).linear
+    np.testing.assert_allclose(fr.render(make(MINI_HEAD), size=size).linear, expected, atol=1e-6)
+    scene = fr.Scene(make(MINI_HEAD), fr.Camera(azimuth=20))
+    assert isinstance(scene.mesh, fr.Mesh)
+
+
+def test_a_scene_takes_a_file_before_anything_else_was_imported():
+    code = (
+        "import sys, facerender as fr\n"
+        "assert 'numpy' not in sys.modules\n"
+        "print(fr.Scene(sys.argv[1]).mesh.name)\n"
+        "assert 'trimesh' not in sys.modules\n"
+    )
+    command = [sys.executable, "-c", code, str(MINI_HEAD)]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == (
+        "mini_head.glb\n"
+    )
+    for bad in (None, 5, "nowhere.glb"):
+        with pytest.raises(fr.InputError):
+            fr.Scene(bad)  # type: ignore[arg-type]
+
+
+# --- arrays --------------------------------------------------------------------------------------
+
+POSITIONS, FACES = HEAD.positions, HEAD.faces
+
+
+def test_arrays_are_what_their_file_is():
+    known = fr.load_mesh(MINI_HEAD)
+    mesh = fr.Mesh.from_arrays(
+        POSITIONS,
+        FACES,
+        uv=HEAD.uv,
+        normals=3.0 * HEAD.normals,
+        material=known.materials[0],
+        name="head",
+        millimetres=1000.0,
+    )
+    assert_same(mesh, known)
+    assert (mesh.name, mesh.parts[0].name, mesh.millimetres) == ("head", "head", 1000.0)
+    np.testing.assert_array_equal(mesh.profile, known.profile)
+
+
+@pytest.mark.parametrize(
+    ("places", "corners"),
+    [
+        (np.ndarray.tolist, np.ndarray.tolist),
+        (lambda a: a.astype(np.float32), lambda a: a.astype(np.uint16)),
+        (
+            lambda a: a.astype(np.float32)[:, ::-1][:, ::-1],
+            lambda a: a.astype(np.int8 if len(a) < 99 else np.int64),
+        ),
+        (np.asfortranarray, lambda a: a.astype(np.float64)),
+        (lambda a: (a * 1e6).astype(np.int64), lambda a: a.astype(np.uint64)),
+        (lambda a: a.astype(">f8"), lambda a: a.astype(">i4")),
+    ],
+)
+def test_arrays_of_any_kind(places, corners):
+    mesh = fr.Mesh.from_arrays(places(POSITIONS), corners(FACES))
+    again = fr.Mesh.from_arrays(POSITIONS, FACES)
+    assert len(mesh.parts[0].faces) == len(again.parts[0].faces)
+    a, b = (each.normalised(each.parts[0].positions) for each in (mesh, again))
+    np.testing.assert_allclose(a, b, atol=1e-5)
+
+
+def test_arrays_are_copied():
+    own, faces = POSITIONS.copy(), FACES.astype(np.uint32)
+    mesh = fr.Mesh.from_arrays(own, faces, uv=HEAD.uv, normals=HEAD.normals)
+    part = mesh.parts[0]
+    for array in (own, faces, HEAD.uv, HEAD.normals):
+        for held in (part.positions, part.faces, part.uv, part.normals):
+            assert held is not None
+            assert not np.shares_memory(array, held)
+
+
+def test_colours_of_arrays():
+    linear = np.abs(HEAD.normals)
+    bytes_ = np.full((len(POSITIONS), 4), 128, np.uint8)
+    for given, expected in (
+        (linear, linear),
+        (bytes_, np.full(linear.shape, srgb_to_linear(np.array(128 / 255)))),
+        (
+            bytes_.astype(np.uint16) * 257,
+            np.full(linear.shape, srgb_to_linear(np.array(128 / 255))),
+        ),
+    ):
+        mesh = fr.Mesh.from_arrays(POSITIONS, FACES, colors=given)
+        np.testing.assert_allclose(mesh.parts[0].colors, expected)
+        assert mesh.materials[0].albedo == (1.0, 1.0, 1.0)
+
+
+def test_arrays_are_mended_as_files_are():
+    faces = np.concatenate([FACES, FACES[:3, [0, 0, 1]]])
+    with pytest.warns(fr.FacerenderWarning, match="3 degenerate faces"):
+        mesh = fr.Mesh.from_arrays(POSITIONS, faces)
+    assert len(mesh.parts[0].faces) == len(FACES)
+    np.testing.assert_allclose(np.linalg.norm(mesh.parts[0].normals, axis=1), 1.0)
+
+
+def changed(values: NDArray[Any], value: float) -> NDArray[Any]:
+    copied = values.astype(float)
+    copied[5, 1] = value
+    return copied
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"positions": POSITIONS[:, :2]}, "positions has the shape"),
+        ({"positions": POSITIONS.ravel()}, "give rows of 3 numbers"),
+        ({"positions": "abc"}, "positions has the shape () of <U3: give rows of 3 numbers"),
+        ({"positions": None}, "positions has the shape () of object"),
+        ({"positions": [[0, 1, 2], [3]]}, "positions cannot be an array"),
+        ({"positions": POSITIONS + 0j}, "of complex128: give rows of 3 numbers"),
+        ({"positions": POSITIONS > 0}, "of bool: give rows"),
+        ({"positions": np.empty((0, 3))}, "positions has 0 rows: give at least one"),
+        ({"positions": changed(POSITIONS, np.nan)}, "positions[5] = [-0.0"),
+        ({"positions": changed(POSITIONS, np.inf)}, "1 rows are not finite; leave them out"),
+        ({"faces": FACES[:, [0, 1, 2, 0]]}, "cut polygons into triangles"),
+        ({"faces": []}, "faces has the shape (0,)"),
+        ({"faces": FACES + 0.5}, "faces are no whole numbers: give indices of vertices"),
+        ({"faces": changed(FACES, np.nan)}, "rows are not finite"),
+        ({"faces": FACES - 1}, "a face names vertex -1 of"),
+        (
+            {"faces": FACES + 1},
+            f"names vertex {len(POSITIONS)} of {len(POSITIONS)}: number them from 0",
+        ),
+        ({"faces": FACES * 10**15}, "a face names vertex"),
+        ({"uv": HEAD.uv[:9]}, f"uv has 9 rows: give {len(POSITIONS)}, one for each vertex"),
+        ({"uv": POSITIONS}, "give rows of 2 numbers"),
+        ({"normals": changed(HEAD.normals, np.nan)}, "normals[5]"),
+        ({"colors": POSITIONS - 9.0}, "give linear ones in [0, 1], or uint8"),
+        ({"colors": np.full(POSITIONS.shape, 200)}, "colors reach from 200 to 200"),
+        ({"material": "skin"}, "material = 'skin': give a facerender.Material or None"),
+        (
+            {"material": fr.Material(normal_map=fr.Texture.from_array(np.zeros((2, 2))))},
+            "the material has normal_map, and the mesh no uv: give it as well",
+        ),
+        ({"name": 5}, "name of a mesh = 5: give text"),
+        ({"millimetres": -1.0}, "millimetres = -1.0 is outside"),
+    ],
+)
+def test_arrays_that_are_no_mesh_are_told(given, message):
+    arrays: dict[str, Any] = {"positions": POSITIONS, "faces": FACES} | given
+    with pytest.raises(fr.InputError, match=re.escape(message)) as told:
+        fr.Mesh.from_arrays(**arrays)
+    assert "\n" not in str(told.value)
+
+
+# --- textures ------------------------------------------------------------------------------------
+
+GREY = np.linspace(0, 255, 20).astype(np.uint8).reshape(4, 5)
+COLOR = np.stack([GREY, GREY[::-1], GREY[:, ::-1]], axis=-1)
+ALPHA = np.concatenate([COLOR, GREY[..., None]], axis=-1)
+
+
+@pytest.mark.parametrize(
+    ("texels", "expected"),
+    [
+        (GREY, np.repeat(GREY[..., None], 3, axis=2)),
+        (GREY[..., None], np.repeat(GREY[..., None], 3, axis=2)),
+        (COLOR, COLOR),
+        (COLOR.tolist() and COLOR[::-1][::-1], COLOR),
+        (ALPHA, COLOR),
+        (COLOR.astype(np.uint16) * 257, COLOR),
+        (COLOR / 255.0, COLOR),
+        ((COLOR / 255.0).astype(np.float32), COLOR),
+        (GREY > 100, np.repeat(np.uint8(255) * (GREY > 100)[..., None], 3, axis=2)),
+        ((COLOR / 255.0).tolist(), COLOR),
+    ],
+)
+def test_textures_of_arrays(texels, expected):
+    own = np.array(texels)
+    texture = fr.Texture.from_array(own)
+    own[:] = 0
+    assert texture.size == (5, 4)
+    np.testing.assert_array_equal(np.asarray(texture.rgb())[::-1], expected)
+    np.testing.assert_array_equal(texture.levels("data").result()[0][::-1], expected)
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB", "RGBA", "P", "1", "CMYK", "I;16", "F", "LA"])
+def test_textures_of_images_are_those_of_their_files(mode, tmp_path):
+    image = Image.fromarray(COLOR).convert("L" if mode == "I;16" else mode)
+    if mode == "I;16":
+        image = Image.fromarray(GREY.astype(np.uint16) * 257)
+    texture = fr.Texture.from_image(image)
+    path = tmp_path / "a.tif"
+    image.save(path)
+    known = np.asarray(fr.Texture.open(path).rgb())
+    image.putpixel((0, 0), 0 if len(image.getbands()) == 1 else (0,) * len(image.getbands()))
+    np.testing.assert_array_equal(np.asarray(texture.rgb()), known)
+
+
+@pytest.mark.parametrize(
+    ("texels", "message"),
+    [
+        (np.zeros((4, 4, 2)), "an array has the shape (4, 4, 2): give (H, W), (H, W, 3)"),
+        (np.zeros((0, 4)), "has the shape (0, 4)"),
+        (np.zeros(4), "has the shape (4,)"),
+        ("abc", "has the shape ()"),
+        (None, "has the shape ()"),
+        (np.full((4, 4), 3.0), "has floats from 3 to 3: bring them to [0, 1], or give uint8"),
+        (np.full((4, 4), np.nan), "has floats from nan to nan"),
+        (np.zeros((4, 4), int), "numbers of type int64: give uint8, uint16, or floats"),
+        ([[1, 2], [3]], "an array is no array"),
+        (np.zeros((1, 20000), np.uint8), "at most 16384 a side"),
+    ],
+)
+def test_texels_that_are_none_are_told(texels, message):
+    with pytest.raises(fr.InputError, match=re.escape(message)) as told:
+        fr.Texture.from_array(texels)
+    assert "\n" not in str(told.value)
+
+
+def test_images_that_are_none_are_told(tmp_path):
+    with pytest.raises(fr.InputError, match="image = 5: give an image of Pillow"):
+        fr.Texture.from_image(5)  # type: ignore[arg-type]
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)).save(
+        tmp_path / "a.png"
+    )
+    (tmp_path / "b.png").write_bytes((tmp_path / "a.png").read_bytes()[:2000])
+    with pytest.raises(fr.InputError, match="an image is damaged"):
+        fr.Texture.from_image(Image.open(io.BytesIO((tmp_path / "b.png").read_bytes())))
+
+
+# --- all of it travels ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def everything() -> dict[str, Any]:
+    """One of every public class."""
+    mesh = fr.load_mesh(MINI_HEAD)
+    scene = fr.Scene(mesh, environment=fr.Environment(fr.Panorama("even", np.ones((2, 4, 3)))))
+    with fr.Renderer((32, 32)) as renderer:
+        frame, gbuffer = renderer.render(scene), renderer.gbuffer(scene)
+        plan = fr.plan(fr.Scene(mesh), "16/255", renderer=renderer, cost="llvmpipe")
+    return {
+        "Camera": fr.Camera(azimuth=3),
+        "ContextError": fr.ContextError("no OpenGL"),
+        "Environment": scene.environment,
+        "EnvironmentFile": fr.EnvironmentFile("studio", 30.0),
+        "FacerenderError": fr.FacerenderError("wrong"),
+        "FacerenderWarning": fr.FacerenderWarning("mended"),
+        "Frame": frame,
+        "GBuffer": gbuffer,
+        "ImageSettings": fr.ImageSettings((3, 4)),
+        "InputError": fr.InputError("wrong"),
+        "Job": fr.Job(fr.MeshFile("a.glb", hide="hair"), {"m": 0.2}),
+        "Light": fr.Light(3.0, 4.0),
+        "Material": mesh.materials[0],
+        "Mesh": mesh,
+        "MeshFile": fr.MeshFile("a.glb", parts="head"),
+        "Output": fr.Output("a.png"),
+        "Panorama": scene.environment.panorama,  # type: ignore[union-attr]
+        "Plan": plan,
+        "Scene": scene,
+        "Shading": fr.Shading(lobe="d16", lights={1: {"lobe": "d8"}}),
+        "Term": fr.Term("ward"),
+        "Texture": mesh.materials[0].albedo_map,
+        "View": fr.view_of(scene, 1.0),
+        "compare": fr.compare(frame.linear, frame.linear),
+        "Part": mesh.parts[0],
+    }
+
+
+def assert_equal(a: Any, b: Any, where: str) -> None:
+    assert type(a) is type(b), where
+    if isinstance(a, np.ndarray):
+        np.testing.assert_array_equal(a, b, where)
+    elif isinstance(a, fr.Texture):
+        np.testing.assert_array_equal(np.asarray(a.rgb()), np.asarray(b.rgb()), where)
+    elif isinstance(a, Exception):
+        assert str(a) == str(b)
+    elif isinstance(a, list | tuple):
+        for i, pair in enumerate(zip(a, b, strict=True)):
+            assert_equal(*pair, f"{where}[{i}]")
+    elif hasattr(a, "__dataclass_fields__"):
+        for name in a.__dataclass_fields__:
+            assert_equal(getattr(a, name), getattr(b, name), f"{where}.{name}")
+    elif not callable(a):
+        assert a == b or "object at" in repr(a), where
+
+
+def test_every_public_class_is_among_them(everything):
+    classes = {name for name in fr.__all__ if isinstance(getattr(fr, name), type)}
+    assert classes - {"Renderer"} <= everything.keys()
+
+
+@pytest.mark.parametrize("way", ["pickle", "copy", "deepcopy"])
+def test_everything_travels(way, everything):
+    ways: dict[str, Callable[[Any], Any]] = {
+        "pickle": lambda value: pickle.loads(pickle.dumps(value)),
+        "copy": copy.copy,
+        "deepcopy": copy.deepcopy,
+    }
+    for name, value in everything.items():
+        assert_equal(value, ways[way](value), name)
+
+
+def test_what_travelled_draws_the_same():
+    scene = fr.Scene(fr.load_mesh(MINI_HEAD))
+    with fr.Renderer((64, 64)) as renderer:
+        frames = [renderer.render(each).linear for each in (scene, copy.deepcopy(scene))]
+    np.testing.assert_array_equal(*frames)
+
+
+@pytest.mark.parametrize("name", ["Mesh", "Part", "Texture"])
+def test_words_for_arrays_are_short(name, everything):
+    assert re.fullmatch(rf"<{name} '.*>", repr(everything[name]))
+    assert len(repr(everything[name])) < 100
+
+
+def test_a_copy_of_a_texture_stays_upright():
+    texels = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
+    texture = pickle.loads(pickle.dumps(fr.Texture.from_array(texels)))
+    for kind in ("color", "data", "normal"):  # each chain takes the place of the image
+        finest = texture.levels(kind).result()[0]
+        np.testing.assert_array_equal(finest[..., :3], texels[::-1])

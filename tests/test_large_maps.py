@@ -1,0 +1,200 @@
+"""Maps of more texels than an image can show: what is left of them, what it costs and loses."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import facerender as fr
+from facerender.drawing import prepare
+from facerender.drawing.prepare import reduced
+from facerender.image import linear_to_srgb
+from facerender.scenes.density import levels_to_spare
+from facerender.scenes.mips import chain, coarse_base, coarse_chain
+from facerender.scenes.texture import Texture, pack
+from facerender.scenes.view import view_of
+
+SIZE = (256, 256)
+VIEWS = (fr.Camera(), fr.Camera(azimuth=70, elevation=-20), fr.Camera(zoom=4.0))
+
+
+def noise(width, height, seed=0):
+    pixels = np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
+    return Image.fromarray(pixels)
+
+
+@pytest.fixture(scope="module")
+def detailed():
+    """The built-in head with maps that change from texel to texel."""
+    maps = {
+        name: Texture(lambda seed=seed: noise(1024, 1024, seed), name)
+        for seed, name in enumerate(("albedo_map", "roughness_map"))
+    }
+    return fr.load_mesh().with_material(**maps, roughness_factor=0.7)
+
+
+@pytest.fixture
+def small_is_large(monkeypatch):
+    monkeypatch.setattr(prepare, "LARGE", 512**2)
+
+
+@pytest.mark.parametrize("kind", ["color", "normal", "data"])
+@pytest.mark.parametrize("size", [(256, 128), (128, 320), (200, 104), (1024, 16)])
+@pytest.mark.parametrize("drop", [1, 2, 3])
+def test_coarse_chains_are_the_ends_of_whole_ones(kind, size, drop):
+    image = noise(*size)
+    whole = chain(kind, image)[drop:]
+    base = coarse_base(kind, lambda low, high: image.crop((0, low, size[0], high)), size, drop)
+    coarse = coarse_chain(base)
+    assert [each.shape for each in coarse] == [each.shape for each in whole]
+    for own, expected in zip(coarse, whole, strict=True):
+        np.testing.assert_allclose(own.astype(int), expected, atol=kind == "data")
+
+
+@pytest.mark.parametrize("mode", ["RGB", "L", "P", "RGBA", "I;16", "CMYK"])
+def test_images_of_all_modes_can_be_coarse(tmp_path, mode):
+    grey = np.random.default_rng(3).integers(0, 256, (64, 96), dtype=np.uint8)
+    own = Image.fromarray(grey.astype(np.uint16) * 257) if mode == "I;16" else None
+    image = own or Image.fromarray(grey).convert(mode)
+    path = tmp_path / ("image.tif" if mode == "CMYK" else "image.png")
+    image.save(path)
+    texture = Texture.open(path)
+    expected = texture.levels("data").result()[1:]
+    for own, level in zip(
+        Texture.open(path).coarser(1).levels("data").result(), expected, strict=True
+    ):
+        np.testing.assert_array_equal(own, level)
+
+
+def test_textures_of_textures_can_be_coarse():
+    one, two = (Texture(lambda seed=seed: noise(64, 64, seed), str(seed)) for seed in (1, 2))
+    made = pack(one.channel(2, "red"), None, two.channel(0, "blue").sampled(("clamp", "mirror")))
+    coarse = made.coarser(2)
+    assert coarse.coarse
+    assert coarse.size == (16, 16)
+    assert coarse.sampling == made.sampling
+    assert coarse is made.coarser(2)
+    finest = coarse.levels("data").result()[0]
+    for band, source, index in ((0, one, 2), (2, two, 0)):
+        np.testing.assert_array_equal(
+            finest[..., band], source.levels("data").result()[2][..., index]
+        )
+    assert one.coarser(1).coarser(1) is one.coarser(2)
+    coarse.forget()
+    np.testing.assert_array_equal(coarse.levels("data").result()[0], finest)
+
+
+@pytest.mark.parametrize("camera", VIEWS)
+@pytest.mark.parametrize("texels", [512, 2048])
+def test_levels_are_those_that_a_driver_reads(camera, texels):
+    """Of a map whose levels have a colour each, the finest that is seen is the one told."""
+    sides = [texels >> level for level in range(texels.bit_length())]
+    levels = [np.full((side, side, 4), 20 * number, np.uint8) for number, side in enumerate(sides)]
+    texture = Texture.known(levels[0][..., :3], "levels", {"color": levels})
+    mesh = fr.load_mesh().with_material(albedo_map=texture, albedo=(1.0, 1.0, 1.0))
+    scene = fr.Scene(mesh, camera)
+    with fr.Renderer(SIZE, samples=1) as renderer:
+        gbuffer = renderer.gbuffer(scene)
+    seen = linear_to_srgb(gbuffer.albedo[gbuffer.part >= 0][:, 0].astype(np.float64)) * 255.0 / 20.0
+    part = mesh.parts[0]
+    told = levels_to_spare(mesh, part, part.uv, (texels, texels), view_of(scene, 1.0), SIZE)
+    assert np.quantile(seen, 1e-3) >= told - 0.05  # nothing of a finer one
+    assert np.quantile(seen, 1e-2) < told + 1.0  # and of this one something
+
+
+@pytest.mark.usefixtures("small_is_large")
+@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("camera", VIEWS)
+def test_images_hardly_change(detailed, camera, samples):
+    scene = fr.Scene(detailed, camera)
+    images = {}
+    for full in (False, True):
+        with fr.Renderer(SIZE, samples=samples, full_maps=full) as renderer:
+            images[full] = linear_to_srgb(np.clip(renderer.render(scene).linear[..., :3], 0, 1))
+    off = np.abs(images[False] - images[True]).max(axis=-1) * 255.0
+    assert (off > 1.0).mean() < 1e-3
+
+
+@pytest.mark.usefixtures("small_is_large")
+def test_a_nearer_camera_gets_finer_maps(detailed):
+    sizes = [
+        reduced(scene, view_of(scene, 1.0), SIZE, 1.0).mesh.materials[0].albedo_map.size[0]
+        for zoom in (0.3, 1.0, 20.0)
+        for scene in [fr.Scene(detailed, fr.Camera(zoom=zoom))]
+    ]
+    assert sizes == sorted(sizes)
+    assert sizes[0] < sizes[1] <= sizes[2] == 1024
+
+
+@pytest.mark.usefixtures("small_is_large")
+def test_two_texels_are_left_of_a_map_that_is_hardly_seen(detailed):
+    part = replace(detailed.parts[0], uv=100.0 * detailed.parts[0].uv)
+    scene = fr.Scene(replace(detailed, parts=(part,)), fr.Camera(zoom=0.1))
+    material = reduced(scene, view_of(scene, 1.0), (16, 16), 1.0).mesh.materials[0]
+    assert material.albedo_map.size == (2, 2)
+    assert len(material.albedo_map.levels("normal").result()) == 2
+
+
+@pytest.mark.usefixtures("small_is_large")
+def test_anisotropy_keeps_finer_levels(detailed):
+    scene = fr.Scene(detailed, fr.Camera(zoom=0.3))
+    sizes = [
+        reduced(scene, view_of(scene, 1.0), SIZE, ratio).mesh.materials[0].albedo_map.size[0]
+        for ratio in (1.0, 4.0)
+    ]
+    assert sizes[1] == 4 * sizes[0]
+
+
+def test_maps_of_usual_sizes_stay_as_they_are():
+    scene = fr.Scene(fr.load_mesh(), fr.Camera(zoom=0.2))
+    assert reduced(scene, view_of(scene, 1.0), (64, 64), 1.0) is scene
+
+
+@pytest.mark.usefixtures("small_is_large")
+def test_the_reference_shades_what_is_drawn(detailed):
+    from facerender.drawing.reference import shade
+
+    scene, shading = fr.Scene(detailed, fr.Camera(zoom=0.5)), fr.Shading()
+    with fr.Renderer(SIZE, samples=1) as renderer:
+        drawn = renderer.render(scene, shading).linear[..., :3]
+        gbuffer = renderer.gbuffer(scene, shading)
+    expected = shade(gbuffer, scene, shading)
+    inside = gbuffer.part >= 0
+    np.testing.assert_allclose(drawn[inside], expected[inside], rtol=1e-4, atol=1e-5)
+
+
+def test_a_budget_of_memory_is_refused_before_it_is_exceeded():
+    scene = fr.Scene(fr.load_mesh())
+    with fr.Renderer((256, 256), memory=64) as renderer, pytest.raises(fr.InputError) as error:
+        renderer.render(scene)
+    assert "MiB of 64" in str(error.value)
+    assert "\n" not in str(error.value)
+    with pytest.raises(fr.InputError, match="memory"):
+        fr.Renderer(memory=0.0)
+
+
+SCRIPT = """
+import sys
+import facerender as fr
+names = ("albedo", "normal_map", "roughness_map")
+mesh = fr.load_mesh(**dict(zip(names, sys.argv[1:4])))
+frame = fr.Renderer((1024, 1024)).render(fr.Scene(mesh))
+(most,) = (line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM"))
+print(most)
+"""
+
+
+def test_three_maps_of_8192_take_less_than_600_mb(tmp_path):
+    tile = noise(512, 512)
+    whole = Image.new("RGB", (8192, 8192))
+    for place in range(256):
+        whole.paste(tile, (place % 16 * 512, place // 16 * 512))
+    whole.save(tmp_path / "map.png", compress_level=1)
+    paths = [str(tmp_path / "map.png")] * 3
+    told = subprocess.run(
+        [sys.executable, "-c", SCRIPT, *paths], capture_output=True, text=True, check=True
+    )
+    assert int(told.stdout) * 1024 <= 600e6

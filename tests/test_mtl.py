@@ -1,0 +1,229 @@
+"""MTL files: what their statements make of materials and maps."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import facerender as fr
+from facerender.loading.bump import DEPTH
+from facerender.scenes.material import SKIN_ALBEDO
+from tests import awkward_files as files
+from tests.awkward_files import mini_head
+from tests.test_hostile_mesh import loaded
+
+
+def load(folder: Path, mtl: str, **images: Image.Image) -> tuple[fr.Mesh, list[str]]:
+    """Load the head with an MTL file of the material skin; images lie beside it as PNG."""
+    for name, image in images.items():
+        image.save(folder / f"{name}.png")
+    (folder / "a.mtl").write_text(f"newmtl skin\n{mtl}\n")
+    return loaded(files.write_obj(folder / "a.obj", mini_head(), mtl="a.mtl"))
+
+
+def material(folder: Path, mtl: str, **images: Image.Image) -> fr.Material:
+    """Load it without a warning."""
+    mesh, told = load(folder, mtl, **images)
+    assert told == []
+    return mesh.materials[0]
+
+
+def texels(texture: fr.Texture | None) -> np.ndarray:
+    assert texture is not None
+    return np.asarray(texture.rgb()).astype(int)
+
+
+def flat(*color: int) -> Image.Image:
+    return Image.new(
+        {1: "L", 3: "RGB", 4: "RGBA"}[len(color)], (4, 4), color[0] if len(color) == 1 else color
+    )
+
+
+def test_factors(tmp_path):
+    found = material(tmp_path, "Kd 0.5 0.5 0.5\nKs 0.4 0.2 0.3\nNs 30\nKe 1 0 0\nd 0.25\nillum 2")
+    assert found.albedo == pytest.approx((0.2140411,) * 3)
+    assert found.ks == pytest.approx(0.3)
+    assert found.m == pytest.approx(0.25)  # sqrt(2 / 32)
+    assert found.emissive == (1.0, 0.0, 0.0)
+    assert (found.alpha, found.opacity) == ("blend", 0.25)
+    assert material(tmp_path, "Pr 0.5\nNs 30").m == 0.25
+    assert material(tmp_path, "Tr 0.75").opacity == 0.25
+    assert material(tmp_path, "d 0.5\nTr 0.9").opacity == 0.5
+    assert material(tmp_path, "d -halo 0.5").opacity == 0.5
+    assert material(tmp_path, "Ks 1 1 1\nNs 0").m == fr.Material().m
+
+
+def test_what_is_not_drawn_is_told(tmp_path):
+    for mtl, said in (
+        ("Ks 0 0 0", "no highlights in its MTL (Ks 0)"),
+        ("Tr 1", "Tr 1 in its MTL"),
+        ("Tf 0.5 0.5 0.5", "Tf"),
+        ("refl sphere.png", "has refl in its MTL: not drawn"),
+        ("disp deep.png", "has disp in its MTL: not drawn"),
+        ("Pm 1", "has pm in its MTL: not drawn"),
+        ("map_Ns x.png", "has map_ns in its MTL: not drawn"),
+        ("Kd spectral file.rfl", "has kd spectral file.rfl in its MTL: left out"),
+        ("d nan", "has d nan in its MTL: left out"),
+        ("Kd 2 0 0", "kd 2 in the MTL of a.obj is outside [0, 1]: brought there"),
+        ("map_Kd -t 1 1 1 skin.png", "the albedo map of a.obj has the option -t: left out"),
+    ):
+        told = load(tmp_path, mtl, skin=flat(1, 2, 3))[1]
+        assert len(told) == 1, mtl
+        assert said in told[0]
+    for mtl in ("Pm 0\nNi 1.5\nTf 1 1 1\nKa 0 0 0", "map_Kd -mm 0 1 -cc on skin.png"):
+        material(tmp_path, mtl)
+
+
+def test_maps_and_the_options_before_their_names(tmp_path):
+    mtl = """map_Kd -s 2 3 1 -o 0.5 -clamp on my skin.png
+map_d cut.png
+map_Ks -imfchan g shine.png
+map_Ke -s 2 3 -o 0.5 0 glow.png
+map_Pr rough.png
+norm -bm 0.5 normal.png"""
+    images = {"my skin": flat(1, 2, 3), "cut": flat(9, 9, 9, 60), "shine": flat(1, 77, 3)}
+    images |= {"glow": flat(4, 5, 6), "rough": flat(128), "normal": flat(128, 128, 255)}
+    mesh, told = load(tmp_path, mtl, **images)
+    assert told == []
+    found, part = mesh.materials[0], mesh.parts[0]
+    assert found.albedo_map.sampling == (("clamp", "clamp"), False)
+    for name, value in (
+        ("albedo", [1, 2, 3]),
+        ("opacity", 60),
+        ("specular", 77),
+        ("emissive", [4, 5, 6]),
+        ("roughness", 128),
+        ("normal", [128, 128, 255]),
+    ):
+        assert (texels(getattr(found, f"{name}_map")) == value).all(), name
+    assert (found.alpha, found.alpha_cutoff, found.normal_strength) == ("mask", 0.5, 0.5)
+    assert found.emissive == (1.0, 1.0, 1.0)
+    assert set(found.second_uv) == {"opacity_map", "specular_map", "roughness_map", "normal_map"}
+    plain = mesh.parts[0].uv2
+    np.testing.assert_allclose(part.uv, plain * (2, 3) + (0.5, 0))
+
+
+def test_grey_is_what_is_left_without_alpha(tmp_path):
+    assert (texels(material(tmp_path, "map_d cut.png", cut=flat(60)).opacity_map) == 60).all()
+
+
+def waves(mode: str) -> Image.Image:
+    """Heights: a sine of eight periods along u, from 0 to the most."""
+    u = (np.arange(256) + 0.5) / 256
+    heights = np.tile(0.5 + 0.5 * np.sin(2 * np.pi * 8 * u), (64, 1))
+    if mode == "16 bits":
+        return Image.fromarray(np.round(heights * 65535).astype(np.uint16))
+    return Image.fromarray(np.round(heights * 255).astype(np.uint8)).convert(mode)
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB", "16 bits"])
+@pytest.mark.parametrize("key", ["map_Bump", "bump"])
+def test_heights_become_normals(key, mode, tmp_path):
+    """The slope is that of the sine, and the multiplier is left to the material."""
+    found = material(tmp_path, f"{key} -bm 3 wave.png", wave=waves(mode))
+    assert found.normal_strength == 3.0
+    normals = texels(found.normal_map) / 127.5 - 1.0
+    u = (np.arange(256) + 0.5) / 256
+    expected = -np.pi * 8 * np.cos(2 * np.pi * 8 * u) * DEPTH
+    slopes = -(normals[..., 0] / normals[..., 2])[32, 1:-1]
+    np.testing.assert_allclose(slopes, -expected[1:-1], atol=0.02)
+    np.testing.assert_allclose(normals[..., 1], 0.0, atol=0.01)
+
+
+def test_green_is_up(tmp_path):
+    """A height that grows upwards turns its normal down."""
+    ramp = Image.new("L", (8, 64))
+    ramp.paste(255, (0, 0, 8, 32))
+    normals = texels(material(tmp_path, "bump ramp.png", ramp=ramp).normal_map)
+    assert normals[..., 1].max() <= 128
+    assert (normals[31:33, :, 1] < 120).all()
+
+
+def test_a_bump_map_may_be_a_normal_map(tmp_path):
+    """As MakeHuman writes it: told by the colours."""
+    slopes = np.random.default_rng(0).normal(0.0, 0.2, (32, 32, 2))
+    unit = np.concatenate([slopes, np.ones((32, 32, 1))], axis=-1)
+    unit /= np.linalg.norm(unit, axis=-1, keepdims=True)
+    image = Image.fromarray(np.round(unit * 127.5 + 127.5).astype(np.uint8))
+    found = material(tmp_path, "map_Bump normal.png", normal=image)
+    np.testing.assert_array_equal(texels(found.normal_map), np.asarray(image)[::-1])
+
+
+def test_relief_of_a_bump_map_is_seen(tmp_path, renderer):
+    """A head as MakeHuman writes it: its picture has more contrast than without the map."""
+    mtl = "Ka 1 1 1\nKd 0.8 0.6 0.5\nKs 0.5 0.5 0.5\nNs 20\nd 1\nillum 2\n"
+    texture = np.random.default_rng(0).random((64, 64))
+    bumps = Image.fromarray((255 * texture).astype(np.uint8)).resize((512, 512), Image.BICUBIC)
+    plain = material(tmp_path, mtl)
+    mesh, told = load(tmp_path, mtl + "map_Bump pores.png", pores=bumps)
+    assert told == []
+    assert plain.normal_map is None
+
+    def roughness(mesh: fr.Mesh) -> float:
+        picture = renderer.render(fr.Scene(mesh, background=(0, 0, 0))).linear[..., 1]
+        return float(np.abs(np.diff(picture, axis=1)).mean())
+
+    without = roughness(mesh.with_material(normal_map=None))
+    assert roughness(mesh) > 1.25 * without
+
+
+def test_tiles_of_udim(tmp_path):
+    head = mini_head()
+    head = replace(head, uv=np.clip(head.uv, 0.0, 1.0) * (1.999, 0.999))
+    for tile, color in ((1001, (255, 0, 0)), (1002, (0, 255, 0))):
+        Image.new("RGB", (4, 4), color).save(tmp_path / f"skin.{tile}.png")
+    (tmp_path / "a.mtl").write_text("newmtl skin\nmap_Kd skin.<UDIM>.png\n")
+    mesh, told = loaded(files.write_obj(tmp_path / "a.obj", head, mtl="a.mtl"))
+    assert told == []
+    assert len(mesh.parts) == 2
+    assert sum(len(part.faces) for part in mesh.parts) == len(head.faces)
+    for part, found, color in zip(
+        mesh.parts, mesh.materials, ([255, 0, 0], [0, 255, 0]), strict=True
+    ):
+        assert (texels(found.albedo_map) == color).all()
+        middle = part.uv[part.faces].mean(axis=1)
+        assert (middle >= 0).all()
+        assert (middle <= 1).all()
+    (tmp_path / "skin.1002.png").unlink()
+    told = loaded(tmp_path / "a.obj")[1]
+    assert len(told) == 1
+    assert "skin.1002.png" in told[0]
+    (tmp_path / "a.mtl").write_text("newmtl skin\nmap_Kd skin.1001.png\n")
+    assert "write <UDIM> in place of 1001" in loaded(tmp_path / "a.obj")[1][0]
+
+
+def test_libraries_of_several_names(tmp_path):
+    head = mini_head()
+    (tmp_path / "a.mtl").write_text("newmtl skin\nd 0.5\n")
+    (tmp_path / "b.mtl").write_text("newmtl scalp\nd 0.25\n")
+    groups = {"skin": head.upper, "scalp": ~head.upper}
+    path = files.write_obj(tmp_path / "a.obj", head, mtl="a.mtl b.mtl", groups=groups)
+    mesh, told = loaded(path)
+    assert told == []
+    assert sorted(each.opacity for each in mesh.materials) == [0.25, 0.5]
+
+
+def test_a_damaged_bump_map_is_told(tmp_path):
+    buffer = BytesIO()
+    waves("RGB").save(buffer, "PNG")
+    (tmp_path / "wave.png").write_bytes(buffer.getvalue()[:-60])
+    (tmp_path / "a.mtl").write_text("newmtl skin\nbump wave.png\n")
+    mesh, _ = loaded(files.write_obj(tmp_path / "a.obj", mini_head(), mtl="a.mtl"))
+    with pytest.raises(fr.InputError, match=r"wave\.png is damaged"):
+        mesh.materials[0].normal_map.rgb()
+
+
+def test_hostile_statements(tmp_path):
+    """Whatever stands in an MTL file, the head is drawn or the line is told."""
+    for mtl in ("map_Kd", "map_Kd -s", "bump -bm", "Ns inf", "Ke 1e308 0 0", "d 1e400", "Ks -1"):
+        mesh, _ = load(tmp_path, mtl)
+        assert math.isfinite(mesh.materials[0].m)
+    mesh, told = load(tmp_path, "map_Kd nowhere.png")
+    assert len(told) == 1
+    assert mesh.materials[0].albedo == SKIN_ALBEDO

@@ -1,0 +1,338 @@
+"""Several views in one call, what they are written as, and frames as files, pictures and bytes."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import facerender as fr
+from facerender import animation
+from facerender.commands import main
+from facerender.image import read_image
+from tests.awkward_files import MINI_HEAD
+from tests.conftest import require_module
+from tests.test_cameras import glb
+
+Run = Callable[..., tuple[int, list[str], str]]
+SMALL = ("render", str(MINI_HEAD), "--size", "24", "--samples", "1")
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    monkeypatch.chdir(tmp_path)
+
+    def call(*options: str) -> tuple[int, list[str], str]:
+        status = main([*SMALL, *options])
+        printed = capsys.readouterr()
+        return status, printed.out.splitlines(), printed.err
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def frame() -> fr.Frame:
+    return fr.render(MINI_HEAD, size=(24, 20), samples=1)
+
+
+def drawn(camera: fr.Camera) -> Any:
+    return fr.render(MINI_HEAD, size=(24, 24), samples=1, camera=camera).srgb8()
+
+
+def pixels(name: str) -> Any:
+    return np.asarray(Image.open(name))
+
+
+# --- several cameras -----------------------------------------------------------------------------
+
+
+def test_a_file_for_each_camera(run: Run):
+    status, out, err = run("--camera", "profile", "--camera", "20,10,1.5", "-o", "a.png")
+    assert (status, out, err) == (0, ["a_000.png", "a_001.png"], "")
+    assert np.array_equal(pixels("a_000.png"), drawn(fr.Camera(90.0)))
+    assert np.array_equal(pixels("a_001.png"), drawn(fr.Camera(20.0, 10.0, zoom=1.5)))
+
+
+@pytest.mark.parametrize(
+    ("pattern", "names"),
+    [
+        ("{name}.png", ["front.png", "30_5.png"]),
+        ("{index:01d}-{name}.jpg", ["0-front.jpg", "1-30_5.jpg"]),
+        ("x{index}.webp", ["x000.webp", "x001.webp"]),
+        ("{}.png", ["{}_000.png", "{}_001.png"]),
+    ],
+)
+def test_names_of_files(run: Run, pattern: str, names: list[str]):
+    status, out, err = run("--camera", "front", "--camera", "30,5", "-o", pattern)
+    assert (status, out, err) == (0, names, "")
+    assert sorted(os.listdir()) == sorted(names)
+
+
+def test_a_turntable(run: Run):
+    status, out, _ = run("--camera", "turntable:3", "--frame", "face", "-o", "t.png")
+    assert (status, out) == (0, ["t_000.png", "t_001.png", "t_002.png"])
+    for name, camera in zip(out, fr.turntable(fr.Camera(frame="face"), 3), strict=True):
+        assert np.array_equal(pixels(name), drawn(camera))
+
+
+def test_cameras_of_a_scene_file(run: Run):
+    Path("scene.toml").write_text("[[cameras]]\nazimuth = 40\n[[cameras]]\nzoom = 2\n")
+    status, out, _ = run("--scene", "scene.toml", "-o", "{index:d}.png")
+    assert (status, out) == (0, ["0.png", "1.png"])
+    assert np.array_equal(pixels("0.png"), drawn(fr.Camera(40.0)))
+    assert np.array_equal(pixels("1.png"), drawn(fr.Camera(zoom=2.0)))
+    status, out, _ = run("--scene", "scene.toml", "--camera", "profile", "-o", "p.png")
+    assert (status, out) == (0, ["p.png"])
+    assert np.array_equal(pixels("p.png"), drawn(fr.Camera(90.0)))
+
+
+def test_options_win_over_cameras_of_files(run: Run):
+    Path("path.toml").write_text("[[cameras]]\nazimuth = 40\nfov = 60\n")
+    assert run("--camera", "path.toml", "--fov", "30", "--frame", "head", "-o", "p.png")[0] == 0
+    assert np.array_equal(pixels("p.png"), drawn(fr.Camera(40.0, fov=30.0, frame="head")))
+
+
+def test_a_camera_file_has_a_size(run: Run, capsys: pytest.CaptureFixture[str]):
+    k = [[60, 0, 20], [0, 50, 10], [0, 0, 1]]
+    pose = np.column_stack([np.diag([1.0, -1, -1]), [0.0, 0.0, 1.0]]).tolist()
+    table = {"K": k, "Rt": pose, "width": 40, "height": 20}
+    Path("rig.json").write_text(json.dumps([table, table]))
+    assert main([*SMALL[:2], "--camera", "rig.json", "-o", "c.png"]) == 0
+    assert capsys.readouterr().out == "c_000.png\nc_001.png\n"
+    assert pixels("c_000.png").shape == (20, 40, 3)
+    status, out, err = run("--camera", "rig.json", "-o", "d.png")
+    assert (status, out) == (2, [])
+    assert "intrinsics are for images of 40 x 20 pixels: give a size of that shape" in err
+    assert sorted(os.listdir()) == ["c_000.png", "c_001.png", "rig.json"]
+    status, _, err = run("--camera", "rig.json", "--target", "0,0,0", "-o", "d.png")
+    assert "camera target = (0.0, 0.0, 0.0) and extrinsics exclude each other" in err
+
+
+def test_a_camera_of_the_mesh_file(run: Run, tmp_path: Path):
+    mesh = fr.load_mesh(MINI_HEAD)
+    place = (mesh.center + [0.0, 0.0, 5.0 * mesh.radius]).tolist()
+    lens = {"type": "perspective", "perspective": {"yfov": 0.5, "znear": 0.1}}
+    nodes = [{"name": each, "camera": 0, "translation": place} for each in ("one", "two")]
+    path = str(glb(tmp_path, nodes, [lens]))
+    wanted = drawn(fr.Camera(position=tuple(place), fov=np.degrees(0.5)))
+    for where in ("gltf", "gltf:two"):
+        assert main(["render", path, *SMALL[2:], "--camera", where, "-o", "{name}.png"]) == 0
+        assert np.abs(pixels("two.png").astype(int) - wanted).max() <= 1
+    assert sorted(os.listdir()) == ["head.glb", "one.png", "two.png"]
+
+
+def test_a_target(run: Run):
+    assert run("--target", "0.01,0.02,0", "--camera", "5,0,3", "-o", "t.png")[0] == 0
+    wanted = drawn(fr.Camera(5.0, zoom=3.0, target=(0.01, 0.02, 0.0)))
+    assert np.array_equal(pixels("t.png"), wanted)
+
+
+def test_a_sheet(run: Run):
+    options = ("--camera", "turntable:3", "--sheet", "--background", "0,0,1", "-o", "s.png")
+    assert run(*options)[:2] == (0, ["s.png"])
+    found = pixels("s.png")
+    assert found.shape == (48, 48, 3)
+    fr_mesh = fr.load_mesh(MINI_HEAD)
+    with fr.Renderer((24, 24), samples=1) as renderer:
+        for camera, place in zip(fr.turntable(count=3), ((0, 0), (0, 24), (24, 0)), strict=True):
+            scene = fr.Scene(fr_mesh, camera, background=(0.0, 0.0, 1.0))
+            tile = found[place[0] :, place[1] :][:24, :24]
+            assert np.array_equal(tile, renderer.render(scene).srgb8())
+    assert (found[24:, 24:] == (0, 0, 255)).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--camera", "turntable:0"), "count = 0: give 1 to 100000"),
+        (("--camera", "turntable:x"), "--camera turntable:x: give turntable:N, with N views"),
+        (("--camera", "gltf:eye"), "mini_head.glb has no camera"),
+        (("--camera", "no.json"), "cannot read no.json"),
+        (("--target", "1,2"), "--target '1,2': give 3 numbers"),
+        (
+            ("--budget", "1/255", "--camera", "turntable"),
+            "--budget plans one view, and there are 8",
+        ),
+        (("--camera", "0", "--camera", "1", "-o", "{name:d}.png"), "-o {name:d}.png: in braces"),
+        (("--camera", "0", "--camera", "0", "-o", "a{index:.0s}.png"), "in braces give"),
+        (("-o", "a.jpg", "--background", "none"), "JPEG holds no transparency: give a background"),
+        (("-o", "a.gif", "--background", "none"), ".gif holds no transparency"),
+        (("-o", "a.png", "--format", "exr"), "--format exr is of -o -: a file's name says its own"),
+        (("-o", "a.png", "--fps", "3"), "--fps 3 is of a .gif, .webp or .mp4 of several views"),
+        (("-o", "a.gif", "--fps", "0"), "fps = 0.0 is outside [0.1, 100]"),
+        (("-o", "-", "--camera", "turntable"), "-o - takes one image, and there are 8"),
+        (("-o", "-", "--json"), "-o - and --json both write to standard output"),
+    ],
+)
+def test_what_cannot_be(run: Run, options: tuple[str, ...], message: str):
+    given = options if "-o" in options else (*options, "-o", "a.png")
+    status, out, err = run(*given)
+    assert (status, out) == (2, [])
+    assert message in err
+    assert err.count("\n") == 1
+    assert os.listdir() == []
+
+
+# --- animations ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".webp"])
+def test_a_turntable_that_moves(run: Run, suffix: str):
+    options = ("--camera", "turntable:4", "--fps", "10", "-o", f"t{suffix}")
+    assert run(*options) == (0, [f"t{suffix}"], "")
+    with Image.open(f"t{suffix}") as image:
+        assert (image.n_frames, image.size, image.info["loop"]) == (4, (24, 24), 0)  # type: ignore[attr-defined]
+        for number, camera in enumerate(fr.turntable(count=4)):
+            image.seek(number)
+            image.load()
+            assert image.info["duration"] == 100
+            off = np.asarray(image.convert("RGB")).astype(int) - drawn(camera)
+            assert np.abs(off).mean() < 6.0
+
+
+def test_a_movie(tmp_path: Path):
+    exe = require_module("imageio_ffmpeg").get_ffmpeg_exe()
+    steps = [np.full((21, 33, 3), (200 - 30 * i, 60, 30 * i), dtype=np.uint8) for i in range(6)]
+    path = tmp_path / "m.mp4"
+    fr.save_animation(path, iter(steps), fps=4)
+    told = subprocess.run([exe, "-i", path], capture_output=True, text=True).stderr
+    assert "Duration: 00:00:01.50" in told
+    assert "34x22" in told
+    subprocess.run([exe, "-loglevel", "error", "-i", path, tmp_path / "%d.png"], check=True)
+    for number, step in enumerate(steps):
+        found = pixels(str(tmp_path / f"{number + 1}.png"))[:20, :32].astype(int)
+        assert np.abs(found - step[:20, :32]).max() <= 6
+    fr.save_animation(path, steps[:2])
+    assert {each.name for each in tmp_path.iterdir()} == {
+        "m.mp4",
+        *(f"{i}.png" for i in range(1, 7)),
+    }
+
+
+def test_an_ffmpeg_that_fails_is_told_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """It ends before it has read what is sent to it."""
+    encoder = tmp_path / "ffmpeg"
+    encoder.write_text("#!/bin/sh\necho 'Unknown encoder' >&2\nexit 1\n")
+    encoder.chmod(0o700)
+    monkeypatch.setattr(shutil, "which", lambda name: str(encoder))
+    many = (np.zeros((512, 512, 3), dtype=np.uint8) for _ in range(8))
+    with pytest.raises(fr.InputError, match=r"made no .mp4 \(Unknown encoder\): give .gif or .web"):
+        fr.save_animation(tmp_path / "a.mp4", many)
+    assert [each.name for each in tmp_path.iterdir()] == ["ffmpeg"]
+
+
+def test_without_an_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(fr.InputError, match="no ffmpeg for an .mp4 .*: apt-get install ffmpeg, or"):
+        fr.save_animation(tmp_path / "a.mp4", [np.zeros((4, 4, 3), dtype=np.uint8)])
+
+
+def test_an_animation_that_stops_leaves_nothing(tmp_path: Path):
+    def pictures() -> Any:
+        yield np.zeros((4, 4, 3), dtype=np.uint8)
+        raise fr.InputError("no more")
+
+    for suffix in animation.MOVING[:2]:
+        with pytest.raises(fr.InputError, match="no more"):
+            fr.save_animation(tmp_path / f"a{suffix}", pictures())
+    with pytest.raises(fr.InputError, match="would have no picture"):
+        fr.save_animation(tmp_path / "a.gif", [])
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- standard output -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["png", "exr", "jpeg", "webp"])
+def test_standard_output_has_the_image_and_nothing_else(kind: str, tmp_path: Path):
+    command = [sys.executable, "-m", "facerender", *SMALL, "-o", "-"]
+    command += [] if kind == "png" else ["--format", kind]
+    done = subprocess.run(command, capture_output=True, check=True)
+    path = tmp_path / f"out.{kind}"
+    path.write_bytes(done.stdout)
+    again = tmp_path / f"again.{kind}"
+    fr.render(MINI_HEAD, size=(24, 24), samples=1).save(again)
+    assert path.read_bytes() == again.read_bytes()
+    assert done.stderr == b""
+
+
+# --- frames --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["png", "exr", "jpeg", "webp"])
+def test_a_frame_in_memory_is_its_file(frame: fr.Frame, kind: Any, tmp_path: Path):
+    file = BytesIO()
+    frame.save(file, format=kind)
+    path = tmp_path / f"a.{kind}"
+    frame.save(path)
+    assert file.getvalue() == path.read_bytes() == frame.encoded(kind)
+    frame.save(tmp_path / "other", format=kind)
+    assert (tmp_path / "other").read_bytes() == file.getvalue()
+
+
+def test_a_frame_without_a_name_is_a_png(frame: fr.Frame):
+    frame.save(file := BytesIO(), 1.0)
+    assert np.array_equal(np.asarray(Image.open(file)), frame.srgb8(1.0))
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a.JPEG", "a.webp"])
+def test_lossy_files_are_near_and_keep_what_is_told(frame: fr.Frame, name: str, tmp_path: Path):
+    frame.save(tmp_path / name)
+    with Image.open(tmp_path / name) as image:
+        assert json.loads(image.getexif()[0x010E]) == frame.metadata
+        off = np.asarray(image.convert("RGB")).astype(int) - frame.srgb8()
+    assert np.abs(off).mean() < 3.0
+    if name != "a.webp":
+        assert read_image(tmp_path / name).pixels.shape == (20, 24, 3)
+
+
+def test_a_webp_keeps_alpha_and_a_jpeg_has_none(tmp_path: Path):
+    mesh = fr.load_mesh(MINI_HEAD)
+    with fr.Renderer((24, 24), samples=1) as renderer:
+        frame = renderer.render(fr.Scene(mesh, background=None))
+    frame.save(tmp_path / "a.webp")
+    alpha = np.asarray(Image.open(tmp_path / "a.webp"))[..., 3]
+    assert np.array_equal(alpha, frame.srgb8()[..., 3])
+    with pytest.raises(fr.InputError, match="JPEG holds no transparency: give a background"):
+        frame.save(tmp_path / "a.jpg")
+    assert [each.name for each in tmp_path.iterdir()] == ["a.webp"]
+    assert frame.image.mode == "RGBA"
+    assert repr(frame) == "<Frame 24 x 24, transparent>"
+
+
+def test_a_webp_that_is_too_large(tmp_path: Path):
+    wide = fr.Frame(np.zeros((1, 16384, 4), dtype=np.float32), None, False, {})
+    with pytest.raises(fr.InputError, match="no webp of 16384 x 1 pixels can be made"):
+        wide.save(tmp_path / "a.webp")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_frame_shows_itself(frame: fr.Frame):
+    assert frame._repr_png_() == frame.encoded("png")
+    assert np.array_equal(np.asarray(frame.image), frame.srgb8())
+    assert repr(frame) == "<Frame 24 x 20>"
+    depth = fr.Frame(frame.linear, "depth", False, {})
+    assert repr(depth) == "<Frame 24 x 20 of depth>"
+    with fr.Renderer((24, 20), samples=1) as renderer:
+        told = repr(renderer.gbuffer(fr.Scene(fr.load_mesh(MINI_HEAD))))
+    assert told.startswith("<GBuffer 24 x 20, ")
+    assert len(told) < 50
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".webp"])
+def test_pictures_of_two_sizes_are_refused(tmp_path, suffix):
+    pictures = [np.zeros((side, 4, 3), np.uint8) for side in (4, 6)]
+    with pytest.raises(fr.InputError, match="one size"):
+        fr.save_animation(tmp_path / f"a{suffix}", pictures)
+    assert not [*tmp_path.iterdir()]
