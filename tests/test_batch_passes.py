@@ -107,9 +107,9 @@ def test_what_is_drawn_once_serves_all_passes(head, drawing, monkeypatch):
     for name in ("render", "gbuffer"):
         plain = getattr(fr.Renderer, name)
 
-        def counted(*args, name=name, plain=plain):
+        def counted(*args, name=name, plain=plain, **options):
             calls.append(name)
-            return plain(*args)
+            return plain(*args, **options)
 
         monkeypatch.setattr(fr.Renderer, name, counted)
     draw(job_of(), head, drawing, PASSES, 0.0)
