@@ -71,12 +71,13 @@ def test_what_is_not_drawn_is_told(tmp_path):
         ("Kd spectral file.rfl", "has kd spectral file.rfl in its MTL: left out"),
         ("d nan", "has d nan in its MTL: left out"),
         ("Kd 2 0 0", "kd 2 in the MTL of a.obj is outside [0, 1]: brought there"),
+        ("map_Kd -cc on skin.png", "the albedo map of a.obj has the option -cc: left out"),
         ("map_Kd -t 1 1 1 skin.png", "the albedo map of a.obj has the option -t: left out"),
     ):
         told = load(tmp_path, mtl, skin=flat(1, 2, 3))[1]
         assert len(told) == 1, mtl
         assert said in told[0]
-    for mtl in ("Pm 0\nNi 1.5\nTf 1 1 1\nKa 0 0 0", "map_Kd -mm 0 1 -cc on skin.png"):
+    for mtl in ("Pm 0\nNi 1.5\nTf 1 1 1\nKa 0 0 0", "map_Kd -mm 0 1 -cc off skin.png"):
         material(tmp_path, mtl)
 
 
