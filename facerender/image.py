@@ -13,7 +13,7 @@ import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from errno import EACCES
 from functools import cached_property, lru_cache
 from io import BytesIO
@@ -27,6 +27,8 @@ from numpy.typing import NDArray
 from facerender.ending import if_ended, temporary_folder
 from facerender.errors import InputError, clipped, reason
 from facerender.files import read_file
+from facerender.icc import profile_of
+from facerender.jpeg import Jpeg
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -62,6 +64,7 @@ WRITTEN: dict[str, Format] = {
     **{".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp"},
 }
 QUALITY = 95  # of JPEG and WebP
+ROUNDED = 12.0**-0.5  # RMS of what rounding to whole steps adds
 SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
 
 
@@ -76,7 +79,12 @@ class Picture:
     encoding : "linear" or "srgb8"
     name : for messages
     metadata : that the file carries
-    color_space : as the file says it, "" where it says nothing
+    color_space : as the file says it, "" where it says nothing or sRGB
+    profile : the ICC profile that its colours were converted from to sRGB, "" where they were not
+    noise : RMS error that the encoding leaves in a pixel, in steps of 255; of linear images 0
+    mean : largest error that it leaves in the mean of 16 x 16 pixels, in steps of 255, beside
+        those that average out
+    jpeg : how a JPEG holds its pixels, None in another file
     """
 
     pixels: NDArray[Any]
@@ -84,6 +92,10 @@ class Picture:
     name: str
     metadata: Mapping[str, str] = field(default_factory=dict)
     color_space: str = ""
+    profile: str = ""
+    noise: float = 0.0
+    mean: float = 0.0
+    jpeg: Jpeg | None = None
 
     @property
     def coverage(self) -> NDArray[np.float32]:
@@ -107,6 +119,13 @@ class Picture:
             return color, pixels[..., -1]
         coverage = pixels[..., -1].astype(np.float32) / np.float32(255.0)
         return color * coverage[..., None], coverage
+
+    def encoded_as(self, other: Picture) -> Picture:
+        """Return these pixels as the file of another image would hold them: where that is a JPEG,
+        after its losses. Both are 8-bit, with the same channels."""
+        if other.jpeg is None or other.jpeg == self.jpeg:
+            return self
+        return replace(self, pixels=other.jpeg.applied(self.pixels))
 
     @cached_property
     def _opaque(self) -> bool:
@@ -459,7 +478,7 @@ def picture_of(values: NDArray[Any], name: str) -> Picture:
     if pixels.ndim != 3 or not 1 <= pixels.shape[2] <= 4 or 0 in pixels.shape:
         raise InputError(f"{name} has shape {values.shape}: give (H, W, 3) or (H, W, 4)")
     if pixels.dtype == np.uint8:
-        return Picture(pixels, "srgb8", name)
+        return Picture(pixels, "srgb8", name, noise=ROUNDED)
     if not np.issubdtype(pixels.dtype, np.floating):
         raise InputError(f"{name} holds {pixels.dtype}: give linear float, or uint8")
     with np.errstate(over="ignore"):
@@ -643,15 +662,37 @@ def _read_8_bit(path: Path, content: bytes) -> Picture:
         raise InputError(f"{path} has one transparent colour: save it as RGBA")
     try:
         pixels = texels(image, image.mode)
+        jpeg = None if image.format == "PNG" else Jpeg.of(image)
     except Exception as error:  # each decoder of Pillow fails in its own way
         raise InputError(f"{path} is damaged ({reason(error)}); write it anew") from None
     metadata = {str(key): value for key, value in image.info.items() if isinstance(value, str)}
-    profile = image.info.get("icc_profile") or b""
-    space = f"ICC profile {zlib.crc32(profile):08x}" if profile else ""
+    noise, mean = (jpeg.noise, jpeg.mean) if jpeg else (ROUNDED, 0.0)
+    picture = Picture(pixels, "srgb8", str(path), metadata, noise=noise, mean=mean, jpeg=jpeg)
+    if "icc_profile" in image.info:
+        return _in_srgb(picture, image.info["icc_profile"])
     gamma = image.info.get("gamma", SRGB_GAMMA)
     if abs(gamma - SRGB_GAMMA) > 1e-4:
-        space = space or f"gamma {gamma:.4g}"
-    return Picture(pixels, "srgb8", str(path), metadata, space)
+        return replace(picture, color_space=f"gamma {gamma:.4g}")
+    return picture
+
+
+def _in_srgb(picture: Picture, content: bytes | None) -> Picture:
+    """Return an 8-bit image, whose pixels are its own, with its colours in sRGB.
+
+    content : of its ICC profile, None of one that Pillow could not unpack
+    """
+    try:
+        profile = profile_of(content or b"", "L" if picture.pixels.shape[2] < 3 else "RGB")
+    except Exception as error:  # LittleCMS fails in its own ways
+        raise InputError(
+            f"{picture.name} has an ICC profile that cannot be used ({reason(error)}): save it as "
+            "sRGB"
+        ) from None
+    if profile.srgb:
+        return picture
+    profile.convert(picture.pixels)
+    noise, mean = math.hypot(profile.gain * picture.noise, ROUNDED), profile.gain * picture.mean
+    return replace(picture, profile=clipped(profile.name), noise=noise, mean=mean, jpeg=None)
 
 
 def texels(image: Image, mode: str) -> NDArray[np.uint8]:

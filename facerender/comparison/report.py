@@ -193,7 +193,8 @@ def _fact(picture: Picture) -> dict[str, str]:
     kind = "linear" if picture.encoding == "linear" else "8-bit sRGB"
     space = {"colour space": picture.color_space} if picture.color_space else {}
     pixels = f"{width} × {height}, {channels} channel{'s' * (channels > 1)}, {kind}"
-    return {"image": picture.name, "pixels": pixels, **space, **picture.metadata}
+    converted = {"converted from": picture.profile} if picture.profile else {}
+    return {"image": picture.name, "pixels": pixels, **space, **converted, **picture.metadata}
 
 
 def _viewer(pair: Pair) -> str:

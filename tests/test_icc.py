@@ -1,0 +1,163 @@
+"""Images with ICC profiles: sRGB by any name counts as none, others are converted, and what cannot
+be used is refused."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image, ImageCms
+
+from facerender.comparison.gates import Pair, compare
+from facerender.comparison.report import entry
+from facerender.image import linear_to_srgb, read_image, srgb_to_linear
+from tests.test_cli import Capture, Cli
+
+# XYZ of red, green and blue, adapted to D50 as profiles hold them (Lindbloom).
+SRGB = ((0.4361, 0.2225, 0.0139), (0.3851, 0.7169, 0.0971), (0.1431, 0.0606, 0.7141))
+DISPLAY_P3 = ((0.5151, 0.2412, -0.0011), (0.2919, 0.6922, 0.0419), (0.1572, 0.0666, 0.7841))
+WHITE = (0.9642, 1.0, 0.8249)
+CURVE = np.round(65535 * srgb_to_linear(np.linspace(0.0, 1.0, 1024)))
+GAMMA_2_2, GAMMA_1_8 = (np.array([round(256 * gamma)]) for gamma in (2.2, 1.8))
+
+
+def profile(name: str, space: str, curve: np.ndarray, *primaries: tuple[float, ...]) -> bytes:
+    """Write a profile of version 2 (ICC.1:2001-04), of a matrix and curves or of a grey curve."""
+
+    def xyz(values: tuple[float, ...]) -> bytes:
+        return b"XYZ \0\0\0\0" + struct.pack(">3i", *(round(65536 * value) for value in values))
+
+    text = name.encode() + b"\0"
+    curves = b"curv\0\0\0\0" + struct.pack(f">I{curve.size}H", curve.size, *curve.astype(int))
+    tags = {
+        b"desc": b"desc\0\0\0\0" + struct.pack(">I", len(text)) + text + bytes(78),
+        b"wtpt": xyz(WHITE),
+        **{key: xyz(of) for key, of in zip((b"rXYZ", b"gXYZ", b"bXYZ"), primaries, strict=False)},
+        **dict.fromkeys((b"rTRC", b"gTRC", b"bTRC") if primaries else (b"kTRC",), curves),
+    }
+    table, data = struct.pack(">I", len(tags)), b""
+    start = 128 + 4 + 12 * len(tags)
+    for key, content in tags.items():
+        table += key + struct.pack(">2I", start + len(data), len(content))
+        data += content + bytes(-len(content) % 4)
+    head = struct.pack(
+        ">I4sI4s4s4s12x4s28x3i48x",
+        *(start + len(data), b"none", 0x02100000, b"mntr", space.encode(), b"XYZ ", b"acsp"),
+        *(round(65536 * value) for value in WHITE),
+    )
+    return head + table + data
+
+
+P3 = profile("Display P3", "RGB ", CURVE, *DISPLAY_P3)
+GREY = profile("Dot gain", "GRAY", GAMMA_1_8)
+
+
+@pytest.fixture
+def cli(tmp_path: Path, capsys: Capture) -> Cli:
+    return Cli(tmp_path, capsys)
+
+
+def colors(*channels: int) -> np.ndarray:
+    """Colours that sRGB and wider spaces have."""
+    return np.random.default_rng(1).integers(60, 200, (300, 20, *channels), dtype=np.uint8)
+
+
+def saved(path: Path, pixels: np.ndarray, content: bytes | None) -> Path:
+    Image.fromarray(pixels).save(path, icc_profile=content, quality=95)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["png", "jpg"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        profile("Monitor 7", "RGB ", CURVE, *SRGB),
+        ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes(),
+    ],
+    ids=["version 2", "version 4"],
+)
+def test_srgb_by_any_name_counts_as_no_profile(content, kind, tmp_path):
+    plain = saved(tmp_path / f"plain.{kind}", colors(3), None)
+    path = saved(tmp_path / f"own.{kind}", colors(3), content)
+    picture = read_image(path)
+    np.testing.assert_array_equal(picture.pixels, read_image(plain).pixels)
+    assert (picture.profile, picture.color_space) == ("", "")
+    assert compare(plain, path).same
+
+
+def test_what_is_called_srgb_and_is_not_is_converted(tmp_path):
+    called = profile("sRGB IEC61966-2.1", "RGB ", GAMMA_2_2, *SRGB)
+    picture = read_image(saved(tmp_path / "a.png", np.full((4, 4, 3), 20, np.uint8), called))
+    power = 255.0 * linear_to_srgb(np.float64((20 / 255) ** 2.2))
+    assert picture.profile == "sRGB IEC61966-2.1"
+    assert np.abs(picture.pixels - power).max() < 1.0
+    assert power < 18.0
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_other_rgb_becomes_srgb(channels, tmp_path):
+    pixels = colors(channels)
+    picture = read_image(saved(tmp_path / "wide.png", pixels, P3))
+    linear = srgb_to_linear(pixels[..., :3] / 255.0) @ DISPLAY_P3 @ np.linalg.inv(SRGB)
+    expected = 255.0 * linear_to_srgb(linear)
+    assert np.abs(picture.pixels[..., :3] - expected).max() < 1.5
+    assert np.abs(expected - pixels[..., :3]).max() > 10.0
+    np.testing.assert_array_equal(picture.pixels[..., 3:], pixels[..., 3:])
+    assert picture.profile == "Display P3"
+    assert 0.4 < picture.noise < 0.6
+
+
+def test_noise_of_a_conversion_is_what_it_makes_of_rounding(tmp_path):
+    exact = np.random.default_rng(1).uniform(70.0, 180.0, (300, 300, 3))
+    linear = srgb_to_linear(exact / 255.0) @ SRGB @ np.linalg.inv(DISPLAY_P3)
+    wide = np.round(255.0 * linear_to_srgb(linear)).astype(np.uint8)
+    picture = read_image(saved(tmp_path / "wide.png", wide, P3))
+    error = np.sqrt(np.square(picture.pixels - exact).mean(axis=(0, 1))).max()
+    assert 0.5 * picture.noise < error < 1.1 * picture.noise
+
+
+@pytest.mark.parametrize("channels", [(), (2,)], ids=["L", "LA"])
+def test_grey_stays_grey(channels, tmp_path):
+    pixels = colors(*channels)
+    picture = read_image(saved(tmp_path / "grey.png", pixels, GREY))
+    assert picture.pixels.shape[2:] == (channels or (1,))
+    pixels = pixels.reshape(picture.pixels.shape)
+    expected = 255.0 * linear_to_srgb((pixels[..., 0] / 255.0) ** 1.8)
+    assert np.abs(picture.pixels[..., 0] - expected).max() < 1.5
+    np.testing.assert_array_equal(picture.pixels[..., 1:], pixels[..., 1:])
+    assert picture.profile == "Dot gain"
+
+
+REFUSED = {
+    "no profile": (b"wide gamut", (3,), r"\(cannot open profile from string\)"),
+    "cut off": (P3[:300], (3,), r"\(cannot .*\)"),
+    "RGB in grey": (P3, (), r"\(it is for RGB, the image is grey\)"),
+    "grey in RGB": (GREY, (3,), r"\(it is for GRAY, the image is RGB\)"),
+    "CMYK in RGB": (profile("Press", "CMYK", GAMMA_2_2, *SRGB), (4,), r"\(it is for CMYK, .*\)"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_profile_that_cannot_be_used(name, cli, tmp_path):
+    content, channels, reason = REFUSED[name]
+    path = saved(tmp_path / "a.png", colors(*channels), content)
+    message = rf"a\.png has an ICC profile that cannot be used {reason}: save it as sRGB"
+    cli.fail(f"^facerender: error: .*{message}", "compare", path, path)
+
+
+def test_profile_that_cannot_be_unpacked(cli, tmp_path):
+    path = saved(tmp_path / "a.png", colors(3), None)
+    data = b"iCCPwide\0\0" + b"no zlib"
+    chunk = struct.pack(">I", len(data) - 4) + data + struct.pack(">I", zlib.crc32(data))
+    content = path.read_bytes()
+    path.write_bytes(content[:33] + chunk + content[33:])
+    cli.fail(r"a\.png has an ICC profile that cannot be used", "compare", path, path)
+
+
+def test_report_says_what_was_converted(tmp_path):
+    wide = saved(tmp_path / "wide.png", colors(3), P3)
+    pair = Pair.of("wide", saved(tmp_path / "plain.png", colors(3), None), wide)
+    assert "<td></td><td>Display P3</td>" in entry(pair).section
