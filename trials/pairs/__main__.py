@@ -1,6 +1,6 @@
-"""Draws the suite of image pairs.
+"""Draws the suite of image pairs into a folder, or what it lacks of it.
 
-python -m trials.pairs OUT [--scenes NAME,...] [--changes NAME,...] [--workers N]
+python -m trials.pairs OUT [--scenes NAME ...] [--changes NAME ...]
 """
 
 from __future__ import annotations
@@ -17,13 +17,11 @@ from trials.pairs.scenes import SETTINGS
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m trials.pairs", description=__doc__)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--scenes", default=",".join(SETTINGS), help=", ".join(SETTINGS))
-    parser.add_argument("--changes", default=",".join(CHANGES), help="names with commas between")
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--scenes", nargs="+", choices=SETTINGS, default=[*SETTINGS])
+    parser.add_argument("--changes", nargs="+", choices=CHANGES, default=[*CHANGES])
     given = parser.parse_args()
     os.environ.setdefault("LP_NUM_THREADS", "1")
-    names = given.scenes.split(","), given.changes.split(",")
-    for scene in draw_suite(given.out, *names, given.workers):
+    for scene in draw_suite(given.out, given.scenes, given.changes):
         print(scene, flush=True)
 
 

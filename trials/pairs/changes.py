@@ -310,11 +310,11 @@ def pixels(
 
 
 def dark(linear: Linear, count: int, seed: int = 1) -> tuple[NDArray[np.int64], ...]:
-    """Rows and columns of pixels inside the coverage that are darker than most, and not black."""
+    """Rows and columns of pixels inside the coverage: of the darkest thousandth, without black."""
     inside = ndimage.binary_erosion(linear[..., 3] >= 1.0, iterations=3)
     level = linear[..., :3].max(axis=-1)
-    low, high = np.quantile(level[inside], (0.01, 0.1))
-    places = np.argwhere(inside & (level >= max(low, 1e-3)) & (level <= max(high, 4e-3)))
+    inside &= level > 1e-3
+    places = np.argwhere(inside & (level <= np.quantile(level[inside], 1e-3)))
     return tuple(np.random.default_rng(seed).choice(places, count, replace=False).T)
 
 
@@ -416,14 +416,14 @@ def dithered(image: Bytes) -> bytes:
     return png_bytes(out, {})
 
 
-def jpeg(quality: int) -> Callable[[Bytes], bytes | None]:
-    """A JPEG as Pillow writes it, of an opaque image."""
+def jpeg(quality: int, subsampling: int = 2) -> Callable[[Bytes], bytes | None]:
+    """A JPEG of an opaque image; subsampling 2 halves the chroma both ways, as Pillow's default."""
 
     def make(image: Bytes) -> bytes | None:
         if image.shape[2] == 4:
             return None
         file = BytesIO()
-        Image.fromarray(image).save(file, "JPEG", quality=quality)
+        Image.fromarray(image).save(file, "JPEG", quality=quality, subsampling=subsampling)
         return file.getvalue()
 
     return make
@@ -499,6 +499,7 @@ def changes() -> Iterator[Change | Encoded]:
     yield Change("noise of 5e-4", "pass", grain(5e-4), ("exr",))
     yield Encoded("dither of 1 step", "pass", "png", dithered)
     yield Encoded("JPEG 98", "pass", "jpg", jpeg(98))
+    yield Encoded("JPEG 98 of whole chroma", "pass", "jpg", jpeg(98, 0))
     yield Encoded("JPEG 95", "pass", "jpg", jpeg(95))
     yield Encoded("sRGB profile", "pass", "png", with_profile)
 

@@ -26,6 +26,7 @@ from trials.pairs.scenes import SETTINGS, Half
 FLOORS: dict[Format, float] = {"exr": 0.5, "png": 1.0}
 DARK = 0.01  # radiance of which a change is taken at the least, relative
 INDEX = "index.json"
+WORKERS = 2
 _PAIRS = "pairs.json"
 
 
@@ -199,11 +200,10 @@ def draw_suite(
     out: Path,
     scenes: Sequence[str] = (*SETTINGS,),
     changes: Sequence[str] = (*CHANGES,),
-    workers: int = 2,
 ) -> Iterator[str]:
     """Draw the pairs that a folder lacks, and keep the index there; yields the scenes as they are
     done."""
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+    with ProcessPoolExecutor(WORKERS, get_context("spawn")) as pool:
         work = [pool.submit(draw_scene, name, out, changes) for name in scenes]
         for done in as_completed(work):
             yield done.result()
