@@ -25,9 +25,9 @@ from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Part
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import view_of
-from tests.parts_head import NAMES, hairs, parts_head
 from tests.test_levels import grid
 from tests.test_levels import mesh_of as shaped
+from trials.parts_head import NAMES, hairs, parts_head
 
 FACTORS = {
     "alpha": "mask",
@@ -317,7 +317,7 @@ def test_blended_parts_lie_over_each_other_from_the_back(single):
 
 
 def parts_joined(parts):
-    from tests.parts_head import joined
+    from trials.parts_head import joined
 
     return joined(parts)
 
