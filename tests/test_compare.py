@@ -19,7 +19,8 @@ import pytest
 from PIL import Image, PngImagePlugin
 
 import facerender as fr
-from facerender.comparison.gates import STRICT, Limits, Pair, compare, pairs_of
+from facerender.comparison.gates import STRICT, Limits, compare
+from facerender.comparison.pairs import Pair, pairs_of
 from facerender.image import encode_srgb8, read_image, save_exr
 from tests.conftest import missing, require_backend
 from tests.test_cli import Capture, Cli, process

@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from facerender import InputError
-from facerender.comparison.gates import Pair
+from facerender.comparison.pairs import Pair
 from facerender.comparison.pictures import save_heat_map
 from facerender.comparison.report import entry, write_report
 from facerender.image import Picture

@@ -21,7 +21,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.comparison.gates import STRICT, block_error, compare, point_error
+from facerender.comparison.gates import STRICT, compare
 from facerender.drawing import reference
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.host import CAPABILITIES, STATE
@@ -31,6 +31,7 @@ from facerender.drawing.program import LightGroup, Program
 from facerender.glsl.code import prelude
 from facerender.image import Picture, read_image
 from facerender.lobes import GPower
+from facerender.measure.error import block_error, point_error
 from facerender.scenes import mips
 from facerender.scenes.scene import slope_ranges
 from facerender.scenes.view import view_of

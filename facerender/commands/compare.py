@@ -32,7 +32,7 @@ def add(compare: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    from facerender.comparison.gates import Pair, pairs_of
+    from facerender.comparison.pairs import Pair, pairs_of
     from facerender.comparison.pictures import save_heat_map
     from facerender.comparison.report import entry, write_report
 

@@ -1,47 +1,36 @@
 """Whether two renders are the same: gates that fail on a broken highlight and pass on what drivers
 do differently. Images come from arrays, frames or files; nothing here needs OpenGL.
 
-The point gate takes the largest excess of a pixel over the 3 x 3 neighbourhood in the other
-image: it sees a few wrong pixels, and lets edges pass that moved by less than a pixel. At the
-silhouette it allows four times as much. The block gate takes the largest change of the mean of
-16 x 16 pixels inside the coverage, beyond what a twentieth of a pixel's shift explains: noise
-averages out, and a lobe or a weight that changed stays. The third counts pixels whose coverage
-changed.
+The point gate sees a few wrong pixels, beyond what their neighbourhood explains; the block gate a
+mean of 16 x 16 pixels that changed; the trend many blocks that changed by little, alike; the grain a
+noise from pixel to pixel; coverage and shift another mesh or camera.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender.comparison import neighbourhoods as nearby
+from facerender.comparison.evidence import BLOCK, LINEAR, MOVED, STEPS, Evidence, Sums
+from facerender.comparison.neighbourhoods import Float, Mask, excess, filtered, holes
+from facerender.comparison.verdict import reasons_of
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, check_range
-from facerender.image import SUFFIXES, Encoding, Picture, picture_of, read_image
+from facerender.image import Encoding, Picture, picture_of, read_image
 
-BLOCK = 16
-MARGIN = 3  # pixels from the edge of the coverage, where a block does not look
-# Times the limit of a pixel, at the silhouette: slivers of grazing light come and go there from
-# driver to driver, by up to 0.19; the weakest false highlights measured there add 0.25.
-SILHOUETTE = 4.0
+MARGIN = 2  # pixels from the edge of the coverage, where a block does not look
 FADED = 0.2  # excess of coverage that counts as changed
-SHIFT = 0.05  # pixels by which drivers may place what they draw differently
-FLOOR = 0.01  # radiance below which relative differences are taken of this
 FULL = 0.99  # coverage from which a pixel is inside: half floats and filters miss 1
 HIGHEST = 1e30  # of values, whose differences and sums are finite then
-LEAST = 64  # pixels that a block needs to be judged
 _STRIP = 16 * BLOCK  # rows that are compared at once
-_HALO = MARGIN + 1  # rows beyond a strip that its pixels are compared with
+_HALO = 8  # rows beyond a strip that its pixels are compared with
 
-SHAPE = "another shape, texture or light"
-
-Float = NDArray[np.floating]
-Mask = NDArray[np.bool_]
 Comparable = Picture | Frame | NDArray[Any] | str | os.PathLike[str]
 
 
@@ -51,24 +40,34 @@ class Limits:
 
     Attributes
     ----------
-    point : excess of a pixel; radiance, or steps of 8 bits. At the silhouette four times as much
-    block : change of a block's mean, less what a shift of 0.05 pixels explains; relative to that
-        mean, 0.01 at least, or steps
+    point : excess of a pixel beyond what its neighbourhood explains; radiance, or steps of 8 bits
+    block : change of a block's mean, less what a shift explains; relative to that mean, 0.01 at
+        least, or steps
+    trend : mean product of neighbouring blocks' changes, each over its standard error; without a
+        change it is 0
+    grain : change of the RMS difference from one pixel to the next; relative to the level, or steps
     coverage : share of all pixels whose coverage changed, in [0, 1]
+    shift : pixels by which the whole image may be displaced
     """
 
     point: float
     block: float
+    trend: float = 0.15
+    grain: float = 2e-3
     coverage: float = 0.005
+    shift: float = MOVED
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
             check_range(f"limit {name}", value, 0.0, HIGHEST)
 
 
-LIMITS: dict[Encoding, Limits] = {"linear": Limits(0.05, 5e-3), "srgb8": Limits(8.0, 1.0)}
+LIMITS: dict[Encoding, Limits] = {
+    "linear": Limits(0.005, 5e-3),
+    "srgb8": Limits(3.0, 1.0, grain=0.35),
+}
 # For float textures and one driver, where rounding is all that may differ.
-STRICT = Limits(0.05, 1e-3)
+STRICT = replace(LIMITS["linear"], block=1e-3)
 
 
 @dataclass(frozen=True)
@@ -81,10 +80,18 @@ class Comparison:
     reasons : why the images differ, in words; empty where they are the same
     encoding : "linear" or "srgb8"; it gives the unit of point and block, as in :class:`Limits`
     limits : that the figures were held against
+    foreign : whether another driver drew the image, by the files' metadata: it may filter 8-bit
+        textures differently, so that trend and grain say less
     point, point_at : excess of the worst pixel, negative where the image is darker, and where
-    points : pixels over the limit
+    points : pixels over the limit, by more than a sliver at an edge
+    slight : pixels over the limit, all of them
+    holes : pixels with less than a quarter of their neighbours' light in the other image
     block, block_at : change of the worst block's mean, and its top left pixel
     blocks, blocks_judged : blocks over the limit, and all that have enough pixels
+    trend, surety : of the blocks' changes, and the trend over its standard error
+    grain : RMS from one pixel to the next that the image has more, or less, than the reference
+    gain : by how much the image is brighter where it is smooth: relative, or steps
+    shift : pixels by which the image lies to the right of the reference, and below it
     coverage : share of the pixels whose coverage changed; 0 without an alpha channel
     largest, mean : largest and mean absolute difference of any channel, for information
     """
@@ -93,13 +100,21 @@ class Comparison:
     encoding: Encoding
     size: tuple[int, int]
     limits: Limits
+    foreign: bool
     point: float
     point_at: tuple[int, int]
     points: int
+    slight: int
+    holes: int
     block: float
     block_at: tuple[int, int]
     blocks: int
     blocks_judged: int
+    trend: float
+    surety: float
+    grain: float
+    gain: float
+    shift: tuple[float, float]
     coverage: float
     largest: float
     mean: float
@@ -127,7 +142,10 @@ def compare(
     *,
     point: float | None = None,
     block: float | None = None,
+    trend: float | None = None,
+    grain: float | None = None,
     coverage: float | None = None,
+    shift: float | None = None,
     mask: NDArray[Any] | None = None,
 ) -> Comparison:
     """Compare an image with its reference.
@@ -136,9 +154,9 @@ def compare(
     ----------
     reference, image : a :class:`Frame`; an array (H, W, 3 or 4), linear float or 8-bit sRGB, its
         fourth channel being coverage; or the path of a .exr, .npz, .npy, .png or .jpg file
-    point, block, coverage : limits of the gates, see :class:`Limits`; without, those of
-        :data:`LIMITS` for the images' encoding. On one driver and with float textures a block limit
-        of 1e-3 holds
+    point, block, trend, grain, coverage, shift : limits of the gates, see :class:`Limits`; without,
+        those of :data:`LIMITS` for the images' encoding. On one driver and with float textures a
+        block limit of 1e-3 holds
     mask : (H, W), not 0 where the images count; without, everywhere. Every value must be finite
 
     Raises
@@ -151,138 +169,146 @@ def compare(
     _check_finite(a)
     _check_finite(b)
     height, width = a.pixels.shape[:2]
-    counts = np.ones((height, width), dtype=bool) if mask is None else np.asarray(mask) != 0
-    if counts.shape != (height, width):
+    counts = None if mask is None else np.asarray(mask) != 0
+    if counts is not None and counts.shape != (height, width):
         size = _size(counts) if counts.ndim == 2 else f"of shape {counts.shape}"
         raise InputError(f"the mask is {size}, the images are {_size(a.pixels)} pixels")
-    if not counts.any():
+    if counts is not None and not counts.any():
         raise InputError("the mask is 0 everywhere: nothing would be compared")
-    given = {"point": point, "block": block, "coverage": coverage}
+    given = dict(point=point, block=block, trend=trend, grain=grain, coverage=coverage, shift=shift)
     said = {name: value for name, value in given.items() if value is not None}
     limits = replace(LIMITS[a.encoding], **said)
+    foreign = _foreign((reference, image), (a, b))
+    if a.encoding == "srgb8":
+        a, b = a.encoded_as(b), b.encoded_as(a)
 
-    over = np.zeros((height, width), dtype=np.int8)
-    full, silhouette = np.zeros((2, height, width), dtype=bool)
-    means: list[NDArray[np.float64]] = []
-    worst, point_at, excess_there = -1.0, (0, 0), 0.0
-    changed, largest, total = 0, 0.0, 0.0
-    for top in range(0, height, _STRIP):  # so that only the images themselves take much memory
-        rows = slice(top, min(top + _STRIP, height))
-        around = slice(max(top - _HALO, 0), min(top + _STRIP + _HALO, height))
-        own = slice(top - around.start, rows.stop - around.start)
-        (color_a, alpha_a), (color_b, alpha_b) = a.rows(around), b.rows(around)
-        counted = counts[around]
-        inner = (alpha_a >= FULL) & (alpha_b >= FULL)
-        rim = _filtered(inner, np.maximum) & ~_filtered(inner, np.minimum)
-        excess = np.where(counted, _excess(color_a, color_b), np.float32(0.0))
-        relative = np.abs(excess) / np.where(rim, np.float32(SILHOUETTE), np.float32(1.0))
-        change = _block_means(color_a, color_b, inner & counted, a.encoding, SHIFT, own)
-        faded = np.abs(_excess(alpha_a[..., None], alpha_b[..., None])) > FADED
-        faded |= (alpha_a >= 0.5) != (alpha_b >= 0.5)
-        channels = range(color_a.shape[2])
-        # Channel by channel: NumPy is slow along a short last axis.
-        apart = np.maximum.reduce([np.abs(color_b[..., i] - color_a[..., i]) for i in channels])
+    def strip(top: int) -> _Strip:
+        return _Strip.of(a, b, counts, top, limits)
 
-        over[rows] = (np.sign(excess) * (relative > limits.point))[own]
-        full[rows], silhouette[rows] = inner[own], rim[own]
-        means.append(change)
-        changed += int((faded & counted)[own].sum())
-        difference = apart[own][counted[own]]
-        largest = max(largest, float(difference.max(initial=0.0)))
-        total += float(difference.sum(dtype=np.float64))
-        row, column = np.unravel_index(relative[own].argmax(), relative[own].shape)
-        if relative[own][row, column] > worst:
-            worst, excess_there = relative[own][row, column], float(excess[own][row, column])
-            point_at = int(column), top + int(row)
-    blocks = np.concatenate(means)
-    across, down = np.unravel_index(np.abs(np.nan_to_num(blocks)).argmax(), blocks.shape)[::-1]
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
+        strips = list(pool.map(strip, range(0, height, _STRIP)))
+    sums = Sums.joined([each.sums for each in strips])
+    scale = LINEAR if a.encoding == "linear" else STEPS
+    evidence = Evidence(sums, scale, foreign, limits.shift)
+    worst = max(strips, key=lambda each: each.worst)
+    blocks = np.nan_to_num(evidence.channels)
+    down, across = np.unravel_index(np.abs(blocks).argmax(), blocks.shape)
+    over = np.concatenate([each.over for each in strips])
     result = Comparison(
         reasons=(),
         encoding=a.encoding,
         size=(width, height),
         limits=limits,
-        point=excess_there,
-        point_at=point_at,
-        points=int(np.count_nonzero(over)),
-        block=float(np.nan_to_num(blocks[down, across])),
+        foreign=foreign,
+        point=worst.excess,
+        point_at=worst.at,
+        points=int(np.count_nonzero(np.abs(over) > 1)),
+        slight=int(np.count_nonzero(over)),
+        holes=sum(each.holes for each in strips),
+        block=float(blocks[down, across]),
         block_at=(int(across) * BLOCK, int(down) * BLOCK),
         blocks=int((np.abs(blocks) > limits.block).sum()),
-        blocks_judged=int(np.isfinite(blocks).sum()),
-        coverage=changed / (height * width),
-        largest=largest,
-        mean=total / int(counts.sum()),
+        blocks_judged=int(evidence.judged.sum()),
+        trend=evidence.trend,
+        surety=evidence.surety,
+        grain=evidence.grain,
+        gain=evidence.gain,
+        shift=evidence.shift,
+        coverage=sum(each.faded for each in strips) / (height * width),
+        largest=max(each.largest for each in strips),
+        mean=sum(each.total for each in strips)
+        / int(height * width if counts is None else counts.sum()),
     )
-    return replace(result, reasons=_reasons(result, over, full, silhouette, blocks))
+    return replace(result, reasons=reasons_of(result, over, evidence))
 
 
-@dataclass(frozen=True, eq=False)
-class Pair:
-    """Two images and what comparing them gave: figures, or the error that made it impossible.
+@dataclass(frozen=True)
+class _Strip:
+    """What some rows of two images come to.
 
     Attributes
     ----------
-    name : of the pair
-    reference, image : None where it could not be read
-    comparison, error : one of the two
+    over : (H, W), 2 where a pixel is too bright, or 3 at an edge, and 1 where that may be a sliver;
+        negative where it is too dark
+    worst, excess, at : the largest excess less what may be a sliver, the excess, and where
+    holes : pixels that are dark where all around are not
+    faded : pixels whose coverage changed
     """
 
-    name: str
-    reference: Picture | None
-    image: Picture | None
-    comparison: Comparison | None
-    error: str = ""
+    sums: Sums
+    over: NDArray[np.int8]
+    worst: float
+    excess: float
+    at: tuple[int, int]
+    holes: int
+    faded: int
+    largest: float
+    total: float
 
     @classmethod
-    def of(cls, name: str, reference: Comparable, image: Comparable, **options: Any) -> Pair:
-        """Compare two images; the options are those of :func:`compare`."""
-        pictures: list[Picture | None] = []
-        errors = []
-        for given, letter in ((reference, "A"), (image, "B")):
-            try:
-                pictures.append(as_picture(given, letter))
-            except InputError as error:
-                pictures.append(None)
-                errors.append(str(error))
-        a, b = pictures
-        if a is None or b is None:
-            return cls(name, a, b, None, errors[0])
-        try:
-            return cls(name, a, b, compare(a, b, **options))
-        except InputError as error:
-            return cls(name, a, b, None, str(error))
+    def of(cls, a: Picture, b: Picture, counts: Mask | None, top: int, limits: Limits) -> _Strip:
+        bottom = min(top + _STRIP, a.pixels.shape[0])
+        around = slice(max(top - _HALO, 0), min(bottom + _HALO, a.pixels.shape[0]))
+        own = slice(top - around.start, bottom - around.start)
+        (color_a, alpha_a), (color_b, alpha_b) = a.rows(around), b.rows(around)
+        relative = a.encoding == "linear"
+        counted = np.ones(alpha_a.shape, dtype=bool) if counts is None else counts[around]
+        full = (alpha_a >= FULL) & (alpha_b >= FULL)
+        whole = bool(full.all())
+        covered = None if whole else full
+        found = excess(color_a, color_b, covered, limits.point, relative)
+        black = holes(color_a, color_b, covered, relative)
+        value = np.where(counted, found.value, np.float32(0.0))[own]
+        slack = found.slack[own]
+        beyond = np.where(value != 0.0, np.abs(value) - slack, np.float32(0.0))
+        steep = slack == np.float32((nearby.LINEAR if relative else nearby.STEPS).edge)
+        over = np.where(beyond > limits.point, 2.0 + steep, np.abs(value) > limits.point)
+        over *= np.sign(value)
+        row, column = np.unravel_index(beyond.argmax(), beyond.shape)
+        inside = full & counted
+        for _ in range(0 if whole and counts is None else MARGIN):
+            inside = filtered(inside, np.minimum)
+        faded = 0 if whole else _faded(alpha_a, alpha_b, counted, own)
+        apart = np.zeros(counted[own].shape, dtype=np.float32)
+        for channel in range(color_a.shape[2]):  # NumPy is slow along a short last axis
+            one, other = color_a[own][..., channel], color_b[own][..., channel]
+            np.maximum(apart, np.abs(other - one), out=apart)
+        apart = apart if counts is None else apart[counted[own]]
+        return cls(
+            Sums.of(color_a, color_b, inside, own, LINEAR if relative else STEPS),
+            over.astype(np.int8),
+            float(beyond[row, column]),
+            float(value[row, column]),
+            (int(column), top + int(row)),
+            int((black & counted)[own].sum()),
+            faded,
+            float(apart.max(initial=0.0)),
+            float(apart.sum(dtype=np.float64)),
+        )
 
-    @property
-    def status(self) -> int:
-        """0 the same, 1 they differ, 2 they cannot be compared."""
-        return 2 if self.comparison is None else int(not self.comparison.same)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return name, error and every figure, for JSON."""
-        figures = {} if self.comparison is None else self.comparison.as_dict()
-        return {"name": self.name, "error": self.error, **figures}
+def _faded(a: Float, b: Float, counted: Mask, rows: slice) -> int:
+    """Return in how many pixels the coverage passed one half, or left its neighbourhood."""
+    low, high = (filtered(a, choose) for choose in (np.minimum, np.maximum))
+    changed = (b - high > FADED) | (low - b > FADED)
+    low, high = (filtered(b, choose) for choose in (np.minimum, np.maximum))
+    changed |= (a - high > FADED) | (low - a > FADED)
+    changed |= (a >= 0.5) != (b >= 0.5)
+    return int((changed & counted)[rows].sum())
 
 
-def pairs_of(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
-    """Return name, reference and image of two files, or of every image in two folders.
-
-    Raises
-    ------
-    InputError : a file and a folder, or folders without an image
-    """
-    a, b = Path(a), Path(b)
-    if a.is_dir() != b.is_dir():
-        raise InputError(f"one of {a} and {b} is a folder: give two folders, or two images")
-    if not a.is_dir():
-        return [(b.name, a, b)]
-    names = {
-        path.relative_to(folder).as_posix()
-        for folder in (a, b)
-        for path in folder.rglob("*")
-        if path.suffix.lower() in SUFFIXES
-    }
-    if not names:
-        raise InputError(f"no image in {a} and {b}: give folders of {', '.join(SUFFIXES)} files")
-    return [(name, a / name, b / name) for name in sorted(names)]
+def _foreign(given: tuple[Comparable, Comparable], pictures: tuple[Picture, Picture]) -> bool:
+    """Return whether another driver drew the image. Files that do not say so are of nobody known,
+    arrays of whoever drew what they are compared with."""
+    if any(isinstance(each, np.ndarray) for each in given):
+        return False
+    if all(picture.metadata.get("albedo") == "RGBA16F" for picture in pictures):
+        return False
+    one, other = (
+        [picture.metadata.get(name) for name in ("GL_RENDERER", "GL_VERSION")]
+        for picture in pictures
+    )
+    return one != other
 
 
 def as_picture(given: Comparable, name: str) -> Picture:
@@ -294,25 +320,6 @@ def as_picture(given: Comparable, name: str) -> Picture:
     if isinstance(given, (str, os.PathLike)):
         return read_image(given)
     return picture_of(np.asarray(given), name)
-
-
-def point_error(a: Float, b: Float) -> float:
-    """Return the largest excess of a pixel over the 3 x 3 neighbourhood in the other image, either
-    way; a and b are (H, W, 3)."""
-    return float(np.abs(_excess(a, b)).max())
-
-
-def block_error(a: Float, reference: Float, coverage: Float) -> float:
-    """Return the largest change of the mean of 16 x 16 pixels, relative to it, or to 0.01.
-
-    Parameters
-    ----------
-    a, reference : (H, W, 3) linear
-    coverage : (H, W) in [0, 1]; only pixels at least 3 inside of full coverage count, and blocks
-        with at least 64 of them
-    """
-    means = _block_means(reference, a, coverage >= FULL, "linear")
-    return float(np.abs(np.nan_to_num(means)).max(initial=0.0))
 
 
 def _check_alike(a: Picture, b: Picture) -> None:
@@ -353,140 +360,3 @@ def _check_finite(picture: Picture) -> None:
 
 def _size(pixels: NDArray[Any]) -> str:
     return f"{pixels.shape[1]} x {pixels.shape[0]}"
-
-
-def _filtered(x: NDArray[Any], choose: Callable[..., NDArray[Any]]) -> NDArray[Any]:
-    """Apply np.maximum or np.minimum over 3 x 3 pixels, those beyond the border left out."""
-    for axis in (0, 1):
-        y = np.moveaxis(x, axis, 0)
-        x = x.copy()
-        z = np.moveaxis(x, axis, 0)
-        choose(z[1:], y[:-1], out=z[1:])
-        choose(z[:-1], y[1:], out=z[:-1])
-    return x
-
-
-def _excess(a: Float, b: Float) -> Float:
-    """Return (H, W): how far the worse channel leaves the neighbourhood in the other image; below 0
-    where b is the darker one."""
-    result = np.zeros(a.shape[:2], dtype=np.float32)
-    for channel in range(a.shape[2]):
-        x, y = (np.ascontiguousarray(image[..., channel]) for image in (a, b))
-        brighter = np.maximum(y - _filtered(x, np.maximum), _filtered(y, np.minimum) - x)
-        darker = np.maximum(x - _filtered(y, np.maximum), _filtered(x, np.minimum) - y)
-        worse = np.where(brighter > darker, brighter, -darker)
-        worse[np.maximum(brighter, darker) <= 0.0] = 0.0
-        result = np.where(np.abs(worse) > np.abs(result), worse, result)
-    return result
-
-
-def _block_means(
-    a: Float,
-    b: Float,
-    covered: Mask,
-    encoding: Encoding,
-    shift: float = 0.0,
-    rows: slice = slice(None),
-) -> NDArray[np.float64]:
-    """Return how each block's mean changed, in its worst channel; NaN where too few of its pixels
-    lie inside the coverage.
-
-    shift : pixels, along rows and columns; what so small a shift explains is taken off
-    rows : that count; the others lie around them
-    """
-    inside = covered
-    for _ in range(MARGIN):
-        inside = _filtered(inside, np.minimum)
-    inside = inside[rows]
-    count = _block_sums(inside)
-    worst = np.zeros(count.shape)
-    for channel in range(a.shape[2]):
-        whole = np.ascontiguousarray(a[..., channel])
-        x, y = whole[rows], b[rows, :, channel]
-        of = np.maximum(count, 1.0)
-        if encoding == "linear":
-            of = np.maximum(_block_sums(np.abs(x) * inside), FLOOR * of)
-        change = _block_sums((y - x) * inside) / of
-        if shift:
-            slopes = (
-                np.diff(whole, axis=axis, append=whole.take([-1], axis))[rows] for axis in (0, 1)
-            )
-            explained = sum(np.abs(_block_sums(slope * inside)) for slope in slopes)
-            change = np.sign(change) * np.maximum(np.abs(change) - shift * explained / of, 0.0)
-        worst = np.where(np.abs(change) > np.abs(worst), change, worst)
-    worst[count < LEAST] = np.nan
-    return worst
-
-
-def _block_sums(values: NDArray[Any]) -> NDArray[np.float64]:
-    height, width = (-(-side // BLOCK) for side in values.shape)
-    padding = [(0, height * BLOCK - values.shape[0]), (0, width * BLOCK - values.shape[1])]
-    blocks = np.pad(values, padding).reshape(height, BLOCK, width, BLOCK)
-    return np.asarray(blocks.sum(axis=(1, 3), dtype=np.float64))
-
-
-def _reasons(
-    result: Comparison, over: NDArray[np.int8], full: Mask, silhouette: Mask, means: Float
-) -> tuple[str, ...]:
-    """Say why the images differ, and what that looks like.
-
-    over : (H, W), 1 where a pixel is too bright, -1 where it is too dark
-    """
-    limits = result.limits
-    reasons = []
-    like = ""
-    if result.points:
-        wrong = over != 0
-        bright = float((over > 0).sum()) / result.points
-        grazing = silhouette
-        for _ in range(MARGIN - 1):
-            grazing = _filtered(grazing, np.maximum)
-        at_edge = grazing[wrong].mean() > 0.5
-        where = " at the silhouette" if at_edge else ""
-        touching = (wrong[1:] & wrong[:-1]).sum() + (wrong[:, 1:] & wrong[:, :-1]).sum()
-        scattered = touching <= 0.5 * result.points
-        if bright > 0.9:
-            like = "fireflies" if scattered and not at_edge else "false highlights"
-        elif bright < 0.1 and result.points < 0.01 * full.sum():
-            like = "missing pixels" if scattered else "missing highlights"
-        else:
-            like = SHAPE
-        plural = "" if result.points == 1 else "s"
-        by = _amount(result.point, result.encoding)
-        reasons.append(
-            f"{result.points} pixel{plural} over by up to {by}{where}, worst {result.point_at}, "
-            f"limit {limits.point:g}: looks like {like}"
-        )
-    if result.blocks:
-        judged = means[np.isfinite(means)]
-        low, middle, high = np.percentile(judged, (10, 50, 90))
-        explained = _block_sums(over != 0)[np.abs(means) > limits.block].all()
-        if abs(middle) > limits.block and high - low < 0.5 * abs(middle):
-            guess = "exposure, light or colour space"
-        elif result.points and (explained or like == SHAPE):
-            guess = like
-        else:
-            guess = "a lobe or weight change"
-        mean, limit = (
-            (f"{_signed(100.0 * result.block)} %", f"{100.0 * limits.block:g} %")
-            if result.encoding == "linear"
-            else (f"{_signed(result.block)} of 255", f"{limits.block:g}")
-        )
-        reasons.append(
-            f"block {result.block_at}: mean {mean}, limit {limit}, {result.blocks} of "
-            f"{result.blocks_judged} blocks over: looks like {guess}"
-        )
-    if result.coverage > limits.coverage:
-        reasons.append(
-            f"coverage changed on {100.0 * result.coverage:.2g} % of the pixels, limit "
-            f"{100.0 * limits.coverage:g} %: looks like another mesh or camera"
-        )
-    return tuple(reasons)
-
-
-def _signed(value: float) -> str:
-    return f"{value:+.2g}" if abs(value) < 10.0 else f"{value:+.0f}"
-
-
-def _amount(value: float, encoding: Encoding) -> str:
-    return f"{abs(value):.2g}" if encoding == "linear" else f"{abs(value):.0f} of 255"

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from facerender._version import __version__
-from facerender.comparison.gates import Comparable, Pair, as_picture, compare
+from facerender.comparison.gates import Comparable, as_picture, compare
+from facerender.comparison.pairs import Pair
 from facerender.errors import InputError, reason
 from facerender.image import Picture, save_exr
 

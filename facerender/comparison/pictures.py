@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.comparison import flip
-from facerender.comparison.gates import Pair
+from facerender.comparison.pairs import Pair
 from facerender.errors import InputError
 from facerender.image import Encoding, Picture, encode_srgb8, save_png
 

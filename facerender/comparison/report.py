@@ -11,7 +11,9 @@ from html import escape
 import numpy as np
 
 from facerender.comparison import pictures
-from facerender.comparison.gates import BLOCK, Comparison, Pair
+from facerender.comparison.evidence import BLOCK
+from facerender.comparison.gates import Comparison
+from facerender.comparison.pairs import Pair
 from facerender.errors import InputError
 from facerender.image import Encoding, Picture, write_bytes
 from facerender.page.document import document, image_source, row, table

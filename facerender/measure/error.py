@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender import lobes
 from facerender.comparison import flip
-from facerender.comparison.gates import block_error, point_error
+from facerender.comparison.evidence import BLOCK, FLOOR, blocks, cells
+from facerender.comparison.gates import FULL
+from facerender.comparison.neighbourhoods import filtered
 from facerender.drawing.context import Backend
 from facerender.drawing.reference import shade
 from facerender.drawing.renderer import Renderer
@@ -129,6 +131,40 @@ def image_error(
         steps_percentile=float(np.quantile(steps, 0.999)),
         flip=_flip(shown, expected),
     )
+
+
+def point_error(a: Array, b: Array) -> float:
+    """Return the largest excess of a pixel over the 3 x 3 neighbourhood in the other image, either
+    way; a and b are (H, W, 3)."""
+    worst = 0.0
+    for one, other in ((a, b), (b, a)):
+        for channel in range(3):
+            x, y = one[..., channel], other[..., channel]
+            beyond = np.maximum(y - filtered(x, np.maximum), filtered(x, np.minimum) - y)
+            worst = max(worst, float(beyond.max()))
+    return worst
+
+
+def block_error(a: Array, reference: Array, coverage: Array) -> float:
+    """Return the largest change of the mean of 16 x 16 pixels, relative to it, or to 0.01.
+
+    Parameters
+    ----------
+    a, reference : (H, W, 3) linear
+    coverage : (H, W) in [0, 1]; only pixels at least 3 inside of full coverage count, and blocks
+        with at least 64 of them
+    """
+    inside = coverage >= FULL
+    for _ in range(3):
+        inside = filtered(inside, np.minimum)
+    count = blocks(cells(inside))
+    worst = 0.0
+    for channel in range(3):
+        x, y = reference[..., channel], a[..., channel]
+        of = np.maximum(blocks(cells(np.abs(x) * inside)), FLOOR * np.maximum(count, 1.0))
+        change = np.abs(blocks(cells((y - x) * inside))) / of
+        worst = max(worst, float(change[count >= BLOCK**2 // 4].max(initial=0.0)))
+    return worst
 
 
 def _flip(shown: NDArray[np.uint8], expected: NDArray[np.uint8]) -> float | None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.comparison import flip
-from facerender.comparison.gates import FLOOR
+from facerender.comparison.evidence import FLOOR
 from facerender.errors import InputError, check_range
 from facerender.image import linear_to_srgb
 

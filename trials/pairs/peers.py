@@ -12,19 +12,17 @@ from __future__ import annotations
 
 import re
 import subprocess
-import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from facerender.image import encode_srgb8, read_image
+from facerender.image import read_image
 from trials.pairs.changes import Format
 
 Numbers = Mapping[str, float]

@@ -1,0 +1,312 @@
+"""What many small changes say together: a lobe, a weight or an exposure that changed.
+
+Blocks of 16 x 16 pixels hold the mean change, smooth pixels weighing more than those at edges and in
+texture, less what a displacement of the whole picture explains; and its standard error, from how
+cells of 4 x 4 pixels scatter within the block, and from the grain of the difference. Changes of
+drivers, cameras and codecs scatter, and neighbouring blocks do not agree on them; a lobe or a weight
+that changed is smooth over the face. The trend is the mean product of neighbouring blocks' changes,
+each over its standard error: Moran's (1950) statistic, without its denominator.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.comparison.neighbourhoods import Float, Mask, filtered
+
+BLOCK = 16
+_CELL = 4
+LEAST = 48  # pixels that a block needs to be judged
+FLOOR = 0.01  # radiance below which relative differences are taken of this
+MOVED = 0.25  # pixels by which the whole picture may lie elsewhere
+_CHANNEL = 0.25  # of the largest channel, below which relative changes are taken of this
+_FEW = 16  # changed blocks, fewer of which have no grain
+_CLIPPED = 10.0  # standard errors, beyond which a block's change counts no more
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What is small in an encoding; relative to a pixel's level, or in steps of 8 bits.
+
+    Attributes
+    ----------
+    noise : of a pixel, that is expected where the image is flat
+    slope : step to a neighbour, per pixel, whose displacement counts as noise, as a factor
+    edge : step to a neighbour from which on a pixel does not count
+    flat : likewise for the grain
+    error : standard error that a block has at least
+    grain : share of the grain that a block's mean may be off by
+    drift : by which another driver's filter of 8-bit textures moves means: 0.3 steps of 255
+    """
+
+    noise: float
+    slope: float
+    edge: float
+    flat: float
+    error: float
+    grain: float
+    drift: float
+
+
+LINEAR = Scale(5e-4, 0.1, 0.3, 0.03, 5e-5, 2.0, 2.8e-3)
+STEPS = Scale(0.3, 0.1, 30.0, 10.0, 0.01, 0.8, 0.3)
+
+
+def cells(values: Float) -> NDArray[np.float64]:
+    """Return the sums over cells of 4 x 4 pixels, those beyond the border being 0."""
+    height, width = values.shape
+    if height % _CELL or width % _CELL:
+        values = np.pad(values, ((0, -height % _CELL), (0, -width % _CELL)))
+        height, width = values.shape
+    rows = values.reshape(height // _CELL, _CELL, width).sum(axis=1, dtype=np.float32)
+    return rows.reshape(*rows.shape[:1], width // _CELL, _CELL).sum(axis=2, dtype=np.float64)
+
+
+def blocks(of_cells: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the sums over blocks, of sums (..., H, W) over cells."""
+    side = BLOCK // _CELL
+    height, width = of_cells.shape[-2:]
+    padding = [(0, 0)] * (of_cells.ndim - 2) + [(0, -height % side), (0, -width % side)]
+    padded = np.pad(of_cells, padding)
+    *more, height, width = padded.shape
+    return np.asarray(
+        padded.reshape(*more, height // side, side, width // side, side).sum(axis=(-3, -1))
+    )
+
+
+@dataclass(frozen=True)
+class Sums:
+    """What a strip of the images comes to, over cells of 4 x 4 pixels: (H, W), or (C, H, W) of
+    every channel. A pixel's change and level are divided by its level, the largest of its channels;
+    in steps of 8 bits by 1."""
+
+    pixels: NDArray[np.float64]  # that count
+    weight: NDArray[np.float64]
+    change: NDArray[np.float64]  # times the weight, as are the others
+    across: NDArray[np.float64]  # by a displacement of a pixel
+    down: NDArray[np.float64]
+    level: NDArray[np.float64]
+    flat: NDArray[np.float64]  # pixels that count for the grain
+    # Squares of what channels share, of the difference, reference and image; of what they do not.
+    grain: NDArray[np.float64]
+    normal: NDArray[np.float64]  # (2, 3): least squares for the displacement
+
+    @classmethod
+    def of(cls, a: Float, b: Float, inside: Mask, rows: slice, scale: Scale) -> Sums:
+        """Return the sums over some rows of two images (H, W, C); the others lie around them.
+
+        inside : (H, W), where an edge of the coverage is not near
+        """
+        channels = a.shape[2]
+        planes = [
+            [np.ascontiguousarray(image[..., i]) for i in range(channels)] for image in (a, b)
+        ]
+        means = [sum(each) / np.float32(channels) for each in planes]
+        steps = [_steps(mean) for mean in means]
+        steepest = filtered(np.maximum(*steps), np.maximum)
+        level = np.float32(1.0)
+        if scale is LINEAR:
+            level = np.maximum.reduce([*planes[0], *planes[1], np.full_like(means[0], FLOOR)])
+        counts = inside & (steepest < np.float32(scale.edge) * level)
+        noise = scale.noise**2 + np.square(np.float32(scale.slope) * steepest / level)
+        weight = (counts / noise / level).astype(np.float32)[rows]
+        inverse = weight / level if scale is STEPS else weight / level[rows]
+        normal = np.zeros((2, 3))
+        of_channels = []
+        for x, y in zip(*planes, strict=True):
+            middle, change = np.float32(0.5) * (x + y), (y - x)[rows]
+            slopes = [_slope(middle, axis)[rows] for axis in (1, 0)]
+            weighted = [inverse * slope for slope in slopes]
+            normal += [[np.vdot(each, other) for other in (*slopes, change)] for each in weighted]
+            parts = (change, *slopes, np.abs(x[rows]))
+            of_channels.append([cells(weight * part) for part in parts])
+        flat = inside & (np.minimum(*steps) < np.float32(scale.flat) * level)
+        flat = filtered(flat, np.minimum)[rows]
+        fine = [[_fine(plane, level)[rows] for plane in each] for each in planes]
+        apart = [y - x for x, y in zip(*fine, strict=True)]
+        squares = [_common(each) for each in (apart, *fine)]
+        own = sum(np.square(each) for each in apart) / np.float32(channels) - squares[0]
+        return cls(
+            cells(counts[rows]),
+            cells(weight if scale is STEPS else weight * level[rows]),
+            *np.stack(of_channels, axis=1),
+            cells(flat),
+            np.stack([cells(flat * square) for square in (*squares, own)]),
+            normal,
+        )
+
+    @classmethod
+    def joined(cls, strips: list[Sums]) -> Sums:
+        """Return the sums of strips that lie below each other."""
+        *parts, normals = zip(*(vars(strip).values() for strip in strips), strict=True)
+        return cls(*(np.concatenate(part, axis=-2) for part in parts), sum(normals))
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the sums over two whole images say.
+
+    Attributes
+    ----------
+    sums, scale : that it is drawn from
+    foreign : whether another driver drew the image
+    moved : pixels by which the whole picture may lie elsewhere
+    """
+
+    sums: Sums
+    scale: Scale
+    foreign: bool = False
+    moved: float = MOVED
+
+    @cached_property
+    def shift(self) -> tuple[float, float]:
+        """By how many pixels the image lies to the right of the reference, and below it."""
+        across, down, change = self.sums.normal.T
+        normal = np.stack([across, down])
+        ridge = 1e-6 * np.trace(normal) + 1e-12
+        x, y = np.linalg.solve(normal + ridge * np.eye(2), -change)
+        return float(x), float(y)
+
+    @cached_property
+    def _changes(self) -> NDArray[np.float64]:
+        """Of every channel in every cell, less what a displacement explains, times the weight."""
+        x, y = self.shift
+        factor = min(1.0, self.moved / max(np.hypot(x, y), 1e-12))
+        return self.sums.change + factor * (x * self.sums.across + y * self.sums.down)
+
+    @cached_property
+    def judged(self) -> Mask:
+        """Blocks that have enough pixels, in enough cells."""
+        return (self._cells > _CELL) & (blocks(self.sums.pixels) >= LEAST)
+
+    @cached_property
+    def changed(self) -> Mask:
+        """Blocks that are judged, and not the same: a background says nothing."""
+        return self.judged & (self.change != 0.0)
+
+    @cached_property
+    def _weight(self) -> NDArray[np.float64]:
+        return np.maximum(blocks(self.sums.weight), 1e-12)
+
+    @cached_property
+    def _cells(self) -> NDArray[np.float64]:
+        """How many cells a block has, by their weight."""
+        return self._weight**2 / np.maximum(blocks(self.sums.weight**2), 1e-12)
+
+    @cached_property
+    def change(self) -> NDArray[np.float64]:
+        """Of each block's mean, of all channels."""
+        return blocks(self._changes.mean(axis=0)) / self._weight
+
+    @cached_property
+    def error(self) -> NDArray[np.float64]:
+        """Standard error of it."""
+        weight, side = self.sums.weight, BLOCK // _CELL
+        mean = np.repeat(np.repeat(self.change, side, axis=0), side, axis=1)
+        apart = self._changes.mean(axis=0) - weight * mean[: weight.shape[0], : weight.shape[1]]
+        scatter = blocks(np.square(apart)) / self._weight**2
+        scatter *= self._cells / np.maximum(self._cells - 1.0, 1.0)
+        least = self.scale.error**2 + self.scale.grain**2 * self._grains[0]
+        if self.foreign:
+            least += self.scale.drift**2
+        return np.asarray(np.sqrt(scatter + least))
+
+    @cached_property
+    def channels(self) -> NDArray[np.float64]:
+        """How the mean of each block changed in its worst channel, relative to that mean, or in
+        steps; NaN where it is not judged, 0 where it is within three standard errors."""
+        changes = blocks(self._changes)
+        of = self._weight
+        if self.scale is LINEAR:
+            of = np.maximum(blocks(self.sums.level), _CHANNEL * of)
+        relative = changes / of
+        worst = np.abs(relative).argmax(axis=0)
+        result = np.take_along_axis(relative, worst[None], axis=0)[0]
+        result[np.abs(self.change) < 3.0 * self.error] = 0.0
+        result[~self.judged] = np.nan
+        return result
+
+    @cached_property
+    def _grains(self) -> NDArray[np.float64]:
+        """Medians over blocks of the sums' grain, pixel by pixel where they are flat."""
+        flat = blocks(self.sums.flat)
+        counts = (flat >= LEAST) & self.changed
+        if counts.sum() < _FEW:
+            return np.zeros(4)
+        return np.median(blocks(self.sums.grain)[:, counts] / flat[counts], axis=1).clip(0.0)
+
+    @property
+    def grain(self) -> float:
+        """RMS from pixel to pixel that the image has more than the reference, or below 0 less, but
+        no more than the difference has; or of linear images what each channel has for itself, if
+        that is more."""
+        difference, reference, image, own = self._grains
+        more = image - reference
+        common = np.copysign(np.sqrt(min(abs(more), difference)), more)
+        return float(max(common, np.sqrt(own) if self.scale is LINEAR else 0.0, key=abs))
+
+    @property
+    def gain(self) -> float:
+        """Mean of the blocks' changes, by their standard errors."""
+        if not self.changed.any():
+            return 0.0
+        return float(np.average(self.change[self.changed], weights=self.error[self.changed] ** -2))
+
+    @cached_property
+    def trend(self) -> float:
+        """Mean product of neighbouring blocks' changes, each over its standard error."""
+        return float(self._products.mean()) if self._products.size else 0.0
+
+    @property
+    def surety(self) -> float:
+        """The trend over its own standard error, were there none."""
+        return self.trend * float(np.sqrt(self._products.size))
+
+    @cached_property
+    def _products(self) -> NDArray[np.float64]:
+        ratio = np.clip(self.change / self.error, -_CLIPPED, _CLIPPED)
+        products: list[NDArray[np.float64]] = []
+        for one, other in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+            both = self.changed[one] & self.changed[other]
+            products.append((ratio[one] * ratio[other])[both])
+        return np.concatenate(products)
+
+
+def _common(channels: list[Float]) -> Float:
+    """Return the mean product of two different channels: what rounds each by itself averages out."""
+    count = len(channels)
+    if count == 1:
+        return np.square(channels[0])
+    whole = np.square(sum(channels)) - sum(np.square(each) for each in channels)
+    return whole / np.float32(count * (count - 1))
+
+
+def _steps(x: Float) -> Float:
+    """Return the largest step from each pixel to one of its four neighbours."""
+    result = np.zeros_like(x)
+    for axis in (0, 1):
+        step = np.moveaxis(np.abs(np.diff(x, axis=axis)), axis, 0)
+        along = np.moveaxis(result, axis, 0)
+        np.maximum(along[1:], step, out=along[1:])
+        np.maximum(along[:-1], step, out=along[:-1])
+    return result
+
+
+def _slope(x: Float, axis: int) -> Float:
+    """Return the central difference, 0 at the border."""
+    result = np.zeros_like(x)
+    along, of = np.moveaxis(result, axis, 0), np.moveaxis(x, axis, 0)
+    along[1:-1] = np.float32(0.5) * (of[2:] - of[:-2])
+    return result
+
+
+def _fine(x: Float, level: Any) -> Float:
+    """Return what each pixel has over the mean of those to its left and right."""
+    result = np.zeros_like(x)
+    result[:, 1:-1] = x[:, 1:-1] - np.float32(0.5) * (x[:, 2:] + x[:, :-2])
+    return result / level

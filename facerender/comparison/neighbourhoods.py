@@ -1,0 +1,157 @@
+"""Where a pixel leaves what its neighbourhood in the other image explains: a few wrong pixels.
+
+A value is explained that lies within the range of the 3 x 3 neighbourhood in the other image, widened
+by half the range of the 5 x 5 one, which is what a displacement of a fraction of a pixel or another
+pattern of samples makes of an edge, and by a hundredth of its level. On smooth skin next to nothing
+is explained: a pixel that is off by little is seen there, also in the dark. A darker pixel is held
+against covered neighbours alone, since beside a background any would do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.floating]
+Mask = NDArray[np.bool_]
+
+_HALO = 4  # pixels around those whose excess is asked for
+_CONTRAST = 0.5  # of the range of 5 x 5 pixels, that an edge may move a value by
+_RELATIVE = 0.01  # of the level, likewise
+_STEP = 0.2  # range of 5 x 5 pixels, of the highest, from which on they hold an edge
+
+
+@dataclass(frozen=True)
+class Slack:
+    """What slivers of light and shade, that come and go at edges, may add.
+
+    Attributes
+    ----------
+    rough : where 5 x 5 pixels have a range of a tenth of the highest; less in proportion, where they
+        are smoother
+    edge : where they have a range of a fifth
+    """
+
+    rough: float
+    edge: float
+
+
+LINEAR = Slack(0.1, 0.28)
+STEPS = Slack(52.0, 53.0)
+
+
+class Excess(NamedTuple):
+    """(H, W) each: by how much the worst channel leaves what is explained, below 0 where the image
+    is the darker one; and what of that may be a sliver."""
+
+    value: NDArray[np.float32]
+    slack: NDArray[np.float32]
+
+
+def excess(a: Float, b: Float, full: Mask | None, least: float, relative: bool) -> Excess:
+    """Return what pixels of either image are beyond the other.
+
+    Parameters
+    ----------
+    a, b : (H, W, C)
+    full : (H, W), where both are fully covered; None for everywhere
+    least : the smallest excess that is asked for; where there is none, 0 is returned
+    relative : whether the images are linear; else they are in steps of 8 bits
+    """
+    value, slack = np.zeros((2, *a.shape[:2]), dtype=np.float32)
+    if (window := _window(a, b, least)) is not None:
+        covered = None if full is None or full[window].all() else full[window]
+        value[window], slack[window] = _excess(a[window], b[window], covered, relative)
+    return Excess(value, slack)
+
+
+def holes(a: Float, b: Float, full: Mask | None, relative: bool) -> Mask:
+    """Return where a pixel of either image has less than a quarter of the light of every covered
+    one of 7 x 7 pixels in the other; parameters as for :func:`excess`."""
+    share, floor = (0.25, 5e-4) if relative else (0.5, 1.0)  # sRGB has half the steps
+    result = np.zeros(a.shape[:2], dtype=bool)
+    levels = [np.maximum.reduce([x[..., i] for i in range(x.shape[2])]) for x in (a, b)]
+    for x, y in (levels, levels[::-1]):
+        below = y < share * x - floor
+        if full is not None:
+            below &= full
+        places = np.argwhere(below)
+        if not places.size:
+            continue
+        covered = x if full is None else np.where(full, x, np.inf)
+        around = np.pad(covered, 3, constant_values=np.inf)
+        low = np.minimum.reduce(
+            [around[tuple((places + (i, j)).T)] for i in range(7) for j in range(7)]
+        )
+        rows, columns = places[y[below] < share * low - floor].T
+        result[rows, columns] = True
+    return result
+
+
+def filtered(x: NDArray[Any], choose: Callable[..., Any]) -> NDArray[Any]:
+    """Apply np.maximum, np.minimum or their like over 3 x 3 pixels, those beyond the border left
+    out."""
+    for axis in (0, 1):
+        y = np.moveaxis(x, axis, 0)
+        x = x.copy()
+        z = np.moveaxis(x, axis, 0)
+        choose(z[1:], y[:-1], out=z[1:])
+        choose(z[:-1], y[1:], out=z[:-1])
+    return x
+
+
+def _window(a: Float, b: Float, least: float) -> tuple[slice, slice] | None:
+    """Return the part of the images outside of which nothing is beyond, an excess being at most the
+    difference."""
+    apart = np.zeros(a.shape[:2], dtype=bool)
+    for channel in range(a.shape[2]):
+        apart |= np.abs(b[..., channel] - a[..., channel]) > least
+    rows, columns = (np.flatnonzero(apart.any(axis=axis)) for axis in (1, 0))
+    if not rows.size:
+        return None
+    return (
+        slice(max(rows[0] - _HALO, 0), rows[-1] + 1 + _HALO),
+        slice(max(columns[0] - _HALO, 0), columns[-1] + 1 + _HALO),
+    )
+
+
+def _excess(a: Float, b: Float, full: Mask | None, relative: bool) -> Excess:
+    worst, slack = np.zeros((2, *a.shape[:2]), dtype=np.float32)
+
+    def take(beyond: Float, sign: float, sliver: Float) -> None:
+        larger = beyond > np.abs(worst)  # False where NaN
+        np.copyto(worst, sign * beyond, where=larger)
+        np.copyto(slack, sliver, where=larger)
+
+    for channel in range(a.shape[2]):
+        images = [np.ascontiguousarray(image[..., channel]) for image in (a, b)]
+        for sign, (x, y) in ((1.0, images), (-1.0, images[::-1])):
+            low, high, allowed, sliver = _range(x, np.minimum, np.maximum, relative)
+            take(y - high - allowed, sign, sliver)
+            if full is not None:
+                x, y = (np.where(full, image, np.float32(np.nan)) for image in (x, y))
+                low, _, allowed, sliver = _range(x, np.fmin, np.fmax, relative)
+            take(low - y - allowed, -sign, sliver)
+    return Excess(worst, slack)
+
+
+def _range(
+    x: Float, least: Callable[..., Any], most: Callable[..., Any], relative: bool
+) -> tuple[Float, Float, Float, Float]:
+    """Return the least and the highest value of 3 x 3 pixels, what is allowed beyond, and what a
+    sliver may add."""
+    low, high = filtered(x, least), filtered(x, most)
+    top = filtered(high, most)
+    span = top - filtered(low, least)
+    allowed = np.float32(_CONTRAST) * span
+    if relative:
+        allowed += np.float32(_RELATIVE) * np.abs(top)
+    scale = LINEAR if relative else STEPS
+    steepness = span / np.maximum(np.abs(top), np.float32(1e-6))
+    sliver = np.float32(scale.rough) * np.minimum(steepness / np.float32(0.5 * _STEP), 1.0)
+    sliver[steepness >= _STEP] = scale.edge
+    return low, high, allowed, sliver

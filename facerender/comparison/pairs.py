@@ -1,0 +1,82 @@
+"""Pairs of images, from files, folders and arrays."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from facerender.comparison.gates import Comparable, Comparison, as_picture, compare
+from facerender.errors import InputError
+from facerender.image import SUFFIXES, Picture
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two images and what comparing them gave: figures, or the error that made it impossible.
+
+    Attributes
+    ----------
+    name : of the pair
+    reference, image : None where it could not be read
+    comparison, error : one of the two
+    """
+
+    name: str
+    reference: Picture | None
+    image: Picture | None
+    comparison: Comparison | None
+    error: str = ""
+
+    @classmethod
+    def of(cls, name: str, reference: Comparable, image: Comparable, **options: Any) -> Pair:
+        """Compare two images; the options are those of :func:`compare`."""
+        pictures: list[Picture | None] = []
+        errors = []
+        for given, letter in ((reference, "A"), (image, "B")):
+            try:
+                pictures.append(as_picture(given, letter))
+            except InputError as error:
+                pictures.append(None)
+                errors.append(str(error))
+        a, b = pictures
+        if a is None or b is None:
+            return cls(name, a, b, None, errors[0])
+        try:
+            return cls(name, a, b, compare(a, b, **options))
+        except InputError as error:
+            return cls(name, a, b, None, str(error))
+
+    @property
+    def status(self) -> int:
+        """0 the same, 1 they differ, 2 they cannot be compared."""
+        return 2 if self.comparison is None else int(not self.comparison.same)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return name, error and every figure, for JSON."""
+        figures = {} if self.comparison is None else self.comparison.as_dict()
+        return {"name": self.name, "error": self.error, **figures}
+
+
+def pairs_of(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
+    """Return name, reference and image of two files, or of every image in two folders.
+
+    Raises
+    ------
+    InputError : a file and a folder, or folders without an image
+    """
+    a, b = Path(a), Path(b)
+    if a.is_dir() != b.is_dir():
+        raise InputError(f"one of {a} and {b} is a folder: give two folders, or two images")
+    if not a.is_dir():
+        return [(b.name, a, b)]
+    names = {
+        path.relative_to(folder).as_posix()
+        for folder in (a, b)
+        for path in folder.rglob("*")
+        if path.suffix.lower() in SUFFIXES
+    }
+    if not names:
+        raise InputError(f"no image in {a} and {b}: give folders of {', '.join(SUFFIXES)} files")
+    return [(name, a / name, b / name) for name in sorted(names)]

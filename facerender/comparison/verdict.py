@@ -1,0 +1,116 @@
+"""Why two images differ, in words: which gate failed, by how much, and what that looks like."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.comparison.evidence import BLOCK, Evidence, blocks, cells
+
+if TYPE_CHECKING:
+    from facerender.comparison.gates import Comparison
+
+SHAPE = "another shape, texture or light"
+LOBE = "a lobe or weight change"
+EXPOSURE = "exposure, light or colour space"
+
+SURE = 6.0  # standard errors of its own that a trend needs
+FOREIGN = 6.0  # times the limits of trend and grain, where another driver drew the image
+_LONE = {"linear": 0.1, "srgb8": 53.0}  # what a single pixel may be over by
+_SLIGHT = 50  # pixels that may be slivers, and
+_SHARE = 1e-4  # of all pixels
+_HOLES = 2  # that cracks and hairs may leave
+
+
+def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -> tuple[str, ...]:
+    """Say why the images differ, and what that looks like.
+
+    over : (H, W), 2 where a pixel is too bright, or 3 at an edge, and 1 where that may be a sliver;
+        negative where it is too dark
+    """
+    limits, linear = result.limits, result.encoding == "linear"
+    reasons = []
+    like = ""
+    wrong = np.abs(over) > 1
+    few = result.points > 1 or abs(result.point) > _LONE[result.encoding]
+    if result.slight > _SLIGHT + _SHARE * over.size and not (result.points and few):
+        wrong, few = over != 0, True
+    count = int(wrong.sum())
+    if count and few:
+        like = _likeness(over, wrong, count, result.blocks_judged * BLOCK**2)
+        at_edge = " at edges" if (np.abs(over[wrong]) == 3).mean() > 0.5 else ""
+        by = f"{abs(result.point):.2g}" if linear else f"{abs(result.point):.0f} of 255"
+        reasons.append(
+            f"{count} pixel{'' if count == 1 else 's'} over by up to {by}{at_edge}, worst "
+            f"{result.point_at}, limit {limits.point:g}: looks like {like}"
+        )
+    elif result.holes > _HOLES:
+        reasons.append(
+            f"{result.holes} pixels with less than a quarter of the light of all around them, limit "
+            f"{_HOLES}: looks like missing pixels"
+        )
+    trend = limits.trend * (FOREIGN if result.foreign else 1.0)
+    if result.blocks:
+        mean, limit = (
+            (f"{_signed(100.0 * result.block)} %", f"{100.0 * limits.block:g} %")
+            if linear
+            else (f"{_signed(result.block)} of 255", f"{limits.block:g}")
+        )
+        explained = blocks(cells(wrong.astype(np.float32)))[
+            np.abs(np.nan_to_num(evidence.channels)) > limits.block
+        ].all()
+        guess = _guess(evidence)
+        if guess != EXPOSURE and count and few and (explained or like == SHAPE):
+            guess = like
+        reasons.append(
+            f"block {result.block_at}: mean {mean}, limit {limit}, {result.blocks} of "
+            f"{result.blocks_judged} blocks over: looks like {guess}"
+        )
+    elif result.trend > trend and result.surety > SURE:
+        reasons.append(
+            f"neighbouring blocks changed alike: trend {result.trend:.2g}, limit {trend:g}: looks "
+            f"like {_guess(evidence)}"
+        )
+    grain = limits.grain * (FOREIGN if result.foreign and linear else 1.0)
+    if abs(result.grain) > grain:
+        amount = f"{100.0 * result.grain:+.2g} %" if linear else f"{result.grain:+.2g} of 255"
+        limit = f"{100.0 * grain:g} %" if linear else f"{grain:g}"
+        what = "noise, or values of fewer bits" if result.grain > 0.0 else "a blur"
+        reasons.append(f"grain {amount}, limit {limit}: looks like {what}")
+    x, y = result.shift
+    if max(abs(x), abs(y)) > limits.shift:
+        reasons.append(
+            f"shift ({x:.2f}, {y:.2f}) pixels, limit {limits.shift:g}: looks like another camera"
+        )
+    if result.coverage > limits.coverage:
+        reasons.append(
+            f"coverage changed on {100.0 * result.coverage:.2g} % of the pixels, limit "
+            f"{100.0 * limits.coverage:g} %: looks like another mesh or camera"
+        )
+    return tuple(reasons)
+
+
+def _likeness(over: NDArray[np.int8], wrong: NDArray[np.bool_], count: int, judged: int) -> str:
+    """Say what wrong pixels look like."""
+    bright = float((over[wrong] > 0).mean())
+    touching = (wrong[1:] & wrong[:-1]).sum() + (wrong[:, 1:] & wrong[:, :-1]).sum()
+    scattered = touching <= 0.5 * count
+    if bright > 0.9:
+        at_edge = (np.abs(over[wrong]) == 3).mean() > 0.5
+        return "fireflies" if scattered and not at_edge else "false highlights"
+    if bright < 0.1 and count < 0.01 * judged:
+        return "missing pixels" if scattered else "missing highlights"
+    return SHAPE
+
+
+def _guess(evidence: Evidence) -> str:
+    """Say what blocks that changed look like."""
+    changes = evidence.change[evidence.changed]
+    low, middle, high = np.percentile(changes, (10, 50, 90))
+    return EXPOSURE if high - low < 0.5 * abs(middle) else LOBE
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.2g}" if abs(value) < 10.0 else f"{value:+.0f}"
