@@ -1,11 +1,11 @@
 """What many small changes say together: a lobe, a weight or an exposure that changed.
 
-Blocks of 16 x 16 pixels hold the mean change, smooth pixels weighing more than those at edges and in
-texture, less what a displacement of the whole picture explains; and its standard error, from how
-cells of 4 x 4 pixels scatter within the block, and from the grain of the difference. Changes of
-drivers, cameras and codecs scatter, and neighbouring blocks do not agree on them; a lobe or a weight
-that changed is smooth over the face. The trend is the mean product of neighbouring blocks' changes,
-each over its standard error: Moran's (1950) statistic, without its denominator.
+Blocks of 16 x 16 pixels hold the mean change, smooth pixels weighing more than those at edges and
+in texture, less what a displacement of the whole picture explains; and its standard error, from
+how cells of 4 x 4 pixels scatter within the block, and from the grain of the difference. Changes
+of drivers, cameras and codecs scatter, and neighbouring blocks do not agree on them; a lobe or a
+weight that changed is smooth over the face. The trend is the mean product of neighbouring blocks'
+changes, each over its standard error: Moran's (1950) statistic without its denominator.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LEAST = 48  # pixels that a block needs to be judged
 FLOOR = 0.01  # radiance below which relative differences are taken of this
 MOVED = 0.25  # pixels by which the whole picture may lie elsewhere
 _CHANNEL = 0.25  # of the largest channel, below which relative changes are taken of this
-_FEW = 16  # changed blocks, fewer of which have no grain
+_FEW = 4  # changed blocks, fewer of which have no grain
 _CLIPPED = 10.0  # standard errors, beyond which a block's change counts no more
 
 
@@ -53,11 +53,11 @@ class Scale:
     drift: float
 
 
-LINEAR = Scale(5e-4, 0.1, 0.3, 0.03, 5e-5, 2.0, 2.8e-3)
+LINEAR = Scale(5e-4, 0.1, 0.3, 0.015, 5e-5, 2.0, 2.8e-3)
 STEPS = Scale(0.3, 0.1, 30.0, 10.0, 0.01, 0.8, 0.3)
 
 
-def cells(values: Float) -> NDArray[np.float64]:
+def cells(values: Float | Mask) -> NDArray[np.float64]:
     """Return the sums over cells of 4 x 4 pixels, those beyond the border being 0."""
     height, width = values.shape
     if height % _CELL or width % _CELL:
@@ -109,13 +109,16 @@ class Sums:
         means = [sum(each) / np.float32(channels) for each in planes]
         steps = [_steps(mean) for mean in means]
         steepest = filtered(np.maximum(*steps), np.maximum)
-        level = np.float32(1.0)
+        level: Float = np.ones((1, 1), np.float32)
         if scale is LINEAR:
             level = np.maximum.reduce([*planes[0], *planes[1], np.full_like(means[0], FLOOR)])
         counts = inside & (steepest < np.float32(scale.edge) * level)
+        flat = inside & (np.minimum(*steps) < np.float32(scale.flat) * level)
+        flat = filtered(flat, np.minimum)[rows]
         noise = scale.noise**2 + np.square(np.float32(scale.slope) * steepest / level)
         weight = (counts / noise / level).astype(np.float32)[rows]
-        inverse = weight / level if scale is STEPS else weight / level[rows]
+        level = level if scale is STEPS else level[rows]
+        inverse = weight / level
         normal = np.zeros((2, 3))
         of_channels = []
         for x, y in zip(*planes, strict=True):
@@ -125,16 +128,18 @@ class Sums:
             normal += [[np.vdot(each, other) for other in (*slopes, change)] for each in weighted]
             parts = (change, *slopes, np.abs(x[rows]))
             of_channels.append([cells(weight * part) for part in parts])
-        flat = inside & (np.minimum(*steps) < np.float32(scale.flat) * level)
-        flat = filtered(flat, np.minimum)[rows]
-        fine = [[_fine(plane, level)[rows] for plane in each] for each in planes]
+        fine = [[_fine(plane[rows]) / level for plane in each] for each in planes]
         apart = [y - x for x, y in zip(*fine, strict=True)]
         squares = [_common(each) for each in (apart, *fine)]
         own = sum(np.square(each) for each in apart) / np.float32(channels) - squares[0]
+        change, across, down, absolute = np.stack(of_channels, axis=1)
         return cls(
             cells(counts[rows]),
-            cells(weight if scale is STEPS else weight * level[rows]),
-            *np.stack(of_channels, axis=1),
+            cells(weight * level),
+            change,
+            across,
+            down,
+            absolute,
             cells(flat),
             np.stack([cells(flat * square) for square in (*squares, own)]),
             normal,
@@ -278,7 +283,7 @@ class Evidence:
 
 
 def _common(channels: list[Float]) -> Float:
-    """Return the mean product of two different channels: what rounds each by itself averages out."""
+    """Return the mean product of two different channels: each one's rounding averages out."""
     count = len(channels)
     if count == 1:
         return np.square(channels[0])
@@ -305,8 +310,8 @@ def _slope(x: Float, axis: int) -> Float:
     return result
 
 
-def _fine(x: Float, level: Any) -> Float:
+def _fine(x: Float) -> Float:
     """Return what each pixel has over the mean of those to its left and right."""
     result = np.zeros_like(x)
     result[:, 1:-1] = x[:, 1:-1] - np.float32(0.5) * (x[:, 2:] + x[:, :-2])
-    return result / level
+    return result

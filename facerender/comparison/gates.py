@@ -2,7 +2,7 @@
 do differently. Images come from arrays, frames or files; nothing here needs OpenGL.
 
 The point gate sees a few wrong pixels, beyond what their neighbourhood explains; the block gate a
-mean of 16 x 16 pixels that changed; the trend many blocks that changed by little, alike; the grain a
+mean of 16 x 16 pixels that changed; the trend many blocks that changed by little, alike; the grain
 noise from pixel to pixel; coverage and shift another mesh or camera.
 """
 
@@ -45,7 +45,8 @@ class Limits:
         least, or steps
     trend : mean product of neighbouring blocks' changes, each over its standard error; without a
         change it is 0
-    grain : change of the RMS difference from one pixel to the next; relative to the level, or steps
+    grain : RMS from one pixel to the next that the image may have more than the reference, and half
+        of what it may have less; relative to the level, or steps
     coverage : share of all pixels whose coverage changed, in [0, 1]
     shift : pixels by which the whole image may be displaced
     """
@@ -53,7 +54,7 @@ class Limits:
     point: float
     block: float
     trend: float = 0.15
-    grain: float = 2e-3
+    grain: float = 9e-4
     coverage: float = 0.005
     shift: float = MOVED
 
@@ -175,7 +176,8 @@ def compare(
         raise InputError(f"the mask is {size}, the images are {_size(a.pixels)} pixels")
     if counts is not None and not counts.any():
         raise InputError("the mask is 0 everywhere: nothing would be compared")
-    given = dict(point=point, block=block, trend=trend, grain=grain, coverage=coverage, shift=shift)
+    given = {"point": point, "block": block, "trend": trend, "grain": grain}
+    given |= {"coverage": coverage, "shift": shift}
     said = {name: value for name, value in given.items() if value is not None}
     limits = replace(LIMITS[a.encoding], **said)
     foreign = _foreign((reference, image), (a, b))

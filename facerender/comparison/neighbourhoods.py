@@ -1,10 +1,10 @@
 """Where a pixel leaves what its neighbourhood in the other image explains: a few wrong pixels.
 
-A value is explained that lies within the range of the 3 x 3 neighbourhood in the other image, widened
-by half the range of the 5 x 5 one, which is what a displacement of a fraction of a pixel or another
-pattern of samples makes of an edge, and by a hundredth of its level. On smooth skin next to nothing
-is explained: a pixel that is off by little is seen there, also in the dark. A darker pixel is held
-against covered neighbours alone, since beside a background any would do.
+A value is explained that lies within the range of the 3 x 3 neighbourhood in the other image,
+widened by half the range of the 5 x 5 one, which is what a displacement of a fraction of a pixel
+or another pattern of samples makes of an edge, and by a hundredth of its level. On smooth skin
+next to nothing is explained: a pixel that is off by little is seen there, also in the dark. A
+darker pixel is held against covered neighbours alone, since beside a background any would do.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ class Slack:
 
     Attributes
     ----------
-    rough : where 5 x 5 pixels have a range of a tenth of the highest; less in proportion, where they
-        are smoother
+    rough : where 5 x 5 pixels have a range of a tenth of the highest; less in proportion, where
+        they are smoother
     edge : where they have a range of a fifth
     """
 

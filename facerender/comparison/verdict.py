@@ -18,9 +18,11 @@ EXPOSURE = "exposure, light or colour space"
 
 SURE = 6.0  # standard errors of its own that a trend needs
 FOREIGN = 6.0  # times the limits of trend and grain, where another driver drew the image
-_LONE = {"linear": 0.1, "srgb8": 53.0}  # what a single pixel may be over by
+# What a single pixel may be over by: where it is smooth, and at an edge.
+_LONE = {"linear": (0.1, 0.5), "srgb8": (53.0, 90.0)}
 _SLIGHT = 50  # pixels that may be slivers, and
 _SHARE = 1e-4  # of all pixels
+_BLUR = 2.0  # times the limit of grain, that the image may have less
 _HOLES = 2  # that cracks and hairs may leave
 
 
@@ -34,7 +36,8 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
     reasons = []
     like = ""
     wrong = np.abs(over) > 1
-    few = result.points > 1 or abs(result.point) > _LONE[result.encoding]
+    lone = _LONE[result.encoding][int((np.abs(over) == 3).any())]
+    few = result.points > 1 or abs(result.point) > lone
     if result.slight > _SLIGHT + _SHARE * over.size and not (result.points and few):
         wrong, few = over != 0, True
     count = int(wrong.sum())
@@ -48,7 +51,7 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
         )
     elif result.holes > _HOLES:
         reasons.append(
-            f"{result.holes} pixels with less than a quarter of the light of all around them, limit "
+            f"{result.holes} pixels with less than a quarter of the light around them, limit "
             f"{_HOLES}: looks like missing pixels"
         )
     trend = limits.trend * (FOREIGN if result.foreign else 1.0)
@@ -74,7 +77,7 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
             f"like {_guess(evidence)}"
         )
     grain = limits.grain * (FOREIGN if result.foreign and linear else 1.0)
-    if abs(result.grain) > grain:
+    if result.grain > grain or result.grain < _BLUR * -grain:
         amount = f"{100.0 * result.grain:+.2g} %" if linear else f"{result.grain:+.2g} of 255"
         limit = f"{100.0 * grain:g} %" if linear else f"{grain:g}"
         what = "noise, or values of fewer bits" if result.grain > 0.0 else "a blur"
