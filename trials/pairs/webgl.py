@@ -6,7 +6,7 @@ from __future__ import annotations
 import base64
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +20,9 @@ from facerender.drawing.program import ENVIRONMENT_MAP, Lighting, part_columns
 from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import view_of
-from trials import chromium
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 
 class _Blob:
@@ -38,12 +40,10 @@ class _Blob:
 
 
 def draw_webgl(
-    scene: Scene, shading: fr.Shading, size: tuple[int, int], float_albedo: bool
+    browser: Browser, scene: Scene, shading: fr.Shading, size: tuple[int, int], float_albedo: bool
 ) -> NDArray[np.float32]:
     """Return linear RGB and coverage, (H, W, 4), with one sample a pixel, of a scene that does not
     scatter."""
-    from playwright.sync_api import sync_playwright
-
     view = view_of(scene, size[0] / size[1])
     scene = simplify(scene, shading)
     if not float_albedo:
@@ -65,15 +65,14 @@ def draw_webgl(
         for step in steps
     ]
     script = Path(__file__).with_name("webgl.js").read_text(encoding="utf-8")
-    with sync_playwright() as playwright, TemporaryDirectory() as folder:
+    page = browser.new_page()
+    with TemporaryDirectory() as folder:
         file = Path(folder, "buffers")
         file.write_bytes(blob.content)
-        browser = chromium.launch(playwright)
-        page = browser.new_page()
         page.evaluate(script)
         page.set_input_files("input", file)
         data = base64.b64decode(page.evaluate("passes => window.draw(passes)", passes))
-        browser.close()
+    page.close()
     return np.frombuffer(data, np.float32).reshape(*size[::-1], 4)
 
 
