@@ -346,7 +346,7 @@ def _check_alike(a: Picture, b: Picture) -> None:
 def _check_finite(picture: Picture) -> None:
     if picture.encoding == "srgb8":
         return
-    good = np.abs(picture.pixels) <= HIGHEST
+    good = np.abs(picture.pixels) <= np.float32(HIGHEST)  # which half floats would not hold
     if good.all():
         return
     row, column, channel = np.unravel_index(int(good.argmin()), good.shape)

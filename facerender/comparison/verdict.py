@@ -77,13 +77,13 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
             f"like {_guess(evidence)}"
         )
     grain = limits.grain * (FOREIGN if result.foreign and linear else 1.0)
-    if result.grain > grain or result.grain < _BLUR * -grain:
+    if not reasons and (result.grain > grain or result.grain < _BLUR * -grain):
         amount = f"{100.0 * result.grain:+.2g} %" if linear else f"{result.grain:+.2g} of 255"
         limit = f"{100.0 * grain:g} %" if linear else f"{grain:g}"
         what = "noise, or values of fewer bits" if result.grain > 0.0 else "a blur"
         reasons.append(f"grain {amount}, limit {limit}: looks like {what}")
     x, y = result.shift
-    if max(abs(x), abs(y)) > limits.shift:
+    if not reasons and max(abs(x), abs(y)) > limits.shift:
         reasons.append(
             f"shift ({x:.2f}, {y:.2f}) pixels, limit {limits.shift:g}: looks like another camera"
         )
