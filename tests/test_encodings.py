@@ -20,7 +20,7 @@ from facerender.image import picture_of, read_image
 from facerender.jpeg import Jpeg
 
 SAMPLINGS = [(1, 1), (2, 1), (2, 2)]  # as Pillow numbers them
-QUALITIES = (75, 85, 92, 95, 98)
+QUALITIES = (75, 85, 92, 95, 98, 100)
 
 
 @pytest.fixture(scope="module", params=[256, 512])

@@ -77,9 +77,9 @@ def difference(a: Picture, b: Picture) -> tuple[Bytes, float]:
     return pixels, largest
 
 
-def _signed(a: Picture, b: Picture, rows: slice) -> NDArray[np.float64]:
+def _signed(a: Picture, b: Picture, rows: slice) -> NDArray[np.float32]:
     """Return b less a in the worst channel."""
-    signed = np.subtract(b.rows(rows)[0], a.rows(rows)[0], dtype=np.float64)
+    signed = b.rows(rows)[0] - a.rows(rows)[0]
     worst = np.abs(signed).argmax(axis=-1)[..., None]
     return np.asarray(np.take_along_axis(signed, worst, axis=-1)[..., 0])
 
