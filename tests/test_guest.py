@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import warnings
+import weakref
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from hashlib import blake2b
@@ -234,6 +235,20 @@ def test_dropped_renderers_free_what_they_have(backend):
     assert [warning.category for warning in told] == [ResourceWarning] * 24
     assert "dropped without release(): make it in a with statement" in str(told[0].message)
     assert held[2] - held[1] < 16  # 12 MiB each, before they were freed
+
+
+@pytest.mark.parametrize("shading", [fr.Shading(), fr.Shading(m=0.3)], ids=["own m", "one m"])
+def test_meshes_that_are_dropped_go(shading: fr.Shading, backend):
+    """With their parts and maps, and what was made of them, while the renderer stays."""
+    with fr.Renderer((64, 64), backend=backend) as renderer:
+        mesh = fr.load_mesh(MINI_HEAD)
+        for each in (mesh, fr.simplified(mesh, 500)):
+            renderer.render(fr.Scene(each, fr.Camera(frame="face")), shading)
+        held = [mesh, each, *mesh.parts, *each.parts, mesh.materials[0].albedo_map]
+        known = [weakref.ref(one) for one in held]
+        del mesh, each, held
+        gc.collect()
+        assert [one() for one in known] == [None] * len(known)
 
 
 def test_a_renderer_that_is_dropped_while_another_draws(backend, monkeypatch):
