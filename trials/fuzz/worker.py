@@ -88,6 +88,7 @@ def work(share: Share) -> NoReturn:
     with following():
         from PIL import Image
 
+        from facerender.scenes import framing
         from trials.fuzz.mutate import mutate
         from trials.fuzz.subjects import FAULTS, OUTCOMES, examine, subjects
 
@@ -95,6 +96,8 @@ def work(share: Share) -> NoReturn:
         Image.init()
         for parser in ("trimesh.exchange.load", "trimesh.visual", "tomllib"):
             import_module(parser)
+    # Of points on the surface of a few triangles, which took most of the time.
+    framing._SAMPLES //= 100
     logging.disable()
     resource.setrlimit(resource.RLIMIT_AS, (SPACE, SPACE))
     chosen = [each for each in subjects() if share.only in each.name]
