@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 from random import Random
 
@@ -139,6 +140,18 @@ def greedy(folder: Path) -> None:
 def test_faults_are_seen(examiner: object, outcome: str, tmp_path: Path) -> None:
     subject = Subject("made up", {"a": b""}, "a", examiner)  # type: ignore[arg-type]
     assert examine(subject, b"", tmp_path / "a").outcome == outcome
+
+
+def test_what_takes_long_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def busy(folder: Path) -> None:
+        start = time.process_time()
+        while time.process_time() - start < 0.2:
+            pass
+
+    subject = Subject("made up", {"a": b""}, "a", busy)
+    for most, outcome in ((0.1, "slow"), (10.0, "clean")):
+        monkeypatch.setattr("trials.fuzz.subjects.SLOW", most)
+        assert examine(subject, b"", tmp_path / "a").outcome == outcome
 
 
 @pytest.mark.parametrize("value", [0.0, np.nan])
