@@ -140,7 +140,7 @@ class _Gate:
         return f"{self.figure} ≤&nbsp;{self.limit}"
 
 
-def _gates(result: Comparison) -> tuple[_Gate, _Gate, _Gate]:
+def _gates(result: Comparison) -> tuple[_Gate, ...]:
     limits = result.limits
     amount = _percent if result.encoding == "linear" else _number
     point_at, block_at = ("({}, {})".format(*at) for at in (result.point_at, result.block_at))
