@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 LONGEST = 180  # characters of a file's name; most systems take 255 bytes
 UNUSED = ("ignore", "list", "fail")
-LIMITS = ("point", "block", "trend", "grain", "coverage", "shift")
+LIMITS = ("point", "block", "trend", "grain", "texture", "coverage", "shift")
 
 _WRITTEN = pytest.StashKey[set[Path]]()  # goldens, in a session
 _CHECKS = pytest.StashKey[list[dict[str, str]]]()
@@ -112,6 +112,7 @@ class Snapshot:
         block: float | None = None,
         trend: float | None = None,
         grain: float | None = None,
+        texture: float | None = None,
         coverage: float | None = None,
         shift: float | None = None,
         mask: NDArray[Any] | None = None,
@@ -124,7 +125,7 @@ class Snapshot:
         ----------
         image : a Frame, an array (H, W, 3 or 4) of linear float, or the path of an EXR file
         name : of the golden; without, the test's, with its class and parameters
-        point, block, trend, grain, coverage, shift, mask : see :func:`facerender.compare`; limits
+        point, block, trend, grain, texture, coverage, shift, mask : see :func:`facerender.compare`; limits
             that are not given are those of the ini file
         metadata : for the golden, beside the frame's own: GL_RENDERER, where an array has none
 
@@ -152,7 +153,7 @@ class Snapshot:
         golden = _goldens(self._request.path) / f"{safe}.exr"
         written = config.stash.setdefault(_WRITTEN, set())
         given = {"point": point, "block": block, "trend": trend, "grain": grain}
-        given |= {"coverage": coverage, "shift": shift}
+        given |= {"texture": texture, "coverage": coverage, "shift": shift}
         limits = {
             key: _limit(config, key) if value is None else value for key, value in given.items()
         }

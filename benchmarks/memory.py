@@ -3,12 +3,15 @@
     python benchmarks/memory.py [--frames 2000] [--samples 4] [--size 1024]
     python benchmarks/memory.py --dropped 500 [--samples 4] [--size 256]
     python benchmarks/memory.py --slopes 500 [--samples 4] [--size 256]
+    python benchmarks/memory.py --meshes 10000 [--samples 4] [--size 256]
     python benchmarks/memory.py --maps 8192 [--samples 4] [--size 1024]
 
 Frames: the camera moves, every frame is read back. Dropped: each frame has a renderer of its own,
-which nobody releases. Slopes: each frame has a program of its own. Prints resident MiB, which is
-flat when nothing leaks. Maps: albedo, normals and roughness of so many texels a side, drawn as
-coarse as the image shows them, and whole: what each process holds at the most, and how they differ.
+which nobody releases. Slopes: each frame has a program of its own. Meshes: each is of a file with a
+map of its own, and nobody keeps it; one renderer draws its head and its face. Prints resident MiB,
+which is flat when nothing leaks. Maps: albedo, normals and roughness of so many texels a side,
+drawn as coarse as the image shows them, and whole: what each process holds at the most, and how
+they differ.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from tempfile import TemporaryDirectory
 import moderngl  # noqa: F401
 import numpy as np
 import trimesh  # noqa: F401
+from batch_kills import small
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -72,6 +76,20 @@ print(line)
 """
 
 
+def meshes(count: int, size: int, samples: int) -> Iterator[None]:
+    random = np.random.default_rng(1)
+    with TemporaryDirectory() as folder, fr.Renderer((size, size), samples=samples) as renderer:
+        for number in range(count):
+            path = small(Path(folder))
+            path.write_text(path.read_text().replace("v 1 0 0", f"v {1.0 + 1e-4 * number} 0 0"))
+            texels = random.integers(0, 256, (256, 256, 3), dtype=np.uint8)
+            Image.fromarray(texels).save(Path(folder, "skin.png"), compress_level=1)
+            mesh = fr.load_mesh(path)
+            for frame in ("head", "face"):
+                renderer.render(fr.Scene(mesh, fr.Camera(frame=frame)))
+            yield
+
+
 def noise(side: int, seed: int) -> NDArray[np.float32]:
     """Of four octaves, (side, side)."""
     random, total = np.random.default_rng(seed), np.zeros((side, side), np.float32)
@@ -116,6 +134,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=2000)
     parser.add_argument("--dropped", type=int, default=0)
     parser.add_argument("--slopes", type=int, default=0)
+    parser.add_argument("--meshes", type=int, default=0)
     parser.add_argument("--maps", type=int, default=0)
     parser.add_argument("--samples", type=int, default=4)
     parser.add_argument("--size", type=int, default=1024)
@@ -124,9 +143,9 @@ def main() -> None:
         return maps(options.maps, options.size, options.samples)
     imports = resident()
     count, what = options.frames, frames
-    if options.dropped or options.slopes:
-        count = options.dropped or options.slopes
-        what = dropped if options.dropped else slopes
+    for other in (dropped, slopes, meshes):
+        if asked := getattr(options, other.__name__):
+            count, what = asked, other
     for done, _ in enumerate(what(count, options.size, options.samples), start=1):
         if done in {1, 10, count} or done % max(count // 10, 1) == 0:
             held = (resident() - imports) / 2**20

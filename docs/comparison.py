@@ -2,6 +2,16 @@
 
 python -m docs.comparison      from the repository's root; needs an OpenGL context, and the head
                                scan of the tests for half of the tables
+
+The tables of the suite of pairs come from docs/measurements/pairs.json and pairs_peers.json:
+
+python -m trials.pairs SUITE
+python -m trials.pairs.verdicts SUITE -o docs/measurements/pairs.json
+python -m trials.pairs.verdicts SUITE --peers -o docs/measurements/pairs_peers.json
+
+The last needs, beside the extras measure, head and hdr, what nothing else of the project does: pip
+install pybind11-pixelmatch; npm install odiff-bin; apt-get install imagemagick. It leaves out what
+is not there.
 """
 
 from __future__ import annotations
@@ -30,11 +40,19 @@ from trials.mutations import (
     rougher,
     weaker,
 )
+from trials.pairs.scenes import SETTINGS
+from trials.pairs.verdicts import FACERENDER, Summary, read_summary
 from trials.scan import load_scan, scan_folder
 
 OUTPUT = Path(__file__).with_suffix(".md")
+MEASUREMENTS = Path(__file__).parent / "measurements"
 HEAD = ("change", "point, pixels", "block, blocks", "coverage", "gates", "looks like")
 DRIVERS_HEAD = ("image", *HEAD[1:])
+JUDGES_HEAD = (
+    *("judge", "PNG: threshold", "caught", "false alarms", "balanced accuracy"),
+    *("EXR: threshold", "caught", "false alarms", "balanced accuracy"),
+)
+CHANGES_HEAD = ("change", "PNG", "EXR")
 THRESHOLDS_HEAD = ("image", "change", "point", "block", "strict", "8-bit")
 
 Change = Callable[[float], Images]
@@ -155,6 +173,44 @@ def threshold_rows(name: str, studio: Studio) -> Iterator[list[str]]:
         yield [name, what, *(smallest(change, sees, most) for sees in (point, block, strict, png))]
 
 
+def judges_table(own: Summary, peers: Summary) -> str:
+    """The judges on the half that is reported, facerender first."""
+    scores = {
+        (each.judge, each.format): each
+        for each in (*own.scores, *peers.scores)
+        if each.half == "report"
+    }
+    rows = []
+    for judge in dict.fromkeys(name for name, _ in scores):
+        row = [judge]
+        for kind in ("png", "exr"):
+            if (found := scores.get((judge, kind))) is None:
+                row += [""] * 4
+                continue
+            row += [
+                "" if judge == FACERENDER else f"{found.threshold:.3g}",
+                f"{found.caught} of {found.must_fail}",
+                f"{found.alarms} of {found.must_pass}",
+                f"{found.balanced:.3f}",
+            ]
+        rows.append(row)
+    return markdown_table(JUDGES_HEAD, rows)
+
+
+def changes_table(own: Summary, must: str) -> str:
+    """How many scenes of the half that is reported facerender found different, by change."""
+    counts = {
+        (each.change, each.format): f"{each.different} of {each.pairs}"
+        for each in own.tallies
+        if (each.half, each.must) == ("report", must)
+    }
+    rows = [
+        [change, *(counts.get((change, kind), "") for kind in ("png", "exr"))]
+        for change in dict.fromkeys(name for name, _ in counts)
+    ]
+    return markdown_table(CHANGES_HEAD, rows)
+
+
 TEXT = """# The image comparison
 
 Written by `python -m docs.comparison`; `tests/test_compare.py` holds the comparison to every line
@@ -191,6 +247,30 @@ or taken off; "> x": not seen up to x.
 
 {thresholds}
 
+## A suite of pairs, and other tools
+
+Twelve scenes, of {sizes} pixels a side and with 1 and 4 samples, each drawn as it is and once per
+change, as EXR and as PNG, in two halves that share no head, camera or light: `python -m
+trials.pairs SUITE`. The limits are set by looking at the one half; all figures here are of the
+other. Pairs of identical pixels are left out, and so are changes that must fail and move no pixel
+by more than the encoding's noise: 0.5 % of its radiance or of 0.01, whichever is more, in EXR; 1 of
+255, before rounding, in PNG.
+
+facerender compares at its defaults. Every number of another tool has the threshold that suits this
+very half best: the highest balanced accuracy, the mean of the share that is caught of what must
+fail and the share that passes of what must pass. `python -m trials.pairs.verdicts SUITE` writes
+them, with {versions}.
+
+{judges}
+
+### What must fail: scenes in which facerender finds it
+
+{broken}
+
+### What must pass: scenes in which facerender fails it
+
+{harmless}
+
 ## What escapes
 
 - Changes under the figures above: ks by 1 to 3 %, and m by 0.5 to 2.5 %, by how strong the
@@ -217,7 +297,7 @@ or taken off; "> x": not seen up to x.
 
 def stale() -> Iterator[str]:
     """Tell what the document lacks of what is not measured."""
-    return missing(OUTPUT, TEXT, (HEAD, DRIVERS_HEAD, THRESHOLDS_HEAD))
+    return missing(OUTPUT, TEXT, (HEAD, DRIVERS_HEAD, THRESHOLDS_HEAD, JUDGES_HEAD, CHANGES_HEAD))
 
 
 def main() -> None:
@@ -229,11 +309,18 @@ def main() -> None:
                 mutations.append(f"### {name}, {camera}\n\n{mutation_table(studio)}")
                 thresholds += threshold_rows(f"{name}, {camera}", studio)
             context = renderer.context
+    own, peers = (read_summary(MEASUREMENTS / f"{name}.json") for name in ("pairs", "pairs_peers"))
+    sizes = sorted({each.size for each in SETTINGS.values()})
     linear, steps = LIMITS["linear"], LIMITS["srgb8"]
     text = TEXT.format(
         mutations="\n\n".join(mutations),
         drivers=driver_table(),
         thresholds=markdown_table(THRESHOLDS_HEAD, thresholds),
+        sizes=f"{sizes[0]} to {sizes[-1]}",
+        versions=", ".join(peers.versions.values()),
+        judges=judges_table(own, peers),
+        broken=changes_table(own, "fail"),
+        harmless=changes_table(own, "pass"),
         size=SIZE,
         point=linear.point,
         times=SILHOUETTE,

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from facerender.ending import if_ended, temporary_folder
 from facerender.errors import InputError, clipped, reason
-from facerender.files import read_file
+from facerender.files import open_file
 from facerender.icc import profile_of
 from facerender.jpeg import Jpeg
 
@@ -49,9 +49,15 @@ MAX_BYTES = 1 << 31  # decoded
 _UNSUSPECTED = 64 << 20  # bytes that a file of any size may hold
 _MOST_PACKED = 2000  # times its size; deflate packs 1032 at most
 _LONGEST_HEADER = 1 << 16  # of a NumPy array
+_LONGEST_EXR = 1 << 24  # bytes of the header of an EXR
 _STRIP = 256  # rows
 _EXR, _NPY, _LFS = b"v/1\x01", b"\x93NUMPY", b"version https://git-lfs"
 _EXR_PARTS = 0x10  # of the third byte of the flags
+_HALF = 1  # as EXR numbers the kinds of a channel's values
+_PXR24, _B44, _B44A, _DWAA, _DWAB = range(5, 10)  # as it numbers compressions, the lossy ones
+# Noise and mean of what they lose, at most, of the built-in head at 256 to 1024 pixels.
+_B44_LOSS, _DWA_LOSS = (0.012, 0.005), (0.015, 0.002)
+_DWA_LEVEL = 45.0  # where the file names none
 _OTHERS = {  # what a file may be in place of an image, by its start
     _LFS: "a pointer of Git LFS: git lfs pull",
     b"<!doctype html": "a page of HTML",
@@ -74,16 +80,17 @@ class Picture:
 
     Attributes
     ----------
-    pixels : (H, W, 1 to 4), row 0 on top; linear float32, or the 8-bit steps 0 to 255, uint8. An
-        even number of channels ends with alpha
+    pixels : (H, W, 1 to 4), row 0 on top; linear float32, or float16 where an EXR has that, or the
+        8-bit steps 0 to 255, uint8. An even number of channels ends with alpha
     encoding : "linear" or "srgb8"
     name : for messages
     metadata : that the file carries
     color_space : as the file says it, "" where it says nothing or sRGB
     profile : the ICC profile that its colours were converted from to sRGB, "" where they were not
-    noise : RMS error that the encoding leaves in a pixel, in steps of 255; of linear images 0
-    mean : largest error that it leaves in the mean of 16 x 16 pixels, in steps of 255, beside
-        those that average out
+    noise : RMS error that the encoding leaves in a pixel: in steps of 255, or relative to radiance,
+        or to 0.01
+    mean : largest error that it leaves in the mean of 16 x 16 pixels, in the same unit; 0 where
+        that of each pixel is its own
     jpeg : how a JPEG holds its pixels, None in another file
     """
 
@@ -116,7 +123,7 @@ class Picture:
         if self._opaque:
             return color, np.ones(pixels.shape[:2], dtype=np.float32)
         if self.encoding == "linear":
-            return color, pixels[..., -1]
+            return color, pixels[..., -1].astype(np.float32, copy=False)
         coverage = pixels[..., -1].astype(np.float32) / np.float32(255.0)
         return color * coverage[..., None], coverage
 
@@ -369,7 +376,9 @@ def _write_exr(
 ) -> None:
     OpenEXR = openexr(path)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    pixels = {key: np.ascontiguousarray(values) for key, values in channels.items()}
+    pixels = {
+        key: np.ascontiguousarray(values, dtype=np.float32) for key, values in channels.items()
+    }
     file = OpenEXR.File({**header, **metadata}, pixels)
 
     def write(name: str) -> None:
@@ -455,13 +464,15 @@ def read_image(path: str | os.PathLike[str]) -> Picture:
         raise InputError(
             f"{path}: unknown image format {suffix!r}; give .exr, .npz, .npy, .png or .jpg"
         )
-    content = read_file(path, "an image file", MAX_BYTES)
+    with open_file(path, "an image file", MAX_BYTES) as file:
+        size = os.fstat(file.fileno()).st_size
+        content = file.read(_LONGEST_EXR if suffix == ".exr" else size)
     if not content:
         raise InputError(f"{path} is empty: write it anew")
     if content.startswith(_LFS):
         raise InputError(f"{path} is {_OTHERS[_LFS]}")
     if suffix == ".exr":
-        return _read_exr(path, content)
+        return _read_exr(path, content, size)
     if suffix in (".npz", ".npy"):
         return _read_numpy(path, content)
     return _read_8_bit(path, content)
@@ -485,31 +496,57 @@ def picture_of(values: NDArray[Any], name: str) -> Picture:
         return Picture(pixels.astype(np.float32, copy=False), "linear", name)
 
 
-def _read_exr(path: Path, content: bytes) -> Picture:
+def _read_exr(path: Path, start: bytes, size: int) -> Picture:
+    """Read an EXR file of so many bytes, whose header is in its start."""
     OpenEXR = openexr(path)
     try:
-        headers = _exr_headers(content)
-        _check_exr(path, headers, len(content))
-        del content
-        with _silence():
-            file = OpenEXR.File(str(path), separate_channels=True)
-            header, found = file.header(), file.channels()
-        names = [name for name in "RGBA" if name in found and "R" in found]
-        names = names or sorted(found, reverse=True)
+        raw = _checked_exr(path, _exr_headers(start), size)
+        kinds = _exr_channels(raw)
+        names = [name for name in "RGBA" if name in kinds and "R" in kinds]
+        names = names or sorted(kinds, reverse=True)
         if names not in (["R", "G", "B"], ["R", "G", "B", "A"], ["Y"], ["Y", "A"]):
-            channels = clipped(", ".join(found))
+            channels = clipped(", ".join(kinds))
             raise InputError(f"{path} has channels {channels}: give R, G, B, and A if any")
-        pixels = _in_window([found[name].pixels for name in names], header)
+        whole = len(names) > 2 and len({kinds[name] for name in names}) == 1
+        with _silence():
+            file = OpenEXR.File(str(path), separate_channels=not whole)
+            header, found = file.header(), file.channels()
+        if whole:
+            pixels = found["".join(names)].pixels
+        else:
+            pixels = np.stack([found[name].pixels for name in names], axis=-1)
+        if pixels.dtype != np.float16:
+            pixels = pixels.astype(np.float32, copy=False)
+        pixels = _in_window(pixels, header)
         metadata = {key: value for key, value in header.items() if isinstance(value, str)}
         primaries = header.get("chromaticities", REC_709)
         space = "" if np.allclose(primaries, REC_709, atol=1e-4) else f"of primaries {primaries}"
+        noise, mean = _exr_loss(raw, any(kinds[name] == _HALF for name in names))
     except InputError:
         raise
     except Exception as error:  # of its own, and of what a damaged file makes of a header
         raise InputError(
             f"{path} is no image that OpenEXR reads ({reason(error)}); write it anew"
         ) from None
-    return Picture(pixels, "linear", str(path), metadata, space)
+    return Picture(pixels, "linear", str(path), metadata, space, noise=noise, mean=mean)
+
+
+def _exr_loss(header: Mapping[bytes, bytes], half: bool) -> tuple[float, float]:
+    """Return noise and mean of a :class:`Picture`.
+
+    half : whether channels hold half floats
+
+    References: OpenEXR, "Technical Introduction"; its DWA compressor, for the level.
+    """
+    compression = header[b"compression"][0]
+    if compression in (_DWAA, _DWAB):
+        given = header.get(b"dwaCompressionLevel")
+        level = struct.unpack("<f", given)[0] if given else _DWA_LEVEL
+        noise, mean = (each * level / _DWA_LEVEL for each in _DWA_LOSS)
+        return noise, mean
+    if half:
+        return _B44_LOSS if compression in (_B44, _B44A) else (2.0**-11 / 3.0**0.5, 0.0)
+    return (2.0**-16 / 3.0**0.5 if compression == _PXR24 else 0.0), 0.0
 
 
 def _exr_headers(content: bytes) -> list[dict[bytes, bytes]]:
@@ -538,36 +575,48 @@ def _exr_headers(content: bytes) -> list[dict[bytes, bytes]]:
             return headers
 
 
-def _check_exr(path: Path, headers: Sequence[Mapping[bytes, bytes]], of: int) -> None:
-    """Refuse what is no flat image of a part, and what is too large, before OpenEXR reads it."""
+def _exr_channels(header: Mapping[bytes, bytes]) -> dict[str, int]:
+    """Return the number of the kind of each channel's values, by its name."""
+    channels, at, kinds = header[b"channels"], 0, {}
+    while channels[at]:
+        end = channels.index(0, at)
+        kinds[channels[at:end].decode()] = int.from_bytes(channels[end + 1 : end + 5], "little")
+        at = end + 17
+    return kinds
+
+
+def _checked_exr(
+    path: Path, headers: Sequence[Mapping[bytes, bytes]], of: int
+) -> Mapping[bytes, bytes]:
+    """Return the header of a flat image of one part; refuse others, and what is too large, before
+    OpenEXR reads it."""
     if len(headers) > 1:
         raise InputError(f"{path} has {len(headers)} parts: write the one that counts as a file")
     (header,) = headers
     if header.get(b"type", b"").startswith(b"deep"):
         raise InputError(f"{path} is a deep image: flatten it")
-    channels, at, count = header[b"channels"], 0, 0
-    while channels[at]:
-        at, count = channels.index(0, at) + 17, count + 1
+    count = len(_exr_channels(header))
     for name, most in ((b"dataWindow", max(count, 4)), (b"displayWindow", 4)):
         left, top, right, bottom = struct.unpack("<4i", header[name])
         check_pixels(str(path), right - left + 1, bottom - top + 1, 4 * most, of)
+    return header
 
 
-def _in_window(channels: Sequence[NDArray[Any]], header: Mapping[str, Any]) -> NDArray[np.float32]:
-    """Place the channels of an EXR's data window in its display window; 0 around them."""
+def _in_window(pixels: NDArray[Any], header: Mapping[str, Any]) -> NDArray[Any]:
+    """Place the pixels of an EXR's data window in its display window; 0 around them."""
     (left, top), (right, bottom) = np.asarray(header["displayWindow"]).tolist()
-    shown = np.zeros((bottom - top + 1, right - left + 1, len(channels)), dtype=np.float32)
+    size = (bottom - top + 1, right - left + 1)
     corner = np.asarray(header["dataWindow"]).tolist()[0]
     x, y = corner[0] - left, corner[1] - top
-    height, width = channels[0].shape
+    height, width, channels = pixels.shape
+    if (x, y, height, width) == (0, 0, *size):
+        return pixels
+    shown = np.zeros((*size, channels), dtype=pixels.dtype)
     rows = slice(max(y, 0), max(min(y + height, shown.shape[0]), 0))
     columns = slice(max(x, 0), max(min(x + width, shown.shape[1]), 0))
-    for number, values in enumerate(channels):
-        if values.shape != (height, width):
-            raise ValueError("its channels are of several sizes")
-        seen = values[max(-y, 0) :, max(-x, 0) :]
-        place = shown[rows, columns, number]
-        place[:] = seen[: place.shape[0], : place.shape[1]]
+    place = shown[rows, columns]
+    seen = pixels[max(-y, 0) :, max(-x, 0) :]
+    place[:] = seen[: place.shape[0], : place.shape[1]]
     return shown
 
 
@@ -703,5 +752,7 @@ def texels(image: Image, mode: str) -> NDArray[np.uint8]:
     for top in range(0, image.height, _STRIP):
         strip = image.crop((0, top, image.width, min(top + _STRIP, image.height)))
         rows = pixels[top : top + _STRIP]
-        rows[:] = np.asarray(strip.convert(mode)).reshape(rows.shape)
+        rows[:] = np.asarray(strip if strip.mode == mode else strip.convert(mode)).reshape(
+            rows.shape
+        )
     return pixels

@@ -400,6 +400,32 @@ def test_folders(cli, tmp_path):
     assert "no such file" in pairs["same.exr"]["error"]
 
 
+PEAK = """
+import sys
+from facerender.commands import main
+status = main(["compare", *sys.argv[1:]])
+(line,) = (line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+print(status, int(line.split()[1]) >> 10)
+"""
+
+
+def test_folders_take_the_memory_of_one_pair(tmp_path):
+    """MiB; a picture has 16 of them."""
+    told = []
+    for count in (1, 4):
+        folders = [tmp_path / f"{count}{letter}" for letter in "ab"]
+        for folder, value in zip(folders, (0.2, 0.3), strict=True):
+            folder.mkdir()
+            for number in range(count):
+                save_exr(folder / f"{number}.exr", plain(value, 1024), {})
+        command = [sys.executable, "-c", PEAK, *folders, "--report", tmp_path / "a.html"]
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        told.append([int(word) for word in done.stdout.splitlines()[-1].split()])
+    (status, one), (_, four) = told
+    assert status == 1
+    assert four < one + 12
+
+
 def test_mask_file(cli, exr, tmp_path):
     image = plain()
     image[30, 40, :3] = 2.0

@@ -4,6 +4,7 @@ page works in a browser."""
 from __future__ import annotations
 
 import sys
+import time
 from base64 import b64decode
 from html.parser import HTMLParser
 from io import BytesIO
@@ -13,7 +14,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import facerender as fr
 from facerender import InputError
+from facerender.commands import main
+from facerender.comparison import flip, pictures, report
 from facerender.comparison.pairs import Pair
 from facerender.comparison.pictures import save_heat_map
 from facerender.comparison.report import entry, write_report
@@ -110,13 +114,13 @@ class Page(HTMLParser):
 
     def images(self, id: str) -> dict[str | None, np.ndarray]:
         """The pictures of a section by what they show."""
-        found = [a for tag, a, at in self.tags if tag == "img" and at == id]
+        found = [a for tag, a, at in self.tags if tag == "img" and at == id and a["alt"]]
         return {a["alt"]: decode(a["src"] or "") for a in found}
 
 
 def decode(source: str) -> np.ndarray:
     kind, _, data = source.partition(",")
-    assert kind == "data:image/png;base64"
+    assert kind in ("data:image/webp;base64", "data:image/png;base64")
     return np.asarray(Image.open(BytesIO(b64decode(data))))
 
 
@@ -255,6 +259,78 @@ def test_page_without_the_package_for_heat_maps(
     page = Page(tmp_path / "report.html")
     assert list(page.images("pair-0")) == ["a", "b", "difference"]
     assert "pip install 'facerender[measure]'" in page.text["pair-0"]
+
+
+def test_pictures_of_a_page_that_would_be_too_long(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The largest are compressed until the rest fits, and are exact around what they differ in."""
+    rng = np.random.default_rng(1)
+    large, small = (rng.integers(0, 100, (side, side, 3), dtype=np.uint8) for side in (300, 100))
+    entries = []
+    for name, a in (("large", large), ("small", small)):
+        b = a.copy()
+        b[20, 40] = 255
+        entries.append(entry(Pair.of(name, a, b)))
+    monkeypatch.setattr(report, "EXACT", 600_000)
+    write_report(tmp_path / "report.html", entries)
+    page = Page(tmp_path / "report.html")
+    np.testing.assert_array_equal(page.images("pair-1")["a"], small)
+    assert page.images("pair-0")["a"].shape == large.shape
+    assert np.abs(page.images("pair-0")["a"].astype(int) - large).max() > 10
+
+    kinds = [a["class"] for tag, a, _ in page.tags if "viewer" in (a.get("class") or "")]
+    assert kinds == ["viewer compressed", "viewer exact"]
+    crops = [a for tag, a, _ in page.tags if a.get("class") == "near"]
+    assert len(crops) == 4  # of A and of B, around the worst pixel and the worst block
+    np.testing.assert_array_equal(decode(crops[0]["src"]), large[:64, 8:72])
+    sides = dict(part.split(":") for part in crops[0]["style"].split(";"))
+    places = {name: 3.0 * float(side.rstrip("%")) for name, side in sides.items()}
+    assert places == pytest.approx({"left": 8, "top": 0, "width": 64, "height": 64}, abs=0.01)
+    assert (tmp_path / "report.html").stat().st_size < 1_000_000
+
+
+@pytest.mark.parametrize("shape", [(400, 500), (363, 363), (30, 50)])
+def test_small_heat_map_loses_no_firefly(shape: tuple[int, int]) -> None:
+    a = np.full((*shape, 3), 100, dtype=np.uint8)
+    b = a.copy()
+    at = (shape[0] - 2, 7)
+    b[at] = 255
+    small, whole = pictures.small_heat_map(a, b), flip.heat_map(a / 255.0, b / 255.0)
+    assert small[..., 0].size <= pictures.HEAT
+    step = round(shape[0] / len(small))
+    brightest = np.unravel_index(small.sum(axis=-1, dtype=int).argmax(), small.shape[:2])
+    assert tuple(brightest) == (at[0] // step, at[1] // step)
+    assert small.max(axis=(0, 1)).sum() >= whole.max(axis=(0, 1)).sum()
+    if step == 1:
+        np.testing.assert_array_equal(small, whole)
+
+
+def test_picture_that_webp_cannot_hold() -> None:
+    pixels = np.zeros((2, 16384, 3), dtype=np.uint8)
+    pixels[0, ::7] = 200
+    content, kind = pictures.lossless(pixels)
+    assert kind == "png"
+    np.testing.assert_array_equal(pictures.decoded(content), pixels)
+
+
+@pytest.mark.slow
+def test_page_of_a_hundred_pairs(tmp_path: Path, egl) -> None:
+    """At most 60 s of one core and 30 MB, and comparing the pairs is a part of that."""
+    mesh = fr.load_mesh()
+    folders = [tmp_path / name for name in "ab"]
+    with fr.Renderer((512, 512), samples=1, backend=egl) as renderer:
+        for number in range(100):
+            camera = fr.Camera(-60.0 + 1.2 * number, frame="head")
+            for folder, m in zip(folders, (0.3, 0.32), strict=True):
+                folder.mkdir(exist_ok=True)
+                scene = fr.Scene(mesh.with_material(m=m), camera)
+                renderer.render(scene).save(folder / f"{number}.exr")
+    began = time.process_time()
+    report = str(tmp_path / "report.html")
+    assert main(["compare", *map(str, folders), "--report", report, "--json"]) == 1
+    assert time.process_time() - began < 60.0
+    assert (tmp_path / "report.html").stat().st_size < 30_000_000
 
 
 def test_page_is_whole_or_not_there(

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 from random import Random
 
@@ -69,6 +70,36 @@ def test_the_guided_fuzzer_runs(tmp_path: Path) -> None:
     assert int(run.stdout.split()[0]) >= 200
 
 
+HOLDS = """
+from trials.fuzz.worker import following
+with following():
+    from facerender.scenes.framing import find_regions
+from pathlib import Path
+import facerender as fr
+from facerender.scenes.mesh import Mesh
+
+def resident():
+    return int(Path("/proc/self/statm").read_text().split()[1]) >> 8  # MiB
+
+(part,) = fr.load_mesh("tests/data/mini_head.glb").parts
+for count in range(30):
+    mesh = Mesh.from_arrays(part.positions, part.faces)
+    find_regions(mesh)
+    if count == 9:
+        start = resident()
+print(resident() - start)
+"""
+
+
+def test_following_keeps_nothing() -> None:
+    """5 MiB of truth values for each mesh, where Atheris traces comparisons."""
+    require_module("atheris")
+    run = subprocess.run(
+        [sys.executable, "-c", HOLDS], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert int(run.stdout) < 20
+
+
 def too_much(folder: Path) -> None:
     raise FacerenderError("x" * 1000)
 
@@ -109,6 +140,18 @@ def greedy(folder: Path) -> None:
 def test_faults_are_seen(examiner: object, outcome: str, tmp_path: Path) -> None:
     subject = Subject("made up", {"a": b""}, "a", examiner)  # type: ignore[arg-type]
     assert examine(subject, b"", tmp_path / "a").outcome == outcome
+
+
+def test_what_takes_long_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def busy(folder: Path) -> None:
+        start = time.process_time()
+        while time.process_time() - start < 0.2:
+            pass
+
+    subject = Subject("made up", {"a": b""}, "a", busy)
+    for most, outcome in ((0.1, "slow"), (10.0, "clean")):
+        monkeypatch.setattr("trials.fuzz.subjects.SLOW", most)
+        assert examine(subject, b"", tmp_path / "a").outcome == outcome
 
 
 @pytest.mark.parametrize("value", [0.0, np.nan])

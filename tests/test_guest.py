@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import warnings
+import weakref
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from hashlib import blake2b
@@ -19,12 +20,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from trimesh.caching import TrackedArray
 
 import facerender as fr
 from facerender.drawing import context as contexts
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.evaluate import Evaluator
-from tests.awkward_files import MINI_HEAD
+from tests.awkward_files import (
+    MINI_HEAD,
+    Head,
+    mini_head,
+    write_glb,
+    write_ply,
+    write_stl,
+    write_textured_obj,
+)
 
 ROOT = Path(__file__).parents[1]
 
@@ -234,6 +244,44 @@ def test_dropped_renderers_free_what_they_have(backend):
     assert [warning.category for warning in told] == [ResourceWarning] * 24
     assert "dropped without release(): make it in a with statement" in str(told[0].message)
     assert held[2] - held[1] < 16  # 12 MiB each, before they were freed
+
+
+@pytest.mark.parametrize("write", [write_glb, write_textured_obj, write_ply, write_stl])
+def test_what_a_file_was_read_to_goes_with_its_mesh(
+    write: Callable[[Path, Head], Path], tmp_path: Path
+) -> None:
+    """Also where the garbage collector does not come; of trimesh its arrays are looked at."""
+
+    def held() -> int:
+        return sum(isinstance(each, fr.Texture | TrackedArray) for each in gc.get_objects())
+
+    kind = write.__name__.rpartition("_")[2]
+    path = write(tmp_path / f"a.{kind}", mini_head())
+    gc.collect()
+    gc.disable()
+    try:
+        before = held()
+        mesh = fr.load_mesh(path)
+        texture = mesh.materials[0].albedo_map
+        assert held() == before + (texture is not None)
+        del mesh, texture
+        assert held() == before
+    finally:
+        gc.enable()
+
+
+@pytest.mark.parametrize("shading", [fr.Shading(), fr.Shading(m=0.3)], ids=["own m", "one m"])
+def test_meshes_that_are_dropped_go(shading: fr.Shading, backend):
+    """With their parts and maps, and what was made of them, while the renderer stays."""
+    with fr.Renderer((64, 64), backend=backend) as renderer:
+        mesh = fr.load_mesh(MINI_HEAD)
+        for each in (mesh, fr.simplified(mesh, 500)):
+            renderer.render(fr.Scene(each, fr.Camera(frame="face")), shading)
+        held = [mesh, each, *mesh.parts, *each.parts, mesh.materials[0].albedo_map]
+        known = [weakref.ref(one) for one in held]
+        del mesh, each, held
+        gc.collect()
+        assert [one() for one in known] == [None] * len(known)
 
 
 def test_a_renderer_that_is_dropped_while_another_draws(backend, monkeypatch):

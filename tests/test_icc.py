@@ -20,6 +20,7 @@ from tests.test_cli import Capture, Cli
 SRGB = ((0.4361, 0.2225, 0.0139), (0.3851, 0.7169, 0.0971), (0.1431, 0.0606, 0.7141))
 DISPLAY_P3 = ((0.5151, 0.2412, -0.0011), (0.2919, 0.6922, 0.0419), (0.1572, 0.0666, 0.7841))
 WHITE = (0.9642, 1.0, 0.8249)
+OF_MONITOR = (0.9505, 1.0, 1.0891)  # the white that profiles of version 2 tell, as HP's sRGB does
 CURVE = np.round(65535 * srgb_to_linear(np.linspace(0.0, 1.0, 1024)))
 GAMMA_2_2, GAMMA_1_8 = (np.array([round(256 * gamma)]) for gamma in (2.2, 1.8))
 
@@ -34,7 +35,7 @@ def profile(name: str, space: str, curve: np.ndarray, *primaries: tuple[float, .
     curves = b"curv\0\0\0\0" + struct.pack(f">I{curve.size}H", curve.size, *curve.astype(int))
     tags = {
         b"desc": b"desc\0\0\0\0" + struct.pack(">I", len(text)) + text + bytes(78),
-        b"wtpt": xyz(WHITE),
+        b"wtpt": xyz(OF_MONITOR),
         **{key: xyz(of) for key, of in zip((b"rXYZ", b"gXYZ", b"bXYZ"), primaries, strict=False)},
         **dict.fromkeys((b"rTRC", b"gTRC", b"bTRC") if primaries else (b"kTRC",), curves),
     }

@@ -253,6 +253,18 @@ def test_degenerate_and_duplicated_faces(tmp_path: Path, control: fr.Mesh, draw:
     assert np.abs(draw(mesh) - draw(control)).mean() < 1e-3
 
 
+@pytest.mark.parametrize("end", ["-8e25 1.4 0", "0 1e-170 0"], ids=["far out", "thin"])
+def test_a_face_whose_area_rounds_to_nothing(end: str, tmp_path: Path) -> None:
+    """Be it that its first corner or its last is where the cross product is measured."""
+    path = tmp_path / "a.obj"
+    places = [end, "0 0 0", "1 0 0", "0 1 0", "0 0 1"]
+    path.write_text("".join(f"v {place}\n" for place in places) + "f 1 2 3\nf 3 2 1\nf 2 3 4\n")
+    with pytest.warns(fr.FacerenderWarning) as told:
+        mesh = fr.load_mesh(path)
+    assert "a.obj has 2 degenerate faces: dropped" in [str(each.message) for each in told]
+    assert len(mesh.parts[0].faces) == 1
+
+
 @pytest.mark.parametrize(
     ("scale", "offset"), [(1e3, 1e6), (1e-6, 0.0), (1e12, 0.0)], ids=["mm", "micrometre", "huge"]
 )

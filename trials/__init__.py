@@ -1,2 +1,2 @@
 """What both the tests and the documents measure: cases of every shader function, the targets they
-run on, renders broken on purpose, the scenes of the plans, and the head scan."""
+run on, renders broken on purpose, pairs of images, the scenes of the plans, and two heads."""

@@ -19,6 +19,7 @@ LIMITED = {
     "block": "change of the mean of a block, as a share",
     "trend": "how far neighbouring blocks change alike",
     "grain": "noise that the image has more, as a share",
+    "texture": "fine detail that the image has more, or less, as a share",
     "coverage": "share of the pixels whose coverage changed",
     "shift": "pixels by which the image is moved",
 }
@@ -75,9 +76,10 @@ def run(options: argparse.Namespace) -> int:
     read = [path for _, *paths in names for path in paths]
     check_outputs([options.heatmap, options.report], [*read, options.mask, options.limits])
     results, entries, status = [], [], 0
+    all_pairs = f"{len(names)} pairs" if len(names) > 1 else "a pair"
     with steps(options) as progress:
         for number, name in enumerate(names):
-            progress(f"{len(names)} pairs", number / len(names))
+            progress(all_pairs, number / len(names))
             pair = Pair.of(*name, kept, mask=mask, **limits)
             status = max(status, pair.status)
             results.append(pair.as_dict())
@@ -87,6 +89,8 @@ def run(options: argparse.Namespace) -> int:
                 say(f"facerender: error: {pair.error}")
             elif not options.json:
                 tell(f"{pair.name}: {pair.comparison}")
+            if not options.heatmap:
+                del pair  # before the next one is read
         if options.report:
             progress("report", 0.0)
             write_report(options.report, entries)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,44 +56,52 @@ LINEAR = Scale(5e-4, 0.1, 0.3, 0.015, 5e-5, 2.0, 2.8e-3)
 STEPS = Scale(0.3, 0.1, 30.0, 10.0, 0.01, 0.8, 0.3)
 
 
-def cells(values: Float | Mask) -> NDArray[np.float64]:
+def cells(values: Float | Mask) -> NDArray[np.float32]:
     """Return the sums over cells of 4 x 4 pixels, those beyond the border being 0."""
-    height, width = values.shape
-    if height % _CELL or width % _CELL:
-        values = np.pad(values, ((0, -height % _CELL), (0, -width % _CELL)))
-        height, width = values.shape
-    rows = values.reshape(height // _CELL, _CELL, width).sum(axis=1, dtype=np.float32)
-    return rows.reshape(*rows.shape[:1], width // _CELL, _CELL).sum(axis=2, dtype=np.float64)
+    padding = [(0, -side % _CELL) for side in values.shape]
+    padded = np.pad(values, padding) if np.any(padding) else values
+    height, width = (side // _CELL for side in padded.shape)
+    rows = padded.reshape(height, _CELL, width * _CELL).sum(axis=1, dtype=np.float32)
+    # NumPy is slow along a short last axis.
+    return np.asarray(sum(rows[:, column::_CELL] for column in range(_CELL)))
 
 
-def blocks(of_cells: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the sums over blocks, of sums (..., H, W) over cells."""
+def blocks(of_cells: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the sums over blocks, of sums (H, W) over cells."""
     side = BLOCK // _CELL
-    height, width = of_cells.shape[-2:]
-    padding = [(0, 0)] * (of_cells.ndim - 2) + [(0, -height % side), (0, -width % side)]
-    padded = np.pad(of_cells, padding)
-    *more, height, width = padded.shape
-    return np.asarray(
-        padded.reshape(*more, height // side, side, width // side, side).sum(axis=(-3, -1))
-    )
+    padded = np.pad(of_cells, [(0, -each % side) for each in of_cells.shape])
+    height, width = (each // side for each in padded.shape)
+    return np.asarray(padded.reshape(height, side, width, side).sum(axis=(1, 3), dtype=np.float64))
 
 
 @dataclass(frozen=True)
 class Sums:
-    """What a strip of the images comes to, over cells of 4 x 4 pixels: (H, W), or (C, H, W) of
-    every channel. A pixel's change and level are divided by its level, the largest of its channels;
-    in steps of 8 bits by 1."""
+    """What a strip of the images comes to: (H, W) over cells of 4 x 4 pixels, the mean of the
+    channels, and over blocks. A pixel's change and level are divided by its level, the largest of
+    its channels; in steps of 8 bits by 1.
 
-    pixels: NDArray[np.float64]  # that count
-    weight: NDArray[np.float64]
-    change: NDArray[np.float64]  # times the weight, as are the others
-    across: NDArray[np.float64]  # by a displacement of a pixel
-    down: NDArray[np.float64]
-    level: NDArray[np.float64]
-    flat: NDArray[np.float64]  # pixels that count for the grain
-    # Squares of what channels share, of the difference, reference and image; of what they do not.
+    Attributes
+    ----------
+    weight : of the pixels in each cell
+    change : times the weight, as are the others
+    across, down : the change that a displacement by a pixel makes
+    channels : (C, 4, H, W) over blocks: change, across, down and level of each channel
+    pixels : (2, H, W) over blocks: that count, and that count for the grain
+    grain : (4, H, W) over blocks, from one pixel to the next where they are flat: squares of what
+        the channels share, of the difference, reference and image; of what they do not
+    texture : (2, H, W) over blocks: such squares of reference and image in all pixels that count
+    normal : (2, 3), least squares for the displacement
+    """
+
+    weight: NDArray[np.float32]
+    change: NDArray[np.float32]
+    across: NDArray[np.float32]
+    down: NDArray[np.float32]
+    channels: NDArray[np.float64]
+    pixels: NDArray[np.float64]
     grain: NDArray[np.float64]
-    normal: NDArray[np.float64]  # (2, 3): least squares for the displacement
+    texture: NDArray[np.float64]
+    normal: NDArray[np.float64]
 
     @classmethod
     def of(cls, a: Float, b: Float, inside: Mask, rows: slice, scale: Scale) -> Sums:
@@ -102,11 +109,9 @@ class Sums:
 
         inside : (H, W), where an edge of the coverage is not near
         """
-        channels = a.shape[2]
-        planes = [
-            [np.ascontiguousarray(image[..., i]) for i in range(channels)] for image in (a, b)
-        ]
-        means = [sum(each) / np.float32(channels) for each in planes]
+        count = a.shape[2]
+        planes = [[np.ascontiguousarray(image[..., i]) for i in range(count)] for image in (a, b)]
+        means = [np.add.reduce(each) / np.float32(count) for each in planes]
         steps = [_steps(mean) for mean in means]
         steepest = filtered(np.maximum(*steps), np.maximum)
         level: Float = np.ones((1, 1), np.float32)
@@ -114,34 +119,35 @@ class Sums:
             level = np.maximum.reduce([*planes[0], *planes[1], np.full_like(means[0], FLOOR)])
         counts = inside & (steepest < np.float32(scale.edge) * level)
         flat = inside & (np.minimum(*steps) < np.float32(scale.flat) * level)
-        flat = filtered(flat, np.minimum)[rows]
+        flat, counted = filtered(flat, np.minimum)[rows], counts[rows]
         noise = scale.noise**2 + np.square(np.float32(scale.slope) * steepest / level)
         weight = (counts / noise / level).astype(np.float32)[rows]
         level = level if scale is STEPS else level[rows]
         inverse = weight / level
         normal = np.zeros((2, 3))
-        of_channels = []
+        of_cells, of_blocks = [], []
         for x, y in zip(*planes, strict=True):
             middle, change = np.float32(0.5) * (x + y), (y - x)[rows]
             slopes = [_slope(middle, axis)[rows] for axis in (1, 0)]
             weighted = [inverse * slope for slope in slopes]
             normal += [[np.vdot(each, other) for other in (*slopes, change)] for each in weighted]
             parts = (change, *slopes, np.abs(x[rows]))
-            of_channels.append([cells(weight * part) for part in parts])
+            of_cells.append([cells(weight * part) for part in parts])
+            of_blocks.append([blocks(each) for each in of_cells[-1]])
+        change, across, down, _ = np.mean(of_cells, axis=0)
         fine = [[_fine(plane[rows]) / level for plane in each] for each in planes]
         apart = [y - x for x, y in zip(*fine, strict=True)]
         squares = [_common(each) for each in (apart, *fine)]
-        own = sum(np.square(each) for each in apart) / np.float32(channels) - squares[0]
-        change, across, down, absolute = np.stack(of_channels, axis=1)
+        own = sum(np.square(each) for each in apart) / np.float32(count) - squares[0]
         return cls(
-            cells(counts[rows]),
             cells(weight * level),
             change,
             across,
             down,
-            absolute,
-            cells(flat),
-            np.stack([cells(flat * square) for square in (*squares, own)]),
+            np.stack(of_blocks),
+            np.stack([blocks(cells(each)) for each in (counted, flat)]),
+            np.stack([blocks(cells(flat * each)) for each in (*squares, own)]),
+            np.stack([blocks(cells(counted * each)) for each in squares[1:]]),
             normal,
         )
 
@@ -149,7 +155,8 @@ class Sums:
     def joined(cls, strips: list[Sums]) -> Sums:
         """Return the sums of strips that lie below each other."""
         *parts, normals = zip(*(vars(strip).values() for strip in strips), strict=True)
-        return cls(*(np.concatenate(part, axis=-2) for part in parts), sum(normals))
+        joined = [np.concatenate(part, axis=-2) for part in parts]
+        return cls(*joined, np.add.reduce(normals))  # type: ignore[call-arg]
 
 
 @dataclass(frozen=True)
@@ -177,43 +184,49 @@ class Evidence:
         x, y = np.linalg.solve(normal + ridge * np.eye(2), -change)
         return float(x), float(y)
 
+    def _settled(
+        self, change: NDArray[np.floating], across: NDArray[np.floating], down: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
+        """Return a change less what the displacement explains."""
+        x, y = self.shift
+        factor = min(1.0, self.moved / max(float(np.hypot(x, y)), 1e-12))
+        return np.asarray(change + factor * (x * across + y * down))
+
     @cached_property
     def _changes(self) -> NDArray[np.float64]:
-        """Of every channel in every cell, less what a displacement explains, times the weight."""
-        x, y = self.shift
-        factor = min(1.0, self.moved / max(np.hypot(x, y), 1e-12))
-        return self.sums.change + factor * (x * self.sums.across + y * self.sums.down)
+        """Of each cell, of all channels, times the weight."""
+        return self._settled(self.sums.change, self.sums.across, self.sums.down)
 
     @cached_property
     def judged(self) -> Mask:
         """Blocks that have enough pixels, in enough cells."""
-        return (self._cells > _CELL) & (blocks(self.sums.pixels) >= LEAST)
+        return np.asarray((self._cells > _CELL) & (self.sums.pixels[0] >= LEAST))
 
     @cached_property
     def changed(self) -> Mask:
         """Blocks that are judged, and not the same: a background says nothing."""
-        return self.judged & (self.change != 0.0)
+        return np.asarray(self.judged & (self.change != 0.0))
 
     @cached_property
     def _weight(self) -> NDArray[np.float64]:
-        return np.maximum(blocks(self.sums.weight), 1e-12)
+        return np.asarray(np.maximum(blocks(self.sums.weight), 1e-12))
 
     @cached_property
     def _cells(self) -> NDArray[np.float64]:
         """How many cells a block has, by their weight."""
-        return self._weight**2 / np.maximum(blocks(self.sums.weight**2), 1e-12)
+        return np.asarray(self._weight**2 / np.maximum(blocks(self.sums.weight**2), 1e-12))
 
     @cached_property
     def change(self) -> NDArray[np.float64]:
         """Of each block's mean, of all channels."""
-        return blocks(self._changes.mean(axis=0)) / self._weight
+        return blocks(self._changes) / self._weight
 
     @cached_property
     def error(self) -> NDArray[np.float64]:
         """Standard error of it."""
         weight, side = self.sums.weight, BLOCK // _CELL
         mean = np.repeat(np.repeat(self.change, side, axis=0), side, axis=1)
-        apart = self._changes.mean(axis=0) - weight * mean[: weight.shape[0], : weight.shape[1]]
+        apart = self._changes - weight * mean[: weight.shape[0], : weight.shape[1]]
         scatter = blocks(np.square(apart)) / self._weight**2
         scatter *= self._cells / np.maximum(self._cells - 1.0, 1.0)
         least = self.scale.error**2 + self.scale.grain**2 * self._grains[0]
@@ -225,25 +238,23 @@ class Evidence:
     def channels(self) -> NDArray[np.float64]:
         """How the mean of each block changed in its worst channel, relative to that mean, or in
         steps; NaN where it is not judged, 0 where it is within three standard errors."""
-        changes = blocks(self._changes)
-        of = self._weight
-        if self.scale is LINEAR:
-            of = np.maximum(blocks(self.sums.level), _CHANNEL * of)
-        relative = changes / of
+        change, across, down, level = np.moveaxis(self.sums.channels, 1, 0)
+        of = np.maximum(level, _CHANNEL * self._weight) if self.scale is LINEAR else self._weight
+        relative = self._settled(change, across, down) / of
         worst = np.abs(relative).argmax(axis=0)
         result = np.take_along_axis(relative, worst[None], axis=0)[0]
         result[np.abs(self.change) < 3.0 * self.error] = 0.0
         result[~self.judged] = np.nan
-        return result
+        return np.asarray(result)
 
     @cached_property
     def _grains(self) -> NDArray[np.float64]:
         """Medians over blocks of the sums' grain, pixel by pixel where they are flat."""
-        flat = blocks(self.sums.flat)
+        flat = self.sums.pixels[1]
         counts = (flat >= LEAST) & self.changed
         if counts.sum() < _FEW:
             return np.zeros(4)
-        return np.median(blocks(self.sums.grain)[:, counts] / flat[counts], axis=1).clip(0.0)
+        return np.median(self.sums.grain[:, counts] / flat[counts], axis=1).clip(0.0)
 
     @property
     def grain(self) -> float:
@@ -254,6 +265,16 @@ class Evidence:
         more = image - reference
         common = np.copysign(np.sqrt(min(abs(more), difference)), more)
         return float(max(common, np.sqrt(own) if self.scale is LINEAR else 0.0, key=abs))
+
+    @cached_property
+    def texture(self) -> float:
+        """By which share the image has more variance from pixel to pixel than the reference, of
+        both together: the median over blocks."""
+        if self.changed.sum() < _FEW:
+            return 0.0
+        one, other = self.sums.texture[:, self.changed]
+        least = (2.0 * self.scale.noise) ** 2 * self.sums.pixels[0][self.changed]
+        return float(np.median((other - one) / (one + other + least)))
 
     @property
     def gain(self) -> float:

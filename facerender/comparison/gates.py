@@ -28,7 +28,7 @@ MARGIN = 2  # pixels from the edge of the coverage, where a block does not look
 FADED = 0.2  # excess of coverage that counts as changed
 FULL = 0.99  # coverage from which a pixel is inside: half floats and filters miss 1
 HIGHEST = 1e30  # of values, whose differences and sums are finite then
-_STRIP = 16 * BLOCK  # rows that are compared at once
+_STRIP = 1 << 18  # pixels that are compared at once: what lies in caches, in whole blocks
 _HALO = 8  # rows beyond a strip that its pixels are compared with
 
 Comparable = Picture | Frame | NDArray[Any] | str | os.PathLike[str]
@@ -47,6 +47,7 @@ class Limits:
         change it is 0
     grain : RMS from one pixel to the next that the image may have more than the reference, and half
         of what it may have less; relative to the level, or steps
+    texture : share of the variance from one pixel to the next that was added or lost, in [0, 1]
     coverage : share of all pixels whose coverage changed, in [0, 1]
     shift : pixels by which the whole image may be displaced
     """
@@ -55,6 +56,7 @@ class Limits:
     block: float
     trend: float = 0.15
     grain: float = 9e-4
+    texture: float = 0.01
     coverage: float = 0.005
     shift: float = MOVED
 
@@ -90,7 +92,9 @@ class Comparison:
     block, block_at : change of the worst block's mean, and its top left pixel
     blocks, blocks_judged : blocks over the limit, and all that have enough pixels
     trend, surety : of the blocks' changes, and the trend over its standard error
-    grain : RMS from one pixel to the next that the image has more, or less, than the reference
+    grain : RMS from one pixel to the next that the image has more, or less, than the reference,
+        where they are flat
+    texture : the same of variances, where they need not be, as a share of both
     gain : by how much the image is brighter where it is smooth: relative, or steps
     shift : pixels by which the image lies to the right of the reference, and below it
     coverage : share of the pixels whose coverage changed; 0 without an alpha channel
@@ -114,6 +118,7 @@ class Comparison:
     trend: float
     surety: float
     grain: float
+    texture: float
     gain: float
     shift: tuple[float, float]
     coverage: float
@@ -145,6 +150,7 @@ def compare(
     block: float | None = None,
     trend: float | None = None,
     grain: float | None = None,
+    texture: float | None = None,
     coverage: float | None = None,
     shift: float | None = None,
     mask: NDArray[Any] | None = None,
@@ -155,9 +161,9 @@ def compare(
     ----------
     reference, image : a :class:`Frame`; an array (H, W, 3 or 4), linear float or 8-bit sRGB, its
         fourth channel being coverage; or the path of a .exr, .npz, .npy, .png or .jpg file
-    point, block, trend, grain, coverage, shift : limits of the gates, see :class:`Limits`; without,
-        those of :data:`LIMITS` for the images' encoding. On one driver and with float textures a
-        block limit of 1e-3 holds
+    point, block, trend, grain, texture, coverage, shift : limits of the gates, see
+        :class:`Limits`; without, those of :data:`LIMITS` for the images' encoding. On one driver
+        and with float textures a block limit of 1e-3 holds
     mask : (H, W), not 0 where the images count; without, everywhere. Every value must be finite
 
     Raises
@@ -177,18 +183,20 @@ def compare(
     if counts is not None and not counts.any():
         raise InputError("the mask is 0 everywhere: nothing would be compared")
     given = {"point": point, "block": block, "trend": trend, "grain": grain}
-    given |= {"coverage": coverage, "shift": shift}
+    given |= {"texture": texture, "coverage": coverage, "shift": shift}
     said = {name: value for name, value in given.items() if value is not None}
     limits = replace(LIMITS[a.encoding], **said)
     foreign = _foreign((reference, image), (a, b))
     if a.encoding == "srgb8":
         a, b = a.encoded_as(b), b.encoded_as(a)
 
+    tall = max(_STRIP // width // BLOCK, 1) * BLOCK
+
     def strip(top: int) -> _Strip:
-        return _Strip.of(a, b, counts, top, limits)
+        return _Strip.of(a, b, counts, slice(top, min(top + tall, height)), limits)
 
     with ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
-        strips = list(pool.map(strip, range(0, height, _STRIP)))
+        strips = list(pool.map(strip, range(0, height, tall)))
     sums = Sums.joined([each.sums for each in strips])
     scale = LINEAR if a.encoding == "linear" else STEPS
     evidence = Evidence(sums, scale, foreign, limits.shift)
@@ -214,6 +222,7 @@ def compare(
         trend=evidence.trend,
         surety=evidence.surety,
         grain=evidence.grain,
+        texture=evidence.texture,
         gain=evidence.gain,
         shift=evidence.shift,
         coverage=sum(each.faded for each in strips) / (height * width),
@@ -248,10 +257,9 @@ class _Strip:
     total: float
 
     @classmethod
-    def of(cls, a: Picture, b: Picture, counts: Mask | None, top: int, limits: Limits) -> _Strip:
-        bottom = min(top + _STRIP, a.pixels.shape[0])
-        around = slice(max(top - _HALO, 0), min(bottom + _HALO, a.pixels.shape[0]))
-        own = slice(top - around.start, bottom - around.start)
+    def of(cls, a: Picture, b: Picture, counts: Mask | None, rows: slice, limits: Limits) -> _Strip:
+        around = slice(max(rows.start - _HALO, 0), min(rows.stop + _HALO, a.pixels.shape[0]))
+        own = slice(rows.start - around.start, rows.stop - around.start)
         (color_a, alpha_a), (color_b, alpha_b) = a.rows(around), b.rows(around)
         relative = a.encoding == "linear"
         counted = np.ones(alpha_a.shape, dtype=bool) if counts is None else counts[around]
@@ -281,7 +289,7 @@ class _Strip:
             over.astype(np.int8),
             float(beyond[row, column]),
             float(value[row, column]),
-            (int(column), top + int(row)),
+            (int(column), rows.start + int(row)),
             int((black & counted)[own].sum()),
             faded,
             float(apart.max(initial=0.0)),
@@ -303,8 +311,6 @@ def _foreign(given: tuple[Comparable, Comparable], pictures: tuple[Picture, Pict
     """Return whether another driver drew the image. Files that do not say so are of nobody known,
     arrays of whoever drew what they are compared with."""
     if any(isinstance(each, np.ndarray) for each in given):
-        return False
-    if all(picture.metadata.get("albedo") == "RGBA16F" for picture in pictures):
         return False
     one, other = (
         [picture.metadata.get(name) for name in ("GL_RENDERER", "GL_VERSION")]
@@ -346,7 +352,7 @@ def _check_alike(a: Picture, b: Picture) -> None:
 def _check_finite(picture: Picture) -> None:
     if picture.encoding == "srgb8":
         return
-    good = np.abs(picture.pixels) <= HIGHEST
+    good = np.abs(picture.pixels) <= np.float32(HIGHEST)  # which half floats would not hold
     if good.all():
         return
     row, column, channel = np.unravel_index(int(good.argmin()), good.shape)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+from base64 import b64decode
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from html import escape
 
 import numpy as np
@@ -20,7 +21,10 @@ from facerender.page.document import document, image_source, row, table
 
 VERDICTS = {1: "differs", 2: "error", 0: "same"}  # by status, in the page's order
 INDEX = "\N{SYMBOL FOR UNIT SEPARATOR}"  # in no name
+PICTURE = "\N{SYMBOL FOR RECORD SEPARATOR}"  # nor this
 THUMBNAIL = 160  # pixels a side
+EXACT = 25_000_000  # characters of a page up to which A and B are exact
+SEEN = 64  # pixels a side of what is exact around a place in a page that would be longer
 MODES = ("side by side", "blink", "slider", "difference")
 
 
@@ -31,18 +35,35 @@ class Entry:
     Attributes
     ----------
     name, status : of the pair
-    row, section : of the page; INDEX in them stands for the entry's number
+    row, section : of the page; INDEX in them stands for the entry's number, PICTURE and a letter
+        for a picture, PICTURE alone for how they are held
+    pictures : A and B as URLs of themselves, by their letters
+    places : x and y of what is exact in them in any page
     """
 
     name: str
     status: int
     row: str
     section: str
+    pictures: Mapping[str, str] = field(default_factory=dict)
+    places: Sequence[Sequence[int]] = ()
 
 
 def entry(pair: Pair) -> Entry:
     """Return what the page says of a pair."""
-    return Entry(pair.name, pair.status, _row(pair), _section(pair))
+    images = {"a": pair.reference, "b": pair.image} if pair.status else {}
+    large = any(
+        image.pixels[..., 0].size > pictures.MOST_SHOWN for image in images.values() if image
+    )
+    seen = {key: pictures.shown(image) for key, image in images.items() if image and not large}
+    return Entry(
+        name=pair.name,
+        status=pair.status,
+        row=_row(pair),
+        section=_section(pair, seen, large),
+        pictures={key: _source(pixels) for key, pixels in seen.items()},
+        places=[_centre(place) for place in _places(pair).values()] if seen else [],
+    )
 
 
 def write_report(path: str | os.PathLike[str], entries: Sequence[Entry]) -> None:
@@ -71,10 +92,13 @@ weight that changed; noise averages out.</dd>
 <dt>coverage</dt>
 <dd>The share of the pixels whose coverage, the alpha channel, changed.</dd>
 <dt>heat map</dt>
-<dd>FLIP: what the eye sees when the images alternate, from black for nothing to pale yellow.</dd>
+<dd>FLIP: what the eye sees when the images alternate, from black for nothing to pale yellow. Of
+several pixels of a large image it sees the one that differs most.</dd>
 <dt>pictures</dt>
 <dd>Linear radiance 1 is white; black lies behind transparency; magenta is not finite. A click on a
-picture enlarges a place, the arrow keys move it, another click shows the whole.</dd>
+picture enlarges a place, the arrow keys move it, another click shows the whole. In a page of very
+many pairs, A and B are compressed where that is written above them, and exact around the marks
+alone; the difference is exact.</dd>
 </dl>
 </section>"""
 
@@ -90,10 +114,51 @@ def _page(entries: Sequence[Entry]) -> str:
     words = {1: "differs" if counts[1] == 1 else "differ", 2: "not comparable", 0: "the same"}
     title = ", ".join(f"{counts[key]} {word}" for key, word in words.items() if counts[key])
     rows = (entry.row.replace(INDEX, str(number)) for number, entry in enumerate(ranked))
-    sections = (entry.section.replace(INDEX, str(number)) for number, entry in enumerate(ranked))
+    compressed = _to_compress(ranked)
+    sections = (
+        _with_pictures(entry, number in compressed).replace(INDEX, str(number))
+        for number, entry in enumerate(ranked)
+    )
     summary = table("names", ("pair", "verdict", "point", "block", "coverage"), rows)
     body = f"{summary}{''.join(sections)}{_NOTES}"
     return document(f"Comparison: {title}", body, "viewer.js")
+
+
+def _to_compress(entries: Sequence[Entry]) -> set[int]:
+    """Return numbers of entries, those of the largest pictures, without which the page is no longer
+    than EXACT."""
+    sizes = [sum(map(len, entry.pictures.values())) for entry in entries]
+    left = sum(sizes) + sum(len(entry.section) for entry in entries)
+    chosen = set()
+    for number in sorted(range(len(entries)), key=lambda number: -sizes[number]):
+        if left <= EXACT:
+            break
+        chosen.add(number)
+        left -= sizes[number]
+    return chosen
+
+
+def _with_pictures(entry: Entry, compressed: bool) -> str:
+    """Return an entry's section with A and B in it."""
+    section = entry.section
+    for letter, source in entry.pictures.items():
+        images = _compressed(source, letter, entry.places) if compressed else _image(source, letter)
+        section = section.replace(PICTURE + letter, images)
+    return section.replace(PICTURE, "compressed" if compressed else "exact")
+
+
+def _compressed(source: str, letter: str, places: Iterable[Sequence[int]]) -> str:
+    """Return a picture compressed with loss, and what lies around some places over it."""
+    pixels = pictures.decoded(b64decode(source.partition(",")[2]))
+    height, width = pixels.shape[:2]
+    images = _image(image_source(pictures.lossy(pixels), "webp"), letter)
+    for x, y in places:
+        left, top = max(x - SEEN // 2, 0), max(y - SEEN // 2, 0)
+        crop = pixels[top : top + SEEN, left : left + SEEN]
+        down, across = crop.shape[:2]
+        style = _box(left / width, top / height, across / width, down / height)
+        images += f'<img class="near" style="{style}" src="{_source(crop)}" alt="">'
+    return images
 
 
 def _row(pair: Pair) -> str:
@@ -103,7 +168,7 @@ def _row(pair: Pair) -> str:
     return row(name, [_verdict(pair), *figures], VERDICTS[pair.status])
 
 
-def _section(pair: Pair) -> str:
+def _section(pair: Pair, seen: Mapping[str, pictures.Bytes], large: bool) -> str:
     title = f"{escape(pair.name)} {_verdict(pair)}"
     gates = "" if pair.comparison is None else _gate_table(pair.comparison)
     tables = f'<div class="tables">{gates}{_facts(pair)}</div>'
@@ -117,7 +182,7 @@ def _section(pair: Pair) -> str:
     said = "".join(f"<li>{escape(reason)}</li>" for reason in reasons)
     return (
         f'<section id="pair-{INDEX}" class="{VERDICTS[pair.status]}"><h2>{title}</h2>'
-        f'<ul class="reasons">{said}</ul>{_viewer(pair)}{tables}</section>'
+        f'<ul class="reasons">{said}</ul>{_viewer(pair, seen, large)}{tables}</section>'
     )
 
 
@@ -199,34 +264,34 @@ def _fact(picture: Picture) -> dict[str, str]:
     return {"image": picture.name, "pixels": pixels, **space, **converted, **picture.metadata}
 
 
-def _viewer(pair: Pair) -> str:
+def _viewer(pair: Pair, seen: Mapping[str, pictures.Bytes], large: bool) -> str:
     """Show the images there are, and how they differ if they could be compared."""
-    places = _places(pair)
-    a, b = pair.reference, pair.image
-    if any(each.pixels[..., 0].size > pictures.MOST_SHOWN for each in (a, b) if each):
+    if large:
         return (
             f'<p class="note">Images of more than {pictures.MOST_SHOWN} pixels are not shown.</p>'
         )
-    both = (("a", "<b>A</b> reference", a), ("b", "<b>B</b> image", b))
+    places = _places(pair)
+    captions = {"a": "<b>A</b> reference", "b": "<b>B</b> image"}
     figures = [
-        _figure(kind, caption, pictures.shown(picture), places)
-        for kind, caption, picture in both
-        if picture
+        _figure(kind, captions[kind], pixels.shape, PICTURE + kind, places)
+        for kind, pixels in seen.items()
     ]
     if not figures:
         return ""
     controls = ""
-    if a and b and pair.comparison is not None:
+    if pair.reference and pair.image and pair.comparison is not None:
         controls = _choices("view", {mode: mode for mode in MODES})
+        shape = seen["a"].shape
         try:
-            heat = pictures.heat_map(a, b)
-            figures.append(_figure("heat", "<b>heat map</b> of FLIP", heat, places))
+            heat = _image(_source(pictures.small_heat_map(seen["a"], seen["b"])), "heat")
+            figures.append(_figure("heat", "<b>heat map</b> of FLIP", shape, heat, places))
         except InputError as error:
             figures.append(f'<p class="heat note">{escape(str(error))}</p>')
-        difference, largest = pictures.difference(a, b)
+        apart, largest = pictures.difference(pair.reference, pair.image)
         caption = _legend(largest, pair.comparison.encoding)
-        figures.append(_figure("difference", caption, difference, places))
-    centres = {name: f"{x + side // 2},{y + side // 2}" for name, (x, y, side) in places.items()}
+        difference = _image(_source(apart), "difference")
+        figures.append(_figure("difference", caption, shape, difference, places))
+    centres = {name: "{},{}".format(*_centre(place)) for name, place in places.items()}
     if places:
         controls += _choices("zoom", {"whole": "", **centres})
         controls += '<label><input type="checkbox" class="marks" checked>marks</label>'
@@ -235,7 +300,7 @@ def _viewer(pair: Pair) -> str:
     if controls:
         controls = f'<div class="controls">{controls}</div>'
     return (
-        f'<div class="viewer">{controls}'
+        f'<div class="viewer {PICTURE}">{controls}'
         '<div class="stage" tabindex="0" role="group" aria-label="images; arrow keys move what is'
         f' enlarged">{"".join(figures)}</div></div>'
     )
@@ -257,26 +322,45 @@ def _places(pair: Pair) -> dict[str, tuple[int, int, int]]:
     return places
 
 
+def _centre(place: tuple[int, int, int]) -> tuple[int, int]:
+    x, y, side = place
+    return x + side // 2, y + side // 2
+
+
 def _figure(
-    kind: str, caption: str, pixels: pictures.Bytes, places: Mapping[str, tuple[int, int, int]]
+    kind: str,
+    caption: str,
+    shape: Sequence[int],
+    images: str,
+    places: Mapping[str, tuple[int, int, int]],
 ) -> str:
-    height, width = pixels.shape[:2]
+    height, width = shape[:2]
     marks = ""
     for x, y, side in places.values():
-        middle = 0.5 if side == 1 else 0.0
-        at = f"left:{100 * (x + middle) / width:.3f}%;top:{100 * (y + middle) / height:.3f}%"
-        if side > 1:
-            at += f";width:{100 * side / width:.3f}%;height:{100 * side / height:.3f}%"
-        marks += f'<i class="mark {"ring" if side == 1 else "square"}" style="{at}"></i>'
+        if side == 1:
+            box = _box((x + 0.5) / width, (y + 0.5) / height)
+        else:
+            box = _box(x / width, y / height, side / width, side / height)
+        marks += f'<i class="mark {"ring" if side == 1 else "square"}" style="{box}"></i>'
     return (
         f'<figure class="{kind}" style="--w:{width};--h:{height}">'
         f'<figcaption>{caption}</figcaption><div class="view"><div class="layer">'
-        f'<img src="{_source(pixels)}" alt="{kind}" draggable="false">{marks}</div></div></figure>'
+        f"{images}{marks}</div></div></figure>"
     )
 
 
+def _box(*shares: float) -> str:
+    """Return the style of what lies at left and top, with width and height if any, in shares."""
+    names = ("left", "top", "width", "height")
+    return ";".join(f"{name}:{100 * each:.4f}%" for name, each in zip(names, shares, strict=False))
+
+
+def _image(source: str, alt: str) -> str:
+    return f'<img src="{source}" alt="{alt}" draggable="false">'
+
+
 def _source(pixels: pictures.Bytes) -> str:
-    return image_source(pictures.png(pixels))
+    return image_source(*pictures.lossless(pixels))
 
 
 def _legend(largest: float, encoding: Encoding) -> str:

@@ -22,7 +22,7 @@ FOREIGN = 6.0  # times the limits of trend and grain, where another driver drew 
 _LONE = {"linear": (0.1, 0.5), "srgb8": (53.0, 90.0)}
 _SLIGHT = 50  # pixels that may be slivers, and
 _SHARE = 1e-4  # of all pixels
-_BLUR = 2.0  # times the limit of grain, that the image may have less
+_BLUR = 1.5  # times the limits of grain and texture, that the image may have less
 _HOLES = 2  # that cracks and hairs may leave
 
 
@@ -54,7 +54,8 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
             f"{result.holes} pixels with less than a quarter of the light around them, limit "
             f"{_HOLES}: looks like missing pixels"
         )
-    trend = limits.trend * (FOREIGN if result.foreign else 1.0)
+    factor = FOREIGN if result.foreign else 1.0
+    trend = factor * limits.trend
     if result.blocks:
         mean, limit = (
             (f"{_signed(100.0 * result.block)} %", f"{100.0 * limits.block:g} %")
@@ -76,14 +77,21 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
             f"neighbouring blocks changed alike: trend {result.trend:.2g}, limit {trend:g}: looks "
             f"like {_guess(evidence)}"
         )
-    grain = limits.grain * (FOREIGN if result.foreign and linear else 1.0)
-    if result.grain > grain or result.grain < _BLUR * -grain:
-        amount = f"{100.0 * result.grain:+.2g} %" if linear else f"{result.grain:+.2g} of 255"
-        limit = f"{100.0 * grain:g} %" if linear else f"{grain:g}"
-        what = "noise, or values of fewer bits" if result.grain > 0.0 else "a blur"
-        reasons.append(f"grain {amount}, limit {limit}: looks like {what}")
+    grain, texture = factor * limits.grain, factor * limits.texture
+    if not reasons and not _BLUR * -grain <= result.grain <= grain:
+        amount, limit = (
+            (f"{100.0 * result.grain:+.2g} %", f"{100.0 * grain:g} %")
+            if linear
+            else (f"{result.grain:+.2g} of 255", f"{grain:g}")
+        )
+        reasons.append(f"grain {amount}, limit {limit}: looks like {_texture(result.grain)}")
+    if not reasons and not _BLUR * -texture <= result.texture <= texture:
+        reasons.append(
+            f"texture {100.0 * result.texture:+.2g} %, limit {100.0 * texture:g} %: looks like "
+            f"{_texture(result.texture)}"
+        )
     x, y = result.shift
-    if max(abs(x), abs(y)) > limits.shift:
+    if not reasons and max(abs(x), abs(y)) > limits.shift:
         reasons.append(
             f"shift ({x:.2f}, {y:.2f}) pixels, limit {limits.shift:g}: looks like another camera"
         )
@@ -113,6 +121,10 @@ def _guess(evidence: Evidence) -> str:
     changes = evidence.change[evidence.changed]
     low, middle, high = np.percentile(changes, (10, 50, 90))
     return EXPOSURE if high - low < 0.5 * abs(middle) else LOBE
+
+
+def _texture(change: float) -> str:
+    return "noise, other normals or values of fewer bits" if change > 0.0 else "a blur, other maps"
 
 
 def _signed(value: float) -> str:

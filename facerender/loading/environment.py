@@ -55,8 +55,7 @@ def _read(path: Path) -> NDArray[np.float32]:
     picture = read_image(path)
     if picture.encoding != "linear":
         raise InputError(f"environment {path} holds 8-bit values: give linear radiance")
-    channels = picture.pixels.shape[2]
-    return picture.pixels[..., : channels - 1 + channels % 2]  # an even number ends with alpha
+    return picture.color
 
 
 def _read_hdr(path: Path) -> NDArray[np.float32]:

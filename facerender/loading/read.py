@@ -125,6 +125,8 @@ def _by_trimesh(
     for piece, number in zip(pieces, numbers, strict=True):
         piece.name = names[number]
     materials = [_material_name(each) for each in geometries.values()]
+    for each in geometries.values():
+        _empty(each)
     found = [
         part
         for i in np.argsort(numbers, kind="stable")
@@ -135,6 +137,12 @@ def _by_trimesh(
         for missing in referred.missing():
             missing_image(referred, missing)
     return found
+
+
+def _empty(loaded: object) -> None:
+    """Take all from what trimesh has loaded: it refers to itself, and would keep vertices and maps
+    until the garbage collector comes."""
+    vars(loaded).clear()
 
 
 def _material_name(geometry: trimesh.Trimesh) -> str:
@@ -173,6 +181,7 @@ def _geometries(
     if not found:
         points = any(len(getattr(each, "vertices", ())) for each in scene.geometry.values())
         raise _no_faces(name, points)
+    _empty(scene)
     for each in found.values():
         check_faces(each.metadata)
     return found

@@ -133,7 +133,7 @@ def image_error(
     )
 
 
-def point_error(a: Array, b: Array) -> float:
+def point_error(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
     """Return the largest excess of a pixel over the 3 x 3 neighbourhood in the other image, either
     way; a and b are (H, W, 3)."""
     worst = 0.0
@@ -145,7 +145,9 @@ def point_error(a: Array, b: Array) -> float:
     return worst
 
 
-def block_error(a: Array, reference: Array, coverage: Array) -> float:
+def block_error(
+    a: NDArray[np.floating], reference: NDArray[np.floating], coverage: NDArray[np.floating]
+) -> float:
     """Return the largest change of the mean of 16 x 16 pixels, relative to it, or to 0.01.
 
     Parameters

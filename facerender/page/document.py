@@ -39,9 +39,9 @@ def document(title: str, body: str, *files: str) -> str:
 """
 
 
-def image_source(png: bytes) -> str:
-    """Return a PNG as the URL of itself."""
-    return "data:image/png;base64," + b64encode(png).decode()
+def image_source(content: bytes, kind: str = "png") -> str:
+    """Return an image file, of a kind such as "webp", as the URL of itself."""
+    return f"data:image/{kind};base64," + b64encode(content).decode()
 
 
 def figure(png: bytes, caption: str) -> str:

@@ -113,6 +113,14 @@ def _face_normals(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
+def _has_area(corners: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell which triangles (F, 3, 3) have an area, however they are wound: beside coordinates of
+    1e25 rounding may leave one where the cross product is of one corner, and none of the other."""
+    wound = corners, corners[:, ::-1]
+    lengths = [np.linalg.norm(_face_normals(each), axis=1) for each in wound]
+    return np.asarray(np.minimum(*lengths) > 0.0)
+
+
 def _outwardness(corners: NDArray[np.float64]) -> float:
     """Mean cosine between the faces' normals and the directions from the centre, by area: near 1
     for a closed head or an open mask, near -1 when they are inside out."""
@@ -145,7 +153,7 @@ def _drop_bad_faces(pieces: Sequence[Piece], name: str) -> None:
             piece.faces = piece.faces[keep]
     _check_extent([piece for piece in pieces if len(piece.faces)], name)
     for piece in pieces:
-        keep = _face_normals(_corners(piece)).any(axis=1)
+        keep = _has_area(_corners(piece))
         flat_faces += int((~keep).sum())
         piece.faces = piece.faces[keep]
     if strangers:

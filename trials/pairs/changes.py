@@ -18,8 +18,10 @@ from scipy import ndimage
 import facerender as fr
 from facerender.image import png_bytes
 from facerender.scenes.mesh import Part
+from trials import chromium
 from trials.mutations import bright, edge, set_pixels
 from trials.pairs.room import Linear, Patch, Room, draw_elsewhere
+from trials.pairs.webgl import draw_webgl
 
 Format = Literal["exr", "png"]
 Must = Literal["fail", "pass"]
@@ -344,14 +346,30 @@ OTHER_FOUR = ((-0.375, -0.25), (0.125, -0.375), (-0.125, 0.25), (0.375, 0.375))
 
 def softpipe(room: Room) -> Against:
     """Mesa's other driver, which has one sample."""
-    golden = room.golden if room.setting.samples == 1 else room.draw(samples=1)
-    image = draw_elsewhere(room.setting, 1, GALLIUM_DRIVER="softpipe", LIBGL_ALWAYS_SOFTWARE="1")
-    return Against("golden" if room.setting.samples == 1 else "golden-1", golden, image, 1)
+    variables = {"GALLIUM_DRIVER": "softpipe", "LIBGL_ALWAYS_SOFTWARE": "1"}
+    return _with_one_sample(room, draw_elsewhere(room.setting, 1, variables=variables))
+
+
+def swiftshader(room: Room) -> Against:
+    """WebGL 2 on SwiftShader, with one sample."""
+    from playwright.sync_api import sync_playwright
+
+    setting = room.setting
+    scene = room.scene, setting.shading, room.size, setting.float_albedo
+    with sync_playwright() as playwright, chromium.launch(playwright) as browser:
+        return _with_one_sample(room, draw_webgl(browser, *scene))
+
+
+def _with_one_sample(room: Room, image: Linear) -> Against:
+    if room.setting.samples == 1:
+        return Against("golden", room.golden, image, 1)
+    return Against("golden-1", room.draw(samples=1), image, 1)
 
 
 def narrow(room: Room) -> Linear:
     """llvmpipe with vectors of 128 bits."""
-    return draw_elsewhere(room.setting, room.setting.samples, LP_NATIVE_VECTOR_WIDTH="128")
+    width = {"LP_NATIVE_VECTOR_WIDTH": "128"}
+    return draw_elsewhere(room.setting, room.setting.samples, variables=width)
 
 
 def osmesa(room: Room) -> Linear:
@@ -493,6 +511,7 @@ def changes() -> Iterator[Change | Encoded]:
         "vectors of 128 bits": narrow,
         "OSMesa": osmesa,
         "softpipe": softpipe,
+        "SwiftShader": swiftshader,
     }
     for name, make in harmless.items():
         yield Change(name, "pass", make)

@@ -21,7 +21,7 @@ import facerender as fr
 from facerender.image import linear_to_srgb, save_png, write_bytes, write_text
 from trials.pairs.changes import CHANGES, Against, Change, Encode, Encoded, Format, Must
 from trials.pairs.room import Linear, Room
-from trials.pairs.scenes import SETTINGS, Half
+from trials.pairs.scenes import SETTINGS, Half, Setting
 
 FLOORS: dict[Format, float] = {"exr": 0.5, "png": 1.0}
 DARK = 0.01  # radiance of which a change is taken at the least, relative
@@ -91,9 +91,9 @@ def slug(name: str) -> str:
 class Drawer:
     """Draws the pairs of a scene into a folder of its own."""
 
-    def __init__(self, name: str, out: Path) -> None:
-        self.out, self.setting = out, SETTINGS[name]
-        self.folder = out / name
+    def __init__(self, setting: Setting, out: Path) -> None:
+        self.out, self.setting = out, setting
+        self.folder = out / setting.name
         self.folder.mkdir(parents=True, exist_ok=True)
         self.room = Room(self.setting)
         self.known = {(pair.change, pair.format): pair for pair in read_pairs(self.folder / _PAIRS)}
@@ -105,7 +105,7 @@ class Drawer:
         for name in names:
             change = CHANGES[name]
             formats = change.formats if isinstance(change, Change) else ("png",)
-            if name in absent or all((name, each) in self.known for each in formats):
+            if name in absent or all(self.is_there(name, each) for each in formats):
                 continue
             pairs = [*(self.drawn(change) if isinstance(change, Change) else self.encoded(change))]
             self.known |= {(pair.change, pair.format): pair for pair in pairs}
@@ -113,6 +113,10 @@ class Drawer:
                 absent.add(name)
                 write_text(none_of, json.dumps(sorted(absent)))
             write_pairs(self.folder / _PAIRS, [*self.known.values()])
+
+    def is_there(self, change: str, kind: Format) -> bool:
+        pair = self.known.get((change, kind))
+        return pair is not None and (self.out / pair.image).exists()
 
     def drawn(self, change: Change) -> Iterator[Pair]:
         made = change.make(self.room)
@@ -190,7 +194,7 @@ def write_pairs(path: Path, pairs: Sequence[Pair]) -> None:
 
 
 def draw_scene(name: str, out: Path, changes: Sequence[str]) -> str:
-    drawer = Drawer(name, out)
+    drawer = Drawer(SETTINGS[name], out)
     drawer.draw(changes)
     drawer.room.renderer.release()
     return name

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import re
 import subprocess
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
@@ -129,11 +130,14 @@ def _ssim(golden: Path, image: Path) -> Numbers:
     from skimage.metrics import structural_similarity
 
     floats = golden.suffix == ".exr"
-    a, b = (_linear(path) if floats else _rgb(path) for path in (golden, image))
+    a, b = ((_linear if floats else _rgb)(path).astype(np.float64) for path in (golden, image))
     mean, windows = structural_similarity(
         a, b, channel_axis=-1, data_range=1.0 if floats else 255.0, full=True
     )
-    return {"SSIM, 1 - mean": 1.0 - mean, "SSIM, 1 - least window": float(1.0 - windows.min())}
+    return {
+        "SSIM, 1 - mean": float(1.0 - mean),
+        "SSIM, 1 - least window": float(1.0 - windows.min()),
+    }
 
 
 def _flip(golden: Path, image: Path) -> Numbers:
@@ -152,10 +156,30 @@ def _of(package: str) -> Callable[[], str]:
     return lambda: f"{package} {version(package)}"
 
 
-def _told(pattern: str, *command: str) -> Callable[[], str]:
+def _told(name: str, *command: str) -> Callable[[], str]:
     def ask() -> str:
-        found = re.search(pattern, _run(*command))
+        found = re.search(r"\d+\.[\d.-]*\d", _run(*command))
         assert found, command
-        return f"{command[0]} {found[1]}"
+        return f"{name} {found[0]}"
 
     return ask
+
+
+PEERS = (
+    Peer("matplotlib", ("png",), _of("matplotlib"), _matplotlib),
+    Peer("pixelmatch", ("png",), _of("pybind11-pixelmatch"), _pixelmatch),
+    Peer("odiff", ("png",), _told("odiff", "odiff", "--version"), _odiff),
+    Peer("idiff", ("png", "exr"), _told("OpenImageIO", "idiff", "--version"), _idiff),
+    Peer("ImageMagick", ("png",), _told("ImageMagick", "compare", "-version"), _imagemagick),
+    Peer("SSIM", ("png", "exr"), _of("scikit-image"), _ssim),
+    Peer("FLIP", ("png", "exr"), _of("flip-evaluator"), _flip),
+)
+
+
+def present() -> Iterator[tuple[Peer, str]]:
+    """Yield the peers that are here, with their versions."""
+    for peer in PEERS:
+        try:
+            yield peer, peer.version()
+        except (ImportError, OSError):
+            print(f"{peer.name} is not here, and left out", file=sys.stderr)

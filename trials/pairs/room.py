@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import cast
 
 import moderngl
@@ -135,16 +136,19 @@ class Room:
 
 
 def draw_elsewhere(
-    setting: Setting, samples: int, backend: Backend = "egl", **environment: str
+    setting: Setting,
+    samples: int,
+    backend: Backend = "egl",
+    variables: Mapping[str, str] = MappingProxyType({}),
 ) -> Linear:
-    """Draw a setting in a process with variables of the environment of its own."""
+    """Draw a setting in a process of its own, whose environment has further variables."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "linear.npy")
         arguments = [setting.name, str(samples), backend, str(file)]
         subprocess.run(
             [sys.executable, "-m", "trials.pairs.room", *arguments],
             cwd=Path(__file__).parents[2],
-            env={**os.environ, **environment},
+            env={**os.environ, **variables},
             check=True,
             capture_output=True,
         )

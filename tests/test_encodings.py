@@ -1,29 +1,37 @@
-"""What a JPEG costs, as its tables say, beside what it does cost a drawn face."""
+"""What the encoding of an image costs: as its file says, beside what it does cost a drawn face."""
 
 from __future__ import annotations
 
 import io
+import subprocess
+import sys
 from itertools import pairwise
 from pathlib import Path
 
 import cv2
 import numpy as np
+import OpenEXR
 import pytest
 from PIL import Image
 
 import facerender as fr
+from facerender.comparison.gates import compare
 from facerender.image import picture_of, read_image
 from facerender.jpeg import Jpeg
 
 SAMPLINGS = [(1, 1), (2, 1), (2, 2)]  # as Pillow numbers them
-QUALITIES = (75, 85, 92, 95, 98)
+QUALITIES = (75, 85, 92, 95, 98, 100)
 
 
 @pytest.fixture(scope="module", params=[256, 512])
-def face(request: pytest.FixtureRequest, egl) -> tuple[np.ndarray, np.ndarray]:
-    """A drawn head (H, W, 3), and where it is."""
-    size = (request.param, request.param)
-    frame = fr.render(size=size, backend=egl)
+def frame(request: pytest.FixtureRequest, egl) -> fr.Frame:
+    """A drawn head."""
+    return fr.render(size=(request.param, request.param), backend=egl)
+
+
+@pytest.fixture(scope="module")
+def face(frame) -> tuple[np.ndarray, np.ndarray]:
+    """Its 8-bit colours (H, W, 3), and where it is."""
     return frame.srgb8()[..., :3], frame.linear[..., 3] > 0.99
 
 
@@ -74,6 +82,79 @@ def test_what_is_no_jpeg_costs_its_rounding(tmp_path):
         assert picture.noise == pytest.approx(rms, rel=0.02)
         assert (picture.mean, picture.jpeg) == (0.0, None)
     assert picture_of(np.float32(rounded), "linear").noise == 0.0
+
+
+COMPRESSIONS = [  # EXR, how wide its floats are, attributes
+    *((name, bits, {}) for name in ("ZIP", "PXR24", "B44", "B44A", "DWAB") for bits in (16, 32)),
+    *(("DWAA", 32, {"dwaCompressionLevel": level}) for level in (20.0, 45.0, 90.0)),
+]
+
+
+@pytest.mark.parametrize(("name", "bits", "header"), COMPRESSIONS)
+def test_noise_and_mean_of_exr(frame, name, bits, header, tmp_path):
+    path, kind = tmp_path / "a.exr", np.dtype(f"f{bits // 8}")
+    compression = getattr(OpenEXR, f"{name}_COMPRESSION")
+    channels = {"RGBA": frame.linear.astype(kind)}
+    header = {"compression": compression, "type": OpenEXR.scanlineimage, **header}
+    OpenEXR.File(header, channels).write(str(path))
+    picture = read_image(path)
+    assert picture.pixels.dtype == kind
+
+    exact, inside = frame.linear[..., :3].astype(float), frame.linear[..., 3] > 0.99
+    error = picture.color - exact
+    relative = error / np.maximum(exact, 0.01)
+    rms = np.sqrt(np.square(relative[inside]).mean(axis=0)).max()
+    assert 0.2 * picture.noise <= rms <= picture.noise
+    side = len(exact) // 16
+    means = (each.reshape(side, 16, side, 16, 3).mean(axis=(1, 3)) for each in (error, exact))
+    change, of = means
+    whole = inside.reshape(side, 16, side, 16).all(axis=(1, 3))
+    if picture.mean:
+        assert np.abs(change / np.maximum(of, 0.01))[whole].max() < picture.mean
+
+
+def test_halves_compare_as_what_they_are(frame, tmp_path):
+    """A value beyond half floats' range would overflow if the limits were taken as halves."""
+    paths = [tmp_path / f"{name}.exr" for name in ("half", "float")]
+    for path, kind in zip(paths, (np.float16, np.float32), strict=True):
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        OpenEXR.File(header, {"RGBA": frame.linear.astype(kind)}).write(str(path))
+    assert compare(*paths).same
+    broken = frame.linear.astype(np.float16)
+    broken[100, 50, 1] = np.inf
+    OpenEXR.File(header, {"RGBA": broken}).write(str(paths[0]))
+    with pytest.raises(fr.InputError, match=r"1 infinite values, the first at pixel \(50, 100\)"):
+        compare(*paths)
+
+
+PEAK = """
+import sys
+from facerender.image import read_image
+def peak():
+    (line,) = (each for each in open("/proc/self/status") if each.startswith("VmHWM"))
+    return int(line.split()[1]) >> 10
+import OpenEXR, PIL.Image, PIL.PngImagePlugin
+before = peak()
+held = read_image(sys.argv[1]).pixels.nbytes >> 20
+print(peak() - before - held)
+"""
+
+
+@pytest.mark.parametrize(("name", "more"), [("f4.exr", 24), ("f2.exr", 24), ("rgba.png", 88)])
+def test_reading_takes_little_beside_the_pixels(name, more, tmp_path):
+    """MiB, of 2048 x 2048 pixels of noise: 64, 32 and 16 in themselves. Pillow holds a PNG as
+    another 16, beside its file, which noise fills."""
+    path, rng = tmp_path / name, np.random.default_rng(1)
+    if path.suffix == ".png":
+        pixels = rng.integers(0, 256, (2048, 2048, 4), dtype=np.uint8)
+        Image.fromarray(pixels).save(path, compress_level=1)
+    else:
+        pixels = rng.random((2048, 2048, 4), dtype=np.float32).astype(path.stem)
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        OpenEXR.File(header, {"RGBA": pixels}).write(str(path))
+    command = [sys.executable, "-c", PEAK, path]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    assert int(done.stdout) < more
 
 
 OPTIONS = [

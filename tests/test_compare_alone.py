@@ -1,0 +1,127 @@
+"""The comparison and the pytest plugin where nothing can be drawn: without the packages that draw,
+and without the system's OpenGL."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from facerender.image import save_exr
+from tests.test_package import ROOT
+
+# Runs before all else in a process: what does not belong to these packages cannot be imported.
+ALONE = """
+import sys
+from importlib.metadata import packages_distributions
+
+NEEDED = {"numpy", "pillow", "openexr", "facerender"}
+OF_PYTEST = {"pytest", "pluggy", "iniconfig", "packaging", "pygments"}
+HIDDEN = {
+    name for name, homes in packages_distributions().items()
+    if not {home.lower() for home in homes} & (NEEDED | OF_PYTEST)
+}
+
+class Refusing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in HIDDEN:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Refusing())
+assert {"moderngl", "glcontext", "trimesh", "scipy", "tqdm", "OpenGL"} <= HIDDEN
+"""
+COMMAND = """
+import sys
+from facerender.commands import main
+status = main(sys.argv[1:])
+with open("/proc/self/maps") as maps:
+    libraries = {line.split("/")[-1].strip() for line in maps if "/" in line}
+drawing = [name for name in libraries if name.startswith(("libGL", "libEGL", "libOSMesa", "mgl"))]
+assert not drawing, drawing
+assert not {"moderngl", "glcontext", "trimesh", "scipy"} & set(sys.modules)
+sys.exit(status)
+"""
+SUITE = """
+import numpy as np
+
+def test_same(facerender_snapshot):
+    facerender_snapshot.check(np.full((40, 40, 3), 0.5, np.float32))
+
+def test_other(facerender_snapshot):
+    facerender_snapshot.check(np.full((40, 40, 3), 0.5, np.float32))
+"""
+
+
+@pytest.fixture
+def images(tmp_path: Path) -> Path:
+    """A folder with a.exr, and b.exr that differs."""
+    for name, value in (("a", 0.5), ("b", 0.6)):
+        save_exr(tmp_path / f"{name}.exr", np.full((40, 40, 3), value, np.float32), {})
+    return tmp_path
+
+
+@pytest.fixture
+def alone(tmp_path: Path) -> dict[str, str]:
+    """The environment of a process without those packages."""
+    folder = tmp_path / "alone"
+    folder.mkdir()
+    (folder / "sitecustomize.py").write_text(ALONE)
+    paths = os.pathsep.join(map(str, (folder, ROOT)))
+    return {**os.environ, "PYTHONPATH": paths, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+
+
+def run(command: list[str], folder: Path, environment: dict[str, str]) -> tuple[int, str]:
+    done = subprocess.run(
+        [sys.executable, *command], cwd=folder, env=environment, capture_output=True, text=True
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(("other", "status"), [("a.exr", 0), ("b.exr", 1)])
+def test_command_without_what_draws(other, status, images, alone):
+    command = ["-c", COMMAND, "compare", "a.exr", other, "--report", "report.html", "--json"]
+    assert run(command, images, alone)[0] == status
+    assert (images / "report.html").stat().st_size > 1000
+
+
+def test_rendering_says_what_it_lacks(images, alone):
+    """Which proves that the packages are hidden."""
+    status, said = run(["-m", "facerender", "render", "-o", "a.png"], images, alone)
+    assert status != 0
+    assert "No module named 'glcontext'" in said
+
+
+def test_plugin_without_what_draws(images, alone):
+    suite = images / "test_suite.py"
+    suite.write_text(SUITE)
+    pytest_here = ["-m", "pytest", "-q", "-p", "pytest_facerender", "-p", "no:cacheprovider"]
+    options = ("--facerender-update-missing", "--facerender-report", "report")
+    status, said = run([*pytest_here, *options], images, alone)
+    assert status == 0, said
+    assert "2 passed" in said
+    golden = images / "goldens/test_suite/test_other.exr"
+    save_exr(golden, np.full((40, 40, 3), 0.6, np.float32), {})
+    status, said = run([*pytest_here, "--facerender-report", "report"], images, alone)
+    assert (status, "1 failed, 1 passed" in said) == (1, True), said
+    assert "test_other differs from its golden" in said
+    assert (images / "report/index.html").stat().st_size > 1000
+
+
+def test_comparing_without_the_libraries_of_opengl(images):
+    """Those that the loader finds first are empty."""
+    libraries = images / "empty"
+    libraries.mkdir()
+    for name in ("libGL.so.1", "libEGL.so.1", "libOSMesa.so.8", "libOSMesa.so.6", "libOpenGL.so.0"):
+        for each in (name, name.partition(".so")[0] + ".so"):
+            (libraries / each).touch()
+    environment = {**os.environ, "LD_LIBRARY_PATH": str(libraries), "PYTHONPATH": str(ROOT)}
+    status, said = run(["-m", "facerender", "render", "-o", "a.png"], images, environment)
+    assert status == 2, said
+    for other, expected in (("a.exr", 0), ("b.exr", 1)):
+        command = ["-m", "facerender", "compare", "a.exr", other, "--report", "report.html"]
+        status, said = run(command, images, environment)
+        assert status == expected, said

@@ -1,0 +1,135 @@
+"""The suite of image pairs: what is drawn and counted of it, and the comparison on some of it."""
+
+from dataclasses import replace
+from itertools import combinations, product
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import facerender as fr
+from facerender.comparison.gates import compare
+from facerender.image import encode_srgb8
+from trials.pairs.changes import CHANGES
+from trials.pairs.draw import FLOORS, INDEX, Drawer, Pair, read_pairs, slug, steps, write_index
+from trials.pairs.room import Room
+from trials.pairs.scenes import SETTINGS
+from trials.pairs.verdicts import Judged, best, counted, score
+from trials.pairs.webgl import draw_webgl
+
+SCENES = {
+    "head-three-quarter": replace(SETTINGS["head-three-quarter"], size=256),
+    "head-front": replace(SETTINGS["head-front"], size=256),
+}
+BROKEN = [
+    *("exponent +5 %", "m +3 %", "f0 0.028 to 0.04", "exposure +2 %", "albedo decoded twice"),
+    *("20 triangles missing", "2 black pixels", "3 fireflies", "D16 not clamped", "gamma 2.2"),
+    *("12 false highlights at the silhouette", "light turned by 2 degrees"),
+]
+HARMLESS = [
+    *("camera moved by 0.02 pixels in x", "camera moved by 0.02 pixels in y", "samples mirrored"),
+    *("mean of other samples", "sample moved by 0.1 pixels", "vertices snapped", "noise of 5e-4"),
+    *("dither of 1 step", "sRGB profile", "JPEG 98 of whole chroma"),
+]
+
+
+@pytest.fixture(scope="module")
+def suite(tmp_path_factory, egl) -> tuple[Path, list[Pair]]:
+    folder = tmp_path_factory.mktemp("pairs")
+    for setting in SCENES.values():
+        drawer = Drawer(setting, folder)
+        drawer.draw([*BROKEN, *HARMLESS])
+        drawer.room.renderer.release()
+    return folder, write_index(folder)
+
+
+@pytest.mark.parametrize("change", [*BROKEN, *HARMLESS])
+def test_the_comparison_fails_what_must_fail_and_passes_what_must_pass(suite, change):
+    folder, pairs = suite
+    own = [pair for pair in counted(pairs) if pair.change == change]
+    assert own
+    for pair in own:
+        result = compare(folder / pair.golden, folder / pair.image)
+        assert result.same == (pair.must == "pass"), (pair.image, str(result))
+
+
+def test_the_index_says_what_is_drawn_and_nothing_is_drawn_twice(suite):
+    folder, pairs = suite
+    assert read_pairs(folder / INDEX) == pairs
+    files = {folder / each for pair in pairs for each in (pair.golden, pair.image)}
+    assert files == {*folder.glob("*/*.exr"), *folder.glob("*/*.png"), *folder.glob("*/*.jpg")}
+    opaque = [pair.scene for pair in pairs if pair.image.endswith(".jpg")]
+    assert opaque == ["head-front"]
+    wanted = ("head-front", "exposure +2 %", "exr")
+    (pair,) = (each for each in pairs if (each.scene, each.change, each.format) == wanted)
+    assert pair.effect == pytest.approx(2.0, abs=1e-3)
+    assert pair.above_floor == (pair.effect > FLOORS["exr"])
+    before = {file: file.stat().st_mtime_ns for file in files}
+    (folder / "head-front" / "2-black-pixels.exr").unlink()
+    drawer = Drawer(SCENES["head-front"], folder)
+    drawer.draw([*BROKEN, *HARMLESS])
+    drawer.room.renderer.release()
+    kept = {file: file.stat().st_mtime_ns for file in files if file.exists()}
+    assert kept.keys() == before.keys()
+    changed = {file.name for file, time in kept.items() if time != before[file]}
+    assert changed == {"2-black-pixels.exr", "2-black-pixels.png"}
+
+
+def test_the_halves_share_no_head_camera_or_light():
+    tune, report = (
+        [each for each in SETTINGS.values() if each.half == half] for half in ("tune", "report")
+    )
+    assert report
+    for a, b in product(tune, report):
+        assert a.head != b.head
+        assert a.camera != b.camera
+        assert not {*a.lights} & {*b.lights}
+        assert a.point is None or a.point != b.point
+
+
+def test_every_change_has_a_name_of_its_own_for_its_files():
+    for a, b in combinations(CHANGES, 2):
+        assert slug(a) != slug(b)
+
+
+def test_a_camera_that_moves_shifts_the_picture(egl):
+    room = Room(replace(SCENES["head-front"], size=64))
+    by = room.moved((1.0, -2.0))
+    places = np.column_stack([0.05 * np.random.default_rng(1).normal(size=(50, 3)), np.ones(50)])
+    a, b = (places @ view.matrix for view in (room.view, by))
+    moved = 32.0 * (b[:, :2] / b[:, 3:] - a[:, :2] / a[:, 3:])
+    np.testing.assert_allclose(moved, np.broadcast_to([-1.0, 2.0], moved.shape), rtol=0.1)
+    room.renderer.release()
+
+
+def test_steps_are_the_8_bit_picture_before_rounding():
+    linear = np.random.default_rng(1).uniform(0.0, 1.2, (8, 8, 4)).astype(np.float32)
+    linear[..., :3] *= linear[..., 3:]
+    for transparent in (False, True):
+        frame = fr.Frame(linear, None, transparent, {})
+        assert np.abs(steps(frame) - frame.srgb8()).max() < 0.65
+    assert steps(fr.Frame(linear, None, False, {})).shape == encode_srgb8(linear[..., :3]).shape
+
+
+def test_the_best_threshold_is_found():
+    def pair(must, number):
+        own = Pair("s", "report", str(number), must, "png", "a", "b", 1, 8, 9.0, True, False)
+        return Judged(own, {"judge": number})
+
+    judged = [pair("pass", each) for each in (0.1, 0.2, 0.9)]
+    judged += [pair("fail", each) for each in (0.3, 0.4, 0.05)]
+    found = best(judged, "judge")
+    assert 0.2 < found.threshold < 0.3
+    assert (found.caught, found.must_fail, found.alarms, found.must_pass) == (2, 3, 1, 3)
+    assert found.balanced == pytest.approx(2.0 / 3.0)
+    assert score(1.0, judged, "judge").balanced == 0.5
+
+
+def test_swiftshader_draws_the_scene(egl, browser):
+    setting = replace(SETTINGS["parts-above"], size=96)
+    room = Room(setting)
+    image = draw_webgl(browser, room.scene, setting.shading, room.size, setting.float_albedo)
+    apart = np.abs(image - room.golden)
+    assert apart.mean() < 2e-3
+    assert (apart.max(axis=-1) > 0.02).mean() < 0.01
+    room.renderer.release()

@@ -1,0 +1,141 @@
+"""Draws a scene by WebGL 2 in a headless Chromium, on SwiftShader: the renderer's passes and GLSL,
+by another driver."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+import facerender as fr
+from facerender.drawing.passes import Draw, Pass
+from facerender.drawing.passes.shade import shade_pass
+from facerender.drawing.passes.shadow import shadow_passes
+from facerender.drawing.prepare import part_maps, reduced, simplify
+from facerender.drawing.program import ENVIRONMENT_MAP, Lighting, part_columns
+from facerender.scenes.mips import Kind
+from facerender.scenes.scene import Scene
+from facerender.scenes.view import view_of
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+
+class _Blob:
+    """Arrays, one behind the other."""
+
+    def __init__(self) -> None:
+        self.content = bytearray()
+
+    def place(self, values: ArrayLike, kind: Any) -> tuple[int, int]:
+        """Add an array, and return where it lies and how long it is, in bytes."""
+        data = np.ascontiguousarray(values, dtype=kind).tobytes()
+        start = len(self.content)
+        self.content += data + b"\0" * (-len(data) % 4)
+        return start, len(data)
+
+
+def draw_webgl(
+    browser: Browser, scene: Scene, shading: fr.Shading, size: tuple[int, int], float_albedo: bool
+) -> NDArray[np.float32]:
+    """Return linear RGB and coverage, (H, W, 4), with one sample a pixel, of a scene that does not
+    scatter."""
+    view = view_of(scene, size[0] / size[1])
+    scene = simplify(scene, shading)
+    if not float_albedo:
+        scene = reduced(scene, view, size, 1.0)
+    albedo: Kind = "linear-color" if float_albedo else "color"
+    steps = [
+        *shadow_passes(scene, Lighting.of(scene, shading)),
+        shade_pass(scene, view, shading, 1),
+    ]
+    blob = _Blob()
+    passes = [
+        {
+            "name": step.name,
+            "size": step.target.size or size,
+            "number": step.target.values == "number",
+            "clear": step.clear,
+            "draws": [_told(blob, draw, step, scene, albedo, size) for draw in step.draws],
+        }
+        for step in steps
+    ]
+    script = Path(__file__).with_name("webgl.js").read_text(encoding="utf-8")
+    page = browser.new_page()
+    with TemporaryDirectory() as folder:
+        file = Path(folder, "buffers")
+        file.write_bytes(blob.content)
+        page.evaluate(script)
+        page.set_input_files("input", file)
+        data = base64.b64decode(page.evaluate("passes => window.draw(passes)", passes))
+    page.close()
+    return np.frombuffer(data, np.float32).reshape(*size[::-1], 4)
+
+
+def _map(
+    blob: _Blob,
+    levels: Any,
+    kind: str,
+    numbers: Any,
+    wrap: tuple[str, str] = ("clamp", "clamp"),
+    step: bool = False,
+    filtered: bool = True,
+) -> dict[str, Any]:
+    return {
+        "levels": [
+            {"width": each.shape[1], "height": each.shape[0], "place": blob.place(each, numbers)}
+            for each in levels
+        ],
+        "kind": kind,
+        "wrap": wrap,
+        "step": step,
+        "filtered": filtered,
+    }
+
+
+def _told(
+    blob: _Blob, draw: Draw, step: Pass, scene: Scene, albedo: Kind, size: tuple[int, int]
+) -> dict[str, Any]:
+    """Return a draw as the page reads it."""
+    maps: dict[str, Any] = {}
+    if scene.environment is not None:
+        texels = scene.environment.panorama.map
+        maps[ENVIRONMENT_MAP] = _map(blob, [texels], "float", np.float32, filtered=False)
+    if draw.facets is not None:
+        columns, faces = {"in_position": draw.facets.positions}, draw.facets.faces
+    else:
+        assert draw.part is not None
+        assert draw.material is not None
+        columns = part_columns(draw.part, scene.mesh)
+        faces = draw.part.faces if draw.order is None else draw.part.faces[draw.order]
+        filtered = "SLOPE_FILTER" in draw.program.features
+        maps |= {
+            name: _map(
+                *(blob, texture.levels(kind).result(), kind),
+                np.float16 if kind == "linear-color" else np.uint8,
+                *(texture.wrap, name == "property_map", not texture.nearest),
+            )
+            for name, texture, kind in part_maps(draw.part, draw.material, albedo, filtered)
+        }
+    uniforms = {**step.uniforms, **draw.uniforms}
+    sources = draw.program.sources("300 es")
+    first, rest = sources["frag"].split("\n", 1)
+    return {
+        "sources": sources | {"frag": f"{first}\nprecision highp float;\n{rest}"},
+        "uniforms": {
+            name: np.asarray(value, dtype=float).ravel().tolist()
+            for name, value in uniforms.items()
+        },
+        "maps": maps,
+        "columns": {
+            name: {"width": values.shape[1], "place": blob.place(values, np.float32)}
+            for name, values in columns.items()
+        },
+        "faces": blob.place(faces, np.uint32),
+        "area": draw.area or (0, 0, *(step.target.size or size)),
+        "blend": draw.depth == "blend",
+    }
