@@ -125,8 +125,9 @@ class Snapshot:
         ----------
         image : a Frame, an array (H, W, 3 or 4) of linear float, or the path of an EXR file
         name : of the golden; without, the test's, with its class and parameters
-        point, block, trend, grain, texture, coverage, shift, mask : see :func:`facerender.compare`; limits
-            that are not given are those of the ini file
+        point, block, trend, grain, texture, coverage, shift : limits, see
+            :func:`facerender.compare`; without, those of the ini file
+        mask : see there
         metadata : for the golden, beside the frame's own: GL_RENDERER, where an array has none
 
         Raises

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.comparison.gates import FULL, HIGHEST, LIMITS, Comparable, Limits, compare
+from facerender.comparison.gates import FULL, HIGHEST, LIMITS, Limits, compare
 from facerender.comparison.neighbourhoods import filtered
-from facerender.comparison.pairs import Pair, pairs_of
+from facerender.comparison.pairs import pairs_of
 from facerender.comparison.settings import NAMES
 from facerender.errors import InputError, reason
 from facerender.image import Encoding, Picture, encode_srgb8, read_image, srgb_to_linear
@@ -30,19 +30,29 @@ from facerender.progress import Progress, unheard
 MARGIN = 1.5
 # What rounding needs: to half floats or steps of 8 bits, and of cameras to 0.02 pixels.
 LEAST: dict[Encoding, Limits] = {
-    "linear": Limits(1e-3, 1e-3, trend=0.05, grain=5e-4, coverage=1e-3, shift=0.05),
+    "linear": Limits(1e-3, 1e-3, trend=0.05, grain=5e-4, texture=2e-3, coverage=1e-3, shift=0.05),
     "srgb8": replace(LIMITS["srgb8"], point=1.0, coverage=1e-3, shift=0.05),
 }
-# Changes that a limit should not let pass; in units of Calibration.sees.
-_SHARES = {"block": 0.01, "trend": 0.03, "grain": 0.02}
+# What each limit is to see; of the former, two beside each other, where it is smooth.
+CHANGES = {
+    "point": "2 brighter pixels",
+    "block": "another exposure",
+    "trend": "other highlights",
+    "grain": "noise",
+    "texture": "other fine detail",
+    "coverage": "another coverage",
+    "shift": "a shift",
+}
+# How much of it a limit should not let pass; in units of Calibration.sees.
+_SHARES = {"block": 0.01, "trend": 0.03, "grain": 0.02, "texture": 0.03}
 STATED: dict[Encoding, dict[str, float]] = {
     "linear": {"point": 0.1, **_SHARES},
-    "srgb8": {"point": 25.0, **_SHARES},
+    "srgb8": {"point": 32.0, **_SHARES},
 }
 ALTERED = 3  # pairs at most that changes are made to
 _EXACT = 1.05  # what a bisection ends within
 _AROUND = 3  # pixels either way that are flat around those that are made brighter
-_OPEN = dict.fromkeys(NAMES, HIGHEST)
+_OPEN: dict[str, Any] = dict.fromkeys(NAMES, HIGHEST)
 
 
 @dataclass(frozen=True)
@@ -55,9 +65,9 @@ class Calibration:
     limits : that all of them pass
     least : that all of them pass, without the margin
     needed : by limit, the pair that needs it; without, rounding does
-    sees : by limit, the smallest change that fails by it in each pair that was altered; infinite
-        where none does. Two brighter pixels where it is smooth, in radiance or steps; more
-        exposure, stronger highlights, noise: as shares. Of coverage and shift the limit itself
+    sees : by limit, the smallest of its :data:`CHANGES` that fails by it in every pair that was
+        altered, infinite where none does: of pixels in radiance or steps, else as a share. Of
+        coverage and shift the limits themselves
     """
 
     encoding: Encoding
@@ -72,17 +82,21 @@ class Calibration:
         """The limits by name, and of each what it sees, and why it is wider than by default."""
         noted = {}
         for name, limit in asdict(self.limits).items():
-            noted[name] = limit, f"sees {self._change(name, self.sees[name])}{self._why(name)}"
+            by = self.sees[name]
+            note = f"sees {CHANGES[name]} from {self._amount(name, by)}"
+            if math.isinf(by):
+                note = f"does not see {CHANGES[name]}"
+            noted[name] = limit, note + self._why(name)
         return noted
 
     @property
     def blind(self) -> list[str]:
         """What to say of limits that let a stated change pass."""
         return [
-            f"limit {name} = {getattr(self.limits, name):g} lets {self._change(name, change)} "
-            f"pass{self._why(name)}"
-            for name, change in STATED[self.encoding].items()
-            if self.sees[name] > change
+            f"limit {name} = {getattr(self.limits, name):g} lets {CHANGES[name]} by "
+            f"{self._amount(name, by)} pass{self._why(name)}"
+            for name, by in STATED[self.encoding].items()
+            if self.sees[name] > by
         ]
 
     def as_dict(self) -> dict[str, Any]:
@@ -97,17 +111,10 @@ class Calibration:
         least = getattr(self.least, name)
         return f"; wider than {default:g}, as {self.needed[name]} needs {least:.2g}"
 
-    def _change(self, name: str, by: float) -> str:
-        unit = "" if self.encoding == "linear" else " of 255"
-        percent = f"{100.0 * by:.2g} %"
-        return {
-            "point": f"2 pixels brighter by {by:.2g}{unit} where it is smooth",
-            "block": f"an exposure of {percent} more or less",
-            "trend": f"highlights of {percent} more or less",
-            "grain": f"noise of {percent}",
-            "coverage": f"another coverage of more than {percent} of the pixels",
-            "shift": f"a shift of more than {by:.2g} pixels",
-        }[name]
+    def _amount(self, name: str, by: float) -> str:
+        if name == "point":
+            return f"{by:.2g}{'' if self.encoding == 'linear' else ' of 255'}"
+        return f"{by:.2g} pixels" if name == "shift" else f"{100.0 * by:.2g} %"
 
 
 def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
@@ -151,53 +158,58 @@ def calibration_of(
     ------
     InputError : a pair that cannot be compared, or that no limits let pass
     """
-    least = dict(LEAST)
-    needed: dict[Encoding, dict[str, str]] = {encoding: {} for encoding in least}
-    known: dict[Encoding, list[tuple[str, Path, Path]]] = {encoding: [] for encoding in least}
+    known: dict[Encoding, _Known] = {}
     for number, (name, *paths) in enumerate(pairs):
         progress("limits", number / len(pairs))
-        pair = Pair.of(name, *paths, mask=mask, **_OPEN)
-        if pair.comparison is None:
-            raise InputError(f"{name}: {pair.error}")
-        if not pair.comparison.same:
-            raise InputError(f"{name} differs, whatever the limits: {pair.comparison}")
-        encoding = pair.comparison.encoding
-        for gate, limit in _needed(pair.reference, pair.image, least[encoding], mask).items():
-            least[encoding] = replace(least[encoding], **{gate: limit})
-            needed[encoding][gate] = name
-        known[encoding].append((name, *paths))
-    found = []
-    for encoding, of in known.items():
-        if not of:
-            continue
-        limits = _with_margin(least[encoding], needed[encoding], LIMITS[encoding])
-        sees = {"coverage": limits.coverage, "shift": limits.shift}
-        for number, each in enumerate(of[:ALTERED]):
-            progress("smallest changes", number / len(of[:ALTERED]))
-            for gate, by in _seen(*map(read_image, each[1:]), limits, mask).items():
-                sees[gate] = max(by, sees.get(gate, 0.0))
-        found.append(
-            Calibration(encoding, len(of), limits, least[encoding], needed[encoding], sees)
-        )
-    return found
+        a, b = (read_image(path) for path in paths)
+        result = compare(a, b, mask=mask, **_OPEN)
+        if not result.same:
+            raise InputError(f"{name} differs, whatever the limits: {result}")
+        of = known.setdefault(result.encoding, _Known(LEAST[result.encoding]))
+        of.pairs.append(paths)
+        for gate, limit in _needed(a, b, of.least, mask).items():
+            of.least = replace(of.least, **{gate: limit})
+            of.needed[gate] = name
+    return [_calibration(*each, mask, progress) for each in known.items()]
 
 
-def _needed(
-    a: Comparable, b: Comparable, limits: Limits, mask: NDArray[Any] | None
-) -> dict[str, float]:
+@dataclass
+class _Known:
+    """What pairs of one encoding have told: the least limits that they pass, and by limit the pair
+    that needs it."""
+
+    least: Limits
+    needed: dict[str, str] = field(default_factory=dict)
+    pairs: list[list[Path]] = field(default_factory=list)
+
+
+def _calibration(
+    encoding: Encoding, known: _Known, mask: NDArray[Any] | None, progress: Progress
+) -> Calibration:
+    limits = _with_margin(known.least, known.needed, LIMITS[encoding])
+    sees = {"coverage": limits.coverage, "shift": limits.shift}
+    altered = known.pairs[:ALTERED]
+    for number, (a, b) in enumerate(altered):
+        progress("smallest changes", number / len(altered))
+        for gate, by in _seen(read_image(a), read_image(b), limits, mask).items():
+            sees[gate] = max(by, sees.get(gate, 0.0))
+    return Calibration(encoding, len(known.pairs), limits, known.least, known.needed, sees)
+
+
+def _needed(a: Picture, b: Picture, limits: Limits, mask: NDArray[Any] | None) -> dict[str, float]:
     """Return the limits that have to be wider for a pair to pass, as narrow as it does."""
 
-    def passes(**given: float) -> bool:
-        return compare(a, b, mask=mask, **given).same
+    def passes(gate: str, others: Mapping[str, float], value: float) -> bool:
+        return compare(a, b, mask=mask, **{**others, gate: value}).same
 
     needed: dict[str, float] = {}
-    if passes(**asdict(limits)):
+    if compare(a, b, mask=mask, **asdict(limits)).same:
         return needed
     # The shift first: what it explains is no change of a block.
     for gate in ("shift", *(name for name in NAMES if name != "shift")):
         others = _OPEN | {"shift": needed.get("shift", limits.shift)}
         least = getattr(limits, gate)
-        limit = _least(lambda value: passes(**{**others, gate: value}), least)
+        limit = _least(partial(passes, gate, others), least)
         if limit > least:
             needed[gate] = limit
     return needed
@@ -246,6 +258,7 @@ def _seen(a: Picture, b: Picture, limits: Limits, mask: NDArray[Any] | None) -> 
     radiance = srgb_to_linear(color / 255.0) if encoded else color
     lit, place = _skin(a, mask)
     middle = np.median(radiance[lit], axis=0) if lit.any() else 0.0
+    detail = radiance - 0.5 * (np.roll(radiance, 1, axis=1) + np.roll(radiance, -1, axis=1))
     noise = np.random.default_rng(1).standard_normal((*lit.shape, 1))
 
     def fails(gate: str, changed: NDArray[Any]) -> bool:
@@ -266,10 +279,11 @@ def _seen(a: Picture, b: Picture, limits: Limits, mask: NDArray[Any] | None) -> 
         "block": lambda by: radiance * np.float32(1.0 + by),
         "trend": lambda by: radiance + np.float32(by) * np.maximum(radiance - middle, 0.0),
         "grain": lambda by: radiance * (1.0 + by * noise),
+        "texture": lambda by: radiance + np.float32(by) * detail,
     }
 
     def sees(gate: str, by: float) -> bool:
-        signs = (1.0, -1.0) if gate in ("block", "trend") else (1.0,)
+        signs = (1.0, -1.0) if gate in ("block", "trend", "texture") else (1.0,)
         return all(fails(gate, changes[gate](sign * by)) for sign in signs)
 
     seen = {}

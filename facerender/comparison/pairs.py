@@ -54,8 +54,9 @@ class Pair:
         if a is None or b is None:
             return cls(name, a, b, None, errors[0])
         try:
-            given = {key: value for key, value in options.items() if value is not None}
-            return cls(name, a, b, compare(a, b, **{**limits.get(a.encoding, {}), **given}))
+            own = {key: value for key, value in options.items() if value is not None}
+            allowed: dict[str, Any] = {**limits.get(a.encoding, {}), **own}
+            return cls(name, a, b, compare(a, b, **allowed))
         except InputError as error:
             return cls(name, a, b, None, str(error))
 

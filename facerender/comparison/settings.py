@@ -158,10 +158,10 @@ def _sections(path: Path, data: Data) -> dict[Encoding, tuple[str, ...]]:
     """Return where the limits stand in a file that holds this."""
     if path.suffix == ".toml":
         own = set(_within(data, ("tool", "pytest"))) - {"ini_options"}  # from pytest 9 on
-        pytest = ("tool", "pytest") if own else ("tool", "pytest", "ini_options")
-        return {"linear": pytest, "srgb8": ("tool", "facerender", "8-bit")}
-    pytest = ("tool:pytest",) if path.suffix == ".cfg" else ("pytest",)
-    return {"linear": pytest, "srgb8": ("facerender:8-bit",)}
+        inner = () if own else ("ini_options",)
+        return {"linear": ("tool", "pytest", *inner), "srgb8": ("tool", "facerender", "8-bit")}
+    pytest = "tool:pytest" if path.suffix == ".cfg" else "pytest"
+    return {"linear": (pytest,), "srgb8": ("facerender:8-bit",)}
 
 
 def _within(data: Data, section: tuple[str, ...]) -> Data:
