@@ -22,7 +22,7 @@ FOREIGN = 6.0  # times the limits of trend and grain, where another driver drew 
 _LONE = {"linear": (0.1, 0.5), "srgb8": (53.0, 90.0)}
 _SLIGHT = 50  # pixels that may be slivers, and
 _SHARE = 1e-4  # of all pixels
-_BLUR = 1.5  # times the limits of grain and texture, that the image may have less
+BLUR = 1.5  # times the limits of grain and texture, that the image may have less
 _HOLES = 2  # that cracks and hairs may leave
 
 
@@ -78,14 +78,14 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
             f"like {_guess(evidence)}"
         )
     grain, texture = factor * limits.grain, factor * limits.texture
-    if not reasons and not _BLUR * -grain <= result.grain <= grain:
+    if not reasons and not BLUR * -grain <= result.grain <= grain:
         amount, limit = (
             (f"{100.0 * result.grain:+.2g} %", f"{100.0 * grain:g} %")
             if linear
             else (f"{result.grain:+.2g} of 255", f"{grain:g}")
         )
         reasons.append(f"grain {amount}, limit {limit}: looks like {_texture(result.grain)}")
-    if not reasons and not _BLUR * -texture <= result.texture <= texture:
+    if not reasons and not BLUR * -texture <= result.texture <= texture:
         reasons.append(
             f"texture {100.0 * result.texture:+.2g} %, limit {100.0 * texture:g} %: looks like "
             f"{_texture(result.texture)}"
