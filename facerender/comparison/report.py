@@ -171,7 +171,7 @@ def _compressed(source: str, letter: str, places: Iterable[Sequence[int]]) -> st
 
 def _row(pair: Pair) -> str:
     gates = () if pair.comparison is None else _gates(pair.comparison)
-    figures = [gate.relation for gate in gates] or ["–"] * len(GATES)
+    figures = [gate.relation if gate.over else gate.figure for gate in gates] or ["–"] * len(GATES)
     name = f'<a href="#pair-{INDEX}">{escape(pair.name)}</a>'
     return row(name, [_verdict(pair), *figures], VERDICTS[pair.status])
 

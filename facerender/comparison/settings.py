@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from facerender.comparison.gates import Limits
-from facerender.errors import InputError, reason
+from facerender.errors import InputError, reason, shown
 from facerender.files import read_file
 from facerender.image import Encoding, write_bytes
 
@@ -42,28 +42,10 @@ def read_limits(path: str | os.PathLike[str]) -> dict[Encoding, dict[str, float]
     InputError : it cannot be read, or gives a limit that is none, or no limit at all
     """
     path = Path(path)
-    data = _parsed(path, _text(path))
-    found: dict[Encoding, dict[str, float]] = {}
-    for encoding, section in _sections(path, data).items():
-        kept = _within(data, section)
-        given = {name: kept[PREFIX + name] for name in NAMES if PREFIX + name in kept}
-        found[encoding] = {name: number(PREFIX + name, text) for name, text in given.items()}
+    found = _limits(path, _parsed(path, _text(path)))
     if not any(found.values()):
         raise InputError(f"{path} gives no limit, such as {PREFIX}{NAMES[0]}: add one")
     return found
-
-
-def number(name: str, text: Any) -> float:
-    """Return the number that a setting is.
-
-    Raises
-    ------
-    InputError : it is none
-    """
-    try:
-        return float(text)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} = {text}: give a number") from None
 
 
 def text_of(path: str | os.PathLike[str], limits: Mapping[Encoding, Noted]) -> str:
@@ -98,7 +80,12 @@ def write_limits(path: str | os.PathLike[str], limits: Mapping[Encoding, Noted])
         _put(rows, ".".join(sections[encoding]), _rows(path, noted))
     changed = "\n".join([*rows, ""])
     try:
-        safe = _others(_parsed(path, changed), sections) == _others(before, sections)
+        after = _parsed(path, changed)
+        found = _limits(path, after)
+        safe = _others(after, sections) == _others(before, sections) and all(
+            found[encoding] == {name: float(f"{limit:g}") for name, (limit, _) in noted.items()}
+            for encoding, noted in limits.items()
+        )
     except InputError:
         safe = False
     if not safe:
@@ -109,6 +96,22 @@ def write_limits(path: str | os.PathLike[str], limits: Mapping[Encoding, Noted])
     if "\r\n" in text:
         changed = changed.replace("\n", "\r\n")
     write_bytes(path, changed.encode())
+
+
+def _limits(path: Path, data: Data) -> dict[Encoding, dict[str, float]]:
+    found: dict[Encoding, dict[str, float]] = {}
+    for encoding, section in _sections(path, data).items():
+        kept = _within(data, section)
+        given = {name: kept[PREFIX + name] for name in NAMES if PREFIX + name in kept}
+        found[encoding] = {name: _number(path, name, text) for name, text in given.items()}
+    return found
+
+
+def _number(path: Path, name: str, text: Any) -> float:
+    try:
+        return float(text)
+    except (TypeError, ValueError):
+        raise InputError(f"{path}: {PREFIX}{name} = {shown(text)}: give a number") from None
 
 
 def _rows(path: Path, noted: Noted) -> list[str]:
