@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 LONGEST = 180  # characters of a file's name; most systems take 255 bytes
 UNUSED = ("ignore", "list", "fail")
+LIMITS = ("point", "block", "trend", "grain", "texture", "coverage", "shift")
 
 _WRITTEN = pytest.StashKey[set[Path]]()  # goldens, in a session
 _CHECKS = pytest.StashKey[list[dict[str, str]]]()
@@ -48,11 +49,16 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     unused = "goldens that no test used, of modules whose tests all passed; list names them"
     group.addoption("--facerender-unused", choices=UNUSED, help=unused)
     parser.addini("facerender_unused", unused, default="ignore")
+    for name in LIMITS:
+        text = f"limit {name} where a test gives none; facerender compare --calibrate finds it"
+        parser.addini(f"facerender_{name}", text, default="")
 
 
 def pytest_configure(config: pytest.Config) -> None:
     if _setting(config, "unused") not in UNUSED:
         raise pytest.UsageError(f"facerender_unused: give one of {', '.join(UNUSED)}")
+    for name in LIMITS:
+        _limit(config, name)
     for name in ("force", "alternative"):
         if _setting(config, name) and not _setting(config, "update"):
             raise pytest.UsageError(f"--facerender-{name} goes with --facerender-update")
@@ -76,6 +82,15 @@ def _setting(config: pytest.Config, name: str) -> Any:
     return config.getini(f"facerender_{name}") if given is None else given
 
 
+def _limit(config: pytest.Config, name: str) -> float | None:
+    """Return a limit that the ini file gives, if it does."""
+    text = config.getini(f"facerender_{name}")
+    try:
+        return float(text) if text else None
+    except ValueError:
+        raise pytest.UsageError(f"facerender_{name} = {text}: give a number") from None
+
+
 def _goldens(module: Path) -> Path:
     """Return the folder of the goldens of a test file."""
     return module.parent / "goldens" / module.stem
@@ -95,7 +110,11 @@ class Snapshot:
         *,
         point: float | None = None,
         block: float | None = None,
+        trend: float | None = None,
+        grain: float | None = None,
+        texture: float | None = None,
         coverage: float | None = None,
+        shift: float | None = None,
         mask: NDArray[Any] | None = None,
         metadata: Mapping[str, str] | None = None,
     ) -> None:
@@ -106,7 +125,9 @@ class Snapshot:
         ----------
         image : a Frame, an array (H, W, 3 or 4) of linear float, or the path of an EXR file
         name : of the golden; without, the test's, with its class and parameters
-        point, block, coverage, mask : see :func:`facerender.compare`
+        point, block, trend, grain, texture, coverage, shift : limits, see
+            :func:`facerender.compare`; without, those of the ini file
+        mask : see there
         metadata : for the golden, beside the frame's own: GL_RENDERER, where an array has none
 
         Raises
@@ -132,6 +153,11 @@ class Snapshot:
         )
         golden = _goldens(self._request.path) / f"{safe}.exr"
         written = config.stash.setdefault(_WRITTEN, set())
+        given = {"point": point, "block": block, "trend": trend, "grain": grain}
+        given |= {"texture": texture, "coverage": coverage, "shift": shift}
+        limits = {
+            key: _limit(config, key) if value is None else value for key, value in given.items()
+        }
         verdict = check(
             f"{node.nodeid} {name}" if name else node.nodeid,
             image,
@@ -139,10 +165,8 @@ class Snapshot:
             updates,
             written,
             metadata=metadata,
-            point=point,
-            block=block,
-            coverage=coverage,
             mask=mask,
+            **limits,
         )
         if verdict.written:
             written.add(verdict.written)

@@ -4,26 +4,52 @@ from __future__ import annotations
 
 import argparse
 import json
+from typing import Any
+
+from numpy.typing import NDArray
 
 from facerender.commands.common import add_verbose, check_outputs, steps
 from facerender.commands.streams import say, tell
-from facerender.errors import InputError
+from facerender.comparison.gates import LIMITS
+from facerender.errors import InputError, warn
 from facerender.image import read_image
+
+LIMITED = {
+    "point": "excess of a pixel over what its neighbours explain",
+    "block": "change of the mean of a block, as a share",
+    "trend": "how far neighbouring blocks change alike",
+    "grain": "noise that the image has more, as a share",
+    "texture": "fine detail that the image has more, or less, as a share",
+    "coverage": "share of the pixels whose coverage changed",
+    "shift": "pixels by which the image is moved",
+}
 
 
 def add(compare: argparse.ArgumentParser) -> None:
     compare.set_defaults(command=run)
     compare.description = "Exit status: 0 the same, 1 they differ, 2 they cannot be compared."
     kinds = ".exr, .npz, .npy, .png or .jpg, or a folder of them"
-    compare.add_argument("a", metavar="A", help=f"reference: {kinds}")
-    compare.add_argument("b", metavar="B", help="image, or folder with files of the same names")
+    compare.add_argument("a", metavar="A", nargs="?", help=f"reference: {kinds}")
     compare.add_argument(
-        "--point", type=float, help="limit: excess of a pixel (0.05; 8-bit: 8 steps)"
+        "b", metavar="B", nargs="?", help="image, or folder with files of the same names"
+    )
+    for name, text in LIMITED.items():
+        defaults = {encoding: getattr(limits, name) for encoding, limits in LIMITS.items()}
+        default = f"{defaults['linear']:g}"
+        if defaults["srgb8"] != defaults["linear"]:
+            default += f"; 8-bit: {defaults['srgb8']:g} of 255"
+        compare.add_argument(f"--{name}", type=float, help=f"limit: {text} ({default})")
+    compare.add_argument(
+        "--limits",
+        metavar="FILE",
+        help="take limits that are not given from an ini file, pytest's, or pyproject.toml",
     )
     compare.add_argument(
-        "--block", type=float, help="limit: mean difference of a block (0.005; 8-bit: 1 step)"
+        "--calibrate",
+        metavar="DIR",
+        help="find limits that pairs of images pass, those of one name in two folders of DIR, one "
+        "for each run or driver; tell what they still see; write them into the file of --limits",
     )
-    compare.add_argument("--coverage", type=float, help="limit: share of changed pixels (0.005)")
     compare.add_argument("--mask", metavar="FILE", help="image, not 0 where pixels count")
     compare.add_argument("--heatmap", metavar="OUT.png", help="map of FLIP, for two images")
     compare.add_argument("--report", metavar="OUT.html", help="a page to look at the images")
@@ -35,20 +61,26 @@ def run(options: argparse.Namespace) -> int:
     from facerender.comparison.pairs import Pair, pairs_of
     from facerender.comparison.pictures import save_heat_map
     from facerender.comparison.report import entry, write_report
+    from facerender.comparison.settings import read_limits
 
-    limits = {name: getattr(options, name) for name in ("point", "block", "coverage")}
     mask = read_image(options.mask).color.max(axis=-1) if options.mask else None
+    if options.calibrate:
+        return calibrate(options, mask)
+    if options.b is None:
+        raise InputError("one image alone: give A and B, or --calibrate and a folder")
+    limits = {name: getattr(options, name) for name in LIMITED}
+    kept = read_limits(options.limits) if options.limits else {}
     names = pairs_of(options.a, options.b)
     if options.heatmap and len(names) > 1:
         raise InputError(f"--heatmap takes two images, not the {len(names)} of two folders")
     read = [path for _, *paths in names for path in paths]
-    check_outputs([options.heatmap, options.report], [*read, options.mask])
+    check_outputs([options.heatmap, options.report], [*read, options.mask, options.limits])
     results, entries, status = [], [], 0
     all_pairs = f"{len(names)} pairs" if len(names) > 1 else "a pair"
     with steps(options) as progress:
         for number, name in enumerate(names):
             progress(all_pairs, number / len(names))
-            pair = Pair.of(*name, mask=mask, **limits)
+            pair = Pair.of(*name, kept, mask=mask, **limits)
             status = max(status, pair.status)
             results.append(pair.as_dict())
             if options.report:
@@ -67,3 +99,30 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         tell(json.dumps({"same": status == 0, "pairs": results}, indent=2))
     return status
+
+
+def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
+    """Find limits in place of comparing."""
+    from facerender.comparison.calibration import calibration_of, runs_of
+    from facerender.comparison.settings import text_of, write_limits
+
+    given = ("a", *LIMITED, "heatmap", "report")
+    for name in given:
+        if getattr(options, name) is not None:
+            shown = name.upper() if name == "a" else f"--{name}"
+            raise InputError(f"--calibrate finds limits and compares nothing: leave out {shown}")
+    pairs = runs_of(options.calibrate)
+    check_outputs([options.limits], [options.mask])
+    with steps(options) as progress:
+        found = calibration_of(pairs, mask, progress)
+    limits = {each.encoding: each.noted for each in found}
+    if options.limits:
+        write_limits(options.limits, limits)
+    for each in found:
+        for told in each.blind:
+            warn(told)
+    if options.json:
+        tell(json.dumps([each.as_dict() for each in found], indent=2))
+    else:
+        tell(text_of(options.limits or "pytest.ini", limits))
+    return 0

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from facerender.comparison.gates import Comparable, Comparison, as_picture, compare
 from facerender.errors import InputError
-from facerender.image import SUFFIXES, Picture
+from facerender.image import SUFFIXES, Encoding, Picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +32,16 @@ class Pair:
     error: str = ""
 
     @classmethod
-    def of(cls, name: str, reference: Comparable, image: Comparable, **options: Any) -> Pair:
-        """Compare two images; the options are those of :func:`compare`."""
+    def of(
+        cls,
+        name: str,
+        reference: Comparable,
+        image: Comparable,
+        limits: Mapping[Encoding, Mapping[str, float]] = MappingProxyType({}),
+        **options: Any,
+    ) -> Pair:
+        """Compare two images; the options are those of :func:`compare`, and the limits take the
+        place of those that are None, by the images' encoding."""
         pictures: list[Picture | None] = []
         errors = []
         for given, letter in ((reference, "A"), (image, "B")):
@@ -44,7 +54,9 @@ class Pair:
         if a is None or b is None:
             return cls(name, a, b, None, errors[0])
         try:
-            return cls(name, a, b, compare(a, b, **options))
+            own = {key: value for key, value in options.items() if value is not None}
+            allowed: dict[str, Any] = {**limits.get(a.encoding, {}), **own}
+            return cls(name, a, b, compare(a, b, **allowed))
         except InputError as error:
             return cls(name, a, b, None, str(error))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from base64 import b64decode
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 
@@ -15,6 +15,7 @@ from facerender.comparison import pictures
 from facerender.comparison.evidence import BLOCK
 from facerender.comparison.gates import Comparison
 from facerender.comparison.pairs import Pair
+from facerender.comparison.verdict import BLUR, FOREIGN, SURE
 from facerender.errors import InputError
 from facerender.image import Encoding, Picture, write_bytes
 from facerender.page.document import document, image_source, row, table
@@ -25,6 +26,7 @@ PICTURE = "\N{SYMBOL FOR RECORD SEPARATOR}"  # nor this
 THUMBNAIL = 160  # pixels a side
 EXACT = 25_000_000  # characters of a page up to which A and B are exact
 SEEN = 64  # pixels a side of what is exact around a place in a page that would be longer
+GATES = ("point", "block", "trend", "grain", "texture", "shift", "coverage")
 MODES = ("side by side", "blink", "slider", "difference")
 
 
@@ -82,13 +84,19 @@ _NOTES = """
 <h2>How to read this</h2>
 <dl class="note">
 <dt>point</dt>
-<dd>How far the worst pixel leaves the 3 × 3 neighbourhood of the same place in the other image. It
-sees fireflies and missing pixels, and lets edges pass that moved by less than a pixel. At the
-silhouette the limit is four times as wide.</dd>
+<dd>How far the worst pixel leaves what its neighbourhood in the other image explains. It sees
+fireflies and missing pixels, and lets edges pass that moved by a fraction of a pixel.</dd>
 <dt>block</dt>
-<dd>The largest change of the mean of 16 × 16 pixels inside the coverage, beyond what a shift of
-0.05 pixels explains; of linear images relative to that mean of A, or to 0.01. It sees a lobe or a
-weight that changed; noise averages out.</dd>
+<dd>The largest change of the mean of 16 × 16 pixels inside the coverage, beyond what a shift of the
+whole image explains; of linear images relative to that mean. It sees a lobe or a weight that
+changed; noise averages out.</dd>
+<dt>trend</dt>
+<dd>How far neighbouring blocks changed alike, each by less than that; 0 where it may be
+chance.</dd>
+<dt>grain, texture</dt>
+<dd>Noise from pixel to pixel, and fine detail, that B has more than A, or less.</dd>
+<dt>shift</dt>
+<dd>Pixels by which B lies to the right of A, and below it.</dd>
 <dt>coverage</dt>
 <dd>The share of the pixels whose coverage, the alpha channel, changed.</dd>
 <dt>heat map</dt>
@@ -119,7 +127,7 @@ def _page(entries: Sequence[Entry]) -> str:
         _with_pictures(entry, number in compressed).replace(INDEX, str(number))
         for number, entry in enumerate(ranked)
     )
-    summary = table("names", ("pair", "verdict", "point", "block", "coverage"), rows)
+    summary = table("names", ("pair", "verdict", *GATES), rows)
     body = f"{summary}{''.join(sections)}{_NOTES}"
     return document(f"Comparison: {title}", body, "viewer.js")
 
@@ -163,7 +171,7 @@ def _compressed(source: str, letter: str, places: Iterable[Sequence[int]]) -> st
 
 def _row(pair: Pair) -> str:
     gates = () if pair.comparison is None else _gates(pair.comparison)
-    figures = [gate.relation for gate in gates] or ["–"] * 3
+    figures = [gate.relation if gate.over else gate.figure for gate in gates] or ["–"] * len(GATES)
     name = f'<a href="#pair-{INDEX}">{escape(pair.name)}</a>'
     return row(name, [_verdict(pair), *figures], VERDICTS[pair.status])
 
@@ -198,6 +206,15 @@ class _Gate:
     over: bool
     where: str = ""
 
+    @classmethod
+    def of(
+        cls, name: str, value: float, limit: float, shown: Callable[[float], str], where: str = ""
+    ) -> _Gate:
+        """Return a gate whose figure is below 0 where the image has less."""
+        if value < 0.0:
+            limit, where = BLUR * limit, "less"
+        return cls(name, shown(abs(value)), shown(limit), abs(value) > limit, where)
+
     @property
     def relation(self) -> str:
         if self.over:
@@ -205,10 +222,13 @@ class _Gate:
         return f"{self.figure} ≤&nbsp;{self.limit}"
 
 
-def _gates(result: Comparison) -> tuple[_Gate, _Gate, _Gate]:
+def _gates(result: Comparison) -> tuple[_Gate, ...]:
     limits = result.limits
     amount = _percent if result.encoding == "linear" else _number
     point_at, block_at = ("({}, {})".format(*at) for at in (result.point_at, result.block_at))
+    factor = FOREIGN if result.foreign else 1.0
+    trend = result.trend if result.surety > SURE else 0.0
+    x, y = result.shift
     return (
         _Gate(
             "point",
@@ -226,12 +246,11 @@ def _gates(result: Comparison) -> tuple[_Gate, _Gate, _Gate]:
             if result.block
             else "",
         ),
-        _Gate(
-            "coverage",
-            _percent(result.coverage),
-            _percent(limits.coverage),
-            result.coverage > limits.coverage,
-        ),
+        _Gate.of("trend", max(trend, 0.0), factor * limits.trend, _number),
+        _Gate.of("grain", result.grain, factor * limits.grain, amount),
+        _Gate.of("texture", result.texture, factor * limits.texture, _percent),
+        _Gate.of("shift", max(abs(x), abs(y)), limits.shift, _number, f"at ({x:.2f}, {y:.2f})"),
+        _Gate.of("coverage", result.coverage, limits.coverage, _percent),
     )
 
 

@@ -22,8 +22,9 @@ FOREIGN = 6.0  # times the limits of trend and grain, where another driver drew 
 _LONE = {"linear": (0.0, 0.1, 0.5), "srgb8": (0.0, 53.0, 90.0)}
 _SLIGHT = 50  # pixels that may be slivers, and
 _SHARE = 1e-4  # of all pixels
-_BLUR = 1.5  # times the limits of grain and texture, that the image may have less
+BLUR = 1.5  # times the limits of grain and texture, that the image may have less
 _WIDELY = 0.1  # share of wrong pixels from which on they are not called few
+_SEEN = 0.01  # pixels of a shift, below which it is not told
 _HOLES = 2  # that cracks and hairs may leave
 
 
@@ -74,22 +75,22 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
             guess = like
         reasons.append(
             f"block {result.block_at}: mean {mean}, limit {limit}, {result.blocks} of "
-            f"{result.blocks_judged} blocks over: looks like {guess}"
+            f"{result.blocks_judged} blocks over: looks like {guess}{_estimate(result)}"
         )
     elif result.trend > trend and result.surety > SURE:
         reasons.append(
             f"neighbouring blocks changed alike: trend {result.trend:.2g}, limit {trend:g}: looks "
-            f"like {_guess(evidence)}"
+            f"like {_guess(evidence)}{_estimate(result)}"
         )
     grain, texture = factor * limits.grain, factor * limits.texture
-    if not reasons and not _BLUR * -grain <= result.grain <= grain:
+    if not reasons and not BLUR * -grain <= result.grain <= grain:
         amount, limit = (
             (f"{100.0 * result.grain:+.2g} %", f"{100.0 * grain:g} %")
             if linear
             else (f"{result.grain:+.2g} of 255", f"{grain:g}")
         )
         reasons.append(f"grain {amount}, limit {limit}: looks like {_texture(result.grain)}")
-    if not reasons and not _BLUR * -texture <= result.texture <= texture:
+    if not reasons and not BLUR * -texture <= result.texture <= texture:
         reasons.append(
             f"texture {100.0 * result.texture:+.2g} %, limit {100.0 * texture:g} %: looks like "
             f"{_texture(result.texture)}"
@@ -125,6 +126,15 @@ def _guess(evidence: Evidence) -> str:
     changes = evidence.change[evidence.changed]
     low, middle, high = np.percentile(changes, (10, 50, 90))
     return EXPOSURE if high - low < 0.5 * abs(middle) else LOBE
+
+
+def _estimate(result: Comparison) -> str:
+    """Say by how much the image is brighter, and where it lies."""
+    gain = f"gain {1.0 + result.gain:.4g}" if result.encoding == "linear" else ""
+    x, y = result.shift
+    moved = f"shift ({x:.2g}, {y:.2g})" if max(abs(x), abs(y)) > _SEEN else ""
+    said = ", ".join(filter(None, (gain, moved)))
+    return f" ({said})" if said else ""
 
 
 def _texture(change: float) -> str:

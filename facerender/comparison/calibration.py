@@ -1,0 +1,313 @@
+"""Limits for a renderer of one's own: from pairs of images that must pass, and what they let pass.
+
+A limit is the least that every pair passes, times MARGIN, and no less than rounding needs. What it
+sees is found by bisection too: the smallest change of a kind, made to images of the pairs, that
+fails by this limit, the others being open.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.comparison.gates import FULL, HIGHEST, LIMITS, Limits, compare
+from facerender.comparison.neighbourhoods import filtered
+from facerender.comparison.pairs import pairs_of
+from facerender.comparison.settings import NAMES
+from facerender.errors import InputError, reason
+from facerender.image import Encoding, Picture, encode_srgb8, read_image, srgb_to_linear
+from facerender.progress import Progress, unheard
+
+MARGIN = 1.5
+# What rounding needs: to half floats or steps of 8 bits, and of cameras to 0.02 pixels.
+LEAST: dict[Encoding, Limits] = {
+    "linear": Limits(1e-3, 1e-3, trend=0.05, grain=5e-4, texture=2e-3, coverage=1e-3, shift=0.05),
+    "srgb8": replace(LIMITS["srgb8"], point=1.0, coverage=1e-3, shift=0.05),
+}
+# What each limit is to see; of the former, two beside each other, where it is smooth.
+CHANGES = {
+    "point": "2 brighter pixels",
+    "block": "another exposure",
+    "trend": "other highlights",
+    "grain": "noise",
+    "texture": "other fine detail",
+    "coverage": "another coverage",
+    "shift": "a shift",
+}
+# How much of it a limit should not let pass; in units of Calibration.sees.
+_SHARES = {"block": 0.01, "trend": 0.03, "grain": 0.02, "texture": 0.03}
+STATED: dict[Encoding, dict[str, float]] = {
+    "linear": {"point": 0.1, **_SHARES},
+    "srgb8": {"point": 32.0, **_SHARES},
+}
+ALTERED = 3  # pairs at most that changes are made to
+_EXACT = 1.05  # what a bisection ends within
+_AROUND = 3  # pixels either way that are flat around those that are made brighter
+_OPEN: dict[str, Any] = dict.fromkeys(NAMES, HIGHEST)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Limits for images of one encoding.
+
+    Attributes
+    ----------
+    pairs : how many were compared
+    limits : that all of them pass
+    least : that all of them pass, without the margin
+    needed : by limit, the pair that needs it; without, rounding does
+    sees : by limit, the smallest of its :data:`CHANGES` that fails by it in every pair that was
+        altered, infinite where none does: of pixels in radiance or steps, else as a share. Of
+        coverage and shift the limits themselves
+    """
+
+    encoding: Encoding
+    pairs: int
+    limits: Limits
+    least: Limits
+    needed: Mapping[str, str]
+    sees: Mapping[str, float]
+
+    @property
+    def noted(self) -> dict[str, tuple[float, str]]:
+        """The limits by name, and of each what it sees, and why it is wider than by default."""
+        noted = {}
+        for name, limit in asdict(self.limits).items():
+            by = self.sees[name]
+            note = f"sees {CHANGES[name]} from {self._amount(name, by)}"
+            if math.isinf(by):
+                note = f"does not see {CHANGES[name]}"
+            noted[name] = limit, note + self._why(name)
+        return noted
+
+    @property
+    def blind(self) -> list[str]:
+        """What to say of limits that let a stated change pass."""
+        return [
+            f"limit {name} = {getattr(self.limits, name):g} lets {CHANGES[name]} by "
+            f"{self._amount(name, by)} pass{self._why(name)}"
+            for name, by in STATED[self.encoding].items()
+            if self.sees[name] > by
+        ]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return every figure, for JSON: null where no change is seen."""
+        sees = {name: by if math.isfinite(by) else None for name, by in self.sees.items()}
+        return {**asdict(self), "sees": sees, "blind": self.blind}
+
+    def _why(self, name: str) -> str:
+        default = getattr(LIMITS[self.encoding], name)
+        if getattr(self.limits, name) <= default:
+            return ""
+        least = getattr(self.least, name)
+        return f"; wider than {default:g}, as {self.needed[name]} needs {least:.2g}"
+
+    def _amount(self, name: str, by: float) -> str:
+        if name == "point":
+            return f"{by:.2g}{'' if self.encoding == 'linear' else ' of 255'}"
+        return f"{by:.2g} pixels" if name == "shift" else f"{100.0 * by:.2g} %"
+
+
+def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
+    """Return name, reference and image of every two images of one name, in two of a folder's
+    folders: those of two drivers, of two runs.
+
+    Raises
+    ------
+    InputError : it cannot be read, or there are no two folders with images
+    """
+    folder = Path(folder)
+    try:
+        runs = sorted(each for each in folder.iterdir() if each.is_dir())
+    except OSError as error:
+        raise InputError(
+            f"cannot read {folder}: {reason(error)}; give a folder with a folder for each run"
+        ) from None
+    runs = [each for each in runs if not each.name.startswith(".")]
+    if len(runs) < 2:
+        raise InputError(
+            f"{folder} holds no two folders to compare: give one for each run or driver, with "
+            "images of the same names"
+        )
+    pairs = [pair for a, b in combinations(runs, 2) for pair in pairs_of(a, b)]
+    return [(image.relative_to(folder).as_posix(), a, image) for _, a, image in pairs]
+
+
+def calibration_of(
+    pairs: list[tuple[str, Path, Path]],
+    mask: NDArray[Any] | None = None,
+    progress: Progress = unheard,
+) -> list[Calibration]:
+    """Return limits that pairs of images pass, for linear and for 8-bit ones.
+
+    Parameters
+    ----------
+    pairs : name, reference and image, which must pass
+    mask : as of :func:`compare`
+
+    Raises
+    ------
+    InputError : a pair that cannot be compared, or that no limits let pass
+    """
+    known: dict[Encoding, _Known] = {}
+    for number, (name, *paths) in enumerate(pairs):
+        progress("limits", number / len(pairs))
+        a, b = (read_image(path) for path in paths)
+        result = compare(a, b, mask=mask, **_OPEN)
+        if not result.same:
+            raise InputError(f"{name} differs, whatever the limits: {result}")
+        of = known.setdefault(result.encoding, _Known(LEAST[result.encoding]))
+        of.pairs.append(paths)
+        for gate, limit in _needed(a, b, of.least, mask).items():
+            of.least = replace(of.least, **{gate: limit})
+            of.needed[gate] = name
+    return [_calibration(*each, mask, progress) for each in known.items()]
+
+
+@dataclass
+class _Known:
+    """What pairs of one encoding have told: the least limits that they pass, and by limit the pair
+    that needs it."""
+
+    least: Limits
+    needed: dict[str, str] = field(default_factory=dict)
+    pairs: list[list[Path]] = field(default_factory=list)
+
+
+def _calibration(
+    encoding: Encoding, known: _Known, mask: NDArray[Any] | None, progress: Progress
+) -> Calibration:
+    limits = _with_margin(known.least, known.needed, LIMITS[encoding])
+    sees = {"coverage": limits.coverage, "shift": limits.shift}
+    altered = known.pairs[:ALTERED]
+    for number, (a, b) in enumerate(altered):
+        progress("smallest changes", number / len(altered))
+        for gate, by in _seen(read_image(a), read_image(b), limits, mask).items():
+            sees[gate] = max(by, sees.get(gate, 0.0))
+    return Calibration(encoding, len(known.pairs), limits, known.least, known.needed, sees)
+
+
+def _needed(a: Picture, b: Picture, limits: Limits, mask: NDArray[Any] | None) -> dict[str, float]:
+    """Return the limits that have to be wider for a pair to pass, as narrow as it does."""
+
+    def passes(gate: str, others: Mapping[str, float], value: float) -> bool:
+        return compare(a, b, mask=mask, **{**others, gate: value}).same
+
+    needed: dict[str, float] = {}
+    if compare(a, b, mask=mask, **asdict(limits)).same:
+        return needed
+    # The shift first: what it explains is no change of a block.
+    for gate in ("shift", *(name for name in NAMES if name != "shift")):
+        others = _OPEN | {"shift": needed.get("shift", limits.shift)}
+        least = getattr(limits, gate)
+        limit = _least(partial(passes, gate, others), least)
+        if limit > least:
+            needed[gate] = limit
+    return needed
+
+
+def _least(holds: Callable[[float], bool], low: float, most: float = HIGHEST) -> float:
+    """Return the least value at which something holds, that holds from there on, or low; infinity
+    beyond the most."""
+    if holds(low):
+        return low
+    high = low
+    while not holds(high):
+        if high >= most:
+            return math.inf
+        low, high = high, min(2.0 * high, most)
+    while high > _EXACT * low:
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if holds(middle) else (middle, high)
+    return high
+
+
+def _with_margin(least: Limits, needed: Iterable[str], defaults: Limits) -> Limits:
+    """Return limits with the margin, those that pairs need; wider than by default only where that
+    is too narrow."""
+    limits = {}
+    for gate in needed:
+        limit, default = getattr(least, gate), getattr(defaults, gate)
+        wide = _rounded(MARGIN * limit)
+        limits[gate] = min(wide, default) if limit <= default else wide
+    return replace(least, **limits)
+
+
+def _rounded(limit: float) -> float:
+    """Return a limit of two digits that is no lower."""
+    step = 10.0 ** (math.floor(math.log10(limit)) - 1)
+    return float(f"{math.ceil(limit / step - 1e-9) * step:.2g}")
+
+
+# --- changes -------------------------------------------------------------------------------------
+
+
+def _seen(a: Picture, b: Picture, limits: Limits, mask: NDArray[Any] | None) -> dict[str, float]:
+    """Return by limit the smallest change of the image B that fails by it."""
+    encoded = b.encoding == "srgb8"
+    color = b.pixels[..., : 3 if b.pixels.shape[2] > 2 else 1]
+    radiance = srgb_to_linear(color / 255.0) if encoded else color
+    lit, place = _skin(a, mask)
+    middle = np.median(radiance[lit], axis=0) if lit.any() else 0.0
+    detail = radiance - 0.5 * (np.roll(radiance, 1, axis=1) + np.roll(radiance, -1, axis=1))
+    noise = np.random.default_rng(1).standard_normal((*lit.shape, 1))
+
+    def fails(gate: str, changed: NDArray[Any]) -> bool:
+        if encoded and gate != "point":
+            changed = encode_srgb8(changed.astype(np.float32))
+        pixels = b.pixels.copy()
+        pixels[..., : color.shape[2]] = changed
+        given = _OPEN | {"shift": limits.shift, gate: getattr(limits, gate)}
+        return not compare(a, replace(b, pixels=pixels), mask=mask, **given).same
+
+    def brighter(by: float) -> NDArray[Any]:
+        changed = color.astype(np.float32)
+        changed[place] = np.minimum(changed[place] + by, 255.0 if encoded else HIGHEST)
+        return changed
+
+    changes: dict[str, Callable[[float], NDArray[Any]]] = {
+        "point": brighter,
+        "block": lambda by: radiance * np.float32(1.0 + by),
+        "trend": lambda by: radiance + np.float32(by) * np.maximum(radiance - middle, 0.0),
+        "grain": lambda by: radiance * (1.0 + by * noise),
+        "texture": lambda by: radiance + np.float32(by) * detail,
+    }
+
+    def sees(gate: str, by: float) -> bool:
+        signs = (1.0, -1.0) if gate in ("block", "trend", "texture") else (1.0,)
+        return all(fails(gate, changes[gate](sign * by)) for sign in signs)
+
+    seen = {}
+    for gate in changes:
+        low, most = (1.0, 255.0) if gate == "point" and encoded else (1e-4, 1.0)
+        seen[gate] = _least(partial(sees, gate), low, most)
+    return seen
+
+
+def _skin(
+    picture: Picture, mask: NDArray[Any] | None
+) -> tuple[NDArray[np.bool_], tuple[slice, slice]]:
+    """Return where something is to be seen; and two pixels, neither dark nor a highlight, whose
+    surroundings are flattest."""
+    level = picture.color.mean(axis=-1)
+    lit = (picture.coverage >= FULL) & (level > 0.0)
+    if mask is not None:
+        lit &= mask != 0
+    low, high = np.percentile(level[lit], (40.0, 80.0)) if lit.any() else (0.0, 0.0)
+    inside, brightest, darkest = lit, level, level
+    for _ in range(_AROUND):
+        inside = filtered(inside, np.minimum)
+        brightest, darkest = filtered(brightest, np.maximum), filtered(darkest, np.minimum)
+    contrast = (brightest - darkest) / np.maximum(brightest, 1e-6)
+    contrast += np.where(inside & (level > low) & (level <= high), 0.0, 1.0 + contrast.max())
+    row, column = (int(each) for each in np.unravel_index(contrast.argmin(), contrast.shape))
+    return lit, (slice(row, row + 1), slice(max(column - 1, 0), column + 1))

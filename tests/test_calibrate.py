@@ -1,0 +1,461 @@
+"""Limits from pairs that must pass: found, told, kept in an ini file, and taken from there."""
+
+from __future__ import annotations
+
+import json
+from configparser import RawConfigParser
+from dataclasses import asdict, fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import facerender as fr
+import pytest_facerender
+from facerender.commands import main
+from facerender.comparison.calibration import LEAST, MARGIN, Calibration, calibration_of, runs_of
+from facerender.comparison.gates import HIGHEST, LIMITS, Limits, compare
+from facerender.comparison.settings import NAMES, read_limits, text_of, write_limits
+from facerender.errors import InputError
+from facerender.image import encode_srgb8, save_exr, save_png
+
+SIDE = 128
+OPEN = dict.fromkeys(NAMES, HIGHEST)
+NOTED = {name: (value, f"sees {name}") for name, value in asdict(LEAST["linear"]).items()}
+NOTED_8_BIT = {name: (value, f"sees {name}") for name, value in asdict(LEAST["srgb8"]).items()}
+LOOSE = dict.fromkeys(NAMES, (1e6, "sees nothing"))
+INI = """# of the project
+[pytest]
+addopts =
+    -q
+    # of an option
+    --strict-markers
+testpaths = tests  ; and no other
+
+# what checks the style
+[flake8]
+max-line-length = 100
+percent = 50%
+"""
+
+
+def picture(gain: float = 1.0, noise: float = 0.0) -> np.ndarray:
+    """Skin with a highlight and some detail, over black."""
+    rng = np.random.default_rng(7)
+    y, x = np.mgrid[0:SIDE, 0:SIDE] / SIDE - 0.5
+    shape = 0.3 + 0.6 * np.exp(-((x - 0.1) ** 2 + (y + 0.1) ** 2) / 0.02)
+    shape *= 1.0 + 0.003 * rng.standard_normal((SIDE, SIDE))
+    color = shape[..., None] * (1.0, 0.7, 0.5)
+    color *= gain * (1.0 + noise * np.random.default_rng(8).standard_normal((SIDE, SIDE, 1)))
+    inside = x**2 + y**2 < 0.2
+    return np.dstack([color * inside[..., None], inside]).astype(np.float32)
+
+
+class Runs:
+    """Folders of images, one for each run."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def add(self, run: str, pixels: np.ndarray, name: str = "head.exr") -> Path:
+        path = self.folder / run / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix == ".png":
+            save_png(path, encode_srgb8(pixels[..., :3]), {})
+        else:
+            save_exr(path, pixels, {})
+        return path
+
+    def calibration(self) -> Calibration:
+        (found,) = calibration_of(runs_of(self.folder))
+        return found
+
+    def __str__(self) -> str:
+        return str(self.folder)
+
+
+@pytest.fixture
+def runs(tmp_path) -> Runs:
+    return Runs(tmp_path / "runs")
+
+
+@pytest.fixture
+def wide(runs) -> Runs:
+    """Two drivers that differ by 0.8 % of the exposure."""
+    runs.add("one", picture())
+    runs.add("two", picture(1.008))
+    return runs
+
+
+# --- limits --------------------------------------------------------------------------------------
+
+
+def test_equal_pairs_need_what_rounding_needs(runs):
+    for run in ("one", "two", "three"):
+        runs.add(run, picture())
+    found = runs.calibration()
+    assert (found.pairs, found.limits, found.needed) == (3, LEAST["linear"], {})
+    assert found.blind == []
+    assert all(getattr(found.limits, name) <= getattr(LIMITS["linear"], name) for name in NAMES)
+
+
+def test_limits_are_what_the_worst_pair_needs_with_a_margin(wide):
+    wide.add("one", picture(), "mild.exr")
+    wide.add("two", picture(1.002), "mild.exr")
+    found = wide.calibration()
+    assert found.least.block == pytest.approx(0.009, rel=0.2)
+    assert found.limits.block == pytest.approx(MARGIN * found.least.block, rel=0.1)
+    assert found.needed["block"] == "two/head.exr"
+    assert found.limits.point == LEAST["linear"].point
+    assert "two/head.exr needs 0.0" in found.noted["block"][1]
+    one, two = (wide.folder / run / "head.exr" for run in ("one", "two"))
+    assert not compare(one, two).same
+    assert compare(one, two, **asdict(found.limits)).same
+    tight = asdict(found.limits) | {"block": 0.9 * found.least.block}
+    assert not compare(one, two, **tight).same
+
+
+def test_no_limit_is_wider_than_by_default_for_the_margin_alone(runs):
+    runs.add("one", picture())
+    runs.add("two", picture(1.003))
+    found = runs.calibration()
+    default = LIMITS["linear"].block
+    assert found.least.block < default < MARGIN * found.least.block
+    assert found.limits.block == default
+    assert "wider" not in found.noted["block"][1]
+
+
+@pytest.mark.parametrize("gate", ["point", "block", "trend", "grain", "texture"])
+def test_each_limit_sees_the_change_that_it_tells_and_no_half_of_it(runs, gate):
+    b = picture()
+    runs.add("one", b)
+    runs.add("two", b)
+    found = runs.calibration()
+    by = found.sees[gate]
+    color = b[..., :3]
+    lit = b[..., 3] > 0
+    noise = np.random.default_rng(5).standard_normal((SIDE, SIDE, 1))
+    fine = color - 0.5 * (np.roll(color, 1, axis=1) + np.roll(color, -1, axis=1))
+    above = np.maximum(color - np.median(color[lit], axis=0), 0.0)
+    spot = np.zeros((SIDE, SIDE, 1))
+    spot[90, 40:42] = 1.0  # no highlight
+    change = {
+        "point": spot,
+        "block": color,
+        "trend": above,
+        "grain": color * noise,
+        "texture": fine,
+    }[gate]
+    for factor, same in ((1.5, False), (0.5, True)):
+        changed = b.copy()
+        changed[..., :3] += (factor * by * change).astype(np.float32)
+        given = OPEN | {"shift": found.limits.shift, gate: getattr(found.limits, gate)}
+        assert compare(b, changed, **given).same is same
+
+
+def test_wider_limits_see_less_and_say_so(runs, wide):
+    found = wide.calibration()
+    assert found.sees["block"] > 0.01
+    (told,) = (each for each in found.blind if "block" in each)
+    assert told.startswith(f"limit block = {found.limits.block:g} lets another exposure by 1 %")
+    runs.add("two", picture())
+    assert runs.calibration().sees["block"] < 0.005
+
+
+def test_mask_leaves_out_what_does_not_count(wide):
+    b = picture()
+    b[:, : SIDE // 2, :3] *= 1.05
+    wide.add("two", b)
+    mask = np.zeros((SIDE, SIDE))
+    mask[:, SIDE // 2 :] = 1.0
+    (found,) = calibration_of(runs_of(wide.folder), mask)
+    assert found.limits == LEAST["linear"]
+    assert found.sees["block"] < 0.01
+
+
+def test_images_of_8_bits_have_limits_of_their_own(wide):
+    wide.add("one", picture(), "head.png")
+    wide.add("two", picture(1.02), "head.png")
+    linear, encoded = calibration_of(runs_of(wide.folder))
+    assert (linear.encoding, encoded.encoding) == ("linear", "srgb8")
+    assert encoded.limits.block > 1.0
+    assert encoded.sees["point"] >= 1.0
+    assert encoded.noted["point"][1].endswith("of 255")
+    one, two = (wide.folder / run / "head.png" for run in ("one", "two"))
+    assert not compare(one, two).same
+    assert compare(one, two, **asdict(encoded.limits)).same
+
+
+def test_what_is_seen_of_a_picture_that_shows_nothing(runs):
+    for run in ("one", "two"):
+        runs.add(run, np.zeros((32, 32, 3), np.float32))
+    found = runs.calibration()
+    assert found.limits == LEAST["linear"]
+    assert found.noted["block"][1] == "does not see another exposure"
+    json.dumps(found.as_dict(), allow_nan=False)
+
+
+def test_pairs_that_no_limit_lets_pass(runs):
+    a = picture()
+    a[60:70:3, 60:70:3, :3] = 0.0
+    runs.add("one", picture())
+    runs.add("two", a)
+    with pytest.raises(InputError, match=r"two/head.exr differs, whatever the limits: 16 pixels"):
+        runs.calibration()
+
+
+def test_pairs_that_cannot_be_compared(runs):
+    runs.add("one", picture())
+    runs.add("two", picture()[:64])
+    with pytest.raises(InputError, match=r"one.head.exr is 128 x 128, .*render both at one size"):
+        runs.calibration()
+    runs.add("two", picture())
+    runs.add("two", picture(), "body.exr")
+    with pytest.raises(InputError, match=r"cannot read .*one.body.exr"):
+        runs.calibration()
+
+
+def test_folder_without_runs(runs):
+    runs.add("one", picture())
+    runs.add(".hidden", picture())
+    with pytest.raises(InputError, match="no two folders to compare: give one for each run"):
+        runs_of(runs.folder)
+    with pytest.raises(InputError, match="cannot read .*nowhere: no such file"):
+        runs_of(runs.folder / "nowhere")
+
+
+# --- the file ------------------------------------------------------------------------------------
+
+
+def kept(path: Path) -> RawConfigParser:
+    parser = RawConfigParser()
+    parser.read(path, encoding="utf-8")
+    return parser
+
+
+def test_file_keeps_all_else(tmp_path):
+    path = tmp_path / "pytest.ini"
+    path.write_text(INI, encoding="utf-8")
+    write_limits(path, {"linear": NOTED, "srgb8": NOTED_8_BIT})
+    text = path.read_text(encoding="utf-8")
+    added = text_of(path, {"linear": NOTED}).splitlines()[1:]
+    own = text_of(path, {"srgb8": NOTED_8_BIT}).splitlines()
+    assert [line for line in text.splitlines() if line not in (*added, *own)] == [
+        *INI.splitlines(),
+        "",
+    ]
+    assert kept(path)["pytest"]["facerender_point"] == "0.001"
+    assert text.index("# facerender_point: sees point\nfacerender_point = 0.001") > 0
+    assert read_limits(path) == {
+        "linear": asdict(LEAST["linear"]),
+        "srgb8": asdict(LEAST["srgb8"]),
+    }
+
+
+def test_limits_are_replaced_in_their_place(tmp_path):
+    path = tmp_path / "pytest.ini"
+    path.write_text(
+        "[pytest]\naddopts = -q\n# mine\nfacerender_block: 0.5\nfacerender_report = out\n"
+    )
+    write_limits(path, {"linear": NOTED})
+    once = path.read_text()
+    assert once.startswith("[pytest]\naddopts = -q\n# mine\n# facerender_point: sees")
+    assert once.endswith("facerender_report = out\n")
+    write_limits(path, {"linear": NOTED})
+    assert path.read_text() == once
+    write_limits(path, {"linear": {**NOTED, "block": (0.25, "other")}})
+    assert read_limits(path)["linear"]["block"] == 0.25
+    assert len(path.read_text().splitlines()) == len(once.splitlines())
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "section"),
+    [
+        ("pytest.ini", "", "[pytest]"),
+        ("tox.ini", "[tox]\nenvlist = py\n", "[pytest]"),
+        ("setup.cfg", "[metadata]\nname = x\n", "[tool:pytest]"),
+        ("pyproject.toml", '[project]\nname = "x"\n', "[tool.pytest.ini_options]"),
+        ("pyproject.toml", '[tool.pytest]\naddopts = ["-q"]\n', "[tool.pytest]"),
+    ],
+)
+def test_pytest_reads_what_was_written(suites, name, before, section):
+    path = suites.path / name
+    path.write_text(before)
+    write_limits(path, {"linear": {**LOOSE, "block": (0.03, "")}})
+    assert section in path.read_text().splitlines()
+    suites.record(0.5)
+    suites.run(f"-c{path}").assert_outcomes(passed=1)
+    suites.give(0.51)  # by 2 %
+    suites.run(f"-c{path}").assert_outcomes(passed=1)
+    suites.give(0.52)
+    suites.run(f"-c{path}").assert_outcomes(failed=1)
+
+
+def test_line_ends_stay_as_they_are(tmp_path):
+    path = tmp_path / "tox.ini"
+    path.write_bytes(INI.replace("\n", "\r\n").encode())
+    write_limits(path, {"linear": NOTED})
+    content = path.read_bytes()
+    assert content.count(b"\r\n") == content.count(b"\n")
+    assert read_limits(path)["linear"] == asdict(LEAST["linear"])
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("pytest.ini", "[pytest]\naddopts = -q\nfacerender_point =\n    0.5\n"),
+        ("pytest.ini", "[pytest]\naddopts = -q\n[pytest]\nx = 1\n"),
+        ("pytest.ini", "no section\n"),
+        ("pyproject.toml", 'tool = {pytest = {ini_options = {addopts = "-q"}}}\n'),
+        ("pyproject.toml", "text = '''\n[tool.pytest.ini_options]\n'''\n"),
+        ("pyproject.toml", "text = "),
+    ],
+)
+def test_file_that_cannot_be_kept_is_left_alone(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_text(content)
+    with pytest.raises(InputError, match=rf"{name} (is laid out so|cannot be read)"):
+        write_limits(path, {"linear": NOTED})
+    assert path.read_text() == content
+    assert [each.name for each in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("[pytest]\nfacerender_point = much\n", "facerender_point = 'much': give a number"),
+        ("[pytest]\naddopts = -q\n", "gives no limit, such as facerender_point"),
+        ("[pytest\n", "cannot be read"),
+        ("[pytest]\nx = \xff\n", "is not UTF-8"),
+        (None, "cannot read .*missing"),
+    ],
+)
+def test_file_without_limits(tmp_path, content, message):
+    path = tmp_path / ("missing.ini" if content is None else "pytest.ini")
+    if content is not None:
+        path.write_text(content, encoding="latin-1")
+    with pytest.raises(InputError, match=message):
+        read_limits(path)
+
+
+# --- the command ---------------------------------------------------------------------------------
+
+
+def run(capsys, *arguments: object) -> tuple[int, str, str]:
+    status = main(["compare", *map(str, arguments)])
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+def test_command_writes_limits_that_it_reads(wide, tmp_path, capsys):
+    path = tmp_path / "pytest.ini"
+    path.write_text(INI)
+    status, out, err = run(capsys, "--calibrate", wide, "--limits", path)
+    assert status == 0
+    assert "lets another exposure by 1 % pass; wider than 0.005, as two/head.exr needs" in err
+    limits = read_limits(path)["linear"]
+    assert f"facerender_block = {limits['block']:g}\n" in out
+    assert all(line in path.read_text().splitlines() for line in out.splitlines())
+    one, two = (wide.folder / run for run in ("one", "two"))
+    assert run(capsys, one, two)[0] == 1
+    assert run(capsys, one, two, "--limits", path)[0] == 0
+    assert run(capsys, one, two, "--limits", path, "--block", 0.001)[0] == 1
+    wide.add("one", picture(), "head.png")
+    wide.add("two", picture(1.02), "head.png")
+    status, out, _ = run(capsys, one, two, "--limits", path)
+    assert status == 1
+    assert "head.exr: same" in out  # and the file says nothing of 8 bits
+
+
+def test_command_without_a_file_prints_alone(wide, capsys, tmp_path):
+    status, out, _ = run(capsys, "--calibrate", wide)
+    assert status == 0
+    assert out.startswith("[pytest]\n# facerender_point: sees 2 brighter pixels from ")
+    assert [each.name for each in tmp_path.iterdir()] == ["runs"]
+    status, out, _ = run(capsys, "--calibrate", wide, "--json")
+    (found,) = json.loads(out)
+    assert found["limits"]["block"] > found["least"]["block"] > 0.005
+    assert set(found["sees"]) == set(NAMES)
+
+
+def test_limits_of_every_gate_are_options(wide, capsys):
+    one, two = (wide.folder / run / "head.exr" for run in ("one", "two"))
+    given = [part for name in NAMES for part in (f"--{name}", "1e6")]
+    assert run(capsys, one, two, *given)[0] == 0
+    for gate in ("block", "trend"):
+        assert run(capsys, one, two, *given, f"--{gate}", "0")[0] == 1
+    moved = wide.add("three", np.roll(picture(), 1, axis=1))
+    assert "another camera" in run(capsys, one, moved, *given, "--shift", "0.1")[1]
+    noisy = wide.add("four", picture(noise=0.01))
+    assert "noise" in run(capsys, one, noisy, *given, "--grain", "0.001")[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--calibrate", "runs", "a.exr", "b.exr"), "leave out A"),
+        (("--calibrate", "runs", "--block", "1"), "leave out --block"),
+        (("--calibrate", "runs", "--report", "x.html"), "leave out --report"),
+        (("a.exr",), "one image alone: give A and B"),
+        ((), "give A and B"),
+        (("--calibrate", "runs", "--limits", "nowhere/pytest.ini"), "cannot write nowhere"),
+    ],
+)
+def test_what_does_not_go_together(wide, capsys, monkeypatch, arguments, message):
+    monkeypatch.chdir(wide.folder.parent)
+    status, out, err = run(capsys, *arguments)
+    assert (status, out) == (2, "")
+    assert message in err
+
+
+# --- the plugin ----------------------------------------------------------------------------------
+
+
+def test_the_plugin_knows_every_limit():
+    assert pytest_facerender.LIMITS == NAMES == tuple(each.name for each in fields(Limits))
+
+
+class Suites:
+    """A suite of one test, whose image has one value everywhere."""
+
+    def __init__(self, pytester: pytest.Pytester) -> None:
+        self.pytester, self.path = pytester, pytester.path
+
+    def give(self, value: float, options: str = "") -> None:
+        self.pytester.makepyfile(
+            test_suite="import numpy as np\n"
+            "def test_head(facerender_snapshot):\n"
+            f"    pixels = np.full((64, 64, 3), {value}, np.float32)\n"
+            f"    facerender_snapshot.check(pixels, {options})\n"
+        )
+
+    def record(self, value: float) -> None:
+        self.give(value)
+        self.run("--facerender-update-missing").assert_outcomes(passed=1)
+
+    def run(self, *options: str) -> pytest.RunResult:
+        return self.pytester.runpytest_inprocess("-p", "pytest_facerender", *options)
+
+
+@pytest.fixture
+def suites(pytester, monkeypatch) -> Suites:
+    monkeypatch.setenv("PYTHONPATH", str(Path(fr.__file__).parents[1]))
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+    return Suites(pytester)
+
+
+def test_a_test_goes_before_the_file(suites):
+    suites.record(0.5)
+    suites.pytester.makeini("[pytest]\nfacerender_block = 1e-4\nfacerender_trend = 1e6\n")
+    suites.give(0.5004)
+    suites.run().assert_outcomes(failed=1)
+    suites.give(0.5004, "block=0.01")
+    suites.run().assert_outcomes(passed=1)
+
+
+def test_limit_that_is_none_is_told_before_any_test(suites):
+    suites.record(0.5)
+    suites.pytester.makeini("[pytest]\nfacerender_shift = far\n")
+    result = suites.run()
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["*facerender_shift = far: give a number"])
