@@ -124,6 +124,8 @@ def _likeness(over: NDArray[np.int8], wrong: NDArray[np.bool_], count: int, judg
 def _guess(evidence: Evidence) -> str:
     """Say what blocks that changed look like."""
     changes = evidence.change[evidence.changed]
+    if not changes.size:
+        return SHAPE
     low, middle, high = np.percentile(changes, (10, 50, 90))
     return EXPOSURE if high - low < 0.5 * abs(middle) else LOBE
 
