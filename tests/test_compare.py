@@ -382,7 +382,7 @@ def test_exit_status_and_line(cli, exr, tmp_path):
     assert out == (
         "other.exr: 2304 pixels over by up to 0.008, worst (10, 10), limit 0.005: looks like "
         "exposure, light or colour space; block (16, 0): mean +5 %, limit 0.5 %, 12 of 12 blocks "
-        "over: looks like exposure, light or colour space\n"
+        "over: looks like exposure, light or colour space (gain 1.05)\n"
     )
     assert cli.run("compare", exr, tmp_path / "other.exr", "--block", "0.06")[0] == 1
 
