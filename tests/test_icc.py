@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageCms
 
-from facerender.comparison.gates import Pair, compare
+from facerender.comparison.pairs import Pair, compare
 from facerender.comparison.report import entry
 from facerender.image import linear_to_srgb, read_image, srgb_to_linear
 from tests.test_cli import Capture, Cli

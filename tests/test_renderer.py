@@ -10,6 +10,7 @@ import resource
 import shutil
 import subprocess
 import sys
+import tracemalloc
 import weakref
 from collections.abc import Iterator
 from dataclasses import replace
@@ -564,6 +565,28 @@ def test_renderers_leave_nothing_behind(backend, head):
 
     first, last = ([resident() for _ in range(8)] for _ in range(2))
     assert min(last) - min(first) < 24
+
+
+def test_a_frame_leaves_nothing_in_moderngl(backend):
+    """Whose scopes leave 100 bytes each."""
+    scene = fr.Scene(fr.load_mesh(MINI_HEAD))
+    own = [tracemalloc.Filter(True, moderngl.__file__)]
+
+    def held() -> int:
+        gc.collect()
+        found = tracemalloc.take_snapshot().filter_traces(own).statistics("filename")
+        return sum(each.size for each in found)
+
+    with fr.Renderer((32, 32), backend=backend) as renderer:
+        renderer.render(scene)
+        tracemalloc.start()
+        try:
+            before = held()
+            for _ in range(300):
+                renderer.render(scene)
+            assert (held() - before) / 300 < 100.0
+        finally:
+            tracemalloc.stop()
 
 
 def test_a_renderer_that_draws_on_holds_little_that_is_free(backend):

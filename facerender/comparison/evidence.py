@@ -23,7 +23,6 @@ _CELL = 4
 LEAST = 48  # pixels that a block needs to be judged
 FLOOR = 0.01  # radiance below which relative differences are taken of this
 MOVED = 0.25  # pixels by which the whole picture may lie elsewhere
-_CHANNEL = 0.25  # of the largest channel, below which relative changes are taken of this
 _FEW = 4  # changed blocks, fewer of which have no grain
 _CLIPPED = 10.0  # standard errors, beyond which a block's change counts no more
 
@@ -52,8 +51,8 @@ class Scale:
     drift: float
 
 
-LINEAR = Scale(5e-4, 0.1, 0.3, 0.015, 5e-5, 2.0, 2.8e-3)
-STEPS = Scale(0.3, 0.1, 30.0, 10.0, 0.01, 0.8, 0.3)
+LINEAR = Scale(5e-4, 0.1, 0.5, 0.015, 1e-4, 2.0, 2.8e-3)
+STEPS = Scale(0.3, 0.1, 50.0, 10.0, 0.01, 0.8, 0.3)
 
 
 def cells(values: Float | Mask) -> NDArray[np.float32]:
@@ -131,7 +130,8 @@ class Sums:
             slopes = [_slope(middle, axis)[rows] for axis in (1, 0)]
             weighted = [inverse * slope for slope in slopes]
             normal += [[np.vdot(each, other) for other in (*slopes, change)] for each in weighted]
-            parts = (change, *slopes, np.abs(x[rows]))
+            least = np.float32(FLOOR if scale is LINEAR else 0.0)
+            parts = (change, *slopes, np.maximum(np.abs(x[rows]), least))
             of_cells.append([cells(weight * part) for part in parts])
             of_blocks.append([blocks(each) for each in of_cells[-1]])
         change, across, down, _ = np.mean(of_cells, axis=0)
@@ -168,12 +168,14 @@ class Evidence:
     sums, scale : that it is drawn from
     foreign : whether another driver drew the image
     moved : pixels by which the whole picture may lie elsewhere
+    allowed : standard error that blocks have besides
     """
 
     sums: Sums
     scale: Scale
     foreign: bool = False
     moved: float = MOVED
+    allowed: float = 0.0
 
     @cached_property
     def shift(self) -> tuple[float, float]:
@@ -229,7 +231,7 @@ class Evidence:
         apart = self._changes - weight * mean[: weight.shape[0], : weight.shape[1]]
         scatter = blocks(np.square(apart)) / self._weight**2
         scatter *= self._cells / np.maximum(self._cells - 1.0, 1.0)
-        least = self.scale.error**2 + self.scale.grain**2 * self._grains[0]
+        least = self.scale.error**2 + self.allowed**2 + self.scale.grain**2 * self._grains[0]
         if self.foreign:
             least += self.scale.drift**2
         return np.asarray(np.sqrt(scatter + least))
@@ -239,7 +241,7 @@ class Evidence:
         """How the mean of each block changed in its worst channel, relative to that mean, or in
         steps; NaN where it is not judged, 0 where it is within three standard errors."""
         change, across, down, level = np.moveaxis(self.sums.channels, 1, 0)
-        of = np.maximum(level, _CHANNEL * self._weight) if self.scale is LINEAR else self._weight
+        of = np.maximum(level, 1e-12) if self.scale is LINEAR else self._weight
         relative = self._settled(change, across, down) / of
         worst = np.abs(relative).argmax(axis=0)
         result = np.take_along_axis(relative, worst[None], axis=0)[0]
@@ -254,7 +256,8 @@ class Evidence:
         counts = (flat >= LEAST) & self.changed
         if counts.sum() < _FEW:
             return np.zeros(4)
-        return np.median(self.sums.grain[:, counts] / flat[counts], axis=1).clip(0.0)
+        medians = np.median(self.sums.grain[:, counts] / flat[counts], axis=1)
+        return np.asarray(medians.clip(0.0))
 
     @property
     def grain(self) -> float:

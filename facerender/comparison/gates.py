@@ -29,6 +29,7 @@ FADED = 0.2  # excess of coverage that counts as changed
 FULL = 0.99  # coverage from which a pixel is inside: half floats and filters miss 1
 HIGHEST = 1e30  # of values, whose differences and sums are finite then
 _STRIP = 1 << 18  # pixels that are compared at once: what lies in caches, in whole blocks
+_LOOSER = 3.0  # standard errors of a block, that a looser limit for blocks adds
 _HALO = 8  # rows beyond a strip that its pixels are compared with
 
 Comparable = Picture | Frame | NDArray[Any] | str | os.PathLike[str]
@@ -44,7 +45,7 @@ class Limits:
     block : change of a block's mean, less what a shift explains; relative to that mean, 0.01 at
         least, or steps
     trend : mean product of neighbouring blocks' changes, each over its standard error; without a
-        change it is 0
+        change it is 0. A looser limit for blocks makes it smaller, so that it passes likewise
     grain : RMS from one pixel to the next that the image may have more than the reference, and half
         of what it may have less; relative to the level, or steps
     texture : share of the variance from one pixel to the next that was added or lost, in [0, 1]
@@ -199,7 +200,10 @@ def compare(
         strips = list(pool.map(strip, range(0, height, tall)))
     sums = Sums.joined([each.sums for each in strips])
     scale = LINEAR if a.encoding == "linear" else STEPS
-    evidence = Evidence(sums, scale, foreign, limits.shift)
+    allowed = _LOOSER * max(limits.block - LIMITS[a.encoding].block, 0.0)
+    if a.noise != b.noise:
+        allowed += max(a.noise, b.noise)
+    evidence = Evidence(sums, scale, foreign, limits.shift, allowed)
     worst = max(strips, key=lambda each: each.worst)
     blocks = np.nan_to_num(evidence.channels)
     down, across = np.unravel_index(np.abs(blocks).argmax(), blocks.shape)
@@ -239,8 +243,8 @@ class _Strip:
 
     Attributes
     ----------
-    over : (H, W), 2 where a pixel is too bright, or 3 at an edge, and 1 where that may be a sliver;
-        negative where it is too dark
+    over : (H, W), 2 where a pixel is too bright, 3 in texture, 4 at an edge, and 1 where that may
+        be a sliver; negative where it is too dark
     worst, excess, at : the largest excess less what may be a sliver, the excess, and where
     holes : pixels that are dark where all around are not
     faded : pixels whose coverage changed
@@ -271,8 +275,9 @@ class _Strip:
         value = np.where(counted, found.value, np.float32(0.0))[own]
         slack = found.slack[own]
         beyond = np.where(value != 0.0, np.abs(value) - slack, np.float32(0.0))
-        steep = slack == np.float32((nearby.LINEAR if relative else nearby.STEPS).edge)
-        over = np.where(beyond > limits.point, 2.0 + steep, np.abs(value) > limits.point)
+        sliver = nearby.LINEAR if relative else nearby.STEPS
+        place = 2.0 + (slack > 0.25 * sliver.rough) + (slack >= np.float32(sliver.edge))
+        over = np.where(beyond > limits.point, place, np.abs(value) > limits.point)
         over *= np.sign(value)
         row, column = np.unravel_index(beyond.argmax(), beyond.shape)
         inside = full & counted

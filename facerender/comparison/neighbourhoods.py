@@ -74,7 +74,10 @@ def holes(a: Float, b: Float, full: Mask | None, relative: bool) -> Mask:
     one of 7 x 7 pixels in the other; parameters as for :func:`excess`."""
     share, floor = (0.25, 5e-4) if relative else (0.5, 1.0)  # sRGB has half the steps
     result = np.zeros(a.shape[:2], dtype=bool)
-    levels = [np.maximum.reduce([x[..., i] for i in range(x.shape[2])]) for x in (a, b)]
+    levels = [
+        np.maximum.reduce([x[..., i] for i in range(x.shape[2])]).clip(np.float32(0.0))
+        for x in (a, b)
+    ]
     for x, y in (levels, levels[::-1]):
         below = y < share * x - floor
         if full is not None:

@@ -18,32 +18,36 @@ EXPOSURE = "exposure, light or colour space"
 
 SURE = 6.0  # standard errors of its own that a trend needs
 FOREIGN = 6.0  # times the limits of trend and grain, where another driver drew the image
-# What a single pixel may be over by: where it is smooth, and at an edge.
-_LONE = {"linear": (0.1, 0.5), "srgb8": (53.0, 90.0)}
+# What a single pixel may be over by: where it is smooth, in texture, and at an edge.
+_LONE = {"linear": (0.0, 0.1, 0.5), "srgb8": (0.0, 53.0, 90.0)}
 _SLIGHT = 50  # pixels that may be slivers, and
 _SHARE = 1e-4  # of all pixels
 BLUR = 1.5  # times the limits of grain and texture, that the image may have less
+_WIDELY = 0.1  # share of wrong pixels from which on they are not called few
 _HOLES = 2  # that cracks and hairs may leave
 
 
 def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -> tuple[str, ...]:
     """Say why the images differ, and what that looks like.
 
-    over : (H, W), 2 where a pixel is too bright, or 3 at an edge, and 1 where that may be a sliver;
-        negative where it is too dark
+    over : (H, W), 2 where a pixel is too bright, 3 in texture, 4 at an edge, and 1 where that may
+        be a sliver; negative where it is too dark
     """
     limits, linear = result.limits, result.encoding == "linear"
     reasons = []
     like = ""
     wrong = np.abs(over) > 1
-    lone = _LONE[result.encoding][int((np.abs(over) == 3).any())]
-    few = result.points > 1 or abs(result.point) > lone
+    place = int(np.abs(over).max(initial=0))
+    few = result.points > 1 or abs(result.point) > _LONE[result.encoding][max(place - 2, 0)]
     if result.slight > _SLIGHT + _SHARE * over.size and not (result.points and few):
         wrong, few = over != 0, True
     count = int(wrong.sum())
     if count and few:
-        like = _likeness(over, wrong, count, result.blocks_judged * BLOCK**2)
-        at_edge = " at edges" if (np.abs(over[wrong]) == 3).mean() > 0.5 else ""
+        judged = result.blocks_judged * BLOCK**2
+        widely = judged and count > _WIDELY * judged
+        like = _guess(evidence) if widely else _likeness(over, wrong, count, judged)
+        like = SHAPE if like == LOBE else like
+        at_edge = " at edges" if (np.abs(over[wrong]) == 4).mean() > 0.5 else ""
         by = f"{abs(result.point):.2g}" if linear else f"{abs(result.point):.0f} of 255"
         reasons.append(
             f"{count} pixel{'' if count == 1 else 's'} over by up to {by}{at_edge}, worst "
@@ -109,7 +113,7 @@ def _likeness(over: NDArray[np.int8], wrong: NDArray[np.bool_], count: int, judg
     touching = (wrong[1:] & wrong[:-1]).sum() + (wrong[:, 1:] & wrong[:, :-1]).sum()
     scattered = touching <= 0.5 * count
     if bright > 0.9:
-        at_edge = (np.abs(over[wrong]) == 3).mean() > 0.5
+        at_edge = (np.abs(over[wrong]) == 4).mean() > 0.5
         return "fireflies" if scattered and not at_edge else "false highlights"
     if bright < 0.1 and count < 0.01 * judged:
         return "missing pixels" if scattered else "missing highlights"

@@ -103,6 +103,8 @@ class Resources:
         self.programs: dict[Program, moderngl.Program] = {}  # the longest unused first
         self._drawn: set[Program] = set()  # what the last frame used of them
         self.targets: dict[Target, moderngl.Framebuffer] = {}
+        # Each made once, for moderngl 5.13 frees only part of a scope.
+        self.scopes: dict[Target, moderngl.Scope] = {}
         self.held: dict[Target, Hashable] = {}  # the keys of what targets hold
         self.screens: dict[moderngl.Program, moderngl.VertexArray] = {}
         self._settled = True
@@ -110,7 +112,7 @@ class Resources:
     def release(self) -> None:
         """Free everything on the GPU; the context is current."""
         caches = (self.geometries, self.facets, self.textures, self.programs, self.targets)
-        for made in (*caches, self.environments, self.screens, self.held):
+        for made in (*caches, self.scopes, self.environments, self.screens, self.held):
             made.clear()
         self.context.gl.gc()
 
@@ -142,13 +144,12 @@ class Resources:
         InputError : a map is damaged or too large
         ContextError : the driver refuses a target or a program
         """
-        gl = self.context.gl
         target = self.target(step.target)
         held = self.held.pop(step.target, None)
         if step.key is not None and held == step.key:
             self.held[step.target] = held
             return target
-        with gl.scope(target):
+        with self.scopes[step.target]:
             self._prepare(target)  # an error may have left it in another state
             target.clear(*step.clear)
             for draw in step.draws:
@@ -260,6 +261,7 @@ class Resources:
                         color.filter = moderngl.NEAREST, moderngl.NEAREST
                 depth = gl.depth_renderbuffer(size, samples=samples)
                 self.targets[kind] = gl.framebuffer(colors, depth)
+                self.scopes[kind] = gl.scope(self.targets[kind])
             except moderngl.Error as error:
                 raise ContextError(
                     f"{self.context.renderer} cannot draw {size[0]} x {size[1]} pixels with "

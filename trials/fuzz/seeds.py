@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
 
 from facerender.image import save_exr
@@ -183,6 +183,9 @@ def images() -> Iterator[tuple[str, bytes]]:
         "a.npz",
         _written(lambda path: np.savez_compressed(path, linear=linear), "a.npz")["a.npz"],
     )
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    yield "a.jpg", _image(texels[..., :3], "JPEG", icc_profile=profile)
+    yield "a.png", _image(texels, "PNG", icc_profile=profile)
 
 
 def _save(array: np.ndarray[Any, Any], path: Path) -> None:

@@ -37,12 +37,14 @@ class Against:
     ----------
     name : of the golden
     samples : of both
+    renderer : that drew the image, "" for the golden's
     """
 
     name: str
     golden: Linear
     image: Linear
     samples: int
+    renderer: str = ""
 
 
 @dataclass(frozen=True)
@@ -347,7 +349,8 @@ OTHER_FOUR = ((-0.375, -0.25), (0.125, -0.375), (-0.125, 0.25), (0.375, 0.375))
 def softpipe(room: Room) -> Against:
     """Mesa's other driver, which has one sample."""
     variables = {"GALLIUM_DRIVER": "softpipe", "LIBGL_ALWAYS_SOFTWARE": "1"}
-    return _with_one_sample(room, draw_elsewhere(room.setting, 1, variables=variables))
+    image = draw_elsewhere(room.setting, 1, variables=variables)
+    return _with_one_sample(room, image, "softpipe")
 
 
 def swiftshader(room: Room) -> Against:
@@ -357,13 +360,13 @@ def swiftshader(room: Room) -> Against:
     setting = room.setting
     scene = room.scene, setting.shading, room.size, setting.float_albedo
     with sync_playwright() as playwright, chromium.launch(playwright) as browser:
-        return _with_one_sample(room, draw_webgl(browser, *scene))
+        return _with_one_sample(room, draw_webgl(browser, *scene), "SwiftShader")
 
 
-def _with_one_sample(room: Room, image: Linear) -> Against:
+def _with_one_sample(room: Room, image: Linear, renderer: str) -> Against:
     if room.setting.samples == 1:
-        return Against("golden", room.golden, image, 1)
-    return Against("golden-1", room.draw(samples=1), image, 1)
+        return Against("golden", room.golden, image, 1, renderer)
+    return Against("golden-1", room.draw(samples=1), image, 1, renderer)
 
 
 def narrow(room: Room) -> Linear:

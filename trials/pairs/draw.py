@@ -124,7 +124,7 @@ class Drawer:
             return
         if not isinstance(made, Against):
             made = Against("golden", self.room.golden, made, self.setting.samples)
-        a, b = self.room.frame(made.golden), self.room.frame(made.image)
+        a, b = self.room.frame(made.golden), self.room.frame(made.image, made.renderer)
         for kind in change.formats:
             golden, image = (
                 self.folder / f"{each}.{kind}" for each in (made.name, slug(change.name))

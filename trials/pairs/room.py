@@ -130,9 +130,11 @@ class Room:
         view = replace(self.view, matrix=self.view.matrix @ np.diag([-1.0, 1.0, 1.0, 1.0]))
         return np.ascontiguousarray(self.draw(view=view)[:, ::-1])
 
-    def frame(self, linear: Linear) -> fr.Frame:
-        """Return what saves an image of the scene."""
-        return fr.Frame(linear, None, self.scene.background is None, self.renderer.metadata)
+    def frame(self, linear: Linear, renderer: str = "") -> fr.Frame:
+        """Return what saves an image of the scene, drawn by another renderer where one is named."""
+        metadata = self.renderer.metadata
+        metadata["GL_RENDERER"] = renderer or metadata["GL_RENDERER"]
+        return fr.Frame(linear, None, self.scene.background is None, metadata)
 
 
 def draw_elsewhere(
