@@ -13,6 +13,7 @@ import pytest
 import facerender as fr
 import pytest_facerender
 from facerender.commands import main
+from facerender.commands.compare import LIMITED, default_of
 from facerender.comparison.calibration import LEAST, MARGIN, Calibration, calibration_of, runs_of
 from facerender.comparison.gates import HIGHEST, LIMITS, Limits, compare
 from facerender.comparison.settings import NAMES, read_limits, text_of, write_limits
@@ -412,6 +413,12 @@ def test_what_does_not_go_together(wide, capsys, monkeypatch, arguments, message
     status, out, err = run(capsys, *arguments)
     assert (status, out) == (2, "")
     assert message in err
+
+
+def test_document_has_the_defaults():
+    text = (Path(__file__).parents[1] / "docs/command-line.md").read_text(encoding="utf-8")
+    for name, said in LIMITED.items():
+        assert f"| `--{name} LIMIT` | {said} ({default_of(name)}) |" in text
 
 
 # --- the plugin ----------------------------------------------------------------------------------
