@@ -78,7 +78,7 @@ def test_verbose_tells_the_steps_and_quiet_none(tmp_path, capsys):
         "OpenGL",
         "image",
     ]
-    assert "s: 1 pairs\n" in run(capsys, "compare", "--verbose", out, out)[2]
+    assert "s: a pair\n" in run(capsys, "compare", "--verbose", out, out)[2]
     assert run(capsys, "compare", out, out)[2] == ""
     status, told, err = run(capsys, "render", "--quiet", "--verbose", *SIZE, "-o", out)
     assert (status, told) == (2, "")

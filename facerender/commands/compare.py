@@ -34,11 +34,8 @@ def add(compare: argparse.ArgumentParser) -> None:
         "b", metavar="B", nargs="?", help="image, or folder with files of the same names"
     )
     for name, text in LIMITED.items():
-        defaults = {encoding: getattr(limits, name) for encoding, limits in LIMITS.items()}
-        default = f"{defaults['linear']:g}"
-        if defaults["srgb8"] != defaults["linear"]:
-            default += f"; 8-bit: {defaults['srgb8']:g} of 255"
-        compare.add_argument(f"--{name}", type=float, help=f"limit: {text} ({default})")
+        help = f"limit: {text} ({default_of(name)})"
+        compare.add_argument(f"--{name}", type=float, help=help)
     compare.add_argument(
         "--limits",
         metavar="FILE",
@@ -55,6 +52,12 @@ def add(compare: argparse.ArgumentParser) -> None:
     compare.add_argument("--report", metavar="OUT.html", help="a page to look at the images")
     compare.add_argument("--json", action="store_true", help="every figure")
     add_verbose(compare)
+
+
+def default_of(name: str) -> str:
+    """Return a limit's default, as help tells it."""
+    linear, encoded = (getattr(LIMITS[encoding], name) for encoding in ("linear", "srgb8"))
+    return f"{linear:g}" + (f"; 8-bit: {encoded:g} of 255" if encoded != linear else "")
 
 
 def run(options: argparse.Namespace) -> int:

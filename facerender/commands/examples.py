@@ -26,6 +26,7 @@ EXAMPLES = {
     "compare": (
         "facerender compare golden.exr new.exr",
         "facerender compare goldens out --report report.html",
+        "facerender compare --calibrate runs --limits pytest.ini",
     ),
     "explore": (
         "facerender explore head.glb -o head.html",

@@ -23,6 +23,7 @@ from facerender.comparison.gates import FULL, HIGHEST, LIMITS, Limits, compare
 from facerender.comparison.neighbourhoods import filtered
 from facerender.comparison.pairs import pairs_of
 from facerender.comparison.settings import NAMES
+from facerender.comparison.verdict import changed_alike
 from facerender.errors import InputError, reason
 from facerender.image import Encoding, Picture, encode_srgb8, read_image, srgb_to_linear
 from facerender.progress import Progress, unheard
@@ -205,13 +206,15 @@ def _needed(a: Picture, b: Picture, limits: Limits, mask: NDArray[Any] | None) -
     needed: dict[str, float] = {}
     if compare(a, b, mask=mask, **asdict(limits)).same:
         return needed
-    # The shift first: what it explains is no change of a block.
-    for gate in ("shift", *(name for name in NAMES if name != "shift")):
-        others = _OPEN | {"shift": needed.get("shift", limits.shift)}
+    # What a shift explains is no change of a block, and what blocks may do is no trend.
+    others = dict(_OPEN)
+    for gate in ("shift", "block", *(name for name in NAMES if name not in ("shift", "block"))):
         least = getattr(limits, gate)
         limit = _least(partial(passes, gate, others), least)
         if limit > least:
             needed[gate] = limit
+        if gate in ("shift", "block"):
+            others[gate] = limit
     return needed
 
 
@@ -267,7 +270,10 @@ def _seen(a: Picture, b: Picture, limits: Limits, mask: NDArray[Any] | None) -> 
         pixels = b.pixels.copy()
         pixels[..., : color.shape[2]] = changed
         given = _OPEN | {"shift": limits.shift, gate: getattr(limits, gate)}
-        return not compare(a, replace(b, pixels=pixels), mask=mask, **given).same
+        if gate == "trend":
+            given["block"] = limits.block
+        result = compare(a, replace(b, pixels=pixels), mask=mask, **given)
+        return changed_alike(result) if gate == "trend" else not result.same
 
     def brighter(by: float) -> NDArray[Any]:
         changed = color.astype(np.float32)

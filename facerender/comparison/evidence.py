@@ -169,6 +169,7 @@ class Evidence:
     foreign : whether another driver drew the image
     moved : pixels by which the whole picture may lie elsewhere
     allowed : standard error that blocks have besides
+    looser : standard error that they have besides for the trend alone
     """
 
     sums: Sums
@@ -176,6 +177,7 @@ class Evidence:
     foreign: bool = False
     moved: float = MOVED
     allowed: float = 0.0
+    looser: float = 0.0
 
     @cached_property
     def shift(self) -> tuple[float, float]:
@@ -299,7 +301,7 @@ class Evidence:
 
     @cached_property
     def _products(self) -> NDArray[np.float64]:
-        ratio = np.clip(self.change / self.error, -_CLIPPED, _CLIPPED)
+        ratio = np.clip(self.change / np.hypot(self.error, self.looser), -_CLIPPED, _CLIPPED)
         products: list[NDArray[np.float64]] = []
         for one, other in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
             both = self.changed[one] & self.changed[other]

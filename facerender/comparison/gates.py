@@ -201,10 +201,9 @@ def compare(
         strips = list(pool.map(strip, range(0, height, tall)))
     sums = Sums.joined([each.sums for each in strips])
     scale = LINEAR if a.encoding == "linear" else STEPS
-    allowed = _LOOSER * max(limits.block - LIMITS[a.encoding].block, 0.0)
-    if a.noise != b.noise:
-        allowed += max(a.noise, b.noise)
-    evidence = Evidence(sums, scale, foreign, limits.shift, allowed)
+    allowed = max(a.noise, b.noise) if a.noise != b.noise else 0.0
+    looser = _LOOSER * max(limits.block - LIMITS[a.encoding].block, 0.0)
+    evidence = Evidence(sums, scale, foreign, limits.shift, allowed, looser)
     worst = max(strips, key=lambda each: each.worst)
     blocks = np.nan_to_num(evidence.channels)
     down, across = np.unravel_index(np.abs(blocks).argmax(), blocks.shape)

@@ -60,7 +60,6 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
             f"{_HOLES}: looks like missing pixels"
         )
     factor = FOREIGN if result.foreign else 1.0
-    trend = factor * limits.trend
     if result.blocks:
         mean, limit = (
             (f"{_signed(100.0 * result.block)} %", f"{100.0 * limits.block:g} %")
@@ -77,10 +76,10 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
             f"block {result.block_at}: mean {mean}, limit {limit}, {result.blocks} of "
             f"{result.blocks_judged} blocks over: looks like {guess}{_estimate(result)}"
         )
-    elif result.trend > trend and result.surety > SURE:
+    elif changed_alike(result):
         reasons.append(
-            f"neighbouring blocks changed alike: trend {result.trend:.2g}, limit {trend:g}: looks "
-            f"like {_guess(evidence)}{_estimate(result)}"
+            f"neighbouring blocks changed alike: trend {result.trend:.2g}, limit "
+            f"{factor * limits.trend:g}: looks like {_guess(evidence)}{_estimate(result)}"
         )
     grain, texture = factor * limits.grain, factor * limits.texture
     if not reasons and not BLUR * -grain <= result.grain <= grain:
@@ -106,6 +105,12 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
             f"{100.0 * limits.coverage:g} %: looks like another mesh or camera"
         )
     return tuple(reasons)
+
+
+def changed_alike(result: Comparison) -> bool:
+    """Return whether the trend is over its limit, and no chance."""
+    limit = result.limits.trend * (FOREIGN if result.foreign else 1.0)
+    return result.trend > limit and result.surety > SURE
 
 
 def _likeness(over: NDArray[np.int8], wrong: NDArray[np.bool_], count: int, judged: int) -> str:
