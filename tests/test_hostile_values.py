@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 import re
 import struct
+import warnings
 import zipfile
 import zlib
 from contextlib import suppress
@@ -442,3 +443,16 @@ def test_point_lights_beyond_what_float32_tells_are_refused(extra):
         pytest.raises(InputError, match=r"point light .* radii of the mesh .* give 1e\+06 at most"),
     ):
         renderer.render(fr.Scene(HEAD, lights=(light,)))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_figures_of_any_two_images_are_finite(seed):
+    chance = np.random.default_rng(seed)
+    shape = (*chance.integers(1, 80, 2), int(chance.choice([1, 3, 4])))
+    a = (chance.normal(size=shape) * 10.0 ** chance.choice([-40, -5, 0, 10, 27])).astype(np.float32)
+    b = (a * (1.0 + chance.normal(size=shape) * chance.choice([0.0, 0.1, 3.0]))).astype(np.float32)
+    b[chance.random(shape[:2]) < 0.1] = 10.0 ** chance.integers(-38, 30)
+    with warnings.catch_warnings(action="error"):
+        result = fr.compare(a, b)
+    figures = (value for value in result.as_dict().values() if isinstance(value, float))
+    assert np.isfinite([*figures, *result.shift]).all()

@@ -23,6 +23,7 @@ _CELL = 4
 LEAST = 48  # pixels that a block needs to be judged
 FLOOR = 0.01  # radiance below which relative differences are taken of this
 MOVED = 0.25  # pixels by which the whole picture may lie elsewhere
+_WILD = 1e3  # levels beyond which steps are cut off, since their squares would overflow
 _FEW = 4  # changed blocks, fewer of which have no grain
 _CLIPPED = 10.0  # standard errors, beyond which a block's change counts no more
 
@@ -115,11 +116,13 @@ class Sums:
         steepest = filtered(np.maximum(*steps), np.maximum)
         level: Float = np.ones((1, 1), np.float32)
         if scale is LINEAR:
-            level = np.maximum.reduce([*planes[0], *planes[1], np.full_like(means[0], FLOOR)])
+            level = np.maximum.reduce([np.abs(plane) for plane in (*planes[0], *planes[1])])
+            level = np.maximum(level, np.float32(FLOOR))
         counts = inside & (steepest < np.float32(scale.edge) * level)
         flat = inside & (np.minimum(*steps) < np.float32(scale.flat) * level)
         flat, counted = filtered(flat, np.minimum)[rows], counts[rows]
-        noise = scale.noise**2 + np.square(np.float32(scale.slope) * steepest / level)
+        slope = np.minimum(np.float32(scale.slope) * steepest / level, np.float32(_WILD))
+        noise = scale.noise**2 + np.square(slope)
         weight = (counts / noise / level).astype(np.float32)[rows]
         level = level if scale is STEPS else level[rows]
         inverse = weight / level
@@ -135,7 +138,10 @@ class Sums:
             of_cells.append([cells(weight * part) for part in parts])
             of_blocks.append([blocks(each) for each in of_cells[-1]])
         change, across, down, _ = np.mean(of_cells, axis=0)
-        fine = [[_fine(plane[rows]) / level for plane in each] for each in planes]
+        wild = np.float32(_WILD)
+        fine = [
+            [(_fine(plane[rows]) / level).clip(-wild, wild) for plane in each] for each in planes
+        ]
         apart = [y - x for x, y in zip(*fine, strict=True)]
         squares = [_common(each) for each in (apart, *fine)]
         own = sum(np.square(each) for each in apart) / np.float32(count) - squares[0]
