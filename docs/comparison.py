@@ -81,7 +81,9 @@ def _is_of(gate: str, reason: str) -> bool:
 def row(result: Comparison) -> list[str]:
     unit = 1.0 if result.encoding == "srgb8" else 100.0
     block = f"{unit * result.block:+.2g}" + ("" if unit == 1.0 else " %")
-    guesses = dict.fromkeys(reason.split("looks like ")[-1] for reason in result.reasons)
+    guesses = dict.fromkeys(
+        reason.split("looks like ")[-1].split(" (")[0] for reason in result.reasons
+    )
     return [
         f"{result.point:+.2g}, {result.points}",
         f"{block}, {result.blocks} of {result.blocks_judged}",

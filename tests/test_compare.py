@@ -83,7 +83,10 @@ def studio(setting, egl, request: pytest.FixtureRequest) -> Iterator[Studio]:
 
 
 def guesses(result) -> set[str]:
-    return {reason.split("looks like ")[1] for reason in result.reasons}
+    return {
+        reason.split("looks like ")[1].split(" (gain")[0].split(" (shift")[0]
+        for reason in result.reasons
+    }
 
 
 @pytest.mark.parametrize("name", BROKEN)
@@ -379,7 +382,7 @@ def test_exit_status_and_line(cli, exr, tmp_path):
     assert out == (
         "other.exr: 2304 pixels over by up to 0.008, worst (10, 10), limit 0.005: looks like "
         "exposure, light or colour space; block (16, 0): mean +5 %, limit 0.5 %, 12 of 12 blocks "
-        "over: looks like exposure, light or colour space\n"
+        "over: looks like exposure, light or colour space (gain 1.05)\n"
     )
     assert cli.run("compare", exr, tmp_path / "other.exr", "--block", "0.06")[0] == 1
 

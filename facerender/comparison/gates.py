@@ -96,7 +96,8 @@ class Comparison:
     grain : RMS from one pixel to the next that the image has more, or less, than the reference,
         where they are flat
     texture : the same of variances, where they need not be, as a share of both
-    gain : by how much the image is brighter where it is smooth: relative, or steps
+    gain : by how much blocks that changed are brighter, mostly where they are smooth: relative, or
+        steps
     shift : pixels by which the image lies to the right of the reference, and below it
     coverage : share of the pixels whose coverage changed; 0 without an alpha channel
     largest, mean : largest and mean absolute difference of any channel, for information

@@ -24,6 +24,7 @@ _SLIGHT = 50  # pixels that may be slivers, and
 _SHARE = 1e-4  # of all pixels
 BLUR = 1.5  # times the limits of grain and texture, that the image may have less
 _WIDELY = 0.1  # share of wrong pixels from which on they are not called few
+_SEEN = 0.01  # pixels of a shift, below which it is not told
 _HOLES = 2  # that cracks and hairs may leave
 
 
@@ -73,12 +74,12 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
             guess = like
         reasons.append(
             f"block {result.block_at}: mean {mean}, limit {limit}, {result.blocks} of "
-            f"{result.blocks_judged} blocks over: looks like {guess}"
+            f"{result.blocks_judged} blocks over: looks like {guess}{_estimate(result)}"
         )
     elif changed_alike(result):
         reasons.append(
             f"neighbouring blocks changed alike: trend {result.trend:.2g}, limit "
-            f"{factor * limits.trend:g}: looks like {_guess(evidence)}"
+            f"{factor * limits.trend:g}: looks like {_guess(evidence)}{_estimate(result)}"
         )
     grain, texture = factor * limits.grain, factor * limits.texture
     if not reasons and not BLUR * -grain <= result.grain <= grain:
@@ -128,8 +129,19 @@ def _likeness(over: NDArray[np.int8], wrong: NDArray[np.bool_], count: int, judg
 def _guess(evidence: Evidence) -> str:
     """Say what blocks that changed look like."""
     changes = evidence.change[evidence.changed]
+    if not changes.size:
+        return SHAPE
     low, middle, high = np.percentile(changes, (10, 50, 90))
     return EXPOSURE if high - low < 0.5 * abs(middle) else LOBE
+
+
+def _estimate(result: Comparison) -> str:
+    """Say by how much the image is brighter, and where it lies."""
+    gain = f"gain {1.0 + result.gain:.4g}" if result.encoding == "linear" else ""
+    x, y = result.shift
+    moved = f"shift ({x:.2g}, {y:.2g})" if max(abs(x), abs(y)) > _SEEN else ""
+    said = ", ".join(filter(None, (gain, moved)))
+    return f" ({said})" if said else ""
 
 
 def _texture(change: float) -> str:
