@@ -125,6 +125,9 @@ def test_no_limit_is_wider_than_by_default_for_the_margin_alone(runs):
     assert found.least.block < default < MARGIN * found.least.block
     assert found.limits.block == default
     assert "wider" not in found.noted["block"][1]
+    assert compare(
+        *(runs.folder / run / "head.exr" for run in ("one", "two")), **asdict(found.limits)
+    )
 
 
 @pytest.mark.parametrize("gate", ["point", "block", "trend", "grain", "texture"])
@@ -168,14 +171,17 @@ def test_wider_limits_see_less_and_say_so(runs, wide):
 
 
 def test_mask_leaves_out_what_does_not_count(wide):
-    b = picture()
-    b[:, : SIDE // 2, :3] *= 1.05
-    wide.add("two", b)
+    a = picture()
+    a[:, : SIDE // 2, :3] = 0.5
+    wide.add("one", a)
+    a[:, : SIDE // 2, :3] *= 1.05
+    wide.add("two", a)
     mask = np.zeros((SIDE, SIDE))
     mask[:, SIDE // 2 :] = 1.0
     (found,) = calibration_of(runs_of(wide.folder), mask)
     assert found.limits == LEAST["linear"]
-    assert found.sees["block"] < 0.01
+    assert 5e-4 < found.sees["block"] < 0.01
+    assert found.sees["point"] < 0.1
 
 
 def test_images_of_8_bits_have_limits_of_their_own(wide):
@@ -309,6 +315,7 @@ def test_line_ends_stay_as_they_are(tmp_path):
     ("name", "content"),
     [
         ("pytest.ini", "[pytest]\naddopts = -q\nfacerender_point =\n    0.5\n"),
+        ("pytest.ini", "[pytest]\nenv =\n    facerender_point = 0.5\n"),
         ("pytest.ini", "[pytest]\naddopts = -q\n[pytest]\nx = 1\n"),
         ("pytest.ini", "no section\n"),
         ("pyproject.toml", 'tool = {pytest = {ini_options = {addopts = "-q"}}}\n'),
@@ -365,11 +372,15 @@ def test_command_writes_limits_that_it_reads(wide, tmp_path, capsys):
     assert run(capsys, one, two)[0] == 1
     assert run(capsys, one, two, "--limits", path)[0] == 0
     assert run(capsys, one, two, "--limits", path, "--block", 0.001)[0] == 1
-    wide.add("one", picture(), "head.png")
-    wide.add("two", picture(1.02), "head.png")
-    status, out, _ = run(capsys, one, two, "--limits", path)
-    assert status == 1
-    assert "head.exr: same" in out  # and the file says nothing of 8 bits
+
+
+def test_limits_of_a_file_are_for_the_images_of_their_encoding(runs, tmp_path, capsys):
+    one, two = (runs.add(name, picture(gain), "head.png") for name, gain in (("a", 1), ("b", 1.02)))
+    path = tmp_path / "pytest.ini"
+    write_limits(path, {"linear": LOOSE})
+    assert run(capsys, one, two, "--limits", path)[0] == 1
+    write_limits(path, {"srgb8": LOOSE})
+    assert run(capsys, one, two, "--limits", path)[0] == 0
 
 
 def test_command_without_a_file_prints_alone(wide, capsys, tmp_path):

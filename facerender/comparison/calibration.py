@@ -29,10 +29,11 @@ from facerender.image import Encoding, Picture, encode_srgb8, read_image, srgb_t
 from facerender.progress import Progress, unheard
 
 MARGIN = 1.5
-# What rounding needs: to half floats or steps of 8 bits, and of cameras to 0.02 pixels.
+# What rounding to half floats or steps of 8 bits needs, and a camera or samples that move by 0.1
+# pixels.
 LEAST: dict[Encoding, Limits] = {
-    "linear": Limits(1e-3, 1e-3, trend=0.05, grain=5e-4, texture=2e-3, coverage=1e-3, shift=0.05),
-    "srgb8": replace(LIMITS["srgb8"], point=1.0, coverage=1e-3, shift=0.05),
+    "linear": Limits(1e-3, 1e-3, trend=0.05, grain=5e-4, texture=2e-3, coverage=2e-3, shift=0.15),
+    "srgb8": replace(LIMITS["srgb8"], point=1.0, coverage=2e-3, shift=0.15),
 }
 # What each limit is to see; of the former, two beside each other, where it is smooth.
 CHANGES = {
