@@ -21,7 +21,7 @@ from typing import NoReturn
 
 import numpy as np
 
-HANGS = 60  # seconds, after which an input's process is ended
+HANGS = 300  # seconds, after which an input ends its process; a busy machine may stop it for 60
 SPACE = 16 << 30  # bytes of addresses: an allocation beyond them fails
 LONGEST = 1 << 16  # bytes of an input
 # What Atheris follows: our modules, and what parses for us.
