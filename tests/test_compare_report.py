@@ -432,7 +432,7 @@ def test_views_by_keyboard(tab) -> None:
     section.get_by_label("side by side").focus()
     for shown in (1, 2, 1):
         tab.keyboard.press("ArrowRight")
-        for _ in range(50):  # the browser answers when it gets to it
+        for _ in range(200):  # the browser answers when it gets to it
             if len(visible(section)) == shown:
                 break
             tab.wait_for_timeout(100)
