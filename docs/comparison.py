@@ -266,9 +266,10 @@ taken off; "> x": not seen up to x.
 Twelve scenes, of {sizes} pixels a side and with 1 and 4 samples, each drawn as it is and once per
 change, as EXR and as PNG, in two halves that share no head, camera or light: `python -m
 trials.pairs SUITE`. The limits are set by looking at the one half; all figures here are of the
-other, which was printed, too, while those of texture and holes were settled. Pairs of identical pixels are left out, and so are changes that must fail and move no pixel
-by more than the encoding's noise: 0.5 % of its radiance or of 0.01, whichever is more, in EXR; 1 of
-255, before rounding, in PNG.
+other, which was printed, too, while those of texture and holes were settled. Pairs of identical
+pixels are left out, and so are changes that must fail and move no pixel by more than the
+encoding's noise: 0.5 % of its radiance or of 0.01, whichever is more, in EXR; 1 of 255, before
+rounding, in PNG.
 
 facerender compares at its defaults. Every number of another tool has the threshold that suits this
 very half best: the highest balanced accuracy, the mean of the share that is caught of what must
