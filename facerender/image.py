@@ -24,7 +24,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from facerender.ending import if_ended, temporary_folder
+from facerender.ending import if_ended
 from facerender.errors import InputError, clipped, reason
 from facerender.files import open_file
 from facerender.icc import profile_of
@@ -349,45 +349,29 @@ def save_exr(
     path: str | os.PathLike[str], linear: NDArray[np.float32], metadata: Mapping[str, str]
 ) -> None:
     """Write linear float32 pixels (H, W, 3 or 4) as OpenEXR; needs the extra ``exr``."""
-    _write_exr(path, {"RGBA"[: linear.shape[-1]]: linear}, metadata)
+    channels = {"RGBA"[: linear.shape[-1]]: linear}
+    write_bytes(path, exr_bytes(os.fspath(path), channels, metadata))
 
 
 def exr_bytes(
     name: str, channels: Mapping[str, NDArray[np.float32]], metadata: Mapping[str, str]
 ) -> bytes:
-    """Return an OpenEXR file of float32 channels (H, W), by their names; needs the extra ``exr``.
+    """Return an OpenEXR file of float32 channels (H, W), or of several in one (H, W, C), by their
+    names; needs the extra ``exr``.
 
     name : of the file, for messages
 
-    The same channels and metadata give the same bytes. OpenEXR before 3.5 writes files alone: they
-    go through the folder of temporary files.
+    The same channels and metadata give the same bytes. A file that OpenEXR writes itself can end
+    too early without a word: it does not look whether its last buffer still had room.
     """
-    openexr(name)  # the temporary name says nothing to a user
-    with temporary_folder() as folder:
-        path = Path(folder, name)
-        _write_exr(path, channels, metadata)
-        return path.read_bytes()
-
-
-def _write_exr(
-    path: str | os.PathLike[str],
-    channels: Mapping[str, NDArray[np.float32]],
-    metadata: Mapping[str, str],
-) -> None:
-    OpenEXR = openexr(path)
+    OpenEXR = openexr(name)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     pixels = {
         key: np.ascontiguousarray(values, dtype=np.float32) for key, values in channels.items()
     }
-    file = OpenEXR.File({**header, **metadata}, pixels)
-
-    def write(name: str) -> None:
-        try:
-            file.write(name)
-        except RuntimeError as error:  # whatever the cause is
-            raise OSError(str(error)) from None
-
-    write_whole(path, write)
+    content = BytesIO()
+    OpenEXR.File({**header, **metadata}, pixels).write(content)
+    return content.getvalue()
 
 
 def check_pixels(name: str, width: int, height: int, bytes_each: int, of: float) -> None:

@@ -608,23 +608,6 @@ def test_full_disk_leaves_the_existing_png(cli: Cli, monkeypatch: pytest.MonkeyP
     assert cli.png.read_bytes() == b"precious"
 
 
-def test_full_disk_leaves_the_existing_exr(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
-
-    class File:
-        def __init__(self, *arguments: Any) -> None:
-            pass
-
-        def write(self, path: str) -> None:
-            Path(path).write_bytes(b"half an image")
-            raise RuntimeError("Cannot write image file")  # as OpenEXR reports any cause
-
-    path = cli.folder / "head.exr"
-    path.write_bytes(b"precious")
-    monkeypatch.setattr(OpenEXR, "File", File)
-    cli.fail_to_render(r"cannot write .*head\.exr: Cannot write image file", "-o", path)
-    assert path.read_bytes() == b"precious"
-
-
 def test_exr_without_its_package(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
     cli.fail_to_render(r"pip install 'facerender\[exr\]'", "-o", cli.folder / "head.exr")

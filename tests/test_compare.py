@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -21,7 +22,7 @@ from PIL import Image, PngImagePlugin
 import facerender as fr
 from facerender.comparison.gates import LIMITS, STRICT, compare
 from facerender.comparison.pairs import Pair, pairs_of
-from facerender.image import encode_srgb8, read_image, save_exr
+from facerender.image import Picture, encode_srgb8, read_image, save_exr
 from tests.conftest import missing, require_backend
 from tests.test_cli import Capture, Cli, process
 from trials import mutations
@@ -205,6 +206,26 @@ def test_point_gate_lets_few_slivers_of_light_come_and_go_at_edges(places, by, s
     for place in places:
         image[(*place, slice(0, 3))] += by
     assert compare(plain(), image, block=1.0).same == same
+
+
+def test_slivers_along_a_whole_edge_are_too_many():
+    image = plain()
+    image[8, 8:-8, :3] += 0.3
+    assert compare(plain(), image, block=1.0).same
+    image[-9, 8:-8, :3] += 0.3
+    result = compare(plain(), image, block=1.0)
+    assert result.point <= LIMITS["linear"].point
+    assert result.points == 0
+    assert re.match(r"\d\d pixels changed as slivers may change them, limit 50: ", str(result))
+
+
+def test_a_result_says_that_another_driver_drew():
+    one, other = (
+        Picture(plain(), "linear", name, {"GL_RENDERER": name, "GL_VERSION": "4.5"})
+        for name in ("llvmpipe", "softpipe")
+    )
+    assert str(compare(one, one)) == "same"
+    assert str(compare(one, other)) == "same, as far as another driver tells"
 
 
 @pytest.mark.parametrize("radiance", [0.01, 0.3])

@@ -16,10 +16,11 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+import facerender as fr
 from facerender import brdf
 from facerender._version import __version__
 from facerender.drawing.context import Backend
-from facerender.image import linear_to_srgb, srgb_to_linear
+from facerender.image import linear_to_srgb, read_image, srgb_to_linear
 from tests.conftest import missing
 
 ROOT = Path(__file__).parents[1]
@@ -278,9 +279,14 @@ endforeach()
     assert printed.split() == [f"{root}|{root}", "99.0", "0", f"{__version__}.1", "0"]
 
 
-@pytest.mark.parametrize(("weight", "failed"), [("1", 0), ("0.97", 3)])
+@pytest.mark.parametrize(("weight", "failed"), [("1", 0), ("0.97", 3), ("0.9", 3)])
 def test_images_of_the_ci_example(egl: Backend, tmp_path: Path, weight: str, failed: int):
-    """Three pictures against their goldens; 3 % off the highlight is seen in each."""
+    """Three pictures against their goldens; 3 % off the highlight is seen in each by the driver
+    that drew those, 10 % by others."""
+    goldens = EXAMPLES / "ci_image_diff/goldens/test_skin"
+    drawn = read_image(goldens / "test_highlight-0.3.exr").metadata["GL_VERSION"]
+    if weight == "0.97" and drawn != fr.render(size=(8, 8), backend=egl).metadata["GL_VERSION"]:
+        failed = 0
     shutil.copytree(EXAMPLES / "ci_image_diff", tmp_path / "copy")
     command = [sys.executable, "-m", "pytest", "-p", "pytest_facerender"]
     result = subprocess.run(

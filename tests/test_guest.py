@@ -163,7 +163,8 @@ faulthandler.dump_traceback_later(200, exit=True)
 print(blake2b(fr.render(size=(64, 64)).linear.tobytes()).hexdigest())
 """
     run = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=240, cwd=ROOT
+        [sys.executable, "-W", "ignore::DeprecationWarning", "-c", code],
+        **{"capture_output": True, "text": True, "timeout": 240, "cwd": ROOT},
     )
     assert (run.stdout.strip(), run.stderr, run.returncode) == (drawn[1], "", 0)
 

@@ -182,12 +182,13 @@ import facerender as fr
 names = ("albedo", "normal_map", "roughness_map")
 mesh = fr.load_mesh(**dict(zip(names, sys.argv[1:4])))
 frame = fr.Renderer((1024, 1024)).render(fr.Scene(mesh))
-(most,) = (line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM"))
-print(most)
+status = {line.split()[0]: line.split()[-2] for line in open("/proc/self/status") if " kB" in line}
+print(int(status["VmHWM:"]) - int(status["RssFile:"]))
 """
 
 
-def test_three_maps_of_8192_take_less_than_600_mb(tmp_path):
+def test_three_maps_of_8192_take_520_mb_beside_libraries(tmp_path):
+    """Those are 85 MB with Mesa 22, and 97 with Mesa 25."""
     tile = noise(512, 512)
     whole = Image.new("RGB", (8192, 8192))
     for place in range(256):
@@ -197,4 +198,4 @@ def test_three_maps_of_8192_take_less_than_600_mb(tmp_path):
     told = subprocess.run(
         [sys.executable, "-c", SCRIPT, *paths], capture_output=True, text=True, check=True
     )
-    assert int(told.stdout) * 1024 <= 600e6
+    assert int(told.stdout) * 1024 <= 520e6

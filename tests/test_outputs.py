@@ -177,15 +177,15 @@ def test_the_longest_name(tmp_path, egl):
     assert os.listdir(tmp_path) == [path.name]
 
 
-@pytest.mark.parametrize("name", ["a.png", "a.exr"])
-def test_a_disk_without_room(name, tmp_path, egl):
+@pytest.mark.parametrize(("name", "size"), [("a.png", 32), ("a.exr", 32), ("a.exr", 4)])
+def test_a_disk_without_room(name, size, tmp_path, egl):
     (tmp_path / name).write_bytes(b"old")
 
     def limit():
         resource.setrlimit(resource.RLIMIT_FSIZE, (512, 512))
 
-    arguments = ("render", MINI_HEAD, *SMALL, "--no-cache", "-o", tmp_path / name)
-    done = process(*arguments, preexec_fn=limit)
+    small = ("--size", size, "--samples", "1", "--no-cache")
+    done = process("render", MINI_HEAD, *small, "-o", tmp_path / name, preexec_fn=limit)
     assert_error(
         done.returncode, done.stdout, done.stderr, rf"cannot write .*{name}: .*; make room"
     )

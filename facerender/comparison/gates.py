@@ -86,7 +86,8 @@ class Comparison:
     limits : that the figures were held against
     foreign : whether another driver drew the image, by the files' metadata: it may filter 8-bit
         textures differently, so that trend and grain say less
-    point, point_at : excess of the worst pixel, negative where the image is darker, and where
+    point, point_at : excess of the worst pixel, negative where the image is darker, and where;
+        without pixels over the limit, less what may be a sliver
     points : pixels over the limit, by more than a sliver at an edge
     slight : pixels over the limit, all of them
     holes : pixels with less than a quarter of their neighbours' light in the other image
@@ -140,8 +141,9 @@ class Comparison:
         return {"same": self.same, **asdict(self)}
 
     def __str__(self) -> str:
+        foreign = ", as far as another driver tells" * self.foreign
         unjudged = "" if self.blocks_judged else ", but no block could be judged"
-        return "; ".join(self.reasons) or f"same{unjudged}"
+        return "; ".join(self.reasons) or f"same{foreign}{unjudged}"
 
 
 def compare(
@@ -245,7 +247,7 @@ class _Strip:
     ----------
     over : (H, W), 2 where a pixel is too bright, 3 in texture, 4 at an edge, and 1 where that may
         be a sliver; negative where it is too dark
-    worst, excess, at : the largest excess less what may be a sliver, the excess, and where
+    worst, excess, at : the largest excess less what may be a sliver, what is told of it, and where
     holes : pixels that are dark where all around are not
     faded : pixels whose coverage changed
     """
@@ -280,6 +282,8 @@ class _Strip:
         over = np.where(beyond > limits.point, place, np.abs(value) > limits.point)
         over *= np.sign(value)
         row, column = np.unravel_index(beyond.argmax(), beyond.shape)
+        worst = max(beyond[row, column], 0.0)
+        worst = abs(value[row, column]) if worst > limits.point else worst
         inside = full & counted
         for _ in range(0 if whole and counts is None else MARGIN):
             inside = filtered(inside, np.minimum)
@@ -293,7 +297,7 @@ class _Strip:
             Sums.of(color_a, color_b, inside, own, LINEAR if relative else STEPS),
             over.astype(np.int8),
             float(beyond[row, column]),
-            float(value[row, column]),
+            float(np.copysign(worst, value[row, column])),
             (int(column), rows.start + int(row)),
             int((black & counted)[own].sum()),
             faded,

@@ -15,7 +15,7 @@ from facerender.comparison import pictures
 from facerender.comparison.evidence import BLOCK
 from facerender.comparison.gates import Comparison
 from facerender.comparison.pairs import Pair
-from facerender.comparison.verdict import BLUR, FOREIGN, SURE
+from facerender.comparison.verdict import BLUR, FOREIGN, SURE, most_slight
 from facerender.errors import InputError
 from facerender.image import Encoding, Picture, write_bytes
 from facerender.page.document import document, image_source, row, table
@@ -236,6 +236,12 @@ def _gates(result: Comparison) -> tuple[_Gate, ...]:
             _number(limits.point),
             result.points > 0,
             f"{_side(result.point)} at {point_at}; {result.points} over" if result.point else "",
+        ),
+        _Gate(
+            "slivers",
+            str(result.slight),
+            _number(most_slight(result)),
+            result.slight > most_slight(result),
         ),
         _Gate(
             "block",

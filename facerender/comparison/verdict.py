@@ -40,7 +40,8 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
     wrong = np.abs(over) > 1
     place = int(np.abs(over).max(initial=0))
     few = result.points > 1 or abs(result.point) > _LONE[result.encoding][max(place - 2, 0)]
-    if result.slight > _SLIGHT + _SHARE * over.size and not (result.points and few):
+    slivers = result.slight > most_slight(result) and not (result.points and few)
+    if slivers:
         wrong, few = over != 0, True
     count = int(wrong.sum())
     if count and few:
@@ -50,10 +51,10 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
         like = SHAPE if like == LOBE else like
         at_edge = " at edges" if (np.abs(over[wrong]) == 4).mean() > 0.5 else ""
         by = f"{abs(result.point):.2g}" if linear else f"{abs(result.point):.0f} of 255"
-        reasons.append(
-            f"{count} pixel{'' if count == 1 else 's'} over by up to {by}{at_edge}, worst "
-            f"{result.point_at}, limit {limits.point:g}: looks like {like}"
-        )
+        told = f" over by up to {by}{at_edge}, worst {result.point_at}, limit {limits.point:g}"
+        if slivers:
+            told = f" changed as slivers may change them, limit {most_slight(result):.0f}"
+        reasons.append(f"{count} pixel{'' if count == 1 else 's'}{told}: looks like {like}")
     elif result.holes > _HOLES:
         reasons.append(
             f"{result.holes} pixels with less than a quarter of the light around them, limit "
@@ -105,6 +106,12 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
             f"{100.0 * limits.coverage:g} %: looks like another mesh or camera"
         )
     return tuple(reasons)
+
+
+def most_slight(result: Comparison) -> float:
+    """Return how many pixels of an image may be slivers."""
+    width, height = result.size
+    return _SLIGHT + _SHARE * width * height
 
 
 def changed_alike(result: Comparison) -> bool:

@@ -340,7 +340,7 @@ class Resources:
         limit = gl.info["GL_MAX_TEXTURE_SIZE"]
         if max(width, height) > limit:
             raise InputError(f"{source.name} is {width} x {height} texels: at most {limit} here")
-        first = np.ascontiguousarray(levels[0][:1, :1])  # with an alignment of 1, which stays
+        first = levels[0][:1, :1].copy()  # with an alignment of 1, which stays
         texture = gl.texture((1, 1), components, first, 0, 1, dtype, internal_format=internal)
         texture.use(0)
         self._reserve(internal, [level.shape for level in levels], layout, data_type)
