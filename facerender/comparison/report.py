@@ -26,7 +26,7 @@ PICTURE = "\N{SYMBOL FOR RECORD SEPARATOR}"  # nor this
 THUMBNAIL = 160  # pixels a side
 EXACT = 25_000_000  # characters of a page up to which A and B are exact
 SEEN = 64  # pixels a side of what is exact around a place in a page that would be longer
-GATES = ("point", "block", "trend", "grain", "texture", "shift", "coverage")
+GATES = ("point", "slivers", "block", "trend", "grain", "texture", "shift", "coverage")
 MODES = ("side by side", "blink", "slider", "difference")
 
 
@@ -86,6 +86,9 @@ _NOTES = """
 <dt>point</dt>
 <dd>How far the worst pixel leaves what its neighbourhood in the other image explains. It sees
 fireflies and missing pixels, and lets edges pass that moved by a fraction of a pixel.</dd>
+<dt>slivers</dt>
+<dd>How many pixels are over the limit of points, with those at edges, where slivers of light and
+shade may come and go.</dd>
 <dt>block</dt>
 <dd>The largest change of the mean of 16 × 16 pixels inside the coverage, beyond what a shift of the
 whole image explains; of linear images relative to that mean. It sees a lobe or a weight that
