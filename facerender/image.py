@@ -71,6 +71,7 @@ WRITTEN: dict[str, Format] = {
 }
 QUALITY = 95  # of JPEG and WebP
 ROUNDED = 12.0**-0.5  # RMS of what rounding to whole steps adds
+HALVED = 2.0**-11 / 3.0**0.5  # and rounding to half floats, relative
 SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
 
 
@@ -476,8 +477,9 @@ def picture_of(values: NDArray[Any], name: str) -> Picture:
         return Picture(pixels, "srgb8", name, noise=ROUNDED)
     if not np.issubdtype(pixels.dtype, np.floating):
         raise InputError(f"{name} holds {pixels.dtype}: give linear float, or uint8")
+    noise = HALVED if pixels.dtype == np.float16 else 0.0
     with np.errstate(over="ignore"):
-        return Picture(pixels.astype(np.float32, copy=False), "linear", name)
+        return Picture(pixels.astype(np.float32, copy=False), "linear", name, noise=noise)
 
 
 def _read_exr(path: Path, start: bytes, size: int) -> Picture:
@@ -529,7 +531,7 @@ def _exr_loss(header: Mapping[bytes, bytes], half: bool) -> tuple[float, float]:
         noise, mean = (each * level / _DWA_LEVEL for each in _DWA_LOSS)
         return noise, mean
     if half:
-        return _B44_LOSS if compression in (_B44, _B44A) else (2.0**-11 / 3.0**0.5, 0.0)
+        return _B44_LOSS if compression in (_B44, _B44A) else (HALVED, 0.0)
     return (2.0**-16 / 3.0**0.5 if compression == _PXR24 else 0.0), 0.0
 
 

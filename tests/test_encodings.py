@@ -113,6 +113,16 @@ def test_noise_and_mean_of_exr(frame, name, bits, header, tmp_path):
         assert np.abs(change / np.maximum(of, 0.01))[whole].max() < picture.mean
 
 
+def test_half_floats_cost_the_same_however_they_are_given(tmp_path):
+    exact = np.full((64, 64, 3), 0.3, dtype=np.float32)
+    half = exact.astype(np.float16)
+    np.save(tmp_path / "a.npy", half)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"RGB": half}).write(str(tmp_path / "a.exr"))
+    for given in (half, tmp_path / "a.npy", tmp_path / "a.exr"):
+        assert str(compare(exact, given)) == "same"
+
+
 def test_halves_compare_as_what_they_are(frame, tmp_path):
     """A value beyond half floats' range would overflow if the limits were taken as halves."""
     paths = [tmp_path / f"{name}.exr" for name in ("half", "float")]
