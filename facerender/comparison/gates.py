@@ -273,11 +273,11 @@ class _Strip:
         covered = None if whole else full
         found = excess(color_a, color_b, covered, limits.point, relative)
         black = holes(color_a, color_b, covered, relative)
-        inside, unexplained, uncovered = full & counted, counted, counted
+        unexplained = uncovered = counted
         if a.moved is not None:
             moved = Range(*(end[around] for end in a.moved))
-            known = explained(moved, color_b, alpha_b, limits.point)
-            unexplained, uncovered = counted & ~known.color, counted & ~known.coverage
+            colors, coverage = explained(moved, color_b, alpha_b, limits.point)
+            unexplained, uncovered = counted & ~colors, counted & ~coverage
         value = np.where(unexplained, found.value, np.float32(0.0))[own]
         slack = found.slack[own]
         beyond = np.where(value != 0.0, np.abs(value) - slack, np.float32(0.0))
@@ -286,10 +286,9 @@ class _Strip:
         over = np.where(beyond > limits.point, place, np.abs(value) > limits.point)
         over *= np.sign(value)
         row, column = np.unravel_index(beyond.argmax(), beyond.shape)
+        inside = full & counted
         for _ in range(0 if whole and counts is None else MARGIN):
             inside = filtered(inside, np.minimum)
-        if a.moved is not None:
-            inside = inside & ~known.unsettled
         faded = 0 if whole else _faded(alpha_a, alpha_b, uncovered, own)
         apart = np.zeros(counted[own].shape, dtype=np.float32)
         for channel in range(color_a.shape[2]):  # NumPy is slow along a short last axis

@@ -4,19 +4,21 @@ here; the pytest plugin is pytest_facerender.py."""
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from facerender._version import __version__
-from facerender.comparison.evidence import MOVED
 from facerender.comparison.gates import Comparable, as_picture, compare
 from facerender.comparison.movement import MOVES, range_of
 from facerender.comparison.pairs import Pair
 from facerender.errors import InputError, reason
 from facerender.image import Picture, save_exr
 
+_FURTHER = 3.0  # times as far: detail finer than a pixel seems to move by more
 Draw = Callable[[float, float], Comparable]
 UNKNOWN = "an unknown renderer"
 
@@ -146,19 +148,19 @@ def check(
     return Verdict(picture, pair, golden, written=place)
 
 
-def _moved(picture: Picture, draw: Draw) -> Iterator[Picture]:
+def _moved(picture: Picture, draw: Draw) -> list[Picture]:
     """Draw an image moved by a hair.
 
     Raises
     ------
     InputError : what is drawn cannot be compared with the image, or is moved by more
     """
-    for x, y in MOVES:
-        drawn = as_picture(draw(x, y), f"what draw({x:g}, {y:g}) gives")
-        across, down = compare(picture, drawn).shift
-        if max(abs(across), abs(down)) > MOVED:
-            raise InputError(
-                f"draw({x:g}, {y:g}) moves the image by ({across:.2g}, {down:.2g}) pixels: move it "
-                "by what is given, to the right and down"
-            )
-        yield drawn
+    drawn = [as_picture(draw(x, y), f"what draw({x:g}, {y:g}) gives") for x, y in MOVES]
+    shifts = np.array([compare(picture, each).shift for each in drawn])
+    times = float(np.vdot(shifts, MOVES) / np.vdot(MOVES, MOVES))
+    if times > _FURTHER:
+        raise InputError(
+            f"draw moves the image by {times:.2g} times what it is given: take that as pixels to "
+            "the right and down"
+        )
+    return drawn

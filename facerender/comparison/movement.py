@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -15,27 +14,16 @@ from facerender.comparison.neighbourhoods import Float, Mask, filtered
 from facerender.image import Picture, Range
 
 FARTHEST = 0.1  # pixels
-_AROUND = [(math.cos(0.25 * i * math.pi), math.sin(0.25 * i * math.pi)) for i in range(8)]
-# Pixels to the right and down by which an image is moved: around, and halfway, for what is finer.
+# Pixels to the right and down by which an image is moved: circles, as what is fine comes and goes.
 MOVES = tuple(
-    (round(by * x, 6), round(by * y, 6))
-    for by, directions in ((FARTHEST, _AROUND), (0.5 * FARTHEST, _AROUND[::2]))
-    for x, y in directions
+    (round(by * math.cos(0.25 * i * math.pi), 6), round(by * math.sin(0.25 * i * math.pi), 6))
+    for by in (FARTHEST, FARTHEST * 2.0 / 3.0, FARTHEST / 3.0)
+    for i in range(8)
 )
 COVERED = 0.5  # coverage from which on a pixel is
 _HIGHEST = 65504.0  # of half floats
 _RELATIVE = 0.01  # of the level that a value may leave the range by
 _ALPHA = 0.01  # likewise of coverage
-_MUCH = 0.3  # of the level, that a movement changes
-
-
-class Explained(NamedTuple):
-    """Where colour and coverage of a pixel are explained, and where a movement changes much: (H, W)
-    each."""
-
-    color: Mask
-    coverage: Mask
-    unsettled: Mask
 
 
 def range_of(pictures: Sequence[Picture]) -> Range:
@@ -50,13 +38,14 @@ def range_of(pictures: Sequence[Picture]) -> Range:
     ends = []
     for choose, beyond in ((np.fmin, -np.inf), (np.fmax, np.inf)):
         values = choose.reduce(each).clip(-_HIGHEST, _HIGHEST).astype(np.float16)
-        ends.append(np.nextafter(values, np.float16(beyond)))
+        with np.errstate(over="ignore"):
+            ends.append(np.nextafter(values, np.float16(beyond)))
     return Range(*ends)
 
 
-def explained(moved: Range, color: Float, alpha: Float, least: float) -> Explained:
-    """Tell what the range explains: colours in that of 3 x 3 pixels, darker ones too where the
-    background is uncovered, and coverage in that of the pixel.
+def explained(moved: Range, color: Float, alpha: Float, least: float) -> tuple[Mask, Mask]:
+    """Return where the range explains colour, and where coverage: (H, W) each. Colours may lie in
+    that of 3 x 3 pixels, darker ones too where the background is uncovered.
 
     Parameters
     ----------
@@ -69,12 +58,10 @@ def explained(moved: Range, color: Float, alpha: Float, least: float) -> Explain
     if low.shape[2] > channels:
         coverage = (alpha >= low[..., -1] - _ALPHA) & (alpha <= high[..., -1] + _ALPHA)
     bare = alpha < COVERED
-    within, unsettled = coverage.copy(), np.zeros_like(coverage)
+    within = coverage.copy()
     for channel in range(channels):
         value = color[..., channel]
         allowed = np.float32(least) + np.float32(_RELATIVE) * np.abs(value)
         within &= bare | (value >= filtered(low[..., channel], np.fmin) - allowed)
         within &= value <= filtered(high[..., channel], np.fmax) + allowed  # False where NaN
-        span = high[..., channel] - low[..., channel]
-        unsettled |= span > np.float32(_MUCH) * np.abs(high[..., channel])
-    return Explained(within, coverage, unsettled)
+    return within, coverage
