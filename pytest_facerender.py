@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from facerender.comparison.gates import Comparable
+    from facerender.comparison.goldens import Draw
 
 LONGEST = 180  # characters of a file's name; most systems take 255 bytes
 UNUSED = ("ignore", "list", "fail")
@@ -117,6 +118,7 @@ class Snapshot:
         shift: float | None = None,
         mask: NDArray[Any] | None = None,
         metadata: Mapping[str, str] | None = None,
+        draw: Draw | None = None,
     ) -> None:
         """Compare an image with goldens/MODULE/NAME.exr beside the test's file; fail where they
         differ, or there is none.
@@ -129,6 +131,8 @@ class Snapshot:
             :func:`facerender.compare`; without, those of the ini file
         mask : see there
         metadata : for the golden, beside the frame's own: GL_RENDERER, where an array has none
+        draw : draw(x, y) gives the image moved by so many pixels to the right and down. A golden
+            that is written keeps what 0.1 pixels make of it, and lets them pass
 
         Raises
         ------
@@ -165,6 +169,7 @@ class Snapshot:
             updates,
             written,
             metadata=metadata,
+            draw=draw,
             mask=mask,
             **limits,
         )

@@ -14,7 +14,7 @@ Environment     light from all around: load_environment reads an EnvironmentFile
 Shading         the specular Term of each light, what is left out
 Job             what to render as plain data, for files and other machines
 Frame, GBuffer  what a renderer returns
-compare         whether two images are the same, and why not
+compare         whether two images are the same, and why not; shifted: a scene moved by a hair
 plan            the cheapest Shading of a scene within an error budget; turntable: cameras for it
 load_cameras    the cameras of a file; save_animation: images as .gif, .webp or .mp4
 brdf, lobes     the same functions in float64
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from facerender.scenes.occlusion import with_occlusion
     from facerender.scenes.scene import Scene
     from facerender.scenes.texture import Texture
-    from facerender.scenes.view import View, view_of
+    from facerender.scenes.view import View, shifted, view_of
     from facerender.shading import Shading, Term
 
 __all__ = [
@@ -100,6 +100,7 @@ __all__ = [
     "save_animation",
     "shader_dir",
     "shader_source",
+    "shifted",
     "simplified",
     "turntable",
     "view_of",
@@ -129,7 +130,7 @@ _HOMES = {
     "scenes.occlusion": ("with_occlusion",),
     "scenes.scene": ("Scene",),
     "scenes.texture": ("Texture",),
-    "scenes.view": ("View", "view_of"),
+    "scenes.view": ("View", "shifted", "view_of"),
     "shading": ("Shading", "Term"),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}

@@ -18,7 +18,7 @@ from errno import EACCES
 from functools import cached_property, lru_cache
 from io import BytesIO
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, BinaryIO, Literal
+from typing import IO, TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
 
 import numpy as np
 from numpy.lib import format as npy
@@ -57,6 +57,7 @@ _HALF = 1  # as EXR numbers the kinds of a channel's values
 _PXR24, _B44, _B44A, _DWAA, _DWAB = range(5, 10)  # as it numbers compressions, the lossy ones
 # Noise and mean of what they lose, at most, of the built-in head at 256 to 1024 pixels.
 _B44_LOSS, _DWA_LOSS = (0.012, 0.005), (0.015, 0.002)
+_MOVED = ("moved_least", "moved_most")  # layers of a golden
 _DWA_LEVEL = 45.0  # where the file names none
 _OTHERS = {  # what a file may be in place of an image, by its start
     _LFS: "a pointer of Git LFS: git lfs pull",
@@ -73,6 +74,13 @@ QUALITY = 95  # of JPEG and WebP
 ROUNDED = 12.0**-0.5  # RMS of what rounding to whole steps adds
 HALVED = 2.0**-11 / 3.0**0.5  # and rounding to half floats, relative
 SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
+
+
+class Range(NamedTuple):
+    """What pixels lie between, (H, W, C) each: colours, and coverage if the image has it."""
+
+    least: NDArray[np.float16]
+    most: NDArray[np.float16]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +101,8 @@ class Picture:
     mean : largest error that it leaves in the mean of 16 x 16 pixels, in the same unit; 0 where
         that of each pixel is its own
     jpeg : how a JPEG holds its pixels, None in another file
+    moved : what a movement of the camera by a hair makes of each pixel, None where the file does
+        not say it
     """
 
     pixels: NDArray[Any]
@@ -104,6 +114,7 @@ class Picture:
     noise: float = 0.0
     mean: float = 0.0
     jpeg: Jpeg | None = None
+    moved: Range | None = None
 
     @property
     def coverage(self) -> NDArray[np.float32]:
@@ -347,18 +358,28 @@ def lossy_bytes(
 
 
 def save_exr(
-    path: str | os.PathLike[str], linear: NDArray[np.float32], metadata: Mapping[str, str]
+    path: str | os.PathLike[str],
+    linear: NDArray[np.floating],
+    metadata: Mapping[str, str],
+    moved: Range | None = None,
 ) -> None:
-    """Write linear float32 pixels (H, W, 3 or 4) as OpenEXR; needs the extra ``exr``."""
-    channels = {"RGBA"[: linear.shape[-1]]: linear}
+    """Write linear pixels (H, W, 3 or 4) as OpenEXR, float32; needs the extra ``exr``.
+
+    moved : of a :class:`Picture`, in layers of half floats
+    """
+    channels: dict[str, NDArray[np.floating]] = {
+        "RGBA"[: linear.shape[-1]]: linear.astype(np.float32, copy=False)
+    }
+    if moved is not None:
+        channels |= dict(zip(_MOVED, moved, strict=True))
     write_bytes(path, exr_bytes(os.fspath(path), channels, metadata))
 
 
 def exr_bytes(
-    name: str, channels: Mapping[str, NDArray[np.float32]], metadata: Mapping[str, str]
+    name: str, channels: Mapping[str, NDArray[np.floating]], metadata: Mapping[str, str]
 ) -> bytes:
-    """Return an OpenEXR file of float32 channels (H, W), or of several in one (H, W, C), by their
-    names; needs the extra ``exr``.
+    """Return an OpenEXR file of channels (H, W), or of several in one (H, W, C), by their names:
+    half floats as such, all else as float32; needs the extra ``exr``.
 
     name : of the file, for messages
 
@@ -368,7 +389,8 @@ def exr_bytes(
     OpenEXR = openexr(name)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     pixels = {
-        key: np.ascontiguousarray(values, dtype=np.float32) for key, values in channels.items()
+        key: np.ascontiguousarray(values, np.float16 if values.dtype == np.float16 else np.float32)
+        for key, values in channels.items()
     }
     content = BytesIO()
     OpenEXR.File({**header, **metadata}, pixels).write(content)
@@ -504,6 +526,9 @@ def _read_exr(path: Path, start: bytes, size: int) -> Picture:
         if pixels.dtype != np.float16:
             pixels = pixels.astype(np.float32, copy=False)
         pixels = _in_window(pixels, header)
+        moved = None
+        if all(name in found and found[name].pixels.shape == pixels.shape for name in _MOVED):
+            moved = Range(*(found[name].pixels.astype(np.float16) for name in _MOVED))
         metadata = {key: value for key, value in header.items() if isinstance(value, str)}
         primaries = header.get("chromaticities", REC_709)
         space = "" if np.allclose(primaries, REC_709, atol=1e-4) else f"of primaries {primaries}"
@@ -514,7 +539,9 @@ def _read_exr(path: Path, start: bytes, size: int) -> Picture:
         raise InputError(
             f"{path} is no image that OpenEXR reads ({reason(error)}); write it anew"
         ) from None
-    return Picture(pixels, "linear", str(path), metadata, space, noise=noise, mean=mean)
+    return Picture(
+        pixels, "linear", str(path), metadata, space, noise=noise, mean=mean, moved=moved
+    )
 
 
 def _exr_loss(header: Mapping[bytes, bytes], half: bool) -> tuple[float, float]:

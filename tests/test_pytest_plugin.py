@@ -363,20 +363,14 @@ def test_renderer_names(renderer, name):
 
 BREAK = """
 import os, signal
-import OpenEXR
+from pathlib import Path
 
-class Half:
-    def __init__(self, *args, **options): self.file = File(*args, **options)
-    def header(self): return self.file.header()
-    def channels(self): return self.file.channels()
-    @property
-    def parts(self): return self.file.parts
-    def write(self, name):
-        self.file.write(name)
-        os.truncate(name, 200)
-        {end}
+def half(path, content):
+    with path.open("wb") as file:
+        file.write(content[:200])
+    {end}
 
-File, OpenEXR.File = OpenEXR.File, Half
+Path.write_bytes = half
 """
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +60,7 @@ STEPS = Scale(0.3, 0.1, 50.0, 10.0, 0.01, 0.8, 0.3)
 def cells(values: Float | Mask) -> NDArray[np.float32]:
     """Return the sums over cells of 4 x 4 pixels, those beyond the border being 0."""
     padding = [(0, -side % _CELL) for side in values.shape]
-    padded = np.pad(values, padding) if np.any(padding) else values
+    padded: NDArray[Any] = np.pad(values, padding) if np.any(padding) else values
     height, width = (side // _CELL for side in padded.shape)
     rows = padded.reshape(height, _CELL, width * _CELL).sum(axis=1, dtype=np.float32)
     # NumPy is slow along a short last axis.

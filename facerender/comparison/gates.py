@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from facerender.comparison import neighbourhoods as nearby
 from facerender.comparison.evidence import BLOCK, LINEAR, MOVED, STEPS, Evidence, Sums
+from facerender.comparison.movement import explained
 from facerender.comparison.neighbourhoods import Float, Mask, excess, filtered, holes
 from facerender.comparison.verdict import reasons_of
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, check_range
-from facerender.image import Encoding, Picture, picture_of, read_image
+from facerender.image import Encoding, Picture, Range, picture_of, read_image
 
 MARGIN = 2  # pixels from the edge of the coverage, where a block does not look
 FADED = 0.2  # excess of coverage that counts as changed
@@ -274,7 +275,12 @@ class _Strip:
         covered = None if whole else full
         found = excess(color_a, color_b, covered, limits.point, relative)
         black = holes(color_a, color_b, covered, relative)
-        value = np.where(counted, found.value, np.float32(0.0))[own]
+        unexplained = uncovered = counted
+        if a.moved is not None:
+            moved = Range(*(end[around] for end in a.moved))
+            colors, coverage = explained(moved, color_b, alpha_b, limits.point)
+            unexplained, uncovered = counted & ~colors, counted & ~coverage
+        value = np.where(unexplained, found.value, np.float32(0.0))[own]
         slack = found.slack[own]
         beyond = np.where(value != 0.0, np.abs(value) - slack, np.float32(0.0))
         sliver = nearby.LINEAR if relative else nearby.STEPS
@@ -287,7 +293,7 @@ class _Strip:
         inside = full & counted
         for _ in range(0 if whole and counts is None else MARGIN):
             inside = filtered(inside, np.minimum)
-        faded = 0 if whole else _faded(alpha_a, alpha_b, counted, own)
+        faded = 0 if whole else _faded(alpha_a, alpha_b, uncovered, own)
         apart = np.zeros(counted[own].shape, dtype=np.float32)
         for channel in range(color_a.shape[2]):  # NumPy is slow along a short last axis
             one, other = color_a[own][..., channel], color_b[own][..., channel]
@@ -299,7 +305,7 @@ class _Strip:
             float(beyond[row, column]),
             float(np.copysign(worst, value[row, column])),
             (int(column), rows.start + int(row)),
-            int((black & counted)[own].sum()),
+            int((black & unexplained)[own].sum()),
             faded,
             float(apart.max(initial=0.0)),
             float(apart.sum(dtype=np.float64)),

@@ -4,17 +4,22 @@ here; the pytest plugin is pytest_facerender.py."""
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from facerender._version import __version__
 from facerender.comparison.gates import Comparable, as_picture, compare
+from facerender.comparison.movement import MOVES, range_of
 from facerender.comparison.pairs import Pair
 from facerender.errors import InputError, reason
 from facerender.image import Picture, save_exr
 
+_FURTHER = 3.0  # times as far: detail finer than a pixel seems to move by more
+Draw = Callable[[float, float], Comparable]
 UNKNOWN = "an unknown renderer"
 
 
@@ -70,6 +75,7 @@ def check(
     written: Container[Path] = (),
     *,
     metadata: Mapping[str, str] | None = None,
+    draw: Draw | None = None,
     **options: Any,
 ) -> Verdict:
     """Compare an image with its golden, and write the golden where that is allowed.
@@ -81,6 +87,8 @@ def check(
         renderer that the image's metadata names
     written : goldens that another image has become meanwhile: they are not written again
     metadata : to add to the image's own
+    draw : gives the image moved by so many pixels to the right and down, of which a golden that is
+        written keeps the range; without, none
     options : limits and mask, see :func:`facerender.compare`
 
     Raises
@@ -135,5 +143,24 @@ def check(
         place.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot make {place.parent}: {reason(error)}") from None
-    save_exr(place, picture.pixels, picture.metadata)
+    moved = None if draw is None else range_of([picture, *_moved(picture, draw)])
+    save_exr(place, picture.pixels, picture.metadata, moved)
     return Verdict(picture, pair, golden, written=place)
+
+
+def _moved(picture: Picture, draw: Draw) -> list[Picture]:
+    """Draw an image moved by a hair.
+
+    Raises
+    ------
+    InputError : what is drawn cannot be compared with the image, or is moved by more
+    """
+    drawn = [as_picture(draw(x, y), f"what draw({x:g}, {y:g}) gives") for x, y in MOVES]
+    shifts = np.array([compare(picture, each).shift for each in drawn])
+    times = float(np.vdot(shifts, MOVES) / np.vdot(MOVES, MOVES))
+    if times > _FURTHER:
+        raise InputError(
+            f"draw moves the image by {times:.2g} times what it is given: take that as pixels to "
+            "the right and down"
+        )
+    return drawn

@@ -134,6 +134,21 @@ def view_of(scene: Scene, aspect: float) -> View:
     return View(eye, forward, _look(eye, forward, up) @ lens)
 
 
+def shifted(scene: Scene, x: float, y: float, size: tuple[int, int]) -> Scene:
+    """Return the scene whose image, of this size, lies x pixels to the right and y down.
+
+    Raises
+    ------
+    InputError : a side of the size is none, x or y is beyond 1e6, or as of :func:`view_of`
+    """
+    width, height = size = checked_size(size)
+    for name, value in (("x", x), ("y", y)):
+        check_range(name, value, -1e6, 1e6)
+    view = view_of(scene, width / height).shifted((x, y), size)
+    pose, lens = view.extrinsics(scene.mesh).tolist(), view.intrinsics(size).tolist()
+    return replace(scene, camera=Camera(extrinsics=pose, intrinsics=lens, size=size))
+
+
 def target_of(mesh: Mesh, camera: Camera) -> NDArray[np.float64]:
     """Return what a camera that is not placed by extrinsics looks at, (3,), in the renderer's
     space."""

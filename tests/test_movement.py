@@ -1,0 +1,191 @@
+"""Goldens that know what a movement by a hair makes of them: what passes then, what fails, and what
+the file holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+
+import facerender as fr
+from facerender.comparison.gates import HIGHEST, compare
+from facerender.comparison.goldens import Updates, check
+from facerender.comparison.movement import FARTHEST, MOVES, explained, range_of
+from facerender.errors import InputError
+from facerender.image import Picture, read_image
+
+SIZE = (160, 160)
+STRANDS = 40
+# Of blocks and textures the range says nothing.
+OTHERS = dict.fromkeys(("block", "trend", "grain", "texture"), HIGHEST)
+MISSING = Updates(missing=True)
+
+
+def strands() -> fr.Mesh:
+    """Dark strands, half a pixel wide, before a bright plane that is a bit askew."""
+    rng = np.random.default_rng(0)
+    top = rng.uniform(-0.8, 0.8, STRANDS)
+    bottom, width = top + rng.uniform(-0.3, 0.3, STRANDS), 0.5 * 2.0 / SIZE[0]
+    positions = [(-1.0, -1.0, 0), (1.1, -0.9, 0), (1.0, 1.1, 0), (-1.1, 1.0, 0)]
+    faces = [(0, 1, 2), (0, 2, 3)]
+    for low, high in zip(bottom, top, strict=True):
+        first = len(positions)
+        positions += [(low, -0.9, 0.1), (low + width, -0.9, 0.1)]
+        positions += [(high + width, 0.9, 0.1), (high, 0.9, 0.1)]
+        faces += [(first, first + 1, first + 2), (first, first + 2, first + 3)]
+    colors = np.full((len(positions), 3), 0.05)
+    colors[:4] = 0.6, 0.4, 0.3
+    return fr.Mesh.from_arrays(positions, faces, colors=colors)
+
+
+class Studio:
+    def __init__(self, renderer: fr.Renderer, mesh: fr.Mesh) -> None:
+        self.renderer, self.scene = renderer, fr.Scene(mesh)
+        self.calls = 0
+
+    def draw(self, x: float = 0.0, y: float = 0.0) -> fr.Frame:
+        self.calls += 1
+        return self.renderer.render(fr.shifted(self.scene, x, y, SIZE))
+
+
+@pytest.fixture(scope="module", params=[1, 4])
+def studio(request, egl) -> Iterator[Studio]:
+    with fr.Renderer(SIZE, samples=request.param, backend=egl) as renderer:
+        yield Studio(renderer, strands())
+
+
+@pytest.fixture(scope="module")
+def goldens(studio, tmp_path_factory) -> tuple[Path, Path]:
+    """Without the range, and with it."""
+    folder = tmp_path_factory.mktemp("goldens")
+    plain, kept = folder / "plain.exr", folder / "kept.exr"
+    check("plain", studio.draw(), plain, MISSING)
+    check("kept", studio.draw(), kept, MISSING, draw=studio.draw)
+    return plain, kept
+
+
+def test_movements_lie_around(goldens):
+    places = np.array(MOVES)
+    assert np.hypot(*places.T).max() == pytest.approx(FARTHEST, rel=1e-4)
+    np.testing.assert_allclose(places.mean(axis=0), 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("move", [(0.02, 0.0), (0.05, 0.0), (0.03, -0.04), (-0.08, 0.0)])
+def test_movement_passes_where_the_golden_knows_it(studio, goldens, move):
+    plain, kept = goldens
+    image = studio.draw(*move)
+    assert compare(kept, image, **OTHERS), str(compare(kept, image, **OTHERS))
+    if studio.renderer.samples == 1 and move[0] != 0.02:
+        assert not compare(plain, image, **OTHERS)
+
+
+def test_movement_that_was_drawn_changes_no_coverage(studio, goldens):
+    image = studio.draw(*MOVES[1])
+    assert compare(goldens[0], image).coverage > 0.0
+    assert compare(goldens[1], image).coverage == 0.0
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, 4.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_wrong_pixels_fail(goldens, value, seed):
+    plain, kept = (read_image(path) for path in goldens)
+    rows, columns = np.random.default_rng(seed).choice(np.argwhere(plain.coverage >= 1.0), 3).T
+    pixels = plain.pixels.copy()
+    pixels[rows, columns, :3] = value
+    broken = replace(plain, pixels=pixels)
+    assert compare(kept, broken).same == compare(plain, broken).same
+    assert not compare(kept, broken) or value == 0.0  # a black pixel among strands may be one
+
+
+def test_black_pixel_is_no_background(goldens):
+    """Where a movement uncovers it, only a pixel that is not covered is explained."""
+    kept = read_image(goldens[1])
+    uncovers = (kept.moved.most[..., 3] - kept.moved.least[..., 3] > 0.2) & (kept.coverage >= 1.0)
+    assert uncovers.any()
+    black = np.full_like(kept.color, 0.012)  # as the background is
+    assert not explained(kept.moved, black, kept.coverage, 0.005)[0][uncovers].any()
+    gone = kept.moved.least[..., 3].astype(np.float32)
+    bare = uncovers & (gone < 0.5)
+    assert explained(kept.moved, black, gone, 0.005)[0][bare].all()
+
+
+def test_range_is_in_layers_that_others_read(goldens, studio):
+    plain, kept = goldens
+    with OpenEXR.File(str(kept), separate_channels=True) as file:
+        names = set(file.channels())
+        assert file.channels()["moved_least.R"].pixels.dtype == np.float16
+    assert names == {
+        f"{layer}{name}" for layer in ("", "moved_least.", "moved_most.") for name in "RGBA"
+    }
+    a, b = read_image(plain), read_image(kept)
+    np.testing.assert_array_equal(a.pixels, b.pixels)
+    assert a.moved is None
+    assert kept.stat().st_size < 2.5 * plain.stat().st_size
+    for x, y in ((0.0, 0.0), MOVES[3]):
+        linear = studio.draw(x, y).linear
+        covered = linear[..., 3] >= 0.5
+        assert (b.moved.least <= linear)[covered].all()
+        assert (b.moved.most >= linear)[covered].all()
+
+
+def test_range_is_rounded_outwards_and_ends_where_half_floats_do():
+    values = np.array([[[0.1, 1e6, -0.1]]], np.float32)
+    least, most = range_of([Picture(values, "linear", "a"), Picture(2.0 * values, "linear", "b")])
+    assert (least[0, 0, [0, 2]] < [0.1, -0.2]).all()
+    assert (most[0, 0, [0, 2]] > [0.2, -0.1]).all()
+    assert not np.isnan([least, most]).any()
+
+
+def test_draw_is_called_for_a_golden_that_is_written_alone(studio, goldens, tmp_path):
+    before = studio.calls
+    image = studio.draw()
+    check("a", image, goldens[0], draw=studio.draw)
+    check("a", image, tmp_path / "none.exr", draw=studio.draw)
+    assert studio.calls == before + 1
+    check("a", image, tmp_path / "none.exr", MISSING, draw=studio.draw)
+    assert studio.calls == before + 1 + len(MOVES)
+
+
+@pytest.mark.parametrize(
+    ("factor", "size", "message"),
+    [
+        (10.0, SIZE, "draw moves the image by .* times what it is given: take that as pixels"),
+        (1.0, (80, 80), r"what draw\(0.1, 0\) gives is 80 x 80 pixels: render both at one size"),
+    ],
+)
+def test_draw_that_does_something_else(studio, tmp_path, factor, size, message):
+    def draw(x: float, y: float) -> np.ndarray:
+        pixels = studio.draw(factor * x, factor * y).linear
+        return pixels[: size[1], : size[0]]
+
+    with pytest.raises(InputError, match=message):
+        check("a", studio.draw(), tmp_path / "a.exr", MISSING, draw=draw)
+    assert not list(tmp_path.iterdir())
+
+
+def test_shifted_scene_lies_to_the_right_and_below(studio):
+    linear, moved = studio.draw().linear, studio.draw(3.0, 2.0).linear
+    np.testing.assert_allclose(moved[2:, 3:], linear[:-2, :-3], atol=0.02)
+    np.testing.assert_allclose(studio.renderer.render(studio.scene).linear, linear, atol=1e-3)
+
+
+def test_plugin_takes_what_draws(pytester, monkeypatch):
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+    pytester.makepyfile(
+        test_suite="import numpy as np\n"
+        "def draw(x, y):\n"
+        "    pixels = np.full((32, 32, 3), 0.5, np.float32)\n"
+        "    pixels[16, 16] += 4 * abs(x)\n"
+        "    return pixels\n"
+        "def test_head(facerender_snapshot):\n"
+        "    facerender_snapshot.check(draw(0, 0), draw=draw)\n"
+    )
+    options = ("-p", "pytest_facerender")
+    pytester.runpytest_inprocess(*options, "--facerender-update-missing").assert_outcomes(passed=1)
+    golden = read_image(pytester.path / "goldens/test_suite/test_head.exr")
+    assert golden.moved.most[16, 16, 0] == pytest.approx(0.9, rel=0.01)
+    pytester.runpytest_inprocess(*options).assert_outcomes(passed=1)
