@@ -55,8 +55,7 @@ _EXR, _NPY, _LFS = b"v/1\x01", b"\x93NUMPY", b"version https://git-lfs"
 _EXR_PARTS = 0x10  # of the third byte of the flags
 _HALF = 1  # as EXR numbers the kinds of a channel's values
 _PXR24, _B44, _B44A, _DWAA, _DWAB = range(5, 10)  # as it numbers compressions, the lossy ones
-# Noise and mean of what they lose, at most, of the built-in head at 256 to 1024 pixels.
-_B44_LOSS, _DWA_LOSS = (0.012, 0.005), (0.015, 0.002)
+_B44_LOSS, _DWA_LOSS = 0.012, 0.015  # at most, of the built-in head at 256 to 1024 pixels
 _MOVED = ("moved_least", "moved_most")  # layers of a golden
 _DWA_LEVEL = 45.0  # where the file names none
 _OTHERS = {  # what a file may be in place of an image, by its start
@@ -98,8 +97,6 @@ class Picture:
     profile : the ICC profile that its colours were converted from to sRGB, "" where they were not
     noise : RMS error that the encoding leaves in a pixel: in steps of 255, or relative to radiance,
         or to 0.01
-    mean : largest error that it leaves in the mean of 16 x 16 pixels, in the same unit; 0 where
-        that of each pixel is its own
     jpeg : how a JPEG holds its pixels, None in another file
     moved : what a movement of the camera by a hair makes of each pixel, None where the file does
         not say it
@@ -112,7 +109,6 @@ class Picture:
     color_space: str = ""
     profile: str = ""
     noise: float = 0.0
-    mean: float = 0.0
     jpeg: Jpeg | None = None
     moved: Range | None = None
 
@@ -532,20 +528,18 @@ def _read_exr(path: Path, start: bytes, size: int) -> Picture:
         metadata = {key: value for key, value in header.items() if isinstance(value, str)}
         primaries = header.get("chromaticities", REC_709)
         space = "" if np.allclose(primaries, REC_709, atol=1e-4) else f"of primaries {primaries}"
-        noise, mean = _exr_loss(raw, any(kinds[name] == _HALF for name in names))
+        noise = _exr_noise(raw, any(kinds[name] == _HALF for name in names))
     except InputError:
         raise
     except Exception as error:  # of its own, and of what a damaged file makes of a header
         raise InputError(
             f"{path} is no image that OpenEXR reads ({reason(error)}); write it anew"
         ) from None
-    return Picture(
-        pixels, "linear", str(path), metadata, space, noise=noise, mean=mean, moved=moved
-    )
+    return Picture(pixels, "linear", str(path), metadata, space, noise=noise, moved=moved)
 
 
-def _exr_loss(header: Mapping[bytes, bytes], half: bool) -> tuple[float, float]:
-    """Return noise and mean of a :class:`Picture`.
+def _exr_noise(header: Mapping[bytes, bytes], half: bool) -> float:
+    """Return the noise of a :class:`Picture`.
 
     half : whether channels hold half floats
 
@@ -555,11 +549,10 @@ def _exr_loss(header: Mapping[bytes, bytes], half: bool) -> tuple[float, float]:
     if compression in (_DWAA, _DWAB):
         given = header.get(b"dwaCompressionLevel")
         level = struct.unpack("<f", given)[0] if given else _DWA_LEVEL
-        noise, mean = (each * level / _DWA_LEVEL for each in _DWA_LOSS)
-        return noise, mean
+        return float(_DWA_LOSS * level / _DWA_LEVEL)
     if half:
-        return _B44_LOSS if compression in (_B44, _B44A) else (HALVED, 0.0)
-    return (2.0**-16 / 3.0**0.5 if compression == _PXR24 else 0.0), 0.0
+        return _B44_LOSS if compression in (_B44, _B44A) else HALVED
+    return 2.0**-16 / 3.0**0.5 if compression == _PXR24 else 0.0
 
 
 def _exr_headers(content: bytes) -> list[dict[bytes, bytes]]:
@@ -728,8 +721,8 @@ def _read_8_bit(path: Path, content: bytes) -> Picture:
     except Exception as error:  # each decoder of Pillow fails in its own way
         raise InputError(f"{path} is damaged ({reason(error)}); write it anew") from None
     metadata = {str(key): value for key, value in image.info.items() if isinstance(value, str)}
-    noise, mean = (jpeg.noise, jpeg.mean) if jpeg else (ROUNDED, 0.0)
-    picture = Picture(pixels, "srgb8", str(path), metadata, noise=noise, mean=mean, jpeg=jpeg)
+    noise = jpeg.noise if jpeg else ROUNDED
+    picture = Picture(pixels, "srgb8", str(path), metadata, noise=noise, jpeg=jpeg)
     if "icc_profile" in image.info:
         return _in_srgb(picture, image.info["icc_profile"])
     gamma = image.info.get("gamma", SRGB_GAMMA)
@@ -753,8 +746,8 @@ def _in_srgb(picture: Picture, content: bytes | None) -> Picture:
     if profile.srgb:
         return picture
     profile.convert(picture.pixels)
-    noise, mean = math.hypot(profile.gain * picture.noise, ROUNDED), profile.gain * picture.mean
-    return replace(picture, profile=clipped(profile.name), noise=noise, mean=mean, jpeg=None)
+    noise = math.hypot(profile.gain * picture.noise, ROUNDED)
+    return replace(picture, profile=clipped(profile.name), noise=noise, jpeg=None)
 
 
 def texels(image: Image, mode: str) -> NDArray[np.uint8]:

@@ -4,7 +4,6 @@ them."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from io import BytesIO
 from typing import Any
 
@@ -29,8 +28,7 @@ class Jpeg:
 
     Attributes
     ----------
-    tables : of each component, the 64 steps of its coefficients, row by row; the first is the step
-        of eight times a block's mean
+    tables : of each component, the 64 steps of its coefficients, row by row
     sampling : how many columns and rows share a chroma
     direct : whether the components are R, G and B, and not Y, Cb and Cr
     """
@@ -48,7 +46,7 @@ class Jpeg:
         direct = names == _ADOBE_RGB or image.info.get("adobe_transform") == 0
         return cls(tables, sampling, direct)
 
-    @cached_property
+    @property
     def noise(self) -> float:
         """RMS error of a pixel in its worst channel, in steps of 255, of a render at least as
         smooth as the built-in head at 256 x 256 pixels: where blocks are flat it is less."""
@@ -62,19 +60,9 @@ class Jpeg:
                 lost = (down[:, None] | across).ravel()
                 error = np.where(lost, np.maximum(error, energy), error)
             parts.append(error.sum() / _SIDE**2 + 2.0 * _ROUNDED)
-        return float(np.sqrt((np.square(self._to_rgb) @ parts).max() + _ROUNDED))
-
-    @cached_property
-    def mean(self) -> float:
-        """Largest error of the mean of 16 x 16 pixels in the worst channel, in steps of 255, where
-        none is clipped."""
-        parts = [table[0] / (2 * _SIDE) + 0.5 for table in self.tables]
-        return float((np.abs(self._to_rgb) @ parts).max() + 0.5)
-
-    @property
-    def _to_rgb(self) -> NDArray[np.float64]:
-        count = len(self.tables)
-        return np.eye(count) if self.direct or count == 1 else _TO_RGB
+        count = len(parts)
+        to_rgb = np.eye(count) if self.direct or count == 1 else _TO_RGB
+        return float(np.sqrt((np.square(to_rgb) @ parts).max() + _ROUNDED))
 
     def applied(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return pixels (H, W, 1 or 3), as many channels as there are tables, as such a JPEG holds

@@ -42,16 +42,13 @@ def saved(path: Path, pixels: np.ndarray, **options: object) -> Path:
 
 @pytest.mark.parametrize("quality", QUALITIES)
 @pytest.mark.parametrize("number", range(3))
-def test_noise_and_mean_hold(face, number, quality, tmp_path):
+def test_noise_holds(face, number, quality, tmp_path):
     pixels, inside = face
     path = saved(tmp_path / "a.jpg", pixels, quality=quality, subsampling=number)
     picture = read_image(path)
     error = picture.pixels.astype(float) - pixels
     rms = np.sqrt(np.square(error[inside]).mean(axis=0)).max()
     assert 0.2 * picture.noise < rms < picture.noise
-    side = len(pixels) // 16
-    blocks = error.reshape(side, 16, side, 16, 3).mean(axis=(1, 3))
-    assert 0.1 * picture.mean < np.abs(blocks).max() < picture.mean
     assert picture.jpeg.sampling == SAMPLINGS[number]
 
 
@@ -61,7 +58,6 @@ def test_grey(face, quality, tmp_path):
     picture = read_image(saved(tmp_path / "a.jpg", pixels[..., 1], quality=quality))
     error = picture.pixels[..., 0].astype(float) - pixels[..., 1]
     assert 0.2 * picture.noise < np.sqrt(np.square(error[inside]).mean()) < picture.noise
-    assert np.abs(error).mean() < picture.mean
     assert len(picture.jpeg.tables) == 1
 
 
@@ -71,7 +67,6 @@ def test_finer_tables_cost_less(face, tmp_path):
     ]
     for coarse, fine in pairwise(pictures):
         assert coarse.noise > fine.noise
-        assert coarse.mean >= fine.mean
 
 
 def test_what_is_no_jpeg_costs_its_rounding(tmp_path):
@@ -80,7 +75,7 @@ def test_what_is_no_jpeg_costs_its_rounding(tmp_path):
     rms = np.sqrt(np.square(rounded - exact).mean())
     for picture in (read_image(saved(tmp_path / "a.png", rounded)), picture_of(rounded, "array")):
         assert picture.noise == pytest.approx(rms, rel=0.02)
-        assert (picture.mean, picture.jpeg) == (0.0, None)
+        assert picture.jpeg is None
     assert picture_of(np.float32(rounded), "linear").noise == 0.0
 
 
@@ -91,7 +86,7 @@ COMPRESSIONS = [  # EXR, how wide its floats are, attributes
 
 
 @pytest.mark.parametrize(("name", "bits", "header"), COMPRESSIONS)
-def test_noise_and_mean_of_exr(frame, name, bits, header, tmp_path):
+def test_noise_of_exr(frame, name, bits, header, tmp_path):
     path, kind = tmp_path / "a.exr", np.dtype(f"f{bits // 8}")
     compression = getattr(OpenEXR, f"{name}_COMPRESSION")
     channels = {"RGBA": frame.linear.astype(kind)}
@@ -105,12 +100,6 @@ def test_noise_and_mean_of_exr(frame, name, bits, header, tmp_path):
     relative = error / np.maximum(exact, 0.01)
     rms = np.sqrt(np.square(relative[inside]).mean(axis=0)).max()
     assert 0.2 * picture.noise <= rms <= picture.noise
-    side = len(exact) // 16
-    means = (each.reshape(side, 16, side, 16, 3).mean(axis=(1, 3)) for each in (error, exact))
-    change, of = means
-    whole = inside.reshape(side, 16, side, 16).all(axis=(1, 3))
-    if picture.mean:
-        assert np.abs(change / np.maximum(of, 0.01))[whole].max() < picture.mean
 
 
 def test_half_floats_cost_the_same_however_they_are_given(tmp_path):
