@@ -8,6 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+
+from docs.comparison import gates
+from facerender.comparison.gates import compare
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -62,3 +67,13 @@ def test_check_names_what_is_stale(tmp_path):
         assert any(line.startswith(f"docs/{name}.md: {fault}") for line in told), told
         assert any(line.endswith(f": run python -m docs.{name}") for line in told)
     assert any(line.startswith("docs/trade.md: README.md has not") for line in told)
+
+
+def test_the_comparison_names_the_gates_that_failed():
+    a = np.ones((64, 64, 4), dtype=np.float32)
+    less = a.copy()
+    less[:32, :, 3] = 0.2
+    assert gates(compare(a, less)) == ["coverage"]
+    assert gates(compare(a, 1.003 * a)) == ["trend"]
+    assert gates(compare(a, 1.01 * a)) == ["block"]
+    assert gates(compare(a, a)) == []
