@@ -228,6 +228,49 @@ def test_a_result_says_that_another_driver_drew():
     assert str(compare(one, other)) == "same, as far as another driver tells"
 
 
+def rough(by: float) -> np.ndarray:
+    """A covered image with detail of its own in every pixel."""
+    image = np.full((64, 64, 3), 0.3, dtype=np.float32)
+    return image * (1.0 + by * np.random.default_rng(1).standard_normal((64, 64, 1), np.float32))
+
+
+def softened(image: np.ndarray) -> np.ndarray:
+    return 0.98 * image + 0.01 * (np.roll(image, 1, axis=1) + np.roll(image, -1, axis=1))
+
+
+SUBTLE = [  # what no pixel and no block is over by: image, the reference, how the reason begins
+    (rough(0.002), rough(0.0), r"grain \+0\.\d+ %, limit 0\.09 %: looks like noise, "),
+    (rough(0.0), rough(0.002), r"grain -0\.\d+ %, limit 0\.09 %: looks like a blur, "),
+    (softened(rough(0.1)), rough(0.1), r"texture -\d\.\d %, limit 1 %: looks like a blur, "),
+    (rough(0.1), softened(rough(0.1)), r"texture \+\d\.\d %, limit 1 %: looks like noise, "),
+]
+
+
+@pytest.mark.parametrize(("image", "reference", "reason"), SUBTLE)
+def test_detail_that_was_added_or_lost(image, reference, reason):
+    assert re.match(reason, str(compare(reference, image, point=0.1, trend=1e6)))
+
+
+def test_limits_are_wider_where_another_driver_drew():
+    for by, same in ((0.002, True), (0.01, False)):
+        drawn = (
+            Picture(pixels, "linear", name, {"GL_RENDERER": name})
+            for name, pixels in (("llvmpipe", rough(0.0)), ("softpipe", rough(by)))
+        )
+        result = compare(*drawn, point=0.1, texture=1.0)
+        assert result.same is same
+        assert same or re.match(r"grain .*, limit 0\.54 %", str(result))
+
+
+def test_black_pixels_that_are_no_darker_than_the_point_gate_allows():
+    image = plain(0.004)
+    image[(20, 30, 40), (30, 20, 40), :3] = 0.0
+    reason = "3 pixels with less than a quarter of the light around them, limit 2: looks like miss"
+    assert str(compare(plain(0.004), image)).startswith(reason)
+    image[20, 30] = plain(0.004)[20, 30]
+    assert compare(plain(0.004), image).same
+
+
 @pytest.mark.parametrize("radiance", [0.01, 0.3])
 def test_black_pixels_are_seen_in_the_dark_and_in_texture(radiance):
     texture = 1.0 + 0.6 * np.random.default_rng(1).random((64, 64, 1), dtype=np.float32)

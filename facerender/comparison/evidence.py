@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from facerender.comparison.neighbourhoods import Float, Mask, filtered
 
-BLOCK = 16
-_CELL = 4
+BLOCK, _CELL = 16, 4  # pixels a side
 LEAST = 48  # pixels that a block needs to be judged
 FLOOR = 0.01  # radiance below which relative differences are taken of this
 MOVED = 0.25  # pixels by which the whole picture may lie elsewhere
 _WILD = 1e3  # levels beyond which steps are cut off, since their squares would overflow
-_FEW = 4  # changed blocks, fewer of which have no grain
+_SPREAD = 4.0  # cells that a judged block's weight has to be spread over, and more
+_FEW = 4  # changed blocks, fewer of which have no grain or texture
 _CLIPPED = 10.0  # standard errors, beyond which a block's change counts no more
 
 
@@ -211,7 +211,7 @@ class Evidence:
     @cached_property
     def judged(self) -> Mask:
         """Blocks that have enough pixels, in enough cells."""
-        return np.asarray((self._cells > _CELL) & (self.sums.pixels[0] >= LEAST))
+        return np.asarray((self._cells > _SPREAD) & (self.sums.pixels[0] >= LEAST))
 
     @cached_property
     def changed(self) -> Mask:

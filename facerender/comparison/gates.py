@@ -180,13 +180,7 @@ def compare(
     _check_alike(a, b)
     _check_finite(a)
     _check_finite(b)
-    height, width = a.pixels.shape[:2]
-    counts = None if mask is None else np.asarray(mask) != 0
-    if counts is not None and counts.shape != (height, width):
-        size = _size(counts) if counts.ndim == 2 else f"of shape {counts.shape}"
-        raise InputError(f"the mask is {size}, the images are {_size(a.pixels)} pixels")
-    if counts is not None and not counts.any():
-        raise InputError("the mask is 0 everywhere: nothing would be compared")
+    counts = None if mask is None else _counting(mask, a)
     given = {"point": point, "block": block, "trend": trend, "grain": grain}
     given |= {"texture": texture, "coverage": coverage, "shift": shift}
     said = {name: value for name, value in given.items() if value is not None}
@@ -195,33 +189,25 @@ def compare(
     if a.encoding == "srgb8":
         a, b = a.encoded_as(b), b.encoded_as(a)
 
-    tall = max(_STRIP // width // BLOCK, 1) * BLOCK
-
-    def strip(top: int) -> _Strip:
-        return _Strip.of(a, b, counts, slice(top, min(top + tall, height)), limits)
-
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
-        strips = list(pool.map(strip, range(0, height, tall)))
-    sums = Sums.joined([each.sums for each in strips])
+    found = _Strip.of_all(a, b, counts, limits)
     scale = LINEAR if a.encoding == "linear" else STEPS
     allowed = max(a.noise, b.noise) if a.noise != b.noise else 0.0
     looser = _LOOSER * max(limits.block - LIMITS[a.encoding].block, 0.0)
-    evidence = Evidence(sums, scale, foreign, limits.shift, allowed, looser)
-    worst = max(strips, key=lambda each: each.worst)
+    evidence = Evidence(found.sums, scale, foreign, limits.shift, allowed, looser)
     blocks = np.nan_to_num(evidence.channels)
     down, across = np.unravel_index(np.abs(blocks).argmax(), blocks.shape)
-    over = np.concatenate([each.over for each in strips])
+    height, width = a.pixels.shape[:2]
     result = Comparison(
         reasons=(),
         encoding=a.encoding,
         size=(width, height),
         limits=limits,
         foreign=foreign,
-        point=worst.excess,
-        point_at=worst.at,
-        points=int(np.count_nonzero(np.abs(over) > 1)),
-        slight=int(np.count_nonzero(over)),
-        holes=sum(each.holes for each in strips),
+        point=found.excess,
+        point_at=found.at,
+        points=int(np.count_nonzero(np.abs(found.over) > 1)),
+        slight=int(np.count_nonzero(found.over)),
+        holes=found.holes,
         block=float(blocks[down, across]),
         block_at=(int(across) * BLOCK, int(down) * BLOCK),
         blocks=int((np.abs(blocks) > limits.block).sum()),
@@ -232,12 +218,11 @@ def compare(
         texture=evidence.texture,
         gain=evidence.gain,
         shift=evidence.shift,
-        coverage=sum(each.faded for each in strips) / (height * width),
-        largest=max(each.largest for each in strips),
-        mean=sum(each.total for each in strips)
-        / int(height * width if counts is None else counts.sum()),
+        coverage=found.faded / (height * width),
+        largest=found.largest,
+        mean=found.total / int(height * width if counts is None else counts.sum()),
     )
-    return replace(result, reasons=reasons_of(result, over, evidence))
+    return replace(result, reasons=reasons_of(result, found.over, evidence))
 
 
 @dataclass(frozen=True)
@@ -251,6 +236,7 @@ class _Strip:
     worst, excess, at : the largest excess less what may be a sliver, what is told of it, and where
     holes : pixels that are dark where all around are not
     faded : pixels whose coverage changed
+    largest, total : of the pixels' absolute differences, in the worst channel
     """
 
     sums: Sums
@@ -262,6 +248,27 @@ class _Strip:
     faded: int
     largest: float
     total: float
+
+    @classmethod
+    def of_all(cls, a: Picture, b: Picture, counts: Mask | None, limits: Limits) -> _Strip:
+        """Return what all rows come to, found strip by strip."""
+        height, width = a.pixels.shape[:2]
+        tall = max(_STRIP // width // BLOCK, 1) * BLOCK
+
+        def strip(top: int) -> _Strip:
+            return cls.of(a, b, counts, slice(top, min(top + tall, height)), limits)
+
+        with ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
+            strips = list(pool.map(strip, range(0, height, tall)))
+        return replace(
+            max(strips, key=lambda each: each.worst),
+            sums=Sums.joined([each.sums for each in strips]),
+            over=np.concatenate([each.over for each in strips]),
+            holes=sum(each.holes for each in strips),
+            faded=sum(each.faded for each in strips),
+            largest=max(each.largest for each in strips),
+            total=sum(each.total for each in strips),
+        )
 
     @classmethod
     def of(cls, a: Picture, b: Picture, counts: Mask | None, rows: slice, limits: Limits) -> _Strip:
@@ -320,6 +327,17 @@ def _faded(a: Float, b: Float, counted: Mask, rows: slice) -> int:
     changed |= (a - high > FADED) | (low - a > FADED)
     changed |= (a >= 0.5) != (b >= 0.5)
     return int((changed & counted)[rows].sum())
+
+
+def _counting(mask: NDArray[Any], picture: Picture) -> Mask:
+    """Return where a mask says that pixels of an image count."""
+    counts: Mask = np.asarray(mask) != 0
+    if counts.shape != picture.pixels.shape[:2]:
+        size = _size(counts) if counts.ndim == 2 else f"of shape {counts.shape}"
+        raise InputError(f"the mask is {size}, the images are {_size(picture.pixels)} pixels")
+    if not counts.any():
+        raise InputError("the mask is 0 everywhere: nothing would be compared")
+    return counts
 
 
 def _foreign(given: tuple[Comparable, Comparable], pictures: tuple[Picture, Picture]) -> bool:
