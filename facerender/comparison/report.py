@@ -15,7 +15,7 @@ from facerender.comparison import pictures
 from facerender.comparison.evidence import BLOCK
 from facerender.comparison.gates import Comparison
 from facerender.comparison.pairs import Pair
-from facerender.comparison.verdict import BLUR, FOREIGN, SURE, most_slight
+from facerender.comparison.verdict import BLUR, SURE, factor_of, most_slight
 from facerender.errors import InputError
 from facerender.image import Encoding, Picture, write_bytes
 from facerender.page.document import document, image_source, row, table
@@ -229,7 +229,7 @@ def _gates(result: Comparison) -> tuple[_Gate, ...]:
     limits = result.limits
     amount = _percent if result.encoding == "linear" else _number
     point_at, block_at = ("({}, {})".format(*at) for at in (result.point_at, result.block_at))
-    factor = FOREIGN if result.foreign else 1.0
+    factor = factor_of(result)
     trend = result.trend if result.surety > SURE else 0.0
     x, y = result.shift
     return (

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.comparison.evidence import BLOCK, Evidence, blocks, cells
+from facerender.comparison.neighbourhoods import Mask
 
 if TYPE_CHECKING:
     from facerender.comparison.gates import Comparison
@@ -17,7 +19,7 @@ LOBE = "a lobe or weight change"
 EXPOSURE = "exposure, light or colour space"
 
 SURE = 6.0  # standard errors of its own that a trend needs
-FOREIGN = 6.0  # times the limits of trend and grain, where another driver drew the image
+FOREIGN = 6.0  # times the limits of trend, grain and texture, where another driver drew the image
 # What a single pixel may be over by: where it is smooth, in texture, and at an edge.
 _LONE = {"linear": (0.0, 0.1, 0.5), "srgb8": (0.0, 53.0, 90.0)}
 _SLIGHT = 50  # pixels that may be slivers, and
@@ -34,78 +36,96 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
     over : (H, W), 2 where a pixel is too bright, 3 in texture, 4 at an edge, and 1 where that may
         be a sliver; negative where it is too dark
     """
-    limits, linear = result.limits, result.encoding == "linear"
     reasons = []
-    like = ""
-    wrong = np.abs(over) > 1
-    place = int(np.abs(over).max(initial=0))
-    few = result.points > 1 or abs(result.point) > _LONE[result.encoding][max(place - 2, 0)]
-    slivers = result.slight > most_slight(result) and not (result.points and few)
-    if slivers:
-        wrong, few = over != 0, True
-    count = int(wrong.sum())
-    if count and few:
-        judged = result.blocks_judged * BLOCK**2
-        widely = judged and count > _WIDELY * judged
-        like = _guess(evidence) if widely else _likeness(over, wrong, count, judged)
-        like = SHAPE if like == LOBE else like
-        at_edge = " at edges" if (np.abs(over[wrong]) == 4).mean() > 0.5 else ""
-        by = f"{abs(result.point):.2g}" if linear else f"{abs(result.point):.0f} of 255"
-        told = f" over by up to {by}{at_edge}, worst {result.point_at}, limit {limits.point:g}"
-        if slivers:
-            told = f" changed as slivers may change them, limit {most_slight(result):.0f}"
-        reasons.append(f"{count} pixel{'' if count == 1 else 's'}{told}: looks like {like}")
+    wrong = _wrong(result, over)
+    like = _likeness(result, over, wrong, evidence) if wrong.any() else ""
+    if like:
+        reasons.append(f"{_pixels(result, over[wrong])}: looks like {like}")
     elif result.holes > _HOLES:
         reasons.append(
             f"{result.holes} pixels with less than a quarter of the light around them, limit "
             f"{_HOLES}: looks like missing pixels"
         )
-    factor = FOREIGN if result.foreign else 1.0
     if result.blocks:
-        mean, limit = (
-            (f"{_signed(100.0 * result.block)} %", f"{100.0 * limits.block:g} %")
-            if linear
-            else (f"{_signed(result.block)} of 255", f"{limits.block:g}")
-        )
-        explained = blocks(cells(wrong.astype(np.float32)))[
-            np.abs(np.nan_to_num(evidence.channels)) > limits.block
-        ].all()
         guess = _guess(evidence)
-        if guess != EXPOSURE and count and few and (explained or like == SHAPE):
+        if like and guess != EXPOSURE and (like == SHAPE or _explained(result, wrong, evidence)):
             guess = like
-        reasons.append(
-            f"block {result.block_at}: mean {mean}, limit {limit}, {result.blocks} of "
-            f"{result.blocks_judged} blocks over: looks like {guess}{_estimate(result)}"
-        )
+        reasons.append(f"{_blocks(result)}: looks like {guess}{_estimate(result)}")
     elif changed_alike(result):
         reasons.append(
             f"neighbouring blocks changed alike: trend {result.trend:.2g}, limit "
-            f"{factor * limits.trend:g}: looks like {_guess(evidence)}{_estimate(result)}"
+            f"{factor_of(result) * result.limits.trend:g}: looks like {_guess(evidence)}"
+            f"{_estimate(result)}"
         )
-    grain, texture = factor * limits.grain, factor * limits.texture
-    if not reasons and not BLUR * -grain <= result.grain <= grain:
-        amount, limit = (
-            (f"{100.0 * result.grain:+.2g} %", f"{100.0 * grain:g} %")
-            if linear
-            else (f"{result.grain:+.2g} of 255", f"{grain:g}")
-        )
-        reasons.append(f"grain {amount}, limit {limit}: looks like {_texture(result.grain)}")
-    if not reasons and not BLUR * -texture <= result.texture <= texture:
+    if not reasons:
+        reasons += [*_subtle(result)][:1]
+    if result.coverage > result.limits.coverage:
         reasons.append(
+            f"coverage changed on {100.0 * result.coverage:.2g} % of the pixels, limit "
+            f"{100.0 * result.limits.coverage:g} %: looks like another mesh or camera"
+        )
+    return tuple(reasons)
+
+
+def _wrong(result: Comparison, over: NDArray[np.int8]) -> Mask:
+    """Return the pixels that are not forgiven: where a single one or few slivers are over, none."""
+    place = np.abs(over)
+    if result.points > 1:
+        return place > 1
+    if result.points and abs(result.point) > _LONE[result.encoding][int(place.max()) - 2]:
+        return place > 1
+    return (place > 0) & (result.slight > most_slight(result))
+
+
+def _pixels(result: Comparison, over: NDArray[np.int8]) -> str:
+    """Tell of the pixels that are not forgiven; over is that of :func:`reasons_of`, of them."""
+    pixels = f"{len(over)} pixel{'' if len(over) == 1 else 's'}"
+    if (np.abs(over) == 1).any():
+        return f"{pixels} changed as slivers may change them, limit {most_slight(result):.0f}"
+    point = abs(result.point)
+    by = f"{point:.2g}" if result.encoding == "linear" else f"{point:.0f} of 255"
+    at_edge = " at edges" if _at_edge(over) else ""
+    return (
+        f"{pixels} over by up to {by}{at_edge}, worst {result.point_at}, limit "
+        f"{result.limits.point:g}"
+    )
+
+
+def _blocks(result: Comparison) -> str:
+    """Tell of the blocks over their limit."""
+    limit = result.limits.block
+    mean, most = f"{_signed(result.block)} of 255", f"{limit:g}"
+    if result.encoding == "linear":
+        mean, most = f"{_signed(100.0 * result.block)} %", f"{100.0 * limit:g} %"
+    return (
+        f"block {result.block_at}: mean {mean}, limit {most}, {result.blocks} of "
+        f"{result.blocks_judged} blocks over"
+    )
+
+
+def _explained(result: Comparison, wrong: Mask, evidence: Evidence) -> bool:
+    """Return whether every block over its limit has a wrong pixel."""
+    over = np.abs(np.nan_to_num(evidence.channels)) > result.limits.block
+    return bool(blocks(cells(wrong.astype(np.float32)))[over].all())
+
+
+def _subtle(result: Comparison) -> Iterator[str]:
+    """Tell what stands for itself alone: other changes have it as well."""
+    limits, factor = result.limits, factor_of(result)
+    grain, texture = factor * limits.grain, factor * limits.texture
+    if not BLUR * -grain <= result.grain <= grain:
+        amount, most = f"{result.grain:+.2g} of 255", f"{grain:g}"
+        if result.encoding == "linear":
+            amount, most = f"{100.0 * result.grain:+.2g} %", f"{100.0 * grain:g} %"
+        yield f"grain {amount}, limit {most}: looks like {_texture(result.grain)}"
+    if not BLUR * -texture <= result.texture <= texture:
+        yield (
             f"texture {100.0 * result.texture:+.2g} %, limit {100.0 * texture:g} %: looks like "
             f"{_texture(result.texture)}"
         )
     x, y = result.shift
-    if not reasons and max(abs(x), abs(y)) > limits.shift:
-        reasons.append(
-            f"shift ({x:.2f}, {y:.2f}) pixels, limit {limits.shift:g}: looks like another camera"
-        )
-    if result.coverage > limits.coverage:
-        reasons.append(
-            f"coverage changed on {100.0 * result.coverage:.2g} % of the pixels, limit "
-            f"{100.0 * limits.coverage:g} %: looks like another mesh or camera"
-        )
-    return tuple(reasons)
+    if max(abs(x), abs(y)) > limits.shift:
+        yield f"shift ({x:.2f}, {y:.2f}) pixels, limit {limits.shift:g}: looks like another camera"
 
 
 def most_slight(result: Comparison) -> float:
@@ -116,21 +136,33 @@ def most_slight(result: Comparison) -> float:
 
 def changed_alike(result: Comparison) -> bool:
     """Return whether the trend is over its limit, and no chance."""
-    limit = result.limits.trend * (FOREIGN if result.foreign else 1.0)
-    return result.trend > limit and result.surety > SURE
+    return result.trend > factor_of(result) * result.limits.trend and result.surety > SURE
 
 
-def _likeness(over: NDArray[np.int8], wrong: NDArray[np.bool_], count: int, judged: int) -> str:
+def factor_of(result: Comparison) -> float:
+    """Return by what the limits of trend, grain and texture are multiplied."""
+    return FOREIGN if result.foreign else 1.0
+
+
+def _likeness(result: Comparison, over: NDArray[np.int8], wrong: Mask, evidence: Evidence) -> str:
     """Say what wrong pixels look like."""
-    bright = float((over[wrong] > 0).mean())
+    count, judged = wrong.sum(), result.blocks_judged * BLOCK**2
+    if count > _WIDELY * judged > 0:
+        guess = _guess(evidence)
+        return SHAPE if guess == LOBE else guess
+    bright = (over[wrong] > 0).mean()
     touching = (wrong[1:] & wrong[:-1]).sum() + (wrong[:, 1:] & wrong[:, :-1]).sum()
     scattered = touching <= 0.5 * count
     if bright > 0.9:
-        at_edge = (np.abs(over[wrong]) == 4).mean() > 0.5
-        return "fireflies" if scattered and not at_edge else "false highlights"
+        return "fireflies" if scattered and not _at_edge(over[wrong]) else "false highlights"
     if bright < 0.1 and count < 0.01 * judged:
         return "missing pixels" if scattered else "missing highlights"
     return SHAPE
+
+
+def _at_edge(over: NDArray[np.int8]) -> bool:
+    """Return whether most of some pixels lie at edges."""
+    return bool((np.abs(over) == 4).mean() > 0.5)
 
 
 def _guess(evidence: Evidence) -> str:
