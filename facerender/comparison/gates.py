@@ -169,12 +169,13 @@ def compare(
     point, block, trend, grain, texture, coverage, shift : limits of the gates, see
         :class:`Limits`; without, those of :data:`LIMITS` for the images' encoding. On one driver
         and with float textures a block limit of 1e-3 holds
-    mask : (H, W), not 0 where the images count; without, everywhere. Every value must be finite
+    mask : (H, W), not 0 where the images count; without, everywhere
 
     Raises
     ------
-    InputError : a file that cannot be read; sizes, channels or encodings that differ; a value that
-        is not finite, with its place; a limit that is none
+    InputError : a file that cannot be read; sizes, channels, encodings or colour spaces that
+        differ; a value anywhere that is not finite, with its place; a mask of another size, or 0
+        everywhere; a limit that is none
     """
     a, b = (as_picture(given, name) for given, name in ((reference, "A"), (image, "B")))
     _check_alike(a, b)
@@ -272,6 +273,7 @@ class _Strip:
 
     @classmethod
     def of(cls, a: Picture, b: Picture, counts: Mask | None, rows: slice, limits: Limits) -> _Strip:
+        """Return what these rows come to; counts is of the whole images."""
         around = slice(max(rows.start - _HALO, 0), min(rows.stop + _HALO, a.pixels.shape[0]))
         own = slice(rows.start - around.start, rows.stop - around.start)
         (color_a, alpha_a), (color_b, alpha_b) = a.rows(around), b.rows(around)
@@ -301,11 +303,7 @@ class _Strip:
         for _ in range(0 if whole and counts is None else MARGIN):
             inside = filtered(inside, np.minimum)
         faded = 0 if whole else _faded(alpha_a, alpha_b, uncovered, own)
-        apart = np.zeros(counted[own].shape, dtype=np.float32)
-        for channel in range(color_a.shape[2]):  # NumPy is slow along a short last axis
-            one, other = color_a[own][..., channel], color_b[own][..., channel]
-            np.maximum(apart, np.abs(other - one), out=apart)
-        apart = apart if counts is None else apart[counted[own]]
+        apart = nearby.difference(color_a[own], color_b[own])[counted[own]]
         return cls(
             Sums.of(color_a, color_b, inside, own, LINEAR if relative else STEPS),
             over.astype(np.int8),

@@ -95,6 +95,14 @@ def holes(a: Float, b: Float, full: Mask | None, relative: bool) -> Mask:
     return result
 
 
+def difference(a: Float, b: Float) -> NDArray[np.float32]:
+    """Return the largest absolute difference of any channel, (H, W)."""
+    result = np.zeros(a.shape[:2], dtype=np.float32)
+    for channel in range(a.shape[2]):  # NumPy is slow along a short last axis
+        np.maximum(result, np.abs(b[..., channel] - a[..., channel]), out=result)
+    return result
+
+
 def filtered(x: NDArray[Any], choose: Callable[..., Any]) -> NDArray[Any]:
     """Apply np.maximum, np.minimum or their like over 3 x 3 pixels, those beyond the border left
     out."""
@@ -110,9 +118,7 @@ def filtered(x: NDArray[Any], choose: Callable[..., Any]) -> NDArray[Any]:
 def _window(a: Float, b: Float, least: float) -> tuple[slice, slice] | None:
     """Return the part of the images outside of which nothing is beyond, an excess being at most the
     difference."""
-    apart = np.zeros(a.shape[:2], dtype=bool)
-    for channel in range(a.shape[2]):
-        apart |= np.abs(b[..., channel] - a[..., channel]) > least
+    apart = difference(a, b) > least
     rows, columns = (np.flatnonzero(apart.any(axis=axis)) for axis in (1, 0))
     if not rows.size:
         return None
