@@ -171,6 +171,7 @@ def test_encoded_as_another_file_it_is_the_same(face, options, tmp_path):
     other = read_image(saved(tmp_path / "a.jpg", face[0], **options))
     np.testing.assert_array_equal(original.encoded_as(other).pixels, other.pixels)
     assert not np.array_equal(original.pixels, other.pixels)
+    assert compare(original, other).largest == compare(other, original).largest == 0.0
     assert other.encoded_as(other) is other
     assert other.encoded_as(original) is other
 

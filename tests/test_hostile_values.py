@@ -222,8 +222,11 @@ def test_strips_give_the_figures_of_the_whole(rows, monkeypatch):
     """Of an image whose upper half nothing covers: there the alpha of a strip is 0 everywhere."""
     chance = np.random.default_rng(rows)
     a = chance.random((rows, 90, 4), dtype=np.float32)
+    a[:, 40:, :3] = 0.3 + 0.002 * a[:, 40:, :3]
+    a[18::16, 50, :3] = 0.0  # in the next strip, and no hole is three rows above it
     a[..., 3] = np.arange(rows)[:, None] >= rows // 2
-    b = a.copy()
+    b = a * (1.0 + 0.002 * chance.standard_normal((rows, 90, 1), dtype=np.float32))
+    b[15::16, 50, :3] = 0.0
     b[chance.random((rows, 90)) < 0.01] *= np.float32(1.5)
     b[..., 3] = a[..., 3]
     strips = fr.compare(a, b).as_dict()
