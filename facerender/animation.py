@@ -115,13 +115,17 @@ def _mp4(
         *("-f", "mp4", name),
     ]
     here, there = socket.socketpair()
-    with (
-        here,
-        subprocess.Popen(
-            command, stdin=there.fileno(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
-        ) as encoder,
-    ):
-        there.close()
+    with there:
+        try:
+            encoder = subprocess.Popen(
+                command, stdin=there.fileno(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+            )
+        except OSError as error:
+            here.close()
+            raise InputError(
+                f"cannot start {clipped(command[0])}: {reason(error)}; give .gif or .webp"
+            ) from None
+    with here, encoder:
         try:
             for picture in pictures:
                 here.sendall(np.ascontiguousarray(picture).data.cast("B"), _SILENT)

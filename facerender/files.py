@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from facerender.errors import InputError, clipped, reason
 
 MOST = 1 << 30  # bytes
+# More names than any table has above each other: the parser's time and memory grow with the square.
+_DEEP_KEY = re.compile(
+    r"""(?<![\w"'.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}"""
+)
 _KINDS = {
     stat.S_IFDIR: "a directory",
     stat.S_IFIFO: "a pipe",
@@ -56,3 +61,24 @@ def read_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> byte
     """Return the content of a regular file; parameters and errors as of :func:`open_file`."""
     with open_file(path, what, most) as file:
         return file.read(os.fstat(file.fileno()).st_size)
+
+
+def tables_of(content: bytes, name: str) -> dict[str, Any]:
+    """Return the tables of a TOML file, with a byte order mark or without.
+
+    Raises
+    ------
+    InputError : it is none, is nested too deep, or has a number of thousands of digits
+    """
+    import tomllib
+
+    try:
+        text = content.decode("utf-8-sig")
+        if _DEEP_KEY.search(text):
+            raise RecursionError
+        return tomllib.loads(text)
+    except RecursionError:
+        why = "nested too deep"
+    except ValueError as error:  # Python reads no numbers of 5000 digits
+        why = reason(error)
+    raise InputError(f"{name} is not TOML: {why}; mend it")

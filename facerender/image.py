@@ -58,6 +58,7 @@ _PXR24, _B44, _B44A, _DWAA, _DWAB = range(5, 10)  # as it numbers compressions, 
 _B44_LOSS, _DWA_LOSS = 0.012, 0.015  # at most, of the built-in head at 256 to 1024 pixels
 _MOVED = ("moved_least", "moved_most")  # layers of a golden
 _DWA_LEVEL = 45.0  # where the file names none
+_HIGHEST_DWA_LEVEL = 1000.0  # what says more would explain any difference as its loss
 _OTHERS = {  # what a file may be in place of an image, by its start
     _LFS: "a pointer of Git LFS: git lfs pull",
     b"<!doctype html": "a page of HTML",
@@ -543,12 +544,18 @@ def _exr_noise(header: Mapping[bytes, bytes], half: bool) -> float:
 
     half : whether channels hold half floats
 
+    Raises
+    ------
+    ValueError, struct.error : a DWA level that no image has
+
     References: OpenEXR, "Technical Introduction"; its DWA compressor, for the level.
     """
     compression = header[b"compression"][0]
     if compression in (_DWAA, _DWAB):
         given = header.get(b"dwaCompressionLevel")
         level = struct.unpack("<f", given)[0] if given else _DWA_LEVEL
+        if not 0.0 <= level <= _HIGHEST_DWA_LEVEL:
+            raise ValueError(f"DWA level {level:g} is outside [0, {_HIGHEST_DWA_LEVEL:g}]")
         return float(_DWA_LOSS * level / _DWA_LEVEL)
     if half:
         return _B44_LOSS if compression in (_B44, _B44A) else HALVED

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from facerender.errors import InputError
+from facerender.files import open_file
 from facerender.image import ABANDONED, write_whole
 
 _LIMIT = "FACERENDER_CACHE_MIB"
@@ -61,8 +62,9 @@ def read(kind: str, name: str) -> memoryview | None:
         return None
     path = folder() / kind / name
     try:
-        data = np.fromfile(path, dtype=np.uint8).data  # uninitialised at first, unlike a bytearray
-    except OSError:
+        with open_file(path, "an entry") as file:
+            data = np.fromfile(file, dtype=np.uint8).data  # not set to 0 first, as a bytearray is
+    except InputError:
         return None
     with suppress(OSError):  # another user's
         os.utime(path)  # it was used now

@@ -326,7 +326,7 @@ def test_line_ends_stay_as_they_are(tmp_path):
 def test_file_that_cannot_be_kept_is_left_alone(tmp_path, name, content):
     path = tmp_path / name
     path.write_text(content)
-    with pytest.raises(InputError, match=rf"{name} (is laid out so|cannot be read)"):
+    with pytest.raises(InputError, match=rf"{name} (is laid out so|cannot be read|is not TOML)"):
         write_limits(path, {"linear": NOTED})
     assert path.read_text() == content
     assert [each.name for each in tmp_path.iterdir()] == [name]
@@ -348,6 +348,33 @@ def test_file_without_limits(tmp_path, content, message):
         path.write_text(content, encoding="latin-1")
     with pytest.raises(InputError, match=message):
         read_limits(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("facerender_point = [1]", "facerender_point = .1.: give a number"),
+        (f"facerender_point = 1{'0' * 400}", "facerender_point = 10.*0: give a number"),
+        (f"facerender_point = 1{'0' * 5000}", "is not TOML: Exceeds the limit"),
+        (f"{'a.' * 5000}b = 1", "is not TOML: nested too deep; mend it"),
+    ],
+)
+def test_tables_without_limits(tmp_path, content, message):
+    path = tmp_path / "pyproject.toml"
+    path.write_text(f"[tool.pytest.ini_options]\n{content}\n")
+    with pytest.raises(InputError, match=message):
+        read_limits(path)
+
+
+@pytest.mark.parametrize("name", ["pytest.ini", "pyproject.toml"])
+def test_a_byte_order_mark_before_limits(tmp_path, name):
+    path = tmp_path / name
+    write_limits(path, {"linear": NOTED})
+    kept = read_limits(path)
+    path.write_text(path.read_text(), encoding="utf-8-sig")
+    assert read_limits(path) == kept
+    write_limits(path, {"linear": NOTED})
+    assert read_limits(path) == kept
 
 
 # --- the command ---------------------------------------------------------------------------------

@@ -85,6 +85,19 @@ COMPRESSIONS = [  # EXR, how wide its floats are, attributes
 ]
 
 
+@pytest.mark.parametrize("level", [1e30, float("inf"), float("nan"), -5.0])
+def test_a_dwa_level_that_no_image_has(level, tmp_path):
+    """Taken at its word it would explain any difference."""
+    path = tmp_path / "a.exr"
+    header = {"compression": OpenEXR.DWAA_COMPRESSION, "type": OpenEXR.scanlineimage}
+    channels = {"RGB": np.zeros((32, 32, 3), np.float32)}
+    OpenEXR.File({**header, "dwaCompressionLevel": level}, channels).write(str(path))
+    with pytest.raises(
+        fr.InputError, match=r"DWA level .* is outside \[0, 1000\]\); write it anew"
+    ):
+        read_image(path)
+
+
 @pytest.mark.parametrize(("name", "bits", "header"), COMPRESSIONS)
 def test_noise_of_exr(frame, name, bits, header, tmp_path):
     path, kind = tmp_path / "a.exr", np.dtype(f"f{bits // 8}")

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 import facerender as fr
+from facerender.commands import main
 from facerender.errors import clipped, reason
-from facerender.files import read_file
+from facerender.files import read_file, tables_of
 
 
 def bind(path: Path) -> None:
@@ -56,6 +59,39 @@ def test_names_that_no_file_has(name: str) -> None:
     assert len(str(caught.value)) < 300
 
 
+LONG = "x" * 300
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("render", LONG, "-o", "a.png"),
+        ("render", f"{LONG}.obj", "-o", "a.png"),
+        ("render", "--scene", LONG, "-o", "a.png"),
+        ("render", "--camera", f"{LONG}.npz", "-o", "a.png"),
+        ("render", "--environment", f"{LONG}.hdr", "-o", "a.png"),
+        ("info", f"{LONG}.glb"),
+        ("plan", f"{LONG}.glb", "--budget", "1/255"),
+        ("plan", "--budget", "1/255", "--scene", LONG),
+        ("measure", LONG),
+        ("compare", LONG, LONG),
+        ("compare", "--calibrate", LONG),
+        ("batch", f"{LONG}.jsonl", "--check"),
+        ("batch", "--status", LONG),
+        ("explore", f"{LONG}.glb", "-o", "a.html"),
+        ("shaders", "flatten", LONG),
+    ],
+    ids=lambda each: " ".join(each)[:40],
+)
+def test_names_that_are_too_long(
+    arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    with contextlib.chdir(tmp_path):
+        assert main([*arguments]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("facerender: error: ")
+
+
 def test_whole_file(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"12345")
     (tmp_path / "link").symlink_to("x")
@@ -70,3 +106,30 @@ def test_what_libraries_say_is_one_line() -> None:
     assert len(reason(ValueError("x" * 10_000))) < 200
     assert clipped("ab" * 100, 10) == "ababa ... babab"
     assert reason(FileNotFoundError(2, "No such file", "x")) == "no such file"
+
+
+NO_TOML: dict[str, tuple[str, str]] = {
+    "unfinished": ("[a", "Expected ']'"),
+    "another encoding": ("\ufffe", "Invalid statement"),
+    "long number": (f"a = 1{'0' * 5000}", "Exceeds the limit"),
+    "nested lists": (f"a = {'[' * 5000}", "nested too deep"),
+    "key of many names": (f"{'a.' * 40_000}b = 1", "nested too deep"),
+    "table of many names": (f"[{'a . ' * 100_000}b]", "nested too deep"),
+    "quoted names": (f"""{'"a b"."".' * 30_000}b = 1""", "nested too deep"),
+    "many words": ("a b " * 100_000, "Expected '='"),
+}
+
+
+@pytest.mark.parametrize("case", NO_TOML)
+def test_what_is_no_toml(case: str) -> None:
+    text, why = NO_TOML[case]
+    began = time.monotonic()
+    with pytest.raises(fr.InputError, match=f"^x.toml is not TOML: {why}.*; mend it$"):
+        tables_of(text.encode(), "x.toml")
+    assert time.monotonic() - began < 5.0
+
+
+def test_toml_with_a_byte_order_mark_and_dots() -> None:
+    text = f"a.'b c'.\"d\" = [{'0.5, ' * 100}]\n'{'x.' * 100}' = 1\n"
+    tables = tables_of(text.encode("utf-8-sig"), "x.toml")
+    assert tables == {"a": {"b c": {"d": [0.5] * 100}}, "x." * 100: 1}

@@ -21,6 +21,7 @@ from PIL import Image
 import facerender as fr
 from facerender import image
 from facerender.commands import main
+from facerender.commands.common import check_outputs
 from facerender.drawing.renderer import Renderer
 from facerender.progress import Bar
 from tests.awkward_files import MINI_HEAD, write_textured_obj
@@ -121,6 +122,18 @@ def test_outputs_that_are_one_file(inputs, capsys):
     status = main([*PLAN, "--emit", "a.png", "--error-map", "out/../a.png"])
     printed = capsys.readouterr()
     assert_error(status, printed.out, printed.err, "a.png is written twice: give another name")
+
+
+def test_many_outputs_are_checked_at_once(tmp_path):
+    names = [tmp_path / f"{number}.png" for number in range(4000)]
+    names[0].touch()
+    began = time.monotonic()
+    check_outputs(names, [tmp_path / "mesh.glb"])
+    assert time.monotonic() - began < 4.0
+    with pytest.raises(fr.InputError, match=r"/0.png is written twice"):
+        check_outputs([*names, tmp_path / "." / "0.png"])
+    with pytest.raises(fr.InputError, match=r"/0.png is read, and would be replaced"):
+        check_outputs(names, [tmp_path / "9.png", names[0]])
 
 
 def test_a_table_of_jobs_in_the_folder_of_its_batch(inputs, capsys):

@@ -309,6 +309,17 @@ def test_a_damaged_entry_is_absent_and_made_anew(how, reads, place):
     assert entry.read_bytes() == good
 
 
+def test_a_pipe_in_place_of_an_entry_is_absent(reads, place):
+    load(MINI_HEAD)
+    (entry,) = entries(place)
+    entry.unlink()
+    os.mkfifo(entry)
+    reader = threading.Thread(target=load, args=(MINI_HEAD,), daemon=True)
+    reader.start()
+    reader.join(30.0)
+    assert not reader.is_alive()
+
+
 WRITE = """
 import sys, numpy as np
 from facerender import store

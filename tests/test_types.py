@@ -15,7 +15,7 @@ from tests.awkward_files import MINI_HEAD
 
 WRONG = [
     *(None, "nonsense", b"x", -7, 1.5, True, [], ["x"], (1, 2, 3, 4, 5), {}, {"x": 1}),
-    *(float("nan"), 1j, object(), len, fr.Term, np.zeros((2, 3)), np.array(["a"])),
+    *(float("nan"), 10**400, 1j, object(), len, fr.Term, np.zeros((2, 3)), np.array(["a"])),
 ]
 
 # Doors by name: what is called, and arguments that it takes; and what in WRONG is right for these.
@@ -50,8 +50,9 @@ RIGHT: dict[str, tuple[Any, ...]] = {
     **dict.fromkeys(
         ("MeshFile parts", "MeshFile hide"), (None, "nonsense", [], ["x"], {}, {"x": 1}, WRONG[-1])
     ),
+    "MeshFile triangles": (None, 10**400),
     "MeshFile": (None, "nonsense", 1.5, True),
-    "ImageSettings": (-7, 1.5, True, float("nan")),  # the renderer tells
+    "ImageSettings": (-7, 1.5, True, float("nan"), 10**400),  # the renderer tells
     "Output": (None, -7, 1.5),
     "Job mesh": (),
     "Job": (None, [], {}, *NUMBER),
@@ -65,6 +66,7 @@ RIGHT: dict[str, tuple[Any, ...]] = {
     "Renderer.render backs": (True,),
     "Renderer.render once": (True,),
     "Renderer.render": (None,),
+    "Renderer.gbuffer blended": (True,),
     "Frame transparent": (True,),
     "Frame only": (None,),
     "Frame metadata": ({}, {"x": 1}),
@@ -91,6 +93,7 @@ RIGHT: dict[str, tuple[Any, ...]] = {
     "Texture.from_array texels": (WRONG[-2], True),
     "Texture.from_array name": ("nonsense",),
     "Texture.from_image name": ("nonsense",),
+    "simplified triangles": (10**400,),
     "with_occlusion cache": (True,),
     "view_of aspect": (1.5,),
     "shifted x": (-7, 1.5),
@@ -161,7 +164,10 @@ def doors(egl: Any) -> Iterator[dict[str, Door]]:
                     **{"backs": True, "once": False},
                 },
             ),
-            "Renderer.gbuffer": (renderer.gbuffer, {"scene": scene, "shading": shading}),
+            "Renderer.gbuffer": (
+                renderer.gbuffer,
+                {"scene": scene, "shading": shading, "blended": False},
+            ),
             "Renderer.can_shade_once": (renderer.can_shade_once, {"scene": scene, "samples": 1}),
             "render": (
                 fr.render,
@@ -206,7 +212,7 @@ def doors(egl: Any) -> Iterator[dict[str, Door]]:
                 fr.Texture.from_image,
                 {"image": Image.new("RGB", (2, 2)), "name": "a"},
             ),
-            "load_cameras": (fr.load_cameras, {"path": "cameras.json"}),
+            "load_cameras": (fr.load_cameras, {"path": "cameras.json", "size": None}),
             "save_animation": (fr.save_animation, {"path": "a.gif", "pictures": [], "fps": 12.0}),
             "load_scene": (fr.load_scene, {"path": "scene.toml"}),
             "simplified": (fr.simplified, {"mesh": mesh, "triangles": 300}),

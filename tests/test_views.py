@@ -7,7 +7,9 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+import weakref
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ from PIL import Image
 import facerender as fr
 from facerender import animation
 from facerender.commands import main
+from facerender.commands.views import sheet
 from facerender.image import read_image
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
@@ -151,6 +154,38 @@ def test_a_sheet(run: Run):
     assert (found[24:, 24:] == (0, 0, 255)).all()
 
 
+def test_a_sheet_keeps_no_image(frame: fr.Frame):
+    kept: weakref.WeakSet[fr.Frame] = weakref.WeakSet()
+
+    def frames() -> Iterator[fr.Frame]:
+        for _ in range(7):
+            each = replace(frame)
+            kept.add(each)
+            yield each
+            assert len(kept) <= 2
+
+    assert sheet(frames(), 7, None).linear.shape == (60, 72, 4)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("turntable:200", "--size", "1024"), "of 200 images is 15360 x 14336 pixels of 32 bytes"),
+        (("turntable:3", "--size", "8193x1"), "16386 x 2 pixels of 32 bytes: at most 16384 a side"),
+        (
+            ("turntable:9", "--memory", "1", "--size", "99"),
+            "and 1 MiB; give a smaller size, or few",
+        ),
+    ],
+)
+def test_a_sheet_that_is_too_large(run: Run, monkeypatch, options, message):
+    monkeypatch.setattr(fr.Renderer, "of", None)  # nothing is drawn
+    status, out, err = run("--sheet", "-o", "s.png", "--camera", *options)
+    assert (status, out) == (2, [])
+    assert message in err
+    assert os.listdir() == []
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -228,6 +263,18 @@ def test_an_ffmpeg_that_fails_is_told_of(tmp_path: Path, monkeypatch: pytest.Mon
     many = (np.zeros((512, 512, 3), dtype=np.uint8) for _ in range(8))
     with pytest.raises(fr.InputError, match=r"made no .mp4 \(Unknown encoder\): give .gif or .web"):
         fr.save_animation(tmp_path / "a.mp4", many)
+    assert [each.name for each in tmp_path.iterdir()] == ["ffmpeg"]
+
+
+def test_an_ffmpeg_that_cannot_be_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    encoder = tmp_path / "ffmpeg"
+    encoder.write_text("#!/no/such/shell\n")
+    encoder.chmod(0o700)
+    monkeypatch.setattr(shutil, "which", lambda name: str(encoder))
+    with pytest.raises(
+        fr.InputError, match=r"cannot start .*ffmpeg: no such file .*; give .gif or"
+    ):
+        fr.save_animation(tmp_path / "a.mp4", [np.zeros((4, 4, 3), dtype=np.uint8)])
     assert [each.name for each in tmp_path.iterdir()] == ["ffmpeg"]
 
 

@@ -18,7 +18,7 @@ from typing import Any
 from facerender.batch.product import product
 from facerender.batch.tables import Table, nested, short, told
 from facerender.errors import FacerenderError, InputError, reason
-from facerender.files import read_file
+from facerender.files import read_file, tables_of
 from facerender.job import MESH_PATHS
 
 # A row, or what is wrong with it, and the line where it ends in a file that has lines of rows.
@@ -194,14 +194,7 @@ def read_toml(path: Path) -> Table:
     ------
     InputError : it cannot be read, or is not TOML
     """
-    import tomllib
-
-    try:
-        return tomllib.loads(read_file(path, "tables as TOML", _MOST_TOML).decode("utf-8-sig"))
-    except InputError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path.name} is not TOML: {_why(error)}") from None
+    return tables_of(read_file(path, "tables as TOML", _MOST_TOML), path.name)
 
 
 def _toml(path: Path) -> Iterator[Found]:

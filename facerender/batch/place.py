@@ -59,7 +59,7 @@ class Place:
         """Tell whether a file is there."""
         if self.remote:
             return bool(self._system.exists(f"{self._path}/{name}"))
-        return Path(self.root, name).exists()
+        return os.path.exists(Path(self.root, name))
 
     def rename(self, name: str, other: str) -> None:
         """Give a file another name."""

@@ -115,7 +115,7 @@ def _check_read(options: argparse.Namespace) -> None:
 
     written = (Path(options.output, name) for name in (*TABLES, ABOUT))
     read = [options.jobs, options.scene, options.mesh]
-    check_outputs([path for path in written if path.is_file()], read)
+    check_outputs([path for path in written if os.path.isfile(path)], read)
 
 
 def _draw(options: argparse.Namespace, common: dict[str, Any], jobs: int) -> int:

@@ -130,25 +130,28 @@ def check_outputs(
 
     read : is looked at only where a file is there already that will be written
     """
-    names = [name for name in written if name]
-    for number, name in enumerate(names):
-        folder = check_writable(name).parent
-        if any(_same(name, other) for other in names[:number]):
+    names: dict[object, str | Path] = {}
+    for name in (each for each in written if each):
+        check_writable(name)
+        if (place := _identity(name)) in names:
             raise InputError(f"{name} is written twice: give another name")
+        names[place] = name
+    for folder in {Path(name).parent for name in names.values()}:
         remove_abandoned(folder)
-    if not (there := [name for name in names if os.path.exists(name)]):
+    if not (there := {key: name for key, name in names.items() if os.path.exists(name)}):
         return
     for other in read:
-        for name in there:
-            if other and _same(name, other):
-                raise InputError(f"{name} is read, and would be replaced: give another name")
+        if other and (replaced := there.get(_identity(other))):
+            raise InputError(f"{replaced} is read, and would be replaced: give another name")
 
 
-def _same(a: str | Path, b: str | Path) -> bool:
+def _identity(name: str | Path) -> object:
+    """Return what two names of one file have in common."""
     try:
-        return os.path.samefile(a, b)
-    except OSError:  # one is not there
-        return os.path.realpath(a) == os.path.realpath(b)
+        facts = os.stat(name)
+    except (OSError, ValueError):  # it is not there
+        return os.path.realpath(name)
+    return facts.st_dev, facts.st_ino
 
 
 def mesh_files(mesh: MeshFile) -> Iterator[str | Path | None]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -127,7 +128,7 @@ _PINNED = "# Written by facerender plan.\n"
 
 def _check_pinned(name: str | None) -> None:
     """A scene that somebody wrote is not replaced: --scene names one to read elsewhere."""
-    if name is None or not Path(name).is_file():
+    if name is None or not os.path.isfile(name):
         return
     try:
         start = Path(name).read_bytes()[: len(_PINNED)]

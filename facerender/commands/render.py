@@ -11,7 +11,7 @@ from typing import Any
 from facerender.commands.common import add_verbose, check_outputs, parse_size, telling
 from facerender.commands.scene import add_scene, files_read, job_of, load
 from facerender.commands.streams import say, tell
-from facerender.commands.views import STANDARD_OUTPUT, Target
+from facerender.commands.views import STANDARD_OUTPUT, Target, check_sheet
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.frame import FORMATS
 from facerender.drawing.renderer import Renderer
@@ -117,6 +117,8 @@ def run(options: argparse.Namespace) -> int:
     shading = job.shading
     step(f"OpenGL, for {scene.mesh!r}")
     width, height = checked_size(job.image.size)
+    if target.kind == "sheet":
+        check_sheet(target.count, (width, height), options.memory)
     for camera in cameras.values():
         view_of(replace(scene, camera=camera), width / height)
     plan: dict[str, Any] = {}

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import os
 import string
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -15,11 +15,14 @@ import numpy as np
 from facerender.commands.streams import tell_bytes
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError
-from facerender.image import Format, check_opaque, format_of
+from facerender.image import MAX_BYTES, MAX_SIDE, Format, check_opaque, format_of
+from facerender.memory import available, resident
 from facerender.scenes.vectors import Vector
 
 STANDARD_OUTPUT = "-"
 _FIELDS = {"index", "name"}
+_MIB = 1 << 20
+_OF_PIXEL = 32  # bytes, of a sheet: linear, and as much at the most while it is written
 
 
 @dataclass(frozen=True)
@@ -30,12 +33,14 @@ class Target:
     ----------
     files : names, or that of standard output
     kind : "each" file an image, or "moving" or a "sheet", where one file has all images
+    count : of the images
     format : of an image on standard output
     fps : of a file that moves
     """
 
     files: tuple[str, ...]
     kind: Literal["each", "moving", "sheet"]
+    count: int
     format: Format | None
     fps: float
 
@@ -87,7 +92,7 @@ class Target:
                 check_opaque(path, transparent)
         elif (format or format_of(files[0])) == "jpeg":
             check_opaque("JPEG", transparent)
-        return cls(files, kind, format, 12.0 if fps is None else fps)
+        return cls(files, kind, len(names), format, 12.0 if fps is None else fps)
 
     def write(self, frames: Iterator[Frame], exposure: float, background: Vector | None) -> Frame:
         """Write images as they are drawn, and return the last."""
@@ -103,7 +108,9 @@ class Target:
             pictures = (frame.srgb8(exposure) for frame in drawn())
             save_animation(self.files[0], pictures, self.fps)
             return last[0]
-        images = iter([sheet([*drawn()], background)]) if self.kind == "sheet" else drawn()
+        images = drawn()
+        if self.kind == "sheet":
+            images = iter([sheet(images, self.count, background)])
         for file, frame in zip(self.files, images, strict=True):
             if self.format is not None:
                 tell_bytes(frame.encoded(self.format, exposure))
@@ -159,16 +166,42 @@ def _plain(name: str) -> str:
     return kept.lstrip(".")[:80] or "_"
 
 
-def sheet(frames: Sequence[Frame], background: Vector | None) -> Frame:
-    """Return images beside each other, in as many columns as rows or one more; what is left of the
-    last row has the background."""
-    first = frames[0]
-    columns = math.ceil(math.sqrt(len(frames)))
-    height, width = first.linear.shape[:2]
-    size = math.ceil(len(frames) / columns) * height, columns * width
-    color = background if background is not None and first.only is None else (0.0, 0.0, 0.0)
-    linear = np.full((*size, 4), (*color, 0.0), dtype=np.float32)
+def check_sheet(count: int, size: tuple[int, int], memory: float | None) -> None:
+    """Raise InputError where a sheet of images is too large.
+
+    Parameters
+    ----------
+    count : of the images
+    size : width and height of each
+    memory : MiB that the process may have; None for what the system has left
+    """
+    columns, rows = _grid(count)
+    width, height = columns * size[0], rows * size[1]
+    limit = available() + resident() if memory is None else memory
+    if max(width, height) > MAX_SIDE or _OF_PIXEL * width * height > min(limit * _MIB, MAX_BYTES):
+        raise InputError(
+            f"a sheet of {count} images is {width} x {height} pixels of {_OF_PIXEL} bytes: at most "
+            f"{MAX_SIDE} a side, and {min(limit, MAX_BYTES / _MIB):.0f} MiB; give a smaller size, "
+            "or fewer views"
+        )
+
+
+def sheet(frames: Iterable[Frame], count: int, background: Vector | None) -> Frame:
+    """Return so many images beside each other, in as many columns as rows or one more; what is left
+    of the last row has the background. No image is kept."""
+    columns, rows = _grid(count)
     for index, frame in enumerate(frames):
+        height, width = frame.linear.shape[:2]
+        if index == 0:
+            color = background if background is not None and frame.only is None else (0.0,) * 3
+            size = rows * height, columns * width
+            linear = np.full((*size, 4), (*color, 0.0), dtype=np.float32)
+            whole = replace(frame, linear=linear)
         top, left = index // columns * height, index % columns * width
         linear[top : top + height, left : left + width] = frame.linear
-    return replace(first, linear=linear)
+    return whole
+
+
+def _grid(count: int) -> tuple[int, int]:
+    columns = math.ceil(math.sqrt(count))
+    return columns, math.ceil(count / columns)

@@ -3,6 +3,7 @@ here; the pytest plugin is pytest_facerender.py."""
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, replace
@@ -107,13 +108,13 @@ def check(
     picture = replace(picture, metadata=merged)
     renderer = merged.get("GL_RENDERER", "")
     own = golden.with_name(f"{golden.stem}@{renderer_name(renderer)}.exr")
-    if own.is_file():
+    if os.path.isfile(own):
         golden = own
     pair = Pair.of(name, golden, picture, **options)
     if pair.status == 0:
         return Verdict(picture, pair, golden)
 
-    missing = not golden.is_file()
+    missing = not os.path.isfile(golden)
     if missing and not (updates.missing or updates.differing):
         failure = f"{golden.stem} has no golden: --facerender-update-missing writes it"
         return Verdict(picture, pair, golden, failure=failure)

@@ -79,9 +79,9 @@ def pairs_of(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> list[tuple
     InputError : a file and a folder, or folders without an image
     """
     a, b = Path(a), Path(b)
-    if a.is_dir() != b.is_dir():
+    if os.path.isdir(a) != os.path.isdir(b):
         raise InputError(f"one of {a} and {b} is a folder: give two folders, or two images")
-    if not a.is_dir():
+    if not os.path.isdir(a):
         return [(b.name, a, b)]
     names = {
         path.relative_to(folder).as_posix()

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import re
-import tomllib
 from collections.abc import Mapping
 from configparser import Error as IniError
 from configparser import RawConfigParser
@@ -19,7 +18,7 @@ from typing import Any
 
 from facerender.comparison.gates import Limits
 from facerender.errors import InputError, reason, shown
-from facerender.files import read_file
+from facerender.files import read_file, tables_of
 from facerender.image import Encoding, write_bytes
 
 NAMES = tuple(field.name for field in fields(Limits))
@@ -72,7 +71,7 @@ def write_limits(path: str | os.PathLike[str], limits: Mapping[Encoding, Noted])
     InputError : the file cannot be read or written, or not without a change of something else
     """
     path = Path(path)
-    text = _text(path) if path.exists() else ""
+    text = _text(path) if os.path.exists(path) else ""
     before = _parsed(path, text)
     rows = text.splitlines()
     sections = _sections(path, before)
@@ -110,7 +109,7 @@ def _limits(path: Path, data: Data) -> dict[Encoding, dict[str, float]]:
 def _number(path: Path, name: str, text: Any) -> float:
     try:
         return float(text)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{path}: {PREFIX}{name} = {shown(text)}: give a number") from None
 
 
@@ -140,19 +139,19 @@ def _put(rows: list[str], section: str, ours: list[str]) -> None:
 
 def _text(path: Path) -> str:
     try:
-        return read_file(path, "an ini file", _MOST).decode()
+        return read_file(path, "an ini file", _MOST).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{path} is not UTF-8: save it as such") from None
 
 
 def _parsed(path: Path, text: str) -> Data:
+    if path.suffix == ".toml":
+        return tables_of(text.encode(), str(path))
+    parser = RawConfigParser(inline_comment_prefixes=("#", ";"), default_section="")
+    parser.optionxform = str  # type: ignore[assignment, method-assign]
     try:
-        if path.suffix == ".toml":
-            return tomllib.loads(text)
-        parser = RawConfigParser(inline_comment_prefixes=("#", ";"), default_section="")
-        parser.optionxform = str  # type: ignore[assignment, method-assign]
         parser.read_string(text)
-    except (IniError, tomllib.TOMLDecodeError) as error:
+    except IniError as error:
         raise InputError(f"{path} cannot be read: {reason(error)}; mend it") from None
     return {name: dict(parser[name]) for name in parser.sections()}
 

@@ -247,6 +247,7 @@ class Renderer:
         blended : whether blended parts are drawn as well, a G-buffer for each of their layers
         """
         _check_scene(scene, shading)
+        check_switch("blended", blended)
         view = view_of(scene, self.size[0] / self.size[1])
         scene = self._simplified(scene, shading, view, 4)
         with self._peeling:

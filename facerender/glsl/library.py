@@ -3,6 +3,7 @@ What its functions are, ``catalogue.py`` tells; no OpenGL here."""
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import replace
 from functools import cache
@@ -188,9 +189,9 @@ def _path(name: str) -> Path:
     root = shader_dir() / "facerender"
     stem = name.removeprefix("facerender/").removesuffix(".glsl")
     own = Path(name)
-    if stem in library() and (stem == name or not own.is_file()):
+    if stem in library() and (stem == name or not os.path.isfile(own)):
         return root / f"{stem}.glsl"
-    if own.suffix or own.is_file():
+    if own.suffix or os.path.isfile(own):
         return own
     for file in library():
         path = root / f"{file}.glsl"

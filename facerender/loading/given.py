@@ -46,7 +46,7 @@ class Given:
         if self.content is not None:
             return self.content
         shown = clipped(str(self.path))
-        if self.path.is_dir():
+        if os.path.isdir(self.path):
             raise InputError(f"{shown} is a directory; give a mesh file in it")
         if self.kind not in FORMATS:
             known = ", ".join(FORMATS)
@@ -72,7 +72,7 @@ def given(source: Any, kind: str | None = None) -> Given:
     if hasattr(source, "read"):
         name = getattr(source, "name", None)
         path = Path(name if isinstance(name, str) and name else "file")
-        folder = path.parent if path.is_file() else None
+        folder = path.parent if os.path.isfile(path) else None
         source = _content(source, path.name)
     if not isinstance(source, bytes | bytearray | memoryview):
         raise InputError(

@@ -4,6 +4,7 @@ in ``tables.py``, plots drawn in ``plots.py``."""
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
@@ -150,7 +151,7 @@ def read_imports(directory: Path) -> list[Imported]:
 def _content(directory: Path) -> Any:
     """What measure.json holds, None where there is none."""
     path = directory / JSON
-    data = _bytes_of(path) if path.exists() else b"null"
+    data = _bytes_of(path) if os.path.exists(path) else b"null"
     try:
         return json.loads(data)
     except (ValueError, RecursionError):

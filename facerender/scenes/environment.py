@@ -45,7 +45,7 @@ class Panorama:
         check_type("name of a panorama", self.name, str, "text")
         try:
             values = np.asarray(self.radiance, dtype=np.float32)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(
                 f"environment {self.name} has the radiance {shown(self.radiance)}: give an array "
                 "of numbers"

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from facerender.errors import InputError, check_path, check_range, clipped, reason, shown
-from facerender.files import read_file
+from facerender.errors import InputError, check_path, check_range, clipped, shown
+from facerender.files import read_file, tables_of
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light, parse_light
 from facerender.scenes.material import MAPS, Material
@@ -90,19 +90,9 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
     ------
     InputError : the file cannot be read, or has an unknown key or a value outside its domain
     """
-    import tomllib
-
     check_path("scene file", path)
     name = clipped(Path(path).name)
-    content = read_file(path, "a scene as TOML", MOST_BYTES)
-    try:
-        tables = tomllib.loads(content.decode("utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{name} is not TOML: {reason(error)}") from None
-    except RecursionError:
-        raise InputError(f"{name} is not TOML that is read: it is nested too deep") from None
-    except ValueError:  # Python reads no numbers of 5000 digits
-        raise InputError(f"{name} is not TOML that is read: a number is too long") from None
+    tables = tables_of(read_file(path, "a scene as TOML", MOST_BYTES), name)
     try:
         return {key: scene_value(key, value) for key, value in tables.items()}
     except InputError as error:

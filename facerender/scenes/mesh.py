@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -124,7 +124,7 @@ class Mesh:
         object.__setattr__(self, "materials", materials)
         check_array("bounds", self.bounds, 3)
         check_array("profile", self.profile, 2)
-        check_range("radius", self.radius, 0.0, math.inf)
+        check_range("radius", self.radius, 0.0, sys.float_info.max)
         if self.regions is not None:
             check_type("regions", self.regions, Mapping, "head and face, or None")
             each_of("regions", self.regions.values(), Region, "facerender.scenes.mesh.Region")
