@@ -401,6 +401,15 @@ def test_command_writes_limits_that_it_reads(wide, tmp_path, capsys):
     assert run(capsys, one, two, "--limits", path, "--block", 0.001)[0] == 1
 
 
+def test_limits_that_cannot_be_written_are_printed(wide, tmp_path, capsys):
+    path = tmp_path / "pytest.ini"
+    path.write_text("[pytest\n")
+    status, out, err = run(capsys, "--calibrate", wide, "--limits", path)
+    assert (status, path.read_text()) == (2, "[pytest\n")
+    assert f"{path} cannot be read" in err
+    assert "facerender_block = " in out
+
+
 def test_limits_of_a_file_are_for_the_images_of_their_encoding(runs, tmp_path, capsys):
     one, two = (runs.add(name, picture(gain), "head.png") for name, gain in (("a", 1), ("b", 1.02)))
     path = tmp_path / "pytest.ini"

@@ -119,8 +119,6 @@ def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     with steps(options) as progress:
         found = calibration_of(pairs, mask, progress)
     limits = {each.encoding: each.noted for each in found}
-    if options.limits:
-        write_limits(options.limits, limits)
     for each in found:
         for told in each.blind:
             warn(told)
@@ -128,4 +126,6 @@ def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
         tell(json.dumps([each.as_dict() for each in found], indent=2))
     else:
         tell(text_of(options.limits or "pytest.ini", limits))
+    if options.limits:
+        write_limits(options.limits, limits)
     return 0
