@@ -8,6 +8,7 @@ import socket
 import subprocess
 from collections.abc import Iterable, Iterator
 from itertools import chain
+from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -115,28 +116,28 @@ def _mp4(
         *("-f", "mp4", name),
     ]
     here, there = socket.socketpair()
-    with there:
-        try:
-            encoder = subprocess.Popen(
-                command, stdin=there.fileno(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
-            )
-        except OSError as error:
+    with here, TemporaryFile() as told:  # a pipe that nobody reads meanwhile may be full
+        with there:
+            try:
+                encoder = subprocess.Popen(
+                    command, stdin=there.fileno(), stdout=subprocess.DEVNULL, stderr=told
+                )
+            except OSError as error:
+                raise InputError(
+                    f"cannot start {clipped(command[0])}: {reason(error)}; give .gif or .webp"
+                ) from None
+        with encoder:
+            try:
+                for picture in pictures:
+                    here.sendall(np.ascontiguousarray(picture).data.cast("B"), _SILENT)
+            except (BrokenPipeError, ConnectionResetError):
+                pass  # it says why
+            except BaseException:
+                encoder.kill()
+                raise
             here.close()
-            raise InputError(
-                f"cannot start {clipped(command[0])}: {reason(error)}; give .gif or .webp"
-            ) from None
-    with here, encoder:
-        try:
-            for picture in pictures:
-                here.sendall(np.ascontiguousarray(picture).data.cast("B"), _SILENT)
-        except (BrokenPipeError, ConnectionResetError):
-            pass  # it says why
-        except BaseException:
-            encoder.kill()
-            raise
-        here.close()
-        assert encoder.stderr is not None
-        said = encoder.stderr.read().decode(errors="replace").strip().splitlines()
+        told.seek(0)
+        said = told.read().decode(errors="replace").strip().splitlines()
     if encoder.returncode:
         why = clipped(said[-1] if said else f"status {encoder.returncode}")
         raise InputError(f"ffmpeg made no .mp4 ({why}): give .gif or .webp")

@@ -336,6 +336,7 @@ def test_file_that_cannot_be_kept_is_left_alone(tmp_path, name, content):
     ("content", "message"),
     [
         ("[pytest]\nfacerender_point = much\n", "facerender_point = 'much': give a number"),
+        ("[pytest]\nfacerender_point = -1\n", r"facerender_point = -1.0 is outside \[0, 1e"),
         ("[pytest]\naddopts = -q\n", "gives no limit, such as facerender_point"),
         ("[pytest\n", "cannot be read"),
         ("[pytest]\nx = \xff\n", "is not UTF-8"),

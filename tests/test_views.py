@@ -266,6 +266,17 @@ def test_an_ffmpeg_that_fails_is_told_of(tmp_path: Path, monkeypatch: pytest.Mon
     assert [each.name for each in tmp_path.iterdir()] == ["ffmpeg"]
 
 
+def test_an_ffmpeg_that_says_much(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """More than a pipe holds, before it reads what is sent to it."""
+    encoder = tmp_path / "ffmpeg"
+    encoder.write_text("#!/bin/sh\nyes odd | head -c 300000 >&2\ncat >/dev/null\nexit 1\n")
+    encoder.chmod(0o700)
+    monkeypatch.setattr(shutil, "which", lambda name: str(encoder))
+    many = (np.zeros((512, 512, 3), dtype=np.uint8) for _ in range(8))
+    with pytest.raises(fr.InputError, match=r"made no .mp4 \(odd\): give .gif or .webp"):
+        fr.save_animation(tmp_path / "a.mp4", many)
+
+
 def test_an_ffmpeg_that_cannot_be_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     encoder = tmp_path / "ffmpeg"
     encoder.write_text("#!/no/such/shell\n")

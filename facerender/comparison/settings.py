@@ -16,8 +16,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from facerender.comparison.gates import Limits
-from facerender.errors import InputError, reason, shown
+from facerender.comparison.gates import HIGHEST, Limits
+from facerender.errors import InputError, check_range, reason, shown
 from facerender.files import read_file, tables_of
 from facerender.image import Encoding, write_bytes
 
@@ -108,9 +108,11 @@ def _limits(path: Path, data: Data) -> dict[Encoding, dict[str, float]]:
 
 def _number(path: Path, name: str, text: Any) -> float:
     try:
-        return float(text)
+        limit = float(text)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{path}: {PREFIX}{name} = {shown(text)}: give a number") from None
+    check_range(f"{path}: {PREFIX}{name}", limit, 0.0, HIGHEST)
+    return limit
 
 
 def _rows(path: Path, noted: Noted) -> list[str]:
