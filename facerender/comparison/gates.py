@@ -71,8 +71,6 @@ LIMITS: dict[Encoding, Limits] = {
     "linear": Limits(0.005, 5e-3),
     "srgb8": Limits(3.0, 1.0, grain=0.35),
 }
-# For float textures and one driver, where rounding is all that may differ.
-STRICT = replace(LIMITS["linear"], block=1e-3)
 
 
 @dataclass(frozen=True)
