@@ -26,6 +26,7 @@ _SLIGHT = 50  # pixels that may be slivers, and
 _SHARE = 1e-4  # of all pixels
 BLUR = 1.5  # times the limits of grain and texture, that the image may have less
 _WIDELY = 0.1  # share of wrong pixels from which on they are not called few
+_BRIGHTER = 5e-5  # gain below which it is not told, and
 _SEEN = 0.01  # pixels of a shift, below which it is not told
 _HOLES = 2  # that cracks and hairs may leave
 
@@ -176,7 +177,8 @@ def _guess(evidence: Evidence) -> str:
 
 def _estimate(result: Comparison) -> str:
     """Say by how much the image is brighter, and where it lies."""
-    gain = f"gain {1.0 + result.gain:.4g}" if result.encoding == "linear" else ""
+    brighter = result.encoding == "linear" and abs(result.gain) > _BRIGHTER
+    gain = f"gain {round(1.0 + result.gain, 4):g}" if brighter else ""
     x, y = result.shift
     moved = f"shift ({x:.2g}, {y:.2g})" if max(abs(x), abs(y)) > _SEEN else ""
     said = ", ".join(filter(None, (gain, moved)))
