@@ -25,6 +25,13 @@ def heed_signals() -> None:
             signal.signal(getattr(signal, name), _end)
 
 
+def heed_the_driver() -> None:
+    """Have SIGTERM end the process as it does by default, once what is half done is undone. SIGINT
+    is for the driver, which passes it on as SIGTERM."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _end_unsaid)
+
+
 def hold() -> None:
     """Keep a thread from what it is about to begin, once the process is being ended."""
     if _ending:
@@ -64,6 +71,24 @@ def temporary_folder() -> Iterator[str]:
 
 
 def _end(number: int, frame: FrameType | None) -> None:
+    said = _undo()
+    if number in _WORDS:
+        with suppress(Exception):  # whatever the main thread was about to do with it
+            sys.stdout.flush()
+        line = ": ".join(filter(None, [_WORDS[signal.Signals(number)], *said]))
+        with suppress(OSError):
+            os.write(2, f"facerender: {line}\n".encode(errors="backslashreplace"))
+    os._exit(128 + number)
+
+
+def _end_unsaid(number: int, frame: FrameType | None) -> None:
+    _undo()
+    signal.signal(number, signal.SIG_DFL)
+    os.kill(os.getpid(), number)
+
+
+def _undo() -> list[str | None]:
+    """End the children, then undo what is half done; return what is said of it."""
     global _ending
     _ending = True
     with suppress(Exception):
@@ -72,13 +97,7 @@ def _end(number: int, frame: FrameType | None) -> None:
     for action in reversed(_actions):
         with suppress(Exception):
             said.append(action())
-    if number in _WORDS:
-        with suppress(Exception):  # whatever the main thread was about to do with it
-            sys.stdout.flush()
-        line = ": ".join(filter(None, [_WORDS[signal.Signals(number)], *said]))
-        with suppress(OSError):
-            os.write(2, f"facerender: {line}\n".encode(errors="backslashreplace"))
-    os._exit(128 + number)
+    return said
 
 
 def _end_children() -> None:

@@ -8,6 +8,7 @@ import json
 import os
 import resource
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -354,6 +355,43 @@ def test_a_signal_undoes_what_is_half_done(tmp_path):
     assert not os.path.exists(f"/proc/{child}")
     assert os.listdir(tmp_path) == ["a.png"]
     assert (tmp_path / "a.png").read_bytes() == b"old"
+
+
+DRIVEN = """
+import os, signal, sys, time
+from pathlib import Path
+from facerender.ending import heed_the_driver
+from facerender.image import write_whole
+
+heed_the_driver()
+
+def write(name):
+    Path(name).write_text("half")
+    os.kill(os.getpid(), signal.SIGINT)
+    print("goes on", flush=True)
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(60)
+
+write_whole(sys.argv[1], write)
+"""
+
+
+def test_a_worker_that_is_ended_undoes_what_is_half_done(tmp_path):
+    command = [sys.executable, "-c", DRIVEN, tmp_path / "a.png"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    told = done.returncode, done.stdout, done.stderr
+    assert told == (-signal.SIGTERM, "goes on\n", "")
+    assert os.listdir(tmp_path) == []
+
+
+def test_workers_of_a_batch_heed_their_driver():
+    ours, theirs = socket.socketpair()
+    command = [sys.executable, "-m", "facerender.batch.worker", str(theirs.fileno())]
+    with ours, theirs, subprocess.Popen(command, pass_fds=[theirs.fileno()]) as running:
+        while not heeds(running) and running.poll() is None:
+            time.sleep(0.01)
+        running.terminate()
+    assert running.returncode == -signal.SIGTERM
 
 
 def kill(*arguments):

@@ -22,6 +22,7 @@ from facerender.batch.output import Writer
 from facerender.batch.passes import Drawn, draw
 from facerender.drawing.context import Backend
 from facerender.drawing.renderer import Renderer
+from facerender.ending import heed_the_driver
 from facerender.errors import ContextError, FacerenderWarning, InputError, noting
 from facerender.job import MESH_PATHS, ImageSettings, Job, MeshFile
 from facerender.loading.named import named_files
@@ -38,7 +39,7 @@ def main(handle: int) -> None:
     """Draw the chunks that come through a socket, until it is closed."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    heed_the_driver()
     warnings.simplefilter("ignore", FacerenderWarning)  # they are noted
     connection = Connection(handle)
     renderers, run = _Renderers(), ""
