@@ -145,7 +145,8 @@ class Picture:
 
     @cached_property
     def _opaque(self) -> bool:
-        used = self.encoding == "srgb8" or bool(self.pixels[..., -1].any())
+        # Not any(), which warns of signalling NaN.
+        used = self.encoding == "srgb8" or bool(np.count_nonzero(self.pixels[..., -1]))
         return self.pixels.shape[2] % 2 == 1 or not used
 
 

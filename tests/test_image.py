@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from facerender.image import (
     exr_bytes,
     linear_to_srgb,
     png_bytes,
+    read_image,
     save_exr,
     save_png,
     srgb_to_linear,
@@ -85,6 +87,15 @@ def test_png_of_pixels_that_are_no_whole_array():
         for kind in (np.uint8, np.uint16):
             view = turned.astype(kind)
             assert png_bytes(turned.astype(kind, order="K"), {}) == png_bytes(view.copy("C"), {})
+
+
+def test_signalling_nan_is_read_without_a_warning(tmp_path):
+    linear = np.full((8, 16, 4), 0.5, np.float32)
+    linear[1, 1, 3] = np.uint32(0x7FA00000).view(np.float32)
+    save_exr(tmp_path / "a.exr", linear, {})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert (read_image(tmp_path / "a.exr").color == 0.5).all()
 
 
 def test_exr_of_layers(tmp_path):
