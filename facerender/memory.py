@@ -24,6 +24,14 @@ def _malloc_trim() -> Callable[[int], object] | None:
     return getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
 
 
+MIB = 1 << 20
+
+
+def limit(given: float | None) -> float:
+    """Return the MiB that this process may have: as given, or what it has and can still get."""
+    return available() + resident() if given is None else given
+
+
 def available() -> float:
     """Return the MiB that this process may still take, of the machine and of its control group;
     infinite where neither says."""
@@ -42,5 +50,5 @@ def resident() -> float:
     """Return the MiB that this process has; 0 where the system does not say."""
     with suppress(OSError, ValueError, IndexError):
         pages = int(Path("/proc/self/statm").read_text().split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE") / float(1 << 20)
+        return pages * os.sysconf("SC_PAGE_SIZE") / float(MIB)
     return 0.0

@@ -254,38 +254,24 @@ def test_a_movie(tmp_path: Path):
     }
 
 
-def test_an_ffmpeg_that_fails_is_told_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """It ends before it has read what is sent to it."""
+@pytest.mark.parametrize(
+    ("script", "message"),
+    [  # it ends before it has read what is sent to it, or says first more than a pipe holds
+        ("/bin/sh\necho 'Unknown encoder' >&2\nexit 1", r"made no .mp4 \(Unknown encoder\):"),
+        ("/bin/sh\nyes odd | head -c 300000 >&2\ncat >/dev/null\nexit 1", r"made no .mp4 \(odd\):"),
+        ("/no/such/shell", "cannot start .*ffmpeg: no such file .*;"),
+    ],
+)
+def test_an_ffmpeg_that_fails_is_told_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, message: str
+):
     encoder = tmp_path / "ffmpeg"
-    encoder.write_text("#!/bin/sh\necho 'Unknown encoder' >&2\nexit 1\n")
+    encoder.write_text(f"#!{script}\n")
     encoder.chmod(0o700)
     monkeypatch.setattr(shutil, "which", lambda name: str(encoder))
     many = (np.zeros((512, 512, 3), dtype=np.uint8) for _ in range(8))
-    with pytest.raises(fr.InputError, match=r"made no .mp4 \(Unknown encoder\): give .gif or .web"):
+    with pytest.raises(fr.InputError, match=f"{message} give .gif or .webp"):
         fr.save_animation(tmp_path / "a.mp4", many)
-    assert [each.name for each in tmp_path.iterdir()] == ["ffmpeg"]
-
-
-def test_an_ffmpeg_that_says_much(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """More than a pipe holds, before it reads what is sent to it."""
-    encoder = tmp_path / "ffmpeg"
-    encoder.write_text("#!/bin/sh\nyes odd | head -c 300000 >&2\ncat >/dev/null\nexit 1\n")
-    encoder.chmod(0o700)
-    monkeypatch.setattr(shutil, "which", lambda name: str(encoder))
-    many = (np.zeros((512, 512, 3), dtype=np.uint8) for _ in range(8))
-    with pytest.raises(fr.InputError, match=r"made no .mp4 \(odd\): give .gif or .webp"):
-        fr.save_animation(tmp_path / "a.mp4", many)
-
-
-def test_an_ffmpeg_that_cannot_be_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    encoder = tmp_path / "ffmpeg"
-    encoder.write_text("#!/no/such/shell\n")
-    encoder.chmod(0o700)
-    monkeypatch.setattr(shutil, "which", lambda name: str(encoder))
-    with pytest.raises(
-        fr.InputError, match=r"cannot start .*ffmpeg: no such file .*; give .gif or"
-    ):
-        fr.save_animation(tmp_path / "a.mp4", [np.zeros((4, 4, 3), dtype=np.uint8)])
     assert [each.name for each in tmp_path.iterdir()] == ["ffmpeg"]
 
 

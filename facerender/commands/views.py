@@ -16,12 +16,11 @@ from facerender.commands.streams import tell_bytes
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError
 from facerender.image import MAX_BYTES, MAX_SIDE, Format, check_opaque, format_of
-from facerender.memory import available, resident
+from facerender.memory import MIB, limit
 from facerender.scenes.vectors import Vector
 
 STANDARD_OUTPUT = "-"
 _FIELDS = {"index", "name"}
-_MIB = 1 << 20
 _OF_PIXEL = 32  # bytes, of a sheet: linear, and as much at the most while it is written
 
 
@@ -177,11 +176,11 @@ def check_sheet(count: int, size: tuple[int, int], memory: float | None) -> None
     """
     columns, rows = _grid(count)
     width, height = columns * size[0], rows * size[1]
-    limit = available() + resident() if memory is None else memory
-    if max(width, height) > MAX_SIDE or _OF_PIXEL * width * height > min(limit * _MIB, MAX_BYTES):
+    most = min(limit(memory), MAX_BYTES / MIB)
+    if max(width, height) > MAX_SIDE or _OF_PIXEL * width * height > most * MIB:
         raise InputError(
             f"a sheet of {count} images is {width} x {height} pixels of {_OF_PIXEL} bytes: at most "
-            f"{MAX_SIDE} a side, and {min(limit, MAX_BYTES / _MIB):.0f} MiB; give a smaller size, "
+            f"{MAX_SIDE} a side, and {most:.0f} MiB; give a smaller size, "
             "or fewer views"
         )
 

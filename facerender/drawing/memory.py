@@ -6,15 +6,14 @@ import math
 
 from facerender.drawing.prepare import part_maps
 from facerender.errors import InputError
-from facerender.memory import available, resident
+from facerender.memory import MIB, limit
 from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene
 from facerender.scenes.texture import Texture
 
-_MIB = 1 << 20
 # Bytes, measured on llvmpipe: of the package and a context, of programs, of a triangle, of a pixel,
 # and of each of its samples.
-_ALWAYS, _PROGRAMS = 110 * _MIB, 90 * _MIB
+_ALWAYS, _PROGRAMS = 110 * MIB, 90 * MIB
 _OF_TRIANGLE, _OF_PIXEL, _OF_SAMPLE = 500, 48, 20
 
 
@@ -30,11 +29,10 @@ def check_memory(
     albedo : kind of albedo maps, "color" or "linear-color"
     most : MiB that the process may have; None for what the system has left
     """
-    limit = available() + resident() if most is None else most
-    if (needed := needed_memory(scene, size, samples, albedo)) > limit:
+    if (needed := needed_memory(scene, size, samples, albedo)) > (free := limit(most)):
         raise InputError(
             f"{scene.mesh.name} at {size[0]} x {size[1]} with {samples} samples takes about "
-            f"{needed:.0f} MiB of {limit:.0f}: give a smaller size, fewer samples or smaller maps"
+            f"{needed:.0f} MiB of {free:.0f}: give a smaller size, fewer samples or smaller maps"
         )
 
 
@@ -54,4 +52,4 @@ def needed_memory(scene: Scene, size: tuple[int, int], samples: int, albedo: Kin
         kept += chain if texture.coarse else 2.0 * chain
         decoding = max(decoding, image if texture.coarse else 2.0 * image + 0.25 * chain)
     drawing = _PROGRAMS + math.prod(size) * (_OF_PIXEL + samples * _OF_SAMPLE)
-    return (kept + max(decoding, drawing)) / _MIB
+    return (kept + max(decoding, drawing)) / MIB
