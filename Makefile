@@ -35,13 +35,13 @@ slow: .venv/installed-dev | test-system
 	$(PYTEST) -m "slow or not slow"
 
 fuzz: .venv/installed-dev | test-system
-	$(VENV)/python -m trials.fuzz --minutes $(MINUTES)
+	$(VENV)/python -m tests.verification.fuzz --minutes $(MINUTES)
 
 docs: .venv/installed-dev | test-system
-	$(VENV)/python -m docs
+	$(VENV)/python -m tools.docs
 
 head: .venv/installed-dev
-	$(VENV)/python -m assets.head_generator -o assets/head.glb
+	$(VENV)/python -m tools.head -o assets/head.glb
 
 npm: .venv/installed
 	$(VENV)/python tools/npm-package -o out/npm
@@ -49,10 +49,10 @@ npm: .venv/installed
 install-shaders:
 	mkdir -p "$(SHARE)/facerender/shaders" "$(SHARE)/pkgconfig" "$(SHARE)/cmake/facerender_shaders"
 	cp -R shaders/facerender "$(SHARE)/facerender/shaders"
-	cp packaging/facerender_shadersConfig.cmake "$(SHARE)/cmake/facerender_shaders"
-	sed 's/@VERSION@/$(VERSION)/' packaging/facerender_shadersConfigVersion.cmake.in \
+	cp tools/packaging/facerender_shadersConfig.cmake "$(SHARE)/cmake/facerender_shaders"
+	sed 's/@VERSION@/$(VERSION)/' tools/packaging/facerender_shadersConfigVersion.cmake.in \
 	    > "$(SHARE)/cmake/facerender_shaders/facerender_shadersConfigVersion.cmake"
-	sed 's/@VERSION@/$(VERSION)/' packaging/facerender-shaders.pc.in \
+	sed 's/@VERSION@/$(VERSION)/' tools/packaging/facerender-shaders.pc.in \
 	    > "$(SHARE)/pkgconfig/facerender-shaders.pc"
 
 system:

@@ -25,7 +25,7 @@ import psutil
 from facerender.batch.chunk import Settings, chunks, painter
 from facerender.batch.jobs import read_jobs
 from facerender.batch.supervisor import Supervisor
-from facerender.data import data_dir
+from facerender.system.data import data_dir
 
 _MESHES = 40
 _FILES = 4  # environments

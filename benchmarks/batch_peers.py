@@ -32,8 +32,8 @@ from typing import Any
 import numpy as np
 
 import facerender as fr
-from facerender.data import data_dir
-from facerender.image import linear_to_srgb, read_image
+from facerender.images.image import linear_to_srgb, read_image
+from facerender.system.data import data_dir
 
 SCRIPTS = Path(__file__).parent / "peers" / "batch"
 LOOP = "loop over one Renderer"

@@ -27,10 +27,10 @@ from typing import Any
 from playwright.sync_api import Playwright, sync_playwright
 
 import facerender as fr
-from facerender.data import data_dir
 from facerender.explorer import explorer
 from facerender.job import Job
-from trials import chromium
+from facerender.system.data import data_dir
+from tests.verification import chromium
 
 ROOT = Path(__file__).parents[1]
 SOURCE = Path(__file__).parent / "peers" / "explorer" / "main.js"

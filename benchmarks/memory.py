@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.image import linear_to_srgb, read_image
+from facerender.images.image import linear_to_srgb, read_image
 
 
 def resident() -> int:

@@ -25,8 +25,8 @@ from pathlib import Path
 import numpy as np
 
 import facerender as fr
-from facerender.data import data_dir
-from facerender.image import linear_to_srgb
+from facerender.images.image import linear_to_srgb
+from facerender.system.data import data_dir
 
 HERE = Path(__file__).parent
 HEAD = data_dir("assets") / "head.glb"

@@ -65,7 +65,7 @@ def batch_cpu_s(folder: str, count: int, *options: str) -> float:
 def draw() -> dict[str, Any]:
     """A short and a longer batch: what the second takes more."""
     from facerender import MeshFile
-    from facerender.data import data_dir
+    from facerender.system.data import data_dir
 
     head = MeshFile(str(data_dir("assets") / "head.glb"))
     head.load(cache=True)

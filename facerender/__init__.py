@@ -25,13 +25,12 @@ shader_source   one file of the GLSL library, flat, for a target; shader_dir: th
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from facerender import forked  # noqa: F401  # notes the process
 from facerender._version import __version__
 from facerender.scenes import sources
+from facerender.system import forked  # noqa: F401  # notes the process
 
 if TYPE_CHECKING:
     from facerender import brdf, lobes
-    from facerender.animation import save_animation
     from facerender.comparison.gates import compare
     from facerender.drawing.frame import Frame, GBuffer
     from facerender.drawing.renderer import Renderer, render
@@ -42,6 +41,7 @@ if TYPE_CHECKING:
         shader_dir,
         shader_source,
     )
+    from facerender.images.animation import save_animation
     from facerender.job import ImageSettings, Job, MeshFile, Output
     from facerender.loading import load_mesh
     from facerender.loading.cameras import load_cameras

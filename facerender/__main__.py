@@ -3,7 +3,7 @@ before the imports, which take most of a short run."""
 
 from typing import NoReturn
 
-from facerender.ending import heed_signals
+from facerender.system.signals import heed_signals
 
 
 def console() -> NoReturn:

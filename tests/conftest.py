@@ -18,8 +18,8 @@ import pytest
 
 import facerender as fr
 from facerender.drawing.context import Backend, create_context
-from trials import chromium
-from trials.scan import TEST_DATA, load_scan, scan_folder
+from tests.verification import chromium
+from tests.verification.scan import TEST_DATA, load_scan, scan_folder
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

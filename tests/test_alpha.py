@@ -27,7 +27,7 @@ from facerender.scenes.texture import Texture
 from facerender.scenes.view import view_of
 from tests.test_levels import grid
 from tests.test_levels import mesh_of as shaped
-from trials.parts_head import NAMES, hairs, parts_head
+from tests.verification.parts_head import NAMES, hairs, parts_head
 
 FACTORS = {
     "alpha": "mask",
@@ -317,7 +317,7 @@ def test_blended_parts_lie_over_each_other_from_the_back(single):
 
 
 def parts_joined(parts):
-    from trials.parts_head import joined
+    from tests.verification.parts_head import joined
 
     return joined(parts)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import facerender as fr
-import pytest_facerender
+from facerender import pytest_plugin
 from facerender.commands import main
 from facerender.commands.compare import LIMITED, default_of
 from facerender.comparison.calibration import LEAST, MARGIN, Calibration, calibration_of, runs_of
@@ -19,7 +19,7 @@ from facerender.comparison.gates import HIGHEST, LIMITS, Limits, compare
 from facerender.comparison.settings import NAMES, read_limits, text_of, write_limits
 from facerender.comparison.verdict import changed_alike
 from facerender.errors import InputError
-from facerender.image import encode_srgb8, save_exr, save_png
+from facerender.images.image import encode_srgb8, save_exr, save_png
 
 SIDE = 128
 OPEN = dict.fromkeys(NAMES, HIGHEST)
@@ -473,7 +473,7 @@ def test_document_has_the_defaults():
 
 
 def test_the_plugin_knows_every_limit():
-    assert pytest_facerender.LIMITS == NAMES == tuple(each.name for each in fields(Limits))
+    assert pytest_plugin.LIMITS == NAMES == tuple(each.name for each in fields(Limits))
 
 
 class Suites:
@@ -495,7 +495,7 @@ class Suites:
         self.run("--facerender-update-missing").assert_outcomes(passed=1)
 
     def run(self, *options: str) -> pytest.RunResult:
-        return self.pytester.runpytest_inprocess("-p", "pytest_facerender", *options)
+        return self.pytester.runpytest_inprocess("-p", "facerender.pytest_plugin", *options)
 
 
 @pytest.fixture

@@ -16,9 +16,9 @@ from facerender.shading import Term
 from facerender.terms import lobe_entry
 from facerender.terms.lobe import MIN_SLOPE
 from tests.test_targets import opened
-from trials.cases import Case, Each, brdf_case, directions_and_extremes
-from trials.climb import VARIANTS, climb, slopes_of
-from trials.targets import LAVAPIPE, TARGETS, Remote
+from tests.verification.cases import Case, Each, brdf_case, directions_and_extremes
+from tests.verification.climb import VARIANTS, climb, slopes_of
+from tests.verification.targets import LAVAPIPE, TARGETS, Remote
 
 FEW, MANY = (50, 8), (1000, 60)  # starts and steps
 

@@ -22,12 +22,12 @@ from PIL import Image, PngImagePlugin
 import facerender as fr
 from facerender.comparison.gates import LIMITS, compare
 from facerender.comparison.pairs import Pair, pairs_of
-from facerender.image import Picture, encode_srgb8, read_image, save_exr
+from facerender.images.image import Picture, encode_srgb8, read_image, save_exr
 from tests.conftest import missing, require_backend
 from tests.test_cli import Capture, Cli, process
-from trials import mutations
-from trials.drivers import DRIVERS, draw_with
-from trials.mutations import BROKEN, CAMERAS, HARMLESS, SIZE, Studio, bright, set_pixels
+from tests.verification import mutations
+from tests.verification.drivers import DRIVERS, draw_with
+from tests.verification.mutations import BROKEN, CAMERAS, HARMLESS, SIZE, Studio, bright, set_pixels
 
 STUDIOS = [
     ("head", "three-quarter", 1),

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facerender.image import save_exr
+from facerender.images.image import save_exr
 from tests.test_package import ROOT
 
 # Runs before all else in a process: what does not belong to these packages cannot be imported.
@@ -98,7 +98,7 @@ def test_rendering_says_what_it_lacks(images, alone):
 def test_plugin_without_what_draws(images, alone):
     suite = images / "test_suite.py"
     suite.write_text(SUITE)
-    pytest_here = ["-m", "pytest", "-q", "-p", "pytest_facerender", "-p", "no:cacheprovider"]
+    pytest_here = ["-m", "pytest", "-q", "-p", "facerender.pytest_plugin", "-p", "no:cacheprovider"]
     options = ("--facerender-update-missing", "--facerender-report", "report")
     status, said = run([*pytest_here, *options], images, alone)
     assert status == 0, said

@@ -22,7 +22,7 @@ from facerender.comparison import flip, pictures, report
 from facerender.comparison.pairs import Pair
 from facerender.comparison.pictures import save_heat_map
 from facerender.comparison.report import entry, write_report
-from facerender.image import Picture
+from facerender.images.image import Picture
 
 SIZE = (40, 48)  # height, width
 AT = (30, 12)  # x, y of the wrong pixel

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from docs.comparison import gates
 from facerender.comparison.gates import compare
+from tools.docs.comparison import gates
 
 ROOT = Path(__file__).parents[1]
 
@@ -65,7 +65,7 @@ def test_check_names_what_is_stale(tmp_path):
     assert len(told) == len(STALE) + 1
     for name, _, _, fault in STALE:
         assert any(line.startswith(f"docs/{name}.md: {fault}") for line in told), told
-        assert any(line.endswith(f": run python -m docs.{name}") for line in told)
+        assert any(line.endswith(f": run python -m tools.docs.{name}") for line in told)
     assert any(line.startswith("docs/trade.md: README.md has not") for line in told)
 
 

@@ -16,7 +16,7 @@ from PIL import Image
 
 import facerender as fr
 from facerender.comparison.gates import compare
-from facerender.image import picture_of, read_image
+from facerender.images.image import picture_of, read_image
 from facerender.jpeg import Jpeg
 
 SAMPLINGS = [(1, 1), (2, 1), (2, 2)]  # as Pillow numbers them
@@ -141,7 +141,7 @@ def test_halves_compare_as_what_they_are(frame, tmp_path):
 
 PEAK = """
 import sys
-from facerender.image import read_image
+from facerender.images.image import read_image
 def peak():
     (line,) = (each for each in open("/proc/self/status") if each.startswith("VmHWM"))
     return int(line.split()[1]) >> 10

@@ -20,7 +20,7 @@ import facerender as fr
 from facerender import brdf
 from facerender._version import __version__
 from facerender.drawing.context import Backend
-from facerender.image import linear_to_srgb, read_image, srgb_to_linear
+from facerender.images.image import linear_to_srgb, read_image, srgb_to_linear
 from tests.conftest import missing
 
 ROOT = Path(__file__).parents[1]
@@ -288,7 +288,7 @@ def test_images_of_the_ci_example(egl: Backend, tmp_path: Path, weight: str, fai
     if weight == "0.97" and drawn != fr.render(size=(8, 8), backend=egl).metadata["GL_VERSION"]:
         failed = 0
     shutil.copytree(EXAMPLES / "ci_image_diff", tmp_path / "copy")
-    command = [sys.executable, "-m", "pytest", "-p", "pytest_facerender"]
+    command = [sys.executable, "-m", "pytest", "-p", "facerender.pytest_plugin"]
     result = subprocess.run(
         [*command, "--facerender-report", "report"],
         cwd=tmp_path / "copy",

@@ -14,7 +14,7 @@ import pytest
 import facerender as fr
 from facerender.commands import main
 from facerender.errors import clipped, reason
-from facerender.files import read_file, tables_of
+from facerender.system.files import read_file, tables_of
 
 
 def bind(path: Path) -> None:

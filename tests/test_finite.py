@@ -16,9 +16,9 @@ import pytest
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.evaluate import Evaluator, Inputs
 from tests.test_shaders import FILES, functions
-from trials import cases
-from trials.cases import Case
-from trials.many import GROUPS, MANY, Random, cases_of, faults
+from tests.verification import cases
+from tests.verification.cases import Case
+from tests.verification.many import GROUPS, MANY, Random, cases_of, faults
 
 FEW = 2**18  # samples of a draw
 MANY_DRAWS = -(-(10**8) // MANY)

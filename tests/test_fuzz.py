@@ -15,8 +15,8 @@ import pytest
 import facerender as fr
 from facerender.errors import FacerenderError, InputError, warn
 from tests.conftest import require_module
-from trials.fuzz.mutate import mutate
-from trials.fuzz.subjects import FAULTS, LARGE, Subject, examine, subjects
+from tests.verification.fuzz.mutate import mutate
+from tests.verification.fuzz.subjects import FAULTS, LARGE, Subject, examine, subjects
 
 ROOT = Path(__file__).parents[1]
 FOUND = sorted((Path(__file__).parent / "data" / "fuzz").iterdir())
@@ -62,7 +62,15 @@ def test_what_broke_once_does_not_break_again(path: Path, tmp_path: Path) -> Non
 
 def test_the_guided_fuzzer_runs(tmp_path: Path) -> None:
     require_module("atheris")
-    command = [sys.executable, "-m", "trials.fuzz", "--inputs", "200", "--only", "jobs-"]
+    command = [
+        sys.executable,
+        "-m",
+        "tests.verification.fuzz",
+        "--inputs",
+        "200",
+        "--only",
+        "jobs-",
+    ]
     run = subprocess.run(
         [*command, "-o", tmp_path], cwd=ROOT, capture_output=True, text=True, check=False
     )
@@ -71,7 +79,7 @@ def test_the_guided_fuzzer_runs(tmp_path: Path) -> None:
 
 
 HOLDS = """
-from trials.fuzz.worker import following
+from tests.verification.fuzz.worker import following
 with following():
     from facerender.scenes.framing import find_regions
 from pathlib import Path
@@ -150,7 +158,7 @@ def test_what_takes_long_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
     subject = Subject("made up", {"a": b""}, "a", busy)
     for most, outcome in ((0.1, "slow"), (10.0, "clean")):
-        monkeypatch.setattr("trials.fuzz.subjects.SLOW", most)
+        monkeypatch.setattr("tests.verification.fuzz.subjects.SLOW", most)
         assert examine(subject, b"", tmp_path / "a").outcome == outcome
 
 

@@ -20,7 +20,7 @@ from facerender.glsl import library as glsl
 from facerender.glsl.catalogue import functions
 from facerender.lobes import GPower
 from tests.conftest import missing
-from trials.cases import directions
+from tests.verification.cases import directions
 
 WITH_A_LOBE = ("cook_torrance", "lobe", "ward", "ward_printed")
 COOK_TORRANCE = {"name": "cook_torrance", "lobe": "d16"}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from trials.cases import cases_of, directions
+from tests.verification.cases import cases_of, directions
 
 LINE = re.compile(r"^    (mediump )?(?:float|vec3) (\w+) = (.*?);(?:  //.*)?$", re.MULTILINE)
 LARGEST = 2.0**14  # that GLSL ES asks of mediump

@@ -69,7 +69,7 @@ def test_file_says_what_strict_readers_ask_for(head: Head):
     description = head.description
     assert description["asset"] == {
         "version": "2.0",
-        "generator": "facerender assets/head_generator",
+        "generator": "facerender tools/head",
     }
     assert all(view["byteOffset"] % 4 == 0 for view in description["bufferViews"])
     (mesh,) = description["meshes"]
@@ -182,7 +182,7 @@ def test_generator_still_makes_the_committed_head(head: Head, tmp_path: Path):
     """With textures of 512 texels, which take seconds; the mesh does not depend on their size."""
     require_module("skimage")
     path = tmp_path / "head.glb"
-    command = [sys.executable, "-m", "assets.head_generator", "--texture-size", "512", "-o", path]
+    command = [sys.executable, "-m", "tools.head", "--texture-size", "512", "-o", path]
     subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=300)
     made = read_head(path)
 

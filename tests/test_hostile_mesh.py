@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender import store
 from facerender.loading.obj import with_absolute
+from facerender.system import cache
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, mini_head
 
@@ -708,7 +708,7 @@ def test_a_damaged_entry_of_the_store_is_passed_over(
         if thread.name == "facerender-store":
             thread.join()
     (entry,) = (tmp_path / "facerender" / "meshes").iterdir()
-    content = bytes(store.read("meshes", entry.name) or b"")
+    content = bytes(cache.read("meshes", entry.name) or b"")
     (length,) = struct.unpack_from("<Q", content)
     facts = json.loads(content[8 : 8 + length])
     broken = [b"", b"\xff" * 99, content[:8], content[: length + 50]]
@@ -717,7 +717,7 @@ def test_a_damaged_entry_of_the_store_is_passed_over(
         head = json.dumps({name: each for name, each in facts.items() if name != key}).encode()
         broken.append(struct.pack("<Q", len(head)) + head + content[8 + length :])
     for each in broken:
-        store.write("meshes", entry.name, [each])
+        cache.write("meshes", entry.name, [each])
         mesh = fr.load_mesh(MINI_HEAD, cache=True)
         np.testing.assert_array_equal(mesh.bounds, expected)
         for thread in threading.enumerate():

@@ -21,7 +21,7 @@ from facerender.commands import FAULT, main
 from facerender.comparison import gates
 from facerender.drawing import renderer as drawing
 from facerender.errors import InputError
-from facerender.image import MAX_PIXELS, check_pixels, read_image
+from facerender.images.image import MAX_PIXELS, check_pixels, read_image
 from facerender.scenes import material as materials
 from facerender.scenes.file import load_scene
 from facerender.scenes.light import parse_light

@@ -15,7 +15,7 @@ import pytest
 
 from facerender import brdf
 from tests.conftest import missing, node_tool, require_module
-from trials.hosts import CHOICES, ENGINES, HOSTS, SCENE, desktop, draw, served
+from tests.verification.hosts import CHOICES, ENGINES, HOSTS, SCENE, desktop, draw, served
 
 ROOT = Path(__file__).parents[1]
 MODULES = {"naga": "wgpu", "glslc": "wgpu", "vispy": "vispy", "Panda3D": "panda3d"}
@@ -27,7 +27,7 @@ OFFLINE = re.compile("ENOTFOUND|EAI_AGAIN|ECONNREFUSED|ETIMEDOUT|ENETUNREACH")
 def engines(tmp_path_factory) -> Path:
     """Folder where the engines of the web are installed."""
     folder = tmp_path_factory.mktemp("engines")
-    for path in (ROOT / "trials/engines").glob("[.p]*[cn]"):
+    for path in (ROOT / "tests/verification/engines").glob("[.p]*[cn]"):
         shutil.copy(path, folder)
     npm = [
         node_tool("npm"),

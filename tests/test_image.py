@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from facerender import InputError
-from facerender.image import (
+from facerender.images.image import (
     encode_srgb8,
     exr_bytes,
     linear_to_srgb,
@@ -21,7 +21,7 @@ from facerender.image import (
     save_png,
     srgb_to_linear,
 )
-from facerender.image import write_whole as write
+from facerender.system.atomic import write_whole as write
 
 
 def test_srgb_and_back():

@@ -15,11 +15,18 @@ from facerender.drawing.evaluate import Evaluator
 from facerender.glsl import library as glsl
 from tests.conftest import missing, require_module
 from tests.test_glsl import CHOICES
-from trials import metal
-from trials.cases import cases_of, evaluated
-from trials.hosts import CHOICES as SCENES
-from trials.hosts import SCENE, SIZE, desktop
-from trials.targets import LAVAPIPE, TRANSLATED, UNTRANSLATED, Remote, compiled, groups_of
+from tests.verification import metal
+from tests.verification.cases import cases_of, evaluated
+from tests.verification.hosts import CHOICES as SCENES
+from tests.verification.hosts import SCENE, SIZE, desktop
+from tests.verification.targets import (
+    LAVAPIPE,
+    TRANSLATED,
+    UNTRANSLATED,
+    Remote,
+    compiled,
+    groups_of,
+)
 
 # Every file, and some of those with their choices made.
 TEXTS = [each for each in CHOICES if each[0] not in UNTRANSLATED]
@@ -98,7 +105,7 @@ def test_plain_glsl_means_the_same(target, egl: Backend):
 @pytest.mark.parametrize("language", MAIN)
 def test_every_file_and_choice_compiles_without_a_warning(language):
     require_module("wgpu")
-    from trials.webgpu import Device
+    from tests.verification.webgpu import Device
 
     device = Device()
     for name, lobe, m in TEXTS:

@@ -16,7 +16,7 @@ from facerender.comparison.gates import HIGHEST, compare
 from facerender.comparison.goldens import Updates, check
 from facerender.comparison.movement import FARTHEST, MOVES, explained, range_of
 from facerender.errors import InputError
-from facerender.image import Picture, read_image
+from facerender.images.image import Picture, read_image
 
 SIZE = (160, 160)
 STRANDS = 40
@@ -184,7 +184,7 @@ def test_plugin_takes_what_draws(pytester, monkeypatch):
         "def test_head(facerender_snapshot):\n"
         "    facerender_snapshot.check(draw(0, 0), draw=draw)\n"
     )
-    options = ("-p", "pytest_facerender")
+    options = ("-p", "facerender.pytest_plugin")
     pytester.runpytest_inprocess(*options, "--facerender-update-missing").assert_outcomes(passed=1)
     golden = read_image(pytester.path / "goldens/test_suite/test_head.exr")
     assert golden.moved.most[16, 16, 0] == pytest.approx(0.9, rel=0.01)

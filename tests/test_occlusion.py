@@ -18,7 +18,7 @@ from facerender.scenes.mesh import Part
 from tests.awkward_files import MINI_HEAD
 from tests.test_cli import Cli
 from tests.test_levels import grid, mesh_of, torus
-from trials.occlusion import occlusion_error
+from tests.verification.occlusion import occlusion_error
 
 
 @pytest.fixture

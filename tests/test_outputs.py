@@ -20,11 +20,11 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender import image
 from facerender.commands import main
 from facerender.commands.common import check_outputs
 from facerender.drawing.renderer import Renderer
-from facerender.progress import Bar
+from facerender.system import atomic
+from facerender.system.progress import Bar
 from tests.awkward_files import MINI_HEAD, write_textured_obj
 from tests.awkward_files import mini_head as read_mini_head
 from tests.test_cli import assert_error
@@ -213,7 +213,7 @@ def test_two_writers_of_one_file(tmp_path):
 
     def write(content):
         for _ in range(50):
-            image.write_bytes(tmp_path / "a.png", content)
+            atomic.write_bytes(tmp_path / "a.png", content)
 
     threads = [threading.Thread(target=write, args=(content,)) for content in contents]
     for thread in threads:
@@ -319,9 +319,9 @@ def test_a_signal_among_the_imports(sent, word, tmp_path):
 ENDED = """
 import os, signal, subprocess, sys, threading
 from pathlib import Path
-from facerender.ending import heed_signals, if_ended, temporary_folder
-from facerender.image import write_whole
-from facerender.progress import Bar
+from facerender.system.signals import heed_signals, if_ended, temporary_folder
+from facerender.system.atomic import write_whole
+from facerender.system.progress import Bar
 
 heed_signals()
 
@@ -360,8 +360,8 @@ def test_a_signal_undoes_what_is_half_done(tmp_path):
 DRIVEN = """
 import os, signal, sys, time
 from pathlib import Path
-from facerender.ending import heed_the_driver
-from facerender.image import write_whole
+from facerender.system.signals import heed_the_driver
+from facerender.system.atomic import write_whole
 
 heed_the_driver()
 

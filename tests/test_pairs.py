@@ -9,13 +9,22 @@ import pytest
 
 import facerender as fr
 from facerender.comparison.gates import compare
-from facerender.image import encode_srgb8
-from trials.pairs.changes import CHANGES
-from trials.pairs.draw import FLOORS, INDEX, Drawer, Pair, read_pairs, slug, steps, write_index
-from trials.pairs.room import Room
-from trials.pairs.scenes import SETTINGS
-from trials.pairs.verdicts import Judged, best, counted, score
-from trials.pairs.webgl import draw_webgl
+from facerender.images.image import encode_srgb8
+from tests.verification.pairs.changes import CHANGES
+from tests.verification.pairs.draw import (
+    FLOORS,
+    INDEX,
+    Drawer,
+    Pair,
+    read_pairs,
+    slug,
+    steps,
+    write_index,
+)
+from tests.verification.pairs.room import Room
+from tests.verification.pairs.scenes import SETTINGS
+from tests.verification.pairs.verdicts import Judged, best, counted, score
+from tests.verification.pairs.webgl import draw_webgl
 
 SCENES = {
     "head-three-quarter": replace(SETTINGS["head-three-quarter"], size=256),

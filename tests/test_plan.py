@@ -43,9 +43,9 @@ from facerender.shading import Shading
 from facerender.terms.fitting import fit_g_power
 from tests.conftest import require_module
 from tests.test_glsl import OUTPUT, run
-from trials import metal
-from trials.subjects import BUDGETS, KINDS, Subject, brute_force, subjects
-from trials.targets import compiled
+from tests.verification import metal
+from tests.verification.subjects import BUDGETS, KINDS, Subject, brute_force, subjects
+from tests.verification.targets import compiled
 
 KEY = (LIGHTS["key"],)
 POINT = fr.Light(irradiance=3.0, position=(0.2, 0.3, 0.5))
@@ -763,7 +763,7 @@ USED = {
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_its_shader_in_other_languages_has_what_lights_call(language, plans):
     require_module("wgpu")
-    from trials.webgpu import Device
+    from tests.verification.webgpu import Device
 
     texts = []
     for plan in plans:

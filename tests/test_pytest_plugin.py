@@ -12,9 +12,9 @@ import pytest
 import facerender as fr
 from facerender.comparison import report  # noqa: F401  (here, not anew in every suite)
 from facerender.comparison.goldens import renderer_name
-from facerender.image import read_image, save_exr
+from facerender.images.image import read_image, save_exr
 
-PLUGIN = ("-p", "pytest_facerender", "-p", "xdist")
+PLUGIN = ("-p", "facerender.pytest_plugin", "-p", "xdist")
 
 # image(value) has one value everywhere; `on` is the renderer that it says it comes from.
 SUITE = """

@@ -30,7 +30,7 @@ from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.prepare import simplify
 from facerender.drawing.program import LightGroup, Program
 from facerender.glsl.code import prelude
-from facerender.image import Picture, read_image
+from facerender.images.image import Picture, read_image
 from facerender.lobes import GPower
 from facerender.measure.error import block_error, point_error
 from facerender.scenes import mips
@@ -422,7 +422,7 @@ def test_gbuffer_of_the_scan_shows_its_own_albedo(renderer, scan_mesh, scan):
     """A texel looked up with the G-buffer's uv is what the GPU sampled, up to filtering."""
     from PIL import Image
 
-    from facerender.image import srgb_to_linear
+    from facerender.images.image import srgb_to_linear
 
     gbuffer = renderer.gbuffer(fr.Scene(scan_mesh))
     covered = gbuffer.part >= 0

@@ -13,7 +13,7 @@ import pytest
 
 import facerender as fr
 from facerender.drawing import reference
-from facerender.image import linear_to_srgb
+from facerender.images.image import linear_to_srgb
 from facerender.planning.bound import bound
 from facerender.planning.budget import Budget
 from facerender.planning.candidates import Constants, candidates
@@ -22,7 +22,7 @@ from facerender.scenes.file import scene_toml
 from facerender.scenes.mesh import Part
 from facerender.scenes.scattering import scattering_of
 from facerender.terms.scattering import PROFILES, scatter_profile, spiral
-from trials.scattering import SUBJECTS, scatter_errors
+from tests.verification.scattering import SUBJECTS, scatter_errors
 
 KEY = fr.Light(-50.0, 42.0, 3.0, shadow=True)
 OFF = fr.Shading(scatter_samples=0)
@@ -44,7 +44,7 @@ def face(head) -> fr.Scene:
 
 @pytest.mark.parametrize("name", ["head", pytest.param("scan_mesh", marks=pytest.mark.slow)])
 def test_bounds_against_the_integral_over_the_mesh(egl, name, request):
-    """``python -m docs.skin_scattering`` measures more pixels."""
+    """``python -m tools.docs.skin_scattering`` measures more pixels."""
     mesh = request.getfixturevalue(name)
     few = (0, 16, 32)
     with fr.Renderer((512, 512), samples=1, backend=egl) as renderer:

@@ -18,7 +18,7 @@ from facerender.glsl.code import defines, lobe_macros
 from facerender.glsl.dispatch import dispatch
 from facerender.shading import Term
 from facerender.terms import FRESNEL, LOBES, MASKING
-from trials.cases import brdf_case, directions, flat, include
+from tests.verification.cases import brdf_case, directions, flat, include
 
 COOK_TORRANCE = "fr_cook_torrance(n, l, v, m, 0.028)"
 FILES = sorted((shader_dir() / "facerender").rglob("*.glsl"))

@@ -14,7 +14,7 @@ from facerender.scenes.light import parse_light
 from facerender.scenes.mesh import Part
 from facerender.scenes.shadow import light_space
 from tests.conftest import require_backend
-from trials.shadows import shadow_error
+from tests.verification.shadows import shadow_error
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,5 @@
 """The slope filter, curvature and disc lights: what is stored, what is drawn, and how far it is
-from many samples (all of it: trials/skin.py)."""
+from many samples (all of it: tests/verification/skin.py)."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ import facerender as fr
 from facerender.commands import main
 from facerender.drawing import reference
 from facerender.drawing.program import surface_features
-from facerender.image import read_image
+from facerender.images.image import read_image
 from facerender.planning.bound import bound
 from facerender.planning.budget import Budget
 from facerender.scenes.light import parse_light
 from facerender.scenes.scene import slope_ranges
 from tests.conftest import require_module
-from trials.slope_filter import disc, filtered, flicker, relief, slopes_of
+from tests.verification.slope_filter import disc, filtered, flicker, relief, slopes_of
 
 SIDE = fr.Camera(azimuth=35.0, elevation=8.0)
 

@@ -17,8 +17,9 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender import loading, store
+from facerender import loading
 from facerender.commands import main
+from facerender.system import cache
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, mini_head
 from tests.test_cli import assert_error
@@ -167,8 +168,8 @@ def test_the_command_draws_the_same_bits_and_imports_neither_trimesh_nor_pillow(
 )
 def test_options_change_a_kept_mesh_as_any(options, tmp_path, egl, reads):
     images = []
-    for cache in (["--no-cache"], [], []):
-        assert main(["render", "-o", str(tmp_path / "o.exr"), *SMALL, *options, *cache]) == 0
+    for uncached in (["--no-cache"], [], []):
+        assert main(["render", "-o", str(tmp_path / "o.exr"), *SMALL, *options, *uncached]) == 0
         wait()
         images.append((tmp_path / "o.exr").read_bytes())
     assert len(reads) == 2
@@ -322,12 +323,12 @@ def test_a_pipe_in_place_of_an_entry_is_absent(reads, place):
 
 WRITE = """
 import sys, numpy as np
-from facerender import store
+from facerender.system import cache
 size, seed = 1 << 20, int(sys.argv[1])
 for turn in range(40):
     kind = np.full(size, seed, dtype=np.uint8)
-    store.write("meshes", "same", [b"head", kind.data])
-    read = store.read("meshes", "same")
+    cache.write("meshes", "same", [b"head", kind.data])
+    read = cache.read("meshes", "same")
     assert read is not None and bytes(read[:4]) == b"head"
     assert len(set(bytes(read[4:]))) == 1 and len(read) == size + 4
 """
@@ -340,13 +341,13 @@ def test_writers_at_the_same_time_leave_whole_entries(place):
 
 
 def test_what_a_writer_that_was_cut_off_has_left_is_removed(place):
-    store.write("meshes", "a", [b"1"])
+    cache.write("meshes", "a", [b"1"])
     old, new = (place / "meshes" / f".b-{name}" for name in ("old", "new"))
     for path in (old, new):
         path.write_bytes(b"half")
     os.utime(old, (1e9, 1e9))
-    assert store.read("meshes", "b") is None
-    store.write("plans", "c", [b"2"])
+    assert cache.read("meshes", "b") is None
+    cache.write("plans", "c", [b"2"])
     assert not old.exists()
     assert new.exists()
 
@@ -355,15 +356,15 @@ def test_the_least_recently_used_go(place, monkeypatch):
     monkeypatch.setenv("FACERENDER_CACHE_MIB", "4")
     mib = bytes(2**20 - 4096)
     for age, name in enumerate("dcba"):
-        store.write("meshes", name, [mib])
+        cache.write("meshes", name, [mib])
         os.utime(place / "meshes" / name, (1e9 - age, 1e9 - age))
-    assert store.size() <= 4 << 20
-    assert store.read("meshes", "a") is not None  # used now, and so the youngest
-    store.write("plans", "e", [mib])
+    assert cache.size() <= 4 << 20
+    assert cache.read("meshes", "a") is not None  # used now, and so the youngest
+    cache.write("plans", "e", [mib])
     assert {path.name for path in place.glob("*/*")} == {"a", "e", "c", "d"}
-    store.write("meshes", "f", [mib, mib, mib])
+    cache.write("meshes", "f", [mib, mib, mib])
     assert {path.name for path in place.glob("*/*")} == {"e", "f"}
-    store.write("meshes", "g", [mib] * 5)  # larger than all may be together
+    cache.write("meshes", "g", [mib] * 5)  # larger than all may be together
     assert {path.name for path in place.glob("*/*")} == {"e", "f"}
 
 
@@ -414,6 +415,6 @@ def test_a_loaded_mesh_is_in_the_store_when_the_process_ends(place):
 
 
 def test_doctor_tells_where_it_is(place, capsys):
-    store.write("plans", "a", [bytes(3 << 20)])
+    cache.write("plans", "a", [bytes(3 << 20)])
     main(["doctor"])
     assert f"cache   {place}, 3 of at most 1024 MiB" in capsys.readouterr().out

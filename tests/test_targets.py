@@ -1,5 +1,5 @@
 """Every public function of the shader library on every target, within the bounds of its cases
-(``trials/cases.py``)."""
+(``tests/verification/cases.py``)."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 
 from tests.conftest import missing
 from tests.test_shaders import FILES, functions
-from trials.cases import GROUPS, cases_of, evaluated
-from trials.targets import TARGETS, Remote
+from tests.verification.cases import GROUPS, cases_of, evaluated
+from tests.verification.targets import TARGETS, Remote
 
 
 def opened(name: str) -> Remote:

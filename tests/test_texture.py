@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from facerender import InputError
-from facerender.image import srgb_to_linear
+from facerender.images.image import srgb_to_linear
 from facerender.scenes.texture import Texture, pack
 
 

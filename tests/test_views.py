@@ -19,10 +19,10 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender import animation
 from facerender.commands import main
 from facerender.commands.views import sheet
-from facerender.image import read_image
+from facerender.images import animation
+from facerender.images.image import read_image
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 from tests.test_cameras import glb

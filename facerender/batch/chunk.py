@@ -15,8 +15,8 @@ from uuid import uuid4
 
 from facerender._version import __version__
 from facerender.batch.jobs import Row
-from facerender.data import data_dir
 from facerender.loading.named import named_files
+from facerender.system.data import data_dir
 
 if TYPE_CHECKING:
     from facerender.drawing.context import Backend

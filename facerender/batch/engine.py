@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from facerender.errors import FacerenderError, InputError
-from facerender.memory import available
+from facerender.system.memory import available
 
 _WORKER_MIB = 700  # that a worker needs at least
 _SECONDS = 30  # to find a scheduler, and a worker of it

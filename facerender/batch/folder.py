@@ -28,8 +28,8 @@ from facerender.batch.output import (
 from facerender.batch.passes import transforms_frame
 from facerender.batch.place import Place
 from facerender.batch.work import Work
-from facerender.ending import if_ended
 from facerender.errors import InputError, reason
+from facerender.system.signals import if_ended
 
 TABLES = ("jobs.jsonl", "jobs.parquet", "failed.jsonl", "transforms.json")
 Table = Literal["jsonl", "parquet"]

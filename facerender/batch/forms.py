@@ -18,8 +18,8 @@ from typing import Any
 from facerender.batch.product import product
 from facerender.batch.tables import Table, nested, short, told
 from facerender.errors import FacerenderError, InputError, reason
-from facerender.files import read_file, tables_of
 from facerender.job import MESH_PATHS
+from facerender.system.files import read_file, tables_of
 
 # A row, or what is wrong with it, and the line where it ends in a file that has lines of rows.
 Found = tuple[int | None, Table | InputError]

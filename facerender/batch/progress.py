@@ -13,8 +13,8 @@ from tqdm import tqdm
 
 from facerender.batch.supervisor import Outcome
 from facerender.batch.work import Work
-from facerender.ending import if_ended
-from facerender.progress import shown
+from facerender.system.progress import shown
+from facerender.system.signals import if_ended
 
 _FRAME = 0.2  # seconds between those that are drawn
 

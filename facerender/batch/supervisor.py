@@ -22,8 +22,8 @@ from facerender.batch.groups import Group
 from facerender.batch.messages import Order, PlanOrder, Said, failure
 from facerender.batch.output import begin, commit
 from facerender.batch.place import Place
-from facerender.ending import hold
 from facerender.errors import FacerenderError, reason
+from facerender.system.signals import hold
 
 Heard = Callable[[str, str, str], None]  # worker, what it says, the job's id
 

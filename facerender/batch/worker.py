@@ -22,12 +22,12 @@ from facerender.batch.output import Writer
 from facerender.batch.passes import Drawn, draw
 from facerender.drawing.context import Backend
 from facerender.drawing.renderer import Renderer
-from facerender.ending import heed_the_driver
 from facerender.errors import ContextError, FacerenderWarning, InputError, noting
 from facerender.job import MESH_PATHS, ImageSettings, Job, MeshFile
 from facerender.loading.named import named_files
 from facerender.scenes.levels import simplified
 from facerender.scenes.mesh import Mesh
+from facerender.system.signals import heed_the_driver
 
 MESHES = 2  # that a worker keeps
 _RENDERERS = 2

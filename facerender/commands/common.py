@@ -14,11 +14,11 @@ import numpy as np
 
 from facerender.commands.streams import say
 from facerender.errors import InputError, reason
-from facerender.image import check_writable, remove_abandoned
 from facerender.job import MESH_PATHS, MeshFile
 from facerender.loading.given import GLTF
 from facerender.loading.named import named_files
-from facerender.progress import Bar
+from facerender.system.atomic import check_writable, remove_abandoned
+from facerender.system.progress import Bar
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from facerender.commands.common import add_verbose, check_outputs, steps
 from facerender.commands.streams import say, tell
 from facerender.comparison.gates import LIMITS
 from facerender.errors import InputError, warn
-from facerender.image import read_image
+from facerender.images.image import read_image
 
 LIMITED = {
     "point": "excess of a pixel over what its neighbours explain",

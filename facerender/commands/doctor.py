@@ -9,10 +9,10 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from facerender import store
 from facerender._version import __version__
 from facerender.commands.streams import tell
 from facerender.drawing.context import AUTO, Finding, probe
+from facerender.system import cache
 
 # Python packages by what needs them: "" everything, others are extras.
 PACKAGES = {
@@ -61,8 +61,8 @@ def _lines(facts: dict[str, Any], findings: list[Finding]) -> list[str]:
         words = [f"{name} {version or 'is missing'}" for name, version in versions.items()]
         remedy = "" if all(versions.values()) else f": pip install 'facerender[{extra}]'"
         lines.append(f"{extra or 'Python':7} {', '.join(words)}{remedy}")
-    used, most = store.size() >> 20, store.limit() >> 20
-    return [*lines, f"cache   {store.folder()}, {used} of at most {most} MiB"]
+    used, most = cache.size() >> 20, cache.limit() >> 20
+    return [*lines, f"cache   {cache.folder()}, {used} of at most {most} MiB"]
 
 
 def _said(finding: Finding) -> str:

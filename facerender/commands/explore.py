@@ -19,9 +19,9 @@ from facerender.commands.common import (
 from facerender.commands.streams import tell
 from facerender.errors import InputError
 from facerender.explorer import explorer
-from facerender.image import write_text
 from facerender.job import Job, MeshFile
-from facerender.progress import Progress
+from facerender.system.atomic import write_text
+from facerender.system.progress import Progress
 
 if TYPE_CHECKING:
     from facerender.planning.plan import Plan

@@ -11,11 +11,11 @@ from typing import Any
 
 from facerender.commands.common import add_allow_outside, import_trimesh
 from facerender.commands.streams import tell
-from facerender.data import data_dir
 from facerender.errors import FacerenderWarning
 from facerender.loading import load_mesh
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh, Part
+from facerender.system.data import data_dir
 
 _HEAD = 230.0  # mm from chin to crown, roughly: to guess a unit by
 _SRGB = ("albedo_map", "emissive_map")

@@ -15,7 +15,7 @@ from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError, reason
 from facerender.glsl.library import LANGUAGES, TARGETS
-from facerender.image import write_text
+from facerender.system.atomic import write_text
 
 
 def add(plan: argparse.ArgumentParser) -> None:

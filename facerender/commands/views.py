@@ -15,9 +15,9 @@ import numpy as np
 from facerender.commands.streams import tell_bytes
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError
-from facerender.image import MAX_BYTES, MAX_SIDE, Format, check_opaque, format_of
-from facerender.memory import MIB, limit
+from facerender.images.image import MAX_BYTES, MAX_SIDE, Format, check_opaque, format_of
 from facerender.scenes.vectors import Vector
+from facerender.system.memory import MIB, limit
 
 STANDARD_OUTPUT = "-"
 _FIELDS = {"index", "name"}
@@ -84,7 +84,7 @@ class Target:
         if fps is not None and kind != "moving":
             raise InputError(f"--fps {fps:g} is of a .gif, .webp or .mp4 of several views")
         if kind == "moving":
-            from facerender.animation import check_animation
+            from facerender.images.animation import check_animation
 
             check_animation(path, 12.0 if fps is None else fps)
             if not path.lower().endswith(".webp"):
@@ -102,7 +102,7 @@ class Target:
                 yield last[0]
 
         if self.kind == "moving":
-            from facerender.animation import save_animation
+            from facerender.images.animation import save_animation
 
             pictures = (frame.srgb8(exposure) for frame in drawn())
             save_animation(self.files[0], pictures, self.fps)

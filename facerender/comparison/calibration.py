@@ -25,8 +25,8 @@ from facerender.comparison.pairs import pairs_of
 from facerender.comparison.settings import NAMES
 from facerender.comparison.verdict import changed_alike
 from facerender.errors import InputError, reason
-from facerender.image import Encoding, Picture, encode_srgb8, read_image, srgb_to_linear
-from facerender.progress import Progress, unheard
+from facerender.images.image import Encoding, Picture, encode_srgb8, read_image, srgb_to_linear
+from facerender.system.progress import Progress, unheard
 
 MARGIN = 1.5
 # What rounding to half floats or steps of 8 bits needs, and a camera or samples that move by 0.1

@@ -23,7 +23,7 @@ from facerender.comparison.neighbourhoods import Float, Mask, excess, filtered, 
 from facerender.comparison.verdict import reasons_of
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, check_range
-from facerender.image import Encoding, Picture, Range, picture_of, read_image
+from facerender.images.image import Encoding, Picture, Range, picture_of, read_image
 
 MARGIN = 2  # pixels from the edge of the coverage, where a block does not look
 FADED = 0.2  # excess of coverage that counts as changed

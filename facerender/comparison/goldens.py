@@ -1,5 +1,5 @@
 """Goldens: images kept beside tests, which later ones must equal. What becomes of one image is
-here; the pytest plugin is pytest_facerender.py."""
+here; the pytest plugin is facerender/pytest_plugin.py."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from facerender.comparison.gates import Comparable, as_picture, compare
 from facerender.comparison.movement import MOVES, range_of
 from facerender.comparison.pairs import Pair
 from facerender.errors import InputError, reason
-from facerender.image import Picture, save_exr
+from facerender.images.image import Picture, save_exr
 
 _FURTHER = 3.0  # times as far: detail finer than a pixel seems to move by more
 Draw = Callable[[float, float], Comparable]

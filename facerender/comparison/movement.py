@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from facerender.comparison.neighbourhoods import Float, Mask, filtered
-from facerender.image import Picture, Range
+from facerender.images.image import Picture, Range
 
 FARTHEST = 0.1  # pixels
 # Pixels to the right and down by which an image is moved: circles, as what is fine comes and goes.

@@ -11,7 +11,7 @@ from typing import Any
 
 from facerender.comparison.gates import Comparable, Comparison, as_picture, compare
 from facerender.errors import InputError
-from facerender.image import SUFFIXES, Encoding, Picture
+from facerender.images.image import SUFFIXES, Encoding, Picture
 
 
 @dataclass(frozen=True, eq=False)

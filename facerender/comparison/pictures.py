@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from facerender.comparison import flip
 from facerender.comparison.pairs import Pair
 from facerender.errors import InputError
-from facerender.image import Encoding, Picture, encode_srgb8, save_png
+from facerender.images.image import Encoding, Picture, encode_srgb8, save_png
 
 MOST_SHOWN = 1 << 24  # pixels: what shows more is no page to look at
 HEAT = 1 << 17  # pixels of a page's heat map: FLIP takes 1.3 s for 1024 x 1024

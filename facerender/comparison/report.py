@@ -17,8 +17,9 @@ from facerender.comparison.gates import Comparison
 from facerender.comparison.pairs import Pair
 from facerender.comparison.verdict import BLUR, SURE, factor_of, most_slight
 from facerender.errors import InputError
-from facerender.image import Encoding, Picture, write_bytes
+from facerender.images.image import Encoding, Picture
 from facerender.page.document import document, image_source, row, table
+from facerender.system.atomic import write_bytes
 
 VERDICTS = {1: "differs", 2: "error", 0: "same"}  # by status, in the page's order
 INDEX = "\N{SYMBOL FOR UNIT SEPARATOR}"  # in no name

@@ -18,8 +18,9 @@ from typing import Any
 
 from facerender.comparison.gates import HIGHEST, Limits
 from facerender.errors import InputError, check_range, reason, shown
-from facerender.files import read_file, tables_of
-from facerender.image import Encoding, write_bytes
+from facerender.images.image import Encoding
+from facerender.system.atomic import write_bytes
+from facerender.system.files import read_file, tables_of
 
 NAMES = tuple(field.name for field in fields(Limits))
 PREFIX = "facerender_"

@@ -23,7 +23,7 @@ from facerender.drawing.host import (
     put_aside_state,
 )
 from facerender.errors import ContextError, InputError, shown
-from facerender.forked import IMPORTER
+from facerender.system.forked import IMPORTER
 
 Backend = Literal["auto", "egl", "osmesa", "native", "current"]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_range, check_switch, check_type, shown
-from facerender.image import (
+from facerender.images.image import (
     Format,
     encode_srgb8,
     exr_bytes,
@@ -19,10 +19,10 @@ from facerender.image import (
     lossy_bytes,
     png_bytes,
     save_exr,
-    write_bytes,
 )
 from facerender.scenes.scene import ONLY, Only
 from facerender.scenes.view import View
+from facerender.system.atomic import write_bytes
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -6,10 +6,10 @@ import math
 
 from facerender.drawing.prepare import part_maps
 from facerender.errors import InputError
-from facerender.memory import MIB, limit
 from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene
 from facerender.scenes.texture import Texture
+from facerender.system.memory import MIB, limit
 
 # Bytes, measured on llvmpipe: of the package and a context, of programs, of a triangle, of a pixel,
 # and of each of its samples.

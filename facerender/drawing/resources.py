@@ -20,10 +20,10 @@ from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.prepare import part_maps
 from facerender.drawing.program import Program, part_columns
 from facerender.errors import ContextError, InputError
-from facerender.memory import give_back
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.mips import Kind
 from facerender.scenes.texture import Texture, Wrap
+from facerender.system.memory import give_back
 
 if TYPE_CHECKING:
     from facerender.scenes.environment import Panorama

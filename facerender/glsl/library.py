@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from facerender._version import __version__
-from facerender.data import data_dir
 from facerender.errors import InputError, check_range, check_type
 from facerender.glsl.code import defines, file_of, lobe_macros, term_macros
 from facerender.glsl.includes import Expansion
 from facerender.shading import SMALL_SLOPE, Term
+from facerender.system.data import data_dir
 from facerender.terms import LOBES, MODELS, AnyLobe, GPower, lobe_entry
 from facerender.terms.entry import Entry
 from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE, TITLES

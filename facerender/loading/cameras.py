@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_path, clipped, reason, shown
-from facerender.files import MOST, read_file
 from facerender.loading.given import GLTF
 from facerender.loading.gltf import _chunks, _transform
 from facerender.loading.gltf_schema import damaged, document_of
 from facerender.scenes.camera import CAMERA_FILES, MOST_CAMERAS, Camera
 from facerender.scenes.file import MOST_BYTES, from_table, load_scene
 from facerender.scenes.view import checked_size
+from facerender.system.files import MOST, read_file
 
 _PASSED_OVER = ("name", "transform_matrix")  # of a table; the latter says what Rt does
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_type, clipped
-from facerender.files import read_file
-from facerender.image import MAX_BYTES, check_pixels, read_image
+from facerender.images.image import MAX_BYTES, check_pixels, read_image
 from facerender.scenes.environment import Environment, Panorama, studio
 from facerender.scenes.file import STUDIO, EnvironmentFile
+from facerender.system.files import read_file
 
 
 def load_environment(file: EnvironmentFile) -> Environment:

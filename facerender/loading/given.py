@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from facerender.data import data_dir
 from facerender.errors import InputError, clipped, reason, shown
-from facerender.files import MOST, read_file
 from facerender.loading.kinds import FORMATS, kind_of
+from facerender.system.data import data_dir
+from facerender.system.files import MOST, read_file
 
 GLTF = (".glb", ".gltf")
 

@@ -18,16 +18,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender import store
 from facerender._version import __version__
 from facerender.errors import FacerenderError, InputError, warn
-from facerender.files import read_file
 from facerender.loading.given import Given
 from facerender.loading.referred import content_of
 from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.mips import Kind, Levels
 from facerender.scenes.texture import LARGE, Texture, pack
+from facerender.system import cache
+from facerender.system.files import read_file
 
 Chains = dict[Texture, dict[Kind, Future[Levels]]]
 
@@ -80,7 +80,7 @@ class Files:
         """Return the mesh from the store, and warn of what was warned of when it was read; None
         where it is not there, is damaged, or a file that the mesh file refers to is another now."""
         name = self.digest()
-        content = None if name is None else store.read(_KIND, name)
+        content = None if name is None else cache.read(_KIND, name)
         if content is None:
             return None
         try:
@@ -117,7 +117,7 @@ class Files:
         name : the digest of before the files were read
         referred : files that the mesh file refers to, as they were read; None is not there
         """
-        if not store.limit():
+        if not cache.limit():
             return
         if None in referred.values() and "albedo_map" not in self.maps:
             return  # the warning of it names the folder, and what lies there
@@ -132,7 +132,7 @@ class Files:
             except FacerenderError:  # a map is damaged: who draws it is told so
                 return
             if self.digest() == name:
-                store.write(_KIND, name, pieces)
+                cache.write(_KIND, name, pieces)
 
         threading.Thread(target=write, name="facerender-store").start()
 

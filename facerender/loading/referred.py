@@ -8,7 +8,7 @@ from pathlib import Path
 from urllib.parse import unquote, unquote_to_bytes
 
 from facerender.errors import InputError, clipped
-from facerender.files import MOST, read_file
+from facerender.system.files import MOST, read_file
 
 ALLOW = "pass --allow-outside (allow_outside=True)"
 

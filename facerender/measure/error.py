@@ -18,7 +18,7 @@ from facerender.drawing.context import Backend
 from facerender.drawing.reference import shade
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
-from facerender.image import encode_srgb8
+from facerender.images.image import encode_srgb8
 from facerender.lobes import AnyLobe
 from facerender.measure.measurement import ImageError
 from facerender.scenes.scene import Scene

@@ -13,7 +13,7 @@ from unicodedata import category
 import numpy as np
 
 from facerender.errors import InputError, check_range
-from facerender.files import read_file
+from facerender.system.files import read_file
 
 KIND = "facerender explorer cost"
 UNIT = "ms a picture"

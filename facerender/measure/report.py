@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from facerender.errors import InputError, reason
-from facerender.image import write_bytes
 from facerender.measure import plots
 from facerender.measure.imported import Imported
 from facerender.measure.measurement import MAGNIFIED, MODELS, Measurement, Triptych
@@ -29,6 +28,7 @@ from facerender.measure.tables import (
 )
 from facerender.page.document import document, figure, row
 from facerender.page.document import table as page_table
+from facerender.system.atomic import write_bytes
 
 _ACO = (
     "Cycles for which a wave of 64 keeps the vector ALU busy, less those of a kernel without the"

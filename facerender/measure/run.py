@@ -18,7 +18,7 @@ from facerender.drawing.context import Backend, create_context
 from facerender.drawing.prepare import start_maps
 from facerender.drawing.renderer import Renderer
 from facerender.errors import NotMeasured
-from facerender.image import encode_srgb8
+from facerender.images.image import encode_srgb8
 from facerender.measure import error
 from facerender.measure.antialiasing import antialiasing
 from facerender.measure.measurement import (
@@ -38,11 +38,11 @@ from facerender.measure.skin import skin_parts
 from facerender.pricing import amd, cost
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import Variant, lobe_terms, of_model, terms
-from facerender.progress import Progress, unheard
 from facerender.scenes.camera import Camera
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
 from facerender.shading import SMALL_SLOPE, Shading
+from facerender.system.progress import Progress, unheard
 from facerender.terms import LOBES
 
 SLOPES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from facerender import store
 from facerender._version import __version__
 from facerender.drawing.renderer import Renderer
 from facerender.planning.budget import Budget
@@ -22,6 +21,7 @@ from facerender.scenes.planned import Detail
 from facerender.scenes.scene import Scene
 from facerender.scenes.texture import Texture
 from facerender.shading import Shading
+from facerender.system import cache as disk_cache
 
 
 def planned(
@@ -39,7 +39,7 @@ def planned(
     allowed = Budget.parse(budget, exposure, within)
     name = _digest(scene, allowed, full, renderer) if cache else ""
     with suppress(ValueError, KeyError, TypeError):  # of another form
-        if cache and (content := store.read("plans", name)) is not None:
+        if cache and (content := disk_cache.read("plans", name)) is not None:
             kept: dict[str, Any] = json.loads(bytes(content))
             Shading.from_dict(kept["shading"]).check_lights(len(scene.lights))
             Detail(**kept["detail"])
@@ -48,7 +48,7 @@ def planned(
     made = plan(scene, budget, full=full, exposure=exposure, within=within, renderer=renderer)
     facts = made.as_dict()
     if cache:
-        store.write("plans", name, [json.dumps(facts).encode()])
+        disk_cache.write("plans", name, [json.dumps(facts).encode()])
     return facts
 
 

@@ -19,7 +19,7 @@ from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError, check_switch, check_type, each_of, warn
 from facerender.glsl.code import call
 from facerender.glsl.library import Language, Target, term_source
-from facerender.image import save_png
+from facerender.images.image import save_png
 from facerender.planning.bound import Unbounded, bound
 from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import Constants
@@ -29,13 +29,13 @@ from facerender.planning.frames import measured_frames, verified
 from facerender.planning.search import Choice, Cost, Region, Witnesses, constants_seen
 from facerender.pricing.interval import Interval
 from facerender.pricing.table import FRAME
-from facerender.progress import Progress, unheard
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import scene_toml
 from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.planned import Detail, Planned
 from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
+from facerender.system.progress import Progress, unheard
 
 # Of an error map: where on the way to the budget, and which colour there; and beyond it.
 _STOPS = (0.0, 0.25, 0.5, 0.75, 1.0)

@@ -31,9 +31,9 @@ from facerender.planning.candidates import (
 from facerender.planning.drawn import Drawn, Place, Scattered
 from facerender.pricing.frame import Frames
 from facerender.pricing.table import NoPrice, load_prices
-from facerender.progress import Progress
 from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
+from facerender.system.progress import Progress
 
 Float = NDArray[np.float64]
 

@@ -22,10 +22,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from facerender.ending import temporary_folder
 from facerender.errors import FacerenderError, InputError, NotMeasured
 from facerender.glsl.library import resolve_includes
 from facerender.pricing import variants
+from facerender.system.signals import temporary_folder
 
 FAMILIES = ("navi21", "vega10")  # RDNA2, GCN5
 ICD_FOLDERS = (Path("/usr/share/vulkan/icd.d"), Path("/etc/vulkan/icd.d"))

@@ -20,12 +20,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from facerender.ending import temporary_folder
 from facerender.errors import InputError, NotMeasured
 from facerender.glsl.library import translated
 from facerender.glsl.translate import Msl
 from facerender.pricing import variants
 from facerender.pricing.amd import EMPTY, write_table
+from facerender.system.signals import temporary_folder
 
 # As their compilers call them, with the architecture.
 INTEL = {"skl": "Intel Gen9", "acm-g10": "Intel Xe-HPG"}

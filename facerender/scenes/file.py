@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from facerender.errors import InputError, check_path, check_range, clipped, shown
-from facerender.files import read_file, tables_of
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light, parse_light
 from facerender.scenes.material import MAPS, Material
@@ -20,6 +19,7 @@ from facerender.scenes.planned import Planned
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import vector
 from facerender.shading import Shading
+from facerender.system.files import read_file, tables_of
 
 if TYPE_CHECKING:
     from facerender.scenes.environment import Environment

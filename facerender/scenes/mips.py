@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.image import linear_to_srgb, srgb_to_linear, texels
+from facerender.images.image import linear_to_srgb, srgb_to_linear, texels
 from facerender.terms.slope_variance import MAP_DEVIATION
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender import store
 from facerender._version import __version__
 from facerender.errors import InputError, check_switch, check_type, warn
 from facerender.scenes.mesh import Mesh, coordinates, drawn_alpha
+from facerender.system import cache as disk_cache
 
 Floats = NDArray[np.float32]
 Numbers = NDArray[np.int64]
@@ -77,7 +77,7 @@ def _values(
     """Return what reaches vertices, places and normals (N, 6), by way of the store; 1 for those
     that no face uses."""
     name = _digest(vertices, faces) if cache else ""
-    if cache and (content := store.read("occlusion", name)) is not None:
+    if cache and (content := disk_cache.read("occlusion", name)) is not None:
         return np.frombuffer(content)
     used, corners = np.unique(faces, return_inverse=True)
     rows = vertices[used].astype(np.float32)
@@ -86,7 +86,7 @@ def _values(
     values = np.ones(len(vertices))
     values[used] = _open_share(rows[:, :3], corners, different, numbers[corners])[numbers]
     if cache:
-        store.write("occlusion", name, [values.data])
+        disk_cache.write("occlusion", name, [values.data])
     return values
 
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from facerender._version import __version__
 from facerender.errors import InputError
-from facerender.image import write_bytes
 from facerender.scenes.texture import Texture
+from facerender.system.atomic import write_bytes
 
 _IDENTIFIER = b"\xabKTX 20\xbb\r\n\x1a\n"
 _R8G8B8A8_UNORM = 37  # VkFormat

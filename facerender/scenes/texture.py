@@ -26,10 +26,10 @@ from facerender.errors import (
     reason,
     shown,
 )
-from facerender.files import open_file
-from facerender.image import check_pixels, open_image
-from facerender.memory import give_back
+from facerender.images.image import check_pixels, open_image
 from facerender.scenes.mips import Kind, Levels, Rows, chain, coarse_base, coarse_chain, coarse_data
+from facerender.system.files import open_file
+from facerender.system.memory import give_back
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -237,7 +237,8 @@ class Texture:
 
         Raises
         ------
-        InputError : the image is damaged or too large: see :func:`facerender.image.check_pixels`
+        InputError : the image is damaged or too large: see
+            :func:`facerender.images.image.check_pixels`
         """
         if self._source:
             return self._source.rgb()

@@ -14,7 +14,7 @@ from facerender.measure import plots
 from facerender.measure.reproduce import claims, figures
 from facerender.measure.reproduce.page import Reproduction
 from facerender.measure.run import environment
-from facerender.progress import Progress, unheard
+from facerender.system.progress import Progress, unheard
 
 
 def reproduce(

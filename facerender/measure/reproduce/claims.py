@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from facerender import lobes
 from facerender.brdf import K_COOK_TORRANCE
 from facerender.drawing.context import Backend
-from facerender.ending import temporary_folder
 from facerender.errors import NotMeasured
 from facerender.measure.error import lobe_error, printed_error
 from facerender.measure.measurement import MODELS
@@ -25,6 +24,7 @@ from facerender.pricing import amd
 from facerender.pricing.cost import OF_COSINE, OF_VECTORS, QUANTILE, by_slope
 from facerender.pricing.interval import Interval, bootstrap
 from facerender.pricing.variants import Variant
+from facerender.system.signals import temporary_folder
 
 Verdict = Literal["holds", "fails", "undecided", "not measured", "for comparison"]
 

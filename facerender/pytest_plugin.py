@@ -1,0 +1,323 @@
+"""pytest plugin: the fixture ``facerender_snapshot`` compares images with goldens beside the tests.
+
+A module of its own, as pytest imports it in every session where facerender is installed; the
+package is imported with the first image.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import tempfile
+import zlib
+from collections.abc import Generator, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+import pytest
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from facerender.comparison.gates import Comparable
+    from facerender.comparison.goldens import Draw
+
+LONGEST = 180  # characters of a file's name; most systems take 255 bytes
+UNUSED = ("ignore", "list", "fail")
+LIMITS = ("point", "block", "trend", "grain", "texture", "coverage", "shift")
+
+_WRITTEN = pytest.StashKey[set[Path]]()  # goldens, in a session
+_CHECKS = pytest.StashKey[list[dict[str, str]]]()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("facerender", "facerender: images compared with goldens")
+
+    def flag(name: str, text: str) -> None:
+        group.addoption(f"--facerender-{name}", action="store_true", default=None, help=text)
+        parser.addini(f"facerender_{name.replace('-', '_')}", text, type="bool", default=False)
+
+    flag("update", "write goldens that are missing, and those that differ and are this renderer's")
+    flag("force", "with --facerender-update: also those of another renderer")
+    flag("alternative", "with --facerender-update: NAME@RENDERER.exr beside those of another")
+    flag("update-missing", "write goldens that are missing")
+    report = "write DIR/index.html with every image and its golden, and those that fail as EXR"
+    group.addoption("--facerender-report", metavar="DIR", help=report)
+    parser.addini("facerender_report", report, default="")
+    unused = "goldens that no test used, of modules whose tests all passed; list names them"
+    group.addoption("--facerender-unused", choices=UNUSED, help=unused)
+    parser.addini("facerender_unused", unused, default="ignore")
+    for name in LIMITS:
+        text = f"limit {name} where a test gives none; facerender compare --calibrate finds it"
+        parser.addini(f"facerender_{name}", text, default="")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if _setting(config, "unused") not in UNUSED:
+        raise pytest.UsageError(f"facerender_unused: give one of {', '.join(UNUSED)}")
+    for name in LIMITS:
+        _limit(config, name)
+    for name in ("force", "alternative"):
+        if _setting(config, name) and not _setting(config, "update"):
+            raise pytest.UsageError(f"--facerender-{name} goes with --facerender-update")
+    if report := _setting(config, "report"):
+        given_here = config.getoption("facerender_report") is not None
+        folder = (config.invocation_params.dir if given_here else config.rootpath) / report
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise pytest.UsageError(f"cannot make {folder}: {error.strerror}") from None
+        config.option.facerender_report = str(folder)  # workers may stand elsewhere
+        if not hasattr(config, "workerinput"):
+            for old in folder.glob("actual/*.exr"):
+                old.unlink()
+    config.pluginmanager.register(_Session(config), "facerender-session")
+
+
+def _setting(config: pytest.Config, name: str) -> Any:
+    """Return the option, or what the ini file says in its place."""
+    given = config.getoption(f"facerender_{name}")
+    return config.getini(f"facerender_{name}") if given is None else given
+
+
+def _limit(config: pytest.Config, name: str) -> float | None:
+    """Return a limit that the ini file gives, if it does."""
+    text = config.getini(f"facerender_{name}")
+    try:
+        return float(text) if text else None
+    except ValueError:
+        raise pytest.UsageError(f"facerender_{name} = {text}: give a number") from None
+
+
+def _goldens(module: Path) -> Path:
+    """Return the folder of the goldens of a test file."""
+    return module.parent / "goldens" / module.stem
+
+
+class Snapshot:
+    """Compares images with their goldens; see the fixture :func:`facerender_snapshot`."""
+
+    def __init__(self, request: pytest.FixtureRequest) -> None:
+        self._request = request
+        self._names: set[str] = set()
+
+    def check(
+        self,
+        image: Comparable,
+        name: str | None = None,
+        *,
+        point: float | None = None,
+        block: float | None = None,
+        trend: float | None = None,
+        grain: float | None = None,
+        texture: float | None = None,
+        coverage: float | None = None,
+        shift: float | None = None,
+        mask: NDArray[Any] | None = None,
+        metadata: Mapping[str, str] | None = None,
+        draw: Draw | None = None,
+    ) -> None:
+        """Compare an image with goldens/MODULE/NAME.exr beside the test's file; fail where they
+        differ, or there is none.
+
+        Parameters
+        ----------
+        image : a Frame, an array (H, W, 3 or 4) of linear float, or the path of an EXR file
+        name : of the golden; without, the test's, with its class and parameters
+        point, block, trend, grain, texture, coverage, shift : limits, see
+            :func:`facerender.compare`; without, those of the ini file
+        mask : see there
+        metadata : for the golden, beside the frame's own: GL_RENDERER, where an array has none
+        draw : draw(x, y) gives the image moved by so many pixels to the right and down. A golden
+            that is written keeps what 0.1 pixels make of it, and lets them pass
+
+        Raises
+        ------
+        AssertionError : the image does not pass, with the reasons and the files
+        InputError : the image is not linear float, or its name was given before in this test
+        """
+        __tracebackhide__ = True
+        from facerender import InputError
+        from facerender.comparison.goldens import Updates, check
+        from facerender.images.image import save_exr
+
+        node, config = self._request.node, self._request.config
+        safe = _file_name(name or _name_of(node))
+        if safe in self._names:
+            raise InputError(f"{safe} was checked before in this test: give each image a name")
+        self._names.add(safe)
+        updates = Updates(
+            missing=_setting(config, "update_missing"),
+            differing=_setting(config, "update"),
+            force=_setting(config, "force"),
+            alternative=_setting(config, "alternative"),
+        )
+        golden = _goldens(self._request.path) / f"{safe}.exr"
+        written = config.stash.setdefault(_WRITTEN, set())
+        given = {"point": point, "block": block, "trend": trend, "grain": grain}
+        given |= {"texture": texture, "coverage": coverage, "shift": shift}
+        limits = {
+            key: _limit(config, key) if value is None else value for key, value in given.items()
+        }
+        verdict = check(
+            f"{node.nodeid} {name}" if name else node.nodeid,
+            image,
+            golden,
+            updates,
+            written,
+            metadata=metadata,
+            draw=draw,
+            mask=mask,
+            **limits,
+        )
+        if verdict.written:
+            written.add(verdict.written)
+        record = {"golden": str(golden), "written": str(verdict.written or ""), "entry": ""}
+        node.stash.setdefault(_CHECKS, []).append(record)
+        report = _setting(config, "report")
+        if report:
+            from facerender.comparison.report import entry
+
+            handle, record["entry"] = tempfile.mkstemp(".json", dir=report)
+            with open(handle, "w", encoding="utf-8") as file:
+                json.dump(asdict(entry(verdict.pair)), file)
+        if verdict.failure:
+            if report:
+                folder = Path(report) / "actual"
+            else:
+                folder = self._request.getfixturevalue("tmp_path_factory").mktemp("facerender")
+            actual = folder / f"{_file_name(verdict.pair.name.replace('::', '-'))}.exr"
+            try:
+                folder.mkdir(exist_ok=True)
+                save_exr(actual, verdict.image.pixels, verdict.image.metadata)
+                said = str(actual)
+            except (OSError, InputError) as error:
+                said = f"not written: {error}"
+            raise AssertionError(f"{verdict.failure}\n  golden {verdict.golden}\n  actual {said}")
+
+
+def _name_of(node: pytest.Item) -> str:
+    """Return CLASS.test-PARAMETERS of a test."""
+    names = [part.name for part in node.listchain() if isinstance(part, pytest.Class | pytest.Item)]
+    return re.sub(r"\[(.*)\]$", r"-\1", ".".join(names))
+
+
+def _file_name(name: str) -> str:
+    """Return a name that every file system takes, another for each name."""
+    safe = quote(name, safe="=,+")
+    if len(safe) <= LONGEST:
+        return safe
+    return f"{safe[:LONGEST]}~{zlib.crc32(name.encode(errors='surrogateescape')):08x}"
+
+
+@pytest.fixture
+def facerender_snapshot(request: pytest.FixtureRequest) -> Snapshot:
+    """Compares an image with its golden beside the test: facerender_snapshot.check(frame)."""
+    return Snapshot(request)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item,
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    if report.when == "teardown" and _CHECKS in item.stash:
+        report.facerender_checks = item.stash[_CHECKS]  # type: ignore[attr-defined]
+        del item.stash[_CHECKS]  # a rerun begins anew
+    return report
+
+
+class _Session:
+    """What a session knows of its goldens. Under pytest-xdist the process that reports learns it
+    from the workers, through the reports and at their end."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self.config = config
+        self.unused: list[Path] = []
+        self._checks: list[dict[str, str]] = []
+        self._passed: set[str] = set()
+        self._collected: dict[str, set[str]] = {}  # of each module, whatever must pass
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_make_collect_report(
+        self, collector: pytest.Collector
+    ) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+        report = yield
+        module = collector.getparent(pytest.Module)
+        if module is not None:
+            collected = self._collected.setdefault(str(module.path), set())
+            collected |= {collector.nodeid, *(child.nodeid for child in report.result)}
+            if report.passed:
+                self._passed.add(collector.nodeid)
+        return report
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.when == "call" and report.passed:
+            self._passed.add(report.nodeid)
+        self._checks += getattr(report, "facerender_checks", ())
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any) -> None:
+        output = getattr(node, "workeroutput", {})  # a worker that died has none
+        for module, waiting in output.get("facerender", {}).items():
+            self._collected.setdefault(module, set()).update(waiting)
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        judged = _setting(self.config, "unused") != "ignore"
+        waiting = {module: ids - self._passed for module, ids in self._collected.items()}
+        if hasattr(self.config, "workeroutput"):
+            if judged:
+                lists = {module: sorted(ids) for module, ids in waiting.items()}
+                self.config.workeroutput["facerender"] = lists
+            return
+        # --lf leaves out whole files as if they were empty.
+        if judged and not self.config.getoption("lf", False):
+            self.unused = self._find_unused([module for module in waiting if not waiting[module]])
+        fails = self.unused and _setting(self.config, "unused") == "fail"
+        if fails and session.exitstatus == pytest.ExitCode.OK:
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+        paths = [Path(check["entry"]) for check in self._checks if check["entry"]]
+        if paths:
+            self._write_report(paths)
+
+    def _find_unused(self, modules: list[str]) -> list[Path]:
+        """Return goldens that none of these modules used, and those of modules that are gone."""
+        used = {check["golden"] for check in self._checks}
+        folders = {_goldens(Path(module)) for module in modules}
+        for beside in {folder.parent for folder in folders}:
+            gone = (f for f in beside.glob("*/") if not (beside.parent / f"{f.name}.py").exists())
+            folders.update(gone)
+        return sorted(
+            golden
+            for folder in folders
+            for golden in folder.glob("[!.]*.exr")
+            if str(folder / f"{golden.stem.partition('@')[0]}.exr") not in used
+        )
+
+    def _write_report(self, paths: list[Path]) -> None:
+        from facerender.comparison.report import Entry, write_report
+
+        entries = {}  # of a test that was run again, the last
+        for path in paths:
+            entry = Entry(**json.loads(path.read_text(encoding="utf-8")))
+            entries[entry.name] = entry
+            path.unlink()
+        folder = Path(_setting(self.config, "report"))
+        write_report(folder / "index.html", sorted(entries.values(), key=lambda entry: entry.name))
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        written = sorted({check["written"] for check in self._checks if check["written"]})
+        lines = [f"written: {self._relative(golden)}" for golden in written]
+        lines += [f"unused: {self._relative(golden)}" for golden in self.unused]
+        if any(check["entry"] for check in self._checks):
+            lines.append(f"report: {_setting(self.config, 'report')}/index.html")
+        if lines:
+            terminalreporter.write_sep("=", "facerender")
+        for line in lines:
+            terminalreporter.write_line(line)
+
+    def _relative(self, path: str | Path) -> str:
+        return os.path.relpath(path, self.config.invocation_params.dir)

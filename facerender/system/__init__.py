@@ -1,0 +1,1 @@
+"""Modules of the operating system: files, the cache, memory, signals and progress."""

@@ -1,0 +1,93 @@
+"""Output files, written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import stat
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from errno import EACCES
+from pathlib import Path
+
+from facerender.errors import InputError, reason
+from facerender.system.signals import if_ended
+
+ABANDONED = 3600.0  # seconds after which an unfinished file is nobody's any more
+_UNFINISHED = ".facerender-"  # how its name begins
+
+
+def check_writable(path: str | os.PathLike[str]) -> Path:
+    """Return a path at which a file can be written, or replaced.
+
+    Raises
+    ------
+    InputError : the folder is missing or not writable, the name is too long, or there is something
+        else than a file
+    """
+    target, mode = Path(path), stat.S_IFREG
+    try:
+        with suppress(FileNotFoundError):
+            mode = target.stat().st_mode
+        target.parent.stat()
+        if not os.access(target.parent, os.W_OK | os.X_OK):
+            raise PermissionError(EACCES, os.strerror(EACCES))
+    except OSError as error:
+        raise InputError(
+            f"cannot write {target}: {reason(error)}; give a file in a writable folder"
+        ) from None
+    if not stat.S_ISREG(mode):
+        kind = "a directory" if stat.S_ISDIR(mode) else "no regular file"
+        raise InputError(f"cannot write {target}: it is {kind}; give a file name")
+    return target
+
+
+def write_whole(path: str | os.PathLike[str], write: Callable[[str], None]) -> None:
+    """Call write with a temporary name beside path, and rename it to path when it succeeded.
+
+    Raises
+    ------
+    InputError : as of :func:`check_writable`, or the disk is full
+    """
+    target = check_writable(path)
+    temporary = target.with_name(f"{_UNFINISHED}{os.urandom(8).hex()}")
+
+    def remove() -> None:
+        with suppress(OSError):
+            temporary.unlink()
+
+    with if_ended(remove):
+        try:
+            write(str(temporary))
+            os.replace(temporary, target)
+        except OSError as error:
+            why = reason(error)
+            raise InputError(
+                f"cannot write {target}: {why}; make room there, or give another place"
+            ) from None
+        finally:
+            remove()
+
+
+def remove_abandoned(folder: str | os.PathLike[str]) -> None:
+    """Remove what :func:`write_whole` has left in a folder where its process was killed."""
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name.startswith(_UNFINISHED):
+                with suppress(OSError):
+                    if entry.stat().st_mtime < time.time() - ABANDONED:
+                        os.unlink(entry)
+
+
+def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write a file, whole or not at all; errors as in :func:`write_whole`."""
+
+    def write(name: str) -> None:
+        Path(name).write_bytes(content)
+
+    write_whole(path, write)
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write UTF-8, what of a file's name is none escaped; as :func:`write_bytes`."""
+    write_bytes(path, text.encode(errors="backslashreplace"))

@@ -1,0 +1,104 @@
+"""Hill-climbing: from the worst of random samples to inputs at which a shader uses most of a bound
+that its header states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.drawing.evaluate import Inputs
+from facerender.shading import Term
+from facerender.terms import FRESNEL, MASKING, MODELS, lobe_entry
+from facerender.terms.lobe import MIN_SLOPE
+from tests.verification.cases import ALL_LOBES, F0, Case, Each
+
+Make = Callable[[Inputs], Case]
+Bounds = tuple[float, float]
+
+_COOK_TORRANCE = Term("cook-torrance")
+# Terms with the reflectance at normal incidence: each lobe, masking and Fresnel term.
+VARIANTS = [
+    *(
+        (Term(model, lobe, small_slope=small), F0)
+        for model in MODELS
+        for lobe in ALL_LOBES
+        for small in ((True, False) if lobe == "exact" else (True,))
+    ),
+    *(
+        (replace(_COOK_TORRANCE, masking=name, lobe=x), F0)
+        for name in MASKING
+        for x in ("exact", "d16")
+    ),
+    *((replace(_COOK_TORRANCE, fresnel=name), F0) for name in FRESNEL),
+    # 1 - V.H counts where f0 does not
+    *((replace(_COOK_TORRANCE, lobe=x), f0) for x in ("exact", "d8") for f0 in (0.0, 1e-8)),
+]
+
+
+def slopes_of(term: Term) -> Bounds:
+    """Return the ends of the slopes at which a term's bound holds."""
+    return MIN_SLOPE, 0.999 * lobe_entry(term.lobe).end(term.entry.k)
+
+
+def rounded(vectors: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return the unit vectors (..., 3) along these, correctly rounded to float32."""
+    unit = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(unit, dtype=np.float32)
+
+
+def climb(
+    target: Each,
+    make: Make,
+    first: Inputs,
+    slopes: Bounds,
+    starts: int,
+    steps: int,
+    tries: int = 16,
+) -> tuple[float, dict[str, list[float]]]:
+    """Return the largest share of the bound that was found, and the inputs that have it.
+
+    Every step tries neighbours of each start, at distances from 1e-8 to 0.1, and keeps the worst.
+
+    Parameters
+    ----------
+    make : the case of inputs n, l, v, unit vectors (N, 3), and m (N,)
+    first : random inputs, of which the worst become the starts
+    slopes : that m stays between
+    starts, steps, tries : how many
+    """
+    random = np.random.default_rng(0)
+
+    def shares(inputs: Inputs) -> NDArray[np.float64]:
+        case = make(inputs)
+        result = target.each(case.prelude, [case.expression], inputs)[0]
+        sound = np.isfinite(result) & (result >= 0.0)
+        return np.where(sound, case.share(result), np.inf)
+
+    vectors = {axis: rounded(first[axis].astype(float)) for axis in "nlv"}
+    inputs = {**vectors, "m": first["m"]}
+    share = shares(inputs)
+    worst = np.argsort(share)[-starts:]
+    at = {name: values[worst] for name, values in inputs.items()}
+    best = share[worst]
+    rows = np.arange(starts)
+    for _ in range(steps):
+        near = {name: np.repeat(values, tries, axis=0) for name, values in at.items()}
+        reach = 10.0 ** random.uniform(-8.0, -1.0, (starts * tries, 1))
+        for axis in "nlv":
+            moved = near[axis] + reach * random.normal(size=near[axis].shape)
+            kept = random.random((starts * tries, 1)) < 0.4
+            near[axis] = np.where(kept, near[axis], rounded(moved))
+        factor = np.exp(reach[:, 0] * random.normal(size=starts * tries))
+        near["m"] = np.clip(near["m"] * factor, *slopes).astype(np.float32)
+        found = shares(near).reshape(starts, tries)
+        chosen = found.argmax(axis=1)
+        better = found[rows, chosen] > best
+        best = np.where(better, found[rows, chosen], best)
+        for name, values in near.items():
+            candidate = values.reshape(starts, tries, *values.shape[1:])[rows, chosen]
+            at[name][better] = candidate[better]
+    top = int(best.argmax())
+    return float(best[top]), {name: values[top].tolist() for name, values in at.items()}

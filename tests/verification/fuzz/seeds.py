@@ -1,0 +1,308 @@
+"""Small files of every kind that is read: what mutations start from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageCms
+from PIL.PngImagePlugin import PngInfo
+
+from facerender.images.image import save_exr
+from facerender.scenes.file import scene_toml
+from facerender.scenes.mesh import Mesh
+from facerender.scenes.scene import Scene
+from facerender.shading import Shading
+from tests import awkward_files as files
+
+
+def octahedron() -> files.Head:
+    """Six vertices, eight faces, a map of 8 x 8 texels."""
+    positions = np.array(
+        [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float
+    )
+    faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
+    texels = np.random.default_rng(0).integers(0, 256, (8, 8, 3), dtype=np.uint8)
+    return files.Head(
+        positions,
+        positions.copy(),
+        0.5 + 0.4 * positions[:, :2],
+        np.array(faces),
+        _image(texels, "JPEG"),
+    )
+
+
+def _image(texels: np.ndarray[Any, Any], format: str, **options: Any) -> bytes:
+    buffer = BytesIO()
+    Image.fromarray(texels).save(buffer, format, **options)
+    return buffer.getvalue()
+
+
+def _written(write: Callable[[Path], Any], name: str) -> dict[str, bytes]:
+    """What a function writes beside the path that it is given."""
+    with TemporaryDirectory() as folder:
+        write(Path(folder, name))
+        return {path.name: path.read_bytes() for path in sorted(Path(folder).iterdir())}
+
+
+def meshes() -> Iterator[tuple[str, Mapping[str, bytes]]]:
+    """Yield the name of the file to read, and every file that there is."""
+    head = octahedron()
+    colors = np.random.default_rng(1).random((6, 3))
+    ascii_ply = "\n".join(
+        [
+            "ply\nformat ascii 1.0\ncomment made by hand\nelement vertex 6",
+            *(f"property float {axis}" for axis in ("x", "y", "z", "nx", "ny", "nz", "s", "t")),
+            "element face 8\nproperty list uchar int vertex_indices\nend_header",
+            *(" ".join(map(str, row)) for row in np.hstack([*[head.positions] * 2, head.uv])),
+            *(f"3 {a} {b} {c}" for a, b, c in head.faces),
+        ]
+    )
+    ascii_stl = "\n".join(
+        ["solid head"]
+        + [
+            "facet normal 0 0 1\nouter loop\n"
+            + "\n".join("vertex {} {} {}".format(*corner) for corner in triangle)
+            + "\nendloop\nendfacet"
+            for triangle in head.positions[head.faces]
+        ]
+        + ["endsolid head"]
+    )
+    turned: list[dict[str, Any]] = [
+        {"children": [1]},
+        {"translation": [0.1, 0, 0], "rotation": files.Z_UP},
+    ]
+
+    def tree(path: Path) -> None:
+        document, binary = files.gltf(head, turned)
+        del document["nodes"][0]["mesh"]
+        document["scenes"][0]["nodes"] = [0]
+        path.write_bytes(files.join_glb(document, binary))
+
+    yield "a.glb", _written(lambda path: files.write_glb(path, head), "a.glb")
+    yield "a.glb", _written(tree, "a.glb")
+    yield "a.glb", _written(lambda path: files.write_glb(path, head, normals=False), "a.glb")
+    yield "a.glb", _written(lambda path: files.write_draco(path, head), "a.glb")
+    yield "a.glb", {"a.glb": featured(head)}
+    yield "a.gltf", _written(lambda path: files.write_gltf(path, head), "a.gltf")
+    yield "a.obj", _written(lambda path: files.write_textured_obj(path, head), "a.obj")
+    yield (
+        "a.obj",
+        _written(lambda path: files.write_obj(path, head, uv=False, colors=colors), "a.obj"),
+    )
+    yield (
+        "a.obj",
+        _written(lambda path: files.write_textured_obj(path, head), "a.obj") | {"a.mtl": MTL},
+    )
+    yield "a.ply", _written(lambda path: files.write_ply(path, head), "a.ply")
+    yield "a.ply", {"a.ply": ascii_ply.encode()}
+    yield "a.stl", _written(lambda path: files.write_stl(path, head), "a.stl")
+    yield "a.stl", {"a.stl": ascii_stl.encode()}
+
+
+MTL = b"""newmtl skin
+Kd 0.5 0.4 0.3
+Ks 0.2 0.2 0.2
+Ns 30
+Ke 0.1 0 0
+d 0.9
+Tf 1 1 1
+map_Kd -s 2 3 1 -o 0.5 -clamp on skin.jpg
+map_Bump -bm 0.5 skin.jpg
+map_d -imfchan g skin.<UDIM>.jpg
+map_Pr skin.jpg
+"""
+
+
+def featured(head: files.Head) -> bytes:
+    """A glTF file with most of what is drawn of materials, shapes and places."""
+    document, binary = files.gltf(head, [{"skin": 0, "weights": [0.5]}, {"scale": [1, 2, 1]}])
+    count = len(head.positions)
+    joints, shares = np.zeros((count, 4), "<u1"), np.full((count, 4), 0.25, "<f4")
+    blocks = {"JOINTS_0": joints, "WEIGHTS_0": shares, "TEXCOORD_1": head.uv.astype("<f4")}
+    primitive = document["meshes"][0]["primitives"][0]
+    for key, values in blocks.items():
+        view = {"buffer": 0, "byteOffset": len(binary), "byteLength": values.nbytes}
+        document["bufferViews"].append(view)
+        primitive["attributes"][key] = len(document["accessors"])
+        accessor = {"bufferView": len(document["bufferViews"]) - 1, "count": count}
+        kind = {"componentType": 5121 if key == "JOINTS_0" else 5126}
+        document["accessors"].append(accessor | kind | {"type": f"VEC{values.shape[1]}"})
+        binary += values.tobytes()
+    document["buffers"][0]["byteLength"] = len(binary)
+    primitive["targets"] = [{"POSITION": 0, "NORMAL": 1}]
+    document["skins"] = [{"joints": [1]}]
+    document["nodes"][1]["extensions"] = {
+        "EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 0, "SCALE": 1}}
+    }
+    document["samplers"] = [{"wrapS": 33071, "wrapT": 33648, "magFilter": 9728}]
+    document["textures"][0]["sampler"] = 0
+    transform = {"offset": [0.5, 0], "rotation": 1.5, "scale": [2, 3], "texCoord": 1}
+    use = {"index": 0, "extensions": {"KHR_texture_transform": transform}}
+    material = document["materials"][0]
+    material |= {"alphaMode": "MASK", "alphaCutoff": 0.25, "emissiveFactor": [0.5, 0, 0]}
+    material |= {"normalTexture": {"index": 0, "scale": 2}, "emissiveTexture": use}
+    material["occlusionTexture"] = {"index": 0, "strength": 0.5, "texCoord": 1}
+    material["pbrMetallicRoughness"]["metallicFactor"] = 0.5
+    material["extensions"] = {
+        "KHR_materials_ior": {"ior": 1.4},
+        "KHR_materials_specular": {"specularFactor": 0.5, "specularTexture": {"index": 0}},
+        "KHR_materials_emissive_strength": {"emissiveStrength": 3},
+        "KHR_materials_clearcoat": {"clearcoatFactor": 0.5},
+    }
+    return files.join_glb(document, binary)
+
+
+def images() -> Iterator[tuple[str, bytes]]:
+    """Yield the name of a file and what is in it."""
+    texels = np.random.default_rng(0).integers(0, 256, (8, 8, 4), dtype=np.uint8)
+    linear = np.abs(np.random.default_rng(1).normal(size=(8, 16, 4))).astype(np.float32)
+    described = PngInfo()
+    described.add_text("comment", "made by code", zip=True)
+    described.add(b"gAMA", (45455).to_bytes(4, "big"))
+    described.add(b"pHYs", bytes(9))
+    yield "a.png", _image(texels, "PNG", pnginfo=described)
+    yield "a.png", _image(texels[..., :3], "PNG")
+    yield "a.png", _image(texels[..., 0], "PNG", transparency=0)
+    yield "a.jpg", _image(texels[..., :3], "JPEG")
+    yield "a.webp", _image(texels, "WEBP", lossless=True)
+    yield "a.tif", _image(texels, "TIFF")
+    yield "a.tga", _image(texels, "TGA")
+    yield "a.bmp", _image(texels[..., :3], "BMP")
+    yield "a.exr", _written(lambda path: save_exr(path, linear, {}), "a.exr")["a.exr"]
+    yield "a.hdr", _hdr()
+    for array, name in ((linear, "a.npy"), (texels, "a.npy")):
+        yield name, _written(partial(_save, array), name)[name]
+    yield (
+        "a.npz",
+        _written(lambda path: np.savez_compressed(path, linear=linear), "a.npz")["a.npz"],
+    )
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    yield "a.jpg", _image(texels[..., :3], "JPEG", icc_profile=profile)
+    yield "a.png", _image(texels, "PNG", icc_profile=profile)
+
+
+def _save(array: np.ndarray[Any, Any], path: Path) -> None:
+    np.save(path, array)
+
+
+def _hdr() -> bytes:
+    texels = np.random.default_rng(2).integers(100, 140, (4, 8, 4), dtype=np.uint8)
+    return b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 8\n" + texels.tobytes()
+
+
+def scenes(scene: Scene) -> Iterator[bytes]:
+    """Yield scene files, one of them what is written of a scene."""
+    yield scene_toml(scene, Shading()).encode()
+    yield b"""ambient = [0.1, 0.1, 0.1]
+background = "none"
+lights = ["key", "point:1,2,3,1.5", { azimuth = 30, irradiance = 2.0, radius = 2.0, shadow = true }]
+
+[[cameras]]
+azimuth = 10
+elevation = -5
+fov = 30
+zoom = 1.5
+
+[[cameras]]
+position = [0.0, 0.1, 4.0]
+target = [0.0, 0.0, 0.0]
+
+[environment]
+file = "studio"
+rotation = 30
+scale = 0.5
+
+[material]
+m = 0.25
+f0 = 0.04
+second_slope = 2.0
+lobe_weight = 0.7
+
+[shading]
+model = "ward"
+lobe = "d8"
+specular_lights = [0, 2]
+"""
+
+
+def cameras(mesh: Mesh) -> Iterator[tuple[str, bytes]]:
+    """Cameras before a mesh, by their matrices and of glTF."""
+    eye = mesh.center + [0.0, 0.0, 5.0 * mesh.radius]
+    turn = np.diag([1.0, -1.0, -1.0])
+    pose = np.column_stack([turn, -turn @ eye])
+    k = [[60.0, 0.0, 12.0], [0.0, 55.0, 11.0], [0.0, 0.0, 1.0]]
+    table = {"K": k, "Rt": pose.tolist(), "width": 24, "height": 24}
+    apart = {"name": "b", "K": k, "R": turn.tolist(), "t": pose[:, 3].tolist(), "size": [24, 24]}
+    yield "a.json", json.dumps([table, apart, {"azimuth": 10, "frame": "head"}]).encode()
+    yield from _written(partial(_save_poses, k=k, poses=np.stack([pose, pose])), "a.npz").items()
+    glb = _written(lambda path: files.write_glb(path, octahedron()), "a.glb")["a.glb"]
+    document, binary = files.split_glb(glb)
+    document["cameras"] = [{"type": "perspective", "perspective": {"yfov": 0.5, "znear": 0.1}}]
+    document["nodes"].append({"name": "eye", "camera": 0, "translation": eye.tolist()})
+    document["scenes"][0]["nodes"].append(len(document["nodes"]) - 1)
+    yield "a.glb", files.join_glb(document, binary)
+
+
+def _save_poses(path: Path, k: Any, poses: np.ndarray[Any, Any]) -> None:
+    np.savez(path, K=k, Rt=poses, size=(24, 24))
+
+
+def options() -> Iterator[Sequence[str]]:
+    """Yield words of ``facerender render``."""
+    yield (
+        *("--light", "key", "--light", "point:1,2,3,1.5,radius=3,shadow", "--light", "30,20,1,2,3"),
+        *("--camera", "-35,10,1.2", "--fov", "30", "--m", "0.25", "--ks", "0.18", "--kd", "0.8"),
+        *("--model", "cook-torrance", "--lobe", "d16", "--f0", "0.04", "--samples", "1"),
+        *("--background", "0.1,0.2,0.3", "--ambient", "0.1,0.1,0.1"),
+    )
+    yield (
+        *("--environment", "studio,30,0.5", "--environment-samples", "8", "--background", "none"),
+        *("--camera", "three-quarter", "--second-slope", "2", "--lobe-weight", "0.7"),
+        *("--fresnel", "dielectric", "--exposure", "0.5"),
+    )
+    yield (
+        *("--only", "specular", "--model", "ward", "--scattering", "skin", "--shadows"),
+        *("--millimetres", "100", "--slope-filter", "--samples", "4", "--json"),
+    )
+
+
+def tables() -> Iterator[tuple[str, bytes]]:
+    """Yield tables of jobs."""
+    rows = [
+        {"id": "a", "camera": {"azimuth": 10}, "material": {"m": 0.3}, "passes": ["image", "mask"]},
+        {"id": "b", "lights": ["key"], "image": {"size": [64, 64]}, "exposure": 0.5},
+    ]
+    yield "a.jsonl", b"".join(json.dumps(row).encode() + b"\n" for row in rows)
+    yield "a.csv", b"id,camera.azimuth,material.m,image.size\na,10,0.3,64x64\nb,-20,0.4,32x32\n"
+    yield "a.toml", b'[[jobs]]\nid = "a"\n[jobs.camera]\nazimuth = 10\n[[jobs]]\nid = "b"\n'
+
+
+def explored() -> bytes:
+    """What the explorer saves."""
+    spread = {"median": 2.0, "low": 1.5, "high": 2.5, "rounds": [1.0, 2.0, 3.0]}
+    none = {"median": 0.0, "low": 0.0, "high": 0.0, "rounds": [0.0, 0.0, 0.0]}
+    return json.dumps(
+        {
+            "kind": "facerender explorer cost",
+            "unit": "ms a picture",
+            "version": "0.1.0",
+            "gpu": "a GPU",
+            "browser": "a browser",
+            "method": "fence",
+            "mesh": "head.glb",
+            "size": [512, 512],
+            "samples": 4,
+            "passes": 8,
+            "link": "",
+            "shadings": {"a": "exact", "b": "d16"},
+            **dict.fromkeys(("base", "a", "b"), spread),
+            "difference": none,
+        }
+    ).encode()

@@ -1,0 +1,301 @@
+"""What is fuzzed: which file of which seed, who reads it, and what must hold of what is read."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from functools import cache
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+
+import facerender as fr
+from facerender.batch.jobs import check_jobs
+from facerender.commands import main
+from facerender.errors import FacerenderError, InputError
+from facerender.images.image import read_image
+from facerender.loading.environment import load_environment
+from facerender.measure.imported import read_imported
+from facerender.scenes.file import EnvironmentFile, load_scene
+from tests.verification.fuzz import seeds
+
+SLOW = 10.0  # seconds of the processor, however busy the machine; what waits ends at HANGS
+LARGE = 1 << 30  # bytes of resident memory that one input adds
+LONGEST = 600  # characters of a message, on one line
+_HEAD = Path(__file__).parents[3] / "tests" / "data" / "mini_head.glb"
+_CLEAR, _STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")
+OUTCOMES = ("clean", "warned", "refused", "crash", "unsound", "slow", "large")
+FAULTS = OUTCOMES[3:]
+
+
+class Unsound(Exception):
+    """What was read, drawn or said breaks a promise."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A file that is changed.
+
+    Attributes
+    ----------
+    name : what is read, and which file of it is changed
+    files : that there are, by name; those beside the changed one stay as they are
+    changed : name of the changed file
+    examine : reads it in a folder and raises Unsound, or FacerenderError for what it refuses
+    """
+
+    name: str
+    files: Mapping[str, bytes]
+    changed: str
+    examine: Callable[[Path], None]
+
+    @property
+    def seed(self) -> bytes:
+        return self.files[self.changed]
+
+    @property
+    def suffix(self) -> str:
+        return Path(self.changed).suffix
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came of an input: one of OUTCOMES, and of faults a line that tells them apart."""
+
+    outcome: str
+    signature: str = ""
+
+
+@cache
+def subjects() -> tuple[Subject, ...]:
+    """Return every subject; their order is that of the corpus."""
+    return tuple(_subjects())
+
+
+def _subjects() -> Iterator[Subject]:
+    for number, (name, files) in enumerate(seeds.meshes()):
+        for changed in files:
+            label = f"{name}-{number}" if changed == name else f"{name}-{number}-{changed}"
+            yield Subject(label, files, changed, _reader_of_mesh(name))
+    for number, (name, content) in enumerate(seeds.images()):
+        yield Subject(f"{name}-{number}", {name: content}, name, _reader_of_image(name))
+    for number, content in enumerate(seeds.scenes(fr.Scene(_head()))):
+        yield Subject(f"scene-{number}.toml", {"a.toml": content}, "a.toml", _examine_scene)
+    for name, content in seeds.tables():
+        yield Subject(f"jobs-{name}", {name: content}, name, _reader_of_jobs(name))
+    yield Subject("explored.json", {"a.json": seeds.explored()}, "a.json", _examine_explored)
+    for name, content in seeds.cameras(_head()):
+        yield Subject(f"cameras-{name}", {name: content}, name, _reader_of_cameras(name))
+    for number, words in enumerate(seeds.options()):
+        content = "\n".join(words).encode()
+        yield Subject(f"render-{number}.txt", {"a.txt": content}, "a.txt", _examine_render)
+
+
+def examine(subject: Subject, content: bytes, folder: Path) -> Result:
+    """Read a changed file in a folder, which is emptied, and judge what comes of it."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for name, data in {**subject.files, subject.changed: content}.items():
+        (folder / name).write_bytes(data)
+    _CLEAR.write_text("5")  # the peak is that of now
+    before, start = _peak(), time.process_time()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        result = _judged(subject, folder)
+    if result.outcome == "clean" and caught:
+        result = Result("warned")
+        for each in caught:
+            if "/PIL/" in each.filename:
+                continue  # Pillow's own words, of tags and sizes
+            if not issubclass(each.category, fr.FacerenderWarning):
+                result = Result("unsound", _plain(f"{each.category.__name__}: {each.message}"))
+            if why := _bad_message(str(each.message)):
+                result = Result("unsound", f"{subject.name}: a warning {why}")
+    if result.outcome not in FAULTS and time.process_time() - start > SLOW:
+        return Result("slow", subject.name)
+    if result.outcome not in FAULTS and _peak() - before > LARGE:
+        return Result("large", subject.name)
+    return result
+
+
+def _judged(subject: Subject, folder: Path) -> Result:
+    try:
+        subject.examine(folder)
+    except FacerenderError as error:
+        if why := _bad_message(str(error)):
+            return Result("unsound", f"{subject.name}: an error {why}")
+        return Result("refused")
+    except Unsound as error:
+        return Result("unsound", f"{subject.name}: {error}")
+    except Exception as error:
+        frames = traceback.extract_tb(error.__traceback__)
+        own = [each for each in frames if "/facerender/" in each.filename] or frames
+        where = f"{Path(own[-1].filename).name}:{own[-1].lineno} {own[-1].name}"
+        return Result("crash", _plain(f"{type(error).__name__} in {where}: {error}"))
+    return Result("clean")
+
+
+def _plain(text: str) -> str:
+    """The beginning of a text, without what differs from one input to the next."""
+    return re.sub(r"\d+", "0", text)[:160]
+
+
+def _bad_message(message: str) -> str:
+    if not message.strip() or re.search(r"(?<!\w)\(\s*\)", message):
+        return "says nothing"
+    if "\n" in message.strip():
+        return "has lines"
+    return f"has over {LONGEST} characters" if len(message) > LONGEST else ""
+
+
+def _peak() -> int:
+    """Bytes of memory that were resident at most."""
+    (line,) = (line for line in _STATUS.read_text().splitlines() if line.startswith("VmHWM"))
+    return 1024 * int(line.split()[1])
+
+
+# --- what must hold ------------------------------------------------------------------------------
+
+
+@cache
+def _renderer() -> fr.Renderer:
+    return fr.Renderer((24, 24), samples=1)
+
+
+@cache
+def _head() -> fr.Mesh:
+    return fr.load_mesh(_HEAD)
+
+
+def _demand(holds: object, what: str) -> None:
+    if not holds:
+        raise Unsound(what)
+
+
+def _reader_of_mesh(name: str) -> Callable[[Path], None]:
+    def examine(folder: Path) -> None:
+        mesh = fr.load_mesh(folder / name)
+        for part in mesh.parts:
+            count = len(part.positions)
+            _demand(part.faces.size and part.faces.max() < count, "face indices")
+            used = np.unique(part.faces)
+            _demand(np.isfinite(part.positions[used]).all(), "positions")
+            lengths = np.linalg.norm(part.normals[used], axis=1)
+            _demand(np.allclose(lengths, 1.0, atol=1e-3), "normals")
+            for values in (part.uv, part.colors):
+                _demand(values is None or np.isfinite(values[used]).all(), "uv or colours")
+        _demand(np.isfinite(mesh.bounds).all() and 0.0 < mesh.radius < np.inf, "bounds")
+        _draw(fr.Scene(mesh))
+        _draw(fr.Scene(mesh, fr.Camera(frame="face")))
+
+    return examine
+
+
+def _draw(scene: fr.Scene, shading: fr.Shading = fr.Shading()) -> None:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        frame = _renderer().render(scene, shading)
+    for each in caught:
+        warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+    _demand(np.isfinite(frame.linear).all(), "a pixel is not finite")
+    _demand((frame.linear >= 0.0).all(), "a pixel is negative")
+    _demand(frame.linear[..., 3].any() or caught, "an empty picture, and no word of it")
+    frame.srgb8()
+
+
+def _reader_of_image(name: str) -> Callable[[Path], None]:
+    def examine(folder: Path) -> None:
+        path, refused = folder / name, []
+        for read in (_as_map, _as_picture, _as_environment):
+            try:
+                read(path)
+            except InputError as error:
+                refused.append(error)
+        if len(refused) == 3:
+            raise min(refused, key=lambda error: -len(str(error)))
+
+    return examine
+
+
+def _as_map(path: Path) -> None:
+    _draw(fr.Scene(_head().with_material(albedo_map=fr.Texture.open(path))))
+
+
+def _as_picture(path: Path) -> None:
+    picture = read_image(path)
+    result = fr.compare(picture, picture)
+    _demand(result.same, f"an image differs from itself: {result}")
+
+
+def _as_environment(path: Path) -> None:
+    if path.suffix in (".hdr", ".exr", ".npy", ".npz"):
+        environment = load_environment(EnvironmentFile(str(path)))
+        _draw(fr.Scene(_head(), lights=(), environment=environment))
+
+
+def _examine_scene(folder: Path) -> None:
+    settings = load_scene(folder / "a.toml")
+    mesh = _head()
+    if "material" in settings:
+        mesh = mesh.with_material(**settings.pop("material"))
+    shading = fr.Shading.from_dict(settings.pop("shading", {}))
+    if (environment := settings.pop("environment", None)) is not None:
+        settings["environment"] = load_environment(environment)
+    cameras = settings.pop("cameras", ())
+    settings.pop("planned", None)
+    for camera in {settings.pop("camera", fr.Camera()), *cameras}:
+        _draw(fr.Scene(mesh, camera, **settings), shading)
+
+
+def _reader_of_cameras(name: str) -> Callable[[Path], None]:
+    def examine(folder: Path) -> None:
+        cameras = fr.load_cameras(folder / name, (24, 24))
+        for camera in dict.fromkeys([*cameras.values()][:4]):
+            _draw(fr.Scene(_head(), camera))
+
+    return examine
+
+
+def _examine_render(folder: Path) -> None:
+    """The command line with a word in each line."""
+    words = (folder / "a.txt").read_text("latin-1").split("\n")
+    image = folder / "a.exr"
+    own = ["--size", "24", "--no-cache", "-o", str(image)]
+    with redirect_stdout(StringIO()), redirect_stderr(StringIO()) as said:
+        try:
+            status: object = main(["render", str(_HEAD), *words, *own])
+        except SystemExit as error:  # --help
+            status = error.code or 0
+    lines = said.getvalue().splitlines()
+    for line in lines:
+        _demand(line.startswith("facerender: "), f"standard error has {line[:80]!r}")
+        _demand(not _bad_message(line), f"a message {_bad_message(line)}")
+    _demand(status in (0, 2), f"exit status {status}")
+    if status == 2:
+        _demand(not image.exists() and lines, "exit status 2 with an image or without a word")
+        raise InputError(lines[-1])
+    if image.exists():
+        linear = read_image(image).pixels
+        _demand(np.isfinite(linear).all(), "a pixel is not finite")
+        _demand(linear[..., 3].any() or lines, "an empty picture, and no word of it")
+
+
+def _reader_of_jobs(name: str) -> Callable[[Path], None]:
+    def examine(folder: Path) -> None:
+        checked = check_jobs(folder / name)
+        for fault in checked.faults:
+            if why := _bad_message(fault):
+                raise Unsound(f"fault {why}: {fault[:200]!r}")
+
+    return examine
+
+
+def _examine_explored(folder: Path) -> None:
+    read_imported(str(folder / "a.json"))

@@ -1,0 +1,260 @@
+"""Hosts of the shader library, each with a preprocessor and a compiler of its own: what they draw.
+
+Each draws in a process of its own, whose environment it may set.
+"""
+
+from __future__ import annotations
+
+import base64
+import multiprocessing
+import os
+import shutil
+import subprocess
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import facerender as fr
+
+Image = NDArray[np.float32]  # (SIZE, SIZE, 4), row 0 where y is 0
+Drawn = tuple[str, list[Image]]  # the host's version, and each scene
+
+SIZE = 64
+# Light from all around above a plane and a little below it. Each product here is exact and each
+# quotient rounded once, so that all hosts draw for the same directions.
+SCENE = """#include "facerender/cook_torrance.glsl"
+#include "facerender/ward.glsl"
+
+vec3 direction(vec2 place) {
+    float s = dot(place, place);
+    return vec3(2.0 * place, 1.0 - s) / (1.0 + s);
+}
+
+vec4 drawn(vec2 pixel) {
+    vec3 n = vec3(0.0, 0.0, 1.0);
+    vec3 l = direction((floor(pixel) - 31.5) / 32.0);
+    vec3 v = direction(vec2(0.25, -0.125));
+    float c = max(l.z, 0.0);
+    return vec4(
+        fr_cook_torrance(n, l, v, 0.6, 0.028), fr_ward(n, l, v, 0.6),
+        fr_fresnel(0.028, c), fr_lobe(c, 0.6, FR_K_COOK_TORRANCE)
+    );
+}
+"""
+# As numbers, which every preprocessor understands.
+CHOICES = {
+    "defaults": "",
+    "choices": "#define FR_LOBE 3\n#define FR_FRESNEL 1\n#define FR_MASKING 1\n",
+    "small slope": "#define FR_SMALL_SLOPE 0\n",
+    "every": "#define FR_LOBE 91\n",
+}
+_MAIN = "\nvoid main() { result = drawn(gl_FragCoord.xy); }\n"
+_FRAGMENT = "\nlayout(location = 0) out vec4 result;\n" + _MAIN
+_VERTEX = "#version 330\nin vec4 corner;\nvoid main() { gl_Position = corner; }\n"
+_CORNERS = [[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]]  # of a triangle that covers the target
+_ENGINES = Path(__file__).with_name("engines")
+
+
+def _flat(scene: str) -> str:
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "scene.glsl")
+        path.write_text(scene, encoding="utf-8")
+        return fr.shader_source(str(path))
+
+
+def desktop(scenes: Sequence[str]) -> Drawn:
+    """OpenGL 3.3 by moderngl: what the others are held against."""
+    return _opengl(["#version 330\n" + _flat(scene) + _FRAGMENT for scene in scenes])
+
+
+def _opengl(fragments: Sequence[str]) -> Drawn:
+    from facerender.drawing.context import create_context
+
+    images = []
+    with create_context("egl").gl as gl:
+        target = gl.framebuffer([gl.renderbuffer((SIZE, SIZE), 4, dtype="f4")])
+        target.use()
+        corners = gl.buffer(np.array(_CORNERS, np.float32).tobytes())
+        for fragment in fragments:
+            program = gl.program(_VERTEX, fragment)
+            gl.vertex_array(program, [(corners, "4f", "corner")]).render()
+            images.append(_image(target.read(components=4, dtype="f4")))
+        return str(gl.info["GL_VERSION"]), images
+
+
+def _image(data: bytes) -> Image:
+    return np.frombuffer(data, np.float32).reshape(SIZE, SIZE, 4)
+
+
+def _naga(scenes: Sequence[str]) -> Drawn:
+    """naga's GLSL."""
+    return _webgpu(["#version 450\n" + _flat(scene) + _FRAGMENT for scene in scenes])
+
+
+def _webgpu(fragments: Sequence[str | bytes]) -> Drawn:
+    from tests.verification.webgpu import Device
+
+    device = Device()
+    images = [device.draw(fragment, (SIZE, SIZE)) for fragment in fragments]
+    return device.version.split(", ")[1], images
+
+
+def _glslc(scenes: Sequence[str]) -> Drawn:
+    """shaderc's compiler, with its own includes, to SPIR-V, which wgpu draws with."""
+    with TemporaryDirectory() as folder:
+        path, output = Path(folder, "scene.frag"), Path(folder, "scene.spv")
+        codes = []
+        for scene in scenes:
+            path.write_text("#version 450\n" + scene + _FRAGMENT, encoding="utf-8")
+            _run("glslc", "-Werror", "-I", fr.shader_dir(), path, "-o", output)
+            codes.append(output.read_bytes())
+    return f"glslc of {_run('glslc', '--version').split(chr(10))[0]}", _webgpu(codes)[1]
+
+
+def _qsb(scenes: Sequence[str]) -> Drawn:
+    """Qt's shader baker, which includes what lies beside the includer, to its GLSL 330."""
+    tool = shutil.which("qsb") or shutil.which("qsb", path="/usr/lib/qt6/bin") or "qsb"
+    extension = "#version 440\n#extension GL_GOOGLE_include_directive : require\n"
+    texts = []
+    with TemporaryDirectory() as folder:
+        path, baked = Path(folder, "scene.frag"), Path(folder, "scene.qsb")
+        Path(folder, "facerender").symlink_to(fr.shader_dir() / "facerender")
+        for scene in scenes:
+            path.write_text(extension + scene + _FRAGMENT, encoding="utf-8")
+            _run(tool, "--glsl", "330", "-o", baked, path)
+            _run(tool, "-x", "glsl,330", "-o", path, baked)
+            texts.append(path.read_text(encoding="utf-8"))
+    return _run(tool, "--version").strip(), _opengl(texts)[1]
+
+
+def _run(*command: str | Path) -> str:
+    """Return what a tool prints.
+
+    Raises
+    ------
+    FileNotFoundError : it is not installed
+    RuntimeError : it fails, with what it said
+    """
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(f"{command[0]}: {done.stdout}{done.stderr}")
+    return done.stdout
+
+
+def _vispy(scenes: Sequence[str]) -> Drawn:
+    os.environ |= {"PYOPENGL_PLATFORM": "egl", "EGL_PLATFORM": "surfaceless"}
+    import vispy
+
+    vispy.use(app="egl", gl="gl+")
+    from vispy import app, gloo
+
+    app.Canvas(size=(SIZE, SIZE), show=False).set_current()
+    texture = gloo.Texture2D(shape=(SIZE, SIZE, 4), format="rgba", internalformat="rgba32f")
+    images = []
+    with gloo.FrameBuffer(texture):
+        gloo.set_viewport(0, 0, SIZE, SIZE)
+        for scene in scenes:
+            program = gloo.Program(_VERTEX, "#version 330\n" + _flat(scene) + _FRAGMENT)
+            program["corner"] = np.array(_CORNERS, np.float32)
+            program.draw("triangles")
+            image = gloo.read_pixels((0, 0, SIZE, SIZE), alpha=True, out_type="float")
+            images.append(image[::-1])
+    return f"vispy {vispy.__version__}", images
+
+
+def _panda3d(scenes: Sequence[str]) -> Drawn:
+    os.environ["EGL_PLATFORM"] = "surfaceless"
+    from panda3d import core
+
+    core.load_prc_file_data(
+        "", "load-display p3headlessgl\naudio-library-name null\ngl-version 3 3"
+    )
+    engine = core.GraphicsEngine.get_global_ptr()
+    pipe = core.GraphicsPipeSelection.get_global_ptr().make_default_pipe()
+
+    def output(side: int, properties: Any, *parent: Any) -> Any:
+        window, flags = core.WindowProperties(size=(side, side)), core.GraphicsPipe.BF_refuse_window
+        return engine.make_output(pipe, str(side), 0, properties, window, flags, *parent)
+
+    host = output(1, core.FrameBufferProperties.get_default())
+    floats = core.FrameBufferProperties()
+    floats.set_float_color(True)
+    floats.set_rgba_bits(32, 32, 32, 32)
+    target, texture = output(SIZE, floats, host.gsg, host), core.Texture()
+    texture.setup_2d_texture(SIZE, SIZE, core.Texture.T_float, core.Texture.F_rgba32)
+    buffer = core.GraphicsOutput
+    target.add_render_texture(texture, buffer.RTM_copy_ram, buffer.RTP_color)
+    root, card = core.NodePath("root"), core.CardMaker("card")
+    card.set_frame_fullscreen_quad()
+    root.attach_new_node(card.generate())
+    lens = core.OrthographicLens()
+    lens.set_film_size(2, 2)
+    lens.set_near_far(-1, 1)
+    target.make_display_region().set_camera(root.attach_new_node(core.Camera("eye", lens)))
+    images = []
+    for scene in scenes:
+        fragment = fr.resolve_includes("#version 330\n" + scene + _FRAGMENT)
+        vertex = _VERTEX.replace("= corner", "= corner.xzyw").replace("corner", "p3d_Vertex")
+        root.set_shader(core.Shader.make(core.Shader.SL_GLSL, vertex, fragment))
+        engine.render_frame()
+        images.append(_image(bytes(texture.get_ram_image_as("RGBA"))))
+    return f"Panda3D {core.PandaSystem.get_version_string()}", images
+
+
+class _Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@contextmanager
+def served(folder: Path) -> Iterator[str]:
+    """The address of a folder, while it is served."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=folder))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_address[1]}/"
+    server.shutdown()
+    server.server_close()
+
+
+def _engine(name: str, folder: Path, scenes: Sequence[str]) -> Drawn:
+    """An engine of the web, installed by npm in a folder, in Chromium."""
+    from playwright.sync_api import sync_playwright
+
+    from tests.verification import chromium
+
+    script = (_ENGINES / f"{name}.js").read_text(encoding="utf-8")
+    main = _MAIN.replace("result", "gl_FragColor")
+    with served(folder) as address, sync_playwright() as playwright:
+        browser = chromium.launch(playwright)
+        page = browser.new_page()
+        page.goto(f"{address}package.json")
+        call = {"fragments": [_flat(scene) + main for scene in scenes], "size": SIZE}
+        version, images = page.evaluate(script, call)
+        browser.close()
+    return version, [_image(base64.b64decode(data)) for data in images]
+
+
+HOSTS: dict[str, Callable[[Sequence[str]], Drawn]] = {
+    "naga": _naga,
+    "glslc": _glslc,
+    "qsb": _qsb,
+    "vispy": _vispy,
+    "Panda3D": _panda3d,
+}
+ENGINES = ("babylonjs", "playcanvas")
+
+
+def draw(host: str, scenes: Sequence[str], folder: Path | None = None) -> Drawn:
+    """Return what a host of HOSTS draws, or one of ENGINES that npm installed in a folder."""
+    call = partial(_engine, host, folder) if folder else HOSTS[host]
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(call, scenes).result()

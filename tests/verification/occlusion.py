@@ -1,0 +1,60 @@
+"""What occlusion baked at vertices loses against rays at pixels, and what it costs."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.drawing.renderer import Renderer
+from facerender.scenes.mesh import Mesh
+from facerender.scenes.occlusion import with_occlusion
+from facerender.scenes.scene import Scene
+from facerender.shading import Shading
+from tests.verification.shadows import tracer_of
+
+Float = NDArray[np.float64]
+
+_OFFSET = 2e-4  # of rays from the surface, in radii of the mesh's bounding sphere
+
+
+@dataclass(frozen=True)
+class OcclusionError:
+    """Mean absolute errors of the share of a light from everywhere that pixels receive, and the
+    seconds that baking took."""
+
+    without: float
+    baked: float
+    seconds: float
+
+
+def occlusion_error(
+    renderer: Renderer, scene: Scene, pixels: int = 4000, rays: int = 512
+) -> OcclusionError:
+    """Measure at some of the pixels, each by rays spread by the cosine at random."""
+    begin = time.perf_counter()
+    baked = replace(scene, mesh=with_occlusion(scene.mesh))
+    seconds = time.perf_counter() - begin
+    gbuffer = renderer.gbuffer(baked, Shading(normal_map=False))
+    rng = np.random.default_rng(3)
+    where = rng.permutation(np.flatnonzero(gbuffer.part.ravel() >= 0))[:pixels]
+    position, normal = (
+        each.reshape(-1, 3)[where].astype(np.float64) for each in (gbuffer.position, gbuffer.normal)
+    )
+    truth = open_share(scene.mesh, position, normal, rays, rng)
+    found = gbuffer.occlusion.ravel()[where]
+    return OcclusionError(float((1.0 - truth).mean()), float(np.abs(found - truth).mean()), seconds)
+
+
+def open_share(
+    mesh: Mesh, position: Float, normal: Float, rays: int, rng: np.random.Generator
+) -> Float:
+    """Return the share of rays spread by the cosine about normals that leave the mesh, (N,)."""
+    tracer, seen = tracer_of(mesh), np.zeros(len(position))
+    for _ in range(rays):
+        towards = rng.normal(size=position.shape)
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        seen += ~tracer.intersects_any(position + _OFFSET * normal, normal + towards)
+    return seen / rays

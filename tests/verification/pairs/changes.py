@@ -1,0 +1,529 @@
+"""What the second picture of a pair has changed: what a comparison must fail on, and what it must
+pass. Each change takes a room and makes the picture, or None where the scene lacks what it changes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from io import BytesIO
+from typing import Any, Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageCms, ImageFilter, ImageOps
+from scipy import ndimage
+
+import facerender as fr
+from facerender.images.image import png_bytes
+from facerender.scenes.mesh import Part
+from tests.verification import chromium
+from tests.verification.mutations import bright, edge, set_pixels
+from tests.verification.pairs.room import Linear, Patch, Room, draw_elsewhere
+from tests.verification.pairs.webgl import draw_webgl
+
+Format = Literal["exr", "png"]
+Must = Literal["fail", "pass"]
+Bytes = NDArray[np.uint8]
+Encode = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+@dataclass(frozen=True, eq=False)
+class Against:
+    """A picture whose golden is another than the scene's.
+
+    Attributes
+    ----------
+    name : of the golden
+    samples : of both
+    renderer : that drew the image, "" for the golden's
+    """
+
+    name: str
+    golden: Linear
+    image: Linear
+    samples: int
+    renderer: str = ""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of the linear picture.
+
+    Attributes
+    ----------
+    formats : in which the pair is there
+    encode : of linear values, what the 8-bit picture holds, in [0, 1]; None for sRGB
+    """
+
+    name: str
+    must: Must
+    make: Callable[[Room], Linear | Against | None]
+    formats: tuple[Format, ...] = ("exr", "png")
+    encode: Encode | None = None
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """A change of the 8-bit picture, which the product has as PNG.
+
+    Attributes
+    ----------
+    suffix : of the changed file
+    make : of the golden's pixels, the file; None where the format cannot hold them
+    """
+
+    name: str
+    must: Must
+    suffix: str
+    make: Callable[[Bytes], bytes | None]
+
+
+# --- the lobe, its weight and what lies around it ------------------------------------------------
+
+SURFACE = "Surface s = surface(p);\n    vec3 v = s.view;"
+_EXPONENTS = {
+    "cook-torrance": ("exp2(-x) * sec2", "exp2(-{} * x) * sec2"),
+    "ward": ("exp2(-4.1802625 - x)", "exp2(-4.1802625 - {} * x)"),
+}
+
+
+def exponent(by: float) -> Callable[[Room], Linear]:
+    """The exponent of the exact lobe times so much."""
+
+    def make(room: Room) -> Linear:
+        old, new = _EXPONENTS[room.setting.shading.term.model]
+        return room.draw(patch=(old, new.format(by)))
+
+    return make
+
+
+def slope(by: float) -> Callable[[Room], Linear]:
+    """The slope m of every material times so much."""
+
+    def make(room: Room) -> Linear:
+        materials = tuple(
+            replace(each, m=by * each.m)
+            if each.roughness_map is None
+            else replace(each, roughness_factor=math.sqrt(by) * each.roughness_factor)
+            for each in room.scene.mesh.materials
+        )
+        return room.draw(mesh=replace(room.scene.mesh, materials=materials))
+
+    return make
+
+
+def factor(name: str, by: float) -> Callable[[Room], Linear]:
+    """A factor of every material times so much."""
+
+    def make(room: Room) -> Linear:
+        mesh = room.scene.mesh
+        changed = tuple(
+            replace(each, **cast(Any, {name: by * getattr(each, name)})) for each in mesh.materials
+        )
+        return room.draw(mesh=replace(mesh, materials=changed))
+
+    return make
+
+
+def reflectance(room: Room) -> Linear | None:
+    """f0 of 0.04 in place of 0.028."""
+    return room.with_material(f0=0.04) if _has_factors(room) else None
+
+
+def no_masking(room: Room) -> Linear | None:
+    if not _has_factors(room):
+        return None
+    return room.draw(shading=room.setting.shading.replace(masking="none"))
+
+
+def approximated(lobe: str) -> Callable[[Room], Linear]:
+    """An approximated lobe in place of the exact one, where it has its domain."""
+    return lambda room: room.draw(shading=room.setting.shading.replace(lobe=lobe, outside="exact"))
+
+
+def unclamped(room: Room) -> Against | None:
+    """D16 without its clamp, against D16."""
+    shading = room.setting.shading.replace(lobe="d16")
+    mesh = room.scene.mesh.with_material(m=0.2)
+    old = "clamp(1.0 - steepness * (1.0 - c), 0.0, 1.0)"
+    golden = room.draw(shading=shading, mesh=mesh)
+    image = room.draw(shading=shading, mesh=mesh, patch=(old, "1.0 - steepness * (1.0 - c)"))
+    return Against("golden-d16", golden, image, room.renderer.samples)
+
+
+def other_diffuse(room: Room) -> Linear | None:
+    """The diffuse term that leaves the light which the surface reflects."""
+    if not _has_factors(room):
+        return None
+    return room.draw(shading=room.setting.shading.replace(diffuse="coupled"))
+
+
+def _has_factors(room: Room) -> bool:
+    return bool(room.setting.shading.term.entry.factors)
+
+
+# --- light ---------------------------------------------------------------------------------------
+
+
+def turned(degrees: float) -> Callable[[Room], Linear]:
+    """The first light turned about the vertical axis through the mesh's centre."""
+
+    def make(room: Room) -> Linear:
+        mesh, (first, *others) = room.scene.mesh, room.scene.lights
+        if first.position is None:
+            moved = replace(first, azimuth=first.azimuth + degrees)
+        else:
+            x, y, z = mesh.normalised(first.position)
+            angle = math.radians(degrees)
+            sine, cosine = math.sin(angle), math.cos(angle)
+            place = (x * cosine + z * sine, y, z * cosine - x * sine)
+            moved = replace(first, position=tuple(mesh.denormalised(place).tolist()))
+        return room.draw(lights=(moved, *others))
+
+    return make
+
+
+def shadow_left_out(room: Room) -> Linear | None:
+    if not any(light.shadow for light in room.scene.lights):
+        return None
+    return room.draw(lights=tuple(replace(each, shadow=False) for each in room.scene.lights))
+
+
+def exposed(by: float) -> Callable[[Room], Linear]:
+    def make(room: Room) -> Linear:
+        image = room.golden.copy()
+        image[..., :3] *= np.float32(by)
+        return image
+
+    return make
+
+
+def clamped(room: Room) -> Linear | None:
+    """No radiance above 1."""
+    image = room.golden.copy()
+    image[..., :3] = np.minimum(image[..., :3], 1.0)
+    return None if np.array_equal(image, room.golden) else image
+
+
+# --- the surface ---------------------------------------------------------------------------------
+
+
+def surface(then: str, needs: str | None = None) -> Callable[[Room], Linear | None]:
+    """GLSL that changes the surface before it is shaded.
+
+    needs : a map without which there is nothing to change
+    """
+    return patched(SURFACE, SURFACE.replace("\n", f"\n    {then}\n"), needs)
+
+
+def patched(old: str, new: str, needs: str | None = None) -> Callable[[Room], Linear | None]:
+    """A passage of the GLSL replaced."""
+    return lambda room: room.draw(patch=(old, new)) if needs is None or has(room, needs) else None
+
+
+def has(room: Room, name: str) -> bool:
+    """Tell whether a material has a map."""
+    return any(getattr(each, name) is not None for each in room.scene.mesh.materials)
+
+
+HALF = (
+    "{{ vec3 e = exp2(floor(log2(max(abs({0}), vec3(1e-8)))) - 10.0); {0} = round({0} / e) * e; }}"
+)
+BYTES = "s.normal = normalize(round(s.normal * 127.0) / 127.0);"
+GRAIN = (
+    "s.normal = normalize(s.normal + 0.03 * (fract(43758.5453 * sin(dot(gl_FragCoord.xy,"
+    " vec2(12.9898, 78.233)) + vec3(0.0, 1.7, 3.1))) - 0.5));"
+)
+ALONG: Patch = (
+    "vec2 along = texel.xy * (2.0 * scale) - scale;",
+    "vec2 along = texel.xy * (2.0 * scale) - scale; along.y = -along.y;",
+)
+ALBEDO = "s.albedo *= TEXEL(albedo_map, p, ALBEDO_MAP_UV).rgb;"
+TWICE = "s.albedo *= pow(TEXEL(albedo_map, p, ALBEDO_MAP_UV).rgb, vec3(2.2));"
+
+
+def half_vectors(room: Room) -> Linear:
+    """The vectors of the specular terms in half floats."""
+    old = "float cosine = dot(s.normal, l);"
+    new = f"{HALF.format('l')} {HALF.format('s.normal')} {old}"
+    return room.draw(patch=(old, new))
+
+
+def weaker_normals(room: Room) -> Linear | None:
+    return factor("normal_strength", 0.95)(room) if has(room, "normal_map") else None
+
+
+def blurred(room: Room) -> Linear | None:
+    """The albedo maps blurred by a five hundredth of their width."""
+    if not has(room, "albedo_map"):
+        return None
+
+    def soft(texture: fr.Texture) -> fr.Texture:
+        image = ImageOps.flip(texture.rgb())
+        image = image.filter(ImageFilter.GaussianBlur(image.width / 500))
+        return fr.Texture.from_image(image, texture.name).sampled(texture.wrap)
+
+    mesh = room.scene.mesh
+    materials = tuple(
+        replace(each, albedo_map=soft(each.albedo_map)) if each.albedo_map else each
+        for each in mesh.materials
+    )
+    return room.draw(mesh=replace(mesh, materials=materials))
+
+
+def missing_faces(room: Room, count: int = 20) -> Linear:
+    """So many triangles gone, around the place that the bright pixels' first shows."""
+    (row, *_), (column, *_) = bright(room.golden, 1)
+    seen = room.surface
+    number = int(seen.part[row, column])
+    mesh = room.scene.mesh
+    part = mesh.parts[number]
+    centres = mesh.normalised(part.positions[part.faces].mean(axis=1))
+    away = np.linalg.norm(centres - seen.position[row, column], axis=1)
+    kept = np.sort(np.argsort(away)[count:])
+    return room.draw(mesh=_with_part(room, number, replace(part, faces=part.faces[kept])))
+
+
+def _with_part(room: Room, number: int, part: Part) -> fr.Mesh:
+    parts = list(room.scene.mesh.parts)
+    parts[number] = part
+    return replace(room.scene.mesh, parts=tuple(parts))
+
+
+# --- pixels and precision ------------------------------------------------------------------------
+
+
+def grain(by: float) -> Callable[[Room], Linear]:
+    """Noise of this deviation, the same in all channels."""
+
+    def make(room: Room) -> Linear:
+        image = room.golden.copy()
+        noise = np.random.default_rng(1).normal(1.0, by, image.shape[:2])
+        image[..., :3] *= noise[..., None].astype(np.float32)
+        return image
+
+    return make
+
+
+def pixels(
+    where: Callable[..., tuple[NDArray[np.int64], ...]], count: int, radiance: float
+) -> Callable[[Room], Linear]:
+    return lambda room: set_pixels(room.golden, where(room.golden, count), radiance)
+
+
+def dark(linear: Linear, count: int, seed: int = 1) -> tuple[NDArray[np.int64], ...]:
+    """Rows and columns of pixels inside the coverage: of the darkest thousandth, without black."""
+    inside = ndimage.binary_erosion(linear[..., 3] >= 1.0, iterations=3)
+    level = linear[..., :3].max(axis=-1)
+    inside &= level > 1e-3
+    places = np.argwhere(inside & (level <= np.quantile(level[inside], 1e-3)))
+    return tuple(np.random.default_rng(seed).choice(places, count, replace=False).T)
+
+
+def packed(room: Room) -> Linear:
+    """The colours as r11g11b10 holds them: 6, 6 and 5 bits of mantissa, no sign."""
+    image = room.golden.copy()
+    fraction, power = np.frexp(image[..., :3])
+    steps = np.array([128.0, 128.0, 64.0], np.float32)
+    image[..., :3] = np.ldexp(np.round(fraction * steps) / steps, power)
+    return image
+
+
+def gamma(linear: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What a power of 1/2.2 makes of linear values."""
+    return np.asarray(np.clip(linear, 0.0, 1.0) ** (1.0 / 2.2))
+
+
+def as_it_is(room: Room) -> Linear:
+    return room.golden
+
+
+# --- what drivers, cameras and formats do --------------------------------------------------------
+
+FOUR = ((-0.125, -0.375), (0.375, -0.125), (-0.375, 0.125), (0.125, 0.375))
+OTHER_FOUR = ((-0.375, -0.25), (0.125, -0.375), (-0.125, 0.25), (0.375, 0.375))
+
+
+def softpipe(room: Room) -> Against:
+    """Mesa's other driver, which has one sample."""
+    variables = {"GALLIUM_DRIVER": "softpipe", "LIBGL_ALWAYS_SOFTWARE": "1"}
+    image = draw_elsewhere(room.setting, 1, variables=variables)
+    return _with_one_sample(room, image, "softpipe")
+
+
+def swiftshader(room: Room) -> Against:
+    """WebGL 2 on SwiftShader, with one sample."""
+    from playwright.sync_api import sync_playwright
+
+    setting = room.setting
+    scene = room.scene, setting.shading, room.size, setting.float_albedo
+    with sync_playwright() as playwright, chromium.launch(playwright) as browser:
+        return _with_one_sample(room, draw_webgl(browser, *scene), "SwiftShader")
+
+
+def _with_one_sample(room: Room, image: Linear, renderer: str) -> Against:
+    if room.setting.samples == 1:
+        return Against("golden", room.golden, image, 1, renderer)
+    return Against("golden-1", room.draw(samples=1), image, 1, renderer)
+
+
+def narrow(room: Room) -> Linear:
+    """llvmpipe with vectors of 128 bits."""
+    width = {"LP_NATIVE_VECTOR_WIDTH": "128"}
+    return draw_elsewhere(room.setting, room.setting.samples, variables=width)
+
+
+def osmesa(room: Room) -> Linear:
+    return draw_elsewhere(room.setting, room.setting.samples, "osmesa")
+
+
+def other_means(room: Room) -> Against | None:
+    """The mean of four images at other places of the pixel, against that of four."""
+    if room.setting.samples == 1:
+        return None
+    return Against("golden-mean", room.mean(FOUR), room.mean(OTHER_FOUR), 4)
+
+
+def mirrored(room: Room) -> Linear | None:
+    return None if room.setting.samples == 1 else room.mirrored()
+
+
+def shifted(x: float, y: float) -> Callable[[Room], Linear | None]:
+    """The one sample of a pixel elsewhere."""
+
+    def make(room: Room) -> Linear | None:
+        if room.setting.samples > 1:
+            return None
+        return room.draw(view=room.view.shifted((x, y), room.size))
+
+    return make
+
+
+def moved(x: float, y: float) -> Callable[[Room], Linear]:
+    """A camera that moves by so many pixels."""
+    return lambda room: room.draw(view=room.moved((x, y)))
+
+
+def snapped(room: Room) -> Linear:
+    """Every vertex moved to where it projects to multiples of 1/256 of a pixel."""
+    mesh, matrix = room.scene.mesh, room.view.matrix
+    halves = np.divide(room.size, 2.0)
+    parts = []
+    for part in mesh.parts:
+        places = mesh.normalised(part.positions)
+        clip = np.column_stack([places, np.ones(len(places))]) @ matrix
+        pixels = clip[:, :2] / clip[:, 3:] * halves
+        clip[:, :2] = np.round(256.0 * pixels) / 256.0 / halves * clip[:, 3:]
+        back = np.linalg.solve(matrix.T, clip.T).T[:, :3]
+        parts.append(replace(part, positions=np.ascontiguousarray(mesh.denormalised(back))))
+    return room.draw(mesh=replace(mesh, parts=tuple(parts)), view=room.view)
+
+
+def reversed_triangles(room: Room) -> Linear:
+    mesh = room.scene.mesh
+    parts = tuple(
+        replace(part, faces=np.ascontiguousarray(part.faces[::-1])) for part in mesh.parts
+    )
+    return room.draw(mesh=replace(mesh, parts=parts))
+
+
+def dithered(image: Bytes) -> bytes:
+    """A step more or less where rounding decides otherwise; the alpha channel stays."""
+    steps = np.random.default_rng(1).integers(-1, 2, (*image.shape[:2], 3))
+    out = image.copy()
+    out[..., :3] = np.clip(image[..., :3] + steps, 0, 255)
+    return png_bytes(out, {})
+
+
+def jpeg(quality: int, subsampling: int = 2) -> Callable[[Bytes], bytes | None]:
+    """A JPEG of an opaque image; subsampling 2 halves the chroma both ways, as Pillow's default."""
+
+    def make(image: Bytes) -> bytes | None:
+        if image.shape[2] == 4:
+            return None
+        file = BytesIO()
+        Image.fromarray(image).save(file, "JPEG", quality=quality, subsampling=subsampling)
+        return file.getvalue()
+
+    return make
+
+
+def with_profile(image: Bytes) -> bytes:
+    """A PNG with an sRGB profile."""
+    file = BytesIO()
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    Image.fromarray(image).save(file, "PNG", icc_profile=profile)
+    return file.getvalue()
+
+
+def changes() -> Iterator[Change | Encoded]:
+    """Yield every change."""
+    fail: dict[str, Callable[[Room], Linear | Against | None]] = {
+        "exponent +2 %": exponent(1.02),
+        "exponent +5 %": exponent(1.05),
+        "m +1 %": slope(1.01),
+        "m -1 %": slope(0.99),
+        "m +3 %": slope(1.03),
+        "f0 0.028 to 0.04": reflectance,
+        "no masking": no_masking,
+        "ks -3 %": factor("ks", 0.97),
+        "light turned by 0.5 degrees": turned(0.5),
+        "light turned by 2 degrees": turned(2.0),
+        "shadow left out": shadow_left_out,
+        "exposure +1 %": exposed(1.01),
+        "exposure -1 %": exposed(0.99),
+        "exposure +2 %": exposed(1.02),
+        "green of the normals inverted": patched(*ALONG, needs="normal_map"),
+        "normal map's strength 0.95": weaker_normals,
+        "normals in 8 bits": surface(BYTES),
+        "normals in half floats": surface(HALF.format("s.normal")),
+        "grain in the normals": surface(GRAIN),
+        "albedo decoded twice": patched(ALBEDO, TWICE, needs="albedo_map"),
+        "albedo's red +2 %": surface("s.albedo *= vec3(1.02, 1.0, 1.0);"),
+        "albedo blurred": blurred,
+        "20 triangles missing": missing_faces,
+        "grain of 2 %": grain(0.02),
+        "2 black pixels": pixels(bright, 2, 0.0),
+        "3 black pixels at the silhouette": pixels(edge, 3, 0.0),
+        "5 black pixels in the dark": pixels(dark, 5, 0.0),
+        "3 fireflies": pixels(bright, 3, 4.0),
+        "12 false highlights at the silhouette": pixels(edge, 12, 1.0),
+        "D16 not clamped": unclamped,
+        "r11g11b10": packed,
+        "vectors in half floats": half_vectors,
+        "other diffuse term": other_diffuse,
+        "D4 in place of exact": approximated("d4"),
+        "D8 in place of exact": approximated("d8"),
+    }
+    for name, make in fail.items():
+        yield Change(name, "fail", make)
+    yield Change("highlights clamped", "fail", clamped, ("exr",))
+    yield Change("gamma 2.2", "fail", as_it_is, ("png",), gamma)
+    harmless: dict[str, Callable[[Room], Linear | Against | None]] = {
+        "camera moved by 0.02 pixels in x": moved(0.02, 0.0),
+        "camera moved by 0.02 pixels in y": moved(0.0, 0.02),
+        "camera moved by 0.05 pixels": moved(0.05, 0.0),
+        "mean of other samples": other_means,
+        "samples mirrored": mirrored,
+        "sample moved by 0.05 pixels": shifted(0.03, -0.04),
+        "sample moved by 0.1 pixels": shifted(-0.06, 0.08),
+        "vertices snapped": snapped,
+        "triangles reversed": reversed_triangles,
+        "vectors of 128 bits": narrow,
+        "OSMesa": osmesa,
+        "softpipe": softpipe,
+        "SwiftShader": swiftshader,
+    }
+    for name, make in harmless.items():
+        yield Change(name, "pass", make)
+    yield Change("noise of 5e-4", "pass", grain(5e-4), ("exr",))
+    yield Encoded("dither of 1 step", "pass", "png", dithered)
+    yield Encoded("JPEG 98", "pass", "jpg", jpeg(98))
+    yield Encoded("JPEG 98 of whole chroma", "pass", "jpg", jpeg(98, 0))
+    yield Encoded("JPEG 95", "pass", "jpg", jpeg(95))
+    yield Encoded("sRGB profile", "pass", "png", with_profile)
+
+
+CHANGES = {each.name: each for each in changes()}

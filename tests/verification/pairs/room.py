@@ -1,0 +1,167 @@
+"""Draws the scene of a setting: as it is, with something of it changed, from a camera that moves by
+parts of a pixel, or by another driver in a process of its own, which this module is as well.
+
+python -m tests.verification.pairs.room SETTING SAMPLES BACKEND FILE.npy
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import cast
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+import facerender as fr
+from facerender.drawing.context import Backend
+from facerender.drawing.passes import Draw, Pass
+from facerender.scenes.scene import Scene
+from facerender.scenes.view import View, view_of
+from tests.verification.mutations import Patched
+from tests.verification.pairs.scenes import SETTINGS, Setting
+
+Linear = NDArray[np.float32]
+Patch = tuple[str, str]
+
+
+class Retouched(fr.Renderer):
+    """A renderer that replaces a passage of the GLSL that shades."""
+
+    patch: Patch | None = None
+
+    def _draw(
+        self, passes: list[Pass], scene: Scene, known: Mapping[str, moderngl.Texture] = {}
+    ) -> list[NDArray[np.float32]]:
+        drawn = [
+            replace(step, draws=tuple(self._retouched(draw) for draw in step.draws))
+            for step in passes
+        ]
+        return super()._draw(drawn, scene, known)
+
+    def _retouched(self, draw: Draw) -> Draw:
+        if self.patch is None or draw.program.fragment != "shade.frag":
+            return draw
+        old, new = self.patch
+        return replace(draw, program=Patched(**vars(draw.program), old=old, new=new))
+
+
+class Room:
+    """A setting before its renderer. Images are linear RGB and coverage, (H, W, 4)."""
+
+    def __init__(
+        self, setting: Setting, samples: int | None = None, backend: Backend = "egl"
+    ) -> None:
+        self.setting = setting
+        self.scene = setting.scene()
+        self.size = (setting.size, setting.size)
+        self.view = view_of(self.scene, 1.0)
+        self.renderer = Retouched(
+            self.size,
+            samples=samples or setting.samples,
+            backend=backend,
+            float_albedo=setting.float_albedo,
+        )
+
+    def draw(
+        self,
+        *,
+        shading: fr.Shading | None = None,
+        patch: Patch | None = None,
+        view: View | None = None,
+        samples: int | None = None,
+        **scene: object,
+    ) -> Linear:
+        """Draw the scene with fields of it replaced.
+
+        shading : in place of the setting's
+        patch : a passage of the GLSL, and what takes its place
+        view : of the camera, in place of the scene's
+        """
+        own = replace(self.scene, **scene)  # type: ignore[arg-type]
+        how = shading or self.setting.shading
+        samples = samples or self.renderer.samples
+        seen = view or view_of(own, 1.0)
+        self.renderer.patch = patch
+        simplified = self.renderer._simplified(own, how, seen, samples)
+        return self.renderer._shaded(simplified, seen, how, samples, None, True)
+
+    @cached_property
+    def golden(self) -> Linear:
+        """The scene as it is."""
+        return self.draw()
+
+    @cached_property
+    def surface(self) -> fr.GBuffer:
+        """What lies at the centres of the pixels, without blended parts."""
+        return self.renderer.gbuffer(self.scene, self.setting.shading, blended=False)
+
+    def with_material(self, **changes: object) -> Linear:
+        """Draw with fields of every material replaced."""
+        return self.draw(mesh=self.scene.mesh.with_material(**changes))
+
+    def moved(self, pixels: tuple[float, float]) -> View:
+        """Return the view of a camera that moves, so that what lies as deep as the mesh's centre is
+        so many pixels to the left and up."""
+        deep = float(self.view.matrix[3, 3])  # w at the origin
+        offset = np.zeros(3)
+        for axis, by in enumerate(pixels):
+            column = self.view.matrix[:3, axis]
+            offset += by * 2.0 / self.size[axis] * deep * column / (column @ column)
+        move = np.eye(4)
+        move[3, :3] = -offset
+        return replace(self.view, eye=self.view.eye + offset, matrix=move @ self.view.matrix)
+
+    def mean(self, pattern: Sequence[tuple[float, float]]) -> Linear:
+        """Return the mean of images of one sample each, at places of the pixel."""
+        images = [self.draw(view=self.view.shifted(at, self.size), samples=1) for at in pattern]
+        return cast(Linear, np.mean(images, axis=0, dtype=np.float32))
+
+    def mirrored(self) -> Linear:
+        """Draw the scene in a mirror, and mirror the image: the driver's samples lie mirrored."""
+        view = replace(self.view, matrix=self.view.matrix @ np.diag([-1.0, 1.0, 1.0, 1.0]))
+        return np.ascontiguousarray(self.draw(view=view)[:, ::-1])
+
+    def frame(self, linear: Linear, renderer: str = "") -> fr.Frame:
+        """Return what saves an image of the scene, drawn by another renderer where one is named."""
+        metadata = self.renderer.metadata
+        metadata["GL_RENDERER"] = renderer or metadata["GL_RENDERER"]
+        return fr.Frame(linear, None, self.scene.background is None, metadata)
+
+
+def draw_elsewhere(
+    setting: Setting,
+    samples: int,
+    backend: Backend = "egl",
+    variables: Mapping[str, str] = MappingProxyType({}),
+) -> Linear:
+    """Draw a setting in a process of its own, whose environment has further variables."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "linear.npy")
+        arguments = [setting.name, str(samples), backend, str(file)]
+        subprocess.run(
+            [sys.executable, "-m", "tests.verification.pairs.room", *arguments],
+            cwd=Path(__file__).parents[3],
+            env={**os.environ, **variables},
+            check=True,
+            capture_output=True,
+        )
+        return cast(Linear, np.load(file))
+
+
+def main(name: str, samples: str, backend: Backend, file: str) -> None:
+    room = Room(SETTINGS[name], int(samples), backend)
+    np.save(file, room.golden)
+    room.renderer.release()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])  # type: ignore[arg-type]

@@ -1,0 +1,197 @@
+"""How far highlights of fine relief are from what many samples of the unfiltered normal map give,
+with the slope filter and without; and how much of a disc light the slope variance keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+import facerender as fr
+from facerender.comparison import flip
+from facerender.images.image import linear_to_srgb
+
+Float = NDArray[np.float64]
+
+LIGHT = fr.Light(azimuth=-50.0, elevation=42.0)
+CAMERA = fr.Camera(azimuth=-20.0)
+STEEPEST = 3.0  # slope of a relief's texel
+_SPREAD = 2  # of the pixels of a reference a side: of each it has samples as many as there may be
+_SAMPLES = 64
+
+
+def slopes_of(texture: fr.Texture) -> Float:
+    """Return the slopes (H, W, 2) of a normal map's texels, row 0 on top."""
+    normals = np.asarray(texture.rgb(), dtype=np.float64)[::-1] / 127.5 - 1.0
+    return -normals[..., :2] / np.maximum(normals[..., 2:], 0.25)
+
+
+def relief(slopes: Float, strength: float) -> fr.Texture:
+    """Return the normal map of slopes, so many times as steep."""
+    steep = np.clip(slopes * strength, -STEEPEST, STEEPEST)
+    normals = np.concatenate([-steep, np.ones_like(steep[..., :1])], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    texels = np.round(normals * 127.5 + 127.5).astype(np.uint8)
+    return fr.Texture(lambda: Image.fromarray(texels), "relief")
+
+
+def unfiltered(texture: fr.Texture) -> fr.Texture:
+    """Return a map of the finest level alone."""
+    finest = texture.levels("normal").result()[:1]
+    texels = np.ascontiguousarray(finest[0][..., :3])
+    return fr.Texture.known(texels, "unfiltered", {"data": [texels], "normal": finest})
+
+
+@dataclass(frozen=True)
+class Lost:
+    """How far an image's highlight is from the reference's.
+
+    Attributes
+    ----------
+    energy : of the highlight, relative to the reference's, less 1
+    l1 : mean difference there over the mean
+    flip : mean FLIP of what is covered
+    """
+
+    energy: float
+    l1: float
+    flip: float
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """A mesh with a relief before the light, at one size.
+
+    Attributes
+    ----------
+    mesh : its material has the relief, and specular light alone
+    size : of the images, in pixels a side
+    camera : see there
+    """
+
+    mesh: fr.Mesh
+    size: int
+    camera: fr.Camera = CAMERA
+
+    @classmethod
+    def of(cls, mesh: fr.Mesh, texture: fr.Texture, m: float, size: int) -> Bench:
+        """Give a mesh a relief and a slope."""
+        maps = {"normal_map": texture, "specular_map": None, "occlusion_map": None}
+        return cls(mesh.with_material(m=m, ks=1.0, **maps), size)
+
+    def image(
+        self, renderer: fr.Renderer, shading: fr.Shading, samples: int = 1
+    ) -> NDArray[np.float32]:
+        """Draw the specular light, (H, W, 4)."""
+        scene = fr.Scene(self.mesh, self.camera, (LIGHT,), ambient=0.0, background=None)
+        return renderer.render(scene, shading, "specular", samples).linear
+
+    def reference(self, renderer: fr.Renderer) -> Float:
+        """Draw it with 256 samples a pixel and the finest level of the map.
+
+        renderer : of twice the size
+        """
+        texture = self.mesh.materials[0].normal_map
+        assert texture is not None
+        bench = replace(self, mesh=self.mesh.with_material(normal_map=unfiltered(texture)))
+        image = bench.image(renderer, fr.Shading(slope_filter=False), _SAMPLES)
+        blocks = image.reshape(self.size, _SPREAD, self.size, _SPREAD, 4)
+        return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64))
+
+
+def lost(image: NDArray[np.floating], reference: NDArray[np.floating]) -> Lost:
+    """Compare an image with the reference, where that is covered as a whole."""
+    whole = reference[..., 3] > 0.9999
+    value, expected = (each[..., 0].astype(np.float64) for each in (image, reference))
+    bright = whole & (expected > 0.25 * np.quantile(expected[whole], 0.995))
+    total = expected[bright].sum()
+    seen = [linear_to_srgb(np.where(whole, 1.1 * each + 0.15, 0.0)) for each in (expected, value)]
+    shown = [np.repeat(each[..., None], 3, axis=-1) for each in seen]
+    return Lost(
+        float(value[bright].sum() / total - 1.0),
+        float(np.abs(value - expected)[bright].sum() / total),
+        float(flip.errors(*shown)[whole].mean()),
+    )
+
+
+FILTERS = {
+    "none": fr.Shading(slope_filter=False),
+    "filter": fr.Shading(),
+    "filter and curvature": fr.Shading(curvature=True),
+}
+
+
+def filtered(
+    mesh: fr.Mesh, texture: fr.Texture, m: float, size: int, anisotropy: float = 1.0
+) -> dict[str, Lost]:
+    """Return what each of FILTERS loses of the highlight of a mesh with a relief."""
+    bench = Bench.of(mesh, texture, m, size)
+    with fr.Renderer((_SPREAD * size,) * 2) as renderer:
+        expected = bench.reference(renderer)
+    with fr.Renderer((size, size), anisotropy=anisotropy) as renderer:
+        return {
+            name: lost(bench.image(renderer, shading), expected)
+            for name, shading in FILTERS.items()
+        }
+
+
+def flicker(
+    mesh: fr.Mesh, texture: fr.Texture, m: float, size: int, azimuths: Sequence[float]
+) -> dict[str, float]:
+    """Return by how much more than the reference's the highlight's pixels deviate over the turns of
+    a camera, of each of FILTERS, over the mean of the reference."""
+    bench = Bench.of(mesh, texture, m, size)
+    turned = [replace(bench, camera=replace(CAMERA, azimuth=each)) for each in azimuths]
+    with fr.Renderer((_SPREAD * size,) * 2) as renderer:
+        expected = np.stack([each.reference(renderer) for each in turned])
+    whole = (expected[..., 3] > 0.9999).all(axis=0)
+    value = expected[..., 0]
+    bright = whole & (value.min(axis=0) > 0.1 * value[:, whole].max())
+    found = {}
+    with fr.Renderer((size, size)) as renderer:
+        for name, shading in FILTERS.items():
+            images = np.stack([each.image(renderer, shading)[..., 0] for each in turned])
+            beyond = images.std(axis=0)[bright].mean() - value.std(axis=0)[bright].mean()
+            found[name] = float(beyond / value.mean(axis=0)[bright].mean())
+    return found
+
+
+def disc(
+    angle: float, radius: float, m: float, points: int = 600, side: int = 72
+) -> tuple[float, float]:
+    """Return the mean error of a disc light's specular light on a sphere over its mean, in float64,
+    without its size and with it as slope variance.
+
+    Parameters
+    ----------
+    angle : degrees between eye and light
+    radius : of the disc, in degrees
+    points : of the disc, whose mean is the reference
+    side : of the sphere's image, in pixels
+    """
+    axis = (np.arange(side) + 0.5) / side * 2.0 - 1.0
+    x, y = (each.ravel() for each in np.meshgrid(axis, axis))
+    inside = x * x + y * y < 0.98
+    n = np.stack([x, y, np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))], axis=-1)[inside]
+    v = np.array([0.0, 0.0, 1.0])
+    l = np.array([np.sin(np.radians(angle)), 0.0, np.cos(np.radians(angle))])
+    across, up = np.array([l[2], 0.0, -l[0]]), np.array([0.0, 1.0, 0.0])
+    index = np.arange(points) + 0.5
+    cosine = 1.0 - (1.0 - np.cos(np.radians(radius))) * index / points
+    sine, turn = np.sqrt(1.0 - cosine**2), index * np.pi * (3.0 - np.sqrt(5.0))
+    spread = np.stack([cosine, sine * np.cos(turn), sine * np.sin(turn)], axis=-1)
+
+    def specular(light: Float, slope: float) -> Float:
+        value = fr.brdf.cook_torrance(n, light, v, slope, 0.028)
+        return value * np.maximum(n @ light, 0.0)
+
+    exact = np.mean([specular(each, m) for each in spread @ np.stack([l, across, up])], axis=0)
+    s, k = np.sin(np.radians(radius)), 0.5 + 0.5 * np.cos(np.radians(radius))
+    v_dot_h = 0.5 * float(np.linalg.norm(l + v))
+    widened = fr.brdf.slope_filtered(m, fr.brdf.slope_variance_disc(s, k, v_dot_h))
+    errors = (np.abs(specular(l, each) - exact).sum() / exact.sum() for each in (m, float(widened)))
+    none, with_disc = (float(each) for each in errors)
+    return none, with_disc

@@ -1,0 +1,291 @@
+"""The targets that the shader library is held to: a desktop's OpenGL, OpenGL ES and WebGL 2.
+
+Each is opened in a process of its own, where it may set Mesa's environment before Mesa loads, bind
+EGL's other API and run an event loop.
+"""
+
+from __future__ import annotations
+
+import base64
+import ctypes
+import multiprocessing
+import os
+import subprocess
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache, partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Protocol
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.drawing.context import Backend, ForeignContext, create_context
+from facerender.drawing.evaluate import (
+    EACH,
+    WIDTH,
+    Evaluator,
+    Inputs,
+    fragment_shaders,
+    texels,
+    vertex_shader,
+)
+from facerender.errors import ContextError
+from facerender.glsl.library import Language, translated
+from tests.verification import chromium
+from tests.verification.cases import GROUPS
+from tests.verification.webgpu import Device
+
+
+class Evaluate(Protocol):
+    """Evaluates float expressions of the inputs, as :class:`Evaluator` does."""
+
+    renderer: str
+    version: str
+
+    def each(
+        self, prelude: str, expressions: Sequence[str], inputs: Inputs
+    ) -> NDArray[np.float32]: ...
+
+    def release(self) -> None: ...
+
+
+def _desktop(backend: Backend) -> Evaluator:
+    return Evaluator(create_context(backend).gl)
+
+
+def _desktop_450() -> Evaluator:
+    egl: Any = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "libGL.so.1"}
+    return Evaluator(moderngl.create_context(require=450, standalone=True, **egl), "450 core")
+
+
+def _softpipe() -> Evaluator:
+    os.environ["GALLIUM_DRIVER"] = "softpipe"
+    evaluator = _desktop("egl")
+    if "softpipe" not in evaluator.renderer:
+        raise ContextError(f"no softpipe, but {evaluator.renderer}")
+    return evaluator
+
+
+def _es300() -> Evaluator:
+    """Make an OpenGL ES 3.0 context without a surface current, for good."""
+    egl = ctypes.CDLL("libEGL.so.1")
+    pointer, integer = ctypes.c_void_p, ctypes.c_int
+    egl.eglGetPlatformDisplay.restype = egl.eglCreateContext.restype = pointer
+    surfaceless = 0x31DD  # EGL_PLATFORM_SURFACELESS_MESA
+    display = pointer(egl.eglGetPlatformDisplay(surfaceless, None, None))
+    config, count = pointer(), integer()
+    # EGL_RENDERABLE_TYPE: ES 3, EGL_SURFACE_TYPE: a pixel buffer
+    wanted = (integer * 5)(0x3040, 0x40, 0x3033, 1, 0x3038)
+    version = (integer * 5)(0x3098, 3, 0x30FB, 0, 0x3038)
+    context = None
+    if egl.eglInitialize(display, None, None) and egl.eglBindAPI(0x30A0):  # EGL_OPENGL_ES_API
+        egl.eglChooseConfig(display, wanted, ctypes.byref(config), 1, ctypes.byref(count))
+        context = pointer(egl.eglCreateContext(display, config, None, version))
+    if not context or not egl.eglMakeCurrent(display, None, None, context):
+        raise ContextError("libEGL refused an OpenGL ES 3.0 context")
+    loader: Any = ForeignContext(egl.eglGetProcAddress)
+    return Evaluator(moderngl.create_context(require=300, context=loader), "300 es")
+
+
+class _WebGL:
+    """A page of a headless Chromium on SwiftShader."""
+
+    def __init__(self) -> None:
+        from playwright.sync_api import sync_playwright
+
+        self._playwright = sync_playwright().start()
+        self._browser = chromium.launch(self._playwright)
+        self._page = self._browser.new_page()
+        self._folder = TemporaryDirectory()
+        self._file = Path(self._folder.name, "inputs")
+        script = Path(__file__).with_name("webgl.js").read_text(encoding="utf-8")
+        self.renderer, self.version = self._page.evaluate(script)
+
+    def release(self) -> None:
+        self._browser.close()
+        self._playwright.stop()
+        self._folder.cleanup()
+
+    def each(self, prelude: str, expressions: Sequence[str], inputs: Inputs) -> NDArray[np.float32]:
+        images = {f"{name}_texels": texels(values) for name, values in inputs.items()}
+        self._file.write_bytes(b"".join(image.tobytes() for image in images.values()))
+        self._page.set_input_files("input", self._file)
+        call = {
+            "vertex": vertex_shader("300 es"),
+            "fragments": list(fragment_shaders("300 es", prelude, expressions, inputs)),
+            "inputs": {name: image.shape[-1] for name, image in images.items()},
+            "width": WIDTH,
+            "height": next(iter(images.values())).shape[0],
+        }
+        data = base64.b64decode(self._page.evaluate("call => window.evaluate(call)", call))
+        count = len(next(iter(inputs.values())))
+        pixels = np.frombuffer(data, np.float32).reshape(len(call["fragments"]), -1, EACH)
+        return np.concatenate(pixels[:, :count].transpose(0, 2, 1))[: len(expressions)]
+
+
+class _Lavapipe:
+    """Vulkan, by wgpu: HLSL and WGSL that the package translated, and GLSL 450. Inputs are buffers;
+    there are no textures."""
+
+    def __init__(self, language: Language | None) -> None:
+        """language : None for GLSL"""
+        self._language = language
+        self._device = Device()
+        self.renderer, self.version = self._device.renderer, self._device.version
+
+    def release(self) -> None:
+        pass
+
+    def each(self, prelude: str, expressions: Sequence[str], inputs: Inputs) -> NDArray[np.float32]:
+        images = {name: texels(values) for name, values in inputs.items()}
+        height = next(iter(images.values())).shape[0]
+        counts = tuple((name, image.shape[2]) for name, image in images.items())
+        results = []
+        for first in range(0, len(expressions), EACH):
+            few = [*expressions[first : first + EACH], *["0.0"] * (EACH - 1)][:EACH]
+            code = _fragment(self._language, prelude, tuple(few), counts)
+            drawn = self._device.draw(code, (WIDTH, height), list(images.values()))
+            results.append(drawn.reshape(-1, EACH).T)
+        count = len(next(iter(inputs.values())))
+        return np.concatenate(results)[: len(expressions), :count]
+
+
+@cache
+def _fragment(
+    language: Language | None,
+    prelude: str,
+    expressions: Sequence[str],
+    inputs: Sequence[tuple[str, int]],
+) -> str | bytes:
+    """inputs : how many components each has"""
+    parameters = ", ".join(f"{_VECTOR[count]} {name}" for name, count in inputs)
+    body = f"vec4 evaluated({parameters}) {{ return vec4({', '.join(expressions)}); }}"
+    text = f"{prelude}\n{body}\n"
+    # naga knows no RelaxedPrecision
+    text = translated(text, language) if language else _VULKAN + text.replace("mediump", "highp")
+    vector, buffer, main = _READING[language]
+    values = [
+        f"{vector}({', '.join(f'{name}_values[3 * i + {k}]' for k in range(3))})"
+        if count == 3
+        else f"{name}_values[i]"
+        for name, count in inputs
+    ]
+    buffers = [buffer.format(i=i, name=name) for i, (name, _) in enumerate(inputs)]
+    code = "\n".join([text, *buffers, main.replace("VALUES", ", ".join(values))])
+    return code if language == "wgsl" else compiled(code, hlsl=language == "hlsl")
+
+
+_VULKAN = "#version 450\nprecision highp float;\nprecision highp int;\n"
+_VECTOR = {1: "float", 3: "vec3"}
+# Of each language: a vector, a buffer of inputs, and the function that reads them.
+_READING = {
+    None: (
+        "vec3",
+        "layout(std430, binding = {i}) readonly buffer {name}_buffer {{ float {name}_values[]; }};",
+        f"""layout(location = 0) out vec4 result;
+void main() {{
+    uint i = uint(gl_FragCoord.y) * {WIDTH}u + uint(gl_FragCoord.x);
+    result = evaluated(VALUES);
+}}
+""",
+    ),
+    "hlsl": (
+        "float3",
+        "[[vk::binding({i}, 0)]] StructuredBuffer<float> {name}_values;",
+        f"""float4 main(float4 place : SV_Position) : SV_Target {{
+    uint i = uint(place.y) * {WIDTH} + uint(place.x);
+    return evaluated(VALUES);
+}}
+""",
+    ),
+    "wgsl": (
+        "vec3f",
+        "@group(0) @binding({i}) var<storage, read> {name}_values: array<f32>;",
+        f"""@fragment fn main(@builtin(position) place: vec4f) -> @location(0) vec4f {{
+    let i = u32(place.y) * {WIDTH}u + u32(place.x);
+    return evaluated(VALUES);
+}}
+""",
+    ),
+}
+
+
+def compiled(text: str, hlsl: bool = False) -> bytes:
+    """Return the SPIR-V of a fragment shader, of GLSL for Vulkan or of HLSL, by glslang."""
+    with TemporaryDirectory() as folder:
+        path, output = Path(folder, "x.frag"), Path(folder, "x.spv")
+        path.write_text(text, encoding="utf-8")
+        options = ["-V", "-S", "frag", "-o", str(output), str(path)]
+        options += ["-D", "-e", "main"] if hlsl else []
+        done = subprocess.run(["glslangValidator", *options], capture_output=True, text=True)
+        if done.returncode or "WARNING" in done.stdout:
+            raise RuntimeError(done.stdout)
+        return output.read_bytes()
+
+
+TARGETS: dict[str, Callable[[], Evaluate]] = {
+    "GLSL 330, EGL": partial(_desktop, "egl"),
+    "GLSL 330, OSMesa": partial(_desktop, "osmesa"),
+    "GLSL 450, EGL": _desktop_450,
+    "GLSL 330, softpipe": _softpipe,
+    "GLSL ES 300, EGL": _es300,
+    "WebGL 2, Chromium": _WebGL,
+}
+TRANSLATED: dict[str, Callable[[], Evaluate]] = {
+    "HLSL, Vulkan": partial(_Lavapipe, "hlsl"),
+    "WGSL, Vulkan": partial(_Lavapipe, "wgsl"),
+}
+LAVAPIPE: dict[str, Callable[[], Evaluate]] = {
+    "GLSL 450, Vulkan": partial(_Lavapipe, None),
+    **TRANSLATED,
+}
+UNTRANSLATED = ("environment", "scatter", "shadow")  # files with samplers or arrays
+
+
+def groups_of(target: str, groups: Sequence[str] = GROUPS) -> tuple[str, ...]:
+    """Return those of groups of cases that a target has."""
+    left_out = ("images", *(f"fr_{name}" for name in UNTRANSLATED))
+    return tuple(name for name in groups if target in TARGETS or not name.startswith(left_out))
+
+
+_here: Evaluate  # in the process of a target
+
+
+def _open(target: str) -> tuple[str, str]:
+    global _here
+    _here = (TARGETS | LAVAPIPE)[target]()
+    return _here.renderer, _here.version
+
+
+def _each(prelude: str, expressions: Sequence[str], inputs: Inputs) -> NDArray[np.float32]:
+    return _here.each(prelude, expressions, inputs)
+
+
+def _release() -> None:
+    _here.release()
+
+
+class Remote:
+    """A target's evaluator, at work in a process of its own."""
+
+    def __init__(self, target: str) -> None:
+        self.name = target
+        self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+        try:
+            self.renderer, self.version = self._pool.submit(_open, target).result()
+        except Exception:
+            self._pool.shutdown()
+            raise
+
+    def each(self, prelude: str, expressions: Sequence[str], inputs: Inputs) -> NDArray[np.float32]:
+        return self._pool.submit(_each, prelude, expressions, inputs).result()
+
+    def __enter__(self) -> Remote:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._pool.submit(_release).result()
+        self._pool.shutdown()
