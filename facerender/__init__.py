@@ -109,7 +109,7 @@ __all__ = [
 
 
 _HOMES = {
-    "animation": ("save_animation",),
+    "images.animation": ("save_animation",),
     "comparison.gates": ("compare",),
     "drawing.frame": ("Frame", "GBuffer"),
     "drawing.renderer": ("Renderer", "render"),

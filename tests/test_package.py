@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 
 # What may be imported without OpenGL; see the arrows in CONTRIBUTING.md.
 WITHOUT_GL = [
-    *("errors", "data", "image", "lobes", "brdf", "shading", "loading"),
+    *("errors", "system.data", "images.image", "lobes", "brdf", "shading", "loading"),
     *("glsl.library", "glsl.catalogue", "glsl.includes"),
     *("scenes.scene", "scenes.file", "scenes.view", "scenes.texture"),
     *("drawing.frame", "drawing.reference", "drawing.prepare"),

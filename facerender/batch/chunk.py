@@ -25,8 +25,8 @@ Layout = Literal["files", "shards"]
 Record = dict[str, Any]  # what is kept of a job, drawn or failed
 
 _PACKAGE = Path(__file__).parents[1]
-_DRAWS = ("terms", "glsl", "scenes", "loading", "drawing")  # rooms that pixels come from
-_ALSO = ("batch/passes.py", "image.py", "job.py", "shading.py")
+_DRAWS = ("terms", "glsl", "scenes", "loading", "drawing", "images")  # rooms that pixels come from
+_ALSO = ("batch/passes.py", "job.py", "shading.py")
 _HELD = 64  # chunks of rows that wait for others of their mesh
 _FILES = ("path", "albedo", "normal_map", "specular_map", "roughness_map", "lobe_map")
 

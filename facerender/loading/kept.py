@@ -151,7 +151,10 @@ def _readers() -> list[tuple[str, int, int]]:
     found = [Path(spec.origin) for spec in specs if spec and spec.origin]
     for folder in ("loading", "scenes"):
         found += sorted((_PACKAGE / folder).glob("*.py"))
-    facts = ((path, path.stat()) for path in (*found, _PACKAGE / "image.py", _PACKAGE / "files.py"))
+    facts = (
+        (path, path.stat())
+        for path in (*found, _PACKAGE / "images/image.py", _PACKAGE / "system/files.py")
+    )
     return [(str(path), each.st_size, each.st_mtime_ns) for path, each in facts]
 
 
