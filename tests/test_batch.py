@@ -25,9 +25,9 @@ import pytest
 
 import facerender as fr
 from facerender.batch import engine
-from facerender.batch.chunk import Settings, chunks, painter
+from facerender.batch.chunk import Settings, chunks, code_version
 from facerender.batch.jobs import Row, read_jobs
-from facerender.batch.place import Place
+from facerender.batch.storage import Storage
 from facerender.batch.supervisor import CannotDraw, draw_chunk
 from facerender.commands import main
 from facerender.loading.named import named_files
@@ -112,7 +112,7 @@ def small(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("layout", ["files", "shards"])
 def test_bytes_are_the_same_with_any_workers(table, draw, small, tmp_path, layout):
-    jobs = rows(9, passes="image,mask,depth")
+    jobs = rows(9, outputs="image,mask,depth")
     for job in jobs[::2]:
         job["mesh"] = str(small)
     path = table(jobs)
@@ -306,7 +306,7 @@ def test_what_was_cut_off_and_is_no_longer_asked_for_goes(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:  # between data and record
-        patched.setattr("facerender.batch.output._put_records", die)
+        patched.setattr("facerender.batch.records._put_records", die)
         draw(table(jobs), "out", *options)
     draw(table(jobs[1:]), "out", *options)
     draw(table(jobs[1:]), "fresh", *options)
@@ -320,7 +320,7 @@ def test_a_driver_may_end_at_any_step(table, draw, small, tmp_path, monkeypatch,
     options = ("--chunk", "2", "--transforms")
     jobs = rows(4, mesh=str(small))
     draw(table(jobs[1:]), "fresh", *options)
-    real = getattr(Place, step)
+    real = getattr(Storage, step)
     for count in range(20):
         shutil.rmtree(tmp_path / "out", ignore_errors=True)
         draw(table(jobs), "out", *options)
@@ -332,7 +332,7 @@ def test_a_driver_may_end_at_any_step(table, draw, small, tmp_path, monkeypatch,
             return real(*given)
 
         with monkeypatch.context() as patched:
-            patched.setattr(Place, step, or_die)
+            patched.setattr(Storage, step, or_die)
             ended = draw(table(jobs[1:]), "out", *options)["status"]
         assert draw(table(jobs[1:]), "out", *options)["status"] == 0
         assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
@@ -347,14 +347,14 @@ def test_a_run_that_another_has_followed_writes_nothing(table, draw, small, tmp_
     before = tree(tmp_path / "out")
     (chunk,) = chunks(read_jobs(table([{**job, "material.m": 0.5} for job in jobs])), 2)
     with pytest.raises(CannotDraw, match="another run of the batch has begun there"):
-        draw_chunk(Settings(str(tmp_path / "out"), painter=painter()), chunk)
+        draw_chunk(Settings(str(tmp_path / "out"), code_version=code_version()), chunk)
     assert tree(tmp_path / "out") == before
 
 
 def test_a_file_that_is_another_where_it_is_drawn(table, draw, small, tmp_path):
     (chunk,) = chunks(read_jobs(table(rows(2, mesh=str(small)))), 2)
     small.write_text(small.read_text() + "# changed\n")
-    outcome = draw_chunk(Settings(str(tmp_path / "out"), painter=painter()), chunk)
+    outcome = draw_chunk(Settings(str(tmp_path / "out"), code_version=code_version()), chunk)
     assert [record["id"] for record in outcome.failed] == ["job000", "job001"]
     assert "not here what they were where the batch" in outcome.failed[0]["error"]
 
@@ -474,7 +474,7 @@ def test_killed_again_and_again(table, draw, small, tmp_path, layout):
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # it closes no file
 def test_webdataset_reads_shards(table, draw, small, tmp_path):
     webdataset = require_module("webdataset")
-    draw(table(rows(5, mesh=str(small), passes="image,depth")), "out", "--layout", "shards")
+    draw(table(rows(5, mesh=str(small), outputs="image,depth")), "out", "--layout", "shards")
     shards = sorted(str(path) for path in (tmp_path / "out/shards").glob("*.tar"))
     found = list(webdataset.WebDataset(shards, shardshuffle=False).decode("rgb8"))
     assert [each["__key__"] for each in found] == [f"job{i:03d}" for i in range(5)]
@@ -561,7 +561,7 @@ def cluster() -> Iterator[str]:
 
 
 def test_a_cluster_draws_the_same_bytes(table, draw, small, tmp_path, cluster):
-    jobs = rows(8, passes="image,mask")
+    jobs = rows(8, outputs="image,mask")
     for job in jobs[::2]:
         job["mesh"] = str(small)
     jobs.append({**jobs[0], "id": "absent", "mesh": str(tmp_path / "absent.glb")})

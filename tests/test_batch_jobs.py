@@ -18,7 +18,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from facerender.batch.jobs import LIMITS, PASSES, TABLES, Row, check_jobs, read_jobs
+from facerender.batch.jobs import LIMITS, OUTPUTS, TABLES, Row, check_jobs, read_jobs
 from facerender.batch.schema import schema
 from facerender.drawing.renderer import MAX_SAMPLES, MAX_SIZE
 from facerender.errors import InputError
@@ -65,7 +65,7 @@ def toml_rows(table, text, **options):
 ROWS = [
     {"id": "a", "mesh.path": "a.glb", "camera.azimuth": 30, "lights.0.azimuth": -40.5},
     {"id": "b", "mesh.path": "a.glb", "mesh.flip_v": True, "material.m": 0.25},
-    {"id": "1e5", "mesh.path": "b.glb", "shading.lobe": "d16", "passes": "image, mask"},
+    {"id": "1e5", "mesh.path": "b.glb", "shading.lobe": "d16", "outputs": "image, mask"},
 ]
 
 
@@ -176,7 +176,7 @@ def test_rows_of_a_program_may_hold_arrays_and_paths(table):
 
 def test_cells_of_csv(table):
     text = (
-        "\ufeffid,camera.azimuth,mesh.flip_v,camera.zoom,lights,shading.lobe,ambient,passes\r\n"
+        "\ufeffid,camera.azimuth,mesh.flip_v,camera.zoom,lights,shading.lobe,ambient,outputs\r\n"
         '007,+1.5,TRUE,.5,"[""key""]",d4,"[1, 2, 3]",mask\r\n'
         "\r\n"
         ' 1e3 ,1e1, false ,2.,"\n",,0.5,\r\n'
@@ -200,11 +200,11 @@ def test_a_row_lies_over_what_is_common(table):
         "camera.fov": 30,
         "lights": ["key", "rim"],
         "environment": "studio,20",
-        "passes": ["depth"],
+        "outputs": ["depth"],
     }
     first, second, third = rows_of(
         {"mesh.flip_v": True, "camera": {"zoom": 2}, "lights.1.azimuth": 5, "lights.2": "fill"},
-        {"lights": [], "environment.scale": 2, "passes": "image"},
+        {"lights": [], "environment.scale": 2, "outputs": "image"},
         {"mesh": None, "camera": None, "environment": {"file": "x.hdr"}, "lights": "front"},
         common=common,
     )
@@ -214,10 +214,10 @@ def test_a_row_lies_over_what_is_common(table):
     assert lights[0] == parse_light("key")
     assert lights[1] == parse_light("5,33,2.4,2.5,2.7")
     assert lights[2] == parse_light("fill")
-    assert first.passes == ("depth",)
+    assert first.outputs == ("depth",)
     assert second.tables["lights"] == []
     assert second.tables["environment"] == {"file": "studio", "rotation": 20.0, "scale": 2}
-    assert second.passes == ("image",)
+    assert second.outputs == ("image",)
     assert third.tables["mesh"] == {"path": str(Path.cwd() / "a.glb")}
     assert third.tables["environment"] == {"file": str(Path.cwd() / "x.hdr"), "rotation": 20.0}
     assert Job.from_dict(third.tables).lights == (parse_light("front"),)
@@ -571,7 +571,7 @@ BAD_FILES = [
     ("rows.jsonl", b"{}\n\xff\n", "rows.jsonl, line 2 is not UTF-8 .*save the file as UTF-8"),
     ("rows.jsonl", b"\xff\xfe{\0}\0", "rows.jsonl, line 1 is not UTF-8"),
     ("rows.jsonl", " " * 2**21, "line 1 has more than 1048576 bytes"),
-    ("rows.jsonl", '{"colour": 1}', "unknown key 'colour'; known: id, passes, exposure, mesh"),
+    ("rows.jsonl", '{"colour": 1}', "unknown key 'colour'; known: id, outputs, exposure, mesh"),
     ("rows.jsonl", '{"outputs": []}', "unknown key 'outputs'"),
     ("rows.jsonl", '{"mesh": ""}', "mesh path = '' is no path"),
     ("rows.jsonl", '{"mesh": "a\\u0000"}', "mesh path = 'a.x00' is no path"),
@@ -583,10 +583,10 @@ BAD_FILES = [
     ("rows.jsonl", '{"lights": ["sun"]}', "unknown light 'sun'"),
     ("rows.jsonl", '{"environment": "a,b"}', "environment 'a,b': give FILE"),
     ("rows.jsonl", '{"image.size": "64x"}', "image size = '64x': give N, WxH"),
-    ("rows.jsonl", '{"passes": []}', r"passes = \[\]: give a list of image, specular"),
-    ("rows.jsonl", '{"passes": "image,shine"}', "unknown pass 'shine'; known: image"),
-    ("rows.jsonl", '{"passes": [["image"]]}', r"unknown pass \['image'\]"),
-    ("rows.jsonl", '{"passes": "mask,mask"}', "pass mask is given twice"),
+    ("rows.jsonl", '{"outputs": []}', r"outputs = \[\]: give a list of image, specular"),
+    ("rows.jsonl", '{"outputs": "image,shine"}', "unknown pass 'shine'; known: image"),
+    ("rows.jsonl", '{"outputs": [["image"]]}', r"unknown pass \['image'\]"),
+    ("rows.jsonl", '{"outputs": "mask,mask"}', "pass mask is given twice"),
     ("rows.jsonl", '{"exposure": "1"}', "exposure = '1' is outside"),
     ("rows.csv", "", "rows.csv has no rows"),
     ("rows.csv", "mesh,camera.azimuth\n", "rows.csv has no rows"),
@@ -700,7 +700,7 @@ def test_parquet_without_its_package(table, monkeypatch):
             raise ImportError(name)
         return real(name, *rest)
 
-    monkeypatch.setattr("facerender.batch.forms.importlib.import_module", without)
+    monkeypatch.setattr("facerender.batch.formats.importlib.import_module", without)
     with pytest.raises(InputError, match=r"needs the package pyarrow; pip install 'facerender\[b"):
         list(read_jobs(table("rows.parquet", "")))
 
@@ -723,8 +723,8 @@ def test_columns_of_parquet_that_are_twice_or_no_data(tmp_path, monkeypatch):
 
 VALID = [
     {},
-    {"mesh": "a.glb", "id": "a-{number}", "passes": "image,mask", "exposure": -1.5},
-    {"mesh": {"path": "a.glb", "flip_v": True, "triangles": 100}, "passes": ["image"]},
+    {"mesh": "a.glb", "id": "a-{number}", "outputs": "image,mask", "exposure": -1.5},
+    {"mesh": {"path": "a.glb", "flip_v": True, "triangles": 100}, "outputs": ["image"]},
     {"camera.azimuth": 30, "camera.target": [0, 1, 2], "camera": {"zoom": 2.0}},
     {"lights": ["key", {"azimuth": 1, "irradiance": [1, 2, 3], "shadow": True}]},
     {"lights.0.azimuth": 10, "lights.0.irradiance.0": 1, "lights.0.irradiance.1": 1,
@@ -787,9 +787,9 @@ INVALID = [
     {"image.samples": 65},
     {"image.anisotropy": 0.5},
     {"image.float_albedo": 0},
-    {"passes": []},
-    {"passes": ["image", "image"]},
-    {"passes": ["shine"]},
+    {"outputs": []},
+    {"outputs": ["image", "image"]},
+    {"outputs": ["shine"]},
     {"exposure": 101},
     {"id": "a b"},
     {"id": []},
@@ -818,7 +818,7 @@ def test_the_schema_refuses_what_the_reader_refuses(row, validator, table):
 def test_the_schema_has_every_field():
     told = schema()
     tables = told["properties"]
-    assert set(tables) == {"id", "passes", "exposure", *TABLES}
+    assert set(tables) == {"id", "outputs", "exposure", *TABLES}
     light = tables["lights"]["anyOf"][1]["items"]["anyOf"][1]
     shading = tables["shading"]["properties"]
     names = {
@@ -844,7 +844,7 @@ def test_the_schema_has_every_field():
     assert shading["lobe"]["anyOf"][0]["enum"] == [*LOBES]
     assert shading["fresnel"]["enum"] == [*FRESNEL]
     assert shading["masking"]["enum"] == [*MASKING]
-    assert tables["passes"]["anyOf"][0]["items"]["enum"] == [*PASSES]
+    assert tables["outputs"]["anyOf"][0]["items"]["enum"] == [*OUTPUTS]
     assert tables["camera"]["properties"]["fov"]["default"] == Camera().fov
     assert json.loads(json.dumps(told)) == told
 
@@ -907,7 +907,7 @@ def test_examples_of_the_document(table, name, content, between, told):
         runpy.run_path(name)
         name = re.search(r"\w+\.parquet", between)[0]
     rows = list(read_jobs(name))
-    lines = [f"{row.id} {','.join(row.passes)} {json.dumps(row.tables)}" for row in rows]
+    lines = [f"{row.id} {','.join(row.outputs)} {json.dumps(row.tables)}" for row in rows]
     lines = [line.replace(str(Path.cwd()), "/here") for line in lines]
     shown = told.splitlines()
     if shown[-1].startswith("..."):
@@ -932,5 +932,5 @@ def test_the_document_names_every_key():
         table, *names = pattern.strip("^$").split(r"\.")
         if table != "shading" and not re.fullmatch(r"\[.*", names[-1]):
             assert f"`{names[-1]}`" in DOCUMENT, pattern
-    for name in PASSES:
+    for name in OUTPUTS:
         assert f"`{name}`" in DOCUMENT

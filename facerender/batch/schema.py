@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, fields
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
-from facerender.batch.jobs import EXPOSURE_LIMITS, ID, LIMITS, PASSES
+from facerender.batch.jobs import EXPOSURE_LIMITS, ID, LIMITS, OUTPUTS
 from facerender.job import ImageSettings, MeshFile
 from facerender.loading import NORMAL_MAP_Y
 from facerender.scenes.camera import FRAMES, Camera
@@ -52,19 +52,19 @@ def schema() -> Schema:
         "image": _table("image", ImageSettings),
     }
     low, high = EXPOSURE_LIMITS
-    names: Schema = {"enum": [*PASSES]}
+    names: Schema = {"enum": [*OUTPUTS]}
     own: dict[str, Schema] = {
         "id": {
             "anyOf": [{"type": "integer"}, {"type": "string", "pattern": f"^({ID}|.*[{{].*)$"}],
             "description": "names the job's files; may hold {number:08d}, {mesh.stem}, {KEY}",
             "default": "{number:08d}",
         },
-        "passes": {
+        "outputs": {
             "anyOf": [
                 {"type": "array", "items": names, "minItems": 1, "uniqueItems": True},
                 {"type": "string", "description": "names with commas between"},
             ],
-            "default": [PASSES[0]],
+            "default": [OUTPUTS[0]],
         },
         "exposure": {"type": "number", "minimum": low, "maximum": high, "default": 0.0},
     }

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import argparse
 import json
-import warnings
 from dataclasses import replace
 from typing import Any
 
-from facerender.commands.common import add_verbose, check_outputs, parse_size, telling
+from facerender.commands.common import add_verbose, check_outputs, telling
 from facerender.commands.scene import add_scene, files_read, job_of, load
 from facerender.commands.streams import say, tell
 from facerender.commands.views import STANDARD_OUTPUT, Target, check_sheet
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.frame import FORMATS
 from facerender.drawing.renderer import Renderer
-from facerender.errors import FacerenderWarning, InputError, check_range
-from facerender.job import Job
+from facerender.errors import InputError, check_range
+from facerender.job import parse_size
 from facerender.scenes.planned import Detail
 from facerender.scenes.scene import ONLY
 from facerender.scenes.view import checked_size, view_of
@@ -122,7 +121,6 @@ def run(options: argparse.Namespace) -> int:
     for camera in cameras.values():
         view_of(replace(scene, camera=camera), width / height)
     plan: dict[str, Any] = {}
-    detail = Detail(job.image.samples, None)
     with Renderer.of(job, options.backend, options.memory) as renderer:
         step(f"image, by {renderer.context.renderer}")
         if options.budget is not None:
@@ -132,10 +130,8 @@ def run(options: argparse.Namespace) -> int:
             asked = scene, options.budget, shading, options.exposure, within, renderer
             plan = planned(*asked, cache=options.cache)
             shading, detail = Shading.from_dict(plan["shading"]), Detail(**plan["detail"])
-        elif job.planned and job.planned.holds(renderer.size, renderer.samples):
-            detail = job.planned.detail
-        elif job.planned:
-            warnings.warn(_unplanned(options.scene, job), FacerenderWarning, stacklevel=1)
+        else:
+            detail = job.detail(renderer.samples, options.scene)
         samples = min(detail.samples, renderer.samples)
         drawn = detail.of(scene)
         scenes = (replace(drawn, camera=camera) for camera in cameras.values())
@@ -163,11 +159,3 @@ def run(options: argparse.Namespace) -> int:
     if plan and not options.quiet:
         say(*plan["text"].splitlines()[-2:])
     return 0
-
-
-def _unplanned(name: str, job: Job) -> str:
-    width, height = job.image.size
-    return (
-        f"{name} was planned for {job.planned}: at {width} x {height} with {job.image.samples} its "
-        "error is unknown; plan for this size and these samples"
-    )

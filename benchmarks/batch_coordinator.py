@@ -25,8 +25,8 @@ from typing import Any
 
 from facerender.batch import engine
 from facerender.batch.chunk import Chunk, Settings
-from facerender.batch.output import Writer, begin, commit
-from facerender.batch.place import Place
+from facerender.batch.records import Writer, begin, commit
+from facerender.batch.storage import Storage
 from facerender.batch.supervisor import Outcome
 from facerender.commands import main as facerender
 
@@ -57,7 +57,7 @@ class Small(Nothing):
 
     def answer(self, settings: Settings, chunk: Chunk) -> Outcome:
         begin(settings, chunk)
-        tar = Place(settings.output).unfinished() if settings.layout == "shards" else None
+        tar = Storage(settings.output).unfinished() if settings.layout == "shards" else None
         writer = Writer(settings, chunk, tar, 0)
         records = [
             writer.write(i, {"image.png": b"nothing"}, {"job": row.tables, **_FACTS})

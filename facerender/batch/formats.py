@@ -1,5 +1,4 @@
-"""The files that tables of jobs are: .jsonl, .csv, .parquet, .toml, .py, read one row after the
-other."""
+"""Readers of tables of jobs: .jsonl, .csv, .parquet, .toml and .py, one row after the other."""
 
 from __future__ import annotations
 
@@ -15,9 +14,9 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from facerender.batch.product import product
-from facerender.batch.tables import Table, nested, short, told
-from facerender.errors import FacerenderError, InputError, reason
+from facerender.batch.grid import grid_rows
+from facerender.batch.tables import Table, nested
+from facerender.errors import FacerenderError, InputError, clipped, reason, shown
 from facerender.job import MESH_PATHS
 from facerender.system.files import read_file, tables_of
 
@@ -29,7 +28,16 @@ _MOST_TOML = 2**26  # bytes
 _NUMBER = re.compile(r"[+-]?([0-9]+|[0-9]+\.[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _WORDS = {"true": True, "false": False, "null": None}
 _TEXT = {  # columns of a .csv file that hold text whatever it looks like
-    *("id", "passes", "mesh", "mesh.parts", "mesh.hide", "environment", "environment.file"),
+    *(
+        "id",
+        "outputs",
+        "scene",
+        "mesh",
+        "mesh.parts",
+        "mesh.hide",
+        "environment",
+        "environment.file",
+    ),
     *(f"mesh.{name}" for name in MESH_PATHS),
 }
 
@@ -43,14 +51,14 @@ def found_rows(path: str | os.PathLike[str]) -> Iterator[Found]:
     """
     file = Path(path)
     try:
-        form = _FORMS[file.suffix.lower()]
+        read = _FORMATS[file.suffix.lower()]
     except KeyError:
-        known = ", ".join(_FORMS)
+        known = ", ".join(_FORMATS)
         raise InputError(f"{file}: unknown kind of table {file.suffix!r}; give {known}") from None
     try:
         if file.exists() and not (file.is_file() or file.is_dir()):
             raise InputError(f"{file} is no regular file; give a table")
-        yield from form(file)
+        yield from read(file)
     except OSError as error:
         raise InputError(f"cannot read {file}: {reason(error)}") from None
 
@@ -107,7 +115,7 @@ def _why(error: Exception) -> str:
 def _object(pairs: list[tuple[str, Any]]) -> Table:
     table = dict(pairs)
     if len(table) < len(pairs):
-        raise ValueError(f"key {told(_twice([key for key, _ in pairs]))} is given twice")
+        raise ValueError(f"key {shown(_twice([key for key, _ in pairs]))} is given twice")
     return table
 
 
@@ -154,7 +162,7 @@ def _check_columns(path: Path, names: list[str]) -> None:
     if "" in names:
         raise InputError(f"{path.name}: a column has no name; name it in the first line")
     if len(set(names)) < len(names):
-        raise InputError(f"{path.name} has two columns {told(_twice(names))}: leave one out")
+        raise InputError(f"{path.name} has two columns {shown(_twice(names))}: leave one out")
 
 
 def _cell(text: str) -> Any:
@@ -183,7 +191,7 @@ def _parquet(path: Path) -> Iterator[Found]:
             if isinstance(error, InputError):
                 raise
             raise InputError(
-                f"{path.name} is not Parquet that can be read: {short(str(error))}"
+                f"{path.name} is not Parquet that can be read: {clipped(str(error))}"
             ) from None
 
 
@@ -201,7 +209,7 @@ def _toml(path: Path) -> Iterator[Found]:
     if not (tables := read_toml(path)):
         return
     try:
-        for row in product(tables):
+        for row in grid_rows(tables):
             yield None, row
     except (InputError, RecursionError) as error:
         raise InputError(f"{path.name}: {_why(error)}") from None
@@ -236,10 +244,10 @@ def _where(path: Path, error: BaseException) -> str:
         lines.append(error.lineno)
     line = f", line {lines[-1]}" if lines else ""
     kind = "" if isinstance(error, FacerenderError) else f"{type(error).__name__}: "
-    return f"{path.name}{line}: {kind}{short(str(error))}"
+    return f"{path.name}{line}: {kind}{clipped(str(error))}"
 
 
-_FORMS: dict[str, Callable[[Path], Iterator[Found]]] = {
+_FORMATS: dict[str, Callable[[Path], Iterator[Found]]] = {
     ".jsonl": _jsonl,
     ".csv": _csv,
     ".parquet": _parquet,
