@@ -1,7 +1,8 @@
-"""What a batch costs its driver: seconds and memory of 10^6 jobs of which none is drawn, and of a
-second run of a batch that is done.
+"""Cost of a batch for its coordinator: time and memory of 10^6 jobs, of which none is drawn, and of
+a second run of a batch that is done.
 
-    python benchmarks/batch_driver.py [--jobs 1000000] [--done 10000] [--formats toml csv jsonl]
+    python benchmarks/batch_coordinator.py [--jobs 1000000] [--done 10000]
+        [--formats toml csv jsonl]
 
 Chunks go to an engine that takes and answers them without drawing. Of the batch that is done, the
 files are written by what workers write with, and are a few bytes each.

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
@@ -31,6 +32,7 @@ from facerender.batch.storage import Storage
 from facerender.batch.supervisor import CannotDraw, draw_chunk
 from facerender.commands import main
 from facerender.loading.named import named_files
+from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 
 COMMAND = [sys.executable, "-m", "facerender", "batch"]
@@ -132,6 +134,46 @@ def test_images_are_those_of_a_renderer(table, draw, tmp_path):
         renderer.render(fr.Scene(mesh, fr.Camera(-30.0))).save(tmp_path / "alone.png")
     alone = (tmp_path / "alone.png").read_bytes()
     assert (tmp_path / "out/data/one/image.png").read_bytes() == alone
+
+
+def test_a_planned_scene_is_drawn_as_render_draws_it(table, draw, tmp_path):
+    """A scene of `facerender plan`, named by the command or by a job."""
+    planned, size = str(tmp_path / "planned.toml"), ("--size", "48")
+    where = (*size, "--camera", "0", "--camera", "-60,20", "--scene", planned)
+    plan = ["plan", str(MINI_HEAD), "--budget", "24/255", "--within", "90%", "--m", "0.3", *where]
+    assert main([*plan, "--backend", "egl", "--quiet"]) == 0
+    detail = tomllib.loads(Path(planned).read_text())["planned"]
+    assert detail.get("drawn_samples", 4) < 4 or "triangles" in detail or not detail["backs"]
+    jobs = rows(3, mesh=str(MINI_HEAD), outputs="image,specular")
+    draw(table(jobs), "command", "--scene", planned)
+    draw(table([{**job, "scene": planned} for job in jobs]), "job", *size)
+    assert tree(tmp_path / "command/data") == tree(tmp_path / "job/data")
+    draw(table(jobs), "exact")
+    for job in jobs:
+        for only in ("image", "specular"):
+            words = [
+                "render",
+                str(MINI_HEAD),
+                "--scene",
+                planned,
+                *size,
+                "-o",
+                str(tmp_path / "a.png"),
+            ]
+            words += ["--camera", f"{job['camera.azimuth']}"]
+            assert main(words + ["--only", only] * (only != "image")) == 0
+            file = f"data/{job['id']}/{only}.png"
+            assert (tmp_path / "command" / file).read_bytes() == (tmp_path / "a.png").read_bytes()
+            assert (tmp_path / "exact" / file).read_bytes() != (tmp_path / "a.png").read_bytes()
+
+    draw(table([jobs[0] | {"image.size": 64}, jobs[1]]), "other", "--scene", planned)
+    records = list(map(json.loads, (tmp_path / "other/jobs.jsonl").read_text().splitlines()))
+    assert [record["planned"] for record in records] == [False, True]
+    assert "its error is unknown; plan for this size" in records[0]["warnings"][0]
+    (tmp_path / "whole.toml").write_text(Path(planned).read_text().partition("[planned]")[0])
+    draw(table([jobs[0] | {"image.size": 64}]), "whole", "--scene", str(tmp_path / "whole.toml"))
+    file = "data/job000/image.png"
+    assert (tmp_path / "other" / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
 
 
 def test_a_second_run_draws_nothing(table, draw, small):
@@ -281,18 +323,20 @@ def test_a_worker_that_ends_before_it_is_written_to(table, small, tmp_path):
     assert json.loads(found.stdout.splitlines()[0])["deaths"] == 1
 
 
-def test_a_table_that_is_another_each_time(table, draw, small, tmp_path, capsys):
+def test_a_table_is_read_once(draw, small, tmp_path):
+    """A program may yield other rows the next time."""
     path = tmp_path / "jobs.py"
     path.write_text(
-        "import random\n"
+        "import random\nfrom pathlib import Path\n"
         "def jobs():\n"
-        f"    for i in range(4):\n"
+        f"    with Path({str(tmp_path / 'calls')!r}).open('a') as file:\n"
+        "        file.write('called ')\n"
+        "    for i in range(4):\n"
         f"        yield {{'mesh': {str(small)!r}, 'camera.azimuth': random.random()}}\n"
     )
-    found = draw(str(path), "out")
-    assert found["status"] == 2
-    assert "the table of jobs, or a file that it names, has changed" in found["err"]
-    assert not list((tmp_path / "out").glob("records/*"))
+    found = draw(str(path), "out", "--chunk", "2")
+    assert (found["status"], found["drawn"]) == (0, 4)
+    assert (tmp_path / "calls").read_text() == "called "
 
 
 @pytest.mark.parametrize("layout", ["files", "shards"])

@@ -19,7 +19,7 @@ from PIL import Image
 
 import facerender as fr
 from facerender.batch.outputs import OUTPUTS, camera_facts, draw, transforms_frame
-from facerender.images.image import read_image
+from facerender.images.read import read_image
 from facerender.scenes.planned import Planned
 from facerender.scenes.scene import ONLY
 
@@ -89,7 +89,8 @@ def test_a_planned_job_is_drawn_as_planned(head, drawing, how, tmp_path):
     assert "planned" not in whole.facts
     assert drawn.files["image.png"] != whole.files["image.png"]
     elsewhere = replace(job, planned=replace(planned, sizes=((512, 512),)))
-    drawn = draw(elsewhere, head, drawing, ("image",), 0.0)
+    with pytest.warns(fr.FacerenderWarning, match="was planned for 512 x 512 pixels with 4 samp"):
+        drawn = draw(elsewhere, head, drawing, ("image",), 0.0)
     assert drawn.facts["planned"] is False
     assert drawn.files == whole.files
 
@@ -102,7 +103,7 @@ def test_the_same_bytes_from_another_renderer(head, drawing, egl):
     assert first.facts == again.facts == json.loads(json.dumps(first.facts))
 
 
-def test_what_is_drawn_once_serves_all_passes(head, drawing, monkeypatch):
+def test_what_is_drawn_once_serves_all_outputs(head, drawing, monkeypatch):
     calls = []
     for name in ("render", "gbuffer"):
         plain = getattr(fr.Renderer, name)
@@ -195,7 +196,7 @@ def test_layers_hold_every_pass(halves, drawing, tmp_path):
 
 
 def test_what_cannot_be_drawn_is_told(head, drawing, monkeypatch):
-    with pytest.raises(fr.InputError, match=r"unknown pass 'norml'; known: image, specular"):
+    with pytest.raises(fr.InputError, match=r"unknown output 'norml'; known: image, specular"):
         draw(job_of(), head, drawing, ("norml",), 0.0)
     many = replace(head, parts=head.parts * 65536, materials=head.materials * 65536)
     with pytest.raises(fr.InputError, match=r"65536 parts, and parts.png numbers 65535: ask for"):

@@ -10,7 +10,8 @@ import re
 import runpy
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,7 @@ def _nested(row: Any) -> Table | InputError:
         return error
 
 
-def _lines(path: Path) -> Iterator[str]:
+def _lines(path: Path) -> Generator[str, None, None]:
     """Yield the lines of a file of text.
 
     Raises
@@ -133,29 +134,32 @@ _JSON = json.JSONDecoder(object_pairs_hook=_object, parse_constant=_no_constant)
 
 
 def _csv(path: Path) -> Iterator[Found]:
-    reader = csv.reader(_lines(path), strict=True)
-    rows = ([cell.strip() for cell in cells] for cells in reader)
+    with closing(_lines(path)) as lines:
+        reader = csv.reader(lines, strict=True)
+        rows = ([cell.strip() for cell in cells] for cells in reader)
+        try:
+            names = next(filter(any, rows), [])
+            _check_columns(path, names)
+            readers = [str if name in _TEXT else _cell for name in names]
+            for cells in filter(any, rows):
+                yield reader.line_num, _csv_row(names, readers, cells)
+        except csv.Error as error:
+            raise InputError(f"{path.name}, line {reader.line_num} is not CSV: {error}") from None
+
+
+def _csv_row(
+    names: list[str], readers: Sequence[Callable[[str], Any]], cells: list[str]
+) -> Table | InputError:
+    if len(cells) != len(names):
+        return InputError(
+            f"{len(cells)} cells under {len(names)} columns: give as many, and quote cells with "
+            "commas"
+        )
     try:
-        names = next(filter(any, rows), [])
-        _check_columns(path, names)
-        readers = [str if name in _TEXT else _cell for name in names]
-        for cells in filter(any, rows):
-            row: Table | InputError
-            try:
-                if len(cells) != len(names):
-                    raise InputError(
-                        f"{len(cells)} cells under {len(names)} columns: give as many, and quote "
-                        "cells with commas"
-                    )
-                each = zip(names, readers, cells, strict=True)
-                row = nested({name: read(cell) for name, read, cell in each if cell})
-            except InputError as error:
-                row = error
-            except (ValueError, RecursionError) as error:
-                row = InputError(f"a cell cannot be read: {_why(error)}")
-            yield reader.line_num, row
-    except csv.Error as error:
-        raise InputError(f"{path.name}, line {reader.line_num} is not CSV: {error}") from None
+        each = zip(names, readers, cells, strict=True)
+        return _nested({name: read(cell) for name, read, cell in each if cell})
+    except (ValueError, RecursionError) as error:
+        return InputError(f"a cell cannot be read: {_why(error)}")
 
 
 def _check_columns(path: Path, names: list[str]) -> None:

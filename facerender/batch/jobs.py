@@ -7,7 +7,8 @@ import os
 import re
 import string
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePath
@@ -186,15 +187,16 @@ def read_jobs(path: str | os.PathLike[str], common: Mapping[str, Any] = {}) -> I
     InputError : a file that cannot be read or has no rows, or a row with an invalid key, id,
         output or exposure. Values of tables are not checked
     """
-    for _, row in _rows(path, common):
-        if isinstance(row, InputError):
-            raise row
-        yield row
+    with closing(_rows(path, common)) as rows:
+        for _, row in rows:
+            if isinstance(row, InputError):
+                raise row
+            yield row
 
 
 def _rows(
     path: str | os.PathLike[str], common: Mapping[str, Any]
-) -> Iterator[tuple[str, Row | InputError]]:
+) -> Generator[tuple[str, Row | InputError], None, None]:
     """Yield rows, or the errors of bad ones, each with its position for messages."""
     name = PurePath(path).name
     own, folder = nested(common), os.getcwd()
@@ -222,7 +224,7 @@ def _over_scene(tables: Table, scene: Any, folder: str) -> Table:
     if scene is None:
         return tables
     check_path("scene", scene)
-    return merged(_scene_tables(_absolute(scene, "scene", folder)), tables)
+    return merged(_scene_tables(os.fspath(scene), folder), tables)
 
 
 def _row(number: int, values: Table, folder: str) -> Row:
@@ -258,8 +260,9 @@ def _row(number: int, values: Table, folder: str) -> Row:
 
 
 @lru_cache(64)
-def _scene_tables(path: str) -> Table:
-    """The tables of a scene file, such as `facerender plan` writes."""
+def _scene_tables(path: str, folder: str) -> Table:
+    """Return the tables of a scene file, such as `facerender plan` writes; `folder` is the current
+    one."""
     return nested(read_toml(Path(path)))
 
 

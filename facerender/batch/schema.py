@@ -15,6 +15,7 @@ from facerender.scenes.camera import FRAMES, Camera
 from facerender.scenes.file import EnvironmentFile
 from facerender.scenes.light import LIGHTS, Light
 from facerender.scenes.material import MAPS, Alpha, Material
+from facerender.scenes.planned import Planned
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import Vector
 from facerender.shading import (
@@ -49,6 +50,7 @@ def schema() -> Schema:
             "default": _data(Scene.background),
         },
         "shading": _shading(),
+        "planned": _table("planned", Planned),
         "image": _table("image", ImageSettings),
     }
     low, high = EXPOSURE_LIMITS
@@ -67,6 +69,7 @@ def schema() -> Schema:
             "default": [OUTPUTS[0]],
         },
         "exposure": {"type": "number", "minimum": low, "maximum": high, "default": 0.0},
+        "scene": {"type": "string", "description": "a scene file; the row lies over its tables"},
     }
     dotted = {
         f"^{key}$": each
@@ -202,6 +205,7 @@ _side = {
     "type": "integer",
     **dict(zip(("minimum", "maximum"), LIMITS["image"]["size"], strict=True)),
 }
+_count: Schema = {"type": "integer", "minimum": 1}
 _names: Schema = {
     "anyOf": [
         {"type": "array", "items": {"type": "string"}},
@@ -257,6 +261,14 @@ _SPECIAL: dict[str, Schema] = {
     "shading.shadow_lights": _indices,
     "shading.frontal_lights": _indices,
     "shading.lights": {},
+    "planned.sizes": {
+        "type": "array",
+        "items": {"type": "array", "items": _side, **_exactly(2)},
+        "minItems": 1,
+    },
+    "planned.samples": _count,
+    "planned.drawn_samples": _count,
+    "planned.triangles": _count,
     "image.size": {
         "anyOf": [
             {"type": "array", "items": _side, **_exactly(2)},

@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
 
-from facerender.images.image import save_exr
+from facerender.images.exr import save_exr
 from facerender.scenes.file import scene_toml
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
@@ -276,7 +276,7 @@ def options() -> Iterator[Sequence[str]]:
 def tables() -> Iterator[tuple[str, bytes]]:
     """Yield tables of jobs."""
     rows = [
-        {"id": "a", "camera": {"azimuth": 10}, "material": {"m": 0.3}, "outputs": ["image", "mask"]},
+        {"id": "a", "camera": {"azimuth": 10}, "material.m": 0.3, "outputs": ["image", "mask"]},
         {"id": "b", "lights": ["key"], "image": {"size": [64, 64]}, "exposure": 0.5},
     ]
     yield "a.jsonl", b"".join(json.dumps(row).encode() + b"\n" for row in rows)
