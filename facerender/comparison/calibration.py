@@ -26,7 +26,7 @@ from facerender.comparison.settings import NAMES
 from facerender.comparison.verdict import changed_alike
 from facerender.errors import InputError, reason
 from facerender.images.image import Encoding, Picture, encode_srgb8, read_image, srgb_to_linear
-from facerender.system.progress import Progress, unheard
+from facerender.system.progress import Progress, no_progress
 
 MARGIN = 1.5
 # What rounding to half floats or steps of 8 bits needs, and a camera or samples that move by 0.1
@@ -147,7 +147,7 @@ def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
 def calibration_of(
     pairs: list[tuple[str, Path, Path]],
     mask: NDArray[Any] | None = None,
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
 ) -> list[Calibration]:
     """Return limits that pairs of images pass, for linear and for 8-bit ones.
 
