@@ -31,7 +31,7 @@ from facerender.system import forked  # noqa: F401  # notes the process
 
 if TYPE_CHECKING:
     from facerender import brdf, lobes
-    from facerender.comparison.gates import compare
+    from facerender.comparison.compare import compare
     from facerender.drawing.frame import Frame, GBuffer
     from facerender.drawing.renderer import Renderer, render
     from facerender.errors import ContextError, FacerenderError, FacerenderWarning, InputError
@@ -110,7 +110,7 @@ __all__ = [
 
 _HOMES = {
     "images.animation": ("save_animation",),
-    "comparison.gates": ("compare",),
+    "comparison.compare": ("compare",),
     "drawing.frame": ("Frame", "GBuffer"),
     "drawing.renderer": ("Renderer", "render"),
     "errors": ("ContextError", "FacerenderError", "FacerenderWarning", "InputError"),

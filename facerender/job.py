@@ -10,7 +10,7 @@ from operator import index
 from typing import Any
 
 from facerender.errors import InputError, check_range
-from facerender.images.image import format_of
+from facerender.images.write import format_of
 from facerender.loading import cached_mesh, check_normal_map_y, load_mesh
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import KEYS, EnvironmentFile, from_table, scene_value, toml_text

@@ -19,7 +19,7 @@ from PIL import Image
 
 import facerender as fr
 from facerender.batch.passes import PASSES, camera_facts, draw, transforms_frame
-from facerender.images.image import read_image
+from facerender.images.read import read_image
 from facerender.scenes.planned import Planned
 from facerender.scenes.scene import ONLY
 

@@ -14,7 +14,8 @@ from facerender.batch.jobs import PASSES, file_name
 from facerender.drawing.frame import Frame
 from facerender.drawing.reference import data_view
 from facerender.errors import InputError
-from facerender.images.image import exr_bytes, openexr, png_bytes
+from facerender.images.exr import exr_bytes, openexr
+from facerender.images.write import png_bytes
 from facerender.job import Job
 from facerender.scenes.lod import simplified
 from facerender.scenes.mesh import Mesh

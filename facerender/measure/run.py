@@ -18,7 +18,7 @@ from facerender.drawing.context import Backend, create_context
 from facerender.drawing.prepare import start_maps
 from facerender.drawing.renderer import Renderer
 from facerender.errors import NotMeasured
-from facerender.images.image import encode_srgb8
+from facerender.images.srgb import encode_srgb8
 from facerender.measure import error
 from facerender.measure.antialiasing import antialiasing
 from facerender.measure.measurement import (

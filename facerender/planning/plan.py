@@ -19,7 +19,7 @@ from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError, check_switch, check_type, each_of, warn
 from facerender.glsl.code import call
 from facerender.glsl.library import Language, Target, term_source
-from facerender.images.image import save_png
+from facerender.images.write import save_png
 from facerender.planning.bound import Unbounded, bound
 from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import Constants

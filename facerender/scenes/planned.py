@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from operator import index
 
 from facerender.errors import InputError, shown
-from facerender.images.image import MAX_SIDE
+from facerender.images.decode import MAX_SIDE
 from facerender.scenes.lod import simplified
 from facerender.scenes.scene import Scene
 

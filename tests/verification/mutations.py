@@ -16,7 +16,7 @@ from scipy import ndimage
 import facerender as fr
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.program import Program
-from facerender.images.image import srgb_to_linear
+from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import view_of
 

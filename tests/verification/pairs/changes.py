@@ -16,7 +16,7 @@ from PIL import Image, ImageCms, ImageFilter, ImageOps
 from scipy import ndimage
 
 import facerender as fr
-from facerender.images.image import png_bytes
+from facerender.images.write import png_bytes
 from facerender.scenes.mesh import Part
 from tests.verification import chromium
 from tests.verification.mutations import bright, edge, set_pixels
