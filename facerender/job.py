@@ -9,12 +9,13 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from facerender.errors import InputError, shown
-from facerender.images.image import MAX_SIDE, format_of
-from facerender.loading import check_normal_map_y, kept_mesh, load_mesh
+from facerender.images.decode import MAX_SIDE
+from facerender.images.write import format_of
+from facerender.loading import cached_mesh, check_normal_map_y, load_mesh
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import KEYS, EnvironmentFile, from_table, scene_value, toml_text
-from facerender.scenes.levels import simplified
 from facerender.scenes.light import Light
+from facerender.scenes.lod import simplified
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import TRIANGLES, Mesh, names_of
 from facerender.scenes.planned import Planned
@@ -72,9 +73,9 @@ class MeshFile:
         """Read the files; errors and warnings as of the functions named above."""
         return self._made(load_mesh(**self._files, cache=cache), cache)
 
-    def kept(self) -> Mesh | None:
+    def cached(self) -> Mesh | None:
         """Return the mesh if it is in the cache; warnings as of :meth:`load`."""
-        mesh = kept_mesh(**self._files)
+        mesh = cached_mesh(**self._files)
         return None if mesh is None else self._made(mesh, True)
 
     @property

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from facerender.comparison.gates import compare
+from facerender.comparison.compare import compare
 from tools.docs.comparison import gates
 
 ROOT = Path(__file__).parents[1]

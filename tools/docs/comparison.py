@@ -25,9 +25,9 @@ import numpy as np
 from scipy import ndimage
 
 import facerender as fr
-from facerender.comparison.gates import LIMITS, Comparison, compare
+from facerender.comparison.compare import LIMITS, Comparison, compare
 from facerender.comparison.verdict import FOREIGN, changed_alike
-from facerender.images.image import encode_srgb8
+from facerender.images.srgb import encode_srgb8
 from facerender.measure.tables import markdown_table
 from tests.verification.drivers import DRIVERS, draw_with
 from tests.verification.mutations import (

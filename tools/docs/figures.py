@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image
 
 import facerender as fr
-from facerender.images.image import encode_srgb8
+from facerender.images.srgb import encode_srgb8
 
 HERE = Path(__file__).parents[2] / "docs"
 

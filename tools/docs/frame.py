@@ -13,7 +13,7 @@ from unittest.mock import patch
 import numpy as np
 
 import facerender as fr
-from facerender.images.image import linear_to_srgb
+from facerender.images.srgb import linear_to_srgb
 from facerender.measure.antialiasing import antialiasing
 from facerender.measure.tables import SAMPLES_HEAD, markdown_table, sample_cells
 from facerender.planning.decisions import Decision

@@ -19,7 +19,7 @@ import numpy as np
 from PIL import Image
 
 import facerender as fr
-from facerender.images.image import encode_srgb8
+from facerender.images.srgb import encode_srgb8
 from facerender.measure.tables import markdown_table
 from tests.verification.skin import Subjects, subjects
 from tests.verification.slope_filter import Bench, relief
