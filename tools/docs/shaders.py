@@ -100,7 +100,7 @@ GL_GOOGLE_include_directive : require`; or `--target vulkan` | |
 | Direct3D, Unity, Unreal | `--target hlsl` | |
 | Metal | `--target msl` | |
 
-`tests/test_hosts.py` draws with naga, glslc, Qt's qsb, vispy, Panda3D, Babylon.js and PlayCanvas
+`tests/test_hosts.py` and `test_web.py` draw with naga, glslc, Qt's qsb, vispy, Panda3D, Babylon.js and PlayCanvas
 what OpenGL draws, within 1e-6 of the largest value.
 
 A roughness r of glTF, Unreal, three.js, Babylon.js or PlayCanvas is m = r^2: their alpha is r^2
