@@ -17,9 +17,9 @@ from scipy import ndimage
 
 import facerender as fr
 from benchmarks.data import meshes, save
-from facerender.comparison.gates import Comparison, compare
+from facerender.comparison.compare import Comparison, compare
 from facerender.comparison.verdict import changed_alike
-from facerender.images.image import encode_srgb8
+from facerender.images.srgb import encode_srgb8
 from tests.verification.drivers import DRIVERS, draw_with
 from tests.verification.mutations import (
     BROKEN,

@@ -15,7 +15,7 @@ import numpy as np
 
 import facerender as fr
 from benchmarks.data import meshes, save, scenes
-from facerender.images.image import linear_to_srgb
+from facerender.images.srgb import linear_to_srgb
 from facerender.measure.antialiasing import antialiasing
 from facerender.planning.decisions import Decision
 from facerender.pricing.frame import ratio

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.comparison import gates
-from facerender.comparison.gates import compare
+from facerender.comparison.compare import compare
 from tools.docs import tables
 from tools.docs.__main__ import main
 from tools.docs.blocks import BlockError, blocks_of, fill, found, pages, stale

@@ -13,7 +13,7 @@ import pytest
 
 import facerender as fr
 from facerender.drawing import reference
-from facerender.images.image import linear_to_srgb
+from facerender.images.srgb import linear_to_srgb
 from facerender.planning.bound import bound
 from facerender.planning.budget import Budget
 from facerender.planning.candidates import Constants, candidates

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 
 import facerender as fr
-from facerender.images.image import encode_srgb8
+from facerender.images.srgb import encode_srgb8
 from facerender.scenes.environment import studio
 from facerender.scenes.texture import Texture
 from tests.verification.environment import sky

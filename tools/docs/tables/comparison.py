@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from facerender.comparison.gates import LIMITS
+from facerender.comparison.compare import LIMITS
 from facerender.comparison.verdict import FOREIGN
 from facerender.measure.tables import markdown_table
 from tests.verification.pairs.verdicts import FACERENDER, Summary, read_summary

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 import facerender as fr
-from facerender.scenes import levels
+from facerender.scenes import lod
 from facerender.scenes.mesh import Part
 from tests.awkward_files import MINI_HEAD
 
@@ -177,7 +177,7 @@ def test_too_few_triangles_are_told_and_every_part_keeps_one(renderer):
 
 def test_a_part_that_would_vanish_keeps_its_largest_face(monkeypatch):
     small = replace(torus(), positions=0.01 * torus().positions)
-    monkeypatch.setattr(levels, "_run", lambda faces, *rest: (faces[:2], *rest[:2]))
+    monkeypatch.setattr(lod, "_run", lambda faces, *rest: (faces[:2], *rest[:2]))
     with pytest.warns(fr.FacerenderWarning, match="to 2 triangles: it keeps 3"):
         level = fr.simplified(mesh_of(torus(), small), 2)
     assert [len(part.faces) for part in level.parts] == [2, 1]
@@ -230,13 +230,13 @@ def test_what_is_no_number_of_triangles(value):
 
 def test_without_wasmtime_the_remedy_is_told(monkeypatch):
     monkeypatch.setitem(sys.modules, "wasmtime", None)
-    levels._compiled.cache_clear()
+    lod._compiled.cache_clear()
     with pytest.raises(fr.InputError, match=r"wasmtime; pip install 'facerender\[lod\]'"):
         fr.simplified(mesh_of(torus()), 100)
 
 
 def test_a_mesh_too_large(monkeypatch):
-    monkeypatch.setattr(levels, "_MOST_BYTES", 2**10)
+    monkeypatch.setattr(lod, "_MOST_BYTES", 2**10)
     with pytest.raises(fr.InputError, match="made.glb is too large to simplify"):
         fr.simplified(mesh_of(torus()), 100)
 

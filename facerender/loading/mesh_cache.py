@@ -149,12 +149,9 @@ def _readers() -> list[tuple[str, int, int]]:
     the libraries that are installed."""
     specs = (importlib.util.find_spec(name) for name in _LIBRARIES)
     found = [Path(spec.origin) for spec in specs if spec and spec.origin]
-    for folder in ("loading", "scenes"):
+    for folder in ("images", "loading", "scenes"):
         found += sorted((_PACKAGE / folder).glob("*.py"))
-    facts = (
-        (path, path.stat())
-        for path in (*found, _PACKAGE / "images/image.py", _PACKAGE / "system/files.py")
-    )
+    facts = ((path, path.stat()) for path in (*found, _PACKAGE / "system/files.py"))
     return [(str(path), each.st_size, each.st_mtime_ns) for path, each in facts]
 
 

@@ -16,7 +16,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from facerender.comparison.gates import HIGHEST, Limits
+from facerender.comparison.compare import HIGHEST, Limits
 from facerender.errors import InputError, check_range, reason, shown
 from facerender.images.image import Encoding
 from facerender.system.atomic import write_bytes

@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 from facerender.comparison import flip
 from facerender.comparison.pairs import Pair
 from facerender.errors import InputError
-from facerender.images.image import Encoding, Picture, encode_srgb8, save_png
+from facerender.images.image import Encoding, ImageData
+from facerender.images.srgb import encode_srgb8
+from facerender.images.write import save_png
 
 MOST_SHOWN = 1 << 24  # pixels: what shows more is no page to look at
 HEAT = 1 << 17  # pixels of a page's heat map: FLIP takes 1.3 s for 1024 x 1024
@@ -36,7 +38,7 @@ _LONGEST_WEBP = 16383  # pixels a side
 Bytes = NDArray[np.uint8]
 
 
-def shown(picture: Picture) -> Bytes:
+def shown(picture: ImageData) -> Bytes:
     """Return what an image shows."""
     pixels = np.empty((*picture.pixels.shape[:2], 3), dtype=np.uint8)
     for rows in _strips(picture):
@@ -48,7 +50,7 @@ def shown(picture: Picture) -> Bytes:
     return pixels
 
 
-def thumbnail(picture: Picture, side: int) -> Bytes:
+def thumbnail(picture: ImageData, side: int) -> Bytes:
     """Return what an image shows, no side longer than so many pixels."""
     from PIL import Image
 
@@ -59,7 +61,7 @@ def thumbnail(picture: Picture, side: int) -> Bytes:
     return np.asarray(image)
 
 
-def difference(a: Picture, b: Picture) -> tuple[Bytes, float]:
+def difference(a: ImageData, b: ImageData) -> tuple[Bytes, float]:
     """Return the signed difference in the worst channel, linear below the floor and logarithmic
     above; and the largest difference, which has the full colour."""
     floor = FLOORS[a.encoding]
@@ -77,14 +79,14 @@ def difference(a: Picture, b: Picture) -> tuple[Bytes, float]:
     return pixels, largest
 
 
-def _signed(a: Picture, b: Picture, rows: slice) -> NDArray[np.float32]:
+def _signed(a: ImageData, b: ImageData, rows: slice) -> NDArray[np.float32]:
     """Return b less a in the worst channel."""
     signed = b.rows(rows)[0] - a.rows(rows)[0]
     worst = np.abs(signed).argmax(axis=-1)[..., None]
     return np.asarray(np.take_along_axis(signed, worst, axis=-1)[..., 0])
 
 
-def _strips(picture: Picture) -> Iterator[slice]:
+def _strips(picture: ImageData) -> Iterator[slice]:
     for top in range(0, len(picture.pixels), _STRIP):
         yield slice(top, top + _STRIP)
 
@@ -114,7 +116,7 @@ def small_heat_map(a: Bytes, b: Bytes) -> Bytes:
     return flip.heat_map(seen_a / 255.0, seen_b / 255.0, step)
 
 
-def heat_map(a: Picture, b: Picture) -> Bytes:
+def heat_map(a: ImageData, b: ImageData) -> Bytes:
     """Return FLIP of two images of one size.
 
     Raises

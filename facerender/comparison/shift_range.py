@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from facerender.comparison.neighbourhoods import Float, Mask, filtered
-from facerender.images.image import Picture, Range
+from facerender.images.image import ImageData, PixelRange
 
 FARTHEST = 0.1  # pixels
 # Pixels to the right and down by which an image is moved: circles, as what is fine comes and goes.
@@ -26,7 +26,7 @@ _RELATIVE = 0.01  # of the level that a value may leave the range by
 _ALPHA = 0.01  # likewise of coverage
 
 
-def range_of(pictures: Sequence[Picture]) -> Range:
+def range_of(pictures: Sequence[ImageData]) -> PixelRange:
     """Return what linear images of one size lie between: their colours where they are covered."""
     each = []
     for picture in pictures:
@@ -40,10 +40,10 @@ def range_of(pictures: Sequence[Picture]) -> Range:
         values = choose.reduce(each).clip(-_HIGHEST, _HIGHEST).astype(np.float16)
         with np.errstate(over="ignore"):
             ends.append(np.nextafter(values, np.float16(beyond)))
-    return Range(*ends)
+    return PixelRange(*ends)
 
 
-def explained(moved: Range, color: Float, alpha: Float, least: float) -> tuple[Mask, Mask]:
+def explained(moved: PixelRange, color: Float, alpha: Float, least: float) -> tuple[Mask, Mask]:
     """Return where the range explains colour, and where coverage: (H, W) each. Colours may lie in
     that of 3 x 3 pixels, darker ones too where the background is uncovered.
 

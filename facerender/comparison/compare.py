@@ -17,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.comparison import neighbourhoods as nearby
-from facerender.comparison.evidence import BLOCK, LINEAR, MOVED, STEPS, Evidence, Sums
-from facerender.comparison.movement import explained
+from facerender.comparison.blocks import BLOCK, LINEAR, MOVED, STEPS, Evidence, Sums
 from facerender.comparison.neighbourhoods import Float, Mask, excess, filtered, holes
+from facerender.comparison.shift_range import explained
 from facerender.comparison.verdict import reasons_of
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, check_range
-from facerender.images.image import Encoding, Picture, Range, picture_of, read_image
+from facerender.images.image import Encoding, ImageData, PixelRange, image_from_array
+from facerender.images.read import read_image
 
 MARGIN = 2  # pixels from the edge of the coverage, where a block does not look
 FADED = 0.2  # excess of coverage that counts as changed
@@ -33,7 +34,7 @@ _STRIP = 1 << 18  # pixels that are compared at once: what lies in caches, in wh
 _LOOSER = 3.0  # standard errors of a block, that a looser limit for blocks adds
 _HALO = 8  # rows beyond a strip that its pixels are compared with
 
-Comparable = Picture | Frame | NDArray[Any] | str | os.PathLike[str]
+Comparable = ImageData | Frame | NDArray[Any] | str | os.PathLike[str]
 
 
 @dataclass(frozen=True)
@@ -249,7 +250,7 @@ class _Strip:
     total: float
 
     @classmethod
-    def of_all(cls, a: Picture, b: Picture, counts: Mask | None, limits: Limits) -> _Strip:
+    def of_all(cls, a: ImageData, b: ImageData, counts: Mask | None, limits: Limits) -> _Strip:
         """Return what all rows come to, found strip by strip."""
         height, width = a.pixels.shape[:2]
         tall = max(_STRIP // width // BLOCK, 1) * BLOCK
@@ -270,7 +271,9 @@ class _Strip:
         )
 
     @classmethod
-    def of(cls, a: Picture, b: Picture, counts: Mask | None, rows: slice, limits: Limits) -> _Strip:
+    def of(
+        cls, a: ImageData, b: ImageData, counts: Mask | None, rows: slice, limits: Limits
+    ) -> _Strip:
         """Return what these rows come to; counts is of the whole images."""
         around = slice(max(rows.start - _HALO, 0), min(rows.stop + _HALO, a.pixels.shape[0]))
         own = slice(rows.start - around.start, rows.stop - around.start)
@@ -283,8 +286,8 @@ class _Strip:
         found = excess(color_a, color_b, covered, limits.point, relative)
         black = holes(color_a, color_b, covered, relative)
         unexplained = uncovered = counted
-        if a.moved is not None:
-            moved = Range(*(end[around] for end in a.moved))
+        if a.shift_range is not None:
+            moved = PixelRange(*(end[around] for end in a.shift_range))
             colors, coverage = explained(moved, color_b, alpha_b, limits.point)
             unexplained, uncovered = counted & ~colors, counted & ~coverage
         value = np.where(unexplained, found.value, np.float32(0.0))[own]
@@ -325,7 +328,7 @@ def _faded(a: Float, b: Float, counted: Mask, rows: slice) -> int:
     return int((changed & counted)[rows].sum())
 
 
-def _counting(mask: NDArray[Any], picture: Picture) -> Mask:
+def _counting(mask: NDArray[Any], picture: ImageData) -> Mask:
     """Return where a mask says that pixels of an image count."""
     counts: Mask = np.asarray(mask) != 0
     if counts.shape != picture.pixels.shape[:2]:
@@ -336,7 +339,7 @@ def _counting(mask: NDArray[Any], picture: Picture) -> Mask:
     return counts
 
 
-def _foreign(given: tuple[Comparable, Comparable], pictures: tuple[Picture, Picture]) -> bool:
+def _foreign(given: tuple[Comparable, Comparable], pictures: tuple[ImageData, ImageData]) -> bool:
     """Return whether another driver drew the image. Files that do not say so are of nobody known,
     arrays of whoever drew what they are compared with."""
     if any(isinstance(each, np.ndarray) for each in given):
@@ -348,18 +351,18 @@ def _foreign(given: tuple[Comparable, Comparable], pictures: tuple[Picture, Pict
     return one != other
 
 
-def as_picture(given: Comparable, name: str) -> Picture:
+def as_picture(given: Comparable, name: str) -> ImageData:
     """Return the image as pixels, whatever it was given as; name serves for errors."""
-    if isinstance(given, Picture):
+    if isinstance(given, ImageData):
         return given
     if isinstance(given, Frame):
-        return Picture(given.linear, "linear", name, given.metadata)
+        return ImageData(given.linear, "linear", name, given.metadata)
     if isinstance(given, (str, os.PathLike)):
         return read_image(given)
-    return picture_of(np.asarray(given), name)
+    return image_from_array(np.asarray(given), name)
 
 
-def _check_alike(a: Picture, b: Picture) -> None:
+def _check_alike(a: ImageData, b: ImageData) -> None:
     if a.pixels.shape[:2] != b.pixels.shape[:2]:
         raise InputError(
             f"{a.name} is {_size(a.pixels)}, {b.name} is {_size(b.pixels)} pixels: render both at "
@@ -378,7 +381,7 @@ def _check_alike(a: Picture, b: Picture) -> None:
         raise InputError(f"{', '.join(spaces)}: convert one")
 
 
-def _check_finite(picture: Picture) -> None:
+def _check_finite(picture: ImageData) -> None:
     if picture.encoding == "srgb8":
         return
     good = np.abs(picture.pixels) <= np.float32(HIGHEST)  # which half floats would not hold

@@ -103,7 +103,7 @@ def _simplify(mesh: Mesh, triangles: int) -> Mesh:
         kept, numbers = np.unique(chosen, return_inverse=True)
         parts.append(
             Part(
-                mesh.denormalised(moved[kept]),
+                mesh.to_mesh_space(moved[kept]),
                 normals[kept],
                 numbers.reshape(chosen.shape).astype(np.uint32),
                 _places(part.uv, changed[kept, 3:5], scale[0] / mesh.radius),
