@@ -16,6 +16,8 @@ from pathlib import Path
 import numpy as np
 
 import facerender as fr
+from benchmarks.prices import amd
+from benchmarks.prices.table import cycles
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.prepare import simplify
 from facerender.drawing.program import Program
@@ -23,7 +25,6 @@ from facerender.measure.tables import markdown_table
 from facerender.planning.budget import ROUNDING, Budget
 from facerender.planning.candidates import DECISIONS, candidates, changed
 from facerender.planning.plan import Plan, plan
-from facerender.pricing import amd, fragment
 from facerender.pricing.table import load_prices
 from facerender.scenes.view import view_of
 from tests.verification.scan import load_scan, scan_folder
@@ -52,7 +53,7 @@ pixel, at 512 x 512: of float64 at the pixels' centres, and as drawn with {sampl
 Cost of a fragment's whole program, and in brackets of its specular terms, relative to the full
 shading; and what was chosen. Each column has plans of its own. The costs are sums of parts:
 nanoseconds measured on llvmpipe, and cycles that Mesa's compiler for AMD's GPUs estimates
-(`python -m facerender.pricing.table`).
+(`python -m benchmarks.prices table`).
 
 At the scene's camera, 35 degrees to the side of the face:
 
@@ -215,7 +216,7 @@ def compiled(found: Plan, family: str) -> float:
         (draw,) = shade_pass(simple, view_of(simple, 1.0), shading, 1).draws
         return draw.program
 
-    own, full = fragment.cycles([program(found.shading), program(found.full)], family)
+    own, full = cycles([program(found.shading), program(found.full)], family)
     return own / full
 
 

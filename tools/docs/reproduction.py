@@ -8,15 +8,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from facerender.measure.reproduce import reproduce
-from facerender.measure.reproduce.page import PAPER
+from benchmarks.paper.__main__ import reproduce
+from benchmarks.paper.report import PAPER
 from tools.docs.template import missing
 
 OUTPUT = Path(__file__).parents[2] / "docs/reproduction.md"
 
 TEXT = """# The paper's figures and claims, measured
 
-Written by `python -m tools.docs.reproduction`; `facerender reproduce` makes the same on your machine.
+Written by `python -m tools.docs.reproduction`; `python -m benchmarks.paper` makes the same on your machine.
 The paper is {paper}.
 
 D is the lobe of Cook-Torrance with its scale, D16 its approximation. "As printed" are the literal

@@ -11,10 +11,12 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from facerender.measure import report
-from facerender.measure.measurement import MODELS, Measurement
-from facerender.measure.tables import markdown_table
-from facerender.pricing.offline import GPUS
+from benchmarks.prices.amd import Statistics
+from benchmarks.prices.offline import GPUS
+from facerender.measure.measurement import MODELS, MeasuredVariant, Measurement
+from facerender.measure.pareto import CostKind
+from facerender.measure.tables import cost_tables, error_tables, markdown_table, tables_of
+from facerender.pricing.interval import Interval
 from facerender.pricing.table import FAMILY_NAMES, shipped, term_name
 from facerender.pricing.variants import SLOPE, Variant
 from facerender.shading import Term
@@ -22,6 +24,7 @@ from facerender.shading import Term
 HERE = Path(__file__).parents[2] / "docs"
 MEASUREMENT = HERE / "measurements" / "llvmpipe.json"
 TRADE = HERE / "trade.md"
+AMD = json.loads((HERE / "measurements" / "amd.json").read_text(encoding="utf-8"))
 COMPILED = [HERE / "measurements" / name for name in ("offline.json", "mobile.json")]
 README = HERE.parent / "README.md"
 MARKED = re.compile(r"(?<=<!-- python -m tools.docs.trade -->\n)(.*?)(?=<!-- end -->)", re.DOTALL)
@@ -30,7 +33,7 @@ IN_PROGRAM = """### {title}: what a light's term costs in the whole program
 
 Of a fragment: the first light's term / each further light's, which shares with it what depends on
 the fragment alone; in cycles of a wave, and nanoseconds on llvmpipe. Prices of
-`python -m facerender.pricing.table`, with Schlick's Fresnel term and V-cavities, all lobes equally
+`python -m benchmarks.prices table`, with Schlick's Fresnel term and V-cavities, all lobes equally
 lean; m as each fragment has it, or constant, {m}. Bold: no lobe is cheaper there, for one light or
 for many, and as exact at m = {m}.
 
@@ -56,9 +59,9 @@ Machine instructions that a term adds to a kernel which only sums up its inputs,
 many of them are for the slow unit of roots, reciprocals and transcendentals. Compiled, not run, by
 {compilers}: those of Intel (for 16 invocations) and NVIDIA (for 32) are their makers' own, from the
 terms in OpenCL C and CUDA C++ with relaxed arithmetic, which Intel's also reassociates;
-`python -m facerender.pricing.offline -o docs/measurements/offline.json` writes their figures.
+`python -m benchmarks.prices offline docs/measurements/offline.json` writes their figures.
 Those of Adreno and Mali are Mesa's, from the terms as Vulkan's SPIR-V, over the null drivers of
-Debian 13 for arm64, without what only waits on Adreno: `tools/mobile-compilers FOLDER`. There is no
+Debian 13 for arm64, without what only waits on Adreno: `python -m benchmarks.prices.mobile FOLDER`. There is no
 `--cost` of them: Intel's and NVIDIA's take no fragment program with textures, and Mesa's count
 instructions where a plan needs cycles.
 
@@ -82,14 +85,30 @@ def headline(measurement: Measurement) -> str:
             exact = variant.lobe == "exact" and not variant.printed
             cells = rows.setdefault(f"**{variant.name}**" if exact else variant.name, [])
             cells.append(f"{cost.term_ns.value:.2f}, {cost.term_ns.value / base.term_ns.value:.2f}")
-            if cost.navi21 and base.navi21:
-                cycles = cost.navi21.inverse_throughput
-                cells.append(f"{cycles}, {cycles / base.navi21.inverse_throughput:.2f}")
-            else:
-                cells.append("-")
+            cycles, of = (amd("navi21", each).inverse_throughput for each in (row, variants[0]))
+            cells.append(f"{cycles}, {cycles / of:.2f}")
             error = row.error.lobe[measurement.settings.slope]
             cells.append("-" if error is None else f"{error:.2f}")
     return markdown_table(head, [[name, *cells] for name, cells in rows.items()]) + "\n"
+
+
+def amd(family: str, measured: MeasuredVariant) -> Statistics:
+    """Return the estimate for a variant of the compiler for a family of AMD's GPUs."""
+    variant = measured.variant
+    return Statistics(**AMD["statistics"][family][variant.model][variant.name])
+
+
+def amd_cost(family: str, title: str) -> CostKind:
+    """Return the cost on a family of AMD's GPUs, as a kind of cost beside the measured ones."""
+    return CostKind(
+        f"specular term on AMD {title}",
+        "cycles a wave",
+        lambda measured: Interval(*3 * (amd(family, measured).inverse_throughput,)),
+        {
+            "instructions": lambda measured: amd(family, measured).instructions,
+            "latency, cycles": lambda measured: amd(family, measured).latency,
+        },
+    )
 
 
 def trade(measurement: Measurement) -> str:
@@ -97,7 +116,11 @@ def trade(measurement: Measurement) -> str:
     facts = measurement.as_dict()["environment"]
     gpu = "No GPU has been measured." if measurement.environment.software else ""
     programs = "".join(in_program(measurement, model) for model in MODELS)
-    return HEAD.format(**facts, gpu=gpu) + programs + report.markdown(measurement) + others()
+    head = HEAD.format(**facts, amd_driver=AMD["driver"], gpu=gpu)
+    kinds = [amd_cost("navi21", "Navi 21"), amd_cost("vega10", "Vega 10")]
+    compiled = [table for kind in kinds for table in tables_of(measurement, kind)]
+    tables = [*cost_tables(measurement), *compiled, *error_tables(measurement)]
+    return head + programs + "\n\n".join(table.markdown() for table in tables) + others()
 
 
 def in_program(measurement: Measurement, model: str) -> str:

@@ -10,9 +10,9 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from benchmarks.paper.claims import Claim
+from benchmarks.paper.figures import CAPTIONS
 from facerender.measure.report import write_files
-from facerender.measure.reproduce.claims import Claim
-from facerender.measure.reproduce.figures import CAPTIONS
 from facerender.measure.tables import markdown_table
 from facerender.page.document import document, figure, row, table
 from facerender.pricing.interval import Interval
