@@ -20,7 +20,8 @@ import facerender as fr
 from facerender import brdf
 from facerender._version import __version__
 from facerender.drawing.context import Backend
-from facerender.images.image import linear_to_srgb, read_image, srgb_to_linear
+from facerender.images.read import read_image
+from facerender.images.srgb import linear_to_srgb, srgb_to_linear
 from tests.conftest import missing
 
 ROOT = Path(__file__).parents[1]

@@ -81,7 +81,6 @@ def test_files(result, tmp_path):
     assert "http" not in page
     for claim in result.claims:
         assert claim.measured in page
-        assert claim.measured in result.markdown("figures")
 
 
 def test_a_place_that_cannot_be_written_is_one_line(result, tmp_path):

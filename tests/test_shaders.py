@@ -15,9 +15,8 @@ from facerender import InputError, brdf, lobes, resolve_includes, shader_dir, sh
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.evaluate import Evaluator
 from facerender.glsl.code import defines, lobe_macros
-from facerender.glsl.dispatch import dispatch
 from facerender.shading import Term
-from facerender.terms import FRESNEL, LOBES, MASKING
+from facerender.terms import FRESNEL, LOBES, MASKING, Fresnel, Lobe, Masking, lobe_entry
 from tests.verification.cases import brdf_case, directions, flat, include
 
 COOK_TORRANCE = "fr_cook_torrance(n, l, v, m, 0.028)"
@@ -192,15 +191,97 @@ def test_unknown_lobe_does_not_compile(evaluate, name):
         evaluate(prelude, "fr_lobe(1.0, m, 0)", {"m": np.float32([0.3])})
 
 
-@pytest.mark.parametrize(("file", "text"), dispatch().items())
-def test_the_dispatch_is_what_the_registry_gives(file, text):
-    """python -m facerender.glsl.dispatch writes it anew."""
-    assert (shader_dir() / f"facerender/{file}.glsl").read_text(encoding="utf-8") == text
+GENERAL = {"FR_LOBE_OWN": 90, "FR_LOBE_EVERY": 91}  # numbers in lobe.glsl that are no lobe's
+DISPATCH: dict[str, list[Lobe | Fresnel | Masking]] = {
+    "lobe": [*LOBES.values(), lobe_entry(lobes.GPower(8, 0.25))],
+    "fresnel": [*FRESNEL.values()],
+    "masking": [*MASKING.values()],
+}
+
+
+def dispatch_faults(kind: str, text: str) -> list[str]:
+    """Tell what a file that chooses among terms lacks, has twice, or has for no entry."""
+    macros = {entry.macro: entry.number for entry in DISPATCH[kind]}
+    macros |= GENERAL if kind == "lobe" else {}
+    defined = re.findall(rf"^#define (FR_{kind.upper()}_\w+) (\d+)$", text, re.MULTILINE)
+    faults = [f"{name} {number}: no entry" for name, number in defined if name not in macros]
+
+    def once(line: str, found: list[str], wanted: str = "") -> None:
+        """Note a line unless it is found once, in the condition that is wanted."""
+        if found not in ([wanted], [line]):
+            faults.append(f"{kind}.glsl has {len(found)} times or wrongly: {line}")
+
+    def known(condition: str) -> list[str]:
+        return [each.removeprefix("FR_LOBE == ") for each in condition.split(" || ")]
+
+    for macro, number in macros.items():
+        once(f"#define {macro} {number}", re.findall(rf"^#define {macro} \d+$", text, re.MULTILINE))
+        if kind == "lobe":
+            condition, names = re.findall(r"^#if (.*)\n#else\n#error .* none of (.*):", text, re.M)[
+                0
+            ]
+            check = [each for each in known(condition) if each == macro]
+            once(f"FR_LOBE == {macro} in the #if before #error", check, macro)
+            listed = [each for each in names.split(", ") if each.endswith(f" {macro}")]
+            once(f"{number} {macro} in #error", listed, f"{number} {macro}")
+    for entry in DISPATCH[kind]:
+        branches = re.findall(rf"(.*)\n    if \({kind} == {entry.macro}\) return ", text)
+        include = re.findall(rf'(.*)\n#include "{entry.file}.glsl"\n', text)
+        guard = f"#if FR_LOBE == {entry.macro} || FR_LOBE == FR_LOBE_EVERY"
+        if kind == "lobe":
+            once(f"{guard} {{ if (lobe == {entry.macro}) return {entry.call}; }}", branches, guard)
+            own = [line for line in include if {entry.macro, "FR_LOBE_EVERY"} <= {*known(line[4:])}]
+            once(f'{guard} {{ #include "{entry.file}.glsl" }}', [guard for _ in own], guard)
+            continue
+        if entry.file != "constants":
+            once(f'#include "{entry.file}.glsl"', include, *include[:1])
+        default = entry.name in ("schlick", "v-cavity")  # what any other number gives
+        functions = len(re.findall(r"^\w+ \w+_(?:of|times)\(", text, re.MULTILINE))
+        if len(branches) != (0 if default else functions):
+            line = f"if ({kind} == {entry.macro}) return {entry.call};"
+            faults.append(f"{kind}.glsl has {len(branches)} times in {functions} functions: {line}")
+    return faults
+
+
+@pytest.mark.parametrize("kind", DISPATCH)
+def test_the_registry_and_the_dispatch_in_glsl_have_the_same_terms(kind):
+    text = (shader_dir() / f"facerender/{kind}.glsl").read_text(encoding="utf-8")
+    assert not dispatch_faults(kind, text)
+
+
+D8, ALSO = "#if FR_LOBE == FR_LOBE_D8 || FR_LOBE == FR_LOBE_EVERY", "|| FR_LOBE == FR_LOBE_D8 "
+
+
+@pytest.mark.parametrize(
+    ("kind", "line", "other", "told"),
+    [
+        ("lobe", "#define FR_LOBE_D8 8\n", "", "0 times or wrongly: #define FR_LOBE_D8 8"),
+        ("lobe", "#define FR_LOBE_D8 8\n", "#define FR_LOBE_D8 9\n", "#define FR_LOBE_D8 8"),
+        ("lobe", "#define FR_LOBE_D8 8\n", "#define FR_LOBE_D8 8\n" * 2, "2 times or wrongly"),
+        ("lobe", "#define FR_LOBE_D8 8\n", "#define FR_LOBE_D8 8\n#define FR_LOBE_TOY 40\n",
+         "FR_LOBE_TOY 40: no entry"),
+        ("lobe", ALSO, " ", "FR_LOBE == FR_LOBE_D8 in the #if before #error"),
+        ("lobe", ", 8 FR_LOBE_D8", "", "8 FR_LOBE_D8 in #error"),
+        ("lobe", f"{D8}\n    if (lobe == FR_LOBE_D8) return", "", f"{D8} {{ if (lobe =="),
+        ("lobe", "(lobe == FR_LOBE_D8)", "(lobe == FR_LOBE_D4)", "2 times or wrongly: #if FR"),
+        ("lobe", '#include "lobe/cosine.glsl"\n', "", '#include "lobe/cosine.glsl"'),
+        ("fresnel", '#include "fresnel/schlick.glsl"\n', "", '0 times or wrongly: #include'),
+        ("fresnel", "    if (fresnel == FR_FRESNEL_CONSTANT) return f0;\n", "",
+         "1 times in 2 functions: if (fresnel == FR_FRESNEL_CONSTANT) return f0;"),
+        ("masking", "#define FR_MASKING_NONE 2\n", "", "#define FR_MASKING_NONE 2"),
+        ("masking", "    if (masking == FR_MASKING_KELEMEN)", "    if (true)",
+         "0 times in 1 functions: if (masking == FR_MASKING_KELEMEN) return fr_masking_kelemen"),
+    ],
+)  # fmt: skip
+def test_a_fault_of_the_dispatch_names_the_line(kind, line, other, told):
+    text = (shader_dir() / f"facerender/{kind}.glsl").read_text(encoding="utf-8")
+    assert line in text
+    assert any(told in fault for fault in dispatch_faults(kind, text.replace(line, other)))
 
 
 def test_macros_of_terms_have_numbers_of_their_own():
-    for kind in (LOBES, FRESNEL, MASKING):
-        assert len({entry.number for entry in kind.values()}) == len(kind)
+    for entries in DISPATCH.values():
+        assert len({entry.number for entry in entries}) == len(entries)
 
 
 def test_a_lobe_that_is_not_there_gives_no_lobe(evaluate):

@@ -19,7 +19,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.images.image import linear_to_srgb
+from facerender.images.srgb import linear_to_srgb
 from facerender.scenes.light import LIGHTS
 from tests.conftest import missing, node_tool
 

@@ -22,14 +22,14 @@ from facerender.drawing.context import Backend
 from facerender.errors import FacerenderError, NotMeasured
 from facerender.measure import plots
 from facerender.measure.run import environment
-from facerender.system.progress import Bar, Progress, unheard
+from facerender.system.progress import Bar, Progress, no_progress
 
 
 def reproduce(
     repeats: int = 25,
     size: tuple[int, int] = (360, 420),
     backend: Backend = "auto",
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
 ) -> Reproduction:
     """Draw the paper's figures and measure what it claims.
 

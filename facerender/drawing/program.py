@@ -3,6 +3,7 @@ its uniforms. The renderer draws with it and ``pricing`` prices it. No OpenGL he
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -26,6 +27,8 @@ ATTRIBUTES = {
 }
 SHADOW_MAP = "shadow_map"  # the texture of all maps
 ENVIRONMENT_MAP = "environment_map"
+
+_COMMENT = re.compile(r"^ *//[^\n]*", re.MULTILINE)
 
 Uniforms = Mapping[str, Any]
 
@@ -139,10 +142,11 @@ class Program:
         head = "".join(f"#define {name}\n" for name in self.features)
         head += f"#define ENVIRONMENT_RADIANCE {self.environment}\n" * bool(self.environment)
         light = "" if self.lights is None else self._terms() + self._lights()
-        return {
-            stage: resolve_includes(f'#version {version}\n{head}{own}#include "host/{file}"\n')
-            for stage, own, file in (("vert", "", self.vertex), ("frag", light, self.fragment))
-        }
+        stages = {}
+        for stage, own, file in (("vert", "", self.vertex), ("frag", light, self.fragment)):
+            text = resolve_includes(f'#version {version}\n{head}{own}#include "host/{file}"\n')
+            stages[stage] = _COMMENT.sub("", text)  # half of the text, which drivers would read
+        return stages
 
     def _terms(self) -> str:
         if not self.calls:

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Literal
 from facerender._version import __version__
 from facerender.errors import InputError, check_range, check_type
 from facerender.glsl.code import defines, file_of, lobe_macros, term_macros
-from facerender.glsl.includes import Expansion
+from facerender.glsl.includes import Includes
+from facerender.glsl.preprocessor import Preprocessor
 from facerender.shading import SMALL_SLOPE, Term
 from facerender.system.data import data_dir
 from facerender.terms import LOBES, MODELS, AnyLobe, GPower, lobe_entry
@@ -113,22 +114,22 @@ def _flat(
         coefficients = [lobe.constants[0] for lobe in LOBES.values() if lobe.constants]
         chosen |= dict.fromkeys(["FR_SLOPE", *coefficients], "")
     closed = target in LANGUAGES
-    expansion = Expansion(shader_dir(), chosen, guards=target is None, closed=closed)
-    expansion.file(path)
-    if len(set(expansion.files)) < len(expansion.files):  # one that guards keep from coming twice
-        expansion = Expansion(shader_dir(), chosen, closed=closed)
-        expansion.file(path)
-    if lobe is not None and "facerender/lobe.glsl" not in expansion.files:
+    flat = Preprocessor(shader_dir(), chosen, guards=target is None, closed=closed)
+    flat.append_file(path)
+    if len(set(flat.files)) < len(flat.files):  # one that guards keep from coming twice
+        flat = Preprocessor(shader_dir(), chosen, closed=closed)
+        flat.append_file(path)
+    if lobe is not None and "facerender/lobe.glsl" not in flat.files:
         raise InputError(f"{name} does not use FR_LOBE: leave lobe {lobe} out")
     if m is not None:
-        macros = macros | _constant_slope(name, expansion, lobe, m)
+        macros = macros | _constant_slope(name, flat, lobe, m)
 
-    version = expansion.version
+    version = flat.version
     if target is not None:
         if version:
             raise InputError(f"{name} says {version}: leave that line, or the target, out")
         version = f"#version {TARGETS[target]}" if target in TARGETS else ""
-    label = expansion.files[0] if path.is_relative_to(shader_dir()) else path.name
+    label = flat.files[0] if path.is_relative_to(shader_dir()) else path.name
     origin = f"{label.encode(errors='replace').decode()} with what it includes of facerender"
     slope = "" if m is None else f", m = {m:g} whatever the caller passes"
     head = [
@@ -137,7 +138,7 @@ def _flat(
         "// SPDX-License-Identifier: MIT, (c) 2026 the facerender developers",
         defines(macros).rstrip(),
     ]
-    text = "\n".join([*filter(None, head), "", *expansion.lines])
+    text = "\n".join([*filter(None, head), "", flat.text])
     if target in LANGUAGES:
         from facerender.glsl.translate import translate
 
@@ -152,18 +153,18 @@ def resolve_includes(text: str) -> str:
     """Resolve the ``#include`` lines of a shader of yours: ``"file"`` and ``<file>`` below
     :func:`shader_dir`.
 
-    Each file comes once; branches of ``#if`` that the text's own macros decide are left out. Line
-    numbers in a compiler's messages stay those of your text, as source string 0; those of a file
-    of the library follow the number that its ``#line`` gives it.
+    Each file comes once; conditions stay for the compiler. Line numbers in a compiler's messages
+    stay those of your text, as source string 0; those of a file of the library follow the number
+    that its ``#line`` gives it.
 
     Raises
     ------
     InputError : a file that is missing, or that includes itself; the message gives the line
     """
     check_type("text", text, str, "GLSL as text")
-    expansion = Expansion(shader_dir(), numbered=True)
-    expansion.text(text.removeprefix("\ufeff"))
-    return "\n".join(expansion.lines)
+    resolved = Includes(shader_dir())
+    resolved.append(text.removeprefix("\ufeff"))
+    return resolved.text
 
 
 def translated(text: str, language: Language) -> str:
@@ -172,9 +173,9 @@ def translated(text: str, language: Language) -> str:
     :func:`shader_source`."""
     from facerender.glsl.translate import translate
 
-    expansion = Expansion(shader_dir(), closed=True)
-    expansion.text(text)
-    return translate(expansion.lines, language)
+    flat = Preprocessor(shader_dir(), closed=True)
+    flat.append(text)
+    return translate(flat.text.split("\n"), language)
 
 
 def moderngl_includes(context: moderngl.Context) -> None:
@@ -204,19 +205,19 @@ def _path(name: str) -> Path:
 
 
 def _constant_slope(
-    name: str, expansion: Expansion, lobe: AnyLobe | None, m: float
+    name: str, flat: Preprocessor, lobe: AnyLobe | None, m: float
 ) -> dict[str, str]:
     """Return the macros that make m a constant, and with it the coefficients of lobes."""
 
     def has(entry: Entry) -> bool:
-        return f"facerender/{entry.file}.glsl" in expansion.files
+        return f"facerender/{entry.file}.glsl" in flat.files
 
     if any(model.two and has(model.two) for model in MODELS.values()):
         raise InputError(f"{name} has two slopes: leave m = {m:g} out")
     used = sorted(filter(has, LOBES.values()), key=lambda each: each.name)
     if not used:
         raise InputError(f"{name} does not use a slope: leave m = {m:g} out")
-    if "facerender/lobe.glsl" in expansion.files and not expansion.knows("FR_LOBE"):
+    if "facerender/lobe.glsl" in flat.files and not flat.knows("FR_LOBE"):
         raise InputError(f"m = {m:g} without a lobe: say which, since each has its own domain")
     powers = list(dict.fromkeys(model.k for model in MODELS.values() if has(model)))
     powers = powers or list(TITLES)

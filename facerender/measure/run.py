@@ -17,7 +17,7 @@ from facerender._version import __version__
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.prepare import start_maps
 from facerender.drawing.renderer import Renderer
-from facerender.images.image import encode_srgb8
+from facerender.images.srgb import encode_srgb8
 from facerender.measure import error
 from facerender.measure.antialiasing import antialiasing
 from facerender.measure.measurement import (
@@ -41,7 +41,7 @@ from facerender.scenes.camera import Camera
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
 from facerender.shading import SMALL_SLOPE, Shading
-from facerender.system.progress import Progress, unheard
+from facerender.system.progress import Progress, no_progress
 from facerender.terms import LOBES
 
 SLOPES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
@@ -53,7 +53,7 @@ def measure(
     m: float = 0.3,
     quick: bool = False,
     backend: Backend = "auto",
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
 ) -> tuple[Measurement, list[Triptych]]:
     """Measure what every form and lobe of both models, and numbers of samples, cost and lose, on
     this machine.

@@ -61,13 +61,6 @@ class Table:
         row = "  " + "  ".join(map("{{:{}{}}}".format, signs, widths))
         return "\n".join([self.title, self.note, *(row.format(*line).rstrip() for line in lines)])
 
-    def markdown(self) -> str:
-        """Lay it out under a heading of the third level."""
-        if not self.rows:
-            return f"### {self.title}\n\nNot measured."
-        marks = ["---" if name in _LEFT else "---:" for name in self.head]
-        return f"### {self.title}\n\n{self.note}\n\n{markdown_table(self.head, self.rows, marks)}"
-
 
 def markdown_table(
     head: Sequence[str], rows: Sequence[Sequence[str]], marks: Sequence[str] = ()

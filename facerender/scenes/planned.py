@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 from operator import index
 
 from facerender.errors import InputError, shown
-from facerender.images.image import MAX_SIDE
-from facerender.scenes.levels import simplified
+from facerender.images.decode import MAX_SIDE
+from facerender.scenes.lod import simplified
 from facerender.scenes.scene import Scene
 
 _SAME_SHAPE = 1.01  # width over height, of rounded sizes
 
 
 @dataclass(frozen=True)
-class Detail:
+class LevelOfDetail:
     """How finely a frame is drawn.
 
     Attributes
@@ -101,10 +101,10 @@ class Planned:
         )
 
     @property
-    def detail(self) -> Detail:
+    def detail(self) -> LevelOfDetail:
         """How finely the frame is drawn that stands for a planned one."""
         samples = self.drawn_samples or self.samples
-        return Detail(samples, self.triangles, self.backs, self.once)
+        return LevelOfDetail(samples, self.triangles, self.backs, self.once)
 
     def __str__(self) -> str:
         ends = dict.fromkeys((min(self.sizes), max(self.sizes)))

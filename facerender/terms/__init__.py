@@ -1,6 +1,6 @@
 """The registry: each lobe, Fresnel term, masking term and model is one entry, which names its GLSL,
 its float64 twin beside it, its domain and its bounds. All that lists terms enumerates it: the
-command line, the dispatch in GLSL, documents, prices, the planner, tests."""
+command line, documents, prices, the planner, tests."""
 
 from facerender.terms.fresnel import FRESNEL, Fresnel
 from facerender.terms.lobe import LOBES, AnyLobe, GPower, Lobe, lobe_entry

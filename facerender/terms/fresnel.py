@@ -21,7 +21,6 @@ class Fresnel(Entry):
     Attributes
     ----------
     number : of its macro, unlike every other's
-    times : GLSL of it times a constant in (0, 1], float scale
     evaluate : the same in float64; checks its domain
     rounding : of f0 and V.H, how far float32 may be from it: relative to it, and absolute
     exactness : a plan may put terms of the same or a smaller one in its place
@@ -29,14 +28,10 @@ class Fresnel(Entry):
     """
 
     number: int
-    times: str = ""
     evaluate: Callable[[ArrayLike, ArrayLike], Float]
     rounding: Callable[[Float, Float], tuple[Float | float, Float | float]]
     exactness: int
     at_most_1: bool = False
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "times", self.times or f"scale * {self.call}")
 
     @property
     def macro(self) -> str:
@@ -100,7 +95,6 @@ FRESNEL: dict[str, Fresnel] = registry(
         number=0,
         file="fresnel/schlick",
         call="fr_fresnel_schlick(f0, v_dot_h)",
-        times="fr_fresnel_schlick_times(scale, f0, v_dot_h)",
         evaluate=fresnel_schlick,
         rounding=lambda f0, v_dot_h: (8.0 * ULP, 8.0 * ULP),
         exactness=1,

@@ -36,8 +36,6 @@ class Lobe(Entry):
     Attributes
     ----------
     number : of its macro, unlike every other's
-    within : GLSL that evaluates it within a BRDF, which has 1/m² already, of float inverse_m2 too;
-        "" where that is the call
     evaluate : the same in float64; checks its domain
     ends : upper end of the domain of m, by k; the lower one is MIN_SLOPE
     open_ends : the k whose end does not belong to the domain
@@ -57,7 +55,6 @@ class Lobe(Entry):
     """
 
     number: int
-    within: str = ""
     evaluate: Float64Lobe
     ends: Mapping[int, float]
     open_ends: tuple[int, ...] = ()
@@ -75,7 +72,6 @@ class Lobe(Entry):
     def __post_init__(self) -> None:
         object.__setattr__(self, "macro", self.macro or f"FR_LOBE_{self.word}")
         object.__setattr__(self, "price", self.price or self.name)
-        object.__setattr__(self, "within", self.within or self.call)
 
     def belongs(self, m: ArrayLike, k: int) -> NDArray[np.bool_]:
         """Tell which slopes lie in the domain, to a millionth at ends that belong to it: a G-buffer
@@ -462,7 +458,6 @@ def _g_power(g: int, number: int, colour: str, errors: Mapping[int, tuple[float,
         number=number,
         file="lobe/g_power",
         call=f"fr_lobe_g_power(c, m, k, {g})",
-        within=f"fr_lobe_clamped_power(c, {2.0 / g} * inverse_m2 - {1.0 / g} * float(k), {g})",
         evaluate=lambda c, m, k: g_power(c, m, k, g),
         ends={4: math.sqrt(0.5), 0: MAX_SLOPE},
         open_ends=(4,),
@@ -493,7 +488,6 @@ LOBES: dict[str, Lobe] = registry(
         number=2,
         file="lobe/cosine",
         call="fr_lobe_cosine(c, m, k)",
-        within="fr_lobe_power(c, 2.0 * inverse_m2 - float(k))",
         evaluate=cosine,
         ends={4: math.sqrt(0.5), 0: MAX_SLOPE},
         open_ends=(4,),
@@ -529,7 +523,6 @@ LOBES: dict[str, Lobe] = registry(
         number=3,
         file="lobe/fitted",
         call="fr_lobe_fitted(c, m, k)",
-        within="fr_lobe_fitted_within(c, m, inverse_m2, k)",
         evaluate=fitted,
         ends={k: FITTED["fitted", k].max_slope for k in TITLES},
         errors={4: (0.19,), 0: (0.13,)},
@@ -543,7 +536,6 @@ LOBES: dict[str, Lobe] = registry(
         number=5,
         file="lobe/fitted",
         call="fr_lobe_fitted_fine(c, m, k)",
-        within="fr_lobe_fitted_fine_within(c, m, inverse_m2, k)",
         evaluate=fitted_fine,
         ends={k: FITTED["fitted-fine", k].max_slope for k in TITLES},
         errors={4: (0.04,), 0: (0.04,)},

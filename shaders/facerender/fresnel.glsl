@@ -8,8 +8,6 @@
 //   unit      none, in [0, 1]
 //   error     of the chosen one; f0 alone is 1 - f0 too low at 90 degrees
 //   source    of the chosen one
-//
-// Written by python -m facerender.glsl.dispatch.
 #ifndef FR_FRESNEL_GLSL
 #define FR_FRESNEL_GLSL
 

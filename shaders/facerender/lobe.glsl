@@ -14,8 +14,6 @@
 //
 // A lobe of the host's own: declare float my_lobe(float c, float m, int k), and before the include
 // #define FR_LOBE_FUNCTION my_lobe.
-//
-// Written by python -m facerender.glsl.dispatch.
 #ifndef FR_LOBE_GLSL
 #define FR_LOBE_GLSL
 

@@ -10,8 +10,6 @@
 //                      and _NONE, FR_MIN_COSINE); y > 0
 //   error              of each: see masking/*.glsl
 //   source             of each: see there
-//
-// Written by python -m facerender.glsl.dispatch.
 #ifndef FR_MASKING_GLSL
 #define FR_MASKING_GLSL
 

@@ -1,0 +1,201 @@
+"""Evaluates conditions in GLSL as far as known macros decide them, for flat files that have their
+choices made."""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from facerender.errors import InputError
+from facerender.glsl.includes import IF, Directive, Includes, scan
+
+_DEFINED = re.compile(r"(!?)\s*defined\s*(?:\(\s*(\w+)\s*\)|\s(\w+))")
+_MACRO = re.compile(r"(\w+)(?:\([^)]*\))?\s*(.*)")
+_COMPARISON = re.compile(r"(\w+)\s*(==|!=|<=|>=|<|>)\s*(\w+)")
+_COMPARE = {
+    "==": operator.eq,
+    "!=": operator.ne,
+    "<=": operator.le,
+    ">=": operator.ge,
+    "<": operator.lt,
+    ">": operator.gt,
+}
+
+
+@dataclass
+class _Conditional:
+    """An #if up to its #endif; it stays in the text unless the macros that are known decide it."""
+
+    over: bool  # no branch that comes can be taken
+    guard: bool  # it is a file's include guard
+    active: bool = False  # the branch that is being read may be taken
+    stays: bool = False
+    included: set[tuple[int, int]] = field(default_factory=set)  # by the branch that is being read
+
+    @property
+    def open(self) -> bool:
+        """Whether a compiler may skip what is being read."""
+        return self.stays and not self.guard
+
+
+class Preprocessor(Includes):
+    """Flat text from files that include each other, each of them once, without line numbers.
+
+    Branches of ``#if`` that known macros decide are left out; of the conditions, those are
+    understood that are made of comparisons, ``defined`` and names, with ``!``, ``&&`` and ``||``.
+
+    Attributes
+    ----------
+    version : the ``#version`` line; it is not part of the text
+    """
+
+    def __init__(
+        self,
+        root: Path,
+        chosen: Mapping[str, str] | None = None,
+        guards: bool = True,
+        closed: bool = False,
+    ) -> None:
+        """root : see :class:`Includes`; chosen : macros that are set from outside; guards : the
+        files' include guards stay; closed : what is not defined here is undefined, so that no
+        condition stays"""
+        super().__init__(root)
+        self.version = ""
+        self._chosen = dict(chosen or {})
+        self._macros = dict(self._chosen)
+        self._guards = guards
+        self._closed = closed
+        self._conditionals: list[_Conditional] = []
+
+    def knows(self, macro: str) -> bool:
+        """Whether the text, or the choice, defines a macro."""
+        return macro in self._macros
+
+    def append(self, text: str, path: str = "") -> None:
+        """Append text, that of the file at path if it has one.
+
+        Raises
+        ------
+        InputError : as of :meth:`Includes.append_file`, or a line defines a macro that was chosen
+        """
+        text, directives, guarded = scan(text)
+        at, depth = 0, len(self._conditionals)
+        for number, each in enumerate(directives):
+            if self._active:
+                self._parts.append(text[at : each.start])
+            at = each.end + 1
+            line = text[each.start : at]
+            if each.name in IF:
+                guard = guarded and number == 0
+                self._conditionals.append(_Conditional(not self._active, guard))
+                self._branch(each, line)
+            elif each.name in ("elif", "else", "endif"):
+                self._check_open(len(self._conditionals) > depth, each, text, path)
+                if each.name != "endif":
+                    self._branch(each, line)
+                elif self._conditionals.pop().stays:
+                    self._parts.append(line)
+            elif self._active:
+                self._directive(each, line, text, path)
+        if self._active:
+            self._parts.append(text[at:])
+        self._check_closed(len(self._conditionals) == depth, path)
+
+    def _directive(self, each: Directive, line: str, text: str, path: str) -> None:
+        """Read a directive that is no condition, in a branch that may be taken."""
+        if each.name == "include":
+            self._scopes[1:] = [each.included for each in self._conditionals if each.open]
+            if found := self._found(each, text, path):
+                self.append_file(found)
+                self._parts.append("\n")
+            return
+        if each.name == "version":
+            if self.version:
+                raise self._error(each, text, path, "a second #version")
+            self.version = line.strip()
+            return
+        if each.name in ("define", "undef"):
+            self._learn(each, text, path)
+        self._parts.append(line)
+
+    @property
+    def _active(self) -> bool:
+        return all(conditional.active for conditional in self._conditionals)
+
+    def _branch(self, each: Directive, line: str) -> None:
+        """Begin a branch of the last conditional."""
+        current = self._conditionals[-1]
+        bare = current.guard and not self._guards
+        truth = False if current.over else bare or self._truth(each.name, each.rest)
+        if truth is None and self._closed:
+            raise InputError(
+                f"cannot decide {line.strip()}: write comparisons of macros, or defined()"
+            )
+        current.active = truth is not False
+        current.over |= truth is True
+        current.included = set()
+        if truth is None:
+            first = each.name == "elif" and not current.stays
+            self._parts.append(f"#if {each.rest}\n" if first else line)
+            current.stays = True
+        elif truth and current.stays:
+            self._parts.append("#else\n")
+
+    def _truth(self, directive: str, condition: str) -> bool | None:
+        """Decide a condition of comparisons, defined() and single names; None where it is open."""
+        if directive == "else":
+            return True
+        if directive in ("ifdef", "ifndef"):
+            return (
+                (directive == "ifdef")
+                if condition in self._macros
+                else self._undefined(directive == "ifndef")
+            )
+        condition = _DEFINED.sub(
+            lambda match: f" {match[1]}defined {match[2] or match[3]} ", condition
+        )
+        if re.search(r"[()\\]", condition):
+            return None
+        either = {
+            _all(self._comparison(term.strip()) for term in terms.split("&&"))
+            for terms in condition.split("||")
+        }
+        return True if True in either else None if None in either else False
+
+    def _comparison(self, term: str) -> bool | None:
+        if match := _DEFINED.fullmatch(term):
+            return (not match[1]) if match[3] in self._macros else self._undefined(bool(match[1]))
+        match = _COMPARISON.fullmatch(term)
+        a, sign, b = match.groups() if match else (term, "!=", "0")
+        left, right = self._value(a), self._value(b)
+        return None if left is None or right is None else bool(_COMPARE[sign](left, right))
+
+    def _undefined(self, truth: bool) -> bool | None:
+        """Return a condition's truth where a macro is not defined, if none is to come."""
+        return truth if self._closed else None
+
+    def _value(self, word: str) -> int | None:
+        for _ in self._macros:
+            word = self._macros.get(word, word)
+        if self._closed and not word[:1].isdigit():
+            return 0
+        return int(word) if re.fullmatch("0|[1-9][0-9]*", word) else None
+
+    def _learn(self, each: Directive, text: str, path: str) -> None:
+        """Note a macro's value, if the line is sure to be compiled."""
+        match = _MACRO.match(each.rest)
+        if match and match[1] in self._chosen:
+            what = f"defines {match[1]}: leave the line, or that choice, out"
+            raise InputError(f"{self._place(each, text, path)} {what}")
+        if match and each.name == "undef":
+            self._macros.pop(match[1], None)
+        elif match and not any(conditional.open for conditional in self._conditionals):
+            self._macros[match[1]] = match[2]
+
+
+def _all(values: Iterable[bool | None]) -> bool | None:
+    found = set(values)
+    return False if False in found else None if None in found else True
