@@ -46,7 +46,7 @@ METHODS = {
     "AMD Navi 21, Vega 10": _ACO,
     "samples": "The time of a frame over that of one with one sample, in turns, the median; the"
     " error of the displayed image against 64 samples, at pixels that the mesh covers in part, and"
-    " inside. Shaded once: one triangle of a pixel for all that its samples see.",
+    " inside. Per-pixel shading: one triangle of a pixel for all that its samples see.",
     "parts of skin": "The time of a frame with one sample over that of the part's first setting, in"
     " turns, the median; the error of the displayed image against the part's last setting.",
     "GPUs, in the explorer": "Milliseconds by which one more shading of what is seen makes"

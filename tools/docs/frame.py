@@ -62,7 +62,7 @@ pixel is shaded once for every triangle that its samples see. More are as many i
 sample each, shaded anew: highlights between pixels are smoothed as well, at the price of as many
 frames.
 
-Shaded once (`Renderer.render(..., once=True)`) is of each pixel one triangle, the one that most of
+Per-pixel shading (`Renderer.render(..., shading_rate="pixel")`) shades one triangle of each pixel, the one that most of
 its samples see, for all of them. The coverage is the same, and so is the silhouette; edges inside
 it, such as of the nose before the cheek, are as with one sample. Each part of a mesh is shaded once
 by itself. It needs as many samples as the driver has, and a frame that can be deferred (below);
@@ -89,7 +89,7 @@ Other sizes, with 4 samples, of the built-in head:
 
 ## Plans
 
-A cheaper frame within a budget (`facerender plan --verify-cost`): terms, backs, samples, pixels
+A cheaper frame within a budget (`facerender plan --verify-cost`): terms, back faces, samples, pixels
 shaded once, triangles. The scenes are those of [plan.md](plan.md). Time over that of the full frame
 with 4 samples, predicted from a few measured frames and measured in turns; over that of the full
 frame with its triangles shaded as they are drawn; the error that the budget counts, and that of the
@@ -97,7 +97,7 @@ worst pixel, both as drawn.
 
 {plans}
 Within 1/255 fewer samples err by more at the silhouette, pixels that are shaded once and fewer
-triangles inside, at more than one pixel in 1000: what is left are backs of triangles, which no
+triangles inside, at more than one pixel in 1000: what is left are back faces, which no
 pixel shows, and terms. Most of what can be saved there every frame saves, by shading each triangle
 of a pixel once.
 """
@@ -184,7 +184,7 @@ def plan_row(
     scene = found.detail.of(subject.scene)
 
     def planned() -> object:
-        fine = {name: getattr(found.detail, name) for name in ("samples", "backs", "once")}
+        fine = found.detail.values
         return renderer.render(scene, found.shading, **fine)
 
     def drawn() -> object:
@@ -207,8 +207,10 @@ def plan_row(
 
 def _chosen(decision: Decision) -> Iterator[str]:
     """What was chosen, where it is not what the full frame has."""
-    if decision.changed:
-        words = ("backs", "samples", "once", "triangles", "ambient", "normal map")
+    if decision.changed and decision.name == "cull_back_faces":
+        yield "back faces culled"
+    elif decision.changed:
+        words = ("samples", "shading_rate", "triangles", "ambient", "normal map")
         named = decision.name in words
         yield f"{decision.name} {decision.chosen}" if named else decision.chosen
 
