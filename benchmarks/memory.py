@@ -33,7 +33,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.images.image import linear_to_srgb, read_image
+from facerender.images.read import read_image
+from facerender.images.srgb import linear_to_srgb
 
 
 def resident() -> int:

@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 import facerender as fr
-from facerender.images.image import linear_to_srgb
+from facerender.images.srgb import linear_to_srgb
 from facerender.system.data import data_dir
 
 HERE = Path(__file__).parent

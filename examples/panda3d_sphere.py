@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.images.image import encode_srgb8
+from facerender.images.srgb import encode_srgb8
 
 os.environ.setdefault("EGL_PLATFORM", "surfaceless")  # before Panda3D opens EGL
 from panda3d import core

@@ -31,7 +31,7 @@ from facerender.system import forked  # noqa: F401  # notes the process
 
 if TYPE_CHECKING:
     from facerender import brdf, lobes
-    from facerender.comparison.gates import compare
+    from facerender.comparison.compare import compare
     from facerender.drawing.frame import Frame, GBuffer
     from facerender.drawing.renderer import Renderer, render
     from facerender.errors import ContextError, FacerenderError, FacerenderWarning, InputError
@@ -50,8 +50,8 @@ if TYPE_CHECKING:
     from facerender.scenes.camera import Camera, turntable
     from facerender.scenes.environment import Environment, Panorama
     from facerender.scenes.file import EnvironmentFile, load_scene
-    from facerender.scenes.levels import simplified
     from facerender.scenes.light import Light
+    from facerender.scenes.lod import simplified
     from facerender.scenes.material import Material
     from facerender.scenes.mesh import Mesh
     from facerender.scenes.occlusion import with_occlusion
@@ -110,7 +110,7 @@ __all__ = [
 
 _HOMES = {
     "images.animation": ("save_animation",),
-    "comparison.gates": ("compare",),
+    "comparison.compare": ("compare",),
     "drawing.frame": ("Frame", "GBuffer"),
     "drawing.renderer": ("Renderer", "render"),
     "errors": ("ContextError", "FacerenderError", "FacerenderWarning", "InputError"),
@@ -123,7 +123,7 @@ _HOMES = {
     "scenes.camera": ("Camera", "turntable"),
     "scenes.environment": ("Environment", "Panorama"),
     "scenes.file": ("EnvironmentFile", "load_scene"),
-    "scenes.levels": ("simplified",),
+    "scenes.lod": ("simplified",),
     "scenes.light": ("Light",),
     "scenes.material": ("Material",),
     "scenes.mesh": ("Mesh",),

@@ -10,12 +10,12 @@ from operator import index
 from typing import Any
 
 from facerender.errors import InputError, check_range
-from facerender.images.image import format_of
-from facerender.loading import check_normal_map_y, kept_mesh, load_mesh
+from facerender.images.write import format_of
+from facerender.loading import cached_mesh, check_normal_map_y, load_mesh
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import KEYS, EnvironmentFile, from_table, scene_value, toml_text
-from facerender.scenes.levels import check_triangles, simplified
 from facerender.scenes.light import Light
+from facerender.scenes.lod import check_triangles, simplified
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh, names_of
 from facerender.scenes.planned import Planned
@@ -68,9 +68,9 @@ class MeshFile:
         """Read the files; errors and warnings as of the functions named above."""
         return self._made(load_mesh(**self._files, cache=cache), cache)
 
-    def kept(self) -> Mesh | None:
+    def cached(self) -> Mesh | None:
         """Return the mesh if it is in the cache; warnings as of :meth:`load`."""
-        mesh = kept_mesh(**self._files)
+        mesh = cached_mesh(**self._files)
         return None if mesh is None else self._made(mesh, True)
 
     @property

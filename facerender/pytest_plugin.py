@@ -22,7 +22,7 @@ import pytest
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from facerender.comparison.gates import Comparable
+    from facerender.comparison.compare import Comparable
     from facerender.comparison.goldens import Draw
 
 LONGEST = 180  # characters of a file's name; most systems take 255 bytes
@@ -142,7 +142,7 @@ class Snapshot:
         __tracebackhide__ = True
         from facerender import InputError
         from facerender.comparison.goldens import Updates, check
-        from facerender.images.image import save_exr
+        from facerender.images.exr import save_exr
 
         node, config = self._request.node, self._request.config
         safe = _file_name(name or _name_of(node))

@@ -15,11 +15,13 @@ from facerender import pytest_plugin
 from facerender.commands import main
 from facerender.commands.compare import LIMITED, default_of
 from facerender.comparison.calibration import LEAST, MARGIN, Calibration, calibration_of, runs_of
-from facerender.comparison.gates import HIGHEST, LIMITS, Limits, compare
-from facerender.comparison.settings import NAMES, read_limits, text_of, write_limits
+from facerender.comparison.compare import HIGHEST, LIMITS, Limits, compare
+from facerender.comparison.limits_file import NAMES, read_limits, text_of, write_limits
 from facerender.comparison.verdict import changed_alike
 from facerender.errors import InputError
-from facerender.images.image import encode_srgb8, save_exr, save_png
+from facerender.images.exr import save_exr
+from facerender.images.srgb import encode_srgb8
+from facerender.images.write import save_png
 
 SIDE = 128
 OPEN = dict.fromkeys(NAMES, HIGHEST)

@@ -65,7 +65,7 @@ def test_pixels_are_where_the_matrices_say(mini: fr.Mesh, azimuth: float, tilt: 
     buffer = seen(mini, camera)
     rows, columns = np.nonzero(buffer.part >= 0)
     assert len(rows) > 500
-    found = projected(K, pose, mini.denormalised(buffer.position[rows, columns]))
+    found = projected(K, pose, mini.to_mesh_space(buffer.position[rows, columns]))
     np.testing.assert_allclose(found, np.column_stack([columns, rows]) + 0.5, atol=2e-3)
     np.testing.assert_allclose(buffer.view.intrinsics(SIZE), K, atol=1e-9)
     np.testing.assert_allclose(buffer.view.extrinsics(mini), pose, atol=1e-12 + 1e-9 * mini.radius)
@@ -256,7 +256,7 @@ def test_cameras_of_a_gltf_file(mini: fr.Mesh, tmp_path: Path):
     np.testing.assert_allclose(view.forward, [-1.0, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(view.eye, [4.0, 0.0, 0.0], atol=1e-9)
     wanted = fr.Camera(
-        position=tuple(mini.denormalised([4.0, 0.0, 0.0])), target=tuple(mini.center), fov=30.0
+        position=tuple(mini.to_mesh_space([4.0, 0.0, 0.0])), target=tuple(mini.center), fov=30.0
     )
     np.testing.assert_allclose(view.matrix, view_of(fr.Scene(mini, wanted), 1.0).matrix, atol=1e-9)
     assert math.radians(found["front"].fov) == pytest.approx(0.5)

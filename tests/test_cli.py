@@ -515,7 +515,7 @@ def test_name_with_a_line_break(cli: Cli, tmp_path: Path) -> None:
 @pytest.mark.parametrize("option", ["--albedo", "--normal-map", "--specular-map"])
 def test_map_that_is_no_image(option: str, cli: Cli, write: Callable[..., Path]) -> None:
     page = write("page.png", "<html></html>")
-    cli.fail_to_render(r"page\.png is a page of HTML; give a PNG", option, page)
+    cli.fail_to_render(r"page\.png is an HTML page; download the file itself", option, page)
 
 
 def test_missing_map(cli: Cli, tmp_path: Path) -> None:

@@ -20,9 +20,12 @@ import pytest
 from PIL import Image, PngImagePlugin
 
 import facerender as fr
-from facerender.comparison.gates import LIMITS, compare
+from facerender.comparison.compare import LIMITS, compare
 from facerender.comparison.pairs import Pair, pairs_of
-from facerender.images.image import Picture, encode_srgb8, read_image, save_exr
+from facerender.images.exr import save_exr
+from facerender.images.image import ImageData
+from facerender.images.read import read_image
+from facerender.images.srgb import encode_srgb8
 from tests.conftest import missing, require_backend
 from tests.test_cli import Capture, Cli, process
 from tests.verification import mutations
@@ -222,7 +225,7 @@ def test_slivers_along_a_whole_edge_are_too_many():
 
 def test_a_result_says_that_another_driver_drew():
     one, other = (
-        Picture(plain(), "linear", name, {"GL_RENDERER": name, "GL_VERSION": "4.5"})
+        ImageData(plain(), "linear", name, {"GL_RENDERER": name, "GL_VERSION": "4.5"})
         for name in ("llvmpipe", "softpipe")
     )
     assert str(compare(one, one)) == "same"
@@ -255,7 +258,7 @@ def test_detail_that_was_added_or_lost(image, reference, reason):
 def test_limits_are_wider_where_another_driver_drew():
     for by, same in ((0.002, True), (0.01, False)):
         drawn = (
-            Picture(pixels, "linear", name, {"GL_RENDERER": name})
+            ImageData(pixels, "linear", name, {"GL_RENDERER": name})
             for name, pixels in (("llvmpipe", rough(0.0)), ("softpipe", rough(by)))
         )
         result = compare(*drawn, point=0.1, texture=1.0)
@@ -552,9 +555,9 @@ PNG_16_RGB = (
 UNREADABLE = {
     "empty.exr": (b"", r"empty\.exr is empty: write it anew"),
     "empty.png": (b"", r"empty\.png is empty"),
-    "page.exr": (b"<html></html>" * 9, r"page\.exr is no image that OpenEXR reads"),
-    "page.png": (b"<html></html>" * 9, r"page\.png is a page of HTML; give a PNG or JPEG"),
-    "page.npz": (b"<html></html>" * 9, r"page\.npz is no NumPy file"),
+    "page.exr": (b"<html></html>" * 9, r"page\.exr is an HTML page; download"),
+    "page.png": (b"<html></html>" * 9, r"page\.png is an HTML page; download the file"),
+    "page.npz": (b"<html></html>" * 9, r"page\.npz is an HTML page"),
     "stub.png": (b"\x89PNG\r\n\x1a\n", r"stub\.png is not an image; give a PNG or JPEG"),
     "half.png": (encoded("PNG", noise(64, 64, 3))[:6000], r"half\.png is damaged"),
     "half.jpg": (encoded("JPEG", noise(64, 64, 3))[:2000], r"half\.jpg is damaged"),
@@ -592,7 +595,7 @@ UNREADABLE = {
     "complex.npy": (numpy_file(np.save, np.zeros((64, 64, 3), complex)), r"holds complex128"),
     "flat.npy": (numpy_file(np.save, np.zeros(64)), r"flat\.npy has shape \(64,\): give"),
     "five.npy": (numpy_file(np.save, np.zeros((64, 64, 5))), r"shape \(64, 64, 5\): give"),
-    "pointer.exr": (b"version https://git-lfs.github.com/spec/v1\n", r"is a pointer of Git LFS"),
+    "pointer.exr": (b"version https://git-lfs.github.com/spec/v1\n", r"is a Git LFS pointer"),
     "image.tiff": (b"II*\0", r"image\.tiff: unknown image format '\.tiff'; give \.exr"),
     "image": (b"x", r"image: unknown image format ''"),
 }

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facerender.images.image import save_exr
+from facerender.images.exr import save_exr
 from tests.test_package import ROOT
 
 # Runs before all else in a process: what does not belong to these packages cannot be imported.

@@ -18,11 +18,11 @@ from PIL import Image
 import facerender as fr
 from facerender import InputError
 from facerender.commands import main
-from facerender.comparison import flip, pictures, report
+from facerender.comparison import flip, report, visualization
 from facerender.comparison.pairs import Pair
-from facerender.comparison.pictures import save_heat_map
 from facerender.comparison.report import entry, write_report
-from facerender.images.image import Picture
+from facerender.comparison.visualization import save_heat_map
+from facerender.images.image import ImageData
 
 SIZE = (40, 48)  # height, width
 AT = (30, 12)  # x, y of the wrong pixel
@@ -58,8 +58,8 @@ def uncovered() -> np.ndarray:
     return pixels
 
 
-def picture(pixels: np.ndarray, name: str, **metadata: str) -> Picture:
-    return Picture(pixels, "linear", name, metadata)
+def picture(pixels: np.ndarray, name: str, **metadata: str) -> ImageData:
+    return ImageData(pixels, "linear", name, metadata)
 
 
 @pytest.fixture(scope="module")
@@ -306,8 +306,8 @@ def test_small_heat_map_loses_no_firefly(shape: tuple[int, int]) -> None:
     b = a.copy()
     at = (shape[0] - 2, 7)
     b[at] = 255
-    small, whole = pictures.small_heat_map(a, b), flip.heat_map(a / 255.0, b / 255.0)
-    assert small[..., 0].size <= pictures.HEAT
+    small, whole = visualization.small_heat_map(a, b), flip.heat_map(a / 255.0, b / 255.0)
+    assert small[..., 0].size <= visualization.HEAT
     step = round(shape[0] / len(small))
     brightest = np.unravel_index(small.sum(axis=-1, dtype=int).argmax(), small.shape[:2])
     assert tuple(brightest) == (at[0] // step, at[1] // step)
@@ -319,9 +319,9 @@ def test_small_heat_map_loses_no_firefly(shape: tuple[int, int]) -> None:
 def test_picture_that_webp_cannot_hold() -> None:
     pixels = np.zeros((2, 16384, 3), dtype=np.uint8)
     pixels[0, ::7] = 200
-    content, kind = pictures.lossless(pixels)
+    content, kind = visualization.lossless(pixels)
     assert kind == "png"
-    np.testing.assert_array_equal(pictures.decoded(content), pixels)
+    np.testing.assert_array_equal(visualization.decoded(content), pixels)
 
 
 @pytest.mark.slow

@@ -15,8 +15,9 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.comparison.gates import compare
-from facerender.images.image import picture_of, read_image
+from facerender.comparison.compare import compare
+from facerender.images.image import image_from_array
+from facerender.images.read import read_image
 from facerender.jpeg import Jpeg
 
 SAMPLINGS = [(1, 1), (2, 1), (2, 2)]  # as Pillow numbers them
@@ -73,10 +74,13 @@ def test_what_is_no_jpeg_costs_its_rounding(tmp_path):
     exact = np.random.default_rng(1).uniform(0.0, 255.0, (64, 64, 3))
     rounded = np.round(exact).astype(np.uint8)
     rms = np.sqrt(np.square(rounded - exact).mean())
-    for picture in (read_image(saved(tmp_path / "a.png", rounded)), picture_of(rounded, "array")):
+    for picture in (
+        read_image(saved(tmp_path / "a.png", rounded)),
+        image_from_array(rounded, "array"),
+    ):
         assert picture.noise == pytest.approx(rms, rel=0.02)
         assert picture.jpeg is None
-    assert picture_of(np.float32(rounded), "linear").noise == 0.0
+    assert image_from_array(np.float32(rounded), "linear").noise == 0.0
 
 
 COMPRESSIONS = [  # EXR, how wide its floats are, attributes
@@ -141,7 +145,7 @@ def test_halves_compare_as_what_they_are(frame, tmp_path):
 
 PEAK = """
 import sys
-from facerender.images.image import read_image
+from facerender.images.read import read_image
 def peak():
     (line,) = (each for each in open("/proc/self/status") if each.startswith("VmHWM"))
     return int(line.split()[1]) >> 10
@@ -180,7 +184,7 @@ OPTIONS = [
 @pytest.mark.parametrize("options", OPTIONS, ids=str)
 def test_encoded_as_another_file_it_is_the_same(face, options, tmp_path):
     """Quality 75 moves pixels by 40 and more; of the same pixels nothing is left of that."""
-    original = picture_of(face[0], "original")
+    original = image_from_array(face[0], "original")
     other = read_image(saved(tmp_path / "a.jpg", face[0], **options))
     np.testing.assert_array_equal(original.encoded_as(other).pixels, other.pixels)
     assert not np.array_equal(original.pixels, other.pixels)
@@ -190,7 +194,7 @@ def test_encoded_as_another_file_it_is_the_same(face, options, tmp_path):
 
 
 def test_grey_encoded_as_another_file(face, tmp_path):
-    original = picture_of(face[0][..., 1], "original")
+    original = image_from_array(face[0][..., 1], "original")
     other = read_image(saved(tmp_path / "a.jpg", face[0][..., 1], quality=60))
     np.testing.assert_array_equal(original.encoded_as(other).pixels, other.pixels)
 

@@ -19,7 +19,7 @@ from facerender.commands import main
 from facerender.drawing import reference
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.prepare import simplify
-from facerender.images.image import save_exr
+from facerender.images.exr import save_exr
 from facerender.planning.bound import bound
 from facerender.planning.budget import Budget
 from facerender.planning.candidates import Constants, candidates

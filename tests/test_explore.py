@@ -19,7 +19,7 @@ from PIL import Image
 import facerender as fr
 from facerender.commands import main, parser_of
 from facerender.commands.scene import job_of
-from facerender.comparison.gates import compare
+from facerender.comparison.compare import compare
 from facerender.drawing import reference
 from facerender.drawing.frame import GBuffer
 from facerender.explorer import QUALITIES, encoded, explorer, octahedral

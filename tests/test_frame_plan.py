@@ -16,7 +16,7 @@ from PIL import Image
 
 import facerender as fr
 from facerender.drawing.prepare import simplify
-from facerender.images.image import linear_to_srgb
+from facerender.images.srgb import linear_to_srgb
 from facerender.measure.antialiasing import antialiasing
 from facerender.planning import cache as plan_cache
 from facerender.planning import frames
@@ -26,10 +26,10 @@ from facerender.planning.decisions import details
 from facerender.planning.drawn import Drawn, Place
 from facerender.planning.search import Choice
 from facerender.pricing.frame import Line, ratio
-from facerender.scenes import levels
+from facerender.scenes import lod
 from facerender.scenes.file import load_scene
 from facerender.scenes.light import LIGHTS
-from facerender.scenes.planned import Detail, Planned
+from facerender.scenes.planned import LevelOfDetail, Planned
 from tests.awkward_files import MINI_HEAD
 from tests.test_cli import Capture, Cli
 
@@ -75,7 +75,7 @@ def frame(renderer, scene, detail, shading=fr.Shading()):
 def error(renderer, scene, detail, shading=fr.Shading(), within=1.0):
     """How far the displayed image is from the full one, at a share of the pixels that this covers;
     and how far at the worst of all."""
-    images = frame(renderer, scene, Detail(4, None)), frame(renderer, scene, detail, shading)
+    images = frame(renderer, scene, LevelOfDetail(4, None)), frame(renderer, scene, detail, shading)
     full, own = (linear_to_srgb(each[..., :3].astype(np.float64)) for each in images)
     errors = np.sort(np.abs(own - full).max(axis=-1), axis=None)
     covered = np.count_nonzero(images[0][..., 3])
@@ -92,7 +92,11 @@ def lines_of(plan):
 @pytest.mark.parametrize(("budget", "within"), [("0", 1.0), ("0.01/255", 0.05)])
 def test_a_budget_below_rounding_draws_the_full_frame(budget, within, drawing, scene, cli):
     plan = fr.plan(scene, budget, within=within, renderer=drawing)
-    assert (plan.detail, plan.shading, plan.cost.relative) == (Detail(4, None), plan.full, 1.0)
+    assert (plan.detail, plan.shading, plan.cost.relative) == (
+        LevelOfDetail(4, None),
+        plan.full,
+        1.0,
+    )
     assert not any(each.changed for each in plan.decisions)
     np.testing.assert_array_equal(
         frame(drawing, scene, plan.detail, plan.shading), drawing.render(scene).linear
@@ -151,7 +155,7 @@ def test_what_is_coarser_is_over_the_budget(budget, within, drawing, scene):
 def test_every_camera_has_its_say(drawing, scene):
     """One sample fits at one camera, and not at the other."""
     errors = {
-        camera: error(drawing, replace(scene, camera=camera), Detail(1, None))[0]
+        camera: error(drawing, replace(scene, camera=camera), LevelOfDetail(1, None))[0]
         for camera in CAMERAS
     }
     easy, hard = sorted(CAMERAS, key=errors.__getitem__)
@@ -171,8 +175,10 @@ def test_of_several_samples_the_fewest_that_fit(egl, scene):
 
 def test_pixels_are_shaded_once_where_one_sample_is_not_enough(cli, drawing, scene):
     within = 0.95
-    once = Detail(4, None, shading_rate="pixel")
-    errors = [error(drawing, scene, each, within=within)[0] for each in (once, Detail(1, None))]
+    once = LevelOfDetail(4, None, shading_rate="pixel")
+    errors = [
+        error(drawing, scene, each, within=within)[0] for each in (once, LevelOfDetail(1, None))
+    ]
     assert 0.0 < 1.5 * errors[0] < errors[1]
     arguments = {"within": within, "renderer": drawing}
     fine = fr.plan(scene, 0.9 * errors[0], **arguments)
@@ -236,12 +242,12 @@ def test_without_wasmtime_triangles_stay(drawing, monkeypatch, tmp_path):
     mesh = fr.load_mesh(MINI_HEAD).with_material(m=0.3)  # of which no level was made yet
     scene = fr.Scene(mesh, lights=(LIGHTS["key"],))
     monkeypatch.setitem(sys.modules, "wasmtime", None)
-    levels._compiled.cache_clear()
+    lod._compiled.cache_clear()
     try:
         plan = fr.plan(scene, WIDE, renderer=drawing)
     finally:
-        levels._compiled.cache_clear()
-    assert plan.detail == Detail(1, None, cull_back_faces=True)
+        lod._compiled.cache_clear()
+    assert plan.detail == LevelOfDetail(1, None, cull_back_faces=True)
     assert "triangles" not in lines_of(plan)
     (tmp_path / "scene.toml").write_text(plan.scene_toml())
     planned = load_scene(tmp_path / "scene.toml")["planned"]
@@ -305,7 +311,7 @@ def test_render_within_a_budget_draws_a_kept_frame_again(cli, wide, drawing, sce
             images.append(np.asarray(image))
         monkeypatch.setattr(plan_cache, "plan", None)  # the second one is read
     assert said[0] == said[1]
-    assert Detail(**said[0]["detail"]) == wide.detail
+    assert LevelOfDetail(**said[0]["detail"]) == wide.detail
     drawn = drawing.render(wide.detail.of(scene), wide.shading, samples=1).srgb8()
     for image in images:
         np.testing.assert_array_equal(image, drawn)
@@ -313,7 +319,7 @@ def test_render_within_a_budget_draws_a_kept_frame_again(cli, wide, drawing, sce
 
 def test_figures_for_json(wide):
     found = json.loads(json.dumps(wide.as_dict(), allow_nan=False))
-    assert Detail(**found["detail"]) == wide.detail
+    assert LevelOfDetail(**found["detail"]) == wide.detail
     assert found["measured"] is None
     assert found["cost"]["unit"] == "ms a frame"
 
@@ -409,7 +415,9 @@ def test_samples_and_triangles_have_a_line(budget, drawing, scene):
         (told,) = (each for each in plan.decisions if each.name == name)
         assert lines[name] == told.text
         own = getattr(plan.detail, name) or full
-        alone = replace(Detail(4, None), **{name: int(told.chosen if told.changed else told.other)})
+        alone = replace(
+            LevelOfDetail(4, None), **{name: int(told.chosen if told.changed else told.other)}
+        )
         added, _ = error(drawing, scene, alone)
         assert told.error == pytest.approx(added, rel=1e-6)
         assert told.changed == (own != full)

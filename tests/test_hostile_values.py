@@ -18,10 +18,11 @@ from PIL import Image
 
 import facerender as fr
 from facerender.commands import FAULT, main
-from facerender.comparison import gates
+from facerender.comparison import compare
 from facerender.drawing import renderer as drawing
 from facerender.errors import InputError
-from facerender.images.image import MAX_PIXELS, check_pixels, read_image
+from facerender.images.decode import MAX_PIXELS, check_pixels
+from facerender.images.read import read_image
 from facerender.scenes import material as materials
 from facerender.scenes.file import load_scene
 from facerender.scenes.light import parse_light
@@ -121,8 +122,8 @@ IMAGES = {
         "20000 x 4 pixels .* at most 16384 a side",
     ),
     "empty.jpg": (b"", "is empty|not an image"),
-    "page.png": (b"<!DOCTYPE html><html></html>", "is a page of HTML"),
-    "pointer.png": (b"version https://git-lfs.github.com/spec/v1\n", "pointer of Git LFS"),
+    "page.png": (b"<!DOCTYPE html><html></html>", "is an HTML page"),
+    "pointer.png": (b"version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer"),
 }
 
 
@@ -230,7 +231,7 @@ def test_strips_give_the_figures_of_the_whole(rows, monkeypatch):
     b[chance.random((rows, 90)) < 0.01] *= np.float32(1.5)
     b[..., 3] = a[..., 3]
     strips = fr.compare(a, b).as_dict()
-    monkeypatch.setattr(gates, "_STRIP", 1)
+    monkeypatch.setattr(compare, "_STRIP", 1)
     whole = fr.compare(a, b).as_dict()
     for name in ("mean", "shift", "trend", "surety", "gain", "block", "grain", "texture"):
         assert strips.pop(name) == pytest.approx(whole.pop(name), rel=1e-4, abs=1e-6)
@@ -264,7 +265,7 @@ def test_a_fault_of_compare_is_not_taken_for_a_difference(
     def fail(*_: object) -> None:
         raise fault
 
-    monkeypatch.setattr(gates, "read_image", fail)
+    monkeypatch.setattr(compare, "read_image", fail)
     assert main(["compare", str(tmp_path / "a.png"), str(tmp_path / "a.png")]) == status
     out, err = capsys.readouterr()
     assert not out
@@ -274,7 +275,7 @@ def test_a_fault_of_compare_is_not_taken_for_a_difference(
 
 
 def test_a_fault_shows_its_place_where_asked(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(gates, "read_image", lambda _: 1 / 0)
+    monkeypatch.setattr(compare, "read_image", lambda _: 1 / 0)
     monkeypatch.setenv("FACERENDER_DEBUG", "1")
     assert main(["compare", str(tmp_path / "a.png"), str(tmp_path / "a.png")]) == FAULT
     assert "Traceback" in capsys.readouterr().err

@@ -13,7 +13,8 @@ from PIL import Image, ImageCms
 
 from facerender.comparison.pairs import Pair, compare
 from facerender.comparison.report import entry
-from facerender.images.image import linear_to_srgb, read_image, srgb_to_linear
+from facerender.images.read import read_image
+from facerender.images.srgb import linear_to_srgb, srgb_to_linear
 from tests.test_cli import Capture, Cli
 
 # XYZ of red, green and blue, adapted to D50 as profiles hold them (Lindbloom).

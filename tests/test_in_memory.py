@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.images.image import srgb_to_linear
+from facerender.images.srgb import srgb_to_linear
 from tests.awkward_files import (
     MINI_HEAD,
     mini_head,

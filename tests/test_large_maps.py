@@ -11,7 +11,7 @@ from PIL import Image
 import facerender as fr
 from facerender.drawing import prepare
 from facerender.drawing.prepare import reduced
-from facerender.images.image import linear_to_srgb
+from facerender.images.srgb import linear_to_srgb
 from facerender.scenes.density import levels_to_spare
 from facerender.scenes.mips import chain, coarse_base, coarse_chain
 from facerender.scenes.texture import Texture, pack

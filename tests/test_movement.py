@@ -12,11 +12,12 @@ import OpenEXR
 import pytest
 
 import facerender as fr
-from facerender.comparison.gates import HIGHEST, compare
+from facerender.comparison.compare import HIGHEST, compare
 from facerender.comparison.goldens import Updates, check
-from facerender.comparison.movement import FARTHEST, MOVES, explained, range_of
+from facerender.comparison.shift_range import FARTHEST, MOVES, explained, range_of
 from facerender.errors import InputError
-from facerender.images.image import Picture, read_image
+from facerender.images.image import ImageData
+from facerender.images.read import read_image
 
 SIZE = (160, 160)
 STRANDS = 40
@@ -104,13 +105,15 @@ def test_wrong_pixels_fail(goldens, value, seed):
 def test_black_pixel_is_no_background(goldens):
     """Where a movement uncovers it, only a pixel that is not covered is explained."""
     kept = read_image(goldens[1])
-    uncovers = (kept.moved.most[..., 3] - kept.moved.least[..., 3] > 0.2) & (kept.coverage >= 1.0)
+    uncovers = (kept.shift_range.high[..., 3] - kept.shift_range.low[..., 3] > 0.2) & (
+        kept.coverage >= 1.0
+    )
     assert uncovers.any()
     black = np.full_like(kept.color, 0.012)  # as the background is
-    assert not explained(kept.moved, black, kept.coverage, 0.005)[0][uncovers].any()
-    gone = kept.moved.least[..., 3].astype(np.float32)
+    assert not explained(kept.shift_range, black, kept.coverage, 0.005)[0][uncovers].any()
+    gone = kept.shift_range.low[..., 3].astype(np.float32)
     bare = uncovers & (gone < 0.5)
-    assert explained(kept.moved, black, gone, 0.005)[0][bare].all()
+    assert explained(kept.shift_range, black, gone, 0.005)[0][bare].all()
 
 
 def test_range_is_in_layers_that_others_read(goldens, studio):
@@ -123,18 +126,20 @@ def test_range_is_in_layers_that_others_read(goldens, studio):
     }
     a, b = read_image(plain), read_image(kept)
     np.testing.assert_array_equal(a.pixels, b.pixels)
-    assert a.moved is None
+    assert a.shift_range is None
     assert kept.stat().st_size < 2.5 * plain.stat().st_size
     for x, y in ((0.0, 0.0), MOVES[3]):
         linear = studio.draw(x, y).linear
         covered = linear[..., 3] >= 0.5
-        assert (b.moved.least <= linear)[covered].all()
-        assert (b.moved.most >= linear)[covered].all()
+        assert (b.shift_range.low <= linear)[covered].all()
+        assert (b.shift_range.high >= linear)[covered].all()
 
 
 def test_range_is_rounded_outwards_and_ends_where_half_floats_do():
     values = np.array([[[0.1, 1e6, -0.1]]], np.float32)
-    least, most = range_of([Picture(values, "linear", "a"), Picture(2.0 * values, "linear", "b")])
+    least, most = range_of(
+        [ImageData(values, "linear", "a"), ImageData(2.0 * values, "linear", "b")]
+    )
     assert (least[0, 0, [0, 2]] < [0.1, -0.2]).all()
     assert (most[0, 0, [0, 2]] > [0.2, -0.1]).all()
     assert not np.isnan([least, most]).any()
@@ -187,5 +192,5 @@ def test_plugin_takes_what_draws(pytester, monkeypatch):
     options = ("-p", "facerender.pytest_plugin")
     pytester.runpytest_inprocess(*options, "--facerender-update-missing").assert_outcomes(passed=1)
     golden = read_image(pytester.path / "goldens/test_suite/test_head.exr")
-    assert golden.moved.most[16, 16, 0] == pytest.approx(0.9, rel=0.01)
+    assert golden.shift_range.high[16, 16, 0] == pytest.approx(0.9, rel=0.01)
     pytester.runpytest_inprocess(*options).assert_outcomes(passed=1)

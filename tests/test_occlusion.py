@@ -17,7 +17,7 @@ from facerender.scenes import occlusion
 from facerender.scenes.mesh import Part
 from tests.awkward_files import MINI_HEAD
 from tests.test_cli import Cli
-from tests.test_levels import grid, mesh_of, torus
+from tests.test_lod import grid, mesh_of, torus
 from tests.verification.occlusion import occlusion_error
 
 

@@ -16,11 +16,11 @@ ROOT = Path(__file__).parents[1]
 
 # What may be imported without OpenGL; see the arrows in CONTRIBUTING.md.
 WITHOUT_GL = [
-    *("errors", "system.data", "images.image", "lobes", "brdf", "shading", "loading"),
+    *("errors", "system.data", "images.read", "lobes", "brdf", "shading", "loading"),
     *("glsl.library", "glsl.catalogue", "glsl.includes"),
     *("scenes.scene", "scenes.file", "scenes.view", "scenes.texture"),
     *("drawing.frame", "drawing.reference", "drawing.prepare"),
-    *("comparison.gates", "comparison.flip", "comparison.pictures"),
+    *("comparison.compare", "comparison.flip", "comparison.visualization"),
     *("comparison.goldens", "comparison.report", "page.document"),
     *("batch.jobs", "batch.passes", "batch.supervisor", "batch.driver", "batch.folder"),
     *("pricing.amd", "pricing.offline", "pricing.interval", "pricing.variants"),

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.comparison.gates import compare
-from facerender.images.image import encode_srgb8
+from facerender.comparison.compare import compare
+from facerender.images.srgb import encode_srgb8
 from tests.verification.pairs.changes import CHANGES
 from tests.verification.pairs.draw import (
     FLOORS,

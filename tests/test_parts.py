@@ -12,7 +12,7 @@ import pytest
 
 import facerender as fr
 from facerender.commands import main
-from facerender.images.image import read_image
+from facerender.images.read import read_image
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
 from tests.awkward_files import (
@@ -207,7 +207,7 @@ def test_names_survive_levels_occlusion_and_the_store(tmp_path, monkeypatch):
     for thread in __import__("threading").enumerate():
         if thread.name == "facerender-store":
             thread.join()
-    kept = fr.MeshFile(str(path)).kept()
+    kept = fr.MeshFile(str(path)).cached()
     assert kept is not None
     assert names(kept) == ["Head"]
     require_module("wasmtime")

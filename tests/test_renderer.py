@@ -22,7 +22,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.comparison.gates import compare
+from facerender.comparison.compare import compare
 from facerender.drawing import reference
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.host import CAPABILITIES, STATE
@@ -30,7 +30,8 @@ from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.prepare import simplify
 from facerender.drawing.program import LightGroup, Program
 from facerender.glsl.code import prelude
-from facerender.images.image import Picture, read_image
+from facerender.images.image import ImageData
+from facerender.images.read import read_image
 from facerender.lobes import GPower
 from facerender.measure.error import block_error, point_error
 from facerender.scenes import mips
@@ -422,7 +423,7 @@ def test_gbuffer_of_the_scan_shows_its_own_albedo(renderer, scan_mesh, scan):
     """A texel looked up with the G-buffer's uv is what the GPU sampled, up to filtering."""
     from PIL import Image
 
-    from facerender.images.image import srgb_to_linear
+    from facerender.images.srgb import srgb_to_linear
 
     gbuffer = renderer.gbuffer(fr.Scene(scan_mesh))
     covered = gbuffer.part >= 0
@@ -693,7 +694,7 @@ def test_guest_draws_the_same_and_leaves_the_host_as_it_was(host, head):
     assert host.target.read(components=4)[:4] == bytes([64, 128, 191, 255])
 
 
-def drawn_elsewhere(folder: Path, backend: str, **environment: str) -> Picture:
+def drawn_elsewhere(folder: Path, backend: str, **environment: str) -> ImageData:
     """The built-in head, drawn by the command line with other environment variables."""
     command = [sys.executable, "-m", "facerender", "render", "-o", folder / "head.exr"]
     subprocess.run(

@@ -54,8 +54,8 @@ def test_the_frustum_of_a_camera_fills_the_clip_space(head):
     rng = np.random.default_rng(2)
     for _ in range(20):
         camera = fr.Camera(
-            position=tuple(head.denormalised(rng.normal(0.0, 3.0, 3))),
-            target=tuple(head.denormalised(rng.normal(0.0, 0.3, 3))),
+            position=tuple(head.to_mesh_space(rng.normal(0.0, 3.0, 3))),
+            target=tuple(head.to_mesh_space(rng.normal(0.0, 0.3, 3))),
             fov=float(rng.uniform(5.0, 120.0)),
         )
         aspect = float(rng.uniform(0.4, 2.5))

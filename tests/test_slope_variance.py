@@ -14,7 +14,7 @@ import facerender as fr
 from facerender.commands import main
 from facerender.drawing import reference
 from facerender.drawing.program import surface_features
-from facerender.images.image import read_image
+from facerender.images.read import read_image
 from facerender.planning.bound import bound
 from facerender.planning.budget import Budget
 from facerender.scenes.light import parse_light

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from facerender import InputError
-from facerender.images.image import srgb_to_linear
+from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.texture import Texture, pack
 
 
@@ -92,7 +92,7 @@ def test_16_bit_grey_is_scaled_and_not_clipped():
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("page.jpg", b"<html></html>", "page.jpg is a page of HTML; give a PNG"),
+        ("page.jpg", b"<html></html>", "page.jpg is an HTML page; download the file itself"),
         ("empty.png", b"", "empty.png is not an image"),
         ("absent.png", None, "cannot read .*absent.png: no such file"),
     ],

@@ -22,7 +22,7 @@ import facerender as fr
 from facerender.commands import main
 from facerender.commands.views import sheet
 from facerender.images import animation
-from facerender.images.image import read_image
+from facerender.images.read import read_image
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 from tests.test_cameras import glb

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import facerender as fr
 from facerender.drawing.facets import IN_ROW, Facets
 from facerender.drawing.passes import visibility
-from facerender.images.image import linear_to_srgb
+from facerender.images.srgb import linear_to_srgb
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
 from facerender.scenes.view import view_of

@@ -14,11 +14,12 @@ from facerender.batch.jobs import PASSES, file_name
 from facerender.drawing.frame import Frame
 from facerender.drawing.reference import data_view
 from facerender.errors import InputError
-from facerender.images.image import exr_bytes, openexr, png_bytes
+from facerender.images.exr import exr_bytes, openexr
+from facerender.images.write import png_bytes
 from facerender.job import Job
-from facerender.scenes.levels import simplified
+from facerender.scenes.lod import simplified
 from facerender.scenes.mesh import Mesh
-from facerender.scenes.planned import Detail
+from facerender.scenes.planned import LevelOfDetail
 from facerender.scenes.scene import DATA, Only, Scene
 from facerender.scenes.view import View, view_of
 
@@ -98,7 +99,7 @@ def draw(job: Job, mesh: Mesh, renderer: Renderer, passes: Sequence[str], exposu
     facts: dict[str, Any] = {
         name: metadata[name] for name in ("facerender", "GL_RENDERER", "GL_VERSION")
     }
-    detail = Detail(job.image.samples, None)
+    detail = LevelOfDetail(job.image.samples, None)
     if job.planned:
         facts["planned"] = job.planned.holds(renderer.size, renderer.samples)
         detail = job.planned.detail if facts["planned"] else detail
@@ -186,7 +187,7 @@ def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any
 
 
 def _shaded(
-    job: Job, scene: Scene, detail: Detail, renderer: Renderer, names: Sequence[str]
+    job: Job, scene: Scene, detail: LevelOfDetail, renderer: Renderer, names: Sequence[str]
 ) -> dict[str, Frame]:
     values = replace(detail, samples=min(detail.samples, renderer.samples)).values
     return {

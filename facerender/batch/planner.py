@@ -20,7 +20,7 @@ from facerender.planning.plan import Plan, plan
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import scene_value
 from facerender.scenes.mesh import Mesh
-from facerender.scenes.planned import Detail
+from facerender.scenes.planned import LevelOfDetail
 from facerender.scenes.scene import Scene
 
 _FIRST = 6  # cameras that are planned at
@@ -128,7 +128,7 @@ def _compared(
     place = Place(replace(scene, camera=camera), renderer)
     starts = [time.perf_counter()]
     images: list[NDArray[np.float64]] = []
-    finest = Detail(renderer.samples, None)
+    finest = LevelOfDetail(renderer.samples, None)
     for shading, detail in (found.full, finest), (found.shading, found.planned.detail):
         images.append(draw(place, shading, detail).astype(np.float64))
         starts.append(time.perf_counter())

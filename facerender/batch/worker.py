@@ -25,7 +25,7 @@ from facerender.drawing.renderer import Renderer
 from facerender.errors import ContextError, FacerenderWarning, InputError, noting
 from facerender.job import MESH_PATHS, ImageSettings, Job, MeshFile
 from facerender.loading.named import named_files
-from facerender.scenes.levels import simplified
+from facerender.scenes.lod import simplified
 from facerender.scenes.mesh import Mesh
 from facerender.system.signals import heed_the_driver
 
@@ -187,7 +187,7 @@ def _mesh(file: MeshFile) -> tuple[Mesh, list[str]]:
     for path in [*filter(None, own), *(named_files(Path(file.path)) if file.path else ())]:
         _check_file(path)
     with noting() as warned:
-        mesh = file.kept() or file.load(cache=_mesh.cache_info().misses == 1)
+        mesh = file.cached() or file.load(cache=_mesh.cache_info().misses == 1)
     return mesh, warned
 
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from facerender.commands.common import add_verbose, check_outputs, steps
 from facerender.commands.streams import say, tell
-from facerender.comparison.gates import LIMITS
+from facerender.comparison.compare import LIMITS
 from facerender.errors import InputError, warn
-from facerender.images.image import read_image
+from facerender.images.read import read_image
 
 LIMITED = {
     "point": "excess of a pixel over what its neighbours explain",
@@ -61,10 +61,10 @@ def default_of(name: str) -> str:
 
 
 def run(options: argparse.Namespace) -> int:
+    from facerender.comparison.limits_file import read_limits
     from facerender.comparison.pairs import Pair, pairs_of
-    from facerender.comparison.pictures import save_heat_map
     from facerender.comparison.report import entry, write_report
-    from facerender.comparison.settings import read_limits
+    from facerender.comparison.visualization import save_heat_map
 
     mask = read_image(options.mask).color.max(axis=-1) if options.mask else None
     if options.calibrate:
@@ -107,7 +107,7 @@ def run(options: argparse.Namespace) -> int:
 def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     """Find limits in place of comparing."""
     from facerender.comparison.calibration import calibration_of, runs_of
-    from facerender.comparison.settings import text_of, write_limits
+    from facerender.comparison.limits_file import text_of, write_limits
 
     given = ("a", *LIMITED, "heatmap", "report")
     for name in given:

@@ -17,7 +17,7 @@ from facerender.drawing.frame import FORMATS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import FacerenderWarning, InputError, check_range
 from facerender.job import Job
-from facerender.scenes.planned import Detail
+from facerender.scenes.planned import LevelOfDetail
 from facerender.scenes.scene import ONLY
 from facerender.scenes.view import checked_size, view_of
 from facerender.shading import OUTSIDE, Shading
@@ -122,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
     for camera in cameras.values():
         view_of(replace(scene, camera=camera), width / height)
     plan: dict[str, Any] = {}
-    detail = Detail(job.image.samples, None)
+    detail = LevelOfDetail(job.image.samples, None)
     with Renderer.of(job, options.backend, options.memory) as renderer:
         step(f"image, by {renderer.context.renderer}")
         if options.budget is not None:
@@ -131,7 +131,7 @@ def run(options: argparse.Namespace) -> int:
             within = options.within or 1.0
             asked = scene, options.budget, shading, options.exposure, within, renderer
             plan = planned(*asked, cache=options.cache)
-            shading, detail = Shading.from_dict(plan["shading"]), Detail(**plan["detail"])
+            shading, detail = Shading.from_dict(plan["shading"]), LevelOfDetail(**plan["detail"])
         elif job.planned and job.planned.holds(renderer.size, renderer.samples):
             detail = job.planned.detail
         elif job.planned:

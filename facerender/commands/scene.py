@@ -249,7 +249,7 @@ def files_read(options: argparse.Namespace, job: Job) -> Iterator[str | Path | N
 
 def load(job: Job, cache: bool = False, ahead: bool = True) -> Scene:
     """Return the scene of a job; ahead of its renderer its maps are being decoded, and kept."""
-    mesh = job.mesh.kept() if cache else None
+    mesh = job.mesh.cached() if cache else None
     if mesh is None:
         import_trimesh(job.mesh.path)
         mesh = job.mesh.load(cache and ahead)

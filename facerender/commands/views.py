@@ -15,7 +15,8 @@ import numpy as np
 from facerender.commands.streams import tell_bytes
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError
-from facerender.images.image import MAX_BYTES, MAX_SIDE, Format, check_opaque, format_of
+from facerender.images.decode import MAX_BYTES, MAX_SIDE
+from facerender.images.write import Format, check_opaque, format_of
 from facerender.scenes.vectors import Vector
 from facerender.system.memory import MIB, limit
 

@@ -19,14 +19,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.comparison.gates import FULL, HIGHEST, LIMITS, Limits, compare
+from facerender.comparison.compare import FULL, HIGHEST, LIMITS, Limits, compare
+from facerender.comparison.limits_file import NAMES
 from facerender.comparison.neighbourhoods import filtered
 from facerender.comparison.pairs import pairs_of
-from facerender.comparison.settings import NAMES
 from facerender.comparison.verdict import changed_alike
 from facerender.errors import InputError, reason
-from facerender.images.image import Encoding, Picture, encode_srgb8, read_image, srgb_to_linear
-from facerender.system.progress import Progress, unheard
+from facerender.images.image import Encoding, ImageData
+from facerender.images.read import read_image
+from facerender.images.srgb import encode_srgb8, srgb_to_linear
+from facerender.system.progress import Progress, no_progress
 
 MARGIN = 1.5
 # What rounding to half floats or steps of 8 bits needs, and a camera or samples that move by 0.1
@@ -147,7 +149,7 @@ def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
 def calibration_of(
     pairs: list[tuple[str, Path, Path]],
     mask: NDArray[Any] | None = None,
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
 ) -> list[Calibration]:
     """Return limits that pairs of images pass, for linear and for 8-bit ones.
 
@@ -198,7 +200,9 @@ def _calibration(
     return Calibration(encoding, len(known.pairs), limits, known.least, known.needed, sees)
 
 
-def _needed(a: Picture, b: Picture, limits: Limits, mask: NDArray[Any] | None) -> dict[str, float]:
+def _needed(
+    a: ImageData, b: ImageData, limits: Limits, mask: NDArray[Any] | None
+) -> dict[str, float]:
     """Return the limits that have to be wider for a pair to pass, as narrow as it does."""
 
     def passes(gate: str, others: Mapping[str, float], value: float) -> bool:
@@ -255,7 +259,9 @@ def _rounded(limit: float) -> float:
 # --- changes -------------------------------------------------------------------------------------
 
 
-def _seen(a: Picture, b: Picture, limits: Limits, mask: NDArray[Any] | None) -> dict[str, float]:
+def _seen(
+    a: ImageData, b: ImageData, limits: Limits, mask: NDArray[Any] | None
+) -> dict[str, float]:
     """Return by limit the smallest change of the image B that fails by it."""
     encoded = b.encoding == "srgb8"
     color = b.pixels[..., : 3 if b.pixels.shape[2] > 2 else 1]
@@ -301,7 +307,7 @@ def _seen(a: Picture, b: Picture, limits: Limits, mask: NDArray[Any] | None) -> 
 
 
 def _skin(
-    picture: Picture, mask: NDArray[Any] | None
+    picture: ImageData, mask: NDArray[Any] | None
 ) -> tuple[NDArray[np.bool_], tuple[slice, slice]]:
     """Return where something is to be seen; and two pixels, neither dark nor a highlight, whose
     surroundings are flattest."""

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from facerender._version import __version__
-from facerender.comparison.gates import Comparable, as_picture, compare
-from facerender.comparison.movement import MOVES, range_of
+from facerender.comparison.compare import Comparable, as_picture, compare
 from facerender.comparison.pairs import Pair
+from facerender.comparison.shift_range import MOVES, range_of
 from facerender.errors import InputError, reason
-from facerender.images.image import Picture, save_exr
+from facerender.images.exr import save_exr
+from facerender.images.image import ImageData
 
 _FURTHER = 3.0  # times as far: detail finer than a pixel seems to move by more
 Draw = Callable[[float, float], Comparable]
@@ -55,7 +56,7 @@ class Verdict:
     failure : why the image does not pass, with the remedy; "" where it does
     """
 
-    image: Picture
+    image: ImageData
     pair: Pair
     golden: Path
     written: Path | None = None
@@ -149,7 +150,7 @@ def check(
     return Verdict(picture, pair, golden, written=place)
 
 
-def _moved(picture: Picture, draw: Draw) -> list[Picture]:
+def _moved(picture: ImageData, draw: Draw) -> list[ImageData]:
     """Draw an image moved by a hair.
 
     Raises

@@ -9,9 +9,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from facerender.comparison.gates import Comparable, Comparison, as_picture, compare
+from facerender.comparison.compare import Comparable, Comparison, as_picture, compare
 from facerender.errors import InputError
-from facerender.images.image import SUFFIXES, Encoding, Picture
+from facerender.images.image import Encoding, ImageData
+from facerender.images.read import SUFFIXES
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +27,8 @@ class Pair:
     """
 
     name: str
-    reference: Picture | None
-    image: Picture | None
+    reference: ImageData | None
+    image: ImageData | None
     comparison: Comparison | None
     error: str = ""
 
@@ -42,7 +43,7 @@ class Pair:
     ) -> Pair:
         """Compare two images; the options are those of :func:`compare`, and the limits take the
         place of those that are None, by the images' encoding."""
-        pictures: list[Picture | None] = []
+        pictures: list[ImageData | None] = []
         errors = []
         for given, letter in ((reference, "A"), (image, "B")):
             try:

@@ -11,13 +11,13 @@ from html import escape
 
 import numpy as np
 
-from facerender.comparison import pictures
-from facerender.comparison.evidence import BLOCK
-from facerender.comparison.gates import Comparison
+from facerender.comparison import visualization
+from facerender.comparison.blocks import BLOCK
+from facerender.comparison.compare import Comparison
 from facerender.comparison.pairs import Pair
 from facerender.comparison.verdict import BLUR, SURE, factor_of, most_slight
 from facerender.errors import InputError
-from facerender.images.image import Encoding, Picture
+from facerender.images.image import Encoding, ImageData
 from facerender.page.document import document, image_source, row, table
 from facerender.system.atomic import write_bytes
 
@@ -56,9 +56,9 @@ def entry(pair: Pair) -> Entry:
     """Return what the page says of a pair."""
     images = {"a": pair.reference, "b": pair.image} if pair.status else {}
     large = any(
-        image.pixels[..., 0].size > pictures.MOST_SHOWN for image in images.values() if image
+        image.pixels[..., 0].size > visualization.MOST_SHOWN for image in images.values() if image
     )
-    seen = {key: pictures.shown(image) for key, image in images.items() if image and not large}
+    seen = {key: visualization.shown(image) for key, image in images.items() if image and not large}
     return Entry(
         name=pair.name,
         status=pair.status,
@@ -161,9 +161,9 @@ def _with_pictures(entry: Entry, compressed: bool) -> str:
 
 def _compressed(source: str, letter: str, places: Iterable[Sequence[int]]) -> str:
     """Return a picture compressed with loss, and what lies around some places over it."""
-    pixels = pictures.decoded(b64decode(source.partition(",")[2]))
+    pixels = visualization.decoded(b64decode(source.partition(",")[2]))
     height, width = pixels.shape[:2]
-    images = _image(image_source(pictures.lossy(pixels), "webp"), letter)
+    images = _image(image_source(visualization.lossy(pixels), "webp"), letter)
     for x, y in places:
         left, top = max(x - SEEN // 2, 0), max(y - SEEN // 2, 0)
         crop = pixels[top : top + SEEN, left : left + SEEN]
@@ -180,12 +180,12 @@ def _row(pair: Pair) -> str:
     return row(name, [_verdict(pair), *figures], VERDICTS[pair.status])
 
 
-def _section(pair: Pair, seen: Mapping[str, pictures.Bytes], large: bool) -> str:
+def _section(pair: Pair, seen: Mapping[str, visualization.Bytes], large: bool) -> str:
     title = f"{escape(pair.name)} {_verdict(pair)}"
     gates = "" if pair.comparison is None else _gate_table(pair.comparison)
     tables = f'<div class="tables">{gates}{_facts(pair)}</div>'
     if pair.status == 0 and pair.reference:
-        source = _source(pictures.thumbnail(pair.reference, THUMBNAIL))
+        source = _source(visualization.thumbnail(pair.reference, THUMBNAIL))
         return (
             f'<details class="same"><summary>{title}</summary><div id="pair-{INDEX}">'
             f'<img class="thumbnail" src="{source}" alt="the image">{tables}</div></details>'
@@ -284,7 +284,7 @@ def _facts(pair: Pair) -> str:
     return table("facts", ("", *facts), rows, "Images, and what drew them") if facts else ""
 
 
-def _fact(picture: Picture) -> dict[str, str]:
+def _fact(picture: ImageData) -> dict[str, str]:
     height, width, channels = picture.pixels.shape
     kind = "linear" if picture.encoding == "linear" else "8-bit sRGB"
     space = {"colour space": picture.color_space} if picture.color_space else {}
@@ -293,12 +293,11 @@ def _fact(picture: Picture) -> dict[str, str]:
     return {"image": picture.name, "pixels": pixels, **space, **converted, **picture.metadata}
 
 
-def _viewer(pair: Pair, seen: Mapping[str, pictures.Bytes], large: bool) -> str:
+def _viewer(pair: Pair, seen: Mapping[str, visualization.Bytes], large: bool) -> str:
     """Show the images there are, and how they differ if they could be compared."""
     if large:
-        return (
-            f'<p class="note">Images of more than {pictures.MOST_SHOWN} pixels are not shown.</p>'
-        )
+        most = visualization.MOST_SHOWN
+        return f'<p class="note">Images of more than {most} pixels are not shown.</p>'
     places = _places(pair)
     captions = {"a": "<b>A</b> reference", "b": "<b>B</b> image"}
     figures = [
@@ -312,11 +311,11 @@ def _viewer(pair: Pair, seen: Mapping[str, pictures.Bytes], large: bool) -> str:
         controls = _choices("view", {mode: mode for mode in MODES})
         shape = seen["a"].shape
         try:
-            heat = _image(_source(pictures.small_heat_map(seen["a"], seen["b"])), "heat")
+            heat = _image(_source(visualization.small_heat_map(seen["a"], seen["b"])), "heat")
             figures.append(_figure("heat", "<b>heat map</b> of FLIP", shape, heat, places))
         except InputError as error:
             figures.append(f'<p class="heat note">{escape(str(error))}</p>')
-        apart, largest = pictures.difference(pair.reference, pair.image)
+        apart, largest = visualization.difference(pair.reference, pair.image)
         caption = _legend(largest, pair.comparison.encoding)
         difference = _image(_source(apart), "difference")
         figures.append(_figure("difference", caption, shape, difference, places))
@@ -388,17 +387,18 @@ def _image(source: str, alt: str) -> str:
     return f'<img src="{source}" alt="{alt}" draggable="false">'
 
 
-def _source(pixels: pictures.Bytes) -> str:
-    return image_source(*pictures.lossless(pixels))
+def _source(pixels: visualization.Bytes) -> str:
+    return image_source(*visualization.lossless(pixels))
 
 
 def _legend(largest: float, encoding: Encoding) -> str:
     """Name the colours of the difference."""
-    dark, bright = (f"rgb{color}" for color in (pictures.DARKER, pictures.BRIGHTER))
+    dark, bright = (f"rgb{color}" for color in (visualization.DARKER, visualization.BRIGHTER))
     end = f"{_number(largest)}{'' if encoding == 'linear' else ' of 255'}"
     return (
         "<b>difference</b> in the worst channel, B less A; the scale is linear below"
-        f" {pictures.FLOORS[encoding]:g} and logarithmic above; violet where coverage alone changed"
+        f" {visualization.FLOORS[encoding]:g} and logarithmic above; violet where coverage alone"
+        " changed"
         f'<span class="legend" style="background:linear-gradient(90deg,{dark},#000,{bright})">'
         f'</span><span class="ends"><span>-{end}</span><span>0</span><span>+{end}</span></span>'
     )

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.comparison.evidence import BLOCK, Evidence, blocks, cells
+from facerender.comparison.blocks import BLOCK, Evidence, blocks, cells
 from facerender.comparison.neighbourhoods import Mask
 
 if TYPE_CHECKING:
-    from facerender.comparison.gates import Comparison
+    from facerender.comparison.compare import Comparison
 
 SHAPE = "another shape, texture or light"
 LOBE = "a lobe or weight change"

@@ -11,15 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_range, check_switch, check_type, shown
-from facerender.images.image import (
-    Format,
-    encode_srgb8,
-    exr_bytes,
-    format_of,
-    lossy_bytes,
-    png_bytes,
-    save_exr,
-)
+from facerender.images.exr import exr_bytes, save_exr
+from facerender.images.srgb import encode_srgb8
+from facerender.images.write import Format, format_of, lossy_bytes, png_bytes
 from facerender.scenes.scene import ONLY, Only
 from facerender.scenes.view import View
 from facerender.system.atomic import write_bytes

@@ -23,7 +23,7 @@ from facerender.errors import (
     reason,
     shown,
 )
-from facerender.images.image import QUALITY, check_opaque
+from facerender.images.write import QUALITY, check_opaque
 from facerender.system.atomic import write_whole
 
 MOVING = (".gif", ".webp", ".mp4")

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_type, clipped
-from facerender.images.image import MAX_BYTES, check_pixels, read_image
+from facerender.images.decode import MAX_BYTES, check_pixels
+from facerender.images.read import read_image
 from facerender.scenes.environment import Environment, Panorama, studio
 from facerender.scenes.file import STUDIO, EnvironmentFile
 from facerender.system.files import read_file

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from facerender.errors import InputError, clipped, warn
-from facerender.images.image import open_image
+from facerender.images.decode import open_image
 from facerender.loading.referred import Referred
 from facerender.scenes.texture import FORMATS
 

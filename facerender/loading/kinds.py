@@ -7,9 +7,9 @@ import re
 import struct
 
 from facerender.errors import InputError, clipped
+from facerender.system.files import check_downloaded
 
 _BEGINNINGS = (
-    (b"version https://git-lfs", "a pointer of git-lfs", "fetch it with git lfs pull"),
     (b"PK\x03\x04", "a ZIP archive, as USDZ is too", "unpack or export it"),
     (b"\x1f\x8b", "a gzip archive", "unpack it"),
     (b"BZh", "a bzip2 archive", "unpack it"),
@@ -30,7 +30,6 @@ _BEGINNINGS = (
     (b"\x93NUMPY", "a NumPy file", "export it as .glb"),
     (b"\x7fELF", "a program", "give a mesh"),
 )
-_MARKUP = ((b"<!doctype html", "an HTML page"), (b"<html", "an HTML page"), (b"<", "an XML file"))
 _MESHES = ((b"glTF", ".glb"), (b"ply\n", ".ply"), (b"ply\r\n", ".ply"))
 FORMATS = {".glb": "glTF", ".gltf": "glTF", ".obj": "OBJ", ".ply": "PLY", ".stl": "STL"}
 
@@ -65,13 +64,12 @@ def check_kind(data: bytes, suffix: str, name: str) -> None:
     """Raise InputError where a file's content is known, and not what its suffix says."""
     start = data[:512].removeprefix(b"\xef\xbb\xbf").lstrip()
     wanted = FORMATS[suffix]
-    text = start[:16].lower()
     for beginning, kind, remedy in _BEGINNINGS:
         if start.startswith(beginning):
             raise InputError(f"{name} is not {wanted} but {kind}; {remedy}")
-    for beginning, kind in _MARKUP:
-        if text.startswith(beginning):
-            raise InputError(f"{name} is not {wanted} but {kind}; download the file itself")
+    check_downloaded(start, f"{name} is not {wanted} but")
+    if start.startswith(b"<"):
+        raise InputError(f"{name} is not {wanted} but an XML file; download the file itself")
     if data[257:262] == b"ustar":
         raise InputError(f"{name} is not {wanted} but a tar archive; unpack it")
     for beginning, other in _MESHES:

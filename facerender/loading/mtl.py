@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, warn
-from facerender.images.image import srgb_to_linear
+from facerender.images.srgb import srgb_to_linear
 from facerender.loading.bump import Bump
 from facerender.loading.images import image_of, unreadable
 from facerender.loading.named import UDIM

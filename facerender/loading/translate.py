@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from facerender.errors import InputError, clipped, warn
-from facerender.images.image import srgb_to_linear
+from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.material import MAPS, SKIN_ALBEDO, Material
 from facerender.scenes.repair import Piece
 from facerender.scenes.texture import Texture

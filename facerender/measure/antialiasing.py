@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from facerender.drawing.frame import Frame
 from facerender.drawing.renderer import MAX_SAMPLES, Renderer
 from facerender.errors import InputError
-from facerender.images.image import linear_to_srgb
+from facerender.images.srgb import linear_to_srgb
 from facerender.measure.measurement import Lost, Sampled
 from facerender.pricing.frame import ratios
 from facerender.scenes.scene import SHADING_RATES, Scene

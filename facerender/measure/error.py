@@ -11,14 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender import lobes
 from facerender.comparison import flip
-from facerender.comparison.evidence import BLOCK, FLOOR, blocks, cells
-from facerender.comparison.gates import FULL
+from facerender.comparison.blocks import BLOCK, FLOOR, blocks, cells
+from facerender.comparison.compare import FULL
 from facerender.comparison.neighbourhoods import filtered
 from facerender.drawing.context import Backend
 from facerender.drawing.reference import shade
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
-from facerender.images.image import encode_srgb8
+from facerender.images.srgb import encode_srgb8
 from facerender.lobes import AnyLobe
 from facerender.measure.measurement import ImageError
 from facerender.scenes.scene import Scene

@@ -18,7 +18,7 @@ from facerender.drawing.context import Backend, create_context
 from facerender.drawing.prepare import start_maps
 from facerender.drawing.renderer import Renderer
 from facerender.errors import NotMeasured
-from facerender.images.image import encode_srgb8
+from facerender.images.srgb import encode_srgb8
 from facerender.measure import error
 from facerender.measure.antialiasing import antialiasing
 from facerender.measure.measurement import (
@@ -42,7 +42,7 @@ from facerender.scenes.camera import Camera
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
 from facerender.shading import SMALL_SLOPE, Shading
-from facerender.system.progress import Progress, unheard
+from facerender.system.progress import Progress, no_progress
 from facerender.terms import LOBES
 
 SLOPES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
@@ -54,7 +54,7 @@ def measure(
     m: float = 0.3,
     quick: bool = False,
     backend: Backend = "auto",
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
 ) -> tuple[Measurement, list[Triptych]]:
     """Measure what every form and lobe of both models, and numbers of samples, cost and lose, on
     this machine.

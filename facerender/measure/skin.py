@@ -10,7 +10,7 @@ import numpy as np
 
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
-from facerender.images.image import linear_to_srgb
+from facerender.images.srgb import linear_to_srgb
 from facerender.measure.antialiasing import lost_of
 from facerender.measure.measurement import PartSetting
 from facerender.pricing.frame import ratios

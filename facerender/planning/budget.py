@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.comparison import flip
-from facerender.comparison.evidence import FLOOR
+from facerender.comparison.blocks import FLOOR
 from facerender.errors import InputError, check_range
-from facerender.images.image import linear_to_srgb
+from facerender.images.srgb import linear_to_srgb
 
 Unit = Literal["display", "relative", "flip"]
 Float = NDArray[np.float64]

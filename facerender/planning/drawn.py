@@ -15,7 +15,7 @@ from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.planning.budget import Budget, highest_but
 from facerender.planning.candidates import alone, groups, values
-from facerender.scenes.planned import Detail
+from facerender.scenes.planned import LevelOfDetail
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
@@ -33,7 +33,7 @@ class Place:
     renderer: Renderer
 
 
-def draw(place: Place, shading: Shading, detail: Detail) -> NDArray[np.float32]:
+def draw(place: Place, shading: Shading, detail: LevelOfDetail) -> NDArray[np.float32]:
     """Return the linear image (H, W, 4) of a place."""
     scene, values = detail.of(place.scene), detail.values
     return place.renderer.render(scene, shading, **values).linear
@@ -87,9 +87,9 @@ class Drawn:
     def __init__(self, places: Sequence[Place], full: Shading, budget: Budget) -> None:
         self.places, self.full, self.budget = places, full, budget
         self.triangles = sum(len(part.faces) for part in places[0].scene.mesh.parts)
-        self.finest = self.detail = Detail(places[0].renderer.samples, None)
+        self.finest = self.detail = LevelOfDetail(places[0].renderer.samples, None)
         self.exact = [draw(place, full, self.finest).astype(np.float64) for place in places]
-        self.coarser: list[tuple[Detail, float]] = []
+        self.coarser: list[tuple[LevelOfDetail, float]] = []
         self.failed: list[tuple[Sequence[str], dict[str, Any]]] = []
 
     def coarsen(self) -> None:
@@ -105,7 +105,7 @@ class Drawn:
             while count >= _FEWEST and self._first([replace(self.detail, triangles=count)]):
                 count //= 2
 
-    def _first(self, details: Iterable[Detail]) -> bool:
+    def _first(self, details: Iterable[LevelOfDetail]) -> bool:
         for detail in details:
             error = max(within for _, within in self.errors(self.full, detail))
             if error <= self.budget.limit:
@@ -131,7 +131,7 @@ class Drawn:
         return all(error <= self.budget.limit for _, error in self.errors(shading))
 
     def errors(
-        self, shading: Shading, detail: Detail | None = None
+        self, shading: Shading, detail: LevelOfDetail | None = None
     ) -> Iterator[tuple[float, float]]:
         """Yield of each image the largest error, and the one that the budget counts. Errors beside
         what the full frame covers count as well: FLIP looks around each pixel.
@@ -142,7 +142,7 @@ class Drawn:
             spared = self.budget.spared(int(np.count_nonzero(exact[..., 3])))
             yield float(errors.max()), highest_but(errors, spared)
 
-    def maps(self, shading: Shading, detail: Detail | None = None) -> Iterator[Float]:
+    def maps(self, shading: Shading, detail: LevelOfDetail | None = None) -> Iterator[Float]:
         """Yield the error of every pixel (H, W) of each image; detail as of :meth:`errors`."""
         for place, exact in zip(self.places, self.exact, strict=True):
             image = draw(place, shading, detail or self.detail)[..., :3].astype(np.float64)

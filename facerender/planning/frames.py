@@ -11,7 +11,7 @@ from facerender.planning.drawn import Drawn, draw
 from facerender.planning.search import Choice
 from facerender.pricing.frame import Frames, Line, ratio, seconds
 from facerender.pricing.interval import Interval
-from facerender.scenes.planned import Detail
+from facerender.scenes.planned import LevelOfDetail
 from facerender.shading import Shading
 
 _PLACES, _REPEATS, _VERIFY = 3, 5, 15
@@ -32,10 +32,12 @@ def measured_frames(choice: Choice, drawn: Drawn) -> Frames:
     frames = sorted(asked, key=lambda frame: frame[1] is not full)
     draws = [_frame(drawn, *frame) for frame in frames]
     medians = 1e3 * np.median(seconds(draws, _REPEATS), axis=0)
-    times: dict[tuple[Detail, Shading], float] = dict(zip(frames, medians.tolist(), strict=True))
+    times: dict[tuple[LevelOfDetail, Shading], float] = dict(
+        zip(frames, medians.tolist(), strict=True)
+    )
     prices = choice.total(full), choice.total(cheap)
 
-    def line(detail: Detail) -> Line:
+    def line(detail: LevelOfDetail) -> Line:
         own = times[detail, full], times[detail, cheap]
         return Line.through((prices[0], own[0]), (prices[1], own[1]))
 
@@ -51,7 +53,7 @@ def verified(full: Shading, shading: Shading, drawn: Drawn) -> Interval:
     return ratio(own, _frame(drawn, drawn.finest, full), _VERIFY)
 
 
-def _frame(drawn: Drawn, detail: Detail, shading: Shading) -> Callable[[], object]:
+def _frame(drawn: Drawn, detail: LevelOfDetail, shading: Shading) -> Callable[[], object]:
     """What draws a frame at some of the places, one after the other."""
     step = max(len(drawn.places) // _PLACES, 1)
     seen = drawn.places[::step][:_PLACES]

@@ -19,7 +19,7 @@ from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError, check_switch, check_type, each_of, warn
 from facerender.glsl.code import call
 from facerender.glsl.library import Language, Target, term_source
-from facerender.images.image import save_png
+from facerender.images.write import save_png
 from facerender.planning.bound import Unbounded, bound
 from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import Constants
@@ -32,10 +32,10 @@ from facerender.pricing.table import FRAME
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import scene_toml
 from facerender.scenes.mesh import drawn_alpha
-from facerender.scenes.planned import Detail, Planned
+from facerender.scenes.planned import LevelOfDetail, Planned
 from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
-from facerender.system.progress import Progress, unheard
+from facerender.system.progress import Progress, no_progress
 
 # Of an error map: where on the way to the budget, and which colour there; and beyond it.
 _STOPS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -104,7 +104,7 @@ class Plan:
     cameras: tuple[Camera, ...]
     sizes: tuple[tuple[int, int], ...]
     samples: int | None
-    detail: Detail | None
+    detail: LevelOfDetail | None
     measured: Interval | None
     constants: Constants
     candidates: int
@@ -171,7 +171,7 @@ class Plan:
         where nothing was taken away."""
         if self.samples is None or self._is_full:
             return None
-        detail = self.detail or Detail(self.samples, None)
+        detail = self.detail or LevelOfDetail(self.samples, None)
         fewer = detail.samples if detail.samples < self.samples else None
         fine = (fewer, detail.triangles, detail.cull_back_faces, detail.shading_rate)
         return Planned(self.sizes, self.samples, *fine)
@@ -217,7 +217,7 @@ class Plan:
 
     @property
     def _is_full(self) -> bool:
-        finest = self.detail is None or self.detail == Detail(self.samples or 1, None)
+        finest = self.detail is None or self.detail == LevelOfDetail(self.samples or 1, None)
         return self.shading == self.full and finest
 
     def _basis(self) -> str:
@@ -272,7 +272,7 @@ def plan(
     verify_cost: bool = False,
     exposure: float = 0.0,
     renderer: Renderer | None = None,
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
 ) -> Plan:
     """Find a cheaper frame of a scene whose error stays within a budget: the fewest samples,
     pixels shaded once and the fewest triangles with these, and the cheapest shading with all that.
@@ -463,7 +463,7 @@ def _plan(
     cameras: tuple[Camera, ...] = (),
     sizes: tuple[tuple[int, int], ...] = (),
     samples: int | None = None,
-    detail: Detail | None = None,
+    detail: LevelOfDetail | None = None,
     measured: Interval | None = None,
     tried: int = 0,
     error_map: NDArray[np.float64] | None = None,

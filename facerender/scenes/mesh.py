@@ -269,7 +269,7 @@ class Mesh:
         """
         return np.asarray((np.asarray(points, dtype=np.float64) - self.center) / self.radius)
 
-    def denormalised(self, points: ArrayLike) -> NDArray[np.float64]:
+    def to_mesh_space(self, points: ArrayLike) -> NDArray[np.float64]:
         """Map points, (..., 3), of the renderer's space back to the mesh's."""
         return np.asarray(np.asarray(points, dtype=np.float64) * self.radius + self.center)
 

@@ -8,15 +8,15 @@ from operator import index
 from typing import Any
 
 from facerender.errors import InputError, check_switch, shown
-from facerender.images.image import MAX_SIDE
-from facerender.scenes.levels import simplified
+from facerender.images.decode import MAX_SIDE
+from facerender.scenes.lod import simplified
 from facerender.scenes.scene import Scene, ShadingRate, check_shading_rate
 
 _SAME_SHAPE = 1.01  # width over height, of rounded sizes
 
 
 @dataclass(frozen=True)
-class Detail:
+class LevelOfDetail:
     """How finely a frame is drawn.
 
     Attributes
@@ -108,10 +108,10 @@ class Planned:
         )
 
     @property
-    def detail(self) -> Detail:
+    def detail(self) -> LevelOfDetail:
         """How finely the frame is drawn that stands for a planned one."""
         samples = self.drawn_samples or self.samples
-        return Detail(samples, self.triangles, self.cull_back_faces, self.shading_rate)
+        return LevelOfDetail(samples, self.triangles, self.cull_back_faces, self.shading_rate)
 
     def __str__(self) -> str:
         ends = dict.fromkeys((min(self.sizes), max(self.sizes)))

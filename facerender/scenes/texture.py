@@ -26,7 +26,7 @@ from facerender.errors import (
     reason,
     shown,
 )
-from facerender.images.image import check_pixels, open_image
+from facerender.images.decode import check_pixels, open_image
 from facerender.scenes.mips import Kind, Levels, Rows, chain, coarse_base, coarse_chain, coarse_data
 from facerender.system.files import open_file
 from facerender.system.memory import give_back
@@ -238,7 +238,7 @@ class Texture:
         Raises
         ------
         InputError : the image is damaged or too large: see
-            :func:`facerender.images.image.check_pixels`
+            :func:`facerender.images.decode.check_pixels`
         """
         if self._source:
             return self._source.rgb()

@@ -17,6 +17,12 @@ MOST = 1 << 30  # bytes
 _DEEP_KEY = re.compile(
     r"""(?<![\w"'.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}"""
 )
+# What a file may hold in place of its content: how it begins in lower case, kind and remedy.
+_NOT_DOWNLOADED = (
+    (b"version https://git-lfs", "a Git LFS pointer", "fetch it with git lfs pull"),
+    (b"<!doctype html", "an HTML page", "download the file itself"),
+    (b"<html", "an HTML page", "download the file itself"),
+)
 _KINDS = {
     stat.S_IFDIR: "a directory",
     stat.S_IFIFO: "a pipe",
@@ -61,6 +67,17 @@ def read_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> byte
     """Return the content of a regular file; parameters and errors as of :func:`open_file`."""
     with open_file(path, what, most) as file:
         return file.read(os.fstat(file.fileno()).st_size)
+
+
+def check_downloaded(content: bytes, subject: str) -> None:
+    """Raise InputError where a Git LFS pointer or an HTML page lies in place of a file's content.
+
+    subject : begins the message: "a.png is", "head.glb is not glTF but"
+    """
+    start = content[:64].removeprefix(b"\xef\xbb\xbf").lstrip().lower()
+    for beginning, kind, remedy in _NOT_DOWNLOADED:
+        if start.startswith(beginning):
+            raise InputError(f"{subject} {kind}; {remedy}")
 
 
 def tables_of(content: bytes, name: str) -> dict[str, Any]:

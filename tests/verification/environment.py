@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 import facerender as fr
 from facerender.drawing import reference
-from facerender.images.image import encode_srgb8
+from facerender.images.srgb import encode_srgb8
 from facerender.pricing import fragment
 from facerender.scenes.environment import studio
 from facerender.scenes.vectors import direction_to

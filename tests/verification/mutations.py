@@ -16,7 +16,7 @@ from scipy import ndimage
 import facerender as fr
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.program import Program
-from facerender.images.image import srgb_to_linear
+from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import view_of
 
@@ -82,7 +82,7 @@ class Studio:
         right = np.cross(view.forward, [0.0, 1.0, 0.0])
         right /= np.linalg.norm(right)
         shift = pixels * pixel * (np.cross(right, view.forward) - right)
-        target = tuple(self.mesh.denormalised(shift).tolist())
+        target = tuple(self.mesh.to_mesh_space(shift).tolist())
         return replace(self, camera=replace(self.camera, target=target))
 
 

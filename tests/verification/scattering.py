@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
-from facerender.images.image import linear_to_srgb
+from facerender.images.srgb import linear_to_srgb
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light
 from facerender.scenes.material import SKIN_ALBEDO

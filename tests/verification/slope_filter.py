@@ -12,7 +12,7 @@ from PIL import Image
 
 import facerender as fr
 from facerender.comparison import flip
-from facerender.images.image import linear_to_srgb
+from facerender.images.srgb import linear_to_srgb
 
 Float = NDArray[np.float64]
 

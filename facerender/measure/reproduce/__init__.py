@@ -14,14 +14,14 @@ from facerender.measure import plots
 from facerender.measure.reproduce import claims, figures
 from facerender.measure.reproduce.page import Reproduction
 from facerender.measure.run import environment
-from facerender.system.progress import Progress, unheard
+from facerender.system.progress import Progress, no_progress
 
 
 def reproduce(
     repeats: int = 25,
     size: tuple[int, int] = (360, 420),
     backend: Backend = "auto",
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
 ) -> Reproduction:
     """Draw the paper's figures and measure what it claims.
 

@@ -13,7 +13,7 @@ from facerender import lobes
 from facerender.brdf import K_COOK_TORRANCE
 from facerender.drawing.context import Backend
 from facerender.drawing.renderer import Renderer
-from facerender.images.image import encode_srgb8
+from facerender.images.srgb import encode_srgb8
 from facerender.loading import load_mesh
 from facerender.measure.error import lobe_error, printed_lobe
 from facerender.measure.measurement import MODELS

@@ -20,7 +20,7 @@ import facerender as fr
 from facerender.batch.jobs import check_jobs
 from facerender.commands import main
 from facerender.errors import FacerenderError, InputError
-from facerender.images.image import read_image
+from facerender.images.read import read_image
 from facerender.loading.environment import load_environment
 from facerender.measure.imported import read_imported
 from facerender.scenes.file import EnvironmentFile, load_scene

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.images.image import linear_to_srgb, save_png
+from facerender.images.srgb import linear_to_srgb
+from facerender.images.write import save_png
 from facerender.system.atomic import write_bytes, write_text
 from tests.verification.pairs.changes import CHANGES, Against, Change, Encode, Encoded, Format, Must
 from tests.verification.pairs.room import Linear, Room

@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from facerender import __version__
-from facerender.comparison.gates import compare
+from facerender.comparison.compare import compare
 from facerender.errors import InputError
 from facerender.system.atomic import write_text
 from tests.verification.pairs.changes import CHANGES, Format, Must

@@ -1,0 +1,174 @@
+"""Images to look at: what an image shows, how two of them differ, a heat map. The page that shows
+them is in ``report.py``.
+
+Each is (H, W, 3) of 8-bit sRGB, linear radiance 1 being white, over black where the coverage ends;
+values that are not finite are magenta.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.comparison import flip
+from facerender.comparison.pairs import Pair
+from facerender.errors import InputError
+from facerender.images.image import Encoding, ImageData
+from facerender.images.srgb import encode_srgb8
+from facerender.images.write import save_png
+
+MOST_SHOWN = 1 << 24  # pixels: what shows more is no page to look at
+HEAT = 1 << 17  # pixels of a page's heat map: FLIP takes 1.3 s for 1024 x 1024
+LEVELS = 32  # of the difference, either way
+DARKER, BRIGHTER, UNCOVERED = (74, 163, 255), (255, 148, 41), (190, 70, 255)
+NOT_FINITE = (255, 0, 255)
+FLOORS: dict[Encoding, float] = {"linear": 1e-3, "srgb8": 1.0}  # of the difference's scale
+
+_STRIP = 256  # rows that are converted at once
+_LONGEST_WEBP = 16383  # pixels a side
+
+Bytes = NDArray[np.uint8]
+
+
+def shown(picture: ImageData) -> Bytes:
+    """Return what an image shows."""
+    pixels = np.empty((*picture.pixels.shape[:2], 3), dtype=np.uint8)
+    for rows in _strips(picture):
+        color, _ = picture.rows(rows)
+        linear = picture.encoding == "linear"
+        pixels[rows] = encode_srgb8(color) if linear else np.round(color)
+        if linear:
+            pixels[rows][~np.isfinite(picture.pixels[rows]).all(axis=-1)] = NOT_FINITE
+    return pixels
+
+
+def thumbnail(picture: ImageData, side: int) -> Bytes:
+    """Return what an image shows, no side longer than so many pixels."""
+    from PIL import Image
+
+    height, width = picture.pixels.shape[:2]
+    step = max(math.isqrt(height * width // MOST_SHOWN), 1)
+    image = Image.fromarray(shown(replace(picture, pixels=picture.pixels[::step, ::step])))
+    image.thumbnail((side, side))
+    return np.asarray(image)
+
+
+def difference(a: ImageData, b: ImageData) -> tuple[Bytes, float]:
+    """Return the signed difference in the worst channel, linear below the floor and logarithmic
+    above; and the largest difference, which has the full colour."""
+    floor = FLOORS[a.encoding]
+    signed = np.concatenate([_signed(a, b, rows) for rows in _strips(a)])
+    largest = max(float(np.abs(signed).max()), floor)
+    ramp = np.linspace(0.0, 1.0, LEVELS + 1)[:, None]
+    colors = np.round([ramp * DARKER, ramp * BRIGHTER]).astype(np.uint8)
+    pixels = np.empty((*signed.shape, 3), dtype=np.uint8)
+    for rows in _strips(a):
+        level = np.log1p(np.abs(signed[rows]) / floor) / np.log1p(largest / floor)
+        level = np.round(level * LEVELS).astype(int)
+        pixels[rows] = colors[(signed[rows] > 0.0).astype(int), level]
+        alpha_a, alpha_b = (picture.rows(rows)[1] for picture in (a, b))
+        pixels[rows][((alpha_a >= 0.5) != (alpha_b >= 0.5)) & (level == 0)] = UNCOVERED
+    return pixels, largest
+
+
+def _signed(a: ImageData, b: ImageData, rows: slice) -> NDArray[np.float32]:
+    """Return b less a in the worst channel."""
+    signed = b.rows(rows)[0] - a.rows(rows)[0]
+    worst = np.abs(signed).argmax(axis=-1)[..., None]
+    return np.asarray(np.take_along_axis(signed, worst, axis=-1)[..., 0])
+
+
+def _strips(picture: ImageData) -> Iterator[slice]:
+    for top in range(0, len(picture.pixels), _STRIP):
+        yield slice(top, top + _STRIP)
+
+
+def small_heat_map(a: Bytes, b: Bytes) -> Bytes:
+    """Return FLIP of what two images of one size show, at HEAT pixels at most: of several pixels it
+    sees the one that differs most, so that no firefly is lost.
+
+    Raises
+    ------
+    InputError : flip-evaluator is missing
+    """
+    step = math.ceil(math.sqrt(a[..., 0].size / HEAT))
+    apart = np.maximum(a, b) - np.minimum(a, b)
+    total = apart.sum(axis=-1, dtype=np.uint16)
+    height, width = (-(-side // step) for side in total.shape)
+    ends = [(0, height * step - total.shape[0]), (0, width * step - total.shape[1])]
+
+    def cells(pixels: NDArray[Any]) -> NDArray[Any]:
+        around = [*ends, *((0, 0) for _ in pixels.shape[2:])]
+        padded = np.pad(pixels, around, "edge")
+        split = padded.reshape(height, step, width, step, *pixels.shape[2:]).swapaxes(1, 2)
+        return split.reshape(height, width, step * step, *pixels.shape[2:])
+
+    most = cells(total).argmax(axis=-1)[..., None, None]
+    seen_a, seen_b = (np.take_along_axis(cells(each), most, axis=2)[:, :, 0] for each in (a, b))
+    return flip.heat_map(seen_a / 255.0, seen_b / 255.0, step)
+
+
+def heat_map(a: ImageData, b: ImageData) -> Bytes:
+    """Return FLIP of two images of one size.
+
+    Raises
+    ------
+    InputError : flip-evaluator is missing, or the images have more than MOST_SHOWN pixels
+    """
+    height, width = a.pixels.shape[:2]
+    if height * width > MOST_SHOWN:
+        raise InputError(
+            f"no heat map of {width} x {height} pixels: at most {MOST_SHOWN}; give smaller images"
+        )
+    return flip.heat_map(shown(a) / 255.0, shown(b) / 255.0)
+
+
+def save_heat_map(path: str | os.PathLike[str], pair: Pair) -> None:
+    """Write the heat map of a pair as PNG.
+
+    Raises
+    ------
+    InputError : flip-evaluator is missing, an image could not be read, the sizes differ, or the
+        file is no .png or cannot be written
+    """
+    if Path(path).suffix.lower() != ".png":
+        raise InputError(f"the heat map {path}: give a .png")
+    a, b = pair.reference, pair.image
+    if a is None or b is None or a.pixels.shape[:2] != b.pixels.shape[:2]:
+        raise InputError(f"no heat map: {pair.error}")
+    save_png(path, heat_map(a, b), {})
+
+
+def decoded(content: bytes) -> Bytes:
+    """Return the pixels of a file that one of the following returned."""
+    from PIL import Image
+
+    return np.asarray(Image.open(BytesIO(content)))
+
+
+def lossless(pixels: Bytes) -> tuple[bytes, str]:
+    """Return pixels as WebP, or as PNG where a side is too long for that, and which of them."""
+    kind = "webp" if max(pixels.shape) <= _LONGEST_WEBP else "png"
+    options = {"lossless": True, "method": 1, "quality": 0} if kind == "webp" else {}
+    return _encoded(pixels, kind, options), kind
+
+
+def lossy(pixels: Bytes) -> bytes:
+    """Return pixels as a WebP of about a seventh of the bytes."""
+    return _encoded(pixels, "webp", {"method": 1, "quality": 90})
+
+
+def _encoded(pixels: Bytes, kind: str, options: Mapping[str, Any]) -> bytes:
+    from PIL import Image
+
+    buffer = BytesIO()
+    Image.fromarray(pixels).save(buffer, kind, **options)
+    return buffer.getvalue()

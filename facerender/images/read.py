@@ -1,0 +1,143 @@
+"""Image files as :class:`ImageData`: EXR, NumPy arrays, PNG and JPEG."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from facerender.errors import InputError, clipped, reason
+from facerender.images.decode import MAX_BYTES, check_pixels, open_image, texels
+from facerender.images.exr import read_exr
+from facerender.images.icc import profile_of
+from facerender.images.image import ROUNDED, ImageData, image_from_array
+from facerender.jpeg import Jpeg
+from facerender.system.files import check_downloaded, open_file
+
+SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
+SRGB_GAMMA = 0.45455  # what a PNG says of itself for programs that know no sRGB
+_NPY = b"\x93NUMPY"
+_LONGEST_HEADER = 1 << 16  # of a NumPy array
+_LONGEST_EXR = 1 << 24  # bytes of the header of an EXR
+
+
+def read_image(path: str | os.PathLike[str]) -> ImageData:
+    """Read .exr (the extra ``exr``), .npz or .npy (linear float, or 8-bit), .png or .jpg (8-bit).
+
+    Raises
+    ------
+    InputError : a file that is missing, damaged, too large, or of another kind; the message has the
+        remedy
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(
+            f"{path}: unknown image format {suffix!r}; give .exr, .npz, .npy, .png or .jpg"
+        )
+    with open_file(path, "an image file", MAX_BYTES) as file:
+        size = os.fstat(file.fileno()).st_size
+        content = file.read(_LONGEST_EXR if suffix == ".exr" else size)
+    if not content:
+        raise InputError(f"{path} is empty: write it anew")
+    check_downloaded(content, f"{path} is")
+    if suffix == ".exr":
+        return read_exr(path, content, size)
+    if suffix in (".npz", ".npy"):
+        return _read_numpy(path, content)
+    return _read_8_bit(path, content)
+
+
+def _read_numpy(path: Path, content: bytes) -> ImageData:
+    from zipfile import ZipFile
+
+    try:
+        if content.startswith(_NPY):
+            return image_from_array(_array(BytesIO(content), str(path), len(content)), str(path))
+        with ZipFile(BytesIO(content)) as file:
+            names = [name.removesuffix(".npy") for name in file.namelist()]
+            if len(names) > 1 and "linear" in names:
+                names = ["linear"]
+            if len(names) != 1:
+                held = clipped(", ".join(names)) or "no array"
+                raise InputError(f"{path} holds {held}: name one of them linear")
+            (entry,) = (
+                each for each in file.infolist() if each.filename.removesuffix(".npy") == names[0]
+            )
+            with file.open(entry) as member:
+                return image_from_array(_array(member, str(path), len(content)), str(path))
+    except InputError:
+        raise
+    except Exception as error:  # NumPy, zipfile and zlib fail in many ways
+        raise InputError(f"{path} is no NumPy file ({reason(error)}); write it anew") from None
+
+
+def _array(file: IO[bytes], name: str, of: int) -> NDArray[Any]:
+    """Read an array, of a file of so many bytes, whose header is checked before.
+
+    Raises
+    ------
+    InputError : it holds no numbers, or is no image, or too large
+    """
+    start = file.read(_LONGEST_HEADER)
+    head = BytesIO(start)
+    read = {1: npy.read_array_header_1_0, 2: npy.read_array_header_2_0}
+    shape, _, kind = read[npy.read_magic(head)[0]](head)
+    if kind.hasobject:
+        raise InputError(f"{name} holds objects of Python, which are not read: give floats")
+    if len(shape) in (2, 3):
+        check_pixels(name, shape[1], shape[0], kind.itemsize * math.prod(shape[2:]), of)
+        file.seek(0)
+        return np.asarray(npy.read_array(file, allow_pickle=False))
+    raise InputError(f"{name} has shape {clipped(str(shape))}: give (H, W, 3) or (H, W, 4)")
+
+
+def _read_8_bit(path: Path, content: bytes) -> ImageData:
+    if content.startswith(b"\x89PNG") and content[24:25] == b"\x10":  # Pillow drops the lower byte
+        raise InputError(f"{path} is a 16-bit PNG: save as 8-bit PNG, or as EXR")
+    image = open_image(content, str(path), ("PNG", "JPEG"), "PNG or JPEG")
+    if image.mode not in ("L", "LA", "RGB", "RGBA"):
+        kind = {"P": "a palette image", "CMYK": "a CMYK image", "1": "an image of single bits"}
+        raise InputError(f"{path} is {kind.get(image.mode, image.mode)}: save it as RGB")
+    if "transparency" in image.info:
+        raise InputError(f"{path} has one transparent colour: save it as RGBA")
+    try:
+        pixels = texels(image, image.mode)
+        jpeg = None if image.format == "PNG" else Jpeg.of(image)
+    except Exception as error:  # each decoder of Pillow fails in its own way
+        raise InputError(f"{path} is damaged ({reason(error)}); write it anew") from None
+    metadata = {str(key): value for key, value in image.info.items() if isinstance(value, str)}
+    noise = jpeg.noise if jpeg else ROUNDED
+    picture = ImageData(pixels, "srgb8", str(path), metadata, noise=noise, jpeg=jpeg)
+    if "icc_profile" in image.info:
+        return _in_srgb(picture, image.info["icc_profile"])
+    gamma = image.info.get("gamma", SRGB_GAMMA)
+    if abs(gamma - SRGB_GAMMA) > 1e-4:
+        return replace(picture, color_space=f"gamma {gamma:.4g}")
+    return picture
+
+
+def _in_srgb(picture: ImageData, content: bytes | None) -> ImageData:
+    """Return an 8-bit image, whose pixels are its own, with its colours in sRGB.
+
+    content : of its ICC profile, None of one that Pillow could not unpack
+    """
+    try:
+        profile = profile_of(content or b"", "L" if picture.pixels.shape[2] < 3 else "RGB")
+    except Exception as error:  # LittleCMS fails in its own ways
+        raise InputError(
+            f"{picture.name} has an ICC profile that cannot be used ({reason(error)}): save it as "
+            "sRGB"
+        ) from None
+    if profile.srgb:
+        return picture
+    profile.convert(picture.pixels)
+    noise = math.hypot(profile.gain * picture.noise, ROUNDED)
+    return replace(picture, profile=clipped(profile.name), noise=noise, jpeg=None)

@@ -1,0 +1,112 @@
+"""Images as bytes of PNG, JPEG and WebP files, the same for the same pixels and metadata."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import zlib
+from collections.abc import Mapping
+from io import BytesIO
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.errors import InputError, clipped, reason
+from facerender.system.atomic import write_bytes
+
+Format = Literal["png", "exr", "jpeg", "webp"]
+WRITTEN: dict[str, Format] = {
+    **{".png": "png", ".exr": "exr"},
+    **{".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp"},
+}
+QUALITY = 95  # of JPEG and WebP
+_DESCRIPTION = 0x010E  # of Exif
+
+
+def format_of(path: str | os.PathLike[str]) -> Format:
+    """Return the format of an image file that will be written.
+
+    Raises
+    ------
+    InputError : its suffix says none
+    """
+    suffix = os.path.splitext(path)[1].lower()
+    if suffix not in WRITTEN:
+        raise InputError(
+            f"{clipped(os.fsdecode(path))}: unknown image format {suffix!r}; give .png, .exr, .jpg "
+            "or .webp"
+        )
+    return WRITTEN[suffix]
+
+
+def check_opaque(name: str, transparent: bool) -> None:
+    """Raise InputError where an image without a background goes to a file that cannot say so."""
+    if transparent:
+        raise InputError(f"{name} holds no transparency: give a background, or .png or .webp")
+
+
+def save_png(
+    path: str | os.PathLike[str], pixels: NDArray[np.uint8], metadata: Mapping[str, str]
+) -> None:
+    """Write pixels as PNG; parameters as of :func:`png_bytes`."""
+    write_bytes(path, png_bytes(pixels, metadata))
+
+
+def png_bytes(pixels: NDArray[np.uint8] | NDArray[np.uint16], metadata: Mapping[str, str]) -> bytes:
+    """Return a PNG of 8-bit or 16-bit pixels: (H, W), (H, W, 3) or (H, W, 4) with straight alpha.
+
+    The same pixels and metadata give the same bytes. Every row is the difference to the one above,
+    and level 1 of the compression takes a quarter of the default's time: half of Pillow's time for
+    fewer bytes, without the import.
+    """
+    height, width = pixels.shape[:2]
+    kind = {1: 0, 3: 2, 4: 6}[pixels[0, 0].size]  # grey, RGB, RGBA
+    big_endian = pixels.astype(pixels.dtype.newbyteorder(">"), order="C", copy=False)
+    rows = big_endian.reshape(height, -1).view(np.uint8)
+    filtered = np.full((height, 1 + rows.shape[1]), 2, dtype=np.uint8)  # 2: "Up"
+    filtered[0, 1:] = rows[0]
+    np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
+    depth = 8 * pixels.itemsize
+    chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, kind, 0, 0, 0))]
+    for key, value in metadata.items():
+        try:
+            chunks.append((b"tEXt", f"{key}\0{value}".encode("latin-1")))
+        except UnicodeEncodeError:
+            chunks.append((b"iTXt", f"{key}\0\0\0\0\0{value}".encode()))
+    chunks += [(b"IDAT", zlib.compress(filtered.data, 1)), (b"IEND", b"")]
+    packed = [
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in chunks
+    ]
+    return b"".join([b"\x89PNG\r\n\x1a\n", *packed])
+
+
+def lossy_bytes(
+    kind: Literal["jpeg", "webp"], pixels: NDArray[np.uint8], metadata: Mapping[str, str]
+) -> bytes:
+    """Return a JPEG or WebP of 8-bit pixels (H, W, 3), in WebP also (H, W, 4) with straight alpha.
+
+    Metadata are JSON, in the Exif field ImageDescription. Colours are not subsampled in a JPEG.
+
+    Raises
+    ------
+    InputError : a JPEG with alpha; more pixels a side than the format has
+    """
+    from PIL import Image
+
+    if kind == "jpeg":
+        check_opaque("JPEG", pixels.shape[-1] == 4)
+    exif = Image.Exif()
+    exif[_DESCRIPTION] = json.dumps(dict(metadata))
+    file = BytesIO()
+    try:
+        Image.fromarray(pixels).save(file, kind, quality=QUALITY, subsampling=0, exif=exif)
+    except (OSError, ValueError) as error:
+        height, width = pixels.shape[:2]
+        raise InputError(
+            f"no {kind} of {width} x {height} pixels can be made ({reason(error)}): give a smaller "
+            "size, or .png"
+        ) from None
+    return file.getvalue()

@@ -1,0 +1,272 @@
+"""Meshes that were loaded before, with the mip chains of their maps, in the store: by the files
+that they come from and by what read them. To have them back takes neither trimesh nor Pillow."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import json
+import math
+import struct
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender._version import __version__
+from facerender.errors import FacerenderError, InputError, warn
+from facerender.loading.given import Given
+from facerender.loading.referred import content_of
+from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
+from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.mips import Kind, Levels
+from facerender.scenes.texture import LARGE, Texture, pack
+from facerender.system import cache
+from facerender.system.files import read_file
+
+Chains = dict[Texture, dict[Kind, Future[Levels]]]
+
+_KIND = "meshes"
+_ALIGNMENT = 64
+_LENGTH = struct.Struct("<Q")
+_PACKAGE = Path(__file__).parents[1]
+_LIBRARIES = ("numpy", "scipy", "trimesh", "PIL", "DracoPy")
+# What the maps of a material are drawn from.
+_CHAINS: dict[str, Kind] = {
+    **dict.fromkeys(("albedo_map", "emissive_map"), "color"),
+    "normal_map": "normal",
+    **dict.fromkeys(("property_map", "lobe_map", "opacity_map"), "data"),
+}
+
+_ARRAYS = tuple(each.name for each in fields(Part) if each.name != "name")
+
+
+@dataclass(frozen=True)
+class Files:
+    """What a mesh is loaded from.
+
+    Attributes
+    ----------
+    source : the mesh file
+    maps : by the field of :class:`Material`, image files in place of the mesh file's own maps
+    flip_v, allow_outside, normal_map_y : see :func:`facerender.load_mesh`
+    """
+
+    source: Given
+    maps: Mapping[str, Path]
+    flip_v: bool
+    allow_outside: bool
+    normal_map_y: str
+
+    def digest(self) -> str | None:
+        """Return the entry's name in the store, or None where a file cannot be read."""
+        path, kind = self.source.path, self.source.kind
+        names = [path.name, kind, *((field, each.name) for field, each in self.maps.items())]
+        try:
+            said = self.flip_v, self.allow_outside, self.normal_map_y
+            facts = [__version__, _readers(), names, *said]
+            maps = [read_file(each, "a file") for each in self.maps.values()]
+            contents = [self.source.read(), *maps]
+        except InputError:
+            return None
+        return _digest(repr(facts).encode(), *(_digest(each).encode() for each in contents))
+
+    def find(self) -> Mesh | None:
+        """Return the mesh from the store, and warn of what was warned of when it was read; None
+        where it is not there, is damaged, or a file that the mesh file refers to is another now."""
+        name = self.digest()
+        content = None if name is None else cache.read(_KIND, name)
+        if content is None:
+            return None
+        try:
+            found, warnings = self._unpacked(content)
+        except Exception:  # whatever another program has left there
+            return None
+        for message in warnings:
+            warn(message)
+        return found
+
+    def _unpacked(self, content: memoryview) -> tuple[Mesh | None, list[str]]:
+        """Return the mesh of an entry, and what was warned of."""
+        (length,) = _LENGTH.unpack_from(content)
+        facts = json.loads(bytes(content[_LENGTH.size : _LENGTH.size + length]))
+        if any(self._digest_of(each) != known for each, known in facts["files"].items()):
+            return None, []
+        mesh = _mesh(facts, _arrays(content, _LENGTH.size + length, facts["arrays"]))
+        return mesh, [str(each) for each in facts["warnings"]]
+
+    def _digest_of(self, name: str) -> str | None:
+        if self.source.folder is None:
+            return None
+        content = content_of(self.source.folder, name, self.allow_outside)
+        return None if content is None else _digest(content)
+
+    def keep(
+        self, name: str, mesh: Mesh, referred: Mapping[str, bytes | None], warnings: Sequence[str]
+    ) -> None:
+        """Put the mesh into the store when its maps are decoded, in a thread that the process
+        waits for when it ends.
+
+        Parameters
+        ----------
+        name : the digest of before the files were read
+        referred : files that the mesh file refers to, as they were read; None is not there
+        """
+        if not cache.limit():
+            return
+        if None in referred.values() and "albedo_map" not in self.maps:
+            return  # the warning of it names the folder, and what lies there
+        if any(math.prod(each.size) > LARGE for each in _maps(mesh)):
+            return  # all of them would be decoded
+        files = {each: None if data is None else _digest(data) for each, data in referred.items()}
+        chains = _start(mesh)
+
+        def write() -> None:
+            try:
+                pieces = _pieces(mesh, chains, {"files": files, "warnings": warnings})
+            except FacerenderError:  # a map is damaged: who draws it is told so
+                return
+            if self.digest() == name:
+                cache.write(_KIND, name, pieces)
+
+        threading.Thread(target=write, name="facerender-store").start()
+
+
+def _digest(*contents: bytes) -> str:
+    whole = hashlib.blake2b(digest_size=16)
+    for each in contents:
+        whole.update(each)
+    return whole.hexdigest()
+
+
+def _readers() -> list[tuple[str, int, int]]:
+    """What reads meshes and decodes images: file, size and time of change of our modules, and of
+    the libraries that are installed."""
+    specs = (importlib.util.find_spec(name) for name in _LIBRARIES)
+    found = [Path(spec.origin) for spec in specs if spec and spec.origin]
+    for folder in ("images", "loading", "scenes"):
+        found += sorted((_PACKAGE / folder).glob("*.py"))
+    facts = ((path, path.stat()) for path in (*found, _PACKAGE / "system/files.py"))
+    return [(str(path), each.st_size, each.st_mtime_ns) for path, each in facts]
+
+
+def _maps(mesh: Mesh) -> Iterator[Texture]:
+    for material in mesh.materials:
+        yield from filter(None, (getattr(material, name) for name in MAPS))
+
+
+def _start(mesh: Mesh) -> Chains:
+    """Start decoding every map."""
+    chains: Chains = {}
+    for material in mesh.materials:
+        for name in (*MAPS, "property_map"):
+            if (texture := getattr(material, name)) is not None:
+                known = chains.setdefault(texture, {})
+                apart = name in PROPERTY_MAPS and not material.packs
+                if (kind := "data" if apart else _CHAINS.get(name)) is not None:
+                    known[kind] = texture.levels(kind)
+    return chains
+
+
+def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | memoryview]:
+    """Return an entry: the length of the facts, the facts as JSON, arrays, which those number."""
+    arrays: list[NDArray[Any]] = []
+
+    def number(values: NDArray[Any] | None) -> int | None:
+        if values is None:
+            return None
+        arrays.append(np.ascontiguousarray(values))
+        return len(arrays) - 1
+
+    textures = []
+    for texture, futures in chains.items():
+        levels = {kind: [number(each) for each in f.result()] for kind, f in futures.items()}
+        texels = None if levels else number(_grey_or_rgb(np.asarray(texture.rgb())))
+        facts_of = {"name": texture.name, "wrap": texture.wrap, "nearest": texture.nearest}
+        textures.append({**facts_of, "levels": levels, "texels": texels})
+    numbers = {texture: i for i, texture in enumerate(chains)}
+    facts |= {
+        "name": mesh.name,
+        "parts": [
+            {name: number(getattr(part, name)) for name in _ARRAYS} | {"name": part.name}
+            for part in mesh.parts
+        ],
+        "materials": [
+            {each.name: getattr(material, each.name) for each in fields(Material)}
+            | {name: numbers.get(getattr(material, name)) for name in (*MAPS, "property_map")}
+            for material in mesh.materials
+        ],
+        "bounds": number(mesh.bounds),
+        "radius": mesh.radius,
+        "profile": number(mesh.profile),
+        "millimetres": mesh.millimetres,
+        "textures": textures,
+    }
+    facts["arrays"] = [(each.dtype.str, each.shape) for each in arrays]
+    head = json.dumps(facts, default=float).encode()
+    pieces: list[bytes | memoryview] = [_LENGTH.pack(len(head)), head]
+    size = _LENGTH.size + len(head)
+    for each in arrays:
+        pieces += [bytes(-size % _ALIGNMENT), each.data]
+        size += -size % _ALIGNMENT + each.nbytes
+    return pieces
+
+
+def _grey_or_rgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    grey = texels[..., 0]
+    return grey if (texels == grey[..., None]).all() else texels
+
+
+def _arrays(
+    content: memoryview, start: int, described: Sequence[tuple[str, Sequence[int]]]
+) -> list[NDArray[Any]]:
+    arrays = []
+    for name, shape in described:
+        start += -start % _ALIGNMENT
+        arrays.append(np.frombuffer(content, name, math.prod(shape), start).reshape(shape))
+        start += arrays[-1].nbytes
+    return arrays
+
+
+def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
+    textures = [_texture(each, arrays) for each in facts["textures"]]
+    materials = []
+    for each in facts["materials"]:
+        maps = {name: textures[each[name]] for name in MAPS if each[name] is not None}
+        packed = each.pop("property_map")
+        material = Material(**{**each, **dict.fromkeys(MAPS), **maps})
+        if packed is not None:
+            own = pack(*material.properties, textures[packed])
+            vars(material)["property_map"] = own  # as when asked for
+        materials.append(material)
+    columns: list[dict[str, Any]] = [
+        {name: None if each[name] is None else arrays[each[name]] for name in _ARRAYS}
+        for each in facts["parts"]
+    ]
+    return Mesh(
+        facts["name"],
+        tuple(
+            Part(**each, name=own["name"])
+            for each, own in zip(columns, facts["parts"], strict=True)
+        ),
+        tuple(materials),
+        arrays[facts["bounds"]],
+        facts["radius"],
+        arrays[facts["profile"]],
+        facts["millimetres"],
+    )
+
+
+def _texture(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Texture:
+    levels: dict[Kind, Levels] = {
+        kind: [arrays[i] for i in numbers] for kind, numbers in facts["levels"].items()
+    }
+    base = next(iter(levels.values()))[0][..., :3] if levels else arrays[facts["texels"]]
+    texture = Texture.known(base, facts["name"], levels)
+    texture.wrap, texture.nearest = tuple(facts["wrap"]), facts["nearest"]
+    return texture
