@@ -32,13 +32,12 @@ from facerender.drawing.resources import Resources, read
 from facerender.errors import (
     ContextError,
     InputError,
-    check_count,
     check_range,
     check_switch,
     check_type,
     warn,
 )
-from facerender.job import Job
+from facerender.job import ImageSettings, Job
 from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light
@@ -54,15 +53,15 @@ from facerender.scenes.scene import (
     slope_ranges,
 )
 from facerender.scenes.sources import MeshSource
-from facerender.scenes.view import View, checked_size, hidden, sample_grid, view_of
+from facerender.scenes.view import View, hidden, sample_grid, view_of
 from facerender.shading import Shading
 from facerender.terms import AnyLobe
+from facerender.terms.ranges import ranges_of
 
 if TYPE_CHECKING:
     from facerender.scenes.scattering import Scattering
 
-MAX_SIZE = 16384
-MAX_SAMPLES = 64
+_LIMITS = ranges_of(ImageSettings)
 
 
 class Renderer:
@@ -105,12 +104,11 @@ class Renderer:
         full_maps: bool = False,
         memory: float | None = None,
     ) -> None:
-        self.size = checked_size(size, MAX_SIZE)
-        check_count("samples", samples, MAX_SAMPLES)
-        check_range("anisotropy", anisotropy, 1.0, 16.0)
+        self.size = _LIMITS["size"].check("size", size)
+        self.samples = _LIMITS["samples"].check("samples", samples)
+        _LIMITS["anisotropy"].check("anisotropy", anisotropy)
         for name, value in (("float_albedo", float_albedo), ("full_maps", full_maps)):
             check_switch(name, value)
-        self.samples = samples
         self._peeling = threading.Lock()  # a layer is drawn by what the one before it left
         if memory is not None:
             check_range("memory", memory, 1.0, 1e9)
@@ -216,7 +214,7 @@ class Renderer:
         if only not in (None, "specular", "diffuse"):
             raise InputError(f"unknown term {only!r}; known: {', '.join(ONLY)}")
         samples = self.samples if samples is None else samples
-        check_count("samples", samples, MAX_SAMPLES)
+        _LIMITS["samples"].check("samples", samples)
         view = view_of(scene, self.size[0] / self.size[1])
         scene = self._simplified(scene, shading, view, samples)
         if shading_rate == "pixel" and not self.can_shade_per_pixel(scene, samples):
@@ -250,7 +248,7 @@ class Renderer:
         samples, as many as the driver has, of up to 16 million triangles of opaque parts by one
         kind of texture coordinates, on a background of up to 1000."""
         _check_scene(scene)
-        check_count("samples", samples, MAX_SAMPLES)
+        _LIMITS["samples"].check("samples", samples)
         return samples > 1 and self._can_defer(scene, samples)
 
     def gbuffer(self, scene: Scene, shading: Shading = Shading(), blended: bool = True) -> GBuffer:

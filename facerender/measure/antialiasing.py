@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.frame import Frame
-from facerender.drawing.renderer import MAX_SAMPLES, Renderer
+from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.images.srgb import linear_to_srgb
+from facerender.job import MAX_SAMPLES
 from facerender.measure.measurement import Lost, Sampled
 from facerender.pricing.frame import ratios
 from facerender.scenes.scene import SHADING_RATES, Scene

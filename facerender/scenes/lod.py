@@ -14,9 +14,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_type, shown, warn
+from facerender.errors import InputError, check_type, warn
 from facerender.scenes.framing import find_regions
-from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.mesh import TRIANGLES, Mesh, Part
 
 if TYPE_CHECKING:
     import wasmtime
@@ -63,7 +63,7 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     FacerenderWarning : seams and parts need more triangles
     """
     check_type("mesh", mesh, Mesh, "a facerender.Mesh")
-    check_triangles(triangles)
+    TRIANGLES.check("triangles", triangles)
     if sum(len(part.faces) for part in mesh.parts) <= triangles:
         return mesh
     known = _levels.setdefault(mesh, {})
@@ -72,12 +72,6 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     if (left := sum(len(part.faces) for part in known[triangles].parts)) > triangles:
         warn(f"{mesh.name} cannot be simplified to {triangles} triangles: it keeps {left}")
     return known[triangles]
-
-
-def check_triangles(value: Any) -> None:
-    """Raise InputError where a value is no number of triangles."""
-    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-        raise InputError(f"triangles = {shown(value)}: give a whole number of at least 1")
 
 
 def _simplify(mesh: Mesh, triangles: int) -> Mesh:
