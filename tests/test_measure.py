@@ -139,11 +139,11 @@ def test_json_of_samples_says_how_often_pixels_are_shaded():
     lost = {"mean": 0.04, "percentile": 0.2, "over": 0.5}
     row = {"samples": 4, "time": {"value": 2.0, "low": 1.9, "high": 2.1}}
     row |= {"silhouette": lost, "inside": lost}
-    content["samples"] = [row, row | {"once": True}]  # the first one as it was written before
+    content["samples"] = [row | {"shading_rate": rate} for rate in ("sample", "pixel")]
     measurement = Measurement.from_dict(content)
-    assert [each.once for each in measurement.samples] == [False, True]
-    assert measurement.as_dict()["samples"][1] == row | {"once": True}
-    assert [cells[0] for cells in sample_table(measurement).rows] == ["4", "4, shaded once"]
+    assert [each.shading_rate for each in measurement.samples] == ["sample", "pixel"]
+    assert measurement.as_dict()["samples"][1] == row | {"shading_rate": "pixel"}
+    assert [cells[0] for cells in sample_table(measurement).rows] == ["4", "4, per-pixel shading"]
 
 
 def test_parts_of_skin_cost_and_lose(head, egl):

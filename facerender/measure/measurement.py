@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from facerender.errors import InputError
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import PRINTED, Variant, of_model
+from facerender.scenes.scene import ShadingRate
 
 SCHEMA = "facerender.measure/1"
 MODELS = PRINTED
@@ -130,14 +131,14 @@ class Sampled:
     time : of a frame with readback, over that of a frame with one sample
     silhouette : of the pixels that the mesh covers in part with 64 samples
     inside : of those that it covers
-    once : whether one triangle of a pixel is shaded, see :meth:`facerender.Renderer.render`
+    shading_rate : see :meth:`facerender.Renderer.render`
     """
 
     samples: int
     time: Interval
     silhouette: Lost
     inside: Lost
-    once: bool = False
+    shading_rate: ShadingRate = "sample"
 
 
 @dataclass(frozen=True)
@@ -258,7 +259,7 @@ def _measured_variant(row: Mapping[str, Any]) -> MeasuredVariant:
 
 def _sampled(row: Mapping[str, Any]) -> Sampled:
     lost = Lost(**row["silhouette"]), Lost(**row["inside"])
-    return Sampled(row["samples"], Interval(**row["time"]), *lost, row.get("once", False))
+    return Sampled(row["samples"], Interval(**row["time"]), *lost, row["shading_rate"])
 
 
 def _part_setting(row: Mapping[str, Any]) -> PartSetting:

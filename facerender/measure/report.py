@@ -36,7 +36,7 @@ METHODS = {
     " variants take turns; given are the lower quartile of the repeats and its 95 % interval.",
     "samples": "The time of a frame over that of one with one sample, in turns, the median; the"
     " error of the displayed image against 64 samples, at pixels that the mesh covers in part, and"
-    " inside. Shaded once: one triangle of a pixel for all that its samples see.",
+    " inside. Per-pixel shading: one triangle of a pixel for all that its samples see.",
     "parts of skin": "The time of a frame with one sample over that of the part's first setting, in"
     " turns, the median; the error of the displayed image against the part's last setting.",
     "error of the lobe": "Percent of the lobe's peak: the largest difference from the exact lobe,"

@@ -152,7 +152,8 @@ def sample_cells(sampled: Sampled) -> list[str]:
     lost: list[Lost] = [sampled.silhouette, sampled.inside]
     steps = [255.0 * share for each in lost for share in (each.mean, each.percentile)]
     figures = (sampled.time.value, *steps, 100.0 * sampled.inside.over)
-    name = f"{sampled.samples}, shaded once" if sampled.once else str(sampled.samples)
+    name = f"{sampled.samples}, per-pixel shading"
+    name = name if sampled.shading_rate == "pixel" else str(sampled.samples)
     return [name, *(_number(figure) for figure in figures)]
 
 

@@ -173,7 +173,7 @@ class Plan:
             return None
         detail = self.detail or LevelOfDetail(self.samples, None)
         fewer = detail.samples if detail.samples < self.samples else None
-        fine = (fewer, detail.triangles, detail.backs, detail.once)
+        fine = (fewer, detail.triangles, detail.cull_back_faces, detail.shading_rate)
         return Planned(self.sizes, self.samples, *fine)
 
     def as_dict(self) -> dict[str, Any]:
