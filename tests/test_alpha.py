@@ -18,15 +18,15 @@ from facerender.errors import FacerenderWarning, InputError
 from facerender.explorer import plain
 from facerender.job import Job
 from facerender.loading.given import given
-from facerender.loading.kept import Files
+from facerender.loading.mesh_cache import Files
 from facerender.scenes.file import load_scene, scene_toml
 from facerender.scenes.light import parse_light
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Part
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import view_of
-from tests.test_levels import grid
-from tests.test_levels import mesh_of as shaped
+from tests.test_lod import grid
+from tests.test_lod import mesh_of as shaped
 from tests.verification.parts_head import NAMES, hairs, parts_head
 
 FACTORS = {

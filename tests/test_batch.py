@@ -143,7 +143,7 @@ def test_a_planned_scene_is_drawn_as_render_draws_it(table, draw, tmp_path):
     plan = ["plan", str(MINI_HEAD), "--budget", "24/255", "--within", "90%", "--m", "0.3", *where]
     assert main([*plan, "--backend", "egl", "--quiet"]) == 0
     detail = tomllib.loads(Path(planned).read_text())["planned"]
-    assert detail.get("drawn_samples", 4) < 4 or "triangles" in detail or not detail["backs"]
+    assert detail.get("drawn_samples", 4) < 4 or "triangles" in detail or detail["cull_back_faces"]
     jobs = rows(3, mesh=str(MINI_HEAD), outputs="image,specular")
     draw(table(jobs), "command", "--scene", planned)
     draw(table([{**job, "scene": planned} for job in jobs]), "job", *size)

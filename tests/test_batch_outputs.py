@@ -69,7 +69,14 @@ def test_pictures_are_those_that_frames_save(head, drawing, background, tmp_path
 
 
 @pytest.mark.parametrize(
-    "how", [{"drawn_samples": 1}, {"triangles": 3000}, {"backs": False}, {"once": True}], ids=str
+    "how",
+    [
+        {"drawn_samples": 1},
+        {"triangles": 3000},
+        {"cull_back_faces": True},
+        {"shading_rate": "pixel"},
+    ],
+    ids=str,
 )
 def test_a_planned_job_is_drawn_as_planned(head, drawing, how, tmp_path):
     camera = fr.Camera(-35.0, -70.0)  # into the neck, which is open
@@ -80,8 +87,8 @@ def test_a_planned_job_is_drawn_as_planned(head, drawing, how, tmp_path):
     assert drawn.facts["planned"] is True
     detail = planned.detail
     for only in (None, "specular", "normal"):
-        name, details = f"{only or 'image'}.png", (detail.samples, detail.backs, detail.once)
-        drawing.render(detail.of(job.scene(head)), job.shading, only, *details).save(
+        name = f"{only or 'image'}.png"
+        drawing.render(detail.of(job.scene(head)), job.shading, only, **detail.values).save(
             tmp_path / name
         )
         assert drawn.files[name] == (tmp_path / name).read_bytes()
@@ -240,14 +247,14 @@ def test_what_a_pixel_sees_projects_to_its_centre(head, drawing, name, place):
     mesh, camera = place(head), CAMERAS[name]
     for end in ("position", "target"):  # said in radii from the centre
         if (point := getattr(camera, end)) is not None:
-            camera = replace(camera, **{end: tuple(mesh.denormalised(point))})
+            camera = replace(camera, **{end: tuple(mesh.to_mesh_space(point))})
     seen = drawing.gbuffer(fr.Scene(mesh, camera))
     facts = camera_facts(seen.view, mesh, SIZE)
     covered = seen.part >= 0
     assert covered.sum() > 100
     pose, to_world = np.array(facts["Rt"]), np.array(facts["transform_matrix"])
 
-    points = mesh.denormalised(seen.position[covered])
+    points = mesh.to_mesh_space(seen.position[covered])
     in_camera = points @ pose[:, :3].T + pose[:, 3]
     depth = drawing.render(fr.Scene(mesh, camera), only="depth").linear[covered][:, 0]
     np.testing.assert_allclose(in_camera[:, 2], depth, rtol=1e-6)
@@ -264,7 +271,7 @@ def test_what_a_pixel_sees_projects_to_its_centre(head, drawing, name, place):
     np.testing.assert_allclose(pose[:, :3] @ pose[:, :3].T, np.eye(3), atol=1e-12)
     flipped = np.diag([1.0, -1.0, -1.0]) @ np.linalg.inv(to_world)[:3]
     np.testing.assert_allclose(flipped, pose, atol=1e-9 * np.abs(pose).max())
-    np.testing.assert_allclose(eye_of(facts), mesh.denormalised(seen.view.eye), rtol=1e-12)
+    np.testing.assert_allclose(eye_of(facts), mesh.to_mesh_space(seen.view.eye), rtol=1e-12)
     assert (facts["K"][0][2], facts["K"][1][2]) == (SIZE[0] / 2, SIZE[1] / 2)
     assert facts["K"][0][0] == facts["K"][1][1]  # square pixels
 
@@ -303,10 +310,10 @@ def test_the_page_reads_what_is_written(head, egl, tmp_path, monkeypatch):
     covered = seen.part >= 0
     np.testing.assert_array_equal(told["part"], seen.part)
     np.testing.assert_allclose(told["normal"], told["exact"], atol=0.5 / 127.5 + 1e-6)
-    exact = head.denormalised(seen.position[covered])
+    exact = head.to_mesh_space(seen.position[covered])
     assert np.abs(told["points"] - exact).max() < drawn.facts["depth_scale"]
     np.testing.assert_allclose(told["project"](exact), told["rays"] @ told["K"].T[:, :2], atol=1e-3)
-    to_eye = head.denormalised(seen.view.eye) - exact
+    to_eye = head.to_mesh_space(seen.view.eye) - exact
     assert (told["in_camera"][:, 2] < 0.0).mean() > 0.9  # normals look back at the camera
     cosine = (told["exact"][covered] * to_eye).sum(axis=1) / np.linalg.norm(to_eye, axis=1)
     shown = cv2.imread("cosines.png")[..., 1][covered]  # N.V

@@ -4,7 +4,7 @@ the camera. No OpenGL here: a renderer is a parameter."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,9 +17,9 @@ from facerender.errors import InputError
 from facerender.images.exr import exr_bytes, openexr
 from facerender.images.write import png_bytes
 from facerender.job import Job
-from facerender.scenes.levels import simplified
+from facerender.scenes.lod import simplified
 from facerender.scenes.mesh import Mesh
-from facerender.scenes.planned import Detail
+from facerender.scenes.planned import LevelOfDetail
 from facerender.scenes.scene import DATA, Only, Scene
 from facerender.scenes.view import View, view_of
 
@@ -119,12 +119,12 @@ def draw(
 
 
 def _frames(
-    job: Job, scene: Scene, detail: Detail, renderer: Renderer, outputs: Sequence[str]
+    job: Job, scene: Scene, detail: LevelOfDetail, renderer: Renderer, outputs: Sequence[str]
 ) -> dict[str, Frame]:
     """Return the frames that outputs need, by name."""
-    samples = min(detail.samples, renderer.samples)
+    values = replace(detail, samples=min(detail.samples, renderer.samples)).values
     frames = {
-        name: renderer.render(scene, job.shading, only, samples, detail.backs, detail.once)
+        name: renderer.render(scene, job.shading, only, **values)
         for name, only in _SHADED.items()
         if name in outputs
     }

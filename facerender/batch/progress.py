@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from facerender.batch.supervisor import Outcome
 from facerender.batch.work import Work
-from facerender.system.progress import shown
+from facerender.system.progress import shows_bars
 from facerender.system.signals import if_ended
 
 _FRAME = 0.2  # seconds between those that are drawn
@@ -32,7 +32,7 @@ class Progress:
     """
 
     def __init__(self, work: Work, workers: int, lines: bool, quiet: bool = False) -> None:
-        terminal = shown(quiet)
+        terminal = shows_bars(quiet)
         self._bar = tqdm(
             total=work.jobs,
             initial=work.jobs - work.left,

@@ -6,7 +6,7 @@ import inspect
 import types
 from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, fields
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from facerender.batch.jobs import EXPOSURE_LIMITS, ID, LIMITS, OUTPUTS
 from facerender.job import ImageSettings, MeshFile
@@ -157,6 +157,8 @@ def _of_type(hint: Any) -> Schema:
     if hint == Vector:
         return _vector(_NUMBER)
     origin, inner = get_origin(hint), [each for each in get_args(hint) if each is not type(None)]
+    if origin is Literal:
+        return {"enum": [*get_args(hint)]}
     if origin in (Union, types.UnionType):
         options = [_of_type(each) for each in inner]
         if {"type": "number"} in options:

@@ -143,7 +143,7 @@ def _mesh(file: MeshFile) -> tuple[Mesh, list[str]]:
     for path in [*filter(None, own), *(named_files(Path(file.path)) if file.path else ())]:
         _check_file(path)
     with noting() as warned:
-        mesh = file.kept() or file.load(cache=_mesh.cache_info().misses == 1)
+        mesh = file.cached() or file.load(cache=_mesh.cache_info().misses == 1)
     return mesh, warned
 
 

@@ -32,10 +32,10 @@ from facerender.pricing.table import FRAME
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import scene_toml
 from facerender.scenes.mesh import drawn_alpha
-from facerender.scenes.planned import Detail, Planned
+from facerender.scenes.planned import LevelOfDetail, Planned
 from facerender.scenes.scene import Scene, slope_ranges
 from facerender.shading import Shading
-from facerender.system.progress import Progress, unheard
+from facerender.system.progress import Progress, no_progress
 
 # Of an error map: where on the way to the budget, and which colour there; and beyond it.
 _STOPS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -104,7 +104,7 @@ class Plan:
     cameras: tuple[Camera, ...]
     sizes: tuple[tuple[int, int], ...]
     samples: int | None
-    detail: Detail | None
+    detail: LevelOfDetail | None
     measured: Interval | None
     constants: Constants
     candidates: int
@@ -171,9 +171,9 @@ class Plan:
         where nothing was taken away."""
         if self.samples is None or self._is_full:
             return None
-        detail = self.detail or Detail(self.samples, None)
+        detail = self.detail or LevelOfDetail(self.samples, None)
         fewer = detail.samples if detail.samples < self.samples else None
-        fine = (fewer, detail.triangles, detail.backs, detail.once)
+        fine = (fewer, detail.triangles, detail.cull_back_faces, detail.shading_rate)
         return Planned(self.sizes, self.samples, *fine)
 
     def as_dict(self) -> dict[str, Any]:
@@ -217,7 +217,7 @@ class Plan:
 
     @property
     def _is_full(self) -> bool:
-        finest = self.detail is None or self.detail == Detail(self.samples or 1, None)
+        finest = self.detail is None or self.detail == LevelOfDetail(self.samples or 1, None)
         return self.shading == self.full and finest
 
     def _basis(self) -> str:
@@ -272,7 +272,7 @@ def plan(
     verify_cost: bool = False,
     exposure: float = 0.0,
     renderer: Renderer | None = None,
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
 ) -> Plan:
     """Find a cheaper frame of a scene whose error stays within a budget: the fewest samples,
     pixels shaded once and the fewest triangles with these, and the cheapest shading with all that.
@@ -291,7 +291,7 @@ def plan(
     guarantee : bound the error over all views in place of measuring it
     cost : "frame", of whole frames on this driver, by a few that are measured; or of a fragment,
         which leaves samples and triangles as they are: "auto", "llvmpipe", "navi21" (RDNA2) or
-        "vega10" (GCN5) from the table, "here", or "radv:navi21"; see
+        "vega10" (GCN5) from the table, or "here"; see
         :func:`facerender.pricing.table.load_prices`. With a guarantee a fragment's, of "auto" RDNA2
     verify_cost : measure the chosen frame beside the full one, in turns
     exposure : of the displayed image, in stops
@@ -463,7 +463,7 @@ def _plan(
     cameras: tuple[Camera, ...] = (),
     sizes: tuple[tuple[int, int], ...] = (),
     samples: int | None = None,
-    detail: Detail | None = None,
+    detail: LevelOfDetail | None = None,
     measured: Interval | None = None,
     tried: int = 0,
     error_map: NDArray[np.float64] | None = None,

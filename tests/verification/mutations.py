@@ -1,6 +1,6 @@
 """What the image comparison is held against: renders that are broken on purpose, and renders that
-differ as drivers, formats and cameras make them. The table of docs/comparison.md and the tests walk
-the same entries."""
+differ as drivers, formats and cameras make them. The table of docs/measurements/comparison.md and
+the tests walk the same entries."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class Studio:
         right = np.cross(view.forward, [0.0, 1.0, 0.0])
         right /= np.linalg.norm(right)
         shift = pixels * pixel * (np.cross(right, view.forward) - right)
-        target = tuple(self.mesh.denormalised(shift).tolist())
+        target = tuple(self.mesh.to_mesh_space(shift).tolist())
         return replace(self, camera=replace(self.camera, target=target))
 
 

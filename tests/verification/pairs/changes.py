@@ -179,7 +179,7 @@ def turned(degrees: float) -> Callable[[Room], Linear]:
             angle = math.radians(degrees)
             sine, cosine = math.sin(angle), math.cos(angle)
             place = (x * cosine + z * sine, y, z * cosine - x * sine)
-            moved = replace(first, position=tuple(mesh.denormalised(place).tolist()))
+            moved = replace(first, position=tuple(mesh.to_mesh_space(place).tolist()))
         return room.draw(lights=(moved, *others))
 
     return make
@@ -417,7 +417,7 @@ def snapped(room: Room) -> Linear:
         pixels = clip[:, :2] / clip[:, 3:] * halves
         clip[:, :2] = np.round(256.0 * pixels) / 256.0 / halves * clip[:, 3:]
         back = np.linalg.solve(matrix.T, clip.T).T[:, :3]
-        parts.append(replace(part, positions=np.ascontiguousarray(mesh.denormalised(back))))
+        parts.append(replace(part, positions=np.ascontiguousarray(mesh.to_mesh_space(back))))
     return room.draw(mesh=replace(mesh, parts=tuple(parts)), view=room.view)
 
 
