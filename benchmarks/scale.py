@@ -1,9 +1,11 @@
 """A batch on a cluster, simulated: which part of it is full first, and at how many images a second.
 
     python benchmarks/scale.py [--workers N] [--chunk N] [--layout shards|files] [--parts N]
-        [--set NAME=VALUE ...] [--measured docs/measurements/scale.json]
+        [--set NAME=VALUE ...] [--measured docs/measurements/scale.json] [-o FILE.json]
 
-Without options: the tables of docs/scale.md. A model of events, in one process, in seconds:
+Without options: the tables of docs/measurements/scale.md; with -o, their data for `python -m
+tools.docs`, as docs/measurements/scale_simulated.json. A model of events, in one process, in
+seconds:
 
 - A driver of each part reads and digests rows, and keeps a window of chunks in flight.
 - A scheduler of each part serves one message after the other: half of a task's time when it comes,
@@ -25,7 +27,7 @@ import json
 import math
 from collections import deque
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from heapq import heappop, heappush
 from pathlib import Path
 from typing import Any
@@ -309,9 +311,8 @@ HEAD = (
 )
 
 
-def row(name: str, cluster: Cluster) -> list[str]:
-    """Simulate a cluster, and tell it as a row under HEAD."""
-    told = simulate(cluster)
+def row(name: str, told: Told) -> list[str]:
+    """Return what a simulation tells as a row under HEAD."""
     parts = ("workers", "waiting", "driver", "scheduler", "requests", "link")
     shares = [f"{100.0 * told.full[part]:.0f} %" for part in parts]
     chunk = f"{told.median:.1f}, {told.slowest:.1f}"
@@ -361,6 +362,30 @@ def tables(base: Cluster) -> dict[str, Runs]:
     }
 
 
+def sleepers(run: Mapping[str, Any]) -> Cluster:
+    """Return the cluster of a run of benchmarks/scale_measure.py, whose tasks only sleep."""
+    return Cluster(
+        workers=run["slots"],
+        **{"chunk": 1, "draw": run["nap_s"], "draw_spread": 0.0, "chunk_start": 0.0},
+        **{"slow_share": 0.0, "crashes": 0.0, "losses": 0.0, "put": 0.0, "image_bytes": 1.0},
+        **{"driver_row": 0.0, "driver_chunk": run["driver_s"], "scheduler": run["scheduler_s"]},
+        request_limit=1e9,
+    )
+
+
+def simulated(path: Path) -> dict[str, Any]:
+    """Return the data of the document: what each row of its tables tells, by title and name; and
+    the images a second of each measured run of a scheduler."""
+    runs = json.loads(path.read_text(encoding="utf-8"))["scheduler"]
+    return {
+        "tables": {
+            title: {name: asdict(simulate(cluster)) for name, cluster in clusters}
+            for title, clusters in tables(measured(path)).items()
+        },
+        "scheduler": [simulate(sleepers(run)).images for run in runs],
+    }
+
+
 def main() -> None:
     from facerender.measure.tables import markdown_table
 
@@ -371,6 +396,7 @@ def main() -> None:
     parser.add_argument("--layout", choices=("shards", "files"))
     parser.add_argument("--parts", type=int)
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", dest="others")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE.json", help="data of all tables")
     options = parser.parse_args()
     base = measured(options.measured)
     given: dict[str, Any] = {
@@ -384,10 +410,14 @@ def main() -> None:
             parser.error(f"no parameter {name}; there are {', '.join(numbers)}")
         given[name] = numbers[name](float(value))
     if given:
-        print(markdown_table(HEAD, [row("", replace(base, **given))]))
+        print(markdown_table(HEAD, [row("", simulate(replace(base, **given)))]))
         return
-    for title, runs in tables(base).items():
-        print(f"## {title}\n\n{markdown_table(HEAD, [row(*each) for each in runs])}\n")
+    data = simulated(options.measured)
+    if options.output:
+        options.output.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    for title, runs in data["tables"].items():
+        rows = [row(name, Told(**told)) for name, told in runs.items()]
+        print(f"## {title}\n\n{markdown_table(HEAD, rows)}\n")
 
 
 if __name__ == "__main__":

@@ -6,22 +6,33 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
-from operator import index
 from typing import Any
 
-from facerender.errors import InputError, check_range
+from facerender.errors import InputError, shown
+from facerender.images.decode import MAX_SIDE
 from facerender.images.write import format_of
 from facerender.loading import cached_mesh, check_normal_map_y, load_mesh
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import KEYS, EnvironmentFile, from_table, scene_value, toml_text
 from facerender.scenes.light import Light
-from facerender.scenes.lod import check_triangles, simplified
+from facerender.scenes.lod import simplified
 from facerender.scenes.material import MAPS, Material
-from facerender.scenes.mesh import Mesh, names_of
+from facerender.scenes.mesh import TRIANGLES, Mesh, names_of
 from facerender.scenes.planned import Planned
 from facerender.scenes.scene import ONLY, Only, Scene
-from facerender.scenes.vectors import Vector, non_negative
+from facerender.scenes.vectors import COLORS, Vector
 from facerender.shading import Shading
+from facerender.terms.ranges import (
+    EXPOSURES,
+    IntegerRange,
+    Range,
+    SizeRange,
+    check_fields,
+    range_of,
+    ranged,
+)
+
+MAX_SAMPLES = 64
 
 
 @dataclass(frozen=True)
@@ -36,9 +47,9 @@ class MeshFile:
     specular_map: str | None = None
     roughness_map: str | None = None
     flip_v: bool = False
-    triangles: int | None = None
+    triangles: int | None = ranged(TRIANGLES, None)
     lobe_map: str | None = None
-    millimetres: float | None = None
+    millimetres: float | None = ranged(range_of(Mesh, "millimetres"), None)
     occlusion: bool = False
     allow_outside: bool = False
     parts: tuple[str, ...] | None = None
@@ -54,15 +65,9 @@ class MeshFile:
             if isinstance(value, os.PathLike):
                 object.__setattr__(self, each.name, os.fspath(value))
             elif each.name in MESH_PATHS and not isinstance(value, str | None):
-                raise InputError(f"mesh {each.name} = {value!r}: give a path as text")
-        for name in ("flip_v", "occlusion", "allow_outside"):
-            if not isinstance(switch := getattr(self, name), bool):
-                raise InputError(f"mesh {name} = {switch!r}: give true or false")
+                raise InputError(f"mesh {each.name} = {shown(value)}: give a path as text")
         check_normal_map_y(self.normal_map_y)
-        if self.millimetres is not None:
-            check_range("millimetres", self.millimetres, 1e-6, 1e6)
-        if self.triangles is not None:
-            check_triangles(self.triangles)
+        check_fields(self, "mesh ")
 
     def load(self, cache: bool = False) -> Mesh:
         """Read the files; errors and warnings as of the functions named above."""
@@ -97,25 +102,14 @@ class ImageSettings:
     """How images are drawn; parameters as of :class:`facerender.Renderer`, which tells whether it
     can."""
 
-    size: tuple[int, int] = (1024, 1024)
-    samples: int = 4
-    anisotropy: float = 1.0
+    size: tuple[int, int] = ranged(SizeRange(1, MAX_SIDE, "pixels"), (1024, 1024))
+    samples: int = ranged(IntegerRange(1, MAX_SAMPLES), 4)
+    anisotropy: float = ranged(Range(1.0, 16.0), 1.0)
     float_albedo: bool = False
     full_maps: bool = False
 
     def __post_init__(self) -> None:
-        try:
-            width, height = map(index, self.size)
-        except (TypeError, ValueError):
-            raise InputError(f"image size = {self.size!r}: give width and height") from None
-        object.__setattr__(self, "size", (width, height))
-        if not isinstance(self.samples, int) or isinstance(self.samples, bool):
-            raise InputError(f"image samples = {self.samples!r}: give a whole number")
-        if not isinstance(self.anisotropy, int | float):
-            raise InputError(f"image anisotropy = {self.anisotropy!r}: give a number")
-        for name in ("float_albedo", "full_maps"):
-            if not isinstance(switch := getattr(self, name), bool):
-                raise InputError(f"image {name} = {switch!r}: give true or false")
+        check_fields(self, "image ")
 
 
 @dataclass(frozen=True)
@@ -131,16 +125,16 @@ class Output:
 
     path: str
     only: Only | None = None
-    exposure: float = 0.0
+    exposure: float = ranged(EXPOSURES, 0.0)
 
     def __post_init__(self) -> None:
         if not isinstance(self.path, str | os.PathLike):
-            raise InputError(f"output path = {self.path!r}: give a path as text")
+            raise InputError(f"output path = {shown(self.path)}: give a path as text")
         object.__setattr__(self, "path", os.fspath(self.path))
         format_of(self.path)
         if self.only is not None and not (isinstance(self.only, str) and self.only in ONLY):
             raise InputError(f"unknown term {self.only!r}; known: {', '.join(ONLY)}")
-        check_range("exposure", self.exposure, -100.0, 100.0)
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -167,8 +161,8 @@ class Job:
     material: Mapping[str, Any] = field(default_factory=dict)
     camera: Camera = Camera()
     lights: tuple[Light, ...] = Scene.lights
-    ambient: float | Vector = Scene.ambient
-    background: Vector | None = Scene.background
+    ambient: float | Vector = ranged(COLORS, Scene.ambient)
+    background: Vector | None = ranged(COLORS, Scene.background)
     shading: Shading = Shading()
     planned: Planned | None = None
     image: ImageSettings = ImageSettings()
@@ -203,9 +197,7 @@ class Job:
             for name, value in self.material.items()
         }
         object.__setattr__(self, "material", material)
-        for name in ("ambient", "background"):
-            if (color := getattr(self, name)) is not None:
-                object.__setattr__(self, name, non_negative(name, color))
+        check_fields(self)
 
     def scene(self, mesh: Mesh | None = None) -> Scene:
         """Return the scene.

@@ -20,7 +20,6 @@ import pytest
 
 from facerender.batch.jobs import LIMITS, PASSES, TABLES, Row, check_jobs, read_jobs
 from facerender.batch.schema import schema
-from facerender.drawing.renderer import MAX_SAMPLES, MAX_SIZE
 from facerender.errors import InputError
 from facerender.job import ImageSettings, Job, MeshFile
 from facerender.scenes.camera import Camera
@@ -498,10 +497,10 @@ def test_check_counts_and_names_what_is_bad(table):
     assert (checked.rows, checked.meshes, checked.more) == (9, 2, 0)
     assert list(checked.faults) == [
         "rows.jsonl, row 2 (line 2): camera elevation = 99 is outside [-90, 90]",
-        "rows.jsonl, row 4 (line 4): image samples = 4.0: give a whole number",
+        "rows.jsonl, row 4 (line 4): image samples = 4.0: give a whole number from 1 to 64",
         "rows.jsonl, row 7 (line 7): specular_lights names light 1: the scene has 1, "
         "counted from 0",
-        "rows.jsonl, row 8 (line 8): image size = 20000 is outside [1, 16384]",
+        "rows.jsonl, row 8 (line 8): image size 20000 x 20000: give 1 to 16384 pixels a side",
         "rows.jsonl, row 9 (line 9): m times second_slope = 2.25 is outside [0.0001, 2]",
         "rows.jsonl, row 5 (line 5): id = 'same' is that of row 1: give another",
         "rows.jsonl, row 6 (line 6): id = '00000002' is that of row 3: give another",
@@ -875,11 +874,6 @@ def test_limits_are_those_of_the_values(table, key, low, high):
     for end in beyond if high < 1e300 and high < 2**63 else beyond[:1]:
         rows_of({name: end}, common=common)
         assert len(check_jobs("rows.jsonl", common).faults) == 1
-
-
-def test_limits_of_images_are_the_renderers():
-    assert LIMITS["image"]["size"][1] == MAX_SIZE
-    assert LIMITS["image"]["samples"][1] == MAX_SAMPLES
 
 
 # --- documents -----------------------------------------------------------------------------------

@@ -104,7 +104,7 @@ GOOD = {"extrinsics": np.eye(3, 4), "intrinsics": K, "size": SIZE}
         ({"target": (0, 0, 0)}, "camera target = .* and extrinsics exclude each other"),
         ({"fov": 30.0}, "camera fov = 30.0 and intrinsics exclude each other"),
         ({"size": None}, "camera intrinsics and camera size belong together"),
-        ({"size": (0, 10)}, r"camera size = \(0, 10\): give width and height"),
+        ({"size": (0, 10)}, "camera size 0 x 10: give 1 to 1073741824 pixels"),
         ({"intrinsics": None}, "camera intrinsics and camera size belong together"),
         ({"intrinsics": [[300, 2, 60], [0, 300, 45], [0, 0, 1]]}, "without skew"),
         ({"intrinsics": [[300, 0, 60], [0, -300, 45], [0, 0, 1]]}, "give fx and fy from 0.001"),

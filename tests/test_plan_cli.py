@@ -332,7 +332,7 @@ def test_bad_option(options, message, cli):
         ("[shading]\ngloss = 1", r"scene\.toml: unknown key 'gloss' in shading; known: model"),
         ("[shading]\nlobe = {g = 4}", r"scene\.toml: lobe = .*: give a name, or g, factor, offset"),
         ("[shading]\nlobe = {g = 4, factor = 'x'}", r"scene\.toml: .*factor"),
-        ("[shading]\nlobe = {g = 4, factor = -1}", r"scene\.toml: factor of the g-power = -1"),
+        ("[shading]\nlobe = {g = 4, factor = -1}", r"scene\.toml: g-power factor = -1"),
         ("[shading]\nlobe = 3", r"scene\.toml: unknown lobe 3"),
         ("shading = 'exact'", r"scene\.toml: shading = 'exact': give a table"),
         ("shading = 3", r"scene\.toml: shading = 3: give a table"),

@@ -44,7 +44,7 @@ def face(head) -> fr.Scene:
 
 @pytest.mark.parametrize("name", ["head", pytest.param("scan_mesh", marks=pytest.mark.slow)])
 def test_bounds_against_the_integral_over_the_mesh(egl, name, request):
-    """``python -m tools.docs.skin_scattering`` measures more pixels."""
+    """``python -m benchmarks.skin_scattering`` measures more pixels."""
     mesh = request.getfixturevalue(name)
     few = (0, 16, 32)
     with fr.Renderer((512, 512), samples=1, backend=egl) as renderer:

@@ -22,7 +22,7 @@ from facerender.job import MESH_PATHS, ImageSettings, MeshFile
 from facerender.scenes.file import KEYS, STUDIO, from_table, scene_value
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, MAX_SECOND_SLOPE
 from facerender.scenes.scene import ONLY, Scene
-from facerender.scenes.vectors import HIGHEST, non_negative
+from facerender.scenes.vectors import HIGHEST
 from facerender.shading import MAX_WEIGHT, Shading
 from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
 from facerender.terms.slope_variance import MAX_RADIUS
@@ -394,8 +394,8 @@ def _check_table(key: str, value: Any) -> None:
             given = getattr(image, name)
             for number in given if name == "size" else (given,):
                 check_range(f"image {name}", number, low, high)
-    elif (read := scene_value(key, value)) is not None and key in ("ambient", "background"):
-        non_negative(key, read)
+    else:
+        scene_value(key, value)
 
 
 def _duplicates(

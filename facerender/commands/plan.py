@@ -8,13 +8,14 @@ import os
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import add_verbose, check_outputs, parse_sizes, steps
+from facerender.commands.common import add_field, add_verbose, check_outputs, parse_sizes, steps
 from facerender.commands.scene import add_scene, files_read, job_of, load
 from facerender.commands.streams import tell
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError, reason
 from facerender.glsl.library import LANGUAGES, TARGETS
+from facerender.job import ImageSettings, Output
 from facerender.system.atomic import write_text
 
 
@@ -43,8 +44,7 @@ def add(plan: argparse.ArgumentParser) -> None:
         metavar="OF",
         help="frame, whole ones of which a few are measured; or of a fragment, which leaves "
         "samples and triangles as they are: llvmpipe, navi21 (RDNA2) or vega10 (GCN5) from a "
-        "table; auto, llvmpipe where the CPU draws, RDNA2 elsewhere; here, to measure; "
-        "radv:navi21 or radv:vega10, to compile (frame)",
+        "table; auto, llvmpipe where the CPU draws, RDNA2 elsewhere; or here, to measure (frame)",
     )
     plan.add_argument(
         "--verify-cost",
@@ -61,8 +61,8 @@ def add(plan: argparse.ArgumentParser) -> None:
         default="1024",
         help="N or WxH in pixels; 512..1024 for both and what is between (1024)",
     )
-    images.add_argument("--samples", type=int, default=4, help="per pixel; 1 for none (4)")
-    images.add_argument("--exposure", type=float, default=0.0, help="of the display, in stops (0)")
+    add_field(images, ImageSettings, "samples", "samples per pixel")
+    add_field(images, Output, "exposure", "of the display", default=Output.exposure)
     images.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
 
     output = plan.add_argument_group("results")

@@ -8,20 +8,21 @@ import warnings
 from dataclasses import replace
 from typing import Any
 
-from facerender.commands.common import add_verbose, check_outputs, parse_size, telling
+from facerender.commands.common import add_field, add_verbose, check_outputs, parse_size, telling
 from facerender.commands.scene import add_scene, files_read, job_of, load
 from facerender.commands.streams import say, tell
 from facerender.commands.views import STANDARD_OUTPUT, Target, check_sheet
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.frame import FORMATS
 from facerender.drawing.renderer import Renderer
-from facerender.errors import FacerenderWarning, InputError, check_range
-from facerender.job import Job
+from facerender.errors import FacerenderWarning, InputError
+from facerender.job import ImageSettings, Job, MeshFile, Output
 from facerender.scenes.planned import LevelOfDetail
 from facerender.scenes.scene import ONLY
-from facerender.scenes.view import checked_size, view_of
+from facerender.scenes.view import view_of
 from facerender.shading import OUTSIDE, Shading
 from facerender.terms import LOBES
+from facerender.terms.ranges import EXPOSURES
 
 
 def add(render: argparse.ArgumentParser) -> None:
@@ -56,16 +57,12 @@ def add(render: argparse.ArgumentParser) -> None:
         metavar="X,Y,Z",
         help="what images have in their centre, in the mesh's units (the centre of the frame)",
     )
-    scene.add_argument(
-        "--triangles", type=int, metavar="N", help="simplify the mesh to so many (all of them)"
-    )
+    add_field(scene, MeshFile, "triangles", "simplify the mesh to N", "all", metavar="N")
 
     image = render.add_argument_group("image")
     image.add_argument("--size", help="N or WxH in pixels (1024, or as --camera FILE says)")
-    image.add_argument("--samples", type=int, default=4, help="per pixel; 1 for none (4)")
-    image.add_argument(
-        "--exposure", type=float, default=0.0, help="of all but an EXR, in stops (0)"
-    )
+    add_field(image, ImageSettings, "samples", "samples per pixel")
+    add_field(image, Output, "exposure", "of all but an EXR", default=Output.exposure)
     image.add_argument("--only", choices=ONLY, help="one term in place of the whole image")
     image.add_argument("--format", choices=FORMATS, help="of standard output, -o - (png)")
     image.add_argument(
@@ -104,7 +101,7 @@ def run(options: argparse.Namespace) -> int:
             f"--budget plans one view, and there are {len(cameras)}: give one --camera, or all of "
             "them to facerender plan, and its scene to render --scene"
         )
-    check_range("exposure", options.exposure, -100.0, 100.0)
+    EXPOSURES.check("exposure", options.exposure)
     transparent = job.background is None
     target = Target.of(
         *(options.output, [*cameras], options.sheet, options.format, options.fps, transparent)
@@ -116,7 +113,7 @@ def run(options: argparse.Namespace) -> int:
     scene = load(job, options.cache, ahead=options.memory is None)
     shading = job.shading
     step(f"OpenGL, for {scene.mesh!r}")
-    width, height = checked_size(job.image.size)
+    width, height = job.image.size
     if target.kind == "sheet":
         check_sheet(target.count, (width, height), options.memory)
     for camera in cameras.values():
@@ -136,13 +133,10 @@ def run(options: argparse.Namespace) -> int:
             detail = job.planned.detail
         elif job.planned:
             warnings.warn(_unplanned(options.scene, job), FacerenderWarning, stacklevel=1)
-        samples = min(detail.samples, renderer.samples)
         drawn = detail.of(scene)
+        values = replace(detail, samples=min(detail.samples, renderer.samples)).values
         scenes = (replace(drawn, camera=camera) for camera in cameras.values())
-        frames = (
-            renderer.render(each, shading, options.only, samples, detail.backs, detail.once)
-            for each in scenes
-        )
+        frames = (renderer.render(each, shading, options.only, **values) for each in scenes)
         frame = target.write(frames, options.exposure, scene.background)
         backend = renderer.context.backend
     if options.json:

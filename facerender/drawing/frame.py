@@ -10,13 +10,14 @@ from typing import IO, TYPE_CHECKING, Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_range, check_switch, check_type, shown
+from facerender.errors import InputError, check_switch, check_type, shown
 from facerender.images.exr import exr_bytes, save_exr
 from facerender.images.srgb import encode_srgb8
 from facerender.images.write import Format, format_of, lossy_bytes, png_bytes
 from facerender.scenes.scene import ONLY, Only
 from facerender.scenes.view import View
 from facerender.system.atomic import write_bytes
+from facerender.terms.ranges import EXPOSURES
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -63,7 +64,7 @@ class Frame:
         depth from the nearest (white) to the farthest, every part has a colour of its number;
         exposure, in stops, applies to radiance.
         """
-        check_range("exposure", exposure, -100.0, 100.0)
+        EXPOSURES.check("exposure", exposure)
         color, coverage = self.linear[..., :3], self.linear[..., 3:]
         if self.only == "normal":
             pixels = _bytes((color * 0.5 + 0.5) * coverage)
@@ -103,7 +104,7 @@ class Frame:
         """
         if format is not None and not (isinstance(format, str) and format in FORMATS):
             raise InputError(f"format = {shown(format)}: give {', '.join(FORMATS)}")
-        check_range("exposure", exposure, -100.0, 100.0)
+        EXPOSURES.check("exposure", exposure)
         if not isinstance(path, str | os.PathLike):
             if not callable(getattr(path, "write", None)):
                 raise InputError(f"image file = {shown(path)}: give a path, or an open binary file")

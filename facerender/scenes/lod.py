@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_type, shown, warn
+from facerender.errors import InputError, check_type, warn
 from facerender.scenes.framing import find_regions
-from facerender.scenes.mesh import Mesh, Part
+from facerender.scenes.mesh import TRIANGLES, Mesh, Part
 from facerender.system import meshoptimizer
 
 Float = NDArray[np.float64]
 
 # What errors count beside a distance of the mesh's extent: of normals; of places on a map, measured
 # on the surface in radii; of linear colours, of occlusion, and of places by second coordinates.
-# Chosen by images such as those of docs/levels.md.
+# Chosen by images such as those of docs/measurements/levels.md.
 _NORMAL, _PLACE, _COLOR = 1.0, 20.0, 1.0
 _WEIGHTS = [_NORMAL] * 3 + [_PLACE] * 2 + [_COLOR] * 4 + [_PLACE] * 2
 
@@ -53,7 +52,7 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     FacerenderWarning : seams and parts need more triangles
     """
     check_type("mesh", mesh, Mesh, "a facerender.Mesh")
-    check_triangles(triangles)
+    TRIANGLES.check("triangles", triangles)
     if sum(len(part.faces) for part in mesh.parts) <= triangles:
         return mesh
     known = _simplified.setdefault(mesh, {})
@@ -62,12 +61,6 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     if (left := sum(len(part.faces) for part in known[triangles].parts)) > triangles:
         warn(f"{mesh.name} cannot be simplified to {triangles} triangles: it keeps {left}")
     return known[triangles]
-
-
-def check_triangles(value: Any) -> None:
-    """Raise InputError where a value is no number of triangles."""
-    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-        raise InputError(f"triangles = {shown(value)}: give a whole number of at least 1")
 
 
 def _simplify(mesh: Mesh, triangles: int) -> Mesh:

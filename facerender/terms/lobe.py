@@ -16,8 +16,9 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_range
+from facerender.errors import InputError
 from facerender.terms.entry import ULP, Entry, named, registry
+from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
 
 Float = NDArray[np.float64]
 Float64Lobe = Callable[[ArrayLike, ArrayLike, int], Float]
@@ -25,6 +26,7 @@ Rounding = Callable[[Float, Float, int], tuple[Float | float, Float | float]]
 
 MIN_SLOPE = 1e-4
 MAX_SLOPE = 2.0
+SLOPES = Range(MIN_SLOPE, MAX_SLOPE)
 TINY = 1.2e-38  # where float32's full precision ends; drivers may flush what is smaller to zero
 TITLES = {4: "Cook-Torrance", 0: "Ward"}  # of models, by k
 
@@ -160,16 +162,12 @@ class GPower:
     References: Romanyuk et al. (2020); Lyon (1993) for the clamp.
     """
 
-    g: int
-    factor: float
-    offset: float = 0.0
+    g: int = ranged(IntegerRange(1, 31))
+    factor: float = ranged(Range(1e-9, 1e6))
+    offset: float = ranged(Range(-1e6, 1e6), 0.0)
 
     def __post_init__(self) -> None:
-        whole = isinstance(self.g, (int, np.integer)) and not isinstance(self.g, bool)
-        if not whole or not 1 <= self.g <= 31:
-            raise InputError(f"g = {self.g} is no whole number in 1 to 31")
-        check_range("factor of the g-power", self.factor, 1e-9, 1e6)
-        check_range("offset of the g-power", self.offset, -1e6, 1e6)
+        check_fields(self, "g-power ")
 
     def __str__(self) -> str:
         sign = "-" if self.offset > 0.0 else "+"
