@@ -214,7 +214,7 @@ def rates(egl) -> Both:
 
 @pytest.mark.parametrize("azimuth", [10.0, 100.0, 190.0])
 @pytest.mark.parametrize("elevation", [-10.0, 25.0])
-def test_shaded_once_the_side_that_most_samples_see_stands_for_all(once, azimuth, elevation):
+def test_shaded_once_the_side_that_most_samples_see_stands_for_all(rates, azimuth, elevation):
     """Without lights the image is colour times coverage, and a pixel's colour tells how many of its
     samples see which side."""
     mesh = mesh_of(tetrahedron()).with_material(albedo=(1.0, 1.0, 1.0))
@@ -243,7 +243,7 @@ def test_shaded_once_every_part_of_a_pixel_is(rates):
     assert (np.abs(one - full) > 1e-2).any()
 
 
-def test_heads_that_are_shaded_once(once, head):
+def test_heads_that_are_shaded_once(rates, head):
     one, full = rates(fr.Scene(head, fr.Camera(-35.0), background=None), (1024, 1024))
     assert (one != full).any()
     assert_same(one, full, 0.985)
@@ -251,12 +251,12 @@ def test_heads_that_are_shaded_once(once, head):
 
 
 @pytest.mark.parametrize(("samples", "brightness"), [(1, 0.0), (2, 0.0), (8, 0.0), (4, 1e6)])
-def test_what_cannot_be_shaded_once_is_drawn_as_without(once, head, samples, brightness):
+def test_what_cannot_be_shaded_once_is_drawn_as_without(rates, head, samples, brightness):
     one, full = rates(fr.Scene(head, background=(brightness,) * 3), (64, 64), samples)
     np.testing.assert_array_equal(one, full)
 
 
-def test_shading_once_is_not_left_to_where_deferring_pays(once, head, monkeypatch):
+def test_shading_once_is_not_left_to_where_deferring_pays(rates, head, monkeypatch):
     scene = fr.Scene(head)
     one, _ = rates(scene)
     monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: False)
