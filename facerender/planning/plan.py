@@ -291,7 +291,7 @@ def plan(
     guarantee : bound the error over all views in place of measuring it
     cost : "frame", of whole frames on this driver, by a few that are measured; or of a fragment,
         which leaves samples and triangles as they are: "auto", "llvmpipe", "navi21" (RDNA2) or
-        "vega10" (GCN5) from the table, "here", or "radv:navi21"; see
+        "vega10" (GCN5) from the table, or "here"; see
         :func:`facerender.pricing.table.load_prices`. With a guarantee a fragment's, of "auto" RDNA2
     verify_cost : measure the chosen frame beside the full one, in turns
     exposure : of the displayed image, in stops
