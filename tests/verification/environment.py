@@ -1,4 +1,4 @@
-"""Measures what docs/skin-environment.md says: light from all around by few samples against many,
+"""Measures what docs/measurements/skin.md says: light from all around by few samples against many,
 and by nine coefficients against the whole panorama.
 
 python -m tests.verification.environment -o docs/measurements/environment.json      three minutes

@@ -1,4 +1,4 @@
-"""Measures what docs/skin.md says, on the built-in head and the head scan.
+"""Measures what docs/measurements/skin.md says, on the built-in head and the head scan.
 
 python -m tests.verification.skin -o docs/measurements/skin.json      a quarter of an hour
 """
