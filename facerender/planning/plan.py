@@ -4,7 +4,6 @@ what they cost in ``pricing/table.py``, what frames cost in ``frames.py``."""
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
@@ -20,7 +19,6 @@ from facerender.errors import InputError, check_switch, check_type, each_of, war
 from facerender.glsl.code import call
 from facerender.glsl.library import Language, Target, term_source
 from facerender.images.write import save_png
-from facerender.planning.bound import Unbounded, bound
 from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import Constants
 from facerender.planning.decisions import Decision, decisions, details
@@ -49,23 +47,23 @@ class Error:
 
     Attributes
     ----------
-    maximum : the largest error of a pixel; with a guarantee, the bound
+    maximum : the largest error of a pixel
     within : the largest error of the budget's share of the pixels, of the worst image; the maximum
         where that is all of them
-    percentile : exceeded by one covered pixel in 1000, or None with a guarantee
+    percentile : exceeded by one covered pixel in 1000
     camera, size, pixel : where the largest is: index of the camera, width and height of the image,
-        x and y; None with a guarantee
+        x and y
     drawn, drawn_within : maximum and within of the images as the renderer draws them, with the
         samples and triangles of the plan; None where only fragments are priced and a pixel has one
-        sample, or with a guarantee
+        sample
     """
 
     maximum: float
     within: float
-    percentile: float | None = None
-    camera: int | None = None
-    size: tuple[int, int] | None = None
-    pixel: tuple[int, int] | None = None
+    percentile: float
+    camera: int
+    size: tuple[int, int]
+    pixel: tuple[int, int]
     drawn: float | None = None
     drawn_within: float | None = None
 
@@ -81,9 +79,9 @@ class Plan:
     full : the shading that it stands for
     error, cost, decisions : see there
     budget : as parsed
-    cameras : whose pixels were measured; with a guarantee none, since it holds for all
+    cameras : whose pixels were measured
     sizes : width and height in pixels of the images that were measured, of every camera
-    samples : of each pixel of them; None with a guarantee
+    samples : of each pixel of them
     detail : how finely the frame is drawn that stands for the full one; None where the cost is
         that of a fragment
     measured : the frame's time over that of the full one, where it was asked for
@@ -91,7 +89,7 @@ class Plan:
     candidates, tried : how many shadings cost less than the full one, and how many were evaluated
         at every pixel
     error_map : (H, W), of the image with the largest error, as drawn where samples or triangles
-        were taken away; None with a guarantee
+        were taken away
     """
 
     scene: Scene
@@ -103,13 +101,13 @@ class Plan:
     budget: Budget
     cameras: tuple[Camera, ...]
     sizes: tuple[tuple[int, int], ...]
-    samples: int | None
+    samples: int
     detail: LevelOfDetail | None
     measured: Interval | None
     constants: Constants
     candidates: int
     tried: int
-    error_map: NDArray[np.float64] | None = field(default=None, repr=False)
+    error_map: NDArray[np.float64] = field(repr=False)
 
     def explain(self) -> str:
         """Return the plan in words: what was measured, a line for each decision, error and cost."""
@@ -167,9 +165,9 @@ class Plan:
 
     @property
     def planned(self) -> Planned | None:
-        """For which images it holds, and how finely they are drawn; None with a guarantee, and
-        where nothing was taken away."""
-        if self.samples is None or self._is_full:
+        """For which images it holds, and how finely they are drawn; None where nothing was taken
+        away."""
+        if self._is_full:
             return None
         detail = self.detail or LevelOfDetail(self.samples, None)
         fewer = detail.samples if detail.samples < self.samples else None
@@ -183,7 +181,6 @@ class Plan:
             "shading": self.shading.as_dict(),
             "budget": asdict(self.budget),
             "full": self.full.as_dict(),
-            "guarantee": not self.cameras,
             "error": asdict(self.error),
             "cost": asdict(self.cost) | {"relative": self.cost.relative},
             "decisions": [asdict(decision) for decision in self.decisions],
@@ -203,12 +200,10 @@ class Plan:
 
         Raises
         ------
-        InputError : a guarantee has no map; another suffix; a place that cannot be written
+        InputError : another suffix; a place that cannot be written
         """
         if os.path.splitext(path)[1].lower() != ".png":
             raise InputError(f"{path}: an error map is a .png")
-        if self.error_map is None:
-            raise InputError("a guarantee is not measured at any camera: it has no error map")
         at = self.error_map / max(self.budget.limit, 1e-12)
         heat = np.stack([np.interp(at, _STOPS, ramp) for ramp in _COLORS.T], axis=-1)
         heat[at > 1.0] = _OVER
@@ -217,12 +212,10 @@ class Plan:
 
     @property
     def _is_full(self) -> bool:
-        finest = self.detail is None or self.detail == LevelOfDetail(self.samples or 1, None)
+        finest = self.detail is None or self.detail == LevelOfDetail(self.samples, None)
         return self.shading == self.full and finest
 
     def _basis(self) -> str:
-        if not self.cameras:
-            return "a bound, which holds for every camera"
         sizes = ", ".join(f"{width} x {height}" for width, height in self.sizes)
         count = f"{len(self.cameras)} cameras" if len(self.cameras) > 1 else "1 camera"
         shown = f", {self.budget.exposure:+g} stops" if self.budget.exposure else ""
@@ -241,8 +234,6 @@ class Plan:
             return drawn.removeprefix("; ")
         if error.maximum == 0.0:
             return f"{text(0.0)}: nothing changes but rounding{drawn}"
-        if error.pixel is None or error.size is None or error.percentile is None:
-            return f"at most {text(error.maximum)}"
         at = "at pixel ({}, {})".format(*error.pixel)
         at += f" of camera {error.camera}" if len(self.cameras) > 1 else ""
         at += " of {} x {}".format(*error.size) if len(self.sizes) > 1 else ""
@@ -267,7 +258,6 @@ def plan(
     cameras: Sequence[Camera] | None = None,
     sizes: Sequence[tuple[int, int]] | None = None,
     within: str | float = 1.0,
-    guarantee: bool = False,
     cost: str = FRAME,
     verify_cost: bool = False,
     exposure: float = 0.0,
@@ -288,11 +278,10 @@ def plan(
         renderer's size
     within : share of the pixels which the budget must hold at, of those that each image covers:
         0.999 or "99.9%"; the error of the worst pixel is told as well
-    guarantee : bound the error over all views in place of measuring it
     cost : "frame", of whole frames on this driver, by a few that are measured; or of a fragment,
         which leaves samples and triangles as they are: "auto", "llvmpipe", "navi21" (RDNA2) or
         "vega10" (GCN5) from the table, "here", or "radv:navi21"; see
-        :func:`facerender.pricing.table.load_prices`. With a guarantee a fragment's, of "auto" RDNA2
+        :func:`facerender.pricing.table.load_prices`
     verify_cost : measure the chosen frame beside the full one, in turns
     exposure : of the displayed image, in stops
     renderer : draws; what it shades with several samples a pixel counts as well; None makes one of
@@ -302,8 +291,8 @@ def plan(
     Raises
     ------
     InputError : an unknown unit, a negative budget, a scene without lights, cameras that see
-        nothing, another lobe than the exact one, FLIP with a guarantee or without its package, no
-        share of the pixels, or one with a guarantee
+        nothing, another lobe than the exact one, FLIP without its package, no share of
+        the pixels
     ContextError : no OpenGL context
 
     Warns
@@ -315,8 +304,7 @@ def plan(
     check_type("full", full, Shading, "a facerender.Shading")
     check_type("cost", cost, str, f'where prices come from, such as "{FRAME}"')
     check_type("renderer", renderer, Renderer | None, "a facerender.Renderer")
-    for name, value in (("guarantee", guarantee), ("verify_cost", verify_cost)):
-        check_switch(name, value)
+    check_switch("verify_cost", verify_cost)
     if cameras is not None:
         cameras = each_of("cameras", cameras, Camera, "several facerender.Camera")
     if sizes is not None:
@@ -332,14 +320,6 @@ def plan(
     if "blend" in map(drawn_alpha, scene.mesh.parts, scene.mesh.materials):
         warn(f"parts of {scene.mesh.name} are blended: the plan counts what lies behind them")
     full = replace(full, term=replace(full.term, small_slope=None))  # as the slopes need it
-    if guarantee:
-        if cameras is not None or sizes is not None:
-            raise InputError("a guarantee holds for every camera: leave cameras and sizes out")
-        if allowed.within < 1.0:
-            raise InputError(f"a guarantee holds at every pixel: leave within {within} out")
-        if verify_cost:
-            raise InputError("a guarantee is of no frame: leave verify_cost out")
-        return _guaranteed(scene, full, allowed, cost, progress)
     at = (scene.camera,) if cameras is None else tuple(cameras)
     with ExitStack() as stack:
         drawing = renderer or stack.enter_context(Renderer())
@@ -415,7 +395,6 @@ def _measured(
         shading,
         error=lambda other: max(view.error(other) for view in views),
         otherwise=witnesses.error,
-        might="would err by at least",
     )
     sizes = tuple(dict.fromkeys(place.renderer.size for place in places))
     if drawn and drawn.detail != drawn.finest:
@@ -434,25 +413,6 @@ def _measured(
         witnesses.tried,
         maps[worst],
     )
-
-
-def _guaranteed(scene: Scene, full: Shading, budget: Budget, cost: str, progress: Progress) -> Plan:
-    bound(scene, full, full, budget)  # refuses at once what it cannot bound
-    ends = [end for slopes in slope_ranges(simplify(scene, full), full) for end in slopes]
-    brightest = [float(np.max(light.irradiance)) for light in scene.lights]
-    faintest = tuple(int(light) for light in np.argsort(brightest, kind="stable"))
-    constants = Constants(max(ends), max(each.ks for each in scene.mesh.materials), faintest)
-    choice = Choice(scene, full, budget, constants, cost, software=False)
-
-    def at_most(shading: Shading) -> float:
-        try:
-            return bound(scene, shading, full, budget)
-        except Unbounded:
-            return math.inf
-
-    shading = choice.first(lambda each: at_most(each) <= choice.limit, progress)
-    told = decisions(choice, shading, at_most, at_most, might="might err by up to")
-    return _plan(choice, shading, Error(at_most(shading), at_most(shading)), told)
 
 
 def _plan(
