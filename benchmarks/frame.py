@@ -52,7 +52,8 @@ def sampled(scene: fr.Scene, size: int) -> list[dict[str, Any]]:
             lost = {"silhouette": each.silhouette, "inside": each.inside}
             rows.append(
                 {
-                    "samples": f"{each.samples}{', shaded once' if each.once else ''}",
+                    "samples": f"{each.samples}"
+                    + ", per-pixel shading" * (each.shading_rate == "pixel"),
                     "frame": each.time.value,
                     **{name: 255.0 * error.mean for name, error in lost.items()},
                     **{f"{name}_99": 255.0 * error.percentile for name, error in lost.items()},
@@ -108,7 +109,7 @@ def plan_of(
     scene = found.detail.of(subject.scene)
 
     def planned() -> object:
-        fine = {name: getattr(found.detail, name) for name in ("samples", "backs", "once")}
+        fine = found.detail.values
         return renderer.render(scene, found.shading, **fine)
 
     def drawn() -> object:
@@ -131,8 +132,10 @@ def plan_of(
 
 def _chosen(decision: Decision) -> Iterator[str]:
     """What was chosen, where it is not what the full frame has."""
-    if decision.changed:
-        words = ("backs", "samples", "once", "triangles", "ambient", "normal map")
+    if decision.changed and decision.name == "cull_back_faces":
+        yield "back faces culled"
+    elif decision.changed:
+        words = ("samples", "shading_rate", "triangles", "ambient", "normal map")
         named = decision.name in words
         yield f"{decision.name} {decision.chosen}" if named else decision.chosen
 

@@ -18,13 +18,14 @@ import numpy as np
 
 import facerender as fr
 from benchmarks.data import save, scenes
+from benchmarks.prices import amd
+from benchmarks.prices.table import cycles
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.prepare import simplify
 from facerender.drawing.program import Program
 from facerender.planning.budget import ROUNDING, Budget
 from facerender.planning.candidates import DECISIONS, candidates, changed
 from facerender.planning.plan import Plan, plan
-from facerender.pricing import amd, fragment
 from facerender.pricing.table import load_prices
 from facerender.scenes.view import view_of
 from tests.verification.subjects import BUDGETS, KINDS, Subject, brute_force
@@ -160,7 +161,7 @@ def compiled(found: Plan, family: str) -> float:
         (draw,) = shade_pass(simple, view_of(simple, 1.0), shading, 1).draws
         return draw.program
 
-    own, full = fragment.cycles([program(found.shading), program(found.full)], family)
+    own, full = cycles([program(found.shading), program(found.full)], family)
     return own / full
 
 

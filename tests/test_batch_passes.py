@@ -69,7 +69,14 @@ def test_pictures_are_those_that_frames_save(head, drawing, background, tmp_path
 
 
 @pytest.mark.parametrize(
-    "how", [{"drawn_samples": 1}, {"triangles": 3000}, {"backs": False}, {"once": True}], ids=str
+    "how",
+    [
+        {"drawn_samples": 1},
+        {"triangles": 3000},
+        {"cull_back_faces": True},
+        {"shading_rate": "pixel"},
+    ],
+    ids=str,
 )
 def test_a_planned_job_is_drawn_as_planned(head, drawing, how, tmp_path):
     camera = fr.Camera(-35.0, -70.0)  # into the neck, which is open
@@ -80,8 +87,8 @@ def test_a_planned_job_is_drawn_as_planned(head, drawing, how, tmp_path):
     assert drawn.facts["planned"] is True
     detail = planned.detail
     for only in (None, "specular", "normal"):
-        name, details = f"{only or 'image'}.png", (detail.samples, detail.backs, detail.once)
-        drawing.render(detail.of(job.scene(head)), job.shading, only, *details).save(
+        name = f"{only or 'image'}.png"
+        drawing.render(detail.of(job.scene(head)), job.shading, only, **detail.values).save(
             tmp_path / name
         )
         assert drawn.files[name] == (tmp_path / name).read_bytes()

@@ -68,7 +68,7 @@ def frame(renderer, scene, detail, shading=fr.Shading()):
     """The linear image, drawn by what a caller has."""
     if detail.triangles is not None:
         scene = replace(scene, mesh=fr.simplified(scene.mesh, detail.triangles))
-    fine = {name: getattr(detail, name) for name in ("samples", "backs", "once")}
+    fine = detail.values
     return renderer.render(scene, shading, **fine).linear
 
 
@@ -175,7 +175,7 @@ def test_of_several_samples_the_fewest_that_fit(egl, scene):
 
 def test_pixels_are_shaded_once_where_one_sample_is_not_enough(cli, drawing, scene):
     within = 0.95
-    once = LevelOfDetail(4, None, once=True)
+    once = LevelOfDetail(4, None, shading_rate="pixel")
     errors = [
         error(drawing, scene, each, within=within)[0] for each in (once, LevelOfDetail(1, None))
     ]
@@ -183,17 +183,19 @@ def test_pixels_are_shaded_once_where_one_sample_is_not_enough(cli, drawing, sce
     arguments = {"within": within, "renderer": drawing}
     fine = fr.plan(scene, 0.9 * errors[0], **arguments)
     assert fine.detail.samples == 4
-    assert not fine.detail.once
-    (told,) = (each for each in fine.decisions if each.name == "once")
-    refused, _ = error(drawing, scene, replace(once, backs=fine.detail.backs), within=within)
-    assert told.text == f"a triangle: a pixel would err by {fine.budget.text(refused)}"
+    assert fine.detail.shading_rate == "sample"
+    (told,) = (each for each in fine.decisions if each.name == "shading_rate")
+    refused, _ = error(
+        drawing, scene, replace(once, cull_back_faces=fine.detail.cull_back_faces), within=within
+    )
+    assert told.text == f"sample: pixel would err by {fine.budget.text(refused)}"
 
     plan = fr.plan(scene, 1.4 * errors[0], **arguments)
-    assert (plan.detail.samples, plan.detail.once) == (4, True)
-    (told,) = (each for each in plan.decisions if each.name == "once")
-    assert lines_of(plan)["once"] == told.text
+    assert (plan.detail.samples, plan.detail.shading_rate) == (4, "pixel")
+    (told,) = (each for each in plan.decisions if each.name == "shading_rate")
+    assert lines_of(plan)["shading_rate"] == told.text
     assert told.text.startswith(
-        f"a pixel instead of a triangle: alone adds {plan.budget.text(errors[0])}, "
+        f"pixel instead of sample: alone adds {plan.budget.text(errors[0])}, "
     )
     at_share, _ = error(drawing, scene, plan.detail, plan.shading, within)
     assert at_share == pytest.approx(plan.error.drawn_within, rel=1e-6)
@@ -204,24 +206,27 @@ def test_pixels_are_shaded_once_where_one_sample_is_not_enough(cli, drawing, sce
     assert load_scene(pinned)["planned"].detail == plan.detail
     image = cli.render("--scene", pinned)
     drawn = plan.detail.of(scene)
-    arguments = {"shading": plan.shading, "backs": plan.detail.backs}
-    for each in (True, False):
-        own = drawing.render(drawn, once=each, **arguments).srgb8()
-        assert (own == image).all() == each
+    arguments = {"shading": plan.shading, "cull_back_faces": plan.detail.cull_back_faces}
+    for each in ("pixel", "sample"):
+        own = drawing.render(drawn, shading_rate=each, **arguments).srgb8()
+        assert (own == image).all() == (each == "pixel")
 
 
 def test_pixels_are_shaded_once_with_the_samples_of_the_driver(egl, scene):
     """Of 8 samples 4 are left, and of one nothing to save."""
     with fr.Renderer((48, 48), samples=8, backend=egl) as renderer:
         plan = fr.plan(scene, "30/255", within=0.95, renderer=renderer)
-        assert (plan.detail.samples, plan.detail.once) == (4, True)
-        (told,) = (each for each in plan.decisions if each.name == "once")
-        frames = [renderer.render(scene, samples=n, once=n == 4) for n in (8, 4)]
+        assert (plan.detail.samples, plan.detail.shading_rate) == (4, "pixel")
+        (told,) = (each for each in plan.decisions if each.name == "shading_rate")
+        frames = [
+            renderer.render(scene, samples=n, shading_rate="pixel" if n == 4 else "sample")
+            for n in (8, 4)
+        ]
         full, own = (linear_to_srgb(each.linear[..., :3].astype(np.float64)) for each in frames)
         errors = np.sort(np.abs(own - full).max(axis=-1), axis=None)
         covered = np.count_nonzero(frames[0].linear[..., 3])
         assert told.error == pytest.approx(errors[math.ceil(0.95 * covered) - 1 - covered])
-        assert not fr.plan(scene, WIDE, renderer=renderer).detail.once
+        assert fr.plan(scene, WIDE, renderer=renderer).detail.shading_rate == "sample"
 
 
 def test_one_sample_is_never_made_more(egl, scene):
@@ -242,12 +247,12 @@ def test_without_wasmtime_triangles_stay(drawing, monkeypatch, tmp_path):
         plan = fr.plan(scene, WIDE, renderer=drawing)
     finally:
         lod._compiled.cache_clear()
-    assert plan.detail == LevelOfDetail(1, None, backs=False)
+    assert plan.detail == LevelOfDetail(1, None, cull_back_faces=True)
     assert "triangles" not in lines_of(plan)
     (tmp_path / "scene.toml").write_text(plan.scene_toml())
     planned = load_scene(tmp_path / "scene.toml")["planned"]
-    assert planned == Planned(((48, 48),), 4, drawn_samples=1, backs=False)
-    assert not planned.holds((48, 48), 1)  # with backs a pixel's centre may show another
+    assert planned == Planned(((48, 48),), 4, drawn_samples=1, cull_back_faces=True)
+    assert not planned.holds((48, 48), 1)  # with back faces a pixel's centre may show another
 
 
 @pytest.mark.parametrize("cost", ["auto", "navi21"])
@@ -269,10 +274,14 @@ def test_a_scene_file_draws_the_planned_frame(cli, drawing, scene, wide):
     assert re.search(r"^samples +1 instead of 4: alone adds .* of the frame$", out, re.MULTILINE)
     assert re.search(r"^cost +.* ms a frame, \d\.\d\d; by 6 frames measured on", out, re.MULTILINE)
     found = load_scene(pinned)
-    assert found["planned"] == Planned(((48, 48),), 4, 1, wide.detail.triangles, backs=False)
+    assert found["planned"] == Planned(
+        ((48, 48),), 4, 1, wide.detail.triangles, cull_back_faces=True
+    )
     assert found["shading"] == wide.shading.as_dict()
     image = cli.render("--scene", pinned)
-    drawn = drawing.render(wide.detail.of(scene), wide.shading, samples=1, backs=False).srgb8()
+    drawn = drawing.render(
+        wide.detail.of(scene), wide.shading, samples=1, cull_back_faces=True
+    ).srgb8()
     np.testing.assert_array_equal(image, drawn)
     for detail in (replace(wide.detail, samples=4), replace(wide.detail, triangles=None)):
         other = drawing.render(detail.of(scene), wide.shading, samples=detail.samples).srgb8()
@@ -343,7 +352,7 @@ def test_what_details_save_and_what_is_left_add_up(coarse):
     choice, drawn = coarse
     choice.frames = frames.measured_frames(choice, drawn)
     told = list(details(choice, drawn))
-    assert [each.name for each in told] == ["backs", "samples", "triangles"]
+    assert [each.name for each in told] == ["cull_back_faces", "samples", "triangles"]
     cost = choice.cost(choice.full)
     assert cost.full_total == pytest.approx(choice.frames.taken["full"])
     assert cost.total == pytest.approx(choice.frames.taken["triangles"])
@@ -364,7 +373,7 @@ def test_frames_lie_on_lines_through_what_was_measured(coarse, monkeypatch):
     def take(drawn, detail, shading):
         return lambda: medians[detail, shading is choice.full]
 
-    fronts = replace(drawn.finest, backs=False)
+    fronts = replace(drawn.finest, cull_back_faces=True)
     fewer = replace(fronts, samples=1)
     medians |= {
         (drawn.finest, True): 20.0,
@@ -376,14 +385,20 @@ def test_frames_lie_on_lines_through_what_was_measured(coarse, monkeypatch):
     monkeypatch.setattr(frames, "seconds", seconds)
     monkeypatch.setattr(frames, "_frame", take)
     choice.frames = frames.measured_frames(choice, drawn)
-    taken = {"full": 20.0, "backs": 19.0, "samples": 12.0, "once": 12.0, "triangles": 5.0}
+    taken = {
+        "full": 20.0,
+        "cull_back_faces": 19.0,
+        "samples": 12.0,
+        "shading_rate": 12.0,
+        "triangles": 5.0,
+    }
     assert choice.frames.taken == pytest.approx(taken)
     assert choice.cost(choice.full).relative == pytest.approx(5.0 / 20.0)
     assert choice.cost(cheap).relative == pytest.approx(4.0 / 20.0)
     assert choice.saved(cheap, choice.full) == pytest.approx(1.0 / 20.0)
     told = {each.name: each for each in details(choice, drawn)}
-    assert told["backs"].text.startswith("left out instead of drawn: alone adds ")
-    assert told["backs"].text.endswith(", saves 5.0 % of the frame")
+    assert told["cull_back_faces"].text.startswith("culled instead of drawn: alone adds ")
+    assert told["cull_back_faces"].text.endswith(", saves 5.0 % of the frame")
     assert told["samples"].text.endswith(", saves 35.0 % of the frame")
     assert told["triangles"].text.endswith(", saves 35.0 % of the frame")
     medians[fewer, True] = 21.0
@@ -446,7 +461,7 @@ def test_a_ratio_is_of_the_frames_of_one_turn(monkeypatch):
 
 def test_more_samples_err_less_at_the_silhouette(drawing, scene):
     measured = antialiasing(drawing, scene, (1, 4, 16, 64), repeats=2)
-    assert [each.samples for each in measured if each.once] == [4]
+    assert [each.samples for each in measured if each.shading_rate == "pixel"] == [4]
     one, four, once, sixteen, all_ = measured
     assert once.silhouette.mean == pytest.approx(four.silhouette.mean, rel=0.1)
     assert once.inside.mean > four.inside.mean

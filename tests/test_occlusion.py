@@ -184,7 +184,7 @@ def test_simplified_meshes_and_plans_keep_it(baked, bare, egl):
         fewer = detail.of(scene)
         frames = [
             renderer.render(scene),
-            renderer.render(fewer, plan.shading, None, detail.samples, detail.backs, detail.once),
+            renderer.render(fewer, plan.shading, **detail.values),
         ]
     assert len(fewer.mesh.parts[0].occlusion) < len(whole.occlusion)
     images = [frame.srgb8().astype(int) for frame in frames]

@@ -404,7 +404,7 @@ def test_errors_are_those_of_the_reference_and_rendered_within_the_budget(
         (
             {},
             {"cost": "voodoo"},
-            "unknown cost 'voodoo'; known: frame, auto, .* radv:vega10",
+            "unknown cost 'voodoo'; known: frame, auto, .* here",
         ),
         ({}, {"budget": "-1/255"}, "budget -1/255 is negative"),
         ({}, {"budget": "1 dB"}, "budget '1 dB' has no unit that is known"),

@@ -10,11 +10,11 @@ import pytest
 from PIL import Image
 
 import facerender as fr
+from benchmarks.prices import amd
 from facerender import InputError, brdf
 from facerender.drawing import reference
 from facerender.drawing.passes.shade import shade_pass
 from facerender.planning.candidates import Constants, candidates
-from facerender.pricing import amd
 from facerender.pricing.table import load_prices
 from facerender.scenes.scene import slope_ranges
 from facerender.scenes.texture import Texture

@@ -193,15 +193,18 @@ def tetrahedron() -> Part:
 
 
 @pytest.fixture
-def once(egl) -> Both:
+def rates(egl) -> Both:
     """Draws a scene shaded once a pixel, and without that; by default what the driver has."""
 
     def draw(scene: fr.Scene, size=(256, 192), samples=None):
         with fr.Renderer(size, backend=egl) as renderer:
             samples = samples or renderer.context.most_samples
-            frames = [renderer.render(scene, samples=samples, once=each) for each in (True, False)]
-            does = renderer.can_shade_once(scene, samples)
-            assert ["shaded" in frame.metadata for frame in frames] == [does, False]
+            frames = [
+                renderer.render(scene, samples=samples, shading_rate=each)
+                for each in ("pixel", "sample")
+            ]
+            does = renderer.can_shade_per_pixel(scene, samples)
+            assert ["shading_rate" in frame.metadata for frame in frames] == [does, False]
         return tuple(frame.linear for frame in frames)
 
     return draw
@@ -214,7 +217,7 @@ def test_shaded_once_the_side_that_most_samples_see_stands_for_all(once, azimuth
     samples see which side."""
     mesh = mesh_of(tetrahedron()).with_material(albedo=(1.0, 1.0, 1.0))
     scene = fr.Scene(mesh, fr.Camera(azimuth, elevation), (), np.pi, background=None)
-    one, full = once(scene)
+    one, full = rates(scene)
     np.testing.assert_array_equal(one[..., 3], full[..., 3])
     covered = full[..., 3] > 0.0
     colors, mixed = (each[covered][:, :3] / each[covered][:, 3:] for each in (one, full))
@@ -228,18 +231,18 @@ def test_shaded_once_the_side_that_most_samples_see_stands_for_all(once, azimuth
     assert (seen < 0.99).sum() > 50
 
 
-def test_shaded_once_every_part_of_a_pixel_is(once):
+def test_shaded_once_every_part_of_a_pixel_is(rates):
     """As without, where it has one triangle there."""
     whole = tetrahedron()
     parts = [replace(whole, faces=face[None]) for face in whole.faces]
     scene = fr.Scene(mesh_of(*parts), fr.Camera(10.0, 25.0))
-    np.testing.assert_allclose(*once(scene), rtol=1e-5, atol=1e-6)
-    one, full = once(replace(scene, mesh=mesh_of(whole)))
+    np.testing.assert_allclose(*rates(scene), rtol=1e-5, atol=1e-6)
+    one, full = rates(replace(scene, mesh=mesh_of(whole)))
     assert (np.abs(one - full) > 1e-2).any()
 
 
 def test_heads_that_are_shaded_once(once, head):
-    one, full = once(fr.Scene(head, fr.Camera(-35.0), background=None), (1024, 1024))
+    one, full = rates(fr.Scene(head, fr.Camera(-35.0), background=None), (1024, 1024))
     assert (one != full).any()
     assert_same(one, full, 0.985)
     assert_same(one, full, 0.999, 8.0)
@@ -247,15 +250,15 @@ def test_heads_that_are_shaded_once(once, head):
 
 @pytest.mark.parametrize(("samples", "brightness"), [(1, 0.0), (2, 0.0), (8, 0.0), (4, 1e6)])
 def test_what_cannot_be_shaded_once_is_drawn_as_without(once, head, samples, brightness):
-    one, full = once(fr.Scene(head, background=(brightness,) * 3), (64, 64), samples)
+    one, full = rates(fr.Scene(head, background=(brightness,) * 3), (64, 64), samples)
     np.testing.assert_array_equal(one, full)
 
 
 def test_shading_once_is_not_left_to_where_deferring_pays(once, head, monkeypatch):
     scene = fr.Scene(head)
-    one, _ = once(scene)
+    one, _ = rates(scene)
     monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: False)
-    np.testing.assert_array_equal(once(scene)[0], one)
+    np.testing.assert_array_equal(rates(scene)[0], one)
 
 
 def test_where_it_pays(head):

@@ -4,7 +4,7 @@ record of it tells. A renderer that is given draws; no OpenGL here."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -189,9 +189,9 @@ def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any
 def _shaded(
     job: Job, scene: Scene, detail: LevelOfDetail, renderer: Renderer, names: Sequence[str]
 ) -> dict[str, Frame]:
-    samples = min(detail.samples, renderer.samples)
+    values = replace(detail, samples=min(detail.samples, renderer.samples)).values
     return {
-        name: renderer.render(scene, job.shading, only, samples, detail.backs, detail.once)
+        name: renderer.render(scene, job.shading, only, **values)
         for name, only in _SHADED.items()
         if name in names
     }

@@ -22,7 +22,6 @@ EXAMPLES = {
         "facerender plan --budget 1/255 --scene planned.toml --emit cheap.glsl --target 330",
     ),
     "measure": ("facerender measure --quick", "facerender measure head.glb --m 0.25 -o out/head"),
-    "reproduce": ("facerender reproduce -o out/paper",),
     "compare": (
         "facerender compare golden.exr new.exr",
         "facerender compare goldens out --report report.html",

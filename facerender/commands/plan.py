@@ -41,8 +41,7 @@ def add(plan: argparse.ArgumentParser) -> None:
         metavar="OF",
         help="frame, whole ones of which a few are measured; or of a fragment, which leaves "
         "samples and triangles as they are: llvmpipe, navi21 (RDNA2) or vega10 (GCN5) from a "
-        "table; auto, llvmpipe where the CPU draws, RDNA2 elsewhere; here, to measure; "
-        "radv:navi21 or radv:vega10, to compile (frame)",
+        "table; auto, llvmpipe where the CPU draws, RDNA2 elsewhere; or here, to measure (frame)",
     )
     plan.add_argument(
         "--verify-cost",

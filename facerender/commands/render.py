@@ -133,13 +133,10 @@ def run(options: argparse.Namespace) -> int:
             detail = job.planned.detail
         elif job.planned:
             warnings.warn(_unplanned(options.scene, job), FacerenderWarning, stacklevel=1)
-        samples = min(detail.samples, renderer.samples)
         drawn = detail.of(scene)
+        values = replace(detail, samples=min(detail.samples, renderer.samples)).values
         scenes = (replace(drawn, camera=camera) for camera in cameras.values())
-        frames = (
-            renderer.render(each, shading, options.only, samples, detail.backs, detail.once)
-            for each in scenes
-        )
+        frames = (renderer.render(each, shading, options.only, **values) for each in scenes)
         frame = target.write(frames, options.exposure, scene.background)
         backend = renderer.context.backend
     if options.json:

@@ -43,7 +43,15 @@ from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.mips import Kind
-from facerender.scenes.scene import DATA, ONLY, Only, Scene, slope_ranges
+from facerender.scenes.scene import (
+    DATA,
+    ONLY,
+    Only,
+    Scene,
+    ShadingRate,
+    check_shading_rate,
+    slope_ranges,
+)
 from facerender.scenes.sources import MeshSource
 from facerender.scenes.view import View, hidden, sample_grid, view_of
 from facerender.shading import Shading
@@ -167,8 +175,8 @@ class Renderer:
         shading: Shading = Shading(),
         only: Only | None = None,
         samples: int | None = None,
-        backs: bool = True,
-        once: bool = False,
+        cull_back_faces: bool = False,
+        shading_rate: ShadingRate = "sample",
     ) -> Frame:
         """Draw a scene.
 
@@ -177,10 +185,11 @@ class Renderer:
         only : one term in place of the whole image; all but specular and diffuse have one sample a
             pixel, and see what lies behind blended parts
         samples : per pixel, in place of the renderer's
-        backs : whether backs of triangles are drawn, which show where a mesh is open or folded
-        once : shade a pixel of a part once where :meth:`can_shade_once`, and else as without: of
-            the triangles that its samples see, the one that most of them see stands for all. The
-            coverage stays as it is; an edge between two surfaces of a part is as with one sample
+        cull_back_faces : leave back faces out, which show where a mesh is open or folded
+        shading_rate : "sample" to shade every triangle that a pixel's samples see; "pixel" to shade
+            a pixel of a part once, where :meth:`can_shade_per_pixel`: the triangle that most of its
+            samples see stands for all. The coverage stays as it is; an edge between two surfaces of
+            a part is as with one sample
 
         Raises
         ------
@@ -192,8 +201,8 @@ class Renderer:
         FacerenderWarning : no pixel shows the mesh, and why
         """
         _check_scene(scene, shading)
-        for name, value in (("backs", backs), ("once", once)):
-            check_switch(name, value)
+        check_switch("cull_back_faces", cull_back_faces)
+        check_shading_rate("shading_rate", shading_rate)
         check_type("only", only, str | None, f"one of {', '.join(ONLY)}")
         if only in DATA:
             linear = data_view(self.gbuffer(scene, shading, blended=False), scene, only)
@@ -208,19 +217,22 @@ class Renderer:
         _LIMITS["samples"].check("samples", samples)
         view = view_of(scene, self.size[0] / self.size[1])
         scene = self._simplified(scene, shading, view, samples)
-        once = once and self.can_shade_once(scene, samples)
+        if shading_rate == "pixel" and not self.can_shade_per_pixel(scene, samples):
+            shading_rate = "sample"
         if samples <= self.context.most_samples:
-            linear = self._shaded(scene, view, shading, samples, only, backs, once)
+            linear = self._shaded(
+                scene, view, shading, samples, only, cull_back_faces, shading_rate
+            )
         else:
             linear = np.zeros((*self.size[::-1], 4), dtype=np.float32)
             for shift in sample_grid(samples):
                 shifted = view.shifted(shift, self.size)
-                linear += self._shaded(scene, shifted, shading, 1, only, backs)
+                linear += self._shaded(scene, shifted, shading, 1, only, cull_back_faces)
             linear /= samples
         _check(linear, scene)
         metadata = {key: str(value) for key, value in shading.as_dict().items()}
         metadata |= {**self.metadata, "samples": str(samples)}
-        metadata |= {"shaded": "once a pixel"} if once else {}
+        metadata |= {"shading_rate": shading_rate} if shading_rate == "pixel" else {}
         for name in ("model", "lobe", "fresnel", "masking"):
             metadata[name] = str(getattr(shading.term, name))
         terms = Lighting.of(scene, shading).terms
@@ -231,10 +243,10 @@ class Renderer:
             metadata["lobe of each part"] = ", ".join(map(" and ".join, lobes))
         return Frame(linear, only, scene.background is None, metadata)
 
-    def can_shade_once(self, scene: Scene, samples: int) -> bool:
-        """Tell whether frames with so many samples can be shaded once a pixel: with several, as
-        many as the driver has, of up to 16 million triangles of opaque parts by one kind of texture
-        coordinates, on a background of up to 1000."""
+    def can_shade_per_pixel(self, scene: Scene, samples: int) -> bool:
+        """Tell whether a frame with N samples can have ``shading_rate="pixel"``: with several
+        samples, as many as the driver has, of up to 16 million triangles of opaque parts by one
+        kind of texture coordinates, on a background of up to 1000."""
         _check_scene(scene)
         _LIMITS["samples"].check("samples", samples)
         return samples > 1 and self._can_defer(scene, samples)
@@ -329,10 +341,10 @@ class Renderer:
         shading: Shading,
         samples: int,
         only: Only | None,
-        backs: bool,
-        once: bool = False,
+        cull_back_faces: bool,
+        shading_rate: ShadingRate = "sample",
     ) -> NDArray[np.float32]:
-        visibility = self._visibility(scene, view, samples, once)
+        visibility = self._visibility(scene, view, samples, shading_rate)
         scattering = None if only == "specular" else _scattering(scene, self.size)
         beside = scattering if samples == 1 else None
         shaded = shade_pass(scene, view, shading, samples, only, visibility, beside)
@@ -340,7 +352,7 @@ class Renderer:
             draws = tuple(draw for draw in shaded.draws if draw.depth != "blend")
             target = replace(shaded.target, sampled=True)
             shaded = replace(shaded, name="image", target=target, draws=draws)
-        passes = _from_visibility(shaded, visibility, backs)
+        passes = _from_visibility(shaded, visibility, cull_back_faces)
         if scattering:
             from facerender.drawing.passes.scatter import scatter_pass
 
@@ -349,32 +361,37 @@ class Renderer:
                 background = scene.background if only is None else None
                 area = visibility.area if visibility else None
             else:
-                passes += self._apart(scene, view, shading, scattering, backs)
+                passes += self._apart(scene, view, shading, scattering, cull_back_faces)
             how = scattering, shading.scatter_samples, background, not beside, area
             last = [scatter_pass(view, *how)]
             if veils(scene, view):
                 whole = shade_pass(scene, view, shading, samples, only)
-                last = veil_over(replace(whole, backs=backs), *last)
+                last = veil_over(replace(whole, cull_back_faces=cull_back_faces), *last)
             passes += last
         return self._draw([*shadow_passes(scene, Lighting.of(scene, shading)), *passes], scene)[0]
 
     def _apart(
-        self, scene: Scene, view: View, shading: Shading, scattering: Scattering, backs: bool
+        self,
+        scene: Scene,
+        view: View,
+        shading: Shading,
+        scattering: Scattering,
+        cull_back_faces: bool,
     ) -> list[Pass]:
         """What draws the light that scatters apart from an image whose pixels have several samples,
         and see several places: the centre stands for all."""
         visibility = self._visibility(scene, view, 1)
         shaded = shade_pass(scene, view, shading, 1, "diffuse", visibility, scattering, apart=True)
-        return _from_visibility(shaded, visibility, backs)
+        return _from_visibility(shaded, visibility, cull_back_faces)
 
     def _visibility(
-        self, scene: Scene, view: View, samples: int, once: bool = False
+        self, scene: Scene, view: View, samples: int, shading_rate: ShadingRate = "sample"
     ) -> Visibility | None:
         """What a scene's image is deferred to, where that is asked for or cheaper."""
         if self._can_defer(scene, samples) and (
-            once or pays(scene, self.size, samples, self.context.renderer)
+            shading_rate == "pixel" or pays(scene, self.size, samples, self.context.renderer)
         ):
-            return Visibility.of(scene, view, self.size, samples, once)
+            return Visibility.of(scene, view, self.size, samples, shading_rate)
         return None
 
     def _can_defer(self, scene: Scene, samples: int) -> bool:
@@ -445,10 +462,12 @@ def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:
     return scattering_of(scene, size)
 
 
-def _from_visibility(shaded: Pass, visibility: Visibility | None, backs: bool) -> list[Pass]:
+def _from_visibility(
+    shaded: Pass, visibility: Visibility | None, cull_back_faces: bool
+) -> list[Pass]:
     """A pass that shades, behind what it reads."""
     first, *others = [visibility.drawn(), shaded] if visibility else [shaded]
-    return [replace(first, backs=backs), *others]
+    return [replace(first, cull_back_faces=cull_back_faces), *others]
 
 
 def _check(linear: NDArray[np.float32], scene: Scene) -> None:

@@ -175,7 +175,7 @@ class Resources:
         """Set how a draw lies over what is there, and which sides of triangles it shows."""
         gl, over = self.context.gl, draw.depth == "blend"
         enabled = moderngl.DEPTH_TEST | moderngl.BLEND * (step.added or over)
-        gl.enable_only(enabled | moderngl.CULL_FACE * (not step.backs))
+        gl.enable_only(enabled | moderngl.CULL_FACE * step.cull_back_faces)
         gl.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA if over else moderngl.ONE
         gl.cull_face = "front"  # the image is drawn upside down
 

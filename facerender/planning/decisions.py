@@ -77,17 +77,17 @@ def decisions(
 
 
 def details(choice: Choice, drawn: Drawn) -> Iterator[Decision]:
-    """Tell of backs, samples, how often pixels are shaded, and triangles."""
+    """Yield the decisions on back faces, samples, shading rate and triangles."""
     if choice.frames is None:
         return
     taken, before = choice.frames.taken, "full"
-    for name in ("backs", "samples", "once", "triangles"):
+    for name in ("cull_back_faces", "samples", "shading_rate", "triangles"):
         saved = (taken[before] - taken[name]) / taken["full"]
         before = name
         own, full = (getattr(detail, name) for detail in (drawn.detail, drawn.finest))
         if own != full:
             alone_ = replace(drawn.finest, **{name: own})
-            if name == "once":  # which needs the driver's samples
+            if name == "shading_rate":  # which needs the driver's samples
                 alone_ = replace(alone_, samples=drawn.detail.samples)
             added = max(within for _, within in drawn.errors(choice.full, alone_))
             chosen, other = (_detail(name, each, drawn) for each in (own, full))
@@ -104,11 +104,9 @@ def details(choice: Choice, drawn: Drawn) -> Iterator[Decision]:
             yield Decision(name, False, chosen, other, error, 0.0, text)
 
 
-def _detail(name: str, value: int | None, drawn: Drawn) -> str:
-    if name == "backs":
-        return "drawn" if value else "left out"
-    if name == "once":
-        return "a pixel" if value else "a triangle"
+def _detail(name: str, value: int | str | None, drawn: Drawn) -> str:
+    if name == "cull_back_faces":
+        return "culled" if value else "drawn"
     return str(value or drawn.triangles)
 
 

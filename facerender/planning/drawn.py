@@ -35,16 +35,15 @@ class Place:
 
 def draw(place: Place, shading: Shading, detail: LevelOfDetail) -> NDArray[np.float32]:
     """Return the linear image (H, W, 4) of a place."""
-    scene = detail.of(place.scene)
-    samples, backs, once = detail.samples, detail.backs, detail.once
-    return place.renderer.render(scene, shading, None, samples, backs, once).linear
+    scene, values = detail.of(place.scene), detail.values
+    return place.renderer.render(scene, shading, **values).linear
 
 
 def _saves_shading(place: Place, samples: int) -> bool:
-    """Tell whether frames can be shaded once a pixel, and are known to be cheaper then."""
+    """Tell whether per-pixel shading is possible, and known to be cheaper."""
     scene, renderer = place.scene, place.renderer
     known = pays(scene, renderer.size, samples, renderer.context.renderer)
-    return known and renderer.can_shade_once(scene, samples)
+    return known and renderer.can_shade_per_pixel(scene, samples)
 
 
 class Scattered:
@@ -94,13 +93,13 @@ class Drawn:
         self.failed: list[tuple[Sequence[str], dict[str, Any]]] = []
 
     def coarsen(self) -> None:
-        """Take away backs of triangles, samples, all but one shading of a pixel, and then half of
+        """Take away back faces, samples, all but one shading of a pixel, and then half of
         the triangles again and again, as long as the full shading stays within the budget."""
-        self._first([replace(self.detail, backs=False)])
+        self._first([replace(self.detail, cull_back_faces=True)])
         samples = [count for count in (4, 1) if count < self.finest.samples]
         self._first(replace(self.detail, samples=count) for count in reversed(samples))
         if all(_saves_shading(place, self.detail.samples) for place in self.places):
-            self._first([replace(self.detail, once=True)])
+            self._first([replace(self.detail, shading_rate="pixel")])
         count = self.triangles // 2
         with suppress(InputError):  # without their package there are no levels of detail
             while count >= _FEWEST and self._first([replace(self.detail, triangles=count)]):

@@ -23,9 +23,9 @@ def measured_frames(choice: Choice, drawn: Drawn) -> Frames:
     fragments."""
     full, cheap = choice.full, choice.ordered[0]
     steps = {"full": drawn.finest}
-    steps["backs"] = replace(drawn.finest, backs=drawn.detail.backs)
-    steps["samples"] = replace(steps["backs"], samples=drawn.detail.samples)
-    steps["once"] = replace(steps["samples"], once=drawn.detail.once)
+    steps["cull_back_faces"] = replace(drawn.finest, cull_back_faces=drawn.detail.cull_back_faces)
+    steps["samples"] = replace(steps["cull_back_faces"], samples=drawn.detail.samples)
+    steps["shading_rate"] = replace(steps["samples"], shading_rate=drawn.detail.shading_rate)
     steps["triangles"] = drawn.detail
     asked = {(detail, full) for detail in steps.values()}
     asked |= {(detail, cheap) for detail in (drawn.finest, drawn.detail)}

@@ -171,7 +171,7 @@ class Plan:
             return None
         detail = self.detail or LevelOfDetail(self.samples, None)
         fewer = detail.samples if detail.samples < self.samples else None
-        fine = (fewer, detail.triangles, detail.backs, detail.once)
+        fine = (fewer, detail.triangles, detail.cull_back_faces, detail.shading_rate)
         return Planned(self.sizes, self.samples, *fine)
 
     def as_dict(self) -> dict[str, Any]:
@@ -280,7 +280,7 @@ def plan(
         0.999 or "99.9%"; the error of the worst pixel is told as well
     cost : "frame", of whole frames on this driver, by a few that are measured; or of a fragment,
         which leaves samples and triangles as they are: "auto", "llvmpipe", "navi21" (RDNA2) or
-        "vega10" (GCN5) from the table, "here", or "radv:navi21"; see
+        "vega10" (GCN5) from the table, or "here"; see
         :func:`facerender.pricing.table.load_prices`
     verify_cost : measure the chosen frame beside the full one, in turns
     exposure : of the displayed image, in stops

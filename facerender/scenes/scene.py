@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, get_args
 
-from facerender.errors import check_type, each_of
+from facerender.errors import InputError, check_type, each_of, shown
 from facerender.scenes import sources
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import LIGHTS, Light, disc_of
@@ -38,9 +38,19 @@ Only = Literal[
     "parts",
 ]
 
+# How often a pixel of a part is shaded: at each of its samples, or once.
+ShadingRate = Literal["sample", "pixel"]
+SHADING_RATES: tuple[ShadingRate, ...] = get_args(ShadingRate)
+
 # What an image may show in place of a whole scene, and what of it is data of one sample a pixel.
 ONLY: tuple[Only, ...] = get_args(Only)
 DATA = tuple(name for name in ONLY if name not in ("specular", "diffuse"))
+
+
+def check_shading_rate(name: str, value: object) -> None:
+    """Raise InputError unless a value is one of SHADING_RATES."""
+    if not isinstance(value, str) or value not in SHADING_RATES:
+        raise InputError(f"{name} = {shown(value)}: give {' or '.join(SHADING_RATES)}")
 
 
 @dataclass(frozen=True)

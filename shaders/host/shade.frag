@@ -157,7 +157,7 @@ vec3 shaded(Point p) {
     return result;
 }
 
-#ifdef ONCE
+#ifdef PIXEL_RATE
 // What the part adds to the background where visible.frag marked it: of the facets that the pixel's
 // samples see, the one that most of them see stands for all.
 void main() {

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import facerender as fr
+from benchmarks.prices import table
 from facerender.drawing import reference
 from facerender.images.srgb import encode_srgb8
-from facerender.pricing import fragment
 from facerender.scenes.environment import studio
 from facerender.scenes.vectors import direction_to
 from facerender.terms.environment import environment_irradiance
@@ -143,7 +143,7 @@ def main() -> None:
                     lost = {str(count): asdict(error) for count, error in errors.items()}
                     rows.append({"mesh": name, "environment": panorama.name, "m": m, "lost": lost})
                     print(name, panorama.name, m, errors[32], flush=True)
-    parts = fragment.by_compiler("navi21")
+    parts = table.parts("navi21")
     cycles = {"sample": parts["environment sample"], "base": parts["environment"]}
     measured = {
         "environment": facts,

@@ -76,7 +76,7 @@ class Pass:
     clear : linear RGB and coverage where nothing is drawn
     uniforms : that all draws share
     added : whether draws add to what is there
-    backs : whether backs of triangles are drawn
+    cull_back_faces : whether only front faces are drawn
     key : of all that its image depends on: it is not drawn while its target holds the same; None
         where it is always drawn
     """
@@ -87,6 +87,6 @@ class Pass:
     clear: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     uniforms: Uniforms = field(default_factory=dict)
     added: bool = False
-    backs: bool = True
+    cull_back_faces: bool = False
     key: Hashable = None
     others: tuple[str, ...] = ()

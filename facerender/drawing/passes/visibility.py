@@ -12,7 +12,7 @@ from facerender.drawing.facets import IN_ROW, Facets, facets_of
 from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.program import Program, Uniforms
 from facerender.scenes.mesh import drawn_alpha
-from facerender.scenes.scene import Scene
+from facerender.scenes.scene import Scene, ShadingRate
 from facerender.scenes.view import View
 
 DRIVERS = ("llvmpipe",)  # on which deferred shading was measured: docs/performance.md
@@ -72,18 +72,23 @@ class Visibility:
     ----------
     view, size, samples : of the image
     parts : of the scene, in its order
-    once : whether one triangle stands for all of a part that a pixel's samples see
+    shading_rate : "pixel" where one triangle stands for all of a part that a pixel's samples see
     """
 
     view: View
     size: tuple[int, int]
     samples: int
     parts: tuple[Visible, ...]
-    once: bool = False
+    shading_rate: ShadingRate = "sample"
 
     @classmethod
     def of(
-        cls, scene: Scene, view: View, size: tuple[int, int], samples: int, once: bool = False
+        cls,
+        scene: Scene,
+        view: View,
+        size: tuple[int, int],
+        samples: int,
+        shading_rate: ShadingRate = "sample",
     ) -> Visibility:
         """Number the triangles of a scene, and tell where they are."""
         parts, first = [], 1
@@ -91,7 +96,7 @@ class Visibility:
             facets = facets_of(part, scene.mesh)
             parts.append(Visible(facets, first, _area(facets, view, size)))
             first += len(facets.faces)
-        return cls(view, size, samples, tuple(parts), once)
+        return cls(view, size, samples, tuple(parts), shading_rate)
 
     @property
     def area(self) -> Area:
@@ -139,7 +144,7 @@ class Visibility:
         features = (
             *draw.program.features,
             "VISIBLE",
-            *(("ONCE",) * self.once),
+            *(("PIXEL_RATE",) * (self.shading_rate == "pixel")),
             samples,
             f"FACETS_IN_ROW {IN_ROW}",
             f"FACET_TEXELS {part.facets.texels}",

@@ -5,9 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from facerender.measure.measurement import MODELS, Measurement
-from facerender.measure.tables import Table, cost_tables, error_tables, markdown_table
-from facerender.pricing.offline import GPUS
+from benchmarks.prices.amd import Statistics
+from benchmarks.prices.offline import GPUS
+from facerender.measure.measurement import MODELS, MeasuredVariant, Measurement
+from facerender.measure.pareto import CostKind
+from facerender.measure.tables import (
+    Table,
+    cost_tables,
+    error_tables,
+    markdown_table,
+    tables_of,
+)
+from facerender.pricing.interval import Interval
 from facerender.pricing.table import FAMILY_NAMES, shipped, term_name
 from facerender.pricing.variants import SLOPE, Variant
 from facerender.shading import Term
@@ -25,13 +34,37 @@ def blocks() -> dict[str, str]:
         "readme": headline(measurement),
         "machine": "{date}: {GL_RENDERER}, OpenGL {GL_VERSION}, on {cores} cores of"
         " {processor}".format(**facts),
-        "amd": facts["amd_driver"],
+        "amd": load("amd")["driver"],
         **{f"program-{model}": in_program(measurement, model) for model in MODELS},
-        "costs": _tables(cost_tables(measurement)),
+        "costs": _tables([*cost_tables(measurement), *amd_tables(measurement)]),
         "errors": _tables(error_tables(measurement)),
         "compilers": ", ".join(compiled[0]["compilers"] + compiled[1]["compilers"]),
         **{f"instructions-{model}": instruction_table(instructions, model) for model in MODELS},
     }
+
+
+def amd(family: str, measured: MeasuredVariant) -> Statistics:
+    """Return the estimate for a variant of the compiler for a family of AMD's GPUs."""
+    variant = measured.variant
+    return Statistics(**load("amd")["statistics"][family][variant.model][variant.name])
+
+
+def amd_tables(measurement: Measurement) -> list[Table]:
+    """Return the costs on AMD's GPUs as a kind of cost beside the measured ones."""
+
+    def kind(family: str, title: str) -> CostKind:
+        return CostKind(
+            f"specular term on AMD {title}",
+            "cycles a wave",
+            lambda measured: Interval(*3 * (amd(family, measured).inverse_throughput,)),
+            {
+                "instructions": lambda measured: amd(family, measured).instructions,
+                "latency, cycles": lambda measured: amd(family, measured).latency,
+            },
+        )
+
+    kinds = kind("navi21", "Navi 21"), kind("vega10", "Vega 10")
+    return [table for kind in kinds for table in tables_of(measurement, kind)]
 
 
 def headline(measurement: Measurement) -> str:
@@ -48,11 +81,8 @@ def headline(measurement: Measurement) -> str:
             exact = variant.lobe == "exact" and not variant.printed
             cells = rows.setdefault(f"**{variant.name}**" if exact else variant.name, [])
             cells.append(f"{cost.term_ns.value:.2f}, {cost.term_ns.value / base.term_ns.value:.2f}")
-            if cost.navi21 and base.navi21:
-                cycles = cost.navi21.inverse_throughput
-                cells.append(f"{cycles}, {cycles / base.navi21.inverse_throughput:.2f}")
-            else:
-                cells.append("-")
+            cycles, of = (amd("navi21", each).inverse_throughput for each in (row, variants[0]))
+            cells.append(f"{cycles}, {cycles / of:.2f}")
             error = row.error.lobe[measurement.settings.slope]
             cells.append("-" if error is None else f"{error:.2f}")
     return markdown_table(head, [[name, *cells] for name, cells in rows.items()])

@@ -14,13 +14,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.prices import amd
 from facerender import lobes
 from facerender.brdf import K_COOK_TORRANCE
 from facerender.drawing.context import Backend
 from facerender.errors import NotMeasured
 from facerender.measure.error import lobe_error, printed_error
 from facerender.measure.measurement import MODELS
-from facerender.pricing import amd
 from facerender.pricing.cost import OF_COSINE, OF_VECTORS, QUANTILE, by_slope
 from facerender.pricing.interval import Interval, bootstrap
 from facerender.pricing.variants import Variant

@@ -1,9 +1,6 @@
 """Machine instructions of GLSL expressions on Intel's and NVIDIA's GPUs, as their own compilers of
-OpenCL C and CUDA C++ make them. No GPU and no driver is needed, and nothing runs.
-
-    python -m facerender.pricing.offline -o docs/measurements/offline.json
-
-Needs the Debian package intel-opencl-icd, and the extra facerender[compilers].
+OpenCL C and CUDA C++ make them. No GPU and no driver is needed, and nothing runs. Needs the Debian
+package intel-opencl-icd, and the extra facerender[compilers].
 """
 
 from __future__ import annotations
@@ -14,8 +11,7 @@ import os
 import re
 import shutil
 import subprocess
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +20,7 @@ from facerender.errors import InputError, NotMeasured
 from facerender.glsl.library import translated
 from facerender.glsl.translate import Msl
 from facerender.pricing import variants
-from facerender.pricing.amd import EMPTY, write_table
+from facerender.pricing.variants import INPUTS
 from facerender.system.signals import temporary_folder
 
 # As their compilers call them, with the architecture.
@@ -132,7 +128,7 @@ def statistics(terms: Mapping[str, tuple[str, str]], gpu: str) -> dict[str, Inst
     """
     if gpu not in GPUS:
         raise InputError(f"unknown GPU {gpu!r}; known: {', '.join(GPUS)}")
-    programs = [_program(f"t{i}_", *term) for i, term in enumerate((("", EMPTY), *terms.values()))]
+    programs = [_program(f"t{i}_", *term) for i, term in enumerate((("", INPUTS), *terms.values()))]
     listings = (_intel if gpu in INTEL else _nvidia)("".join(programs), gpu)
     empty, *gross = (listings[f"kernel_t{i}_"] for i in range(len(programs)))
     return {
@@ -261,12 +257,3 @@ def _wheel(package: str, file: str) -> Path:
             f"the Python package {package} is not installed: pip install 'facerender[compilers]'"
         ) from None
     return Path(next(each for each in files if each.name.startswith(file)).locate())
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the table; return 0, or 2 where it cannot be made."""
-    return write_table(table, __doc__.splitlines()[0], arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

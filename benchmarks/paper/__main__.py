@@ -1,20 +1,28 @@
-"""Redraws figures 1 to 5 of S. O. Romanyuk et al., Proc. SPIE 11456, 114560E (2020), and holds the
-paper's claims against what is measured here."""
+"""Draw figures 1 to 5 of the paper anew and measure its claims:
+
+    python -m benchmarks.paper [-o out/reproduction]
+
+Needs OpenGL and the extra facerender[measure]. Without a C compiler, or the compilers that
+``benchmarks.prices.amd`` needs, the claims that depend on it are marked "not measured".
+"""
 
 from __future__ import annotations
 
+import argparse
 import platform
+import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 from importlib.metadata import version
 
+from benchmarks.paper import claims, figures
+from benchmarks.paper.report import Reproduction
 from facerender.drawing.context import Backend
-from facerender.errors import NotMeasured
+from facerender.errors import FacerenderError, NotMeasured
 from facerender.measure import plots
-from facerender.measure.reproduce import claims, figures
-from facerender.measure.reproduce.page import Reproduction
 from facerender.measure.run import environment
-from facerender.system.progress import Progress, no_progress
+from facerender.system.progress import Bar, Progress, no_progress
 
 
 def reproduce(
@@ -29,7 +37,7 @@ def reproduce(
     ----------
     repeats : of every measurement of time
     size : of one face in figure 5, in pixels
-    progress : called with what is done now and the share of it that is done
+    progress : called with the current step and the fraction of it that is done
 
     Raises
     ------
@@ -38,24 +46,24 @@ def reproduce(
     """
     plots.check()
     progress("figures 1 to 4", 0.0)
-    drawn = figures.charts()
+    images = figures.charts()
     progress("figure 5", 0.0)
-    drawn["fig5.png"] = figures.faces(size, backend)
+    images["fig5.png"] = figures.faces(size, backend)
     machine = environment(backend)
     progress("scalar code", 0.0)
     try:
         scalar, compiler = claims.scalar_cost(repeats)
-        where = f"{compiler}; {machine.processor}"
+        conditions = f"{compiler}; {machine.processor}"
     except NotMeasured as error:
-        scalar, compiler, where = {}, "none", str(error)
+        scalar, compiler, conditions = {}, "none", str(error)
     glsl = claims.glsl_cost(repeats, backend, partial(progress, f"GLSL on {machine.GL_RENDERER}"))
     renderer = machine.GL_RENDERER
     if machine.software:
         renderer += f" on {machine.processor}"
     progress("AMD's compiler", 0.0)
-    held = [
+    results = [
         *claims.error_claims(),
-        *claims.scalar_claims(scalar, where),
+        *claims.scalar_claims(scalar, conditions),
         *(claim for contest, cost in glsl.items() for claim in contest.claims(cost, renderer)),
         *claims.amd_claims(),
     ]
@@ -70,4 +78,23 @@ def reproduce(
         "matplotlib": version("matplotlib"),
         "repeats": repeats,
     }
-    return Reproduction(facts, held, costs, drawn)
+    return Reproduction(facts, results, costs, images)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write figures, JSON and a page; return 0, or 2 if something they need is missing."""
+    parser = argparse.ArgumentParser("python -m benchmarks.paper", description=__doc__)
+    parser.add_argument("-o", "--output", default="out/reproduction", metavar="DIR")
+    options = parser.parse_args(arguments)
+    try:
+        with Bar() as progress:
+            result = reproduce(progress=progress)
+        print(*result.write(options.output), sep="\n")
+    except FacerenderError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

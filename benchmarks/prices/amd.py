@@ -1,30 +1,26 @@
 """Cost of GLSL expressions on AMD's GPUs as their compiler in Mesa, RADV, estimates it. No GPU is
-needed and nothing runs.
-
-    python -m facerender.pricing.amd -o docs/measurements/amd.json
-
-Needs the Debian packages glslang-tools, mesa-vulkan-drivers and libvulkan1, and the extra
-facerender[measure].
+needed and nothing runs. Needs the Debian packages glslang-tools, mesa-vulkan-drivers and
+libvulkan1, and the extra facerender[compilers].
 """
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import json
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from facerender.errors import FacerenderError, InputError, NotMeasured
+from facerender.errors import InputError, NotMeasured
 from facerender.glsl.library import resolve_includes
 from facerender.pricing import variants
+from facerender.pricing.variants import INPUTS
 from facerender.system.signals import temporary_folder
 
 FAMILIES = ("navi21", "vega10")  # RDNA2, GCN5
@@ -46,8 +42,6 @@ void main() {
     results[i] = result;
 }
 """
-# A term's cost is net of that of this sum of its inputs.
-EMPTY = "dot(l, v) + n.x + m * f0"
 # A wave's inverse throughput is the larger of what its busiest unit takes and of its latency over
 # the waves that hide it. The second, a share of the memory's latency, would rule in a kernel as
 # short as a term. The ballast, dependent operations that cancel in the net, makes the vector ALU
@@ -74,7 +68,8 @@ class Statistics:
 
 
 def statistics(terms: Mapping[str, tuple[str, str]], family: str) -> dict[str, Statistics]:
-    """Return the cost of each term on a family of GPUs, from N, L, V, m and F0 in a buffer.
+    """Return the cost of each term on a family of GPUs, from N, L, V, m and F0 in a buffer,
+    net of a kernel that only adds up these inputs.
 
     Parameters
     ----------
@@ -87,7 +82,7 @@ def statistics(terms: Mapping[str, tuple[str, str]], family: str) -> dict[str, S
     InputError : an unknown family, or a term that is not GLSL
     NotMeasured : a tool is missing; the message says which, and how to get it
     """
-    kernels = [kernel(*term) for term in (("", EMPTY), *terms.values())]
+    kernels = [kernel(*term) for term in (("", INPUTS), *terms.values())]
     (empty, *gross) = compile_programs(kernels, family)[1]
     return {
         name: Statistics(
@@ -198,7 +193,7 @@ def compile_programs(
         raise _not_measured(f"no RADV: no radeon_icd*.json in {folders}", _DRIVER_PACKAGES)
     if importlib.util.find_spec("vulkan") is None:
         raise NotMeasured(
-            "the Python package vulkan is not installed: pip install 'facerender[measure]'"
+            "the Python package vulkan is not installed: pip install 'facerender[compilers]'"
         )
     # What a user sets for other programs would change what is measured.
     environment = {
@@ -231,29 +226,3 @@ def compile_programs(
 
 def _not_measured(what: str, packages: str) -> NotMeasured:
     return NotMeasured(f"{what}; on Debian or Ubuntu: apt-get install {packages}")
-
-
-def write_table(
-    make: Callable[[], Any], description: str, arguments: Sequence[str] | None = None
-) -> int:
-    """Write what a function makes, as JSON, where the command line says; return 0, or 2 where it
-    cannot be made."""
-    parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE.json")
-    options = parser.parse_args(arguments)
-    try:
-        text = json.dumps(make(), indent=2)
-    except FacerenderError as error:
-        print(f"facerender: error: {error}", file=sys.stderr)
-        return 2
-    options.output.write_text(text + "\n", encoding="utf-8")
-    return 0
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the table; return 0, or 2 where it cannot be made."""
-    return write_table(table, __doc__.splitlines()[0], arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,10 +1,9 @@
-#!/usr/bin/env python3
 """Writes docs/measurements/mobile.json: the instructions of the specular terms on Adreno and Mali,
 as Mesa's compilers of Debian 13 for arm64 make them over its null drivers. Nothing is drawn.
 
-    tools/mobile-compilers FOLDER
+    python -m benchmarks.prices.mobile FOLDER
 
-Root on Debian, with qemu-user-static, glslang-tools and facerender[measure]. What FOLDER
+Root on Debian, with qemu-user-static, glslang-tools and facerender[compilers]. What FOLDER
 does not hold yet comes through apt: 64 MB, 310 MB unpacked.
 """
 
@@ -19,9 +18,10 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-from facerender.pricing import amd, variants
+from benchmarks.prices import amd
+from facerender.pricing import variants
 
-OUTPUT = Path(__file__).parents[1] / "docs" / "measurements" / "mobile.json"
+OUTPUT = Path(__file__).parents[2] / "docs" / "measurements" / "mobile.json"
 QEMU = "qemu-aarch64-static"
 PACKAGES = "mesa-vulkan-drivers mesa-drm-shim libvulkan1 python3-minimal python3-cffi"
 LIBRARIES = "/usr/lib/aarch64-linux-gnu"
@@ -82,7 +82,14 @@ def compiled(root: Path, gpu: str, programs: str) -> tuple[str, list[tuple[int, 
         **feigned,
     }
     settings = [word for pair in environment.items() for word in ("-E", "=".join(pair))]
-    command = ["chroot", root, f"/{QEMU}", *settings, "/usr/bin/python3", "/facerender/radv.py"]
+    command: list[str | Path] = [
+        "chroot",
+        root,
+        f"/{QEMU}",
+        *settings,
+        "/usr/bin/python3",
+        "/facerender/radv.py",
+    ]
     run = subprocess.run(command, input=programs, capture_output=True, text=True, check=True)
     driver, rows = json.loads(run.stdout)
     if shim == "panfrost":  # which tells more in its log; 16 of the unit's instructions a cycle
@@ -101,11 +108,12 @@ def main(folder: Path) -> None:
         for model in variants.PRINTED
         for name, term in variants.terms(model).items()
     }
-    kernels = [amd.kernel(*term, ballast="") for term in (("", amd.EMPTY), *terms.values())]
+    kernels = [amd.kernel(*term, ballast="") for term in (("", variants.INPUTS), *terms.values())]
     programs = json.dumps(
         {"attributes": [], "programs": [[m.hex() for m in each] for each in kernels]}
     )
-    drivers, found = {}, {}
+    drivers: dict[str, None] = {}
+    found: dict[str, dict[str, dict[str, dict[str, int]]]] = {}
     for gpu in GPUS:
         driver, (empty, *gross) = compiled(folder / "root", gpu, programs)
         drivers[driver] = None

@@ -1,4 +1,4 @@
-"""The paper's figures and claims as documents: JSON, a page, Markdown."""
+"""The paper's figures and claims as documents: JSON and a page."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from benchmarks.paper.claims import Claim
+from benchmarks.paper.figures import CAPTIONS
 from facerender.measure.report import write_files
-from facerender.measure.reproduce.claims import Claim
-from facerender.measure.reproduce.figures import CAPTIONS
-from facerender.measure.tables import markdown_table
 from facerender.page.document import document, figure, row, table
 from facerender.pricing.interval import Interval
 
@@ -76,25 +75,6 @@ class Reproduction:
             table("facts", (), facts),
         ]
         return document("The paper's figures and claims, measured", "\n".join(body))
-
-    def markdown(self, folder: str) -> str:
-        """Return the table and the figures, which lie in a folder beside the document."""
-        rows = [
-            [
-                claim.claim,
-                claim.paper,
-                claim.measured,
-                claim.verdict + _where(claim),
-                claim.conditions,
-            ]
-            for claim in self.claims
-        ]
-        figures = "\n\n".join(
-            f"![{caption.split('.')[0]}]({folder}/{name})\n\n{caption}"
-            for name, caption in CAPTIONS.items()
-        )
-        facts = "\n".join(f"- {name}: {value}" for name, value in self.environment.items())
-        return f"{markdown_table(_HEAD, rows)}\n\n{figures}\n\n{facts}\n"
 
     def write(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write the figures, reproduction.json and index.html, each whole or not at all.

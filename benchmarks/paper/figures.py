@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from benchmarks.paper.claims import COSINES, D16_ERROR, DEGREES, SLOPES, exact_lobe
 from facerender import lobes
 from facerender.brdf import K_COOK_TORRANCE
 from facerender.drawing.context import Backend
@@ -17,7 +18,6 @@ from facerender.images.srgb import encode_srgb8
 from facerender.loading import load_mesh
 from facerender.measure.error import lobe_error, printed_lobe
 from facerender.measure.measurement import MODELS
-from facerender.measure.reproduce.claims import COSINES, D16_ERROR, DEGREES, SLOPES, exact_lobe
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light
 from facerender.scenes.scene import Scene
