@@ -1,5 +1,5 @@
 """The image comparison: broken renders differ for the reason it names, harmless differences pass,
-and what cannot be compared is said in one line. docs/comparison.md has the figures."""
+and what cannot be compared is said in one line. docs/measurements/comparison.md has the figures."""
 
 from __future__ import annotations
 

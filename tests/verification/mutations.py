@@ -1,6 +1,6 @@
 """What the image comparison is held against: renders that are broken on purpose, and renders that
-differ as drivers, formats and cameras make them. The table of docs/comparison.md and the tests walk
-the same entries."""
+differ as drivers, formats and cameras make them. The table of docs/measurements/comparison.md and
+the tests walk the same entries."""
 
 from __future__ import annotations
 
