@@ -28,7 +28,7 @@ from tests.verification.mutations import (
     rougher,
     setting_of,
 )
-from tests.verification.pairs.changes import SOFTPIPE, exposed, factor
+from tests.verification.pairs.changes import exposed, factor
 from tests.verification.pairs.room import Room, draw_elsewhere
 
 GATES = {  # and how their reasons begin
@@ -74,9 +74,7 @@ def drivers() -> Iterator[dict[str, Any]]:
     """Yield the figures of what two drivers draw."""
     for size, name, camera in product((512, 1024), dict(meshes()), CAMERAS):
         setting = setting_of(name, camera, size=size)
-        drawn = (
-            draw_elsewhere(setting, variables=SOFTPIPE | {"GALLIUM_DRIVER": x}) for x in DRIVERS
-        )
+        drawn = (draw_elsewhere(setting, variables=each) for each in DRIVERS.values())
         yield {"image": f"{name}, {camera}, {size}"} | row(compare(*drawn))
 
 

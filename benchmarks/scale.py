@@ -3,8 +3,9 @@
     python benchmarks/scale.py [--workers N] [--chunk N] [--layout shards|files] [--parts N]
         [--set NAME=VALUE ...] [--measured docs/measurements/scale.json] [-o FILE.json]
 
-Without options: the tables of docs/scale.md; with -o docs/measurements/scale_simulated.json, their
-data for `python -m tools.docs`. A model of events, in one process, in seconds:
+Without options: the tables of docs/measurements/scale.md; with -o, their data for `python -m
+tools.docs`, as docs/measurements/scale_simulated.json. A model of events, in one process, in
+seconds:
 
 - A driver of each part reads and digests rows, and keeps a window of chunks in flight.
 - A scheduler of each part serves one message after the other: half of a task's time when it comes,

@@ -1,5 +1,5 @@
 """The image comparison: broken renders differ for the reason it names, harmless differences pass,
-and what cannot be compared is said in one line. docs/comparison.md has the figures."""
+and what cannot be compared is said in one line. docs/measurements/comparison.md has the figures."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from facerender.images.srgb import encode_srgb8
 from tests.conftest import missing, require_backend
 from tests.test_cli import Capture, Cli, process
 from tests.verification.mutations import BROKEN, CAMERAS, DRIVERS, HARMLESS, setting_of
-from tests.verification.pairs.changes import SOFTPIPE, bright, set_pixels
+from tests.verification.pairs.changes import bright, set_pixels
 from tests.verification.pairs.room import Room, draw_elsewhere
 
 ROOMS = [
@@ -137,10 +137,7 @@ def test_llvmpipe_and_softpipe_are_the_same(mesh, egl, request):
     request.getfixturevalue("head" if mesh == "head" else "scan")
     for camera in CAMERAS:
         setting = setting_of(mesh, camera, size=256)
-        frames = [
-            draw_elsewhere(setting, variables=SOFTPIPE | {"GALLIUM_DRIVER": driver})
-            for driver in DRIVERS
-        ]
+        frames = [draw_elsewhere(setting, variables=each) for each in DRIVERS.values()]
         for frame, driver in zip(frames, DRIVERS, strict=True):
             if driver not in frame.metadata["GL_RENDERER"]:
                 missing(f"Mesa's driver {driver}")

@@ -74,7 +74,7 @@ def test_both_terms_reflect_at_most_all_light(m, second):
     ids=str,
 )
 def test_every_pixel_agrees_with_float64(renderer, head, material, changes, deferred, monkeypatch):
-    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
+    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
     scene = fr.Scene(head.with_material(**material), fr.Camera(35.0), background=None)
     shading = COUPLED.replace(**changes)
     gbuffer = renderer.gbuffer(scene, shading)

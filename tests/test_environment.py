@@ -65,7 +65,7 @@ def around(mesh: fr.Mesh, environment: fr.Environment | None, **others) -> fr.Sc
 @pytest.mark.parametrize("shading", SHADINGS, ids=str)
 @pytest.mark.parametrize(("deferred", "two_lobes"), [(True, False), (False, True)])
 def test_every_pixel_agrees_with_float64(small, head, shading, deferred, two_lobes, monkeypatch):
-    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
+    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
     mesh = head.with_material(second_slope=1.7, lobe_weight=0.8) if two_lobes else head
     environment = fr.Environment(studio(), 70.0, 0.8)
     scene = around(mesh, environment, lights=fr.Scene.lights[:1], background=None)

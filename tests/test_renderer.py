@@ -25,7 +25,7 @@ import facerender as fr
 from facerender.comparison.compare import compare
 from facerender.drawing import reference
 from facerender.drawing.context import Backend, create_context
-from facerender.drawing.host import CAPABILITIES, STATE
+from facerender.drawing.gl_state import CAPABILITIES, STATE
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.prepare import simplify
 from facerender.drawing.program import LightGroup, Program

@@ -1,4 +1,4 @@
-"""The simulation of docs/scale.md: what is full first sets the rate, and is named."""
+"""The simulation of docs/measurements/scale.md: what is full first sets the rate, and is named."""
 
 from dataclasses import replace
 

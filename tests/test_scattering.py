@@ -62,7 +62,7 @@ def test_bounds_against_the_integral_over_the_mesh(egl, name, request):
 )
 def test_pixels_are_those_of_float64(renderer, face, deferred, shading, monkeypatch):
     """But where a place rounds into another pixel: one pixel in a thousand."""
-    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
+    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
     gbuffer = renderer.gbuffer(face, shading)
     image = renderer.render(face, shading).linear[..., :3]
     expected = reference.shade(gbuffer, face, shading)
@@ -86,7 +86,7 @@ def test_views_are_parts_of_the_image(renderer, face):
 def test_several_samples_keep_the_coverage(egl, face, deferred, background, monkeypatch):
     """Where a pixel sees one surface they are as one sample of each; a silhouette whose centre
     sees nothing scatters as a neighbour, and errs by 1 % of its light against 16 shaded samples."""
-    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
+    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
     scene = replace(face, background=background, camera=fr.Camera(-35.0, zoom=1.3))
     with fr.Renderer((160, 160), samples=4, backend=egl, float_albedo=True) as renderer:
         image, plain = renderer.render(scene).linear, renderer.render(scene, OFF).linear

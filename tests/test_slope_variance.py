@@ -80,7 +80,7 @@ def test_steep_relief_is_cut_off():
 @pytest.mark.parametrize("curvature", [False, True])
 @pytest.mark.parametrize("deferred", [False, True])
 def test_pixels_agree_with_float64(egl, head, monkeypatch, curvature, deferred):
-    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
+    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
     shading = fr.Shading(outside="exact", curvature=curvature, lights={1: {"lobe": "fitted"}})
     scene = lit(head.with_material(m=0.2))
     with fr.Renderer((200, 150), samples=1, backend=egl, float_albedo=True) as renderer:
@@ -99,7 +99,9 @@ def test_deferred_curvature_is_that_of_triangles(egl, head, monkeypatch):
     scene = fr.Scene(head.with_material(m=0.2, normal_map=None), SIDE)
     slopes = []
     for deferred in (False, True):
-        monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_, on=deferred: on)
+        monkeypatch.setattr(
+            "facerender.drawing.renderer.deferred_is_cheaper", lambda *_, on=deferred: on
+        )
         with fr.Renderer((128, 128), samples=1, backend=egl) as renderer:
             slopes.append(renderer.gbuffer(scene, fr.Shading(curvature=True)).m)
     covered = slopes[0] > 0.0

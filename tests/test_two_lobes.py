@@ -48,7 +48,7 @@ def grey(level: int) -> Texture:
     ("shading", "deferred"), [*((each, True) for each in SHADINGS), (SHADINGS[-1], False)], ids=str
 )
 def test_every_pixel_agrees_with_float64(renderer, head, shading, deferred, monkeypatch):
-    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
+    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
     first, *others = head.with_material(**SWEAT, lobe_map=ramp()).materials
     mesh = replace(head, materials=(first, *(replace(each, **SKIN) for each in others)))
     scene = fr.Scene(mesh, SIDE, background=None)

@@ -25,7 +25,7 @@ Float = NDArray[np.float64]
 
 # What errors count beside a distance of the mesh's extent: of normals; of places on a map, measured
 # on the surface in radii; of linear colours, of occlusion, and of places by second coordinates.
-# Chosen by images such as those of docs/levels.md.
+# Chosen by images such as those of docs/measurements/levels.md.
 _NORMAL, _PLACE, _COLOR = 1.0, 20.0, 1.0
 _WEIGHTS = [_NORMAL] * 3 + [_PLACE] * 2 + [_COLOR] * 4 + [_PLACE] * 2
 _ANY_ERROR = 1e9  # the number of triangles alone ends it

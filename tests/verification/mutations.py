@@ -10,7 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 import facerender as fr
-from tests.verification.pairs.changes import CHANGES, Against, Change, grain, moved, patched
+from tests.verification.pairs.changes import (
+    CHANGES,
+    SOFTPIPE,
+    Against,
+    Change,
+    grain,
+    moved,
+    patched,
+)
 from tests.verification.pairs.room import Linear, Room
 from tests.verification.pairs.scenes import Setting
 
@@ -20,7 +28,7 @@ Make = Callable[[Room], Linear | Against | None]
 
 SIZE = 512
 CAMERAS = {"front": fr.Camera(), "three-quarter": fr.Camera(-35.0)}
-DRIVERS = ("llvmpipe", "softpipe")
+DRIVERS = {name: SOFTPIPE | {"GALLIUM_DRIVER": name} for name in ("llvmpipe", "softpipe")}
 
 
 def setting_of(mesh: str, camera: str, samples: int = 1, size: int = SIZE) -> Setting:

@@ -98,7 +98,7 @@ class Room:
         seen = view or view_of(own, 1.0)
         self.renderer.patch = patch
         simplified = self.renderer._simplified(own, how, seen, samples)
-        return self.renderer._shaded(simplified, seen, how, samples, None, True)
+        return self.renderer._shaded(simplified, seen, how, samples, None, False)
 
     @cached_property
     def golden(self) -> Linear:

@@ -1,4 +1,4 @@
-"""docs/comparison.md: which check of the image comparison sees what, and what escapes it."""
+"""Which check of the image comparison sees what, and what escapes it."""
 
 from __future__ import annotations
 

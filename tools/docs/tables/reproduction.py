@@ -1,4 +1,4 @@
-"""docs/reproduction.md: the paper's claims beside what is measured."""
+"""The paper's claims beside what is measured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/scale.md: what 10^8 images a day take, from measurements and a simulation."""
+"""What 10^8 images a day take, from measurements and a simulation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/skin-environment.md: how far few samples of light from all around are from many."""
+"""How far few samples of light from all around are from many."""
 
 from __future__ import annotations
 

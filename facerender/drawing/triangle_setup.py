@@ -22,7 +22,7 @@ Floats = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, eq=False)
-class Facets:
+class TriangleSetup:
     """The triangles of a part.
 
     Attributes
@@ -37,7 +37,7 @@ class Facets:
     columns: NDArray[np.float32]
 
     @classmethod
-    def of(cls, part: Part, mesh: Mesh) -> Facets:
+    def of(cls, part: Part, mesh: Mesh) -> TriangleSetup:
         """Take what is drawn of a part."""
         columns = part_columns(part, mesh)
         positions = columns.pop("in_position").astype(np.float32)
@@ -95,13 +95,13 @@ def _dot(a: Floats, b: Floats) -> Floats:
     return np.asarray(np.einsum("ij,ij->i", a, b)[:, None])
 
 
-_made: WeakKeyDictionary[Part, tuple[tuple[float, ...], Facets]] = WeakKeyDictionary()
+_made: WeakKeyDictionary[Part, tuple[tuple[float, ...], TriangleSetup]] = WeakKeyDictionary()
 
 
-def facets_of(part: Part, mesh: Mesh) -> Facets:
-    """Return the facets of a part of a mesh, made once for meshes that place it alike."""
+def triangle_setup_of(part: Part, mesh: Mesh) -> TriangleSetup:
+    """Return the triangle setup of a part of a mesh, made once for meshes that place it alike."""
     place = (*mesh.center, mesh.radius)
     known = _made.get(part)
     if known is None or known[0] != place:
-        _made[part] = known = place, Facets.of(part, mesh)
+        _made[part] = known = place, TriangleSetup.of(part, mesh)
     return known[1]

@@ -1,6 +1,6 @@
 // What a kind of light with a size gives at a place.
-#ifndef HOST_LIGHT_SIZE_GLSL
-#define HOST_LIGHT_SIZE_GLSL
+#ifndef HOST_LIGHT_AREA_GLSL
+#define HOST_LIGHT_AREA_GLSL
 
 #include "host/light/light.glsl"
 

@@ -14,7 +14,7 @@ layout(location = 3) out vec4 seen_12;
 
 void main() {
 #ifdef VISIBLE
-    Point p = point(facet_at(0));
+    Point p = point(triangle_at(0));
 #else
     Point p = point();
 #endif
@@ -29,7 +29,7 @@ void main() {
 #ifdef ALPHA_MASK
     share_left();
 #endif
-#ifdef PEEL
-    peel();
+#ifdef DEPTH_PEELING
+    discard_previous_layers();
 #endif
 }

@@ -1,6 +1,6 @@
 // Which of a point's texture coordinates each map lies by: uv, or what the program's head says.
-#ifndef HOST_PLACE_GLSL
-#define HOST_PLACE_GLSL
+#ifndef HOST_TEXTURE_COORDINATES_GLSL
+#define HOST_TEXTURE_COORDINATES_GLSL
 
 #ifndef ALBEDO_MAP_UV
 #define ALBEDO_MAP_UV uv

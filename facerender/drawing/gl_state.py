@@ -205,10 +205,12 @@ _SWITCH = ("glDisable", "glEnable")
 _TEXTURE_0, _ACTIVE_TEXTURE, _MOST_UNITS = 0x84C0, 0x84E0, 0x8B4D
 _TEXTURES = ((0x0DE1, 0x8069), (0x9100, 0x9104))  # target and binding: 2D, with several samples
 _SAMPLER_BINDING = 0x8919
-_UNITS = 12  # that drawing binds: maps, facets, what was drawn, shadow maps, the environment
+_UNITS = (
+    12  # that drawing binds: maps, triangle setup, what was drawn, shadow maps, the environment
+)
 
 
-def put_aside_state(load: Callable[[str], int]) -> Callable[[], None]:
+def save_state(load: Callable[[str], int]) -> Callable[[], None]:
     """Bring the current context's state to what drawing needs, and return the way back.
 
     Parameters
