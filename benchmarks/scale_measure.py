@@ -72,7 +72,7 @@ def draw() -> dict[str, Any]:
     start = time.process_time()
     head.load(cache=True)
     loaded = time.process_time() - start
-    options = ("--size", str(SIZE), "--passes", "image,mask,depth", "--layout", "shards")
+    options = ("--size", str(SIZE), "--outputs", "image,mask,depth", "--layout", "shards")
     few, many = 50, 250
     with tempfile.TemporaryDirectory() as folder:
         cpu = {

@@ -206,7 +206,7 @@ def load_scene_material(path):
 
 
 def test_a_simplified_mesh_keeps_second_coordinates():
-    pytest.importorskip("wasmtime")
+    pytest.importorskip("meshoptimizer")
     steps = np.linspace(-1.0, 1.0, 21)
     x, y = (each.ravel() for each in np.meshgrid(steps, steps))
     faces = grid(20, 20)[:, ::-1].copy()

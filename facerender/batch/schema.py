@@ -6,15 +6,16 @@ import inspect
 import types
 from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, fields
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from facerender.batch.jobs import EXPOSURE_LIMITS, ID, LIMITS, PASSES
+from facerender.batch.jobs import EXPOSURE_LIMITS, ID, LIMITS, OUTPUTS
 from facerender.job import ImageSettings, MeshFile
 from facerender.loading import NORMAL_MAP_Y
 from facerender.scenes.camera import FRAMES, Camera
 from facerender.scenes.file import EnvironmentFile
 from facerender.scenes.light import LIGHTS, Light
 from facerender.scenes.material import MAPS, Alpha, Material
+from facerender.scenes.planned import Planned
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import Vector
 from facerender.shading import (
@@ -49,24 +50,26 @@ def schema() -> Schema:
             "default": _data(Scene.background),
         },
         "shading": _shading(),
+        "planned": _table("planned", Planned),
         "image": _table("image", ImageSettings),
     }
     low, high = EXPOSURE_LIMITS
-    names: Schema = {"enum": [*PASSES]}
+    names: Schema = {"enum": [*OUTPUTS]}
     own: dict[str, Schema] = {
         "id": {
             "anyOf": [{"type": "integer"}, {"type": "string", "pattern": f"^({ID}|.*[{{].*)$"}],
             "description": "names the job's files; may hold {number:08d}, {mesh.stem}, {KEY}",
             "default": "{number:08d}",
         },
-        "passes": {
+        "outputs": {
             "anyOf": [
                 {"type": "array", "items": names, "minItems": 1, "uniqueItems": True},
                 {"type": "string", "description": "names with commas between"},
             ],
-            "default": [PASSES[0]],
+            "default": [OUTPUTS[0]],
         },
         "exposure": {"type": "number", "minimum": low, "maximum": high, "default": 0.0},
+        "scene": {"type": "string", "description": "a scene file; the row lies over its tables"},
     }
     dotted = {
         f"^{key}$": each
@@ -154,6 +157,8 @@ def _of_type(hint: Any) -> Schema:
     if hint == Vector:
         return _vector(_NUMBER)
     origin, inner = get_origin(hint), [each for each in get_args(hint) if each is not type(None)]
+    if origin is Literal:
+        return {"enum": [*get_args(hint)]}
     if origin in (Union, types.UnionType):
         options = [_of_type(each) for each in inner]
         if {"type": "number"} in options:
@@ -202,6 +207,7 @@ _side = {
     "type": "integer",
     **dict(zip(("minimum", "maximum"), LIMITS["image"]["size"], strict=True)),
 }
+_count: Schema = {"type": "integer", "minimum": 1}
 _names: Schema = {
     "anyOf": [
         {"type": "array", "items": {"type": "string"}},
@@ -257,6 +263,14 @@ _SPECIAL: dict[str, Schema] = {
     "shading.shadow_lights": _indices,
     "shading.frontal_lights": _indices,
     "shading.lights": {},
+    "planned.sizes": {
+        "type": "array",
+        "items": {"type": "array", "items": _side, **_exactly(2)},
+        "minItems": 1,
+    },
+    "planned.samples": _count,
+    "planned.drawn_samples": _count,
+    "planned.triangles": _count,
     "image.size": {
         "anyOf": [
             {"type": "array", "items": _side, **_exactly(2)},

@@ -15,21 +15,12 @@ import numpy as np
 
 from facerender.commands.streams import say
 from facerender.errors import InputError, reason
-from facerender.job import MESH_PATHS, MeshFile
+from facerender.job import MESH_PATHS, MeshFile, parse_size
 from facerender.loading.given import GLTF
 from facerender.loading.named import named_files
 from facerender.system.atomic import check_writable, remove_abandoned
 from facerender.system.progress import Bar
 from facerender.terms.ranges import IntegerRange, range_of
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    try:
-        numbers = [int(word) for word in text.lower().split("x")]
-        width, height = numbers * 2 if len(numbers) == 1 else numbers
-    except ValueError:
-        raise InputError(f"size {text!r}: give N or WxH, such as 1024 or 640x480") from None
-    return width, height
 
 
 def parse_sizes(text: str) -> list[tuple[int, int]]:

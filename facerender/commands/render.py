@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import argparse
 import json
-import warnings
 from dataclasses import replace
 from typing import Any
 
-from facerender.commands.common import add_field, add_verbose, check_outputs, parse_size, telling
+from facerender.commands.common import add_field, add_verbose, check_outputs, telling
 from facerender.commands.scene import add_scene, files_read, job_of, load
 from facerender.commands.streams import say, tell
 from facerender.commands.views import STANDARD_OUTPUT, Target, check_sheet
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.frame import FORMATS
 from facerender.drawing.renderer import Renderer
-from facerender.errors import FacerenderWarning, InputError
-from facerender.job import ImageSettings, Job, MeshFile, Output
+from facerender.errors import InputError
+from facerender.job import ImageSettings, MeshFile, Output, parse_size
 from facerender.scenes.planned import LevelOfDetail
 from facerender.scenes.scene import ONLY
 from facerender.scenes.view import view_of
@@ -119,7 +118,6 @@ def run(options: argparse.Namespace) -> int:
     for camera in cameras.values():
         view_of(replace(scene, camera=camera), width / height)
     plan: dict[str, Any] = {}
-    detail = LevelOfDetail(job.image.samples, None)
     with Renderer.of(job, options.backend, options.memory) as renderer:
         step(f"image, by {renderer.context.renderer}")
         if options.budget is not None:
@@ -129,10 +127,8 @@ def run(options: argparse.Namespace) -> int:
             asked = scene, options.budget, shading, options.exposure, within, renderer
             plan = planned(*asked, cache=options.cache)
             shading, detail = Shading.from_dict(plan["shading"]), LevelOfDetail(**plan["detail"])
-        elif job.planned and job.planned.holds(renderer.size, renderer.samples):
-            detail = job.planned.detail
-        elif job.planned:
-            warnings.warn(_unplanned(options.scene, job), FacerenderWarning, stacklevel=1)
+        else:
+            detail = job.detail(renderer.samples, options.scene)
         drawn = detail.of(scene)
         values = replace(detail, samples=min(detail.samples, renderer.samples)).values
         scenes = (replace(drawn, camera=camera) for camera in cameras.values())
@@ -157,11 +153,3 @@ def run(options: argparse.Namespace) -> int:
     if plan and not options.quiet:
         say(*plan["text"].splitlines()[-2:])
     return 0
-
-
-def _unplanned(name: str, job: Job) -> str:
-    width, height = job.image.size
-    return (
-        f"{name} was planned for {job.planned}: at {width} x {height} with {job.image.samples} its "
-        "error is unknown; plan for this size and these samples"
-    )
