@@ -1,6 +1,6 @@
-"""Measures what docs/skin.md says, on the built-in head and the head scan.
+"""Measures what docs/measurements/skin.md says, on the built-in head and the head scan.
 
-python -m tests.verification.skin -o docs/measurements/skin.json      a quarter of an hour
+python -m benchmarks.skin -o docs/measurements/skin.json      a quarter of an hour
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def subjects() -> Subjects:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m tests.verification.skin")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.skin")
     parser.add_argument("-o", "--output", required=True, metavar="FILE.json", type=Path)
     options = parser.parse_args()
     with fr.Renderer((16, 16)) as renderer:

@@ -1,7 +1,7 @@
-"""Measures what docs/skin-environment.md says: light from all around by few samples against many,
+"""Measures what docs/measurements/skin.md says: light from all around by few samples against many,
 and by nine coefficients against the whole panorama.
 
-python -m tests.verification.environment -o docs/measurements/environment.json      three minutes
+python -m benchmarks.skin_environment -o docs/measurements/environment.json      three minutes
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def subjects() -> dict[str, fr.Mesh]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m tests.verification.environment")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.skin_environment")
     parser.add_argument("-o", "--output", required=True, metavar="FILE.json", type=Path)
     options = parser.parse_args()
     panoramas = [studio(), sky()]
