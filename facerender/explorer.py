@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender._version import __version__
+from facerender import __version__
 from facerender.drawing.prepare import part_maps
 from facerender.drawing.program import part_uniforms, surface_features
 from facerender.errors import warn

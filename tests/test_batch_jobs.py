@@ -8,6 +8,7 @@ import csv
 import inspect
 import itertools
 import json
+import math
 import re
 import runpy
 import tracemalloc
@@ -18,7 +19,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from facerender.batch.jobs import LIMITS, OUTPUTS, OWN, TABLES, Row, check_jobs, read_jobs
+from facerender.batch.jobs import OUTPUTS, OWN, TABLE_KINDS, TABLES, Row, check_jobs, read_jobs
 from facerender.batch.schema import schema
 from facerender.errors import InputError
 from facerender.job import ImageSettings, Job, MeshFile
@@ -28,6 +29,7 @@ from facerender.scenes.light import Light, parse_light
 from facerender.scenes.material import MAPS, Material
 from facerender.shading import Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS
+from facerender.terms.ranges import IntegerRange, SizeRange, ranges_of
 from tests.conftest import require_module
 
 ROOT = Path(__file__).parents[1]
@@ -851,31 +853,41 @@ def test_the_schema_has_every_field():
 
 
 def test_a_new_type_cannot_be_forgotten(monkeypatch):
-    monkeypatch.setitem(Camera.__annotations__, "fov", "complex")
+    monkeypatch.setitem(Camera.__annotations__, "frame", "complex")
     with pytest.raises(TypeError, match="no schema is known of <class 'complex'>"):
         schema()
 
 
 @pytest.mark.parametrize(
-    ("key", "low", "high"),
-    [(f"{key}.{name}", *ends) for key, limits in LIMITS.items() for name, ends in limits.items()],
+    ("key", "limits"),
+    [
+        (f"{key}.{name}", limits)
+        for key, kind in TABLE_KINDS.items()
+        for name, limits in ranges_of(kind).items()
+    ],
 )
-def test_limits_are_those_of_the_values(table, key, low, high):
-    """Their ends are good, what is beyond is not: numbers between are not checked otherwise."""
-    whole = key in ("mesh.triangles", "image.samples", "image.size")
+def test_a_number_in_its_range_is_valid(table, key, limits):
+    """Ends are good, what is beyond is not: numbers between are not checked otherwise."""
+    whole = isinstance(limits, IntegerRange)
     name = key.replace("lights", "lights.0")
     common = {"environment.file": "studio"} if key.startswith("environment") else {}
-    ends = [end for end in (low, high) if end < 2**63]
-    for end in ends:
-        (row,) = rows_of({name: end}, common=common)
-        Job.from_dict(row.tables)
-        assert check_jobs("rows.jsonl", common).faults == []
-    beyond = (
-        [low - 1, high + 1] if whole else [np.nextafter(low, -np.inf), np.nextafter(high, np.inf)]
-    )
-    for end in beyond if high < 1e300 and high < 2**63 else beyond[:1]:
-        rows_of({name: end}, common=common)
-        assert len(check_jobs("rows.jsonl", common).faults) == 1
+    if key == "camera.size":
+        common = {
+            "camera.extrinsics": np.eye(4)[:3].tolist(),
+            "camera.intrinsics": np.eye(3).tolist(),
+        }
+    several = isinstance(limits, SizeRange)
+    for end in (limits.low, limits.high):
+        if math.isfinite(end):
+            (row,) = rows_of({name: [end, end] if several else end}, common=common)
+            if key != "camera.size":
+                Job.from_dict(row.tables)
+                assert check_jobs("rows.jsonl", common).faults == []
+    beyond = [np.nextafter(limits.low, -np.inf), np.nextafter(limits.high, np.inf)]
+    for end in [limits.low - 1, limits.high + 1] if whole else beyond:
+        if math.isfinite(end):
+            rows_of({name: [end, end] if several else end}, common=common)
+            assert len(check_jobs("rows.jsonl", common).faults) == 1
 
 
 # --- documents -----------------------------------------------------------------------------------

@@ -18,54 +18,30 @@ import numpy as np
 
 from facerender.batch.formats import found_rows, read_toml
 from facerender.batch.tables import Table, listed, merged, nested
-from facerender.errors import InputError, check_path, check_range, clipped, shown
+from facerender.errors import InputError, check_path, clipped, shown
 from facerender.job import MESH_PATHS, ImageSettings, MeshFile, parse_size
-from facerender.scenes.file import KEYS, STUDIO, from_table, scene_value
-from facerender.scenes.material import MAX_NORMAL_STRENGTH, MAX_SECOND_SLOPE
+from facerender.scenes.camera import Camera
+from facerender.scenes.file import KEYS, STUDIO, EnvironmentFile, from_table, scene_value
+from facerender.scenes.light import Light
+from facerender.scenes.material import Material
+from facerender.scenes.planned import Planned
 from facerender.scenes.scene import ONLY, Scene
-from facerender.scenes.vectors import HIGHEST
-from facerender.shading import MAX_WEIGHT, Shading
-from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
-from facerender.terms.slope_variance import MAX_RADIUS
+from facerender.shading import Shading
+from facerender.terms.ranges import EXPOSURES, ranges_of
 
 OUTPUTS: tuple[str, ...] = ("image", *ONLY, "layers")
 TABLES = ("mesh", *(key for key in KEYS if key != "cameras"), "image")
 OWN = ("id", "outputs", "exposure", "scene")  # keys of a row beside the tables of a job
-# The range of numbers by table, both ends included.
-LIMITS: dict[str, dict[str, tuple[float, float]]] = {
-    "mesh": {"triangles": (1, 2**63), "millimetres": (1e-6, 1e6)},
-    "camera": {
-        "azimuth": (-3600, 3600),
-        "elevation": (-90, 90),
-        "fov": (1, 150),
-        "zoom": (0.01, 1000),
-    },
-    "lights": {
-        "azimuth": (-3600, 3600),
-        "elevation": (-90, 90),
-        "irradiance": (0, HIGHEST),
-        "radius": (0, MAX_RADIUS),
-    },
-    "environment": {"rotation": (-3600, 3600), "scale": (0, 1e9)},
-    "material": {
-        "m": (MIN_SLOPE, MAX_SLOPE),
-        "roughness_factor": (0, 1),
-        "f0": (0, 0.999),
-        "ks": (0, MAX_WEIGHT),
-        "kd": (0, MAX_WEIGHT),
-        "second_slope": (1 / MAX_SECOND_SLOPE, MAX_SECOND_SLOPE),
-        "lobe_weight": (0, 1),
-        "opacity": (0, 1),
-        "alpha_cutoff": (0, HIGHEST),
-        "normal_strength": (0, MAX_NORMAL_STRENGTH),
-        "occlusion_strength": (0, 1),
-    },
-    "shading": {"m": (MIN_SLOPE, MAX_SLOPE), "ks": (0, MAX_WEIGHT)},
-    "image": {"size": (1, 16384), "samples": (1, 64), "anisotropy": (1, 16)},
+TABLE_KINDS: dict[str, Any] = {
+    "mesh": MeshFile,
+    "camera": Camera,
+    "lights": Light,
+    "environment": EnvironmentFile,
+    "material": Material,
+    "planned": Planned,
+    "image": ImageSettings,
 }
-EXPOSURE_LIMITS = (-100.0, 100.0)
-_WHOLE = {"triangles", "size", "samples"}
-_TOGETHER = {"m", "second_slope", "lobe_weight"}  # numbers of a material that limit each other
+_TOGETHER = ("m", "second_slope", "lobe_weight")  # numbers of a material that limit each other
 ID = "[A-Za-z0-9_-][A-Za-z0-9._-]{0,127}"
 
 _ID = re.compile(ID)
@@ -249,7 +225,7 @@ def _row(number: int, values: Table, folder: str) -> Row:
         file = _absolute(environment["file"], "environment file", folder)
         tables["environment"] = {**environment, "file": file}
     if exposure is not None:
-        check_range("exposure", exposure, *EXPOSURE_LIMITS)
+        EXPOSURES.check("exposure", exposure)
     return Row(
         number,
         f"{number:08d}" if template is None else _id(template, number, tables),
@@ -374,17 +350,21 @@ def _part(template: str, literal: str, name: str, spec: str, number: int, tables
 
 
 def _check(row: Row, position: str, good: set[int]) -> None:
-    """Check the tables of a row whose hashes are not in `good`, and add them.
+    """Check the tables of a row as :meth:`facerender.Job.from_dict` does, except those whose hashes
+    are in `good`, and add theirs.
 
     Raises
     ------
-    InputError : a value outside its domain, a shading that names a light that the row has not
+    InputError : a value outside its range, a shading that names a light that the row does not have
     """
     try:
         for key, value in row.tables.items():
             for each in value if key == "lights" and type(value) is list else [value]:
-                if (name := hash(f"{key} {_without_good(key, each)!r}")) not in good:
-                    _check_table(key, each if each is value else [each])
+                if (name := hash(f"{key} {_without_valid(key, each)!r}")) not in good:
+                    if key in ("mesh", "image"):
+                        from_table(TABLE_KINDS[key], key, each)
+                    else:
+                        scene_value(key, each if each is value else [each])
                     good.add(name)
         if "shading" in row.tables:
             count = len(row.tables.get("lights", Scene.lights))
@@ -397,31 +377,15 @@ def _check(row: Row, position: str, good: set[int]) -> None:
         raise InputError(f"{position}: {shown(row.tables)} cannot be used: {error}") from None
 
 
-def _without_good(key: str, table: Any) -> Any:
-    """Return a table without the numbers in their range, most of which differ from row to row."""
-    if type(table) is not dict or key not in LIMITS or "extrinsics" in table:
+def _without_valid(key: str, table: Any) -> Any:
+    """Return a table without the numbers that are in their range, most of which differ from row to
+    row: 31 us instead of 92 for a row with a camera, a material and two lights."""
+    if type(table) is not dict or key not in TABLE_KINDS or "extrinsics" in table:
         return table
-    limits = LIMITS[key]
-    kept = _TOGETHER if "second_slope" in table else _WHOLE
+    ranges = ranges_of(TABLE_KINDS[key])
+    together = _TOGETHER if "second_slope" in table else ()
     return {
         name: value
         for name, value in table.items()
-        if type(value) not in (float, int)
-        or name not in limits
-        or name in kept
-        or not limits[name][0] <= value <= limits[name][1]
+        if name not in ranges or name in together or value not in ranges[name]
     }
-
-
-def _check_table(key: str, value: Any) -> None:
-    """Check a table as :meth:`facerender.Job.from_dict` does, without the rest of a job."""
-    if key == "mesh":
-        from_table(MeshFile, key, value)
-    elif key == "image":
-        image = from_table(ImageSettings, key, value)
-        for name, (low, high) in LIMITS[key].items():
-            given = getattr(image, name)
-            for number in given if name == "size" else (given,):
-                check_range(f"image {name}", number, low, high)
-    else:
-        scene_value(key, value)
