@@ -213,7 +213,7 @@ def doors(egl: Any) -> Iterator[dict[str, Door]]:
                 {"image": Image.new("RGB", (2, 2)), "name": "a"},
             ),
             "load_cameras": (fr.load_cameras, {"path": "cameras.json", "size": None}),
-            "save_animation": (fr.save_animation, {"path": "a.gif", "pictures": [], "fps": 12.0}),
+            "save_animation": (fr.save_animation, {"path": "a.gif", "images": [], "fps": 12.0}),
             "load_scene": (fr.load_scene, {"path": "scene.toml"}),
             "simplified": (fr.simplified, {"mesh": mesh, "triangles": 300}),
             "with_occlusion": (fr.with_occlusion, {"mesh": mesh, "cache": False}),

@@ -22,7 +22,7 @@ from facerender.comparison.neighbourhoods import Float, Mask, excess, filtered, 
 from facerender.comparison.shift_range import explained
 from facerender.comparison.verdict import reasons_of
 from facerender.drawing.frame import Frame
-from facerender.errors import InputError, check_range
+from facerender.errors import InputError, check_range, warn
 from facerender.images.image import Encoding, ImageData, PixelRange, image_from_array
 from facerender.images.read import read_image
 
@@ -186,9 +186,8 @@ def compare(
     said = {name: value for name, value in given.items() if value is not None}
     limits = replace(LIMITS[a.encoding], **said)
     foreign = _foreign((reference, image), (a, b))
-    if a.encoding == "srgb8":
-        a, b = a.encoded_as(b), b.encoded_as(a)
-
+    if jpegs := [each.name for each in (a, b) if each.jpeg]:
+        warn(f"{' and '.join(jpegs)}: the losses of JPEG count as differences; save as PNG")
     found = _Strip.of_all(a, b, counts, limits)
     scale = LINEAR if a.encoding == "linear" else STEPS
     allowed = max(a.noise, b.noise) if a.noise != b.noise else 0.0

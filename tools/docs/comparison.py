@@ -246,8 +246,8 @@ of the first tables, on both meshes, from the front and from three-quarter, with
 What drivers, cameras and codecs do differently scatters from pixel to pixel and lies at edges: the
 standard errors hold it, measured on the pair itself. Where the files say that another driver drew
 the image, or one of them does not say who did, its filter of 8-bit textures may differ by 0.3 steps
-of 255, and trend, grain and texture have limits {foreign:g} times as wide. A JPEG is compared with
-the other image after its own losses.
+of 255, and trend, grain and texture have limits {foreign:g} times as wide. The losses of a
+JPEG count as differences, with a warning: save images as PNG.
 
 All images: Cook-Torrance, exact lobe, default lights, float albedo, 1 sample, {size} x {size}
 where nothing else is said.
@@ -283,7 +283,8 @@ rounding, in PNG.
 
 facerender compares at its defaults. Every number of another tool has the threshold that suits this
 very half best: the highest balanced accuracy, the mean of the share that is caught of what must
-fail and the share that passes of what must pass. `python -m tests.verification.pairs.verdicts SUITE` writes
+fail and the share that passes of what must pass. Of what must pass, the other tools' PNG columns also
+count 12 JPEGs at quality 95 and 98. `python -m tests.verification.pairs.verdicts SUITE` writes
 them, with {versions}.
 
 {judges}
@@ -310,6 +311,7 @@ them, with {versions}.
 - A map, a mesh or a camera that really changed by little: a shift of 0.3 pixels, 5 % less relief.
 - Hair cards and lashes in images of few pixels, by single strands of a driver or a sample more.
 - Another number of samples: a golden fixes it.
+- A JPEG beside the PNG that it was made of: all of 24 pairs, at quality 95 and 98.
 
 {renderer}, OpenGL {version}.
 """

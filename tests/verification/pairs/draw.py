@@ -148,7 +148,7 @@ class Drawer:
     def encoded(self, change: Encoded) -> Iterator[Pair]:
         a = self.room.frame(self.room.golden)
         golden = self.folder / "golden.png"
-        image = self.folder / f"{slug(change.name)}.{change.suffix}"
+        image = self.folder / f"{slug(change.name)}.png"
         if not golden.exists():
             a.save(golden)
         content = change.make(a.srgb8())
