@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from facerender.comparison.compare import compare
-from tools.docs.comparison import gates
+from tools.docs.comparison import failed_checks
 
 ROOT = Path(__file__).parents[1]
 
@@ -70,11 +70,11 @@ def test_check_names_what_is_stale(tmp_path):
     assert any(line.startswith("docs/trade.md: README.md has not") for line in told)
 
 
-def test_the_comparison_names_the_gates_that_failed():
+def test_the_comparison_names_the_checks_that_failed():
     a = np.ones((64, 64, 4), dtype=np.float32)
     less = a.copy()
     less[:32, :, 3] = 0.2
-    assert gates(compare(a, less)) == ["coverage"]
-    assert gates(compare(a, 1.003 * a)) == ["trend"]
-    assert gates(compare(a, 1.01 * a)) == ["block"]
-    assert gates(compare(a, a)) == []
+    assert failed_checks(compare(a, less)) == ["coverage"]
+    assert failed_checks(compare(a, 1.003 * a)) == ["trend"]
+    assert failed_checks(compare(a, 1.01 * a)) == ["block"]
+    assert failed_checks(compare(a, a)) == []

@@ -5,9 +5,10 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import struct
 import threading
 from collections.abc import Iterable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from itertools import chain
 from tempfile import TemporaryFile
 from typing import Any
@@ -137,14 +138,23 @@ def _mp4(name: str, frames: Iterator[NDArray[np.uint8]], size: tuple[int, ...], 
         log.seek(0)
         if lines := log.read().decode(errors="replace").strip().splitlines():
             failed = lines[-1]
-    if not failed:
-        try:  # write_frames does not look at ffmpeg's exit status
-            with closing(ffmpeg.read_frames(name)) as written:
-                next(written)
-        except Exception as error:
-            failed = str(error)
-    if failed:
+    if failed or not _has_index(name):
+        failed = failed or "the file is not complete"
         raise InputError(f"ffmpeg made no .mp4 ({clipped(failed)}): give .gif or .webp")
+
+
+def _has_index(name: str) -> bool:
+    """Return whether an MP4 has its last box, "moov": write_frames ignores ffmpeg's exit status."""
+    with suppress(OSError), open(name, "rb") as file:
+        while len(head := file.read(16)) >= 8:
+            size, kind = struct.unpack_from(">I4s", head)
+            if kind == b"moov":
+                return True
+            size = struct.unpack_from(">8xQ", head)[0] if size == 1 else size  # 1: 64 bits
+            if size < 8:
+                return False
+            file.seek(size - len(head), os.SEEK_CUR)
+    return False
 
 
 @contextmanager

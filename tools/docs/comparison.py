@@ -1,4 +1,4 @@
-"""Writes docs/comparison.md: which gate of the image comparison sees what, and what escapes it.
+"""Writes docs/comparison.md: which check of the image comparison sees what, and what escapes it.
 
 python -m tools.docs.comparison      from the repository's root; needs an OpenGL context, and the head
                                scan of the tests for half of the tables
@@ -25,8 +25,8 @@ import numpy as np
 from scipy import ndimage
 
 import facerender as fr
-from facerender.comparison.compare import LIMITS, Comparison, compare
-from facerender.comparison.verdict import FOREIGN, changed_alike
+from facerender.comparison.compare import compare
+from facerender.comparison.result import FOREIGN, LIMITS, Comparison
 from facerender.images.srgb import encode_srgb8
 from facerender.measure.tables import markdown_table
 from tests.verification.drivers import DRIVERS, draw_with
@@ -48,11 +48,11 @@ from tools.docs.template import missing
 
 OUTPUT = Path(__file__).parents[2] / "docs/comparison.md"
 MEASUREMENTS = Path(__file__).parents[2] / "docs/measurements"
-GATES = {  # and how their reasons begin
+CHECKS = {  # and how their reasons begin
     **{"point": r"\d+ pixel", "block": "block", "trend": "neighbouring blocks", "grain": "grain"},
     **{"texture": "texture", "shift": "shift", "coverage": "coverage"},
 }
-HEAD = ("change", "point, pixels", "block, blocks", "trend", "texture", "gates", "looks like")
+HEAD = ("change", "point, pixels", "block, blocks", "trend", "texture", "checks", "looks like")
 DRIVERS_HEAD = ("image", *HEAD[1:])
 JUDGES_HEAD = (
     *("judge", "PNG: threshold", "caught", "false alarms", "balanced accuracy"),
@@ -70,20 +70,20 @@ def meshes() -> Iterator[tuple[str, fr.Mesh]]:
         yield "scan", load_scan(scan)
 
 
-def gates(result: Comparison) -> list[str]:
-    """Name the gates that failed, by their reasons."""
+def failed_checks(result: Comparison) -> list[str]:
+    """Name the checks that failed, by their reasons."""
     return [
         name
-        for name, start in GATES.items()
+        for name, start in CHECKS.items()
         if any(re.match(start, reason) for reason in result.reasons)
     ]
 
 
-# By each gate alone: of the trend no reason is told where blocks are over their limit.
+# By each check alone: of the trend no reason is told where blocks are over their limit.
 ALONE: dict[str, Callable[[Comparison], bool]] = {
-    "point": lambda result: "point" in gates(result),
+    "point": lambda result: "point" in failed_checks(result),
     "block": lambda result: result.blocks > 0,
-    "trend": changed_alike,
+    "trend": lambda result: result.changed_alike,
 }
 THRESHOLDS_HEAD = ("image", "change", *ALONE, "EXR", "PNG")
 
@@ -99,7 +99,7 @@ def row(result: Comparison) -> list[str]:
         f"{block}, {result.blocks} of {result.blocks_judged}",
         f"{result.trend:.2g}",
         f"{100.0 * result.texture:+.1f} %",
-        ", ".join(gates(result)) or "none",
+        ", ".join(failed_checks(result)) or "none",
         "; ".join(guesses) or "same",
     ]
 
@@ -135,8 +135,8 @@ def smallest(change: Change, found: Sees, most: float) -> str:
     return f"{high:.2g}"
 
 
-def sees(gate: str) -> Sees:
-    return lambda images: ALONE[gate](compare(*images))
+def sees(check: str) -> Sees:
+    return lambda images: ALONE[check](compare(*images))
 
 
 def differ(images: Images) -> bool:
@@ -226,7 +226,7 @@ TEXT = """# The image comparison
 Written by `python -m tools.docs.comparison`; `tests/test_compare.py` holds the comparison to every line
 of the first tables, on both meshes, from the front and from three-quarter, with 1 and 4 samples.
 
-`facerender compare A B` and `facerender.compare(a, b)` have seven gates; linear images first, of
+`facerender compare A B` and `facerender.compare(a, b)` have seven checks; linear images first, of
 8-bit ones in brackets:
 
 - **point**, {point:g} radiance ({point8:g} of 255): how far a pixel leaves the 3 x 3
@@ -238,9 +238,9 @@ of the first tables, on both meshes, from the front and from three-quarter, with
   error: about 0 where they scatter, large where a lobe, a weight or a light changed them alike.
 - **grain**, {grain:g} of the level ({grain8:g} of 255): RMS that was added from one pixel to the
   next where the images are flat; half as much again may be lost.
-- **texture**, {texture:g}: the share of the variance from one pixel to the next that was added.
+- **texture**, {texture:g}: the fraction of the variance from one pixel to the next that was added.
 - **shift**, {shift:g}: pixels by which the whole image is displaced.
-- **coverage**, {coverage:g}: the share of the pixels whose coverage passed one half, or left that
+- **coverage**, {coverage:g}: the fraction of the pixels whose coverage passed one half, or left that
   of its neighbourhood by 0.2.
 
 What drivers, cameras and codecs do differently scatters from pixel to pixel and lies at edges: the
@@ -263,10 +263,10 @@ and blocks over their limits.
 
 {drivers}
 
-## The smallest change that each gate sees
+## The smallest change that each check sees
 
-Found by bisection, to 5 %: by one gate, by any of them on linear images, and by any on the images
-as 8-bit sRGB without alpha. Of a single pixel the figure is what was added to its radiance, or
+Found by bisection, to 5 %: by one check, by any of them on linear images, and by any on the images
+as 8-bit sRGB without alpha. Of a single pixel the number is what was added to its radiance, or
 taken off; "> x": not seen up to x.
 
 {thresholds}
