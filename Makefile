@@ -2,7 +2,7 @@
 # make test     ruff, mypy, pytest
 # make slow     the exhaustive tests as well
 # make fuzz MINUTES=10   files changed at random for every reader: what breaks is put into out/fuzz
-# make docs     every generated document anew
+# make docs     the tables of README and docs anew, from their data
 # make head     assets/head.glb anew from its generator
 # make npm      the shaders as an npm package: out/npm
 # make install-shaders PREFIX=/usr/local [DESTDIR=]   the GLSL library, for pkg-config and CMake
@@ -66,7 +66,7 @@ test-system:
 	$(VENV)/pip install --quiet --editable .
 	touch $@
 
-.venv/installed-dev: pyproject.toml
+.venv/installed-dev: pyproject.toml | test-system
 	$(PYTHON) -m venv .venv
 	$(VENV)/pip install --quiet --editable '.[dev]'
 	touch $@ .venv/installed

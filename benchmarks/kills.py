@@ -36,7 +36,6 @@ from PIL import Image
 _SIGNALS = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM)
 _MARK = "FACERENDER_KILLS"  # in the environment of what is started here
 _UNFINISHED = ".facerender-"
-_MEASURED = Path(__file__).parents[1] / "docs/measurements/llvmpipe.json"
 _TERM = 1 << (signal.SIGTERM - 1)
 
 # What a command gets, and what it writes; IN and OUT are folders.
@@ -44,22 +43,13 @@ COMMANDS = {
     "render": "render IN/small.obj --size 64 -o OUT/a.png",
     "exr": "render IN/small.obj --size 256 -o OUT/a.exr",
     "measure": "measure IN/small.obj --quick -o OUT",
-    "import": "measure --import IN/explorer.json -o OUT",
     "plan": "plan IN/small.obj --budget 1/255 --size 32 --samples 1 --cost llvmpipe"
     " --emit OUT/a.glsl --scene OUT/a.toml --error-map OUT/a.png",
     "compare": "compare IN/a IN/b --report OUT/a.html",
     "heatmap": "compare IN/a/0.png IN/b/0.png --heatmap OUT/a.png",
     "explore": "explore IN/small.obj -o OUT/a.html",
     "normal-map": "shaders prepare-normal-map IN/skin.png OUT/a.ktx2",
-    "reproduce": "reproduce -o OUT",
     "batch": "batch IN/jobs.jsonl -o OUT --workers 1 --chunk 2",
-}
-# What the explorer saves.
-COSTS = ("base", "a", "b")
-SAVED = {
-    **{"kind": "facerender explorer cost", "version": "0.1.0", "gpu": "a GPU", "browser": "one"},
-    **{"method": "GPU timer", "unit": "ms a picture", "mesh": "small.obj", "size": [512, 512]},
-    **{"samples": 4, "passes": 64, "link": "b=lobe:d8", "shadings": {"a": "exact", "b": "d8"}},
 }
 
 
@@ -76,8 +66,6 @@ class Trial:
         for path in (self.given, self.out, *self.places):
             path.mkdir(parents=True)
         inputs(self.given)
-        if self.name == "import":
-            shutil.copy(_MEASURED, self.out / "measure.json")
         text = COMMANDS[self.name].replace("IN/", f"{self.given}/").replace("OUT", str(self.out))
         self.command = [sys.executable, "-m", "facerender", *text.split()]
         self.environment = os.environ | {
@@ -142,11 +130,6 @@ def inputs(folder: Path) -> None:
             pixels = rng.integers(0, 256, (96, 96, 3), dtype=np.uint8)
             Image.fromarray(pixels).save(folder / name / f"{number}.png")
     rows = [{"id": f"job{i}", "mesh": str(mesh), "image.size": 48} for i in range(8)]
-    rounds = {"median": 2.0, "low": 2.0, "high": 2.0, "rounds": [2.0, 2.0, 2.0]}
-    same = dict.fromkeys(rounds, 0.0) | {"rounds": [0.0, 0.0, 0.0]}
-    (folder / "explorer.json").write_text(
-        json.dumps(SAVED | dict.fromkeys(COSTS, rounds) | {"difference": same})
-    )
     (folder / "jobs.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
 
 

@@ -50,8 +50,8 @@ if TYPE_CHECKING:
     from facerender.scenes.camera import Camera, turntable
     from facerender.scenes.environment import Environment, Panorama
     from facerender.scenes.file import EnvironmentFile, load_scene
-    from facerender.scenes.levels import simplified
     from facerender.scenes.light import Light
+    from facerender.scenes.lod import simplified
     from facerender.scenes.material import Material
     from facerender.scenes.mesh import Mesh
     from facerender.scenes.occlusion import with_occlusion
@@ -123,7 +123,7 @@ _HOMES = {
     "scenes.camera": ("Camera", "turntable"),
     "scenes.environment": ("Environment", "Panorama"),
     "scenes.file": ("EnvironmentFile", "load_scene"),
-    "scenes.levels": ("simplified",),
+    "scenes.lod": ("simplified",),
     "scenes.light": ("Light",),
     "scenes.material": ("Material",),
     "scenes.mesh": ("Mesh",),

@@ -102,18 +102,6 @@ def check_path(name: str, value: Any) -> None:
     check_type(name, value, str | os.PathLike, "a path as text")
 
 
-def is_count(value: Any, most: int) -> bool:
-    """Tell whether a value is a whole number in [1, most]."""
-    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
-    return whole and 1 <= int(value) <= most
-
-
-def check_count(name: str, value: Any, most: int) -> None:
-    """Raise InputError where a value is no whole number in [1, most]."""
-    if not is_count(value, most):
-        raise InputError(f"{name} = {shown(value)}: give 1 to {most}")
-
-
 def each_of(name: str, values: Any, kind: Any, remedy: str) -> tuple[Any, ...]:
     """Return values as a tuple.
 

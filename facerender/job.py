@@ -6,22 +6,33 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
-from operator import index
 from typing import Any
 
-from facerender.errors import InputError, check_range
+from facerender.errors import InputError, shown, warn
+from facerender.images.decode import MAX_SIDE
 from facerender.images.write import format_of
-from facerender.loading import check_normal_map_y, kept_mesh, load_mesh
+from facerender.loading import cached_mesh, check_normal_map_y, load_mesh
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import KEYS, EnvironmentFile, from_table, scene_value, toml_text
-from facerender.scenes.levels import check_triangles, simplified
 from facerender.scenes.light import Light
+from facerender.scenes.lod import simplified
 from facerender.scenes.material import MAPS, Material
-from facerender.scenes.mesh import Mesh, names_of
-from facerender.scenes.planned import Planned
+from facerender.scenes.mesh import TRIANGLES, Mesh, names_of
+from facerender.scenes.planned import LevelOfDetail, Planned
 from facerender.scenes.scene import ONLY, Only, Scene
-from facerender.scenes.vectors import Vector, non_negative
+from facerender.scenes.vectors import COLORS, Vector
 from facerender.shading import Shading
+from facerender.terms.ranges import (
+    EXPOSURES,
+    IntegerRange,
+    Range,
+    SizeRange,
+    check_fields,
+    range_of,
+    ranged,
+)
+
+MAX_SAMPLES = 64
 
 
 @dataclass(frozen=True)
@@ -36,9 +47,9 @@ class MeshFile:
     specular_map: str | None = None
     roughness_map: str | None = None
     flip_v: bool = False
-    triangles: int | None = None
+    triangles: int | None = ranged(TRIANGLES, None)
     lobe_map: str | None = None
-    millimetres: float | None = None
+    millimetres: float | None = ranged(range_of(Mesh, "millimetres"), None)
     occlusion: bool = False
     allow_outside: bool = False
     parts: tuple[str, ...] | None = None
@@ -54,23 +65,17 @@ class MeshFile:
             if isinstance(value, os.PathLike):
                 object.__setattr__(self, each.name, os.fspath(value))
             elif each.name in MESH_PATHS and not isinstance(value, str | None):
-                raise InputError(f"mesh {each.name} = {value!r}: give a path as text")
-        for name in ("flip_v", "occlusion", "allow_outside"):
-            if not isinstance(switch := getattr(self, name), bool):
-                raise InputError(f"mesh {name} = {switch!r}: give true or false")
+                raise InputError(f"mesh {each.name} = {shown(value)}: give a path as text")
         check_normal_map_y(self.normal_map_y)
-        if self.millimetres is not None:
-            check_range("millimetres", self.millimetres, 1e-6, 1e6)
-        if self.triangles is not None:
-            check_triangles(self.triangles)
+        check_fields(self, "mesh ")
 
     def load(self, cache: bool = False) -> Mesh:
         """Read the files; errors and warnings as of the functions named above."""
         return self._made(load_mesh(**self._files, cache=cache), cache)
 
-    def kept(self) -> Mesh | None:
+    def cached(self) -> Mesh | None:
         """Return the mesh if it is in the cache; warnings as of :meth:`load`."""
-        mesh = kept_mesh(**self._files)
+        mesh = cached_mesh(**self._files)
         return None if mesh is None else self._made(mesh, True)
 
     @property
@@ -92,30 +97,29 @@ class MeshFile:
 MESH_PATHS = tuple(each.name for each in fields(MeshFile) if each.type == "str | None")
 
 
+def parse_size(text: str, name: str = "size") -> tuple[int, int]:
+    """Read width and height from ``N`` or ``WxH``; InputError for other text."""
+    try:
+        numbers = [int(word) for word in text.lower().split("x")]
+        width, height = numbers * 2 if len(numbers) == 1 else numbers
+    except ValueError:
+        raise InputError(f"{name} {shown(text)}: give N or WxH, such as 1024 or 640x480") from None
+    return width, height
+
+
 @dataclass(frozen=True)
 class ImageSettings:
     """How images are drawn; parameters as of :class:`facerender.Renderer`, which tells whether it
     can."""
 
-    size: tuple[int, int] = (1024, 1024)
-    samples: int = 4
-    anisotropy: float = 1.0
+    size: tuple[int, int] = ranged(SizeRange(1, MAX_SIDE, "pixels"), (1024, 1024))
+    samples: int = ranged(IntegerRange(1, MAX_SAMPLES), 4)
+    anisotropy: float = ranged(Range(1.0, 16.0), 1.0)
     float_albedo: bool = False
     full_maps: bool = False
 
     def __post_init__(self) -> None:
-        try:
-            width, height = map(index, self.size)
-        except (TypeError, ValueError):
-            raise InputError(f"image size = {self.size!r}: give width and height") from None
-        object.__setattr__(self, "size", (width, height))
-        if not isinstance(self.samples, int) or isinstance(self.samples, bool):
-            raise InputError(f"image samples = {self.samples!r}: give a whole number")
-        if not isinstance(self.anisotropy, int | float):
-            raise InputError(f"image anisotropy = {self.anisotropy!r}: give a number")
-        for name in ("float_albedo", "full_maps"):
-            if not isinstance(switch := getattr(self, name), bool):
-                raise InputError(f"image {name} = {switch!r}: give true or false")
+        check_fields(self, "image ")
 
 
 @dataclass(frozen=True)
@@ -131,16 +135,16 @@ class Output:
 
     path: str
     only: Only | None = None
-    exposure: float = 0.0
+    exposure: float = ranged(EXPOSURES, 0.0)
 
     def __post_init__(self) -> None:
         if not isinstance(self.path, str | os.PathLike):
-            raise InputError(f"output path = {self.path!r}: give a path as text")
+            raise InputError(f"output path = {shown(self.path)}: give a path as text")
         object.__setattr__(self, "path", os.fspath(self.path))
         format_of(self.path)
         if self.only is not None and not (isinstance(self.only, str) and self.only in ONLY):
             raise InputError(f"unknown term {self.only!r}; known: {', '.join(ONLY)}")
-        check_range("exposure", self.exposure, -100.0, 100.0)
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -167,8 +171,8 @@ class Job:
     material: Mapping[str, Any] = field(default_factory=dict)
     camera: Camera = Camera()
     lights: tuple[Light, ...] = Scene.lights
-    ambient: float | Vector = Scene.ambient
-    background: Vector | None = Scene.background
+    ambient: float | Vector = ranged(COLORS, Scene.ambient)
+    background: Vector | None = ranged(COLORS, Scene.background)
     shading: Shading = Shading()
     planned: Planned | None = None
     image: ImageSettings = ImageSettings()
@@ -203,9 +207,7 @@ class Job:
             for name, value in self.material.items()
         }
         object.__setattr__(self, "material", material)
-        for name in ("ambient", "background"):
-            if (color := getattr(self, name)) is not None:
-                object.__setattr__(self, name, non_negative(name, color))
+        check_fields(self)
 
     def scene(self, mesh: Mesh | None = None) -> Scene:
         """Return the scene.
@@ -232,6 +234,25 @@ class Job:
             self.background,
             environment,
         )
+
+    def detail(self, samples: int, name: str = "the scene") -> LevelOfDetail:
+        """Return how finely an image is drawn: as planned if the scene was planned for images of
+        this size and these samples. FacerenderWarning if it was planned for others.
+
+        Parameters
+        ----------
+        samples : per pixel, as many as the renderer has
+        name : of the scene in the warning
+        """
+        if self.planned and self.planned.holds(self.image.size, samples):
+            return self.planned.detail
+        if self.planned:
+            width, height = self.image.size
+            warn(
+                f"{name} was planned for {self.planned}: at {width} x {height} with "
+                f"{self.image.samples} its error is unknown; plan for this size and these samples"
+            )
+        return LevelOfDetail(self.image.samples, None)
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, for JSON or TOML; see :meth:`from_dict`."""

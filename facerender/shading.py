@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_range, check_type, shown
+from facerender.errors import InputError, check_type, shown
 from facerender.terms import FRESNEL, MASKING, MODELS, AnyLobe, GPower, Model, lobe_entry
 from facerender.terms.entry import named
-from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
+from facerender.terms.lobe import SLOPES
+from facerender.terms.ranges import IntegerRange, Range, check_fields, range_of, ranged
 
 _INDEX = re.compile("[0-9]{1,9}")  # of a light
 
@@ -27,6 +28,7 @@ DIFFUSE = ("lambert", "coupled")
 SMALL_SLOPE = 0.2  # from here on the exact lobe is accurate without FR_SMALL_SLOPE
 MAX_WEIGHT = 1e6
 MAX_ENVIRONMENT_SAMPLES = 4096
+WEIGHTS = Range(0.0, MAX_WEIGHT)  # of specular and diffuse terms
 SWITCHES = {
     "normal_map": True,
     "ambient": True,
@@ -60,7 +62,7 @@ class Term:
     lobe: AnyLobe = "exact"
     fresnel: str = "schlick"
     masking: str = "v-cavity"
-    m: float | None = None
+    m: float | None = ranged(SLOPES, None)
     small_slope: bool | None = None
 
     def __post_init__(self) -> None:
@@ -72,10 +74,7 @@ class Term:
             raise InputError(f"{self.model} has no Fresnel term: leave {shown(self.fresnel)} out")
         if not model.factors and self.masking != Term.masking:
             raise InputError(f"{self.model} has no masking term: leave {shown(self.masking)} out")
-        if self.small_slope is not None:
-            _check_switch("small_slope", self.small_slope)
-        if self.m is not None:
-            check_range("m", self.m, MIN_SLOPE, MAX_SLOPE)
+        check_fields(self)
 
     @property
     def entry(self) -> Model:
@@ -181,21 +180,21 @@ class Shading:
     InputError : an unknown name, a value outside its domain, two different g-powers
     """
 
-    term: Term
-    lights: tuple[tuple[int, Changes], ...]
-    specular_lights: tuple[int, ...] | None
-    shadow_lights: tuple[int, ...] | None
-    outside: str
-    ks: float | None
-    normal_map: bool
-    ambient: bool
-    slope_filter: bool
-    curvature: bool
-    two_lobes: bool
-    diffuse: str
-    scatter_samples: int
-    environment: bool
-    environment_samples: int
+    term: Term = Term()
+    lights: tuple[tuple[int, Changes], ...] = ()
+    specular_lights: tuple[int, ...] | None = None
+    shadow_lights: tuple[int, ...] | None = None
+    outside: str = "error"
+    ks: float | None = ranged(WEIGHTS, None)
+    normal_map: bool = True
+    ambient: bool = True
+    slope_filter: bool = True
+    curvature: bool = False
+    two_lobes: bool = True
+    diffuse: str = "lambert"
+    scatter_samples: int = 16
+    environment: bool = True
+    environment_samples: int = ranged(IntegerRange(0, MAX_ENVIRONMENT_SAMPLES), 32)
 
     def __init__(
         self,
@@ -272,20 +271,17 @@ class Shading:
             raise InputError(f"unknown choice outside the domain {shown(outside)}; known: {known}")
         if diffuse not in DIFFUSE:
             raise InputError(f"unknown diffuse term {shown(diffuse)}; known: {', '.join(DIFFUSE)}")
-        for name in SWITCHES:
-            _check_switch(name, getattr(self, name))
+        counts = range_of(Shading, "environment_samples")
+        if environment_samples not in counts or environment_samples % 2:
+            raise InputError(
+                f"environment_samples = {shown(environment_samples)}: give an even number up to "
+                f"{counts.high:g}"
+            )
+        check_fields(self)
         number = isinstance(scatter_samples, int | float) and not isinstance(scatter_samples, bool)
         if not number or scatter_samples not in SCATTER_SAMPLES:
             known = ", ".join(map(str, SCATTER_SAMPLES))
             raise InputError(f"scatter_samples = {shown(scatter_samples)}: give one of {known}")
-        even = range(0, MAX_ENVIRONMENT_SAMPLES + 1, 2)
-        if type(environment_samples) is not int or environment_samples not in even:
-            raise InputError(
-                f"environment_samples = {shown(environment_samples)}: give an even number up to "
-                f"{MAX_ENVIRONMENT_SAMPLES}"
-            )
-        if ks is not None:
-            check_range("ks", ks, 0.0, MAX_WEIGHT)
         terms = (term, *self._own.values())
         powers = {each.lobe for each in terms if isinstance(each.lobe, GPower)}
         if len(powers) > 1:
@@ -393,11 +389,6 @@ _DEFAULTS = asdict(Term()) | {
     "frontal_lights": [],
     "lights": {},
 }
-
-
-def _check_switch(name: str, value: Any) -> None:
-    if not isinstance(value, bool):
-        raise InputError(f"{name} = {shown(value)}: give true or false")
 
 
 def _indices(name: str, lights: Any) -> tuple[int, ...]:

@@ -1,73 +1,107 @@
-"""Generated documents are what their generators write."""
+"""Marked blocks of the documents are what their data give."""
 
 from __future__ import annotations
 
-import os
-import shutil
-import subprocess
-import sys
 from pathlib import Path
+from pkgutil import iter_modules
 
 import numpy as np
+import pytest
 
+from benchmarks.comparison import failed_checks
 from facerender.comparison.compare import compare
-from tools.docs.comparison import failed_checks
+from tools.docs import tables
+from tools.docs.__main__ import main
+from tools.docs.blocks import BlockError, blocks_of, fill, found, pages, stale
 
 ROOT = Path(__file__).parents[1]
+PAGES = {
+    str(path.relative_to(ROOT)): text
+    for path in pages(ROOT)
+    if (text := path.read_text(encoding="utf-8")) and any(found(text))
+}
 
 
-STALE = (  # a document, what it says, what it should not, what is told
-    ("accuracy", "| 0.05 | 0.0683 |", "| 0.05 | 0.0684 |", "other tables of the lobes"),
-    (
-        "accuracy",
-        "| 0.05 | 24 | 0.48 |",
-        "| 0.05 | 24 | 0.49 |",
-        "another table of one slope for all",
-    ),
-    ("comparison", "## What escapes", "## What passes", "no line '## What escapes'"),
-    ("levels", "put into the normal map", "put there", "no line '- Relief that is lost"),
-    ("plan", "| planned for |", "| plan for |", "no line '| planned for | budget | its cameras |"),
-    ("reproduction", "reaches the", "reached the", 'no line "reaches the paper\'s number."'),
-    ("scale", "What this leaves out", "Left out", "no line 'What this leaves out: the table"),
-    ("shaders", "gamma is", "Gamma is", "not what the headers say"),
-    ("targets", "of its bound the worst", "of its bound a", "no line 'The last two columns tell"),
-    ("trade", "# The trade", "# Trade", "not what its measurement says"),
-)
+def test_the_blocks_of_all_pages_are_what_their_data_give(capsys):
+    assert main(["--check"]) == 0
+    assert capsys.readouterr() == ("", "")
 
 
-def check(folder: Path) -> list[str]:
-    """Return what the check of a folder's documents tells."""
-    done = subprocess.run(
-        [sys.executable, "-m", "tools.docs", "--check"],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
+@pytest.mark.parametrize("page", PAGES)
+def test_a_block_that_was_edited_by_hand_is_stale(page):
+    text = PAGES[page]
+    for match in found(text):
+        at = match.start("text") + len(match["text"]) // 2
+        for edited in ("", "0 0"):
+            assert stale(text[:at] + edited + text[at + 1 :]) == [match["name"]]
+
+
+def test_every_block_stands_in_a_page():
+    modules = [module.name for module in iter_modules(tables.__path__)]
+    blocks = [f"{module}.{block}" for module in modules for block in blocks_of(module)]
+    assert sorted(blocks) == sorted(
+        match["name"] for page in PAGES.values() for match in found(page)
     )
-    assert done.returncode == bool(done.stderr), done.stderr
-    return done.stderr.splitlines()
 
 
-def test_generated_documents_are_current():
-    assert check(ROOT) == []
+PAGE = """# Levels
+
+Simplifying takes <!-- python -m tools.docs levels.seconds -->9 s<!-- end --> here.
+
+<!-- python -m tools.docs levels.head-512 -->
+<!-- end -->
+
+<!-- python -m tools.docs accuracy.domains -->
+| lobe |
+<!-- end -->
+"""
 
 
-def test_check_names_what_is_stale(tmp_path):
-    shutil.copytree(ROOT / "docs", tmp_path / "docs")
-    shutil.copytree(ROOT / "tools", tmp_path / "tools")
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    (tmp_path / "README.md").write_text(readme.replace("| Cook-Torrance, ns |", "| ns |"))
-    for name, old, new, _ in STALE:
-        path = tmp_path / "docs" / f"{name}.md"
-        text = path.read_text(encoding="utf-8")
-        assert old in text
-        path.write_text(text.replace(old, new), encoding="utf-8")
-    told = check(tmp_path)
-    assert len(told) == len(STALE) + 1
-    for name, _, _, fault in STALE:
-        assert any(line.startswith(f"docs/{name}.md: {fault}") for line in told), told
-        assert any(line.endswith(f": run python -m tools.docs.{name}") for line in told)
-    assert any(line.startswith("docs/trade.md: README.md has not") for line in told)
+def test_blocks_are_filled_in_sentences_and_on_lines_of_their_own():
+    levels, accuracy = blocks_of("levels"), blocks_of("accuracy")
+    first = PAGE.replace("9 s", levels["seconds"])
+    assert fill(PAGE, ["levels.seconds"]) == first
+    second = first.replace("512 -->\n", f"512 -->\n{levels['head-512']}\n")
+    assert fill(PAGE, ["levels"]) == second
+    assert fill(PAGE) == fill(fill(PAGE)) == second.replace("| lobe |", accuracy["domains"])
+    assert stale(PAGE) == ["levels.seconds", "levels.head-512", "accuracy.domains"]
+    assert stale(PAGE, ["accuracy"]) == ["accuracy.domains"]
+
+
+def test_the_command_writes_stale_blocks_and_names_them(tmp_path, capsys):
+    (tmp_path / "docs" / "measurements").mkdir(parents=True)
+    (tmp_path / "README.md").write_text("no block")
+    (tmp_path / "docs" / "measurements" / "levels.md").write_text(PAGE)
+    assert main(["--check", "accuracy"], tmp_path) == 1
+    told = "docs/measurements/levels.md: accuracy.domains is stale: run python -m tools.docs"
+    assert capsys.readouterr().err == f"{told} accuracy.domains\n"
+    assert main(["levels"], tmp_path) == 0
+    assert main(["--check", "levels"], tmp_path) == 0
+    assert main([], tmp_path) == 0
+    assert (tmp_path / "docs" / "measurements" / "levels.md").read_text() == fill(PAGE)
+
+
+@pytest.mark.parametrize(
+    ("page", "fault"),
+    [
+        (
+            PAGE.replace("levels.seconds", "levels.nothing"),
+            "no block levels.nothing; there are mac",
+        ),
+        (
+            PAGE.replace("levels.seconds", "nothing.seconds"),
+            "no module nothing in tools/docs/tables",
+        ),
+        (PAGE.replace("s<!-- end -->", "s"), "levels.seconds has no <!-- end -->"),
+        (PAGE.removesuffix("<!-- end -->\n"), "accuracy.domains has no <!-- end -->"),
+    ],
+)
+def test_a_mark_without_a_block_or_an_end_is_refused(tmp_path, capsys, page, fault):
+    with pytest.raises(BlockError, match=fault):
+        fill(page)
+    (tmp_path / "README.md").write_text(page)
+    assert main(["--check"], tmp_path) == 1
+    assert capsys.readouterr().err.startswith(f"README.md: {fault}")
 
 
 def test_the_comparison_names_the_checks_that_failed():

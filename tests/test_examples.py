@@ -1,5 +1,5 @@
-"""Each example runs with one command and draws what the float64 reference says; CMake and
-pkg-config find the installed shaders."""
+"""Each example runs with one command and draws what the float64 reference says, the notebook shows
+its pictures; CMake and pkg-config find the installed shaders."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import re
 import shutil
 import subprocess
 import sys
+from base64 import b64decode
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +24,7 @@ from facerender._version import __version__
 from facerender.drawing.context import Backend
 from facerender.images.read import read_image
 from facerender.images.srgb import linear_to_srgb, srgb_to_linear
-from tests.conftest import missing
+from tests.conftest import missing, require_module
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"
@@ -125,16 +127,9 @@ def c_egl(egl: Backend, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def make_c(folder: Path) -> None:
+    tool = f"FACERENDER={sys.executable} -m facerender"
     flags = "CFLAGS=-O1 -Wall -Wextra -Wpedantic -Werror"
-    run(
-        "make",
-        "-C",
-        folder,
-        "sphere",
-        f"FACERENDER={sys.executable} -m facerender",
-        flags,
-        cwd=ROOT,
-    )
+    run("make", "-C", folder, "sphere", tool, flags, cwd=ROOT)
 
 
 def test_c_program_agrees_with_float64(c_egl: Path, tmp_path: Path):
@@ -311,3 +306,21 @@ def test_a_head_of_parts(tmp_path):
     assert (grey & bright).sum() > 500  # the eyeballs, through them
     with Image.open(tmp_path / "head.gif") as moving:
         assert moving.n_frames == 8
+
+
+def test_a_frame_shows_itself_in_a_notebook(egl: Backend, monkeypatch: pytest.MonkeyPatch):
+    nbclient, nbformat = require_module("nbclient"), require_module("nbformat")
+    require_module("ipykernel")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))  # of the kernel
+    notebook = nbformat.read(EXAMPLES / "notebook.ipynb", as_version=4)
+    assert not any(cell.get("outputs") for cell in notebook.cells)
+    nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()
+    results = {
+        cell.id: [each.data for each in cell.outputs if each.output_type == "execute_result"]
+        for cell in notebook.cells
+        if cell.cell_type == "code"
+    }
+    (shown,), (listed,) = results["frame"], results["turntable"]
+    assert Image.open(BytesIO(b64decode(shown["image/png"]))).size == (320, 320)
+    assert shown["text/plain"] == "<Frame 320 x 320>"
+    assert listed["text/plain"].count("<Frame 320 x 320>") == 4

@@ -7,11 +7,15 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.prices import amd
+from benchmarks.prices.__main__ import print_parts
+from benchmarks.prices.table import cycles
+from benchmarks.prices.table import parts as compiled_parts
 from facerender.errors import InputError, NotMeasured
-from facerender.pricing import amd, fragment
+from facerender.pricing import fragment
 from facerender.pricing.fragment import PARTS, parts_of, program_of, samples, scene_with
 from facerender.pricing.interval import Interval
-from facerender.pricing.variants import of_model
+from facerender.pricing.variants import INPUTS, of_model
 from facerender.scenes.material import PROPERTY_MAPS
 from facerender.shading import Shading
 from tests.conftest import missing
@@ -38,7 +42,7 @@ def family(request):
 
 @pytest.fixture(scope="module")
 def parts(family):
-    return fragment.by_compiler(family)
+    return compiled_parts(family)
 
 
 def test_every_part_costs_something(parts):
@@ -51,9 +55,9 @@ def test_every_part_costs_something(parts):
 
 
 def test_parts_add_up_to_a_program(family, parts):
-    programs = [program_of(scene, stub=amd.EMPTY if lit else "") for scene, lit in WHOLE]
+    programs = [program_of(scene, stub=INPUTS if lit else "") for scene, lit in WHOLE]
     estimates = [fragment.estimate(program, parts) for program in programs]
-    assert estimates == pytest.approx(fragment.cycles(programs, family), rel=0.03)
+    assert estimates == pytest.approx(cycles(programs, family), rel=0.03)
 
 
 @pytest.mark.parametrize(
@@ -62,9 +66,9 @@ def test_parts_add_up_to_a_program(family, parts):
 def test_parts_with_a_term_add_up_to_a_program(family, model, lobe):
     shading = Shading(model, lobe)
     programs = [program_of(scene, shading if specular else None) for scene, specular in WHOLE]
-    parts = fragment.by_compiler(family, shading)
+    parts = compiled_parts(family, shading)
     estimates = [fragment.estimate(program, parts) for program in programs]
-    assert estimates == pytest.approx(fragment.cycles(programs, family), rel=0.02)
+    assert estimates == pytest.approx(cycles(programs, family), rel=0.02)
 
 
 @pytest.mark.parametrize("model", ["cook-torrance", "ward"])
@@ -72,8 +76,8 @@ def test_a_term_adds_to_the_parts(family, parts, model):
     (plain,) = (variant for variant in of_model(model) if variant.plain)
     term = amd.statistics({"term": plain.term}, family)["term"].inverse_throughput
     scenes = [scene_with(directional=n) for n in (1, 3)]
-    compiled = fragment.cycles([program_of(each, Shading(model)) for each in scenes], family)
-    one, three = (program_of(scene, stub=amd.EMPTY) for scene in scenes)
+    compiled = cycles([program_of(each, Shading(model)) for each in scenes], family)
+    one, three = (program_of(scene, stub=INPUTS) for scene in scenes)
     assert fragment.estimate(one, parts) + term == pytest.approx(compiled[0], rel=0.05)
     # The terms of a fragment share what depends on the normal, the eye and m alone.
     assert compiled[1] < fragment.estimate(three, parts) + 3 * term < 1.2 * compiled[1]
@@ -92,22 +96,22 @@ def test_parts_are_timed(egl):
     for each in measured.values():
         assert all(map(math.isfinite, (each.low, each.value, each.high)))
     whole = {name: each.value for name, each in measured.items()}
-    full = program_of(scene_with(MAPS, True, directional=3), stub=amd.EMPTY)
+    full = program_of(scene_with(MAPS, True, directional=3), stub=INPUTS)
     assert fragment.estimate(full, whole) > fragment.estimate(program_of(scene_with()), whole) > 0.0
 
 
 def test_bad_input_is_named(family):
     with pytest.raises(InputError, match="unknown family 'tesla'; known: navi21, vega10"):
-        fragment.by_compiler("tesla")
+        compiled_parts("tesla")
     with pytest.raises(InputError, match="^ERROR: .*nonsense"):
-        fragment.cycles([program_of(scene_with(), stub="nonsense(m)")], family)
+        cycles([program_of(scene_with(), stub="nonsense(m)")], family)
 
 
 def test_command_prints_what_can_be_measured(monkeypatch, capsys, egl):
     monkeypatch.setattr(amd, "ICD_FOLDERS", ())
     monkeypatch.setattr(fragment, "by_slope", lambda: fragment_times)
     fragment_times = {name: Interval(2.5, 2.0, 3.0) for name in PARTS}
-    fragment.main()
+    print_parts()
     printed = capsys.readouterr().out
     assert "here, ns\n  base program                2.50\n" in printed
     assert printed.count("not measured: ") == len(amd.FAMILIES)

@@ -25,7 +25,7 @@ known = cache(person)
 
 def ends(mesh: Mesh, region: Region) -> tuple[float, float]:
     """The lowest and the highest place, in the mesh's units."""
-    middle = mesh.denormalised(region.center)[1]
+    middle = mesh.to_mesh_space(region.center)[1]
     return middle - region.height * mesh.radius, middle + region.height * mesh.radius
 
 
@@ -35,7 +35,7 @@ def test_the_face_of_a_person(name: str):
     low, high = ends(mesh, region := find_region(mesh, "face"))
     assert CHIN - 0.025 < low < CHIN + 0.01
     assert BROW + 0.03 < high < CROWN + 0.015
-    assert abs(mesh.denormalised(region.center)[0]) < 0.006
+    assert abs(mesh.to_mesh_space(region.center)[0]) < 0.006
     assert 0.045 < region.radius * mesh.radius < 0.09
 
 
@@ -56,8 +56,8 @@ def test_units_and_places_do_not_matter(scale: float, move: object):
     other = person("arms down", scale, shift)
     for name in ("head", "face"):
         a, b = find_region(own, name), find_region(other, name)
-        center = (other.denormalised(b.center) - shift) / scale
-        np.testing.assert_allclose(center, own.denormalised(a.center), atol=2e-3)
+        center = (other.to_mesh_space(b.center) - shift) / scale
+        np.testing.assert_allclose(center, own.to_mesh_space(a.center), atol=2e-3)
         assert b.radius == pytest.approx(a.radius, rel=0.02)
 
 

@@ -162,8 +162,8 @@ def test_flattened_files_hold_each_file_once(name, lobe, m):
 
 @pytest.mark.parametrize("file", [*glsl.library(), "../printed/ward", "../printed/cook_torrance"])
 def test_every_hosts_preprocessor_understands_the_files(file):
-    """Those of naga, Babylon.js, PlayCanvas and Qt, which tests/test_hosts.py runs: each of them is
-    less than GLSL's in its own way."""
+    """Those of naga, Babylon.js, PlayCanvas and Qt, which test_hosts.py and test_web.py run: each
+    of them is less than GLSL's in its own way."""
     path = fr.shader_dir() / f"facerender/{file}.glsl"
     for line in path.read_text(encoding="utf-8").split("\n"):
         if line.startswith("#include") and ".." not in file:

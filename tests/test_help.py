@@ -101,7 +101,7 @@ def test_completion_completes(tmp_path, capsys):
     script = run(capsys, "completion", "bash")[1]
     (tmp_path / "head.glb").touch()
     asked = {
-        "re": "render reproduce",
+        "re": "render",
         "render --hi": "--hide",
         "render --lobe d": "d4 d8 d16",
         "render he": "head.glb",

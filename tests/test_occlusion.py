@@ -17,7 +17,7 @@ from facerender.scenes import occlusion
 from facerender.scenes.mesh import Part
 from tests.awkward_files import MINI_HEAD
 from tests.test_cli import Cli
-from tests.test_levels import grid, mesh_of, torus
+from tests.test_lod import grid, mesh_of, torus
 from tests.verification.occlusion import occlusion_error
 
 
@@ -109,7 +109,7 @@ VARIANTS = {
 @pytest.mark.parametrize("name", VARIANTS)
 @pytest.mark.parametrize("deferred", [False, True])
 def test_every_pixel_is_float64_shading(egl, baked, name, deferred, monkeypatch):
-    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
+    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
     (whole,) = baked.parts
     changes = dict(VARIANTS[name])
     if "colors" in changes:
@@ -184,7 +184,7 @@ def test_simplified_meshes_and_plans_keep_it(baked, bare, egl):
         fewer = detail.of(scene)
         frames = [
             renderer.render(scene),
-            renderer.render(fewer, plan.shading, None, detail.samples, detail.backs, detail.once),
+            renderer.render(fewer, plan.shading, **detail.values),
         ]
     assert len(fewer.mesh.parts[0].occlusion) < len(whole.occlusion)
     images = [frame.srgb8().astype(int) for frame in frames]

@@ -12,13 +12,18 @@ import pytest
 from PIL import Image
 
 import facerender as fr
+from benchmarks.prices import amd
+from benchmarks.prices import table as written
+from benchmarks.prices.__main__ import main
+from benchmarks.prices.table import all_seconds, all_terms, compiled, cycles
+from facerender.drawing.program import Lighting
 from facerender.errors import NotMeasured
 from facerender.glsl.code import term_macros
 from facerender.lobes import GPower
 from facerender.planning.candidates import Constants, candidates
-from facerender.pricing import amd, fragment, scatter
+from facerender.pricing import fragment, scatter
 from facerender.pricing import table as prices
-from facerender.pricing.table import Prices, all_terms, load_prices, term_name
+from facerender.pricing.table import Prices, load_prices, variants
 from facerender.scenes.light import LIGHTS
 from facerender.scenes.scene import slope_ranges
 from facerender.shading import Shading
@@ -110,14 +115,14 @@ def test_the_table_is_what_the_command_writes(monkeypatch, tmp_path):
         assert set(rows) == {"source", "unit", "parts", "terms"}
         assert set(rows["parts"]) == PARTS
         assert min(rows["parts"].values()) >= 0.0  # constant ambient light is an addend of an fma
-        assert set(rows["terms"]) == {*all_terms(), *prices.all_seconds()}
+        assert set(rows["terms"]) == {*all_terms(), *all_seconds()}
         # 0: the second lobe of the cosine power, in a further light on RDNA2
         assert all(first > 0.0 <= further for first, further in rows["terms"].values())
         rows["terms"] = {name: tuple(both) for name, both in rows["terms"].items()}
-    monkeypatch.setattr(prices, "compiled", lambda family, *terms: Prices(**table[family]))
-    monkeypatch.setattr(prices, "measured", lambda terms, **options: Prices(**table["llvmpipe"]))
-    monkeypatch.setattr(prices, "TABLE", tmp_path / "prices.json")
-    prices.main()
+    monkeypatch.setattr(written, "compiled", lambda family, *terms: Prices(**table[family]))
+    monkeypatch.setattr(written, "measured", lambda terms, **options: Prices(**table["llvmpipe"]))
+    monkeypatch.setattr(written, "TABLE", tmp_path / "prices.json")
+    assert main(["table"]) == 0
     assert (tmp_path / "prices.json").read_bytes() == text
 
 
@@ -136,6 +141,12 @@ def radv():
         missing(str(error))
 
 
+def compiled_for(scene, family, shadings):
+    """Prices of the terms of some shadings, compiled here."""
+    terms = [term for each in shadings for term in Lighting.of(scene, each).terms]
+    return compiled(family, {k: v for term in terms for k, v in variants(term).items()}, {})
+
+
 def test_the_compiler_agrees_with_the_table(radv, bare):
     scene = fr.Scene(bare.with_material(m=0.3), lights=(*KEY, LIGHTS["rim"]))
     wanted = [
@@ -146,9 +157,7 @@ def test_the_compiler_agrees_with_the_table(radv, bare):
     ]
     table = load_prices("navi21", scene, wanted)
     same = table.source.startswith(radv)  # another Mesa's compiler counts otherwise
-    here = load_prices("radv:navi21", scene, wanted)
-    terms = [*(each.term for each in wanted), wanted[-1].term.frontal]
-    assert set(here.terms) >= {term_name(each, 0.3) for each in terms}
+    here = compiled_for(scene, "navi21", wanted)
     for shading in wanted:
         cost = here.cost(scene, shading)
         assert all(0.0 <= each < np.inf for each in cost)
@@ -166,10 +175,10 @@ def test_prices_of_frontal_lights_add_up_to_a_program(radv, family, bare):
         other.replace(frontal_lights=(1,)),
     ]
     lit = fragment.scene_with(directional=3)
-    whole = fragment.cycles([fragment.program_of(lit, shading) for shading in wanted], family)
-    table = load_prices(f"radv:{family}", scene, wanted)
-    for shading, compiled in zip(wanted, whole, strict=True):
-        assert table.cost(scene, shading)[0] == pytest.approx(compiled, rel=0.03), shading
+    whole = cycles([fragment.program_of(lit, shading) for shading in wanted], family)
+    table = compiled_for(scene, family, wanted)
+    for shading, expected in zip(wanted, whole, strict=True):
+        assert table.cost(scene, shading)[0] == pytest.approx(expected, rel=0.03), shading
 
 
 def test_prices_of_this_machine(egl, bare, monkeypatch):
@@ -184,18 +193,15 @@ def test_prices_of_this_machine(egl, bare, monkeypatch):
         assert np.isfinite(here.cost(scene, shading)).all()  # on a busy machine even negative
 
 
-@pytest.mark.parametrize("cost", ["radv:navi21", "here"])
-def test_compiled_prices_serve_a_whole_plan(cost, egl, bare, tmp_path, monkeypatch):
+def test_measured_prices_serve_a_whole_plan(egl, bare, tmp_path, monkeypatch):
     """A constant in place of a map may have lobes in its domain that the map's slopes leave."""
     wanted_terms = []
 
-    def priced(*arguments, **_):
-        wanted = next(each for each in arguments if not isinstance(each, str))
+    def priced(wanted, **_):
         wanted_terms.extend(wanted)
         table = load_prices("navi21", None, [])
         return replace(table, terms={name: table.terms[name] for name in wanted})
 
-    monkeypatch.setattr(prices, "compiled", priced)
     monkeypatch.setattr(prices, "measured", priced)
     Image.fromarray(np.repeat(np.uint8([[20, 250]]), 4, axis=0)).save(tmp_path / "rough.png")
     rough = fr.Texture.open(tmp_path / "rough.png")
@@ -203,22 +209,22 @@ def test_compiled_prices_serve_a_whole_plan(cost, egl, bare, tmp_path, monkeypat
     assert slope_ranges(scene, Shading())[0][1] > 0.9
     with fr.Renderer((32, 32), samples=1, backend=egl) as renderer:
         for budget in ("2/255", "10/255", "20/255", "40/255"):
-            plan = fr.plan(scene, budget, renderer=renderer, cost=cost)
+            plan = fr.plan(scene, budget, renderer=renderer, cost="here")
             assert plan.cost.total <= plan.cost.full_total
     assert wanted_terms
 
 
-def test_what_is_asked_for_is_priced_as_it_is_compiled(monkeypatch, bare):
+def test_requested_terms_are_priced_as_they_are_compiled(monkeypatch, bare):
     """Small slopes as such, and what a decision is taken back to."""
     asked = {}
 
-    def spy(family, wanted, seconds):
+    def spy(wanted, seconds):
         asked.update(wanted)
-        return load_prices(family, None, [])
+        return load_prices("navi21", None, [])
 
-    monkeypatch.setattr(prices, "compiled", spy)
+    monkeypatch.setattr(prices, "measured", spy)
     scene = fr.Scene(bare.with_material(m=0.15))
-    load_prices("radv:navi21", scene, [Shading(), Shading(lobe="d16", m=0.3)])
+    load_prices("here", scene, [Shading(), Shading(lobe="d16", m=0.3)])
     assert {name: "FR_SMALL_SLOPE" in term_macros(each, 0.3) for name, each in asked.items()} == {
         "cook-torrance exact schlick v-cavity": False,
         "cook-torrance exact schlick v-cavity plain": True,

@@ -54,8 +54,8 @@ def test_the_frustum_of_a_camera_fills_the_clip_space(head):
     rng = np.random.default_rng(2)
     for _ in range(20):
         camera = fr.Camera(
-            position=tuple(head.denormalised(rng.normal(0.0, 3.0, 3))),
-            target=tuple(head.denormalised(rng.normal(0.0, 0.3, 3))),
+            position=tuple(head.to_mesh_space(rng.normal(0.0, 3.0, 3))),
+            target=tuple(head.to_mesh_space(rng.normal(0.0, 0.3, 3))),
             fov=float(rng.uniform(5.0, 120.0)),
         )
         aspect = float(rng.uniform(0.4, 2.5))
@@ -164,7 +164,7 @@ def test_scene_file(tmp_path):
         'lights = ["key", {azimuth = 10, irradiance = [1, 2, 3]}]\n'
         "[camera]\nazimuth = 40\nzoom = 1.5\n[material]\nm = 0.25\n"
         "[planned]\nsizes = [[512, 512], [1024, 1024]]\nsamples = 4\n"
-        "drawn_samples = 1\ntriangles = 900\nonce = true\n"
+        'drawn_samples = 1\ntriangles = 900\nshading_rate = "pixel"\n'
     )
     assert load_scene(tmp_path / "scene.toml") == {
         "ambient": (0.2, 0.2, 0.2),
@@ -172,7 +172,7 @@ def test_scene_file(tmp_path):
         "lights": (LIGHTS["key"], fr.Light(azimuth=10, irradiance=(1.0, 2.0, 3.0))),
         "camera": fr.Camera(azimuth=40, zoom=1.5),
         "material": {"m": 0.25},
-        "planned": Planned(((512, 512), (1024, 1024)), 4, 1, 900, once=True),
+        "planned": Planned(((512, 512), (1024, 1024)), 4, 1, 900, shading_rate="pixel"),
     }
 
 
@@ -206,9 +206,12 @@ def test_scene_file(tmp_path):
         *(
             (
                 f"[planned]\nsizes = [[8, 8]]\nsamples = 4\n{name} = 1",
-                f"planned {name} = 1: give true or false",
+                f"planned {name} = 1: give {remedy}",
             )
-            for name in ("backs", "once")
+            for name, remedy in (
+                ("cull_back_faces", "true or false"),
+                ("shading_rate", "sample or pixel"),
+            )
         ),
         ("[camera", "scene.toml is not TOML"),
     ],

@@ -63,8 +63,7 @@ RIGHT: dict[str, tuple[Any, ...]] = {
     "render m": (None, 1.5),
     "render lights": (None, [], {}),
     "render": (None,),
-    "Renderer.render backs": (True,),
-    "Renderer.render once": (True,),
+    "Renderer.render cull_back_faces": (True,),
     "Renderer.render": (None,),
     "Renderer.gbuffer blended": (True,),
     "Frame transparent": (True,),
@@ -107,7 +106,6 @@ RIGHT: dict[str, tuple[Any, ...]] = {
     "plan budget": (1.5,),
     "plan within": (True,),
     "plan exposure": (-7, 1.5),
-    "plan guarantee": (True,),
     "plan verify_cost": (True,),
     "plan renderer": (None,),
 }
@@ -161,14 +159,17 @@ def doors(egl: Any) -> Iterator[dict[str, Door]]:
                 renderer.render,
                 {
                     **{"scene": scene, "shading": shading, "only": None, "samples": 1},
-                    **{"backs": True, "once": False},
+                    **{"cull_back_faces": False, "shading_rate": "sample"},
                 },
             ),
             "Renderer.gbuffer": (
                 renderer.gbuffer,
                 {"scene": scene, "shading": shading, "blended": False},
             ),
-            "Renderer.can_shade_once": (renderer.can_shade_once, {"scene": scene, "samples": 1}),
+            "Renderer.can_shade_per_pixel": (
+                renderer.can_shade_per_pixel,
+                {"scene": scene, "samples": 1},
+            ),
             "render": (
                 fr.render,
                 {
@@ -234,7 +235,7 @@ def doors(egl: Any) -> Iterator[dict[str, Door]]:
                 fr.plan,
                 {
                     **{"scene": scene, "budget": "1/255", "full": shading, "cameras": None},
-                    **{"sizes": None, "within": 1.0, "guarantee": False, "verify_cost": False},
+                    **{"sizes": None, "within": 1.0, "verify_cost": False},
                     **{"cost": "auto", "exposure": 0.0, "renderer": renderer},
                 },
             ),
@@ -245,7 +246,13 @@ DOORS = [
     *("Camera", "Light", "Material", "Mesh", "Part", "Scene", "Panorama", "Environment"),
     *("EnvironmentFile", "load_environment", "Term", "Shading", "Shading.from_dict", "MeshFile"),
     *("ImageSettings", "Output", "Job", "Job.from_dict", "Renderer", "Renderer.of", "render"),
-    *("Renderer.render", "Renderer.gbuffer", "Renderer.can_shade_once", "Frame", "Frame.srgb8"),
+    *(
+        "Renderer.render",
+        "Renderer.gbuffer",
+        "Renderer.can_shade_per_pixel",
+        "Frame",
+        "Frame.srgb8",
+    ),
     *("Frame.save", "compare", "load_mesh", "load_scene", "simplified", "with_occlusion"),
     *("turntable", "view_of", "shifted", "View.intrinsics", "View.extrinsics"),
     *("Texture", "Texture.open", "Texture.from_array", "Texture.from_image"),

@@ -202,4 +202,4 @@ for (const type of ["pointermove", "pointerdown"]) {
 }
 new ResizeObserver(resize).observe(main);
 update();
-window.probe = probe; // for the console, and for tests/test_threejs.py
+window.probe = probe; // for the console, and for tests/test_web.py

@@ -26,7 +26,6 @@ _COMMANDS = {
     "batch": "many images: on all cores, or on a Dask cluster",
     "plan": "a cheaper frame within a budget, with its proof",
     "measure": "what each approximation costs and loses, here",
-    "reproduce": "the paper's figures and claims, measured here",
     "compare": "whether two renders are the same",
     "explore": "a page to compare two shadings in, on the reader's own GPU",
     "shaders": "the GLSL library, for programs of your own",

@@ -9,25 +9,18 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from facerender.commands.streams import say
 from facerender.errors import InputError, reason
-from facerender.job import MESH_PATHS, MeshFile
+from facerender.job import MESH_PATHS, MeshFile, parse_size
 from facerender.loading.given import GLTF
 from facerender.loading.named import named_files
 from facerender.system.atomic import check_writable, remove_abandoned
 from facerender.system.progress import Bar
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    try:
-        numbers = [int(word) for word in text.lower().split("x")]
-        width, height = numbers * 2 if len(numbers) == 1 else numbers
-    except ValueError:
-        raise InputError(f"size {text!r}: give N or WxH, such as 1024 or 640x480") from None
-    return width, height
+from facerender.terms.ranges import IntegerRange, range_of
 
 
 def parse_sizes(text: str) -> list[tuple[int, int]]:
@@ -67,6 +60,31 @@ _MAPS = {
 def add_maps(command: argparse._ArgumentGroup, *names: str) -> None:
     for name in names:
         command.add_argument(f"--{name}", metavar="FILE", help=_MAPS[name])
+
+
+def add_field(
+    group: argparse._ArgumentGroup,
+    kind: type,
+    name: str,
+    text: str,
+    without: str = "",
+    **keywords: Any,
+) -> None:
+    """Add the option that sets a field of a dataclass, whose range and unit its help states.
+
+    Parameters
+    ----------
+    text : what the option does
+    without : what holds without the option, in words; "" for the field's default
+    """
+    limits = range_of(kind, name)
+    without = without or f"{getattr(kind, name):g}"
+    group.add_argument(
+        f"--{name.replace('_', '-')}",
+        type=int if isinstance(limits, IntegerRange) else float,
+        help=f"{text}, {limits} ({without})",
+        **keywords,
+    )
 
 
 def add_quiet(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:

@@ -12,7 +12,7 @@ EXAMPLES = {
     ),
     "info": ("facerender info head.glb", "facerender info scan.obj --json"),
     "batch": (
-        "facerender batch jobs.csv -o out --size 256 --passes image,mask,depth",
+        "facerender batch jobs.csv -o out --size 256 --outputs image,mask,depth",
         "facerender batch jobs.toml --check",
         "facerender batch --status out",
     ),
@@ -22,7 +22,6 @@ EXAMPLES = {
         "facerender plan --budget 1/255 --scene planned.toml --emit cheap.glsl --target 330",
     ),
     "measure": ("facerender measure --quick", "facerender measure head.glb --m 0.25 -o out/head"),
-    "reproduce": ("facerender reproduce -o out/paper",),
     "compare": (
         "facerender compare golden.exr new.exr",
         "facerender compare goldens out --report report.html",

@@ -8,13 +8,14 @@ import os
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import add_verbose, check_outputs, parse_sizes, steps
+from facerender.commands.common import add_field, add_verbose, check_outputs, parse_sizes, steps
 from facerender.commands.scene import add_scene, files_read, job_of, load
 from facerender.commands.streams import tell
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError, reason
 from facerender.glsl.library import LANGUAGES, TARGETS
+from facerender.job import ImageSettings, Output
 from facerender.system.atomic import write_text
 
 
@@ -35,16 +36,12 @@ def add(plan: argparse.ArgumentParser) -> None:
         help="of the pixels that each image covers: where the budget must hold (100%%)",
     )
     plan.add_argument(
-        "--guarantee", action="store_true", help="bound the error for every camera; looser"
-    )
-    plan.add_argument(
         "--cost",
         default="frame",
         metavar="OF",
         help="frame, whole ones of which a few are measured; or of a fragment, which leaves "
         "samples and triangles as they are: llvmpipe, navi21 (RDNA2) or vega10 (GCN5) from a "
-        "table; auto, llvmpipe where the CPU draws, RDNA2 elsewhere; here, to measure; "
-        "radv:navi21 or radv:vega10, to compile (frame)",
+        "table; auto, llvmpipe where the CPU draws, RDNA2 elsewhere; or here, to measure (frame)",
     )
     plan.add_argument(
         "--verify-cost",
@@ -61,8 +58,8 @@ def add(plan: argparse.ArgumentParser) -> None:
         default="1024",
         help="N or WxH in pixels; 512..1024 for both and what is between (1024)",
     )
-    images.add_argument("--samples", type=int, default=4, help="per pixel; 1 for none (4)")
-    images.add_argument("--exposure", type=float, default=0.0, help="of the display, in stops (0)")
+    add_field(images, ImageSettings, "samples", "samples per pixel")
+    add_field(images, Output, "exposure", "of the display", default=Output.exposure)
     images.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
 
     output = plan.add_argument_group("results")
@@ -91,8 +88,6 @@ def run(options: argparse.Namespace) -> int:
     sizes = parse_sizes(options.size)
     if options.target and not options.emit:
         raise InputError(f"--target {options.target} is of a shader: say --emit OUT.glsl")
-    if options.guarantee and (options.camera or options.error_map):
-        raise InputError("--guarantee is not measured: leave --camera and --error-map out")
     job, cameras = job_of(options, sizes[-1])
     check_outputs([options.emit, options.pinned, options.error_map], files_read(options, job))
     if options.error_map and not options.error_map.lower().endswith(".png"):
@@ -106,13 +101,9 @@ def run(options: argparse.Namespace) -> int:
         "within": options.within,
         "full": job.shading,
     }
-    with steps(options) as choices["progress"]:
-        if options.guarantee:
-            planned = plan(scene, options.budget, guarantee=True, **choices)
-        else:
-            with Renderer.of(job, options.backend) as renderer:
-                choices |= {"cameras": (*cameras.values(),), "sizes": sizes, "renderer": renderer}
-                planned = plan(scene, options.budget, **choices)
+    with steps(options) as choices["progress"], Renderer.of(job, options.backend) as renderer:
+        choices |= {"cameras": (*cameras.values(),), "sizes": sizes, "renderer": renderer}
+        planned = plan(scene, options.budget, **choices)
     if options.emit:
         write_text(options.emit, planned.shader(options.target))
     if options.pinned:

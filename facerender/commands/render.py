@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import argparse
 import json
-import warnings
 from dataclasses import replace
 from typing import Any
 
-from facerender.commands.common import add_verbose, check_outputs, parse_size, telling
+from facerender.commands.common import add_field, add_verbose, check_outputs, telling
 from facerender.commands.scene import add_scene, files_read, job_of, load
 from facerender.commands.streams import say, tell
 from facerender.commands.views import STANDARD_OUTPUT, Target, check_sheet
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.frame import FORMATS
 from facerender.drawing.renderer import Renderer
-from facerender.errors import FacerenderWarning, InputError, check_range
-from facerender.job import Job
-from facerender.scenes.planned import Detail
+from facerender.errors import InputError
+from facerender.job import ImageSettings, MeshFile, Output, parse_size
+from facerender.scenes.planned import LevelOfDetail
 from facerender.scenes.scene import ONLY
-from facerender.scenes.view import checked_size, view_of
+from facerender.scenes.view import view_of
 from facerender.shading import OUTSIDE, Shading
 from facerender.terms import LOBES
+from facerender.terms.ranges import EXPOSURES
 
 
 def add(render: argparse.ArgumentParser) -> None:
@@ -56,16 +56,12 @@ def add(render: argparse.ArgumentParser) -> None:
         metavar="X,Y,Z",
         help="what images have in their centre, in the mesh's units (the centre of the frame)",
     )
-    scene.add_argument(
-        "--triangles", type=int, metavar="N", help="simplify the mesh to so many (all of them)"
-    )
+    add_field(scene, MeshFile, "triangles", "simplify the mesh to N", "all", metavar="N")
 
     image = render.add_argument_group("image")
     image.add_argument("--size", help="N or WxH in pixels (1024, or as --camera FILE says)")
-    image.add_argument("--samples", type=int, default=4, help="per pixel; 1 for none (4)")
-    image.add_argument(
-        "--exposure", type=float, default=0.0, help="of all but an EXR, in stops (0)"
-    )
+    add_field(image, ImageSettings, "samples", "samples per pixel")
+    add_field(image, Output, "exposure", "of all but an EXR", default=Output.exposure)
     image.add_argument("--only", choices=ONLY, help="one term in place of the whole image")
     image.add_argument("--format", choices=FORMATS, help="of standard output, -o - (png)")
     image.add_argument(
@@ -104,7 +100,7 @@ def run(options: argparse.Namespace) -> int:
             f"--budget plans one view, and there are {len(cameras)}: give one --camera, or all of "
             "them to facerender plan, and its scene to render --scene"
         )
-    check_range("exposure", options.exposure, -100.0, 100.0)
+    EXPOSURES.check("exposure", options.exposure)
     transparent = job.background is None
     target = Target.of(
         *(options.output, [*cameras], options.sheet, options.format, options.fps, transparent)
@@ -116,13 +112,12 @@ def run(options: argparse.Namespace) -> int:
     scene = load(job, options.cache, ahead=options.memory is None)
     shading = job.shading
     step(f"OpenGL, for {scene.mesh!r}")
-    width, height = checked_size(job.image.size)
+    width, height = job.image.size
     if target.kind == "sheet":
         check_sheet(target.count, (width, height), options.memory)
     for camera in cameras.values():
         view_of(replace(scene, camera=camera), width / height)
     plan: dict[str, Any] = {}
-    detail = Detail(job.image.samples, None)
     with Renderer.of(job, options.backend, options.memory) as renderer:
         step(f"image, by {renderer.context.renderer}")
         if options.budget is not None:
@@ -131,18 +126,13 @@ def run(options: argparse.Namespace) -> int:
             within = options.within or 1.0
             asked = scene, options.budget, shading, options.exposure, within, renderer
             plan = planned(*asked, cache=options.cache)
-            shading, detail = Shading.from_dict(plan["shading"]), Detail(**plan["detail"])
-        elif job.planned and job.planned.holds(renderer.size, renderer.samples):
-            detail = job.planned.detail
-        elif job.planned:
-            warnings.warn(_unplanned(options.scene, job), FacerenderWarning, stacklevel=1)
-        samples = min(detail.samples, renderer.samples)
+            shading, detail = Shading.from_dict(plan["shading"]), LevelOfDetail(**plan["detail"])
+        else:
+            detail = job.detail(renderer.samples, options.scene)
         drawn = detail.of(scene)
+        values = replace(detail, samples=min(detail.samples, renderer.samples)).values
         scenes = (replace(drawn, camera=camera) for camera in cameras.values())
-        frames = (
-            renderer.render(each, shading, options.only, samples, detail.backs, detail.once)
-            for each in scenes
-        )
+        frames = (renderer.render(each, shading, options.only, **values) for each in scenes)
         frame = target.write(frames, options.exposure, scene.background)
         backend = renderer.context.backend
     if options.json:
@@ -163,11 +153,3 @@ def run(options: argparse.Namespace) -> int:
     if plan and not options.quiet:
         say(*plan["text"].splitlines()[-2:])
     return 0
-
-
-def _unplanned(name: str, job: Job) -> str:
-    width, height = job.image.size
-    return (
-        f"{name} was planned for {job.planned}: at {width} x {height} with {job.image.samples} its "
-        "error is unknown; plan for this size and these samples"
-    )

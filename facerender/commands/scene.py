@@ -10,6 +10,7 @@ from typing import Any
 
 from facerender.commands.common import (
     add_allow_outside,
+    add_field,
     add_maps,
     add_parts,
     import_trimesh,
@@ -24,9 +25,10 @@ from facerender.loading.given import GLTF
 from facerender.scenes.camera import CAMERA_FILES, FRAMES, Camera, orbiting, turntable
 from facerender.scenes.file import STUDIO, load_scene, parse_environment
 from facerender.scenes.light import LIGHTS, parse_light
+from facerender.scenes.material import Material
 from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene
-from facerender.shading import DIFFUSE, Shading
+from facerender.shading import DIFFUSE, SCATTER_SAMPLES, Shading
 from facerender.terms import FRESNEL, MASKING, MODELS
 
 CAMERAS = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
@@ -48,15 +50,13 @@ def add_scene(
     terms.add_argument("--model", choices=tuple(MODELS), help="(cook-torrance)")
     terms.add_argument("--fresnel", choices=tuple(FRESNEL), help="(schlick)")
     terms.add_argument("--masking", choices=tuple(MASKING), help="(v-cavity)")
-    terms.add_argument(
-        "--m", type=float, help="rms slope of the microfacets, in place of the file's map (0.3)"
-    )
-    terms.add_argument("--f0", type=float, help="reflectance at normal incidence (0.028)")
-    terms.add_argument("--ks", type=float, help="specular weight (1)")
+    add_field(terms, Material, "m", "rms slope of the microfacets, in place of the file's map")
+    add_field(terms, Material, "f0", "reflectance at normal incidence")
+    add_field(terms, Material, "ks", "specular weight")
     terms.add_argument(
         "--diffuse", choices=DIFFUSE, help="coupled: what the specular term leaves (lambert)"
     )
-    terms.add_argument("--kd", type=float, help="diffuse weight (1)")
+    add_field(terms, Material, "kd", "diffuse weight")
     terms.add_argument(
         "--slope-filter",
         action=argparse.BooleanOptionalAction,
@@ -67,12 +67,9 @@ def add_scene(
         action=argparse.BooleanOptionalAction,
         help="widen it by the mesh's curvature over a pixel too, for small images (off)",
     )
-    terms.add_argument(
-        "--second-slope", type=float, metavar="F", help="second lobe: m of it over m (1: none)"
-    )
-    terms.add_argument(
-        "--lobe-weight", type=float, metavar="W", help="share of the first lobe (1: the only one)"
-    )
+    second = "m of a second lobe, as a factor on m"
+    add_field(terms, Material, "second_slope", second, "1: none", metavar="F")
+    add_field(terms, Material, "lobe_weight", "fraction of the first lobe", metavar="W")
     terms.add_argument(
         "--scattering", choices=("skin", "none"), help="light that enters and leaves beside (none)"
     )
@@ -80,7 +77,8 @@ def add_scene(
         "--scatter-samples",
         type=int,
         metavar="N",
-        help="pixels at which it is looked for: 8, 16, 32 or 64; 0 leaves it out (16)",
+        help=f"pixels at which it is looked for: {', '.join(map(str, SCATTER_SAMPLES))}; 0 leaves "
+        f"it out ({Shading.scatter_samples})",
     )
 
     maps = command.add_argument_group("maps, in place of those of the mesh file")
@@ -89,14 +87,12 @@ def add_scene(
     maps.add_argument(
         "--normal-map-y",
         choices=NORMAL_MAP_Y,
-        default="up",
-        help="down: green of normal maps points down, as DirectX has it (up)",
+        default=MeshFile.normal_map_y,
+        help=f"down: green of normal maps points down, as DirectX has it ({MeshFile.normal_map_y})",
     )
-    maps.add_argument(
-        "--normal-strength", type=float, metavar="X", help="factor on the slopes of normal maps (1)"
-    )
+    add_field(maps, Material, "normal_strength", "factor on slopes of normal maps", metavar="X")
     add_allow_outside(maps)
-    maps.add_argument("--anisotropy", type=float, default=1.0, help="of texture filtering (1)")
+    add_field(maps, ImageSettings, "anisotropy", "of texture filtering")
     maps.add_argument("--float-albedo", action="store_true", help="albedo as linear float16")
     maps.add_argument(
         "--full-maps",
@@ -106,19 +102,15 @@ def add_scene(
 
     scene = command.add_argument_group("scene")
     add_parts(scene)
-    scene.add_argument(
-        "--millimetres",
-        type=float,
-        metavar="MM",
-        help="that a unit of the mesh is, for scattering (1000 in glTF)",
-    )
+    unit = "length of a unit of the mesh, for scattering"
+    add_field(scene, MeshFile, "millimetres", unit, "1000 in glTF", metavar="MM")
     scene.add_argument("--camera", action="append", metavar="WHERE", help=f"{WHERE} (front)")
     scene.add_argument(
         "--frame",
         choices=FRAMES,
         help="what the image holds of the mesh, where a camera orbits (all)",
     )
-    scene.add_argument("--fov", type=float, help="vertical angle of view in degrees (25)")
+    add_field(scene, Camera, "fov", "vertical angle of view")
     scene.add_argument(
         "--light",
         action="append",
@@ -138,12 +130,8 @@ def add_scene(
         help=f".hdr, .exr or {STUDIO}: light from all around, in place of lights and ambient light "
         "where none are given; rotation in degrees",
     )
-    scene.add_argument(
-        "--environment-samples",
-        type=int,
-        metavar="N",
-        help="directions of it that a lobe reflects, even; 0 for its diffuse part alone (32)",
-    )
+    directions = "directions of it that a lobe reflects, even, or 0 for its diffuse part alone"
+    add_field(scene, Shading, "environment_samples", directions, metavar="N")
     scene.add_argument("--ambient", metavar="E", help="irradiance from everywhere, E or R,G,B")
     scene.add_argument(
         "--occlusion",
@@ -172,7 +160,7 @@ def job_of(
         *("model", "lobe", "fresnel", "masking", "diffuse", "outside"),
         *("slope_filter", "curvature", "scatter_samples", "environment_samples"),
     )
-    terms = {name: value for name in names if (value := getattr(options, name, None)) is not None}
+    terms = values_of(options, *names)
     pinned = settings.pop("shading", {})
     _check_unpinned(options, pinned)
     shading = Shading.from_dict(pinned | terms)
@@ -202,14 +190,8 @@ def job_of(
         settings["lights"] = tuple(
             dataclasses.replace(light, shadow=options.shadows) for light in lights
         )
-    material.update(
-        (name, value)
-        for name in (
-            *("m", "f0", "ks", "kd", "second_slope", "lobe_weight", "scattering"),
-            "normal_strength",
-        )
-        if (value := getattr(options, name)) is not None
-    )
+    factors = ("m", "f0", "ks", "kd", "second_slope", "lobe_weight", "scattering")
+    material |= values_of(options, *factors, "normal_strength")
     mesh = MeshFile(
         options.mesh,
         options.albedo,
@@ -232,12 +214,20 @@ def job_of(
         material,
         shading=shading,
         image=ImageSettings(
-            size, options.samples, options.anisotropy, options.float_albedo, options.full_maps
+            size,
+            float_albedo=options.float_albedo,
+            full_maps=options.full_maps,
+            **values_of(options, "samples", "anisotropy"),
         ),
         outputs=outputs,
         **settings,
     )
     return job, cameras
+
+
+def values_of(options: argparse.Namespace, *names: str) -> dict[str, Any]:
+    """Return those of the options that were given."""
+    return {name: value for name in names if (value := getattr(options, name, None)) is not None}
 
 
 def files_read(options: argparse.Namespace, job: Job) -> Iterator[str | Path | None]:
@@ -249,7 +239,7 @@ def files_read(options: argparse.Namespace, job: Job) -> Iterator[str | Path | N
 
 def load(job: Job, cache: bool = False, ahead: bool = True) -> Scene:
     """Return the scene of a job; ahead of its renderer its maps are being decoded, and kept."""
-    mesh = job.mesh.kept() if cache else None
+    mesh = job.mesh.cached() if cache else None
     if mesh is None:
         import_trimesh(job.mesh.path)
         mesh = job.mesh.load(cache and ahead)
@@ -343,9 +333,7 @@ def _orbit(place: str, camera: Camera) -> Camera:
 
 def _camera_settings(options: argparse.Namespace) -> dict[str, Any]:
     """The fields of Camera that options set."""
-    settings = {
-        name: value for name in ("fov", "frame") if (value := getattr(options, name)) is not None
-    }
+    settings = values_of(options, "fov", "frame")
     if getattr(options, "looked_at", None) is not None:
         settings["target"] = tuple(numbers_of("target", options.looked_at, (3,)))
     return settings

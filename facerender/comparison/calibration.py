@@ -28,7 +28,7 @@ from facerender.errors import InputError, reason
 from facerender.images.image import Encoding, ImageData
 from facerender.images.read import read_image
 from facerender.images.srgb import encode_srgb8, srgb_to_linear
-from facerender.system.progress import Progress, unheard
+from facerender.system.progress import Progress, no_progress
 
 MARGIN = 1.5
 # What rounding to half floats or steps of 8 bits needs, and a camera or samples that move by 0.1
@@ -149,7 +149,7 @@ def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
 def calibration_of(
     pairs: list[tuple[str, Path, Path]],
     mask: NDArray[Any] | None = None,
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
 ) -> list[Calibration]:
     """Return limits that pairs of images pass, for linear and for 8-bit ones.
 

@@ -10,13 +10,14 @@ from typing import IO, TYPE_CHECKING, Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_range, check_switch, check_type, shown
+from facerender.errors import InputError, check_switch, check_type, shown
 from facerender.images.exr import exr_bytes, save_exr
 from facerender.images.srgb import encode_srgb8
 from facerender.images.write import Format, format_of, lossy_bytes, png_bytes
 from facerender.scenes.scene import ONLY, Only
 from facerender.scenes.view import View
 from facerender.system.atomic import write_bytes
+from facerender.terms.ranges import EXPOSURES
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -63,7 +64,7 @@ class Frame:
         depth from the nearest (white) to the farthest, every part has a colour of its number;
         exposure, in stops, applies to radiance.
         """
-        check_range("exposure", exposure, -100.0, 100.0)
+        EXPOSURES.check("exposure", exposure)
         color, coverage = self.linear[..., :3], self.linear[..., 3:]
         if self.only == "normal":
             pixels = _bytes((color * 0.5 + 0.5) * coverage)
@@ -103,7 +104,7 @@ class Frame:
         """
         if format is not None and not (isinstance(format, str) and format in FORMATS):
             raise InputError(f"format = {shown(format)}: give {', '.join(FORMATS)}")
-        check_range("exposure", exposure, -100.0, 100.0)
+        EXPOSURES.check("exposure", exposure)
         if not isinstance(path, str | os.PathLike):
             if not callable(getattr(path, "write", None)):
                 raise InputError(f"image file = {shown(path)}: give a path, or an open binary file")
@@ -186,8 +187,8 @@ class GBuffer:
     emission : (H, W, 3) float32, radiance that the surface gives off itself; None where no material
         does
     opacity : (H, W) float32, of a blended part, 0 where it is not; None of what is not blended
-    veils : the surfaces of blended parts before all that is not blended, in the order in which they
-        lie over each other at each pixel
+    transparent_layers : the surfaces of blended parts before all that is not blended, in the order
+        in which they lie over each other at each pixel
     """
 
     part: NDArray[np.int64]
@@ -205,14 +206,14 @@ class GBuffer:
     facing: NDArray[np.float32] | None = None
     emission: NDArray[np.float32] | None = None
     opacity: NDArray[np.float32] | None = None
-    veils: tuple[GBuffer, ...] = ()
+    transparent_layers: tuple[GBuffer, ...] = ()
 
     @property
     def coverage(self) -> NDArray[np.float64]:
         """(H, W), of blended parts their opacity."""
         clear = (self.part < 0).astype(np.float64)
-        for veil in self.veils:
-            clear = clear * (1.0 - veil.opacity) if veil.opacity is not None else clear
+        for layer in self.transparent_layers:
+            clear = clear * (1.0 - layer.opacity) if layer.opacity is not None else clear
         return np.asarray(1.0 - clear)
 
     def __repr__(self) -> str:

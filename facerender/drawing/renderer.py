@@ -21,10 +21,15 @@ from facerender.drawing.frame import Frame, GBuffer, in_order
 from facerender.drawing.memory import check_memory
 from facerender.drawing.passes import Pass
 from facerender.drawing.passes.shade import shade_pass
-from facerender.drawing.passes.shadow import seen_pass, shadow_passes
+from facerender.drawing.passes.shadow import light_visibility_pass, shadow_passes
 from facerender.drawing.passes.surface import surface_pass
-from facerender.drawing.passes.veil import PEELED, Veil, veil_over, veils
-from facerender.drawing.passes.visibility import Visibility, can_defer, pays
+from facerender.drawing.passes.transparency import (
+    PREVIOUS_LAYER,
+    BlendedPart,
+    blended_parts,
+    with_blended,
+)
+from facerender.drawing.passes.visibility import Visibility, can_defer, deferred_is_cheaper
 from facerender.drawing.prepare import reduced, simplify, start_maps
 from facerender.drawing.program import ENVIRONMENT_MAP, Lighting
 from facerender.drawing.reference import data_view
@@ -32,29 +37,36 @@ from facerender.drawing.resources import Resources, read
 from facerender.errors import (
     ContextError,
     InputError,
-    check_count,
     check_range,
     check_switch,
     check_type,
     warn,
 )
-from facerender.job import Job
+from facerender.job import ImageSettings, Job
 from facerender.loading import load_mesh
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.mips import Kind
-from facerender.scenes.scene import DATA, ONLY, Only, Scene, slope_ranges
+from facerender.scenes.scene import (
+    DATA,
+    ONLY,
+    Only,
+    Scene,
+    ShadingRate,
+    check_shading_rate,
+    slope_ranges,
+)
 from facerender.scenes.sources import MeshSource
-from facerender.scenes.view import View, checked_size, hidden, sample_grid, view_of
+from facerender.scenes.view import View, hidden, sample_grid, view_of
 from facerender.shading import Shading
 from facerender.terms import AnyLobe
+from facerender.terms.ranges import ranges_of
 
 if TYPE_CHECKING:
     from facerender.scenes.scattering import Scattering
 
-MAX_SIZE = 16384
-MAX_SAMPLES = 64
+_LIMITS = ranges_of(ImageSettings)
 
 
 class Renderer:
@@ -97,13 +109,12 @@ class Renderer:
         full_maps: bool = False,
         memory: float | None = None,
     ) -> None:
-        self.size = checked_size(size, MAX_SIZE)
-        check_count("samples", samples, MAX_SAMPLES)
-        check_range("anisotropy", anisotropy, 1.0, 16.0)
+        self.size = _LIMITS["size"].check("size", size)
+        self.samples = _LIMITS["samples"].check("samples", samples)
+        _LIMITS["anisotropy"].check("anisotropy", anisotropy)
         for name, value in (("float_albedo", float_albedo), ("full_maps", full_maps)):
             check_switch(name, value)
-        self.samples = samples
-        self._peeling = threading.Lock()  # a layer is drawn by what the one before it left
+        self._layer_lock = threading.Lock()  # a layer is drawn by what the one before it left
         if memory is not None:
             check_range("memory", memory, 1.0, 1e9)
         self.anisotropy, self.full_maps, self.memory = anisotropy, full_maps, memory
@@ -169,8 +180,8 @@ class Renderer:
         shading: Shading = Shading(),
         only: Only | None = None,
         samples: int | None = None,
-        backs: bool = True,
-        once: bool = False,
+        cull_back_faces: bool = False,
+        shading_rate: ShadingRate = "sample",
     ) -> Frame:
         """Draw a scene.
 
@@ -179,10 +190,11 @@ class Renderer:
         only : one term in place of the whole image; all but specular and diffuse have one sample a
             pixel, and see what lies behind blended parts
         samples : per pixel, in place of the renderer's
-        backs : whether backs of triangles are drawn, which show where a mesh is open or folded
-        once : shade a pixel of a part once where :meth:`can_shade_once`, and else as without: of
-            the triangles that its samples see, the one that most of them see stands for all. The
-            coverage stays as it is; an edge between two surfaces of a part is as with one sample
+        cull_back_faces : leave back faces out, which show where a mesh is open or folded
+        shading_rate : "sample" to shade every triangle that a pixel's samples see; "pixel" to shade
+            a pixel of a part once, where :meth:`can_shade_per_pixel`: the triangle that most of its
+            samples see stands for all. The coverage stays as it is; an edge between two surfaces of
+            a part is as with one sample
 
         Raises
         ------
@@ -194,8 +206,8 @@ class Renderer:
         FacerenderWarning : no pixel shows the mesh, and why
         """
         _check_scene(scene, shading)
-        for name, value in (("backs", backs), ("once", once)):
-            check_switch(name, value)
+        check_switch("cull_back_faces", cull_back_faces)
+        check_shading_rate("shading_rate", shading_rate)
         check_type("only", only, str | None, f"one of {', '.join(ONLY)}")
         if only in DATA:
             linear = data_view(self.gbuffer(scene, shading, blended=False), scene, only)
@@ -207,22 +219,25 @@ class Renderer:
         if only not in (None, "specular", "diffuse"):
             raise InputError(f"unknown term {only!r}; known: {', '.join(ONLY)}")
         samples = self.samples if samples is None else samples
-        check_count("samples", samples, MAX_SAMPLES)
+        _LIMITS["samples"].check("samples", samples)
         view = view_of(scene, self.size[0] / self.size[1])
         scene = self._simplified(scene, shading, view, samples)
-        once = once and self.can_shade_once(scene, samples)
+        if shading_rate == "pixel" and not self.can_shade_per_pixel(scene, samples):
+            shading_rate = "sample"
         if samples <= self.context.most_samples:
-            linear = self._shaded(scene, view, shading, samples, only, backs, once)
+            linear = self._shaded(
+                scene, view, shading, samples, only, cull_back_faces, shading_rate
+            )
         else:
             linear = np.zeros((*self.size[::-1], 4), dtype=np.float32)
             for shift in sample_grid(samples):
                 shifted = view.shifted(shift, self.size)
-                linear += self._shaded(scene, shifted, shading, 1, only, backs)
+                linear += self._shaded(scene, shifted, shading, 1, only, cull_back_faces)
             linear /= samples
         _check(linear, scene)
         metadata = {key: str(value) for key, value in shading.as_dict().items()}
         metadata |= {**self.metadata, "samples": str(samples)}
-        metadata |= {"shaded": "once a pixel"} if once else {}
+        metadata |= {"shading_rate": shading_rate} if shading_rate == "pixel" else {}
         for name in ("model", "lobe", "fresnel", "masking"):
             metadata[name] = str(getattr(shading.term, name))
         terms = Lighting.of(scene, shading).terms
@@ -233,12 +248,12 @@ class Renderer:
             metadata["lobe of each part"] = ", ".join(map(" and ".join, lobes))
         return Frame(linear, only, scene.background is None, metadata)
 
-    def can_shade_once(self, scene: Scene, samples: int) -> bool:
-        """Tell whether frames with so many samples can be shaded once a pixel: with several, as
-        many as the driver has, of up to 16 million triangles of opaque parts by one kind of texture
-        coordinates, on a background of up to 1000."""
+    def can_shade_per_pixel(self, scene: Scene, samples: int) -> bool:
+        """Tell whether a frame with N samples can have ``shading_rate="pixel"``: with several
+        samples, as many as the driver has, of up to 16 million triangles of opaque parts by one
+        kind of texture coordinates, on a background of up to 1000."""
         _check_scene(scene)
-        check_count("samples", samples, MAX_SAMPLES)
+        _LIMITS["samples"].check("samples", samples)
         return samples > 1 and self._can_defer(scene, samples)
 
     def gbuffer(self, scene: Scene, shading: Shading = Shading(), blended: bool = True) -> GBuffer:
@@ -250,38 +265,42 @@ class Renderer:
         check_switch("blended", blended)
         view = view_of(scene, self.size[0] / self.size[1])
         scene = self._simplified(scene, shading, view, 4)
-        with self._peeling:
+        with self._layer_lock:
             over = [
                 layer
-                for veil in (veils(scene, view) if blended else ())
-                for layer in self._layers(scene, view, shading, veil)
+                for blended_part in (blended_parts(scene, view) if blended else ())
+                for layer in self._layers(scene, view, shading, blended_part)
             ]
-        return replace(self._gbuffer(scene, view, shading)[0], veils=tuple(over))
+        return replace(self._gbuffer(scene, view, shading)[0], transparent_layers=tuple(over))
 
-    def _layers(self, scene: Scene, view: View, shading: Shading, veil: Veil) -> list[GBuffer]:
-        """All layers of a veil, at each pixel in the order in which its triangles are drawn."""
+    def _layers(
+        self, scene: Scene, view: View, shading: Shading, blended_part: BlendedPart
+    ) -> list[GBuffer]:
+        """Return all layers of a part by depth peeling, at each pixel in drawing order."""
         layers: list[GBuffer] = []
         numbers: list[NDArray[np.float32]] = []
         while True:
-            layer, number = self._gbuffer(scene, view, shading, replace(veil, layer=len(layers)))
+            layer, number = self._gbuffer(
+                scene, view, shading, replace(blended_part, layer=len(layers))
+            )
             if not (layer.part >= 0).any():
                 return in_order(layers, np.array(numbers))
             layers.append(layer)
             numbers.append(number)
 
     def _gbuffer(
-        self, scene: Scene, view: View, shading: Shading, veil: Veil | None = None
+        self, scene: Scene, view: View, shading: Shading, blended_part: BlendedPart | None = None
     ) -> tuple[GBuffer, NDArray[np.float32]]:
-        """The G-buffer of all that is not blended in a simplified scene, or of a layer of a veil,
-        with the numbers of its triangles as they are drawn."""
+        """Return the G-buffer of all opaque parts of a simplified scene, or of one layer of a
+        blended part, with the numbers of its triangles as they are drawn."""
         visibility = self._visibility(scene, view, 1)
-        scatters = veil is None and _scattering(scene, self.size) is not None
-        surface = surface_pass(scene, view, shading, visibility, scatters, veil)
+        scatters = blended_part is None and _scattering(scene, self.size) is not None
+        surface = surface_pass(scene, view, shading, visibility, scatters, blended_part)
         passes = [visibility.drawn(), surface] if visibility else [surface]
         known: dict[str, moderngl.Texture] = {}
-        if veil is not None and veil.layer:
+        if blended_part is not None and blended_part.layer:
             before = replace(surface.target, number=1 - surface.target.number)
-            known[PEELED] = self._resources.target(before).color_attachments[-1]  # type: ignore[assignment]
+            known[PREVIOUS_LAYER] = self._resources.target(before).color_attachments[-1]  # type: ignore[assignment]
         position, normal, albedo, uv, *others = self._draw(passes, scene, known)
         two = any(material.two_lobes for material in scene.mesh.materials)
         shines = any(any(material.emissive) for material in scene.mesh.materials)
@@ -289,7 +308,7 @@ class Renderer:
         seen = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
         lighting = Lighting.of(scene, shading)
         if shadows := shadow_passes(scene, lighting):
-            look = seen_pass(scene, view, shading, visibility, veil)
+            look = light_visibility_pass(scene, view, shading, visibility, blended_part)
             images = self._draw([*shadows, *passes[:-1], look], scene, known)
             number = len(lighting.shadowed)
             seen[..., lighting.shadowed] = np.concatenate(images, axis=-1)[..., :number]
@@ -308,9 +327,9 @@ class Renderer:
             lobe_weight=None if lobes is None else lobes[..., 1],
             facing=uv[..., 3] if scatters else None,
             emission=others[0][..., :3] if shines else None,
-            opacity=uv[..., 3] if veil else None,
+            opacity=uv[..., 3] if blended_part else None,
         )
-        return gbuffer, others[-1][..., 1] if veil else np.empty((0, 0), np.float32)
+        return gbuffer, others[-1][..., 1] if blended_part else np.empty((0, 0), np.float32)
 
     def _simplified(self, scene: Scene, shading: Shading, view: View, samples: int) -> Scene:
         """Return what is drawn of a scene, whose maps are being decoded."""
@@ -331,10 +350,10 @@ class Renderer:
         shading: Shading,
         samples: int,
         only: Only | None,
-        backs: bool,
-        once: bool = False,
+        cull_back_faces: bool,
+        shading_rate: ShadingRate = "sample",
     ) -> NDArray[np.float32]:
-        visibility = self._visibility(scene, view, samples, once)
+        visibility = self._visibility(scene, view, samples, shading_rate)
         scattering = None if only == "specular" else _scattering(scene, self.size)
         beside = scattering if samples == 1 else None
         shaded = shade_pass(scene, view, shading, samples, only, visibility, beside)
@@ -342,7 +361,7 @@ class Renderer:
             draws = tuple(draw for draw in shaded.draws if draw.depth != "blend")
             target = replace(shaded.target, sampled=True)
             shaded = replace(shaded, name="image", target=target, draws=draws)
-        passes = _from_visibility(shaded, visibility, backs)
+        passes = _from_visibility(shaded, visibility, cull_back_faces)
         if scattering:
             from facerender.drawing.passes.scatter import scatter_pass
 
@@ -351,32 +370,38 @@ class Renderer:
                 background = scene.background if only is None else None
                 area = visibility.area if visibility else None
             else:
-                passes += self._apart(scene, view, shading, scattering, backs)
+                passes += self._apart(scene, view, shading, scattering, cull_back_faces)
             how = scattering, shading.scatter_samples, background, not beside, area
             last = [scatter_pass(view, *how)]
-            if veils(scene, view):
+            if blended_parts(scene, view):
                 whole = shade_pass(scene, view, shading, samples, only)
-                last = veil_over(replace(whole, backs=backs), *last)
+                last = with_blended(replace(whole, cull_back_faces=cull_back_faces), *last)
             passes += last
         return self._draw([*shadow_passes(scene, Lighting.of(scene, shading)), *passes], scene)[0]
 
     def _apart(
-        self, scene: Scene, view: View, shading: Shading, scattering: Scattering, backs: bool
+        self,
+        scene: Scene,
+        view: View,
+        shading: Shading,
+        scattering: Scattering,
+        cull_back_faces: bool,
     ) -> list[Pass]:
         """What draws the light that scatters apart from an image whose pixels have several samples,
         and see several places: the centre stands for all."""
         visibility = self._visibility(scene, view, 1)
         shaded = shade_pass(scene, view, shading, 1, "diffuse", visibility, scattering, apart=True)
-        return _from_visibility(shaded, visibility, backs)
+        return _from_visibility(shaded, visibility, cull_back_faces)
 
     def _visibility(
-        self, scene: Scene, view: View, samples: int, once: bool = False
+        self, scene: Scene, view: View, samples: int, shading_rate: ShadingRate = "sample"
     ) -> Visibility | None:
         """What a scene's image is deferred to, where that is asked for or cheaper."""
         if self._can_defer(scene, samples) and (
-            once or pays(scene, self.size, samples, self.context.renderer)
+            shading_rate == "pixel"
+            or deferred_is_cheaper(scene, self.size, samples, self.context.renderer)
         ):
-            return Visibility.of(scene, view, self.size, samples, once)
+            return Visibility.of(scene, view, self.size, samples, shading_rate)
         return None
 
     def _can_defer(self, scene: Scene, samples: int) -> bool:
@@ -447,10 +472,12 @@ def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:
     return scattering_of(scene, size)
 
 
-def _from_visibility(shaded: Pass, visibility: Visibility | None, backs: bool) -> list[Pass]:
+def _from_visibility(
+    shaded: Pass, visibility: Visibility | None, cull_back_faces: bool
+) -> list[Pass]:
     """A pass that shades, behind what it reads."""
     first, *others = [visibility.drawn(), shaded] if visibility else [shaded]
-    return [replace(first, backs=backs), *others]
+    return [replace(first, cull_back_faces=cull_back_faces), *others]
 
 
 def _check(linear: NDArray[np.float32], scene: Scene) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from facerender._version import __version__
-from facerender.errors import InputError, check_range, check_type
+from facerender.errors import InputError, check_type
 from facerender.glsl.code import defines, file_of, lobe_macros, term_macros
 from facerender.glsl.includes import Includes
 from facerender.glsl.preprocessor import Preprocessor
@@ -19,7 +19,7 @@ from facerender.shading import SMALL_SLOPE, Term
 from facerender.system.data import data_dir
 from facerender.terms import LOBES, MODELS, AnyLobe, GPower, lobe_entry
 from facerender.terms.entry import Entry
-from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE, TITLES
+from facerender.terms.lobe import SLOPES, TITLES
 
 if TYPE_CHECKING:
     import moderngl
@@ -79,7 +79,7 @@ def shader_source(
     """
     macros = {} if lobe is None else lobe_macros(lobe)
     if m is not None:
-        check_range("m", m, MIN_SLOPE, MAX_SLOPE)
+        SLOPES.check("m", m)
     if lobe == "exact" and m is not None and m >= SMALL_SLOPE:
         macros["FR_SMALL_SLOPE"] = "0"
     return _flat(name, target, macros, lobe, m)

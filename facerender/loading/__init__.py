@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_switch, check_type, noting, shown
 from facerender.loading.given import GLTF, given
-from facerender.loading.kept import Files
+from facerender.loading.mesh_cache import Files
 from facerender.loading.objects import is_object, millimetres_of, name_of, pieces_of
 from facerender.loading.read import read
 from facerender.loading.referred import Referred
@@ -110,7 +110,7 @@ def load_mesh(
     return _scaled(mesh, millimetres)
 
 
-def kept_mesh(
+def cached_mesh(
     source: Path_ | None = None,
     *,
     millimetres: float | None = None,

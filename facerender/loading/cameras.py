@@ -20,7 +20,7 @@ from facerender.loading.gltf import _chunks, _transform
 from facerender.loading.gltf_schema import damaged, document_of
 from facerender.scenes.camera import CAMERA_FILES, MOST_CAMERAS, Camera
 from facerender.scenes.file import MOST_BYTES, from_table, load_scene
-from facerender.scenes.view import checked_size
+from facerender.scenes.view import SIZES
 from facerender.system.files import MOST, read_file
 
 _PASSED_OVER = ("name", "transform_matrix")  # of a table; the latter says what Rt does
@@ -46,7 +46,7 @@ def load_cameras(
     InputError : a file that cannot be read, has no camera, or one that is not understood
     """
     check_path("camera file", path)
-    size = None if size is None else checked_size(size)
+    size = None if size is None else SIZES.check("size", size)
     suffix, name = Path(path).suffix.lower(), clipped(Path(path).name)
     if suffix not in (*CAMERA_FILES, *GLTF):
         known = ", ".join((*CAMERA_FILES, *GLTF))

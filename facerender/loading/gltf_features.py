@@ -65,7 +65,7 @@ FEATURES = (
     Feature("normalTexture.scale", "drawn", "in [0, 100]"),
     Feature("occlusionTexture.strength", "drawn", "red; dims light from everywhere"),
     Feature("emissive", "drawn", "factor and texture"),
-    Feature("doubleSided", "passed over", "backs of faces are always drawn"),
+    Feature("doubleSided", "passed over", "back faces are drawn by default"),
     Feature(
         "sampler",
         "drawn",

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.frame import Frame
-from facerender.drawing.renderer import MAX_SAMPLES, Renderer
+from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.images.srgb import linear_to_srgb
+from facerender.job import MAX_SAMPLES
 from facerender.measure.measurement import Lost, Sampled
 from facerender.pricing.frame import ratios
-from facerender.scenes.scene import Scene
+from facerender.scenes.scene import SHADING_RATES, Scene
 from facerender.shading import Shading
 
 
@@ -45,19 +46,19 @@ def antialiasing(
         return lost_of(error[silhouette]), lost_of(error[inside])
 
     ways = [
-        (count, once)
+        (count, rate)
         for count in samples
-        for once in (False, True)
-        if not once or renderer.can_shade_once(scene, count)
+        for rate in SHADING_RATES
+        if rate == "sample" or renderer.can_shade_per_pixel(scene, count)
     ]
     draws = [
-        partial(renderer.render, scene, shading, samples=count, once=once)
-        for count, once in ((1, False), *ways)
+        partial(renderer.render, scene, shading, samples=count, shading_rate=rate)
+        for count, rate in ((1, SHADING_RATES[0]), *ways)
     ]
     _, *times = ratios(draws, repeats)
     return [
-        Sampled(count, ratio, *lost(draw), once)
-        for (count, once), ratio, draw in zip(ways, times, draws[1:], strict=True)
+        Sampled(count, ratio, *lost(draw), rate)
+        for (count, rate), ratio, draw in zip(ways, times, draws[1:], strict=True)
     ]
 
 

@@ -4,17 +4,16 @@ describes. Nothing is measured here, and nothing needs OpenGL."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError
-from facerender.measure.imported import Imported
-from facerender.pricing.amd import Statistics
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import PRINTED, Variant, of_model
+from facerender.scenes.scene import ShadingRate
 
 SCHEMA = "facerender.measure/1"
 MODELS = PRINTED
@@ -80,15 +79,12 @@ class ImageError:
 
 @dataclass(frozen=True)
 class Costs:
-    """What a variant costs: the lobe alone and the whole term in nanoseconds an evaluation, a frame
-    in milliseconds, the term on AMD's GPUs as their compiler estimates it; None where it was not
-    measured."""
+    """The cost of a variant: the lobe alone and the whole term in nanoseconds an evaluation, a
+    frame in milliseconds; None where it was not measured."""
 
     lobe_ns: Interval | None
     term_ns: Interval
     frame_ms: Interval | None
-    navi21: Statistics | None
-    vega10: Statistics | None
 
 
 @dataclass(frozen=True)
@@ -135,14 +131,14 @@ class Sampled:
     time : of a frame with readback, over that of a frame with one sample
     silhouette : of the pixels that the mesh covers in part with 64 samples
     inside : of those that it covers
-    once : whether one triangle of a pixel is shaded, see :meth:`facerender.Renderer.render`
+    shading_rate : see :meth:`facerender.Renderer.render`
     """
 
     samples: int
     time: Interval
     silhouette: Lost
     inside: Lost
-    once: bool = False
+    shading_rate: ShadingRate = "sample"
 
 
 @dataclass(frozen=True)
@@ -180,18 +176,15 @@ class Measurement:
 
     Attributes
     ----------
-    amd_driver : what compiled for AMD's GPUs, or None
     samples : what numbers of samples a pixel cost and lose
     degrees : angles γ of the half vector
     curves : by model, lobe and slope, the lobe less the exact one in percent of the peak, one for
         each angle; a slope outside the domain is left out
     not_measured : what is missing, and why
     skin : what parts of skin cost and lose
-    imports : what pictures cost on other GPUs
     """
 
     environment: Environment
-    amd_driver: str | None
     settings: Settings
     variants: Sequence[MeasuredVariant]
     samples: Sequence[Sampled]
@@ -199,13 +192,6 @@ class Measurement:
     curves: Mapping[str, Curves]
     not_measured: Sequence[str]
     skin: Sequence[PartSetting] = ()
-    imports: Sequence[Imported] = ()
-
-    def with_import(self, imported: Imported) -> Measurement:
-        """Return the measurement with one more import, in place of an earlier one of the same GPU,
-        mesh and link."""
-        others = [each for each in self.imports if each.place != imported.place]
-        return replace(self, imports=[*others, imported])
 
     def of_model(self, model: str) -> list[MeasuredVariant]:
         """Return the variants of a model."""
@@ -215,7 +201,7 @@ class Measurement:
         """Return the content of measure.json."""
         return {
             "schema": SCHEMA,
-            "environment": asdict(self.environment) | {"amd_driver": self.amd_driver},
+            "environment": asdict(self.environment),
             "settings": asdict(self.settings) | {"size": list(self.settings.size)},
             "variants": [
                 {
@@ -229,7 +215,6 @@ class Measurement:
             ],
             **({"samples": [asdict(each) for each in self.samples]} if self.samples else {}),
             **({"skin": [asdict(each) for each in self.skin]} if self.skin else {}),
-            **({"imports": [_import(each) for each in self.imports]} if self.imports else {}),
             "curves": {"degrees": list(self.degrees), **self.curves},
             "not_measured": list(self.not_measured),
         }
@@ -240,16 +225,15 @@ class Measurement:
 
         Raises
         ------
-        InputError : another schema, a variant that this version does not know, a damaged import
+        InputError : another schema, or a variant that this version does not have
         """
         if content["schema"] != SCHEMA:
             raise InputError(
                 f"the measurement's schema is {content['schema']!r}, not {SCHEMA!r}; measure anew"
             )
-        environment, curves = dict(content["environment"]), dict(content["curves"])
+        curves = dict(content["curves"])
         return cls(
-            amd_driver=environment.pop("amd_driver"),
-            environment=Environment(**environment),
+            environment=Environment(**content["environment"]),
             settings=Settings(**content["settings"] | {"size": tuple(content["settings"]["size"])}),
             variants=[_measured_variant(row) for row in content["variants"]],
             samples=[_sampled(row) for row in content.get("samples", [])],
@@ -257,12 +241,7 @@ class Measurement:
             curves=curves,
             not_measured=content["not_measured"],
             skin=[_part_setting(row) for row in content.get("skin", ())],
-            imports=[Imported.from_dict(row) for row in content.get("imports", ())],
         )
-
-
-def _import(imported: Imported) -> dict[str, Any]:
-    return asdict(imported) | {"size": list(imported.size)}
 
 
 def _measured_variant(row: Mapping[str, Any]) -> MeasuredVariant:
@@ -273,8 +252,6 @@ def _measured_variant(row: Mapping[str, Any]) -> MeasuredVariant:
             lobe_ns=cost["lobe_ns"] and Interval(**cost["lobe_ns"]),
             term_ns=Interval(**cost["term_ns"]),
             frame_ms=cost["frame_ms"] and Interval(**cost["frame_ms"]),
-            navi21=cost["navi21"] and Statistics(**cost["navi21"]),
-            vega10=cost["vega10"] and Statistics(**cost["vega10"]),
         ),
         Errors(error["lobe"], error["brdf"], error["image"] and ImageError(**error["image"])),
     )
@@ -282,7 +259,7 @@ def _measured_variant(row: Mapping[str, Any]) -> MeasuredVariant:
 
 def _sampled(row: Mapping[str, Any]) -> Sampled:
     lost = Lost(**row["silhouette"]), Lost(**row["inside"])
-    return Sampled(row["samples"], Interval(**row["time"]), *lost, row.get("once", False))
+    return Sampled(row["samples"], Interval(**row["time"]), *lost, row["shading_rate"])
 
 
 def _part_setting(row: Mapping[str, Any]) -> PartSetting:

@@ -3,12 +3,11 @@ here."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 from facerender.measure.measurement import ImageError, MeasuredVariant, Measurement
-from facerender.pricing.amd import Statistics
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import Variant
 
@@ -18,26 +17,38 @@ EXACT = 0.01
 
 @dataclass(frozen=True)
 class CostKind:
-    """A kind of cost: its field of ``Costs``, what is paid for, and in which unit."""
+    """A kind of cost.
 
-    field: Literal["term_ns", "frame_ms", "navi21", "vega10"]
+    Attributes
+    ----------
+    title, unit : in words
+    of : the cost of a variant, None where it was not measured
+    columns : titles of further columns of its table, and the value of a variant there; of an
+        interval its ends
+    """
+
     title: str
     unit: str
-
-    def of(self, measured: MeasuredVariant) -> Interval | Statistics | None:
-        """Return what a variant costs, None where it was not measured."""
-        cost: Interval | Statistics | None = getattr(measured.cost, self.field)
-        return cost
+    of: Callable[[MeasuredVariant], Interval | None]
+    columns: Mapping[str, Callable[[MeasuredVariant], float | Interval | None]]
 
 
-TERM = CostKind("term_ns", "specular term", "ns an evaluation")
-FRAME = CostKind("frame_ms", "whole frame", "ms a frame")
-KINDS = (
-    TERM,
-    FRAME,
-    CostKind("navi21", "specular term on AMD Navi 21", "cycles a wave"),
-    CostKind("vega10", "specular term on AMD Vega 10", "cycles a wave"),
+TERM = CostKind(
+    "specular term",
+    "ns an evaluation",
+    lambda measured: measured.cost.term_ns,
+    {
+        "95 % interval": lambda measured: measured.cost.term_ns,
+        "lobe alone, ns": lambda measured: lobe.value if (lobe := measured.cost.lobe_ns) else None,
+    },
 )
+FRAME = CostKind(
+    "whole frame",
+    "ms a frame",
+    lambda measured: measured.cost.frame_ms,
+    {"95 % interval": lambda measured: measured.cost.frame_ms},
+)
+KINDS = (TERM, FRAME)
 
 
 @dataclass(frozen=True)
@@ -46,7 +57,7 @@ class Row:
 
     Attributes
     ----------
-    figure : of the cost; None where it was not measured
+    cost : in the unit of its kind; None where it was not measured
     error : in percent, of what ``measure_of`` says; None outside the domain of the lobe
     dominated : another variant is not dearer and not less exact, and better in one of them;
         costs whose intervals overlap count as equal. A form of the paper is there to compare:
@@ -54,7 +65,7 @@ class Row:
     """
 
     measured: MeasuredVariant
-    figure: Interval | Statistics | None
+    cost: Interval | None
     error: float | None
     dominated: bool = False
 
@@ -62,26 +73,6 @@ class Row:
     def variant(self) -> Variant:
         """What is measured."""
         return self.measured.variant
-
-    @property
-    def cost(self) -> float | None:
-        """The cost in the unit of its kind."""
-        match self.figure:
-            case Interval(value):
-                return value
-            case Statistics(inverse_throughput=cycles):
-                return cycles
-        return None
-
-    @property
-    def span(self) -> tuple[float, float] | None:
-        """The 95 % interval of the cost; (cost, cost) where it is an estimate without one."""
-        match self.figure:
-            case Interval(_, low, high):
-                return low, high
-            case Statistics(inverse_throughput=cycles):
-                return cycles, cycles
-        return None
 
 
 def measure_of(measurement: Measurement, model: str) -> Literal["image", "lobe"]:
@@ -105,15 +96,19 @@ def pareto(measurement: Measurement, model: str, kind: CostKind) -> list[Row]:
 
     rows = [Row(measured, kind.of(measured), error(measured)) for measured in variants]
     marked = [replace(row, dominated=any(_dominates(other, row) for other in rows)) for row in rows]
-    return sorted(marked, key=lambda row: (row.cost is None, row.cost or 0.0, row.error or 0.0))
+
+    def order(row: Row) -> tuple[bool, float, float]:
+        return row.cost is None, row.cost.value if row.cost else 0.0, row.error or 0.0
+
+    return sorted(marked, key=order)
 
 
 def _dominates(a: Row, b: Row) -> bool:
-    if a.variant.printed or not a.span or not b.span or a.error is None or b.error is None:
+    if a.variant.printed or not a.cost or not b.cost or a.error is None or b.error is None:
         return False
     error, other = max(a.error, EXACT), max(b.error, EXACT)
-    (low, high), (other_low, other_high) = a.span, b.span  # where they overlap, order is noise
-    return error <= other and (high < other_low or (low <= other_high and error < other))
+    cheaper = a.cost.high < b.cost.low  # where the intervals overlap, the order is noise
+    return error <= other and (cheaper or (a.cost.low <= b.cost.high and error < other))
 
 
 def _images(variants: Iterable[MeasuredVariant]) -> Mapping[str, ImageError]:

@@ -133,9 +133,9 @@ def _png(figure: Any) -> bytes:
 
 
 def _points(axes: Any, rows: Sequence[Row]) -> list[tuple[float, float, Row]]:
-    """Draw a point a row, its interval and the frontier; return cost, error as shown, and row."""
+    """Draw a point a row, its interval and the frontier; return cost, error drawn, and row."""
     points = [
-        (row.cost, max(row.error, EXACT), row)
+        (row.cost.value, max(row.error, EXACT), row)
         for row in rows
         if row.cost is not None and row.error is not None
     ]
@@ -143,13 +143,14 @@ def _points(axes: Any, rows: Sequence[Row]) -> list[tuple[float, float, Row]]:
     for (x, y), (dearer, less) in pairwise(frontier):
         axes.plot((x, dearer), (y, y), color="#999999", lw=1, zorder=1)
         axes.plot((dearer, dearer), (y, less), color="#999999", lw=1, zorder=1)
-    for x, y, row in points:
+    ends = [(row.cost.low, row.cost.high) for _, _, row in points if row.cost]
+    for (x, y, row), interval in zip(points, ends, strict=True):
         state = "dominated" if row.dominated else "not dominated"
         state = "as printed" if row.variant.printed else state
         style = MARKERS[state] | {"color": COLOURS[row.variant.lobe]}
-        axes.plot(row.span, (y, y), color=style["color"], lw=1, zorder=2)
+        axes.plot(interval, (y, y), color=style["color"], lw=1, zorder=2)
         axes.plot(x, y, ls="", zorder=3, **style)
-    low, high = np.percentile([row.span for _, _, row in points], [0, 100])
+    low, high = np.min(ends), np.max(ends)
     half = 0.6 * max(high - low, 0.1 * high)  # differences of a few percent shall look small
     axes.set_xlim(max(0.0, (low + high) / 2.0 - half), (low + high) / 2.0 + half)
     axes.set_ylim(EXACT / 3.0, 3.0 * max(1.0, *(y for _, y, _ in points)))

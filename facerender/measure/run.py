@@ -17,7 +17,6 @@ from facerender._version import __version__
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.prepare import start_maps
 from facerender.drawing.renderer import Renderer
-from facerender.errors import NotMeasured
 from facerender.images.srgb import encode_srgb8
 from facerender.measure import error
 from facerender.measure.antialiasing import antialiasing
@@ -35,14 +34,14 @@ from facerender.measure.measurement import (
     Triptych,
 )
 from facerender.measure.skin import skin_parts
-from facerender.pricing import amd, cost
+from facerender.pricing import cost
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import Variant, lobe_terms, of_model, terms
 from facerender.scenes.camera import Camera
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
 from facerender.shading import SMALL_SLOPE, Shading
-from facerender.system.progress import Progress, unheard
+from facerender.system.progress import Progress, no_progress
 from facerender.terms import LOBES
 
 SLOPES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
@@ -54,7 +53,7 @@ def measure(
     m: float = 0.3,
     quick: bool = False,
     backend: Backend = "auto",
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
 ) -> tuple[Measurement, list[Triptych]]:
     """Measure what every form and lobe of both models, and numbers of samples, cost and lose, on
     this machine.
@@ -75,79 +74,69 @@ def measure(
     plain = mesh.with_material(m=m, roughness_map=None)
     start_maps(plain)
     scene = Scene(plain, Camera(azimuth=-35.0, elevation=4.0))
-    slopes = sorted({*SLOPES, m})
-    statistics, not_measured = _statistics(progress)
+    settings = Settings(mesh.name, m, size, repeats, quick)
     measured: list[MeasuredVariant] = []
     triptychs: list[Triptych] = []
     for model in MODELS:
-
-        def stage(what: str, model: str = model) -> Callable[[float], object]:
-            return partial(progress, f"{model}: {what}")
-
-        term_ns = cost.by_slope(terms(model), cost.OF_VECTORS, repeats, backend, stage("terms"))
-        lobe_ns: dict[str, Interval] = {}
-        if not quick:
-            lobe_ns = cost.by_slope(
-                lobe_terms(model), cost.OF_COSINE, repeats, backend, stage("lobes")
-            )
-        drawn = [variant for variant in _drawn(model) if _inside(variant, m)]
-        # m alone: a wider one may leave a lobe's domain
-        shadings = [replace(variant.shading, slope_filter=False) for variant in drawn]
-        frames = cost.frames(scene, shadings, size, repeats, backend, stage("frames"))
-        frame_ms = dict(zip(drawn, frames, strict=True))
-        renderings = error.image_errors(scene, shadings, size, backend)
-        images = dict(zip(drawn, renderings.errors, strict=True))
-        triptychs += _triptychs(drawn, renderings)
-        for variant in of_model(model):
-            if variant.plain and m < SMALL_SLOPE:
-                continue
-            costs = Costs(
-                lobe_ns.get(variant.name),
-                term_ns[variant.name],
-                frame_ms.get(variant),
-                statistics["navi21"].get(variant),
-                statistics["vega10"].get(variant),
-            )
-            errors = _errors(variant, slopes, images.get(variant))
-            measured.append(MeasuredVariant(variant, costs, errors))
+        rows, images = _model(model, scene, settings, backend, progress)
+        measured += rows
+        triptychs += images
     progress("samples", 0.0)
     with Renderer(size, backend=backend) as renderer:
         samples = antialiasing(renderer, scene, repeats=repeats)
         progress("skin", 0.0)
         skin = skin_parts(renderer, scene, repeats)
+    not_measured = []
     if any(row.error.image and row.error.image.flip is None for row in measured):
         not_measured.append("FLIP needs flip-evaluator: pip install 'facerender[measure]'")
     measurement = Measurement(
         environment(backend),
-        amd.driver() if any(statistics.values()) else None,
-        Settings(mesh.name, m, size, repeats, quick),
+        settings,
         measured,
         samples,
         DEGREES.tolist(),
-        {model: _curves(model, slopes) for model in MODELS},
+        {model: _curves(model, _slopes(m)) for model in MODELS},
         not_measured,
         skin,
     )
     return measurement, triptychs
 
 
-def _statistics(
-    progress: Progress,
-) -> tuple[dict[str, dict[Variant, amd.Statistics]], list[str]]:
-    """What AMD's compiler says by family, and why it does not."""
-    statistics: dict[str, dict[Variant, amd.Statistics]] = {family: {} for family in amd.FAMILIES}
-    not_measured = []
-    for number, family in enumerate(amd.FAMILIES):
-        progress("compiler statistics", number / len(amd.FAMILIES))
-        try:
-            rows = {model: amd.statistics(terms(model), family) for model in MODELS}
-        except NotMeasured as why:
-            not_measured.append(f"{family}: {why}")
-            continue
-        statistics[family] = {
-            variant: rows[model][variant.name] for model in MODELS for variant in of_model(model)
-        }
-    return statistics, not_measured
+def _model(
+    model: str, scene: Scene, settings: Settings, backend: Backend, progress: Progress
+) -> tuple[list[MeasuredVariant], list[Triptych]]:
+    """Measure all variants of a model."""
+
+    def step(what: str) -> Callable[[float], object]:
+        return partial(progress, f"{model}: {what}")
+
+    m, size, repeats = settings.m, settings.size, settings.repeats
+    term_ns = cost.by_slope(terms(model), cost.OF_VECTORS, repeats, backend, step("terms"))
+    lobe_ns: dict[str, Interval] = {}
+    if not settings.quick:
+        lobe_ns = cost.by_slope(lobe_terms(model), cost.OF_COSINE, repeats, backend, step("lobes"))
+    rendered = [variant for variant in _standard(model) if _inside(variant, m)]
+    # Without the slope filter: a wider slope may leave a lobe's domain.
+    shadings = [replace(variant.shading, slope_filter=False) for variant in rendered]
+    frames = cost.frames(scene, shadings, size, repeats, backend, step("frames"))
+    frame_ms = dict(zip(rendered, frames, strict=True))
+    renderings = error.image_errors(scene, shadings, size, backend)
+    images = dict(zip(rendered, renderings.errors, strict=True))
+    measured = [
+        MeasuredVariant(
+            variant,
+            Costs(lobe_ns.get(variant.name), term_ns[variant.name], frame_ms.get(variant)),
+            _errors(variant, _slopes(m), images.get(variant)),
+        )
+        for variant in of_model(model)
+        if not variant.plain or m >= SMALL_SLOPE
+    ]
+    return measured, _triptychs(rendered, renderings)
+
+
+def _slopes(m: float) -> list[float]:
+    """Return the slopes at which errors of lobe and BRDF are measured."""
+    return sorted({*SLOPES, m})
 
 
 def environment(backend: Backend = "auto") -> Environment:
@@ -177,7 +166,7 @@ def _processor() -> str:
     return next(names, platform.machine())
 
 
-def _drawn(model: str) -> list[Variant]:
+def _standard(model: str) -> list[Variant]:
     return [variant for variant in of_model(model) if variant.standard]
 
 
@@ -220,12 +209,12 @@ def _curves(model: str, slopes: Sequence[float]) -> Curves:
             for m in slopes
             if _inside(variant, m)
         }
-        for variant in _drawn(model)
+        for variant in _standard(model)
         if variant.lobe != "exact"
     }
 
 
-def _triptychs(drawn: Sequence[Variant], renderings: error.Renderings) -> list[Triptych]:
+def _triptychs(rendered: Sequence[Variant], renderings: error.Renderings) -> list[Triptych]:
     reference = renderings.reference.astype(np.float32)
     return [
         Triptych(
@@ -235,6 +224,6 @@ def _triptychs(drawn: Sequence[Variant], renderings: error.Renderings) -> list[T
             encode_srgb8(image),
             encode_srgb8(MAGNIFIED * np.abs(image - reference)),
         )
-        for variant, image in zip(drawn, renderings.images, strict=True)
+        for variant, image in zip(rendered, renderings.images, strict=True)
         if variant.lobe != "exact"
     ]

@@ -6,10 +6,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from facerender.measure.imported import Imported
 from facerender.measure.measurement import MODELS, BySlope, ImageError, Lost, Measurement, Sampled
-from facerender.measure.pareto import KINDS, TERM, CostKind, Row, measure_of, pareto
-from facerender.pricing.amd import Statistics
+from facerender.measure.pareto import KINDS, CostKind, Row, measure_of, pareto
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import Variant
 
@@ -19,12 +17,6 @@ ERRORS = {
 }
 NOT_MEASURED = "not measured"
 _LEFT = ("variant", "lobe", "remark", "shading")  # columns of words, not of numbers
-_EXTRA = {
-    "term_ns": ("95 % interval", "lobe alone, ns"),
-    "frame_ms": ("95 % interval",),
-    "navi21": ("instructions", "latency, cycles"),
-    "vega10": ("instructions", "latency, cycles"),
-}
 _IMAGE_HEAD = (
     "lobe",
     "largest, %",
@@ -69,13 +61,6 @@ class Table:
         row = "  " + "  ".join(map("{{:{}{}}}".format, signs, widths))
         return "\n".join([self.title, self.note, *(row.format(*line).rstrip() for line in lines)])
 
-    def markdown(self) -> str:
-        """Lay it out under a heading of the third level."""
-        if not self.rows:
-            return f"### {self.title}\n\nNot measured."
-        marks = ["---" if name in _LEFT else "---:" for name in self.head]
-        return f"### {self.title}\n\n{self.note}\n\n{markdown_table(self.head, self.rows, marks)}"
-
 
 def markdown_table(
     head: Sequence[str], rows: Sequence[Sequence[str]], marks: Sequence[str] = ()
@@ -88,10 +73,11 @@ def markdown_table(
 def cost_tables(measurement: Measurement) -> list[Table]:
     """Return one for each kind of cost and each model, cheapest first; one without rows for a kind
     that was not measured at all."""
-    return [table for kind in KINDS for table in _cost_tables(measurement, kind)]
+    return [table for kind in KINDS for table in tables_of(measurement, kind)]
 
 
-def _cost_tables(measurement: Measurement, kind: CostKind) -> list[Table]:
+def tables_of(measurement: Measurement, kind: CostKind) -> list[Table]:
+    """Return the table of each model at one kind of cost; one without rows if nothing has it."""
     tables = []
     for model, title in MODELS.items():
         rows = pareto(measurement, model, kind)
@@ -101,7 +87,7 @@ def _cost_tables(measurement: Measurement, kind: CostKind) -> list[Table]:
                 Table(
                     f"{title}, m = {measurement.settings.slope}: {kind.title}",
                     f"Error: {ERRORS[measure_of(measurement, model)]}.",
-                    ["variant", "remark", kind.unit, "of exact", "error, %", *_EXTRA[kind.field]],
+                    ["variant", "remark", kind.unit, "of exact", "error, %", *kind.columns],
                     [_cost_cells(row, kind, exact) for row in rows],
                     [row.variant.name for row in rows if row.dominated],
                 )
@@ -109,21 +95,13 @@ def _cost_tables(measurement: Measurement, kind: CostKind) -> list[Table]:
     return tables or [Table(kind.title[0].upper() + kind.title[1:])]
 
 
-def _cost_cells(row: Row, kind: CostKind, exact: float | None) -> list[str]:
-    match row.figure:
-        case Interval(_, low, high):
-            extra = [f"{_number(low)} to {_number(high)}"]
-            if kind is TERM:
-                lobe = row.measured.cost.lobe_ns
-                extra.append(_number(lobe.value if lobe else None))
-        case Statistics(instructions, latency):
-            extra = [_number(instructions), _number(latency)]
-        case None:
-            extra = [""] * len(_EXTRA[kind.field])
-    ratio = f"{row.cost / exact:.2f}" if row.cost is not None and exact else ""
+def _cost_cells(row: Row, kind: CostKind, exact: Interval | None) -> list[str]:
+    cost = row.cost.value if row.cost else None
+    ratio = f"{cost / exact.value:.2f}" if cost is not None and exact else ""
     remarks = ["as printed"] * row.variant.printed + ["dominated"] * row.dominated
     error = _number(row.error, NOT_MEASURED if row.variant.printed else "outside the domain")
-    return [row.variant.name, ", ".join(remarks), _number(row.cost), ratio, error, *extra]
+    extra = [_cell(value(row.measured)) if row.cost else "" for value in kind.columns.values()]
+    return [row.variant.name, ", ".join(remarks), _number(cost), ratio, error, *extra]
 
 
 def error_tables(measurement: Measurement) -> list[Table]:
@@ -174,7 +152,8 @@ def sample_cells(sampled: Sampled) -> list[str]:
     lost: list[Lost] = [sampled.silhouette, sampled.inside]
     steps = [255.0 * share for each in lost for share in (each.mean, each.percentile)]
     figures = (sampled.time.value, *steps, 100.0 * sampled.inside.over)
-    name = f"{sampled.samples}, shaded once" if sampled.once else str(sampled.samples)
+    name = f"{sampled.samples}, per-pixel shading"
+    name = name if sampled.shading_rate == "pixel" else str(sampled.samples)
     return [name, *(_number(figure) for figure in figures)]
 
 
@@ -189,35 +168,6 @@ def skin_table(measurement: Measurement) -> Table:
         "Parts of skin: {} x {}".format(*measurement.settings.size),
         "Frames over the part's first setting; errors of the displayed image against its last.",
         SKIN_HEAD,
-        rows,
-    )
-
-
-def import_tables(measurement: Measurement) -> list[Table]:
-    """Return one for each import, under its GPU's name: what pictures cost there."""
-    return [_import_table(imported) for imported in measurement.imports]
-
-
-def _import_table(imported: Imported) -> Table:
-    apart = imported.difference
-    unsure = apart.low <= 0.0 <= apart.high
-    costs = {
-        "without highlights": imported.base,
-        f"A: {imported.shadings['a']}": imported.a,
-        f"B: {imported.shadings['b']}": imported.b,
-        "B less A": apart,
-    }
-    rows = []
-    for name, spread in costs.items():
-        median = "not told apart" if spread is apart and unsure else _number(spread.median)
-        rows.append([name, median, f"{_number(spread.low)} to {_number(spread.high)}"])
-    width, height = imported.size
-    return Table(
-        f"{imported.gpu}, in the explorer",
-        f"Milliseconds of a picture of {imported.mesh}, {width} x {height}, samples:"
-        f" {imported.samples}, by {imported.method}: median and middle half of the rounds."
-        f" Its link: #{imported.link}",
-        ("shading", "ms", "middle half, ms"),
         rows,
     )
 
@@ -237,6 +187,12 @@ def _image_cells(error: ImageError | None) -> list[str]:
     percent = [100.0 * share for share in (error.largest, error.percentile, error.block)]
     others = (error.point, error.steps, error.steps_percentile, error.flip)
     return [_number(value) for value in (*percent, *others)]
+
+
+def _cell(value: float | Interval | None) -> str:
+    if isinstance(value, Interval):
+        return f"{_number(value.low)} to {_number(value.high)}"
+    return _number(value)
 
 
 def _number(value: float | None, missing: str = NOT_MEASURED) -> str:

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from facerender.comparison import flip
 from facerender.comparison.blocks import FLOOR
-from facerender.errors import InputError, check_range
+from facerender.errors import InputError
 from facerender.images.srgb import linear_to_srgb
+from facerender.terms.ranges import EXPOSURES
 
 Unit = Literal["display", "relative", "flip"]
 Float = NDArray[np.float64]
@@ -61,7 +62,7 @@ class Budget:
             share = 0.0
         if not 0.0 < share <= 1.0:
             raise InputError(f"within {within}: give a share of the pixels such as 99.9% or 0.999")
-        check_range("exposure", exposure, -100.0, 100.0)
+        EXPOSURES.check("exposure", exposure)
         remedy = "give a share of the display's range such as 1/255, 0.5%, or 0.02 flip"
         match = _GIVEN.fullmatch(str(given).strip())
         try:
@@ -98,22 +99,6 @@ class Budget:
     def spared(self, covered: int) -> int:
         """Return how many pixels of an image that covers so many may be over the limit."""
         return covered - math.ceil(Fraction(str(self.within)) * covered)
-
-    def bound(self, radiance: float) -> float:
-        """Return the largest error that a change of the radiance by this much can make: on black,
-        where both the display's curve and a relative error rise most.
-
-        Raises
-        ------
-        InputError : FLIP, which depends on the whole image
-        """
-        if self.unit == "flip":
-            raise InputError(
-                "FLIP has no bound over all views: give a budget such as 1/255 or 0.5%"
-            )
-        if self.unit == "relative":
-            return radiance / FLOOR
-        return float(self._displayed(np.array(radiance)))
 
     @property
     def share(self) -> str:

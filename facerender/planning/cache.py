@@ -17,7 +17,7 @@ from facerender.drawing.renderer import Renderer
 from facerender.planning.budget import Budget
 from facerender.planning.plan import plan
 from facerender.pricing.table import TABLE
-from facerender.scenes.planned import Detail
+from facerender.scenes.planned import LevelOfDetail
 from facerender.scenes.scene import Scene
 from facerender.scenes.texture import Texture
 from facerender.shading import Shading
@@ -42,7 +42,7 @@ def planned(
         if cache and (content := disk_cache.read("plans", name)) is not None:
             kept: dict[str, Any] = json.loads(bytes(content))
             Shading.from_dict(kept["shading"]).check_lights(len(scene.lights))
-            Detail(**kept["detail"])
+            LevelOfDetail(**kept["detail"])
             if isinstance(kept["text"], str):
                 return kept
     made = plan(scene, budget, full=full, exposure=exposure, within=within, renderer=renderer)

@@ -59,13 +59,12 @@ def decisions(
     shading: Shading,
     error: Callable[[Shading], float],
     otherwise: Callable[[Shading], float],
-    might: str,
 ) -> Iterator[Decision]:
     """Tell of each decision of a shading.
 
     Parameters
     ----------
-    error, otherwise : give the error of a shading, the second one as far as might says
+    error, otherwise : give the error of a shading, the second one at least
     """
     made = groups(shading, choice.full)
     for name in DECISIONS:
@@ -73,22 +72,22 @@ def decisions(
             yield _made(choice, shading, name, made[name], error)
         elif any(name in names for names in made.values()):
             continue  # told with another
-        elif (kept := _kept(choice, shading, name, otherwise, might)) is not None:
+        elif (kept := _kept(choice, shading, name, otherwise)) is not None:
             yield kept
 
 
 def details(choice: Choice, drawn: Drawn) -> Iterator[Decision]:
-    """Tell of backs, samples, how often pixels are shaded, and triangles."""
+    """Yield the decisions on back faces, samples, shading rate and triangles."""
     if choice.frames is None:
         return
     taken, before = choice.frames.taken, "full"
-    for name in ("backs", "samples", "once", "triangles"):
+    for name in ("cull_back_faces", "samples", "shading_rate", "triangles"):
         saved = (taken[before] - taken[name]) / taken["full"]
         before = name
         own, full = (getattr(detail, name) for detail in (drawn.detail, drawn.finest))
         if own != full:
             alone_ = replace(drawn.finest, **{name: own})
-            if name == "once":  # which needs the driver's samples
+            if name == "shading_rate":  # which needs the driver's samples
                 alone_ = replace(alone_, samples=drawn.detail.samples)
             added = max(within for _, within in drawn.errors(choice.full, alone_))
             chosen, other = (_detail(name, each, drawn) for each in (own, full))
@@ -105,11 +104,9 @@ def details(choice: Choice, drawn: Drawn) -> Iterator[Decision]:
             yield Decision(name, False, chosen, other, error, 0.0, text)
 
 
-def _detail(name: str, value: int | None, drawn: Drawn) -> str:
-    if name == "backs":
-        return "drawn" if value else "left out"
-    if name == "once":
-        return "a pixel" if value else "a triangle"
+def _detail(name: str, value: int | str | None, drawn: Drawn) -> str:
+    if name == "cull_back_faces":
+        return "culled" if value else "drawn"
     return str(value or drawn.triangles)
 
 
@@ -135,7 +132,6 @@ def _kept(
     shading: Shading,
     name: str,
     otherwise: Callable[[Shading], float],
-    might: str,
 ) -> Decision | None:
     own = choice.total(shading)
     names = SINGLE if name == "two lobes" else (name,)
@@ -158,7 +154,7 @@ def _kept(
     nearest = others[errors.index(min(errors))]
     chosen, other = (_words(choice.scene, each, names) for each in (shading, nearest))
     saved = choice.saved(nearest, shading)
-    text = f"{chosen}: {other} {might} {choice.budget.text(min(errors))}, and save "
+    text = f"{chosen}: {other} would err by at least {choice.budget.text(min(errors))}, and save "
     text += _share(choice, name, saved)
     return Decision(name, False, chosen, other, min(errors), saved, text, values(nearest, names))
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.passes.visibility import pays
+from facerender.drawing.passes.visibility import deferred_is_cheaper
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.planning.budget import Budget, highest_but
 from facerender.planning.candidates import alone, groups, values
-from facerender.scenes.planned import Detail
+from facerender.scenes.planned import LevelOfDetail
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
@@ -33,18 +33,17 @@ class Place:
     renderer: Renderer
 
 
-def draw(place: Place, shading: Shading, detail: Detail) -> NDArray[np.float32]:
+def draw(place: Place, shading: Shading, detail: LevelOfDetail) -> NDArray[np.float32]:
     """Return the linear image (H, W, 4) of a place."""
-    scene = detail.of(place.scene)
-    samples, backs, once = detail.samples, detail.backs, detail.once
-    return place.renderer.render(scene, shading, None, samples, backs, once).linear
+    scene, values = detail.of(place.scene), detail.values
+    return place.renderer.render(scene, shading, **values).linear
 
 
 def _saves_shading(place: Place, samples: int) -> bool:
-    """Tell whether frames can be shaded once a pixel, and are known to be cheaper then."""
+    """Tell whether per-pixel shading is possible, and known to be cheaper."""
     scene, renderer = place.scene, place.renderer
-    known = pays(scene, renderer.size, samples, renderer.context.renderer)
-    return known and renderer.can_shade_once(scene, samples)
+    known = deferred_is_cheaper(scene, renderer.size, samples, renderer.context.renderer)
+    return known and renderer.can_shade_per_pixel(scene, samples)
 
 
 class Scattered:
@@ -88,25 +87,25 @@ class Drawn:
     def __init__(self, places: Sequence[Place], full: Shading, budget: Budget) -> None:
         self.places, self.full, self.budget = places, full, budget
         self.triangles = sum(len(part.faces) for part in places[0].scene.mesh.parts)
-        self.finest = self.detail = Detail(places[0].renderer.samples, None)
+        self.finest = self.detail = LevelOfDetail(places[0].renderer.samples, None)
         self.exact = [draw(place, full, self.finest).astype(np.float64) for place in places]
-        self.coarser: list[tuple[Detail, float]] = []
+        self.coarser: list[tuple[LevelOfDetail, float]] = []
         self.failed: list[tuple[Sequence[str], dict[str, Any]]] = []
 
     def coarsen(self) -> None:
-        """Take away backs of triangles, samples, all but one shading of a pixel, and then half of
+        """Take away back faces, samples, all but one shading of a pixel, and then half of
         the triangles again and again, as long as the full shading stays within the budget."""
-        self._first([replace(self.detail, backs=False)])
+        self._first([replace(self.detail, cull_back_faces=True)])
         samples = [count for count in (4, 1) if count < self.finest.samples]
         self._first(replace(self.detail, samples=count) for count in reversed(samples))
         if all(_saves_shading(place, self.detail.samples) for place in self.places):
-            self._first([replace(self.detail, once=True)])
+            self._first([replace(self.detail, shading_rate="pixel")])
         count = self.triangles // 2
         with suppress(InputError):  # without their package there are no levels of detail
             while count >= _FEWEST and self._first([replace(self.detail, triangles=count)]):
                 count //= 2
 
-    def _first(self, details: Iterable[Detail]) -> bool:
+    def _first(self, details: Iterable[LevelOfDetail]) -> bool:
         for detail in details:
             error = max(within for _, within in self.errors(self.full, detail))
             if error <= self.budget.limit:
@@ -132,7 +131,7 @@ class Drawn:
         return all(error <= self.budget.limit for _, error in self.errors(shading))
 
     def errors(
-        self, shading: Shading, detail: Detail | None = None
+        self, shading: Shading, detail: LevelOfDetail | None = None
     ) -> Iterator[tuple[float, float]]:
         """Yield of each image the largest error, and the one that the budget counts. Errors beside
         what the full frame covers count as well: FLIP looks around each pixel.
@@ -143,7 +142,7 @@ class Drawn:
             spared = self.budget.spared(int(np.count_nonzero(exact[..., 3])))
             yield float(errors.max()), highest_but(errors, spared)
 
-    def maps(self, shading: Shading, detail: Detail | None = None) -> Iterator[Float]:
+    def maps(self, shading: Shading, detail: LevelOfDetail | None = None) -> Iterator[Float]:
         """Yield the error of every pixel (H, W) of each image; detail as of :meth:`errors`."""
         for place, exact in zip(self.places, self.exact, strict=True):
             image = draw(place, shading, detail or self.detail)[..., :3].astype(np.float64)

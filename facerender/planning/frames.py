@@ -11,7 +11,7 @@ from facerender.planning.drawn import Drawn, draw
 from facerender.planning.search import Choice
 from facerender.pricing.frame import Frames, Line, ratio, seconds
 from facerender.pricing.interval import Interval
-from facerender.scenes.planned import Detail
+from facerender.scenes.planned import LevelOfDetail
 from facerender.shading import Shading
 
 _PLACES, _REPEATS, _VERIFY = 3, 5, 15
@@ -23,19 +23,21 @@ def measured_frames(choice: Choice, drawn: Drawn) -> Frames:
     fragments."""
     full, cheap = choice.full, choice.ordered[0]
     steps = {"full": drawn.finest}
-    steps["backs"] = replace(drawn.finest, backs=drawn.detail.backs)
-    steps["samples"] = replace(steps["backs"], samples=drawn.detail.samples)
-    steps["once"] = replace(steps["samples"], once=drawn.detail.once)
+    steps["cull_back_faces"] = replace(drawn.finest, cull_back_faces=drawn.detail.cull_back_faces)
+    steps["samples"] = replace(steps["cull_back_faces"], samples=drawn.detail.samples)
+    steps["shading_rate"] = replace(steps["samples"], shading_rate=drawn.detail.shading_rate)
     steps["triangles"] = drawn.detail
     asked = {(detail, full) for detail in steps.values()}
     asked |= {(detail, cheap) for detail in (drawn.finest, drawn.detail)}
     frames = sorted(asked, key=lambda frame: frame[1] is not full)
     draws = [_frame(drawn, *frame) for frame in frames]
     medians = 1e3 * np.median(seconds(draws, _REPEATS), axis=0)
-    times: dict[tuple[Detail, Shading], float] = dict(zip(frames, medians.tolist(), strict=True))
+    times: dict[tuple[LevelOfDetail, Shading], float] = dict(
+        zip(frames, medians.tolist(), strict=True)
+    )
     prices = choice.total(full), choice.total(cheap)
 
-    def line(detail: Detail) -> Line:
+    def line(detail: LevelOfDetail) -> Line:
         own = times[detail, full], times[detail, cheap]
         return Line.through((prices[0], own[0]), (prices[1], own[1]))
 
@@ -51,7 +53,7 @@ def verified(full: Shading, shading: Shading, drawn: Drawn) -> Interval:
     return ratio(own, _frame(drawn, drawn.finest, full), _VERIFY)
 
 
-def _frame(drawn: Drawn, detail: Detail, shading: Shading) -> Callable[[], object]:
+def _frame(drawn: Drawn, detail: LevelOfDetail, shading: Shading) -> Callable[[], object]:
     """What draws a frame at some of the places, one after the other."""
     step = max(len(drawn.places) // _PLACES, 1)
     seen = drawn.places[::step][:_PLACES]

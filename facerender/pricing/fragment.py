@@ -1,30 +1,22 @@
-"""What the parts of the host's fragment program cost, apart from specular terms, in the units in
-which ``amd.statistics`` and ``cost.by_slope`` price those.
-
-    python -m facerender.pricing.fragment
-
-Needs what ``amd`` needs, and OpenGL; what is missing is not measured.
-"""
+"""The cost of the parts of the renderer's fragment program, apart from specular terms. ``by_slope``
+measures them here; ``samples`` are the programs whose costs give those of the parts."""
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import moderngl
 import numpy as np
 from PIL import Image
 
-from facerender.drawing.context import Backend, create_context
+from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.passes import Draw, Target
 from facerender.drawing.passes.shadow import shadow_passes
 from facerender.drawing.program import (
-    ATTRIBUTES,
     ENVIRONMENT_MAP,
     Lighting,
     Program,
@@ -33,11 +25,9 @@ from facerender.drawing.program import (
     shade_program,
 )
 from facerender.drawing.resources import Resources, set_uniforms
-from facerender.errors import FacerenderError
-from facerender.pricing import amd
 from facerender.pricing.cost import clock_of, slopes
 from facerender.pricing.interval import Interval
-from facerender.pricing.variants import SLOPE
+from facerender.pricing.variants import INPUTS, SLOPE
 from facerender.scenes.environment import Environment, studio
 from facerender.scenes.light import LIGHT_KINDS
 from facerender.scenes.material import PROPERTY_MAPS, Material
@@ -50,7 +40,7 @@ from facerender.shading import Shading
 SIZE = (512, 256)
 FEW = 2  # samples of the environment: so few that compilers unroll their loop
 SHADOWS = tuple(sorted({kind.shadow_price for kind in LIGHT_KINDS.values()}))
-Timed = Callable[[int], float]  # draws as often as it is told, and returns the seconds
+Timed = Callable[[int], float]  # draws a number of times and returns the seconds
 
 # A triangle that fills the target with a patch of a curved surface, clockwise, as the host draws
 # its front; a texel and a half to a pixel.
@@ -166,10 +156,10 @@ def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
 
     Parameters
     ----------
-    shading : whose specular terms the programs have. With None ``amd.EMPTY`` is in their place,
-        which keeps alive what only a specular term reads, and which ``amd`` takes off a term's
-        cost: the cost of a specular part is what the program spends besides the term, whose own
-        cost comes on top; that overrates several terms by what they share
+    shading : whose specular terms the programs have. With None ``INPUTS`` is in their place,
+        which keeps the inputs of a specular term alive and which a term's own cost is net of:
+        the cost of a specular part is that of the program without the term, whose own cost comes
+        on top; this overrates several terms by the work that they share
     """
     albedo = ("albedo_map",)
     others: list[dict[str, Any]] = [{kind: 1} for kind in LIGHT_KINDS if kind != "directional"]
@@ -189,7 +179,7 @@ def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
         scene_with((*albedo, *PROPERTY_MAPS), ambient=True),
     ]
     around = scene_with(environment=True)
-    stub = "" if shading else amd.EMPTY
+    stub = "" if shading else INPUTS
     return [
         *((scene, program_of(scene)) for scene in dull),
         *((scene, program_of(scene, coupled=True)) for scene in dull[:2]),
@@ -198,47 +188,15 @@ def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
     ]
 
 
+# The names of the parts, and the matrix from the costs of the samples to the costs of the parts.
 PARTS = tuple(parts_of(program_of(scene_with())))
-_TO_PARTS = np.linalg.inv([list(parts_of(program).values()) for _, program in samples()])
+TO_PARTS = np.linalg.inv([list(parts_of(program).values()) for _, program in samples()])
 
 
 def estimate(program: Program, parts: Mapping[str, float]) -> float:
     """Return a program's cost from the costs of the parts; where those are without a shading, each
     specular term's own cost comes on top."""
     return sum(count * parts[name] for name, count in parts_of(program).items())
-
-
-def by_compiler(family: str, shading: Shading | None = None) -> dict[str, float]:
-    """Return the cost of each part on a family of AMD's GPUs, as RADV estimates it.
-
-    A map costs what the vector ALU does for it: the compiler knows neither the filter's rate nor
-    the cache.
-
-    Parameters
-    ----------
-    family : "navi21" (RDNA2) or "vega10" (GCN5)
-    shading : see :func:`samples`
-
-    Returns
-    -------
-    cycles of a wave, as ``inverse_throughput`` of :class:`amd.Statistics`
-
-    Raises
-    ------
-    InputError : an unknown family
-    NotMeasured : a tool is missing; the message says which, and how to get it
-    """
-    estimates = cycles([program for _, program in samples(shading)], family)
-    return dict(zip(PARTS, map(float, _TO_PARTS @ estimates), strict=True))
-
-
-def cycles(programs: Sequence[Program], family: str) -> list[int]:
-    """Return RADV's estimate of whole programs; unit and errors as in :func:`by_compiler`."""
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        modules = list(pool.map(lambda program: amd.spirv(**program.sources("450")), programs))
-    attributes = list(ATTRIBUTES.values())[:3]  # of a part without values at vertices
-    rows = amd.compile_programs(modules, family, attributes)[1]
-    return [row["Inverse Throughput"] for row in rows]
 
 
 def by_slope(
@@ -267,41 +225,20 @@ def by_slope(
     ------
     ContextError : no OpenGL context
     """
-    net = np.column_stack([_TO_PARTS, -_TO_PARTS.sum(axis=1)])
+    net = np.column_stack([TO_PARTS, -TO_PARTS.sum(axis=1)])
     context = create_context(backend)
     try:
         with context.drawing() as gl:
             resources = Resources(context, SIZE)
-            clock = clock_of(context)
-
-            def run(scene: Scene, source: Program, own: moderngl.Program) -> Timed:
-                (part,), (material,) = scene.mesh.parts, scene.mesh.materials
-                lighting = Lighting.of(scene, Shading())
-                set_uniforms(own, scene_uniforms(scene, _VIEW, lighting))
-                set_uniforms(own, part_uniforms(part, material))
-                draw = Draw(source, {}, part, material)
-                drawn: Any = {
-                    step.name: resources.draw(step, scene.mesh, {}).color_attachments[0]
-                    for step in shadow_passes(scene, lighting)
-                }
-                if scene.environment is not None:
-                    drawn[ENVIRONMENT_MAP] = resources.environment(scene.environment.panorama)
-                array = resources.geometry(part, scene.mesh).array(gl, own)
-
-                def seconds(count: int) -> float:
-                    resources.bind(own, draw, drawn)
-                    with clock(gl) as elapsed:
-                        array.render(instances=count)
-                    return elapsed[0]
-
-                return seconds
-
             with gl.scope(resources.target(Target()), enable_only=moderngl.BLEND):
                 gl.blend_func = moderngl.ONE, moderngl.ONE
                 pairs = samples(shading)
-                runs = [run(scene, source, resources.program(source)) for scene, source in pairs]
-                vertex = pairs[0][1].sources("330 core")["vert"]
-                runs.append(run(*pairs[0], gl.program(vertex, _EMPTY)))
+                runs = [
+                    _timed(context, resources, scene, source, resources.program(source))
+                    for scene, source in pairs
+                ]
+                empty = gl.program(pairs[0][1].sources("330 core")["vert"], _EMPTY)
+                runs.append(_timed(context, resources, *pairs[0], empty))
                 intervals = slopes(runs, 2, 1e9 / (SIZE[0] * SIZE[1]) * net, repeats, progress)
             resources.release()
     finally:
@@ -309,20 +246,28 @@ def by_slope(
     return dict(zip(PARTS, intervals, strict=True))
 
 
-def main() -> None:
-    """Print what can be measured, and what cannot."""
-    measures: dict[str, Callable[[], Mapping[str, float]]] = {
-        **{f"{family}, cycles": partial(by_compiler, family) for family in amd.FAMILIES},
-        "here, ns": lambda: {name: each.value for name, each in by_slope().items()},
+def _timed(
+    context: Context, resources: Resources, scene: Scene, source: Program, program: moderngl.Program
+) -> Timed:
+    """Return a function that draws the first part of a scene with a program."""
+    (part,), (material,) = scene.mesh.parts, scene.mesh.materials
+    lighting = Lighting.of(scene, Shading())
+    set_uniforms(program, scene_uniforms(scene, _VIEW, lighting))
+    set_uniforms(program, part_uniforms(part, material))
+    draw = Draw(source, {}, part, material)
+    textures: Any = {
+        step.name: resources.draw(step, scene.mesh, {}).color_attachments[0]
+        for step in shadow_passes(scene, lighting)
     }
-    for title, measure in measures.items():
-        print(title)
-        try:
-            for name, value in measure().items():
-                print(f"  {name:<24}{value:8.2f}")
-        except FacerenderError as error:
-            print(f"  not measured: {error}")
+    if scene.environment is not None:
+        textures[ENVIRONMENT_MAP] = resources.environment(scene.environment.panorama)
+    array = resources.geometry(part, scene.mesh).array(context.gl, program)
+    clock = clock_of(context)
 
+    def seconds(count: int) -> float:
+        resources.bind(program, draw, textures)
+        with clock(context.gl) as elapsed:
+            array.render(instances=count)
+        return elapsed[0]
 
-if __name__ == "__main__":
-    main()
+    return seconds

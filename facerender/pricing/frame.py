@@ -76,8 +76,8 @@ class Frames:
     Attributes
     ----------
     full, own : by shading, with the full detail and with the one that was chosen
-    taken : milliseconds with the full shading: "full", with the "backs" that were chosen, then with
-        the "samples", shaded "once", and then with the "triangles"
+    taken : milliseconds with the full shading: "full", with the "cull_back_faces" that was chosen,
+        then with "samples", "shading_rate" and "triangles"
     source : where they are from, in words
     """
 

@@ -5,20 +5,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from facerender.drawing.passes.scatter import scatter_pass
 from facerender.pricing.cost import frames
 from facerender.scenes.camera import Camera
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh, Part
-from facerender.scenes.scattering import Scattering
 from facerender.scenes.scene import Scene
-from facerender.scenes.view import view_of
 from facerender.shading import Shading
-from facerender.terms.scattering import PROFILES
 
 PARTS = ("scattering", "sample of scattering")
 _MEASURED = (8, 64)  # samples
-_COMPILED = (8, 16)  # whose loops RADV unrolls: it counts others once
 _SIZE = 512
 
 
@@ -36,27 +31,15 @@ def scene() -> Scene:
     return Scene(mesh, camera)
 
 
-def by_compiler(family: str) -> dict[str, float]:
-    """Return the cost of PARTS on a family of AMD's GPUs; unit and errors as of
-    :func:`facerender.pricing.fragment.by_compiler`."""
-    from facerender.pricing.fragment import cycles
-
-    wall = scene()
-    scattering = Scattering((PROFILES["skin"][2:],), (1,), 1.0, 1.0)
-    passes = [scatter_pass(view_of(wall, 1.0), scattering, count) for count in _COMPILED]
-    costs = cycles([each.draws[-1].program for each in passes], family)
-    return _parts(_COMPILED, [float(each) for each in costs])
-
-
 def by_frames(repeats: int = 9) -> dict[str, float]:
     """Measure the cost of PARTS here, in nanoseconds; errors as of
     :func:`facerender.pricing.cost.frames`."""
     shadings = [Shading(scatter_samples=count) for count in (0, *_MEASURED)]
     none, *both = frames(scene(), shadings, (_SIZE, _SIZE), repeats)
-    return _parts(_MEASURED, [1e6 * (each.value - none.value) / _SIZE**2 for each in both])
+    return parts(_MEASURED, [1e6 * (each.value - none.value) / _SIZE**2 for each in both])
 
 
-def _parts(samples: tuple[int, int], costs: list[float]) -> dict[str, float]:
-    """What two numbers of samples cost, in parts."""
+def parts(samples: tuple[int, int], costs: list[float]) -> dict[str, float]:
+    """Return the cost of PARTS from the costs of two numbers of samples."""
     each = (costs[1] - costs[0]) / (samples[1] - samples[0])
     return dict(zip(PARTS, (max(costs[0] - samples[0] * each, 0.0), each), strict=True))

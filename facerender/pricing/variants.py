@@ -10,6 +10,8 @@ from facerender.shading import SMALL_SLOPE, Shading
 from facerender.terms import LOBES, MODELS
 
 SLOPE = 0.3  # of the terms that are priced
+# The inputs of a term, added up: the cost of a term is net of the cost of this sum.
+INPUTS = "dot(l, v) + n.x + m * f0"
 
 # The models that the paper prints, and what texts call them.
 PRINTED = {model.name: model.title for model in MODELS.values() if model.printed}

@@ -8,8 +8,9 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from facerender.errors import InputError, check_count, check_range, check_type, is_count, shown
-from facerender.scenes.vectors import FARTHEST, Vector, is_number, vector
+from facerender.errors import InputError, check_type, shown
+from facerender.scenes.vectors import AZIMUTHS, ELEVATIONS, POSITIONS, Vector
+from facerender.terms.ranges import IntegerRange, Range, SizeRange, check_fields, ranged
 
 Frame = Literal["all", "head", "face"]
 Pose = tuple[float, float, float, float]
@@ -17,7 +18,6 @@ Pose = tuple[float, float, float, float]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 CAMERA_FILES = (".toml", ".json", ".npz")
 MOST_CAMERAS = 100_000
-MOST_PIXELS = 1 << 30  # a side
 _NOT_ROTATED = 1e-3  # of the nine numbers of a rotation, by rounding
 _PLACED = ("azimuth", "elevation", "zoom", "target", "position", "frame")  # by extrinsics
 
@@ -45,25 +45,21 @@ class Camera:
         shape
     """
 
-    azimuth: float = 0.0
-    elevation: float = 0.0
-    fov: float = 25.0
-    zoom: float = 1.0
-    target: Vector | None = None
-    position: Vector | None = None
+    azimuth: float = ranged(AZIMUTHS, 0.0)
+    elevation: float = ranged(ELEVATIONS, 0.0)
+    fov: float = ranged(Range(1.0, 150.0, "degrees"), 25.0)
+    zoom: float = ranged(Range(0.01, 1000.0), 1.0)
+    target: Vector | None = ranged(POSITIONS, None)
+    position: Vector | None = ranged(POSITIONS, None)
     frame: Frame = "all"
     extrinsics: tuple[Pose, Pose, Pose] | None = None
     intrinsics: tuple[Vector, Vector, Vector] | None = None
-    size: tuple[int, int] | None = None
+    size: tuple[int, int] | None = ranged(SizeRange(1, 1 << 30, "pixels"), None)
 
     def __post_init__(self) -> None:
-        ends = {"azimuth": (-3600, 3600), "elevation": (-90, 90), "fov": (1, 150)}
-        for name, (low, high) in (ends | {"zoom": (0.01, 1000)}).items():
-            check_range(f"camera {name}", getattr(self, name), low, high)
+        check_fields(self, "camera ")
+        for name in ("azimuth", "elevation", "fov", "zoom"):
             object.__setattr__(self, name, float(getattr(self, name)))
-        for name in ("target", "position"):
-            if (value := getattr(self, name)) is not None:
-                object.__setattr__(self, name, vector(f"camera {name}", value))
         if not (isinstance(self.frame, str) and self.frame in FRAMES):
             raise InputError(f"camera frame = {shown(self.frame)}: give {', '.join(FRAMES)}")
         for name, columns in (("extrinsics", 4), ("intrinsics", 3)):
@@ -98,12 +94,8 @@ class Camera:
             raise InputError(
                 f"camera fov = {self.fov} and intrinsics exclude each other: leave one out"
             )
-        size = self.size
-        sides = size if isinstance(size, tuple | list) else ()
-        if len(sides) != 2 or not all(is_count(side, MOST_PIXELS) for side in sides):
-            raise InputError(f"camera size = {shown(size)}: give width and height in pixels")
-        width, height = map(int, sides)
-        object.__setattr__(self, "size", (width, height))
+        assert self.size is not None
+        width, height = self.size
         k = np.array(self.intrinsics)
         focal, middle = k[[0, 1], [0, 1]] / (width, height), k[:2, 2] / (width, height)
         if k[2].tolist() != [0.0, 0.0, 1.0] or k[0, 1] or k[1, 0]:
@@ -125,7 +117,7 @@ def _matrix(name: str, value: Any, columns: int) -> tuple[tuple[float, ...], ...
     if not good or not all(
         isinstance(row, tuple | list)
         and len(row) == columns
-        and all(is_number(each) and abs(each) <= FARTHEST for each in row)
+        and all(each in POSITIONS for each in row)
         for row in rows
     ):
         raise InputError(f"{name} = {shown(value)}: give 3 rows of {columns} numbers")
@@ -140,7 +132,7 @@ def turntable(camera: Camera = Camera(), count: int = 8) -> tuple[Camera, ...]:
     InputError : no camera, a count that is no whole number in [1, 100000]
     """
     check_type("camera", camera, Camera, "a facerender.Camera")
-    check_count("count", count, MOST_CAMERAS)
+    count = IntegerRange(1, MOST_CAMERAS).check("count", count)
     turns = (camera.azimuth + 360.0 * turn / count for turn in range(count))
     return tuple(orbiting(camera, azimuth=azimuth) for azimuth in turns)
 

@@ -10,16 +10,16 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_range, check_type, shown
-from facerender.scenes.vectors import direction_to
+from facerender.errors import InputError, check_type, shown
+from facerender.scenes.vectors import AZIMUTHS, HIGHEST, direction_to
 from facerender.terms.environment import harmonics
+from facerender.terms.ranges import Range, check_fields, ranged
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 SIDE = 256  # texels of the map's first level; of the last one 4
 LEVELS = 7
-HIGHEST = 1e9  # radiance: sums stay in float32
 _INSIDE = 4  # places a side at which a texel of the map looks at the panorama
 
 
@@ -139,13 +139,12 @@ class Environment:
     """
 
     panorama: Panorama
-    rotation: float = 0.0
-    scale: float = 1.0
+    rotation: float = ranged(AZIMUTHS, 0.0)
+    scale: float = ranged(Range(0.0, HIGHEST), 1.0)
 
     def __post_init__(self) -> None:
         check_type("panorama", self.panorama, Panorama, "a facerender.Panorama")
-        check_range("environment rotation", self.rotation, -3600.0, 3600.0)
-        check_range("environment scale", self.scale, 0.0, HIGHEST)
+        check_fields(self, "environment ")
 
     @property
     def turn(self) -> Float:

@@ -11,15 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from facerender.errors import InputError, check_path, check_range, clipped, shown
+from facerender.errors import InputError, check_path, clipped, shown
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light, parse_light
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.planned import Planned
 from facerender.scenes.scene import Scene
-from facerender.scenes.vectors import vector
+from facerender.scenes.vectors import AZIMUTHS, HIGHEST
 from facerender.shading import Shading
 from facerender.system.files import read_file, tables_of
+from facerender.terms.ranges import Range, check_fields, range_of, ranged
 
 if TYPE_CHECKING:
     from facerender.scenes.environment import Environment
@@ -44,15 +45,14 @@ class EnvironmentFile:
     """
 
     file: str
-    rotation: float = 0.0
-    scale: float = 1.0
+    rotation: float = ranged(AZIMUTHS, 0.0)
+    scale: float = ranged(Range(0.0, HIGHEST), 1.0)
 
     def __post_init__(self) -> None:
         if not isinstance(self.file, str | os.PathLike) or not os.fspath(self.file):
             raise InputError(f"environment file = {shown(self.file)}: give a path, or {STUDIO}")
         object.__setattr__(self, "file", os.fspath(self.file))
-        check_range("environment rotation", self.rotation, -3600.0, 3600.0)
-        check_range("environment scale", self.scale, 0.0, 1e9)
+        check_fields(self, "environment ")
 
 
 def parse_environment(text: str) -> EnvironmentFile:
@@ -134,7 +134,7 @@ def scene_value(key: str, value: Any) -> Any:
     if key == "background" and value == "none":
         return None
     if key in ("ambient", "background"):
-        return vector(key, value)
+        return range_of(Scene, key).check(key, value)
     raise InputError(f"unknown key {shown(key)}; known: {', '.join(KEYS)}")
 
 

@@ -12,8 +12,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_range, shown
-from facerender.scenes.vectors import Vector, direction_to, non_negative, vector, within_reach
+from facerender.errors import InputError, shown
+from facerender.scenes.vectors import (
+    AZIMUTHS,
+    COLORS,
+    ELEVATIONS,
+    POSITIONS,
+    Vector,
+    direction_to,
+    within_reach,
+)
+from facerender.terms.ranges import Range, check_fields, ranged
 from facerender.terms.slope_variance import MAX_RADIUS
 
 if TYPE_CHECKING:
@@ -37,23 +46,15 @@ class Light:
     shadow : whether the mesh casts shadows in it; one of a light with size grows soft with distance
     """
 
-    azimuth: float = 0.0
-    elevation: float = 0.0
-    irradiance: float | Vector = math.pi
-    position: Vector | None = None
-    radius: float = 0.0
+    azimuth: float = ranged(AZIMUTHS, 0.0)
+    elevation: float = ranged(ELEVATIONS, 0.0)
+    irradiance: float | Vector = ranged(COLORS, math.pi)
+    position: Vector | None = ranged(POSITIONS, None)
+    radius: float = ranged(Range(0.0, MAX_RADIUS, "degrees"), 0.0)
     shadow: bool = False
 
     def __post_init__(self) -> None:
-        check_range("light azimuth", self.azimuth, -3600, 3600)
-        check_range("light elevation", self.elevation, -90, 90)
-        irradiance = non_negative("light irradiance", self.irradiance)
-        object.__setattr__(self, "irradiance", irradiance)
-        if self.position is not None:
-            object.__setattr__(self, "position", vector("light position", self.position))
-        check_range("light radius", self.radius, 0.0, MAX_RADIUS)
-        if not isinstance(self.shadow, bool):
-            raise InputError(f"light shadow = {shown(self.shadow)}: give true or false")
+        check_fields(self, "light ")
 
     @property
     def direction(self) -> Float:
@@ -82,8 +83,6 @@ class LightKind:
         towards it and its irradiance there, in float64
     sine : of one that is seen as a disc, its mesh and positions (..., 3): the sine of its radius
         there, (..., 1), or one for all; None for kinds without size
-    highest : the largest irradiance that it may give anywhere; None where nobody knows: a guarantee
-        then refuses it
     """
 
     name: str
@@ -92,7 +91,6 @@ class LightKind:
     uniforms: Callable[[Sequence[Light], Mesh], dict[str, Float]]
     lighting: Callable[[Light, Mesh, Float], tuple[Float, Float]]
     sine: Callable[[Light, Mesh, Float], Float] | None = None
-    highest: Callable[[Light], float] | None = None
 
     @property
     def price(self) -> str:
@@ -204,7 +202,6 @@ LIGHT_KINDS: dict[str, LightKind] = {
             matches=lambda light: light.position is not None and not light.radius,
             uniforms=_points,
             lighting=_point_lighting,
-            highest=lambda light: math.inf,  # it may be as near as one likes
         ),
         LightKind(
             "sphere",
@@ -213,7 +210,6 @@ LIGHT_KINDS: dict[str, LightKind] = {
             uniforms=_spheres,
             lighting=_point_lighting,
             sine=_sphere_sine,
-            highest=lambda light: math.inf,
         ),
         LightKind(
             "disc",
@@ -222,7 +218,6 @@ LIGHT_KINDS: dict[str, LightKind] = {
             uniforms=_discs,
             lighting=_distant_lighting,
             sine=lambda light, mesh, position: _sine(light),
-            highest=lambda light: float(np.max(light.irradiance)),
         ),
         LightKind(
             "directional",
@@ -230,7 +225,6 @@ LIGHT_KINDS: dict[str, LightKind] = {
             matches=lambda light: True,
             uniforms=_distant,
             lighting=_distant_lighting,
-            highest=lambda light: float(np.max(light.irradiance)),
         ),
     )
 }
@@ -288,8 +282,7 @@ def parse_light(text: str) -> Light:
         ) from None
     if first in LIGHTS:
         return replace(LIGHTS[first], **own)
-    received = non_negative("light irradiance", irradiance if irradiance[1:] else irradiance[0])
+    own["irradiance"] = irradiance if irradiance[1:] else irradiance[0]
     if kind == "point":
-        place = vector("light position", where)
-        return Light(irradiance=received, position=place, **own)
-    return Light(where[0], where[1], received, **own)
+        return Light(position=where, **own)  # type: ignore[arg-type]
+    return Light(where[0], where[1], **own)

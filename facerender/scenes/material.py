@@ -7,11 +7,12 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from facerender.errors import InputError, check_range, shown
+from facerender.errors import InputError, shown
 from facerender.scenes.texture import MOST_TEXELS, Texture, pack
-from facerender.scenes.vectors import HIGHEST, Vector, non_negative
-from facerender.shading import MAX_WEIGHT
-from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
+from facerender.scenes.vectors import COLORS, HIGHEST, Vector
+from facerender.shading import WEIGHTS
+from facerender.terms.lobe import MIN_SLOPE, SLOPES
+from facerender.terms.ranges import FRACTION, Range, check_fields, ranged
 
 if TYPE_CHECKING:
     from facerender.terms.scattering import Gaussians
@@ -42,8 +43,8 @@ class Material:
     f0 : Fresnel reflectance at normal incidence, in [0, 1)
     ks, kd : specular and diffuse weights, >= 0. 1 is a bare dielectric; 0.18, from GPU Gems 3
         chapter 14, suits powdered skin
-    second_slope, lobe_weight : of a second lobe, the factor on m, in [0.01, 100], and the share of
-        the first lobe, in [0, 1]; with 1 for either there is one lobe
+    second_slope, lobe_weight : of a second lobe, the factor on m, in [0.01, 100], and the fraction
+        of the first lobe, in [0, 1]; with 1 for either there is one lobe
     albedo_map, normal_map, roughness_map, specular_map, occlusion_map : textures or None; only the
         albedo is sRGB-encoded; green of the normal map points up; occlusion dims ambient light
     lobe_map : texture or None; its red multiplies the share of the second lobe, 1 - lobe_weight:
@@ -60,18 +61,18 @@ class Material:
     emissive : linear radiance, >= 0, that the part gives off itself; it lights nothing else
     emissive_map : texture or None, sRGB-encoded, which multiplies it
     normal_strength : factor on x and y of the normal map's texels, in [0, 100]
-    occlusion_strength : share of the occlusion map, in [0, 1]: 1 + strength (texel - 1) counts
+    occlusion_strength : fraction of the occlusion map, in [0, 1]: 1 + strength (texel - 1) counts
     second_uv : names of the maps that lie by the part's second texture coordinates
     """
 
-    albedo: Vector = SKIN_ALBEDO
-    m: float = 0.3
-    roughness_factor: float = 1.0
-    f0: float = 0.028
-    ks: float = 1.0
-    kd: float = 1.0
-    second_slope: float = 1.0
-    lobe_weight: float = 1.0
+    albedo: Vector = ranged(COLORS, SKIN_ALBEDO)
+    m: float = ranged(SLOPES, 0.3)
+    roughness_factor: float = ranged(FRACTION, 1.0)
+    f0: float = ranged(Range(0.0, 0.999), 0.028)
+    ks: float = ranged(WEIGHTS, 1.0)
+    kd: float = ranged(WEIGHTS, 1.0)
+    second_slope: float = ranged(Range(1.0 / MAX_SECOND_SLOPE, MAX_SECOND_SLOPE), 1.0)
+    lobe_weight: float = ranged(FRACTION, 1.0)
     albedo_map: Texture | None = None
     normal_map: Texture | None = None
     roughness_map: Texture | None = None
@@ -80,35 +81,23 @@ class Material:
     lobe_map: Texture | None = None
     scattering: str | Gaussians | None = None
     alpha: Alpha = "opaque"
-    opacity: float = 1.0
-    alpha_cutoff: float = 0.5
+    opacity: float = ranged(FRACTION, 1.0)
+    alpha_cutoff: float = ranged(Range(0.0, HIGHEST), 0.5)
     opacity_map: Texture | None = None
-    emissive: Vector = (0.0, 0.0, 0.0)
+    emissive: Vector = ranged(COLORS, (0.0, 0.0, 0.0))
     emissive_map: Texture | None = None
-    normal_strength: float = 1.0
-    occlusion_strength: float = 1.0
+    normal_strength: float = ranged(Range(0.0, MAX_NORMAL_STRENGTH), 1.0)
+    occlusion_strength: float = ranged(FRACTION, 1.0)
     second_uv: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "albedo", non_negative("albedo", self.albedo))
-        check_range("m", self.m, MIN_SLOPE, MAX_SLOPE)
-        check_range("roughness_factor", self.roughness_factor, 0.0, 1.0)
-        check_range("f0", self.f0, 0.0, 0.999)
-        check_range("ks", self.ks, 0.0, MAX_WEIGHT)
-        check_range("kd", self.kd, 0.0, MAX_WEIGHT)
-        check_range("second_slope", self.second_slope, 1.0 / MAX_SECOND_SLOPE, MAX_SECOND_SLOPE)
-        check_range("lobe_weight", self.lobe_weight, 0.0, 1.0)
+        check_fields(self)
         if self.two_lobes and self.roughness_map is None:
-            check_range("m times second_slope", self.m * self.second_slope, MIN_SLOPE, MAX_SLOPE)
+            SLOPES.check("m times second_slope", self.m * self.second_slope)
         if not (isinstance(self.alpha, str) and self.alpha in get_args(Alpha)):
             raise InputError(
                 f"unknown alpha {shown(self.alpha)}; known: {', '.join(get_args(Alpha))}"
             )
-        check_range("opacity", self.opacity, 0.0, 1.0)
-        check_range("alpha_cutoff", self.alpha_cutoff, 0.0, HIGHEST)
-        object.__setattr__(self, "emissive", non_negative("emissive", self.emissive))
-        check_range("normal_strength", self.normal_strength, 0.0, MAX_NORMAL_STRENGTH)
-        check_range("occlusion_strength", self.occlusion_strength, 0.0, 1.0)
         names = self.second_uv
         if not isinstance(names, tuple | list) or any(each not in MAPS for each in names):
             raise InputError(f"second_uv = {shown(names)}: give some of {', '.join(MAPS)}")

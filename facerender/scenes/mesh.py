@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +17,9 @@ from facerender.scenes.arrays import piece_of
 from facerender.scenes.material import Alpha, Material, check_maps
 from facerender.scenes.repair import Piece, clean, used
 from facerender.scenes.vectors import check_array
+from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
+
+TRIANGLES = IntegerRange(1, math.inf)  # of a simplified mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +112,7 @@ class Mesh:
     bounds: NDArray[np.float64]
     radius: float
     profile: NDArray[np.float64]
-    millimetres: float | None = None
+    millimetres: float | None = ranged(Range(1e-6, 1e6, "mm"), None)
     regions: Mapping[str, Region] | None = None
 
     def __post_init__(self) -> None:
@@ -125,13 +129,12 @@ class Mesh:
         check_array("bounds", self.bounds, 3)
         check_array("profile", self.profile, 2)
         check_range("radius", self.radius, 0.0, sys.float_info.max)
+        check_fields(self)
         if self.regions is not None:
             check_type("regions", self.regions, Mapping, "head and face, or None")
             each_of("regions", self.regions.values(), Region, "facerender.scenes.mesh.Region")
             if set(self.regions) != {"head", "face"}:
                 raise InputError(f"regions = {shown(self.regions)}: give head and face, or None")
-        if self.millimetres is not None:
-            check_range("millimetres", self.millimetres, 1e-6, 1e6)
         check_maps(self.name, self.materials)
 
     def __repr__(self) -> str:
@@ -269,7 +272,7 @@ class Mesh:
         """
         return np.asarray((np.asarray(points, dtype=np.float64) - self.center) / self.radius)
 
-    def denormalised(self, points: ArrayLike) -> NDArray[np.float64]:
+    def to_mesh_space(self, points: ArrayLike) -> NDArray[np.float64]:
         """Map points, (..., 3), of the renderer's space back to the mesh's."""
         return np.asarray(np.asarray(points, dtype=np.float64) * self.radius + self.center)
 

@@ -5,31 +5,40 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from operator import index
+from typing import Any
 
-from facerender.errors import InputError, shown
+from facerender.errors import InputError, check_switch, shown
 from facerender.images.decode import MAX_SIDE
-from facerender.scenes.levels import simplified
-from facerender.scenes.scene import Scene
+from facerender.scenes.lod import simplified
+from facerender.scenes.scene import Scene, ShadingRate, check_shading_rate
 
 _SAME_SHAPE = 1.01  # width over height, of rounded sizes
 
 
 @dataclass(frozen=True)
-class Detail:
+class LevelOfDetail:
     """How finely a frame is drawn.
 
     Attributes
     ----------
     samples : per pixel
     triangles : of the mesh, at most; None for all
-    backs : whether backs of triangles are drawn
-    once : whether one triangle of a pixel is shaded, see :meth:`facerender.Renderer.render`
+    cull_back_faces, shading_rate : see :meth:`facerender.Renderer.render`
     """
 
     samples: int
     triangles: int | None
-    backs: bool = True
-    once: bool = False
+    cull_back_faces: bool = False
+    shading_rate: ShadingRate = "sample"
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The parameters of :meth:`facerender.Renderer.render` but for the triangles."""
+        return {
+            "samples": self.samples,
+            "cull_back_faces": self.cull_back_faces,
+            "shading_rate": self.shading_rate,
+        }
 
     def of(self, scene: Scene) -> Scene:
         """Return a scene whose mesh has no more triangles; errors as of :func:`simplified`."""
@@ -48,8 +57,7 @@ class Planned:
     samples : of each pixel
     drawn_samples, triangles : with how many samples and at most how many triangles the frame is
         drawn that stands for such an image; None for all
-    backs : whether that has backs of triangles
-    once : whether one triangle of its pixels is shaded
+    cull_back_faces, shading_rate : how it is drawn, see :meth:`facerender.Renderer.render`
 
     Raises
     ------
@@ -60,8 +68,8 @@ class Planned:
     samples: int
     drawn_samples: int | None = None
     triangles: int | None = None
-    backs: bool = True
-    once: bool = False
+    cull_back_faces: bool = False
+    shading_rate: ShadingRate = "sample"
 
     def __post_init__(self) -> None:
         try:
@@ -81,16 +89,15 @@ class Planned:
                 raise InputError(
                     f"planned {name} = {shown(value)}: give a whole number of at least 1"
                 )
-        for name in ("backs", "once"):
-            if not isinstance(value := getattr(self, name), bool):
-                raise InputError(f"planned {name} = {shown(value)}: give true or false")
+        check_switch("planned cull_back_faces", self.cull_back_faces)
+        check_shading_rate("planned shading_rate", self.shading_rate)
         object.__setattr__(self, "sizes", sizes)
 
     def holds(self, size: tuple[int, int], samples: int) -> bool:
         """Tell whether an image is of the planned samples, and neither smaller nor larger nor of
         another shape than the planned ones. One sample is, with all triangles and
-        their backs: it is the pixel's centre, where every plan is measured."""
-        centres = self.triangles is None and self.backs
+        their back faces: it is the pixel's centre, where every plan is measured."""
+        centres = self.triangles is None and not self.cull_back_faces
         widths, heights = zip(*self.sizes, strict=True)
         shapes = [width / height for width, height in self.sizes]
         return (
@@ -101,10 +108,10 @@ class Planned:
         )
 
     @property
-    def detail(self) -> Detail:
+    def detail(self) -> LevelOfDetail:
         """How finely the frame is drawn that stands for a planned one."""
         samples = self.drawn_samples or self.samples
-        return Detail(samples, self.triangles, self.backs, self.once)
+        return LevelOfDetail(samples, self.triangles, self.cull_back_faces, self.shading_rate)
 
     def __str__(self) -> str:
         ends = dict.fromkeys((min(self.sizes), max(self.sizes)))

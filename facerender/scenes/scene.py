@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, get_args
 
-from facerender.errors import check_type, each_of
+from facerender.errors import InputError, check_type, each_of, shown
 from facerender.scenes import sources
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import LIGHTS, Light, disc_of
 from facerender.scenes.mesh import Mesh, slope_range
-from facerender.scenes.vectors import Vector, non_negative
+from facerender.scenes.vectors import COLORS, Vector
 from facerender.shading import Shading
+from facerender.terms.ranges import check_fields, ranged
 from facerender.terms.slope_variance import (
     MAX_PIXEL_VARIANCE,
     slope_filtered,
@@ -37,9 +38,19 @@ Only = Literal[
     "parts",
 ]
 
+# How often a pixel of a part is shaded: at each of its samples, or once.
+ShadingRate = Literal["sample", "pixel"]
+SHADING_RATES: tuple[ShadingRate, ...] = get_args(ShadingRate)
+
 # What an image may show in place of a whole scene, and what of it is data of one sample a pixel.
 ONLY: tuple[Only, ...] = get_args(Only)
 DATA = tuple(name for name in ONLY if name not in ("specular", "diffuse"))
+
+
+def check_shading_rate(name: str, value: object) -> None:
+    """Raise InputError unless a value is one of SHADING_RATES."""
+    if not isinstance(value, str) or value not in SHADING_RATES:
+        raise InputError(f"{name} = {shown(value)}: give {' or '.join(SHADING_RATES)}")
 
 
 @dataclass(frozen=True)
@@ -58,8 +69,8 @@ class Scene:
     mesh: Mesh
     camera: Camera = Camera()
     lights: tuple[Light, ...] = (LIGHTS["key"], LIGHTS["rim"], LIGHTS["fill"])
-    ambient: float | Vector = (0.26, 0.28, 0.31)
-    background: Vector | None = (0.012, 0.013, 0.016)
+    ambient: float | Vector = ranged(COLORS, (0.26, 0.28, 0.31))
+    background: Vector | None = ranged(COLORS, (0.012, 0.013, 0.016))
     environment: Environment | None = None
 
     if TYPE_CHECKING:
@@ -81,10 +92,7 @@ class Scene:
         check_type("camera", self.camera, Camera, "a facerender.Camera")
         lights = each_of("lights", self.lights, Light, "several facerender.Light")
         object.__setattr__(self, "lights", lights)
-        object.__setattr__(self, "ambient", non_negative("ambient", self.ambient))
-        if self.background is not None:
-            background = non_negative("background", self.background)
-            object.__setattr__(self, "background", background)
+        check_fields(self)
         if self.environment is not None:
             from facerender.scenes.environment import Environment
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, shown
+from facerender.terms.ranges import Range, VectorRange
 
 Vector = tuple[float, float, float]
 
@@ -17,25 +17,10 @@ FARTHEST = 1e30  # of places, in the mesh's units
 HIGHEST = 1e9  # of radiance, irradiance and albedo: what is drawn stays in float32
 MOST_RADII = 1e6  # of the mesh, between its centre and what sees or lights it
 
-
-def vector(name: str, value: Any, low: float = -FARTHEST, high: float = FARTHEST) -> Vector:
-    """Return three numbers in [low, high]; one number stands for three equal ones."""
-    given = value.tolist() if isinstance(value, np.ndarray) else value
-    numbers = [*given] if isinstance(given, list | tuple) else [given] * 3
-    if len(numbers) != 3 or not all(is_number(each) and low <= each <= high for each in numbers):
-        raise InputError(f"{name} = {shown(value)}: give a number in [{low:g}, {high:g}], or three")
-    x, y, z = (float(each) for each in numbers)
-    return x, y, z
-
-
-def is_number(value: Any) -> bool:
-    """Tell whether a value is a number, which true and false are not."""
-    return isinstance(value, Real) and not isinstance(value, bool)
-
-
-def non_negative(name: str, value: Any) -> Vector:
-    """Return three numbers in [0, HIGHEST], such as a colour or an irradiance."""
-    return vector(name, value, 0.0, HIGHEST)
+POSITIONS = VectorRange(-FARTHEST, FARTHEST)
+COLORS = VectorRange(0.0, HIGHEST)  # linear RGB, also of irradiance
+AZIMUTHS = Range(-3600.0, 3600.0, "degrees")
+ELEVATIONS = Range(-90.0, 90.0, "degrees")
 
 
 def within_reach(name: str, place: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_range, check_type, is_count, shown
+from facerender.errors import InputError, check_range, check_type
 from facerender.scenes.camera import Camera
 from facerender.scenes.framing import find_region
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import direction_to, within_reach
+from facerender.terms.ranges import range_of
 
 _SAME_SHAPE = 0.005  # of width over height, by rounding
+SIZES = range_of(Camera, "size")
 _XYW = [0, 1, 3]  # of clip coordinates, without the depth buffer's
 
 
@@ -49,7 +50,7 @@ class View:
         The corner of the top left pixel is (0, 0) and its centre (0.5, 0.5). Rounded to 1e-9 of a
         pixel, so that a principal point in the middle is there to the last digit.
         """
-        width, height = np.divide(checked_size(size), 2.0)
+        width, height = np.divide(SIZES.check("size", size), 2.0)
         pixels = np.array([[width, 0.0, width], [0.0, height, height], [0.0, 0.0, 1.0]])
         return np.round(pixels @ self._lens, 9)
 
@@ -85,21 +86,6 @@ def sample_grid(count: int) -> NDArray[np.float64]:
         turned += digit * (index >> bit & 1)
         digit /= 2.0
     return np.stack([(index + 0.5) / count, turned], axis=-1) - 0.5
-
-
-def checked_size(size: Any, most: int = 1 << 30) -> tuple[int, int]:
-    """Return width and height of an image, each in [1, most].
-
-    Raises
-    ------
-    InputError : it is something else
-    """
-    if not isinstance(size, tuple | list | np.ndarray) or np.shape(size) != (2,):
-        raise InputError(f"size = {shown(size)}: give width and height in pixels")
-    width, height = size
-    if not all(is_count(side, most) for side in size):
-        raise InputError(f"size {shown(width)} x {shown(height)}: give 1 to {most} pixels a side")
-    return int(width), int(height)
 
 
 def view_of(scene: Scene, aspect: float) -> View:
@@ -141,7 +127,7 @@ def shifted(scene: Scene, x: float, y: float, size: tuple[int, int]) -> Scene:
     ------
     InputError : a side of the size is none, x or y is beyond 1e6, or as of :func:`view_of`
     """
-    width, height = size = checked_size(size)
+    width, height = size = SIZES.check("size", size)
     for name, value in (("x", x), ("y", y)):
         check_range(name, value, -1e6, 1e6)
     view = view_of(scene, width / height).shifted((x, y), size)

@@ -14,11 +14,11 @@ from facerender.system.signals import if_ended
 Progress = Callable[[str, float], object]
 
 
-def unheard(what: str, done: float) -> None:
+def no_progress(what: str, done: float) -> None:
     """Where nobody asks."""
 
 
-def shown(quiet: bool) -> bool:
+def shows_bars(quiet: bool) -> bool:
     """Whether bars are: on a terminal."""
     return not quiet and sys.stderr.isatty()
 
@@ -33,7 +33,7 @@ class Bar:
 
     def __init__(self, quiet: bool = False, told: Callable[[str], object] | None = None) -> None:
         self._told = told
-        self._shown = told is None and shown(quiet)
+        self._shown = told is None and shows_bars(quiet)
         self._bar: Any = None
         self._done: list[str] = []
         self._what, self._share = "", 0.0

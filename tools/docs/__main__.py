@@ -1,47 +1,45 @@
-"""Writes the generated documents, all or those named; with --check, tells which are not current.
+"""Fill the marked blocks of the README and of the pages in docs from their data.
 
-python -m tools.docs [--check] [NAME ...]      from the repository's root
+python -m tools.docs [--check] [NAME ...]      from the repository's root; seconds
 
-What is cheap to generate, and the same on every machine, is compared as a whole; of the rest, the
-words that no measurement fills in and the heads of the tables.
+NAME is a module of tools/docs/tables, or one block of it: levels, levels.head-1024. Without names,
+all blocks. What measures the data stands in each page.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from importlib import import_module
+from collections.abc import Sequence
+from pathlib import Path
 
-GENERATED = (
-    *("accuracy", "comparison", "explorer", "figures", "frame", "levels", "plan", "reproduction"),
-    *("scale", "shaders", "skin", "skin_environment", "skin_scattering", "skin_shadows"),
-    *("skin_together", "targets", "trade"),
-)
-PICTURES = ("explorer", "figures")  # of which there is nothing to compare
+from tools.docs.blocks import BlockError, fill, pages, stale
+
+ROOT = Path(__file__).parents[2]
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m tools.docs", description=__doc__.split("\n")[0]
-    )
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(GENERATED)}")
-    parser.add_argument("--check", action="store_true", help="write nothing")
-    given = parser.parse_args()
-    if unknown := set(given.names).difference(GENERATED):
-        parser.error(f"no document {', '.join(unknown)}; there are {', '.join(GENERATED)}")
-    found = 0
-    for name in given.names or GENERATED:
-        document = import_module(f"tools.docs.{name}")
-        if not given.check:
-            document.main()
-            continue
-        for fault in document.stale() if name not in PICTURES else ():
-            found = 1
-            print(
-                f"docs/{name.replace('_', '-')}.md: {fault}: run python -m tools.docs.{name}",
-                file=sys.stderr,
-            )
-    return found
+def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> int:
+    """Fill or check the blocks, and return the exit status: 1 if one is stale or has a fault."""
+    summary, *_ = (__doc__ or "").split("\n")
+    parser = argparse.ArgumentParser(prog="python -m tools.docs", description=summary)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="a module or a block (all)")
+    parser.add_argument("--check", action="store_true", help="write nothing; name stale blocks")
+    options = parser.parse_args(arguments)
+    faults = []
+    for path in pages(root):
+        page, name = path.read_text(encoding="utf-8"), path.relative_to(root)
+        try:
+            if options.check:
+                faults += [
+                    f"{name}: {block} is stale: run python -m tools.docs {block}"
+                    for block in stale(page, options.names)
+                ]
+            elif (filled := fill(page, options.names)) != page:
+                path.write_text(filled, encoding="utf-8")
+        except BlockError as error:
+            faults.append(f"{name}: {error}")
+    print("".join(f"{fault}\n" for fault in faults), end="", file=sys.stderr)
+    return 1 if faults else 0
 
 
 if __name__ == "__main__":

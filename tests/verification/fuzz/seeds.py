@@ -276,33 +276,9 @@ def options() -> Iterator[Sequence[str]]:
 def tables() -> Iterator[tuple[str, bytes]]:
     """Yield tables of jobs."""
     rows = [
-        {"id": "a", "camera": {"azimuth": 10}, "material": {"m": 0.3}, "passes": ["image", "mask"]},
+        {"id": "a", "camera": {"azimuth": 10}, "material.m": 0.3, "outputs": ["image", "mask"]},
         {"id": "b", "lights": ["key"], "image": {"size": [64, 64]}, "exposure": 0.5},
     ]
     yield "a.jsonl", b"".join(json.dumps(row).encode() + b"\n" for row in rows)
     yield "a.csv", b"id,camera.azimuth,material.m,image.size\na,10,0.3,64x64\nb,-20,0.4,32x32\n"
     yield "a.toml", b'[[jobs]]\nid = "a"\n[jobs.camera]\nazimuth = 10\n[[jobs]]\nid = "b"\n'
-
-
-def explored() -> bytes:
-    """What the explorer saves."""
-    spread = {"median": 2.0, "low": 1.5, "high": 2.5, "rounds": [1.0, 2.0, 3.0]}
-    none = {"median": 0.0, "low": 0.0, "high": 0.0, "rounds": [0.0, 0.0, 0.0]}
-    return json.dumps(
-        {
-            "kind": "facerender explorer cost",
-            "unit": "ms a picture",
-            "version": "0.1.0",
-            "gpu": "a GPU",
-            "browser": "a browser",
-            "method": "fence",
-            "mesh": "head.glb",
-            "size": [512, 512],
-            "samples": 4,
-            "passes": 8,
-            "link": "",
-            "shadings": {"a": "exact", "b": "d16"},
-            **dict.fromkeys(("base", "a", "b"), spread),
-            "difference": none,
-        }
-    ).encode()

@@ -22,7 +22,6 @@ from facerender.commands import main
 from facerender.errors import FacerenderError, InputError
 from facerender.images.read import read_image
 from facerender.loading.environment import load_environment
-from facerender.measure.imported import read_imported
 from facerender.scenes.file import EnvironmentFile, load_scene
 from tests.verification.fuzz import seeds
 
@@ -90,7 +89,6 @@ def _subjects() -> Iterator[Subject]:
         yield Subject(f"scene-{number}.toml", {"a.toml": content}, "a.toml", _examine_scene)
     for name, content in seeds.tables():
         yield Subject(f"jobs-{name}", {name: content}, name, _reader_of_jobs(name))
-    yield Subject("explored.json", {"a.json": seeds.explored()}, "a.json", _examine_explored)
     for name, content in seeds.cameras(_head()):
         yield Subject(f"cameras-{name}", {name: content}, name, _reader_of_cameras(name))
     for number, words in enumerate(seeds.options()):
@@ -295,7 +293,3 @@ def _reader_of_jobs(name: str) -> Callable[[Path], None]:
                 raise Unsound(f"fault {why}: {fault[:200]!r}")
 
     return examine
-
-
-def _examine_explored(folder: Path) -> None:
-    read_imported(str(folder / "a.json"))

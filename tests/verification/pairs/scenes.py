@@ -54,10 +54,10 @@ class Setting:
         mesh = head_of(self.head).with_material(**self.material)
         camera, lights = self.camera, self.lights
         if self.target is not None:
-            camera = replace(camera, target=tuple(mesh.denormalised(self.target).tolist()))
+            camera = replace(camera, target=tuple(mesh.to_mesh_space(self.target).tolist()))
         if self.point is not None:
             position, irradiance = self.point
-            place = tuple(mesh.denormalised(position).tolist())
+            place = tuple(mesh.to_mesh_space(position).tolist())
             lights = (*lights, fr.Light(irradiance=irradiance, position=place))
         around = fr.Environment(studio()) if self.environment else None
         return fr.Scene(mesh, camera, lights, self.ambient, self.background, around)

@@ -1,0 +1,123 @@
+"""What float32 adds to the exact terms, and what the extremes of their inputs give.
+
+python -m benchmarks.accuracy        into docs/measurements/accuracy.json; needs an OpenGL context
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from benchmarks.data import save
+from facerender import brdf, lobes, resolve_includes
+from facerender.drawing.context import create_context
+from facerender.drawing.evaluate import Evaluator
+from tests.verification.cases import true_directions
+
+SLOPES = (1e-4, 1e-3, 0.01, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0)
+COUNT = 200_000  # random directions of each slope
+UP, LEFT, RIGHT = [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]
+TILTED = [0.36, 0.48, 0.8]
+ABOVE_1 = 1.0 + 2.0**-23
+COOK_TORRANCE = "fr_cook_torrance(n, l, v, m, 0.028)"
+
+# naive expression, its file; ours, its file
+LOBE = (
+    *("exp((c * c - 1.0) / (m * m * c * c)) / (c * c * c * c)", "facerender/constants"),
+    *("fr_lobe_exact(c, m, 4)", "facerender/lobe/exact"),
+)
+ANGLE = ("acos(c)", "facerender/constants", *LOBE[2:])
+COSINE = (
+    *("pow(c, 2.0 / (m * m) - 4.0)", "facerender/constants"),
+    *("fr_lobe_cosine(c, m, 4)", "facerender/lobe/cosine"),
+)
+D16 = (
+    *("fr_printed_g_power(c, 2.0 / (m * m) - 4.0, 16)", "printed/g_power"),
+    *("fr_lobe_g_power(c, m, 4, 16)", "facerender/lobe/g_power"),
+)
+TERM = (
+    *(COOK_TORRANCE.replace("fr_", "fr_printed_"), "printed/cook_torrance"),
+    *(COOK_TORRANCE, "facerender/cook_torrance"),
+)
+WARD = (
+    *("fr_printed_ward(n, l, v, m)", "printed/ward"),
+    *("fr_ward_printed(n, l, v, m)", "facerender/ward_printed"),
+)
+EXTREMES = (
+    ("lobe, c = 0", LOBE, {"c": 0.0}),
+    ("lobe, c one ulp above 1, m = 1e-4", LOBE, {"c": ABOVE_1, "m": 1e-4}),
+    ("angle of c one ulp above 1, for the lobe", ANGLE, {"c": ABOVE_1}),
+    ("D16, 90 degrees, m = 0.2", D16, {"c": 0.0, "m": 0.2}),
+    ("D16, 90 degrees, m = 0.02", D16, {"c": 0.0, "m": 0.02}),
+    ("cosine power, c = 1e-6, m = 1.5", COSINE, {"c": 1e-6, "m": 1.5}),
+    ("Cook-Torrance, N = L = V = (0.36, 0.48, 0.8)", TERM, {"n": TILTED, "l": TILTED, "v": TILTED}),
+    ("Cook-Torrance, N.L = 0", TERM, {"n": UP, "l": RIGHT, "v": UP}),
+    ("Cook-Torrance, V = -L", TERM, {"n": UP, "l": RIGHT, "v": LEFT}),
+    ("Cook-Torrance, light and eye behind", TERM, {"n": UP, "l": [0.6, 0, -0.8], "v": [0, 0, -1]}),
+    (
+        "Ward as printed, light and eye behind",
+        WARD,
+        {"n": UP, "l": [0.6, 0, -0.8], "v": [0, 0, -1]},
+    ),
+    ("Ward as printed, V = -L", WARD, {"n": UP, "l": RIGHT, "v": LEFT}),
+)
+
+
+def include(name: str, *defines: str) -> str:
+    """Return a file of the library after definitions, without includes."""
+    lines = [*(f"#define {text}" for text in defines), f'#include "{name}.glsl"', ""]
+    return resolve_includes("\n".join(lines))
+
+
+def float32(evaluate: Evaluator) -> list[dict[str, float]]:
+    """Return the largest relative error of whole exact terms where the lobe is above 1e-3 of its
+    peak: against float64 of the same vectors, with FR_SMALL_SLOPE 0, and of true directions."""
+    rows = []
+    for m in SLOPES:
+        slopes = np.full(COUNT, m, np.float32)
+        true = true_directions(slopes, lowest=0.02)
+        inputs = {axis: values.astype(np.float32) for axis, values in true.items()}
+        same = [values.astype(np.float64) for values in inputs.values()]
+        n, l, v = same
+        c = (n * (l + v)).sum(axis=-1) / np.linalg.norm(l + v, axis=-1)
+        row = {"m": m}
+        for name, call, model, k in (
+            ("cook_torrance", COOK_TORRANCE, partial(brdf.cook_torrance, f0=0.028), 4),
+            ("ward", "fr_ward(n, l, v, m)", brdf.ward, 0),
+        ):
+            shown = lobes.exact(c.clip(0.0, 1.0), m, k) > 1e-3
+            for suffix, vectors, small in (
+                ("", same, 1),
+                ("_plain", same, 0),
+                ("_true", true.values(), 1),
+            ):
+                expected = model(*vectors, m=float(slopes[0]))[shown]
+                prelude = include(f"facerender/{name}", f"FR_SMALL_SLOPE {small}")
+                result = evaluate(prelude, call, inputs | {"m": slopes})[shown]
+                row[name + suffix] = float((np.abs(result - expected) / expected).max())
+        rows.append(row)
+    return rows
+
+
+def extremes(evaluate: Evaluator) -> list[dict[str, str]]:
+    """Return what the formulas as printed give, and what the library gives; as text, for NaN."""
+    rows = []
+    for what, (naive, naive_file, ours, file), values in EXTREMES:
+        inputs: dict[str, Any] = {
+            name: np.float32([value]) for name, value in ({"m": 0.3} | values).items()
+        }
+        printed = evaluate(include(naive_file), naive, inputs)[0]
+        own = evaluate(include(file), ours, inputs)[0]
+        rows.append({"input": what, "printed": f"{printed:.4g}", "facerender": f"{own:.4g}"})
+    return rows
+
+
+def main() -> None:
+    evaluate = Evaluator(create_context().gl)
+    save("accuracy", float32=float32(evaluate), extremes=extremes(evaluate))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,156 @@
+"""Which check of the image comparison sees what, and the smallest change that each sees.
+
+python -m benchmarks.comparison      into docs/measurements/comparison.json; needs an OpenGL
+                                     context, and the head scan of the tests for half of the data
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from itertools import product
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from benchmarks.data import meshes, save
+from facerender.comparison.compare import compare
+from facerender.comparison.result import Comparison
+from facerender.images.srgb import encode_srgb8
+from tests.verification.mutations import (
+    BROKEN,
+    CAMERAS,
+    DRIVERS,
+    HARMLESS,
+    Images,
+    images,
+    rougher,
+    setting_of,
+)
+from tests.verification.pairs.changes import exposed, factor
+from tests.verification.pairs.room import Room, draw_elsewhere
+
+CHECKS = {  # and how their reasons begin
+    **{"point": r"\d+ pixel", "block": "block", "trend": "neighbouring blocks", "grain": "grain"},
+    **{"texture": "texture", "shift": "shift", "coverage": "coverage"},
+}
+
+Change = Callable[[float], Images]
+Sees = Callable[[Images], bool]
+
+
+def failed_checks(result: Comparison) -> list[str]:
+    """Name the checks that failed, by their reasons."""
+    return [
+        name
+        for name, start in CHECKS.items()
+        if any(re.match(start, reason) for reason in result.reasons)
+    ]
+
+
+# By each check alone: of the trend no reason is told where blocks are over their limit.
+ALONE: dict[str, Callable[[Comparison], bool]] = {
+    "point": lambda result: "point" in failed_checks(result),
+    "block": lambda result: result.blocks > 0,
+    "trend": lambda result: result.changed_alike,
+}
+
+
+def row(result: Comparison) -> dict[str, Any]:
+    """Return the figures of a comparison; block is relative of linear images, else in levels."""
+    guesses = dict.fromkeys(
+        reason.split("looks like ")[-1].split(" (")[0] for reason in result.reasons
+    )
+    return {
+        "linear": result.encoding != "srgb8",
+        **{"point": result.point, "points": result.points, "block": result.block},
+        **{"blocks": result.blocks, "judged": result.blocks_judged, "trend": result.trend},
+        **{"texture": result.texture, "checks": failed_checks(result), "looks_like": list(guesses)},
+    }
+
+
+def drivers() -> Iterator[dict[str, Any]]:
+    """Yield the figures of what two drivers draw."""
+    for size, name, camera in product((512, 1024), dict(meshes()), CAMERAS):
+        setting = setting_of(name, camera, size=size)
+        drawn = (draw_elsewhere(setting, variables=each) for each in DRIVERS.values())
+        yield {"image": f"{name}, {camera}, {size}"} | row(compare(*drawn))
+
+
+def smallest(change: Change, found: Sees, most: float) -> float | None:
+    """Return the smallest change that is seen, found by bisection to 5 %; None beyond the most."""
+    low, high = 0.0, most
+    if not found(change(high)):
+        return None
+    while high - low > 0.05 * high:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if found(change(middle)) else (middle, high)
+    return high
+
+
+def sees(check: str) -> Sees:
+    return lambda images: ALONE[check](compare(*images))
+
+
+def differ(images: Images) -> bool:
+    return not compare(*images).same
+
+
+def png(images: Images) -> bool:
+    return not compare(*(encode_srgb8(image[..., :3]) for image in images)).same
+
+
+def one_pixel(linear: np.ndarray, place: tuple[int, int], sign: float) -> Change:
+    def change(by: float) -> Images:
+        image = linear.copy()
+        image[(*place, slice(0, 3))] += sign * by
+        return linear, image
+
+    return change
+
+
+def places(linear: np.ndarray) -> dict[str, tuple[int, int]]:
+    """A pixel of median radiance in the interior, the flattest such, and one at the silhouette."""
+    full = linear[..., 3] >= 1.0
+    inside = ndimage.binary_erosion(full, iterations=8)
+    level = linear[..., :3].mean(axis=-1)
+    contrast = ndimage.maximum_filter(level, 5) - ndimage.minimum_filter(level, 5)
+    middle = inside & (np.abs(level - np.median(level[inside])) < 0.05)
+    smooth = np.unravel_index(np.where(middle, contrast, np.inf).argmin(), level.shape)
+    rim = np.argwhere(full & ~ndimage.binary_erosion(full))
+    return {"smooth skin": smooth, "the silhouette": tuple(rim[len(rim) // 2])}
+
+
+def thresholds(name: str, room: Room) -> Iterator[dict[str, Any]]:
+    """Yield the smallest changes of a camera that each check sees, EXR and PNG as a whole."""
+    changes: dict[str, tuple[Change, float]] = {
+        "ks, %": (lambda by: images(factor("ks", 1.0 - 0.01 * by))(room), 50.0),
+        "m from 0.3, %": (lambda by: images(rougher(0.3 + 0.003 * by))(room), 50.0),
+        "exposure, %": (lambda by: images(exposed(1.0 + 0.01 * by))(room), 50.0),
+    }
+    linear = room.golden
+    for where, place in places(linear).items():
+        changes[f"pixel brighter, {where}"] = (one_pixel(linear, place, 1.0), 8.0)
+        changes[f"pixel darker, {where}"] = (one_pixel(linear, place, -1.0), 1.0)
+    for what, (change, most) in changes.items():
+        finds = {**{check: sees(check) for check in ALONE}, "EXR": differ, "PNG": png}
+        seen = {check: smallest(change, find, most) for check, find in finds.items()}
+        yield {"image": name, "change": what, "most": most, "seen": seen}
+
+
+def main() -> None:
+    changes, least = {}, []
+    for name, camera in product(dict(meshes()), CAMERAS):
+        room = Room(setting_of(name, camera))
+        changes[f"{name}-{camera}"] = [
+            {"change": change} | row(compare(*make(room)))
+            for change, make in (BROKEN | HARMLESS).items()
+        ]
+        least += thresholds(f"{name}, {camera}", room)
+        room.renderer.release()
+    save("comparison", changes=changes, drivers=[*drivers()], thresholds=least)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,162 @@
+"""What a whole frame costs here, what samples lose, what plans of it save.
+
+python -m benchmarks.frame      into docs/measurements/frame.json; half an hour; needs an OpenGL
+                                context, the extra lod, and the head scan for two scenes
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+import facerender as fr
+from benchmarks.data import meshes, save, scenes
+from facerender.images.srgb import linear_to_srgb
+from facerender.measure.antialiasing import antialiasing
+from facerender.planning.decisions import Decision
+from facerender.pricing.frame import ratio
+from tests.verification.subjects import Subject
+
+SIZES = (512, 1024)
+# name, cameras, size, budget, fraction of the pixels
+PLANS = (
+    ("one-camera", 1, 512, "1/255", "99.9%"),
+    ("eight-cameras", 8, 128, "1/255", "99.9%"),
+    ("wide-budget", 1, 256, "8/255", "95%"),
+)
+
+
+def main() -> None:
+    with fr.Renderer() as renderer:
+        most = renderer.context.most_samples
+    head = fr.Scene(fr.load_mesh(), fr.Camera(-35.0))
+    save(
+        "frame",
+        most_samples=most,
+        samples={str(size): sampled(head, size) for size in SIZES},
+        deferred=deferred(),
+        sizes={str(size): deferred_against_drawn(head, 4, size) for size in (256, 512, 1024, 2048)},
+        plans={name: plans(*settings) for name, *settings in PLANS},
+    )
+
+
+def sampled(scene: fr.Scene, size: int) -> list[dict[str, Any]]:
+    """Return what numbers of samples a pixel cost and lose; errors in levels of 255."""
+    rows = []
+    with fr.Renderer((size, size)) as renderer:
+        for each in antialiasing(renderer, scene):
+            lost = {"silhouette": each.silhouette, "inside": each.inside}
+            rows.append(
+                {
+                    "samples": f"{each.samples}"
+                    + ", per-pixel shading" * (each.shading_rate == "pixel"),
+                    "frame": each.time.value,
+                    **{name: 255.0 * error.mean for name, error in lost.items()},
+                    **{f"{name}_99": 255.0 * error.percentile for name, error in lost.items()},
+                    "over_percent": 100.0 * each.inside.over,
+                }
+            )
+    return rows
+
+
+def deferred() -> list[dict[str, Any]]:
+    """Return what deferred shading takes and changes, with 1 sample and with 4."""
+    names = {"head": "built-in head", "scan": "scan"}
+    rows = []
+    for name, mesh in meshes():
+        scene = fr.Scene(mesh, fr.Camera(-35.0))
+        times = {at: deferred_against_drawn(scene, n) for at, n in (("one", 1), ("four", 4))}
+        triangles = sum(len(part.faces) for part in mesh.parts)
+        rows.append({"scene": names[name], "triangles": triangles, **times})
+    return rows
+
+
+def plans(count: int, size: int, budget: str, share: str) -> dict[str, Any]:
+    """Return the plans of all scenes, and the medians of their times."""
+    with fr.Renderer((size, size)) as renderer:
+        rows = [plan_of(renderer, each, count, budget, share) for each in scenes()]
+    return {"plans": rows, "median": medians(rows)}
+
+
+def medians(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Return the medians of the times of plans."""
+    names = ("measured", "of_drawn")
+    return {name: float(np.median([row[name] for row in rows])) for name in names}
+
+
+def plan_of(
+    renderer: fr.Renderer, subject: Subject, count: int, budget: str, share: str
+) -> dict[str, Any]:
+    """Return what a plan chooses, its frame's time over both full frames', and its errors."""
+    cameras = fr.turntable(subject.scene.camera, count)
+    found = fr.plan(
+        subject.scene,
+        budget,
+        full=subject.full,
+        cameras=cameras,
+        within=share,
+        renderer=renderer,
+        verify_cost=True,
+    )
+    assert found.detail is not None
+    assert found.measured is not None
+    assert found.error.drawn is not None
+    assert found.error.drawn_within is not None
+    scene = found.detail.of(subject.scene)
+
+    def planned() -> object:
+        fine = found.detail.values
+        return renderer.render(scene, found.shading, **fine)
+
+    def drawn() -> object:
+        with patch("facerender.drawing.renderer.pays", lambda *_: False):
+            return renderer.render(subject.scene, found.full)
+
+    text = found.budget.text
+    chosen = ", ".join(word for each in found.decisions for word in _chosen(each))
+    return {
+        "scene": subject.name,
+        "chosen": chosen or "the full frame",
+        "predicted": found.cost.relative,
+        "measured": found.measured.value,
+        "of_drawn": ratio(planned, drawn, 7).value,
+        "error": text(found.error.drawn_within),
+        "worst": text(found.error.drawn),
+        "over_budget": found.error.drawn_within > found.budget.limit,
+    }
+
+
+def _chosen(decision: Decision) -> Iterator[str]:
+    """What was chosen, where it is not what the full frame has."""
+    if decision.changed and decision.name == "cull_back_faces":
+        yield "back faces culled"
+    elif decision.changed:
+        words = ("samples", "shading_rate", "triangles", "ambient", "normal map")
+        named = decision.name in words
+        yield f"{decision.name} {decision.chosen}" if named else decision.chosen
+
+
+def deferred_against_drawn(scene: fr.Scene, samples: int, size: int = 1024) -> dict[str, float]:
+    """Return the time of deferred shading over that of shading as drawn, and the fraction of the
+    covered pixels that differ by more than 1/255 in the display."""
+    with fr.Renderer((size, size), samples=samples) as renderer:
+
+        def deferred() -> np.ndarray:
+            return renderer.render(scene).linear
+
+        def drawn() -> np.ndarray:
+            with patch("facerender.drawing.renderer.pays", lambda *_: False):
+                return renderer.render(scene).linear
+
+        time = ratio(deferred, drawn, 9)
+        one, other = deferred(), drawn()
+    error = np.abs(linear_to_srgb(one[..., :3]) - linear_to_srgb(other[..., :3])).max(axis=-1)
+    return {**asdict(time), "over": float((error[other[..., 3] > 0.0] > 1 / 255).mean())}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,100 @@
+"""Draw figures 1 to 5 of the paper anew and measure its claims:
+
+    python -m benchmarks.paper [-o out/reproduction]
+
+Needs OpenGL and the extra facerender[measure]. Without a C compiler, or the compilers that
+``benchmarks.prices.amd`` needs, the claims that depend on it are marked "not measured".
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from functools import partial
+from importlib.metadata import version
+
+from benchmarks.paper import claims, figures
+from benchmarks.paper.report import Reproduction
+from facerender.drawing.context import Backend
+from facerender.errors import FacerenderError, NotMeasured
+from facerender.measure import plots
+from facerender.measure.run import environment
+from facerender.system.progress import Bar, Progress, no_progress
+
+
+def reproduce(
+    repeats: int = 25,
+    size: tuple[int, int] = (270, 315),
+    backend: Backend = "auto",
+    progress: Progress = no_progress,
+) -> Reproduction:
+    """Draw the paper's figures and measure what it claims.
+
+    Parameters
+    ----------
+    repeats : of every measurement of time
+    size : of one face in figure 5, in pixels
+    progress : called with the current step and the fraction of it that is done
+
+    Raises
+    ------
+    InputError : matplotlib is not installed
+    ContextError : no OpenGL context
+    """
+    plots.check()
+    progress("figures 1 to 4", 0.0)
+    images = figures.charts()
+    progress("figure 5", 0.0)
+    images["fig5.png"] = figures.faces(size, backend)
+    machine = environment(backend)
+    progress("scalar code", 0.0)
+    try:
+        scalar, compiler = claims.scalar_cost(repeats)
+        conditions = f"{compiler}; {machine.processor}"
+    except NotMeasured as error:
+        scalar, compiler, conditions = {}, "none", str(error)
+    glsl = claims.glsl_cost(repeats, backend, partial(progress, f"GLSL on {machine.GL_RENDERER}"))
+    renderer = machine.GL_RENDERER
+    if machine.software:
+        renderer += f" on {machine.processor}"
+    progress("AMD's compiler", 0.0)
+    results = [
+        *claims.error_claims(),
+        *claims.scalar_claims(scalar, conditions),
+        *(claim for contest, cost in glsl.items() for claim in contest.claims(cost, renderer)),
+        *claims.amd_claims(),
+    ]
+    costs = scalar | {
+        f"{contest.title}: {form}": interval
+        for contest, cost in glsl.items()
+        for form, interval in cost.items()
+    }
+    facts = asdict(machine) | {
+        "C compiler": compiler,
+        "C library": " ".join(platform.libc_ver()),
+        "matplotlib": version("matplotlib"),
+        "repeats": repeats,
+    }
+    return Reproduction(facts, results, costs, images)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write figures, JSON and a page; return 0, or 2 if something they need is missing."""
+    parser = argparse.ArgumentParser("python -m benchmarks.paper", description=__doc__)
+    parser.add_argument("-o", "--output", default="out/reproduction", metavar="DIR")
+    options = parser.parse_args(arguments)
+    try:
+        with Bar() as progress:
+            result = reproduce(progress=progress)
+        print(*result.write(options.output), sep="\n")
+    except FacerenderError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,274 @@
+"""The claims of Romanyuk et al. (2020) beside what is measured here: the error of D16, and the
+speed of D16 in scalar code, in GLSL and by AMD's compiler. How cost is measured is in
+``pricing/cost.py``."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.prices import amd
+from facerender import lobes
+from facerender.brdf import K_COOK_TORRANCE
+from facerender.drawing.context import Backend
+from facerender.errors import NotMeasured
+from facerender.measure.error import lobe_error, printed_error
+from facerender.measure.measurement import MODELS
+from facerender.pricing.cost import OF_COSINE, OF_VECTORS, QUANTILE, by_slope
+from facerender.pricing.interval import Interval, bootstrap
+from facerender.pricing.variants import Variant
+from facerender.system.signals import temporary_folder
+
+Verdict = Literal["holds", "fails", "undecided", "not measured", "for comparison"]
+
+SLOPES = (0.2, 0.3, 0.4, 0.5, 0.6)  # the paper's
+D16_ERROR = 1.3  # percent, "does not exceed"
+SCALAR_SPEED = 4.34  # times, of D16 alone on a CPU
+WHOLE_SPEED = 2.0  # times, "more than"
+_WHOLE_PAPER = f"more than {WHOLE_SPEED:g} times as fast"
+FLAGS = ("-O2", "-fno-tree-vectorize")  # gcc vectorises some loops at -O2: that is not scalar
+DEGREES = np.linspace(0.0, 90.0, 9001)
+COSINES = np.cos(np.radians(DEGREES)).clip(0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim of the paper beside what was measured.
+
+    Attributes
+    ----------
+    claim, paper, measured, conditions : for a reader; paper is the number that the paper gives
+    verdict : a claim of speed holds where the whole 95 % interval reaches the paper's number, and
+        is undecided where the interval contains it
+    where : the part of the domain in which a claim holds that fails as a whole, or why there is no
+        measurement
+    values : the numbers behind "measured"
+    """
+
+    claim: str
+    paper: str
+    measured: str
+    conditions: str
+    verdict: Verdict
+    where: str = ""
+    values: Mapping[str, float] = field(default_factory=dict)
+
+
+# --- errors --------------------------------------------------------------------------------------
+
+
+def exact_lobe(m: float) -> NDArray[np.float64]:
+    """Return Cook-Torrance's lobe at DEGREES, in units of its peak."""
+    return lobes.exact(COSINES, m, K_COOK_TORRANCE)
+
+
+def relative_error(name: str, m: float, down_to: float) -> float:
+    """Return the largest |lobe - exact|/exact in percent for Cook-Torrance, from the peak down to
+    the share ``down_to`` of it.
+
+    Raises
+    ------
+    InputError : m outside the domain of the lobe
+    """
+    end = np.interp(-down_to, -exact_lobe(m), DEGREES)
+    degrees = np.linspace(0.0, end, 1001)
+    exact = lobes.exact(np.cos(np.radians(degrees)), m, K_COOK_TORRANCE)
+    return 100.0 * float((np.abs(lobe_error(name, m, K_COOK_TORRANCE, degrees)) / exact).max())
+
+
+def error_claims() -> list[Claim]:
+    """Hold "the relative error does not exceed 1.3 %" against D16."""
+
+    def relative(m: float) -> float:
+        return relative_error("d16", m, 0.1)
+
+    def absolute(m: float) -> float:
+        return 100.0 * float(np.abs(lobe_error("d16", m, K_COOK_TORRANCE, DEGREES)).max())
+
+    def unclamped(m: float) -> float:
+        return 100.0 * float(np.abs(printed_error(m, K_COOK_TORRANCE, 16)).max())
+
+    claims = []
+    for error, conditions in (
+        (relative, "relative to D, down to a tenth of its peak; clamped; float64"),
+        (absolute, "in % of the peak, 0 to 90 degrees; clamped; float64"),
+        (unclamped, "in % of the peak, 0 to 90 degrees; as printed, without a clamp; float64"),
+    ):
+        values = {f"{m:g}": error(m) for m in SLOPES}
+        inside = [m for m in np.linspace(0.1, 0.7, 601) if error(m) <= D16_ERROR]
+        where = f"from {inside[0]:.3f} to {inside[-1]:.3f}" if inside else "nowhere"
+        claims.append(
+            Claim(
+                "error of D16 against D",
+                f"at most {D16_ERROR:g} %",
+                f"{', '.join(f'{value:.3g}' for value in values.values())} % "
+                f"at m = {', '.join(values)}",
+                conditions,
+                "holds" if max(values.values()) <= D16_ERROR else "fails",
+                f"of m = 0.1 to 0.7 it holds {where}",
+                values,
+            )
+        )
+    return claims
+
+
+# --- cost ----------------------------------------------------------------------------------------
+
+
+def scalar_cost(repeats: int) -> tuple[dict[str, Interval], str]:
+    """Measure ``scalar.c``, compiled with the system's C compiler.
+
+    Returns
+    -------
+    nanoseconds an evaluation by the name of the function, and the compiler with its flags
+
+    Raises
+    ------
+    NotMeasured : no compiler, or one that fails
+    """
+    source = str(Path(__file__).with_name("scalar.c"))
+    with temporary_folder() as folder:
+        program = os.path.join(folder, "scalar")
+        try:
+            _output("cc", *FLAGS, source, "-o", program, "-lm")
+            compiler = _output("cc", "--version").splitlines()[0]
+            names, _, *rows = _output(program, str(repeats)).splitlines()
+        except (OSError, subprocess.SubprocessError) as error:
+            raise NotMeasured(f"needs the apt packages gcc and libc6-dev ({error})") from None
+    times = np.array([row.split() for row in rows], dtype=np.float64)
+    intervals = bootstrap(lambda turns: np.quantile(times[turns], QUANTILE, axis=0), repeats)
+    return dict(zip(names.split(), intervals, strict=True)), f"{compiler}, {' '.join(FLAGS)}"
+
+
+def _output(*command: str) -> str:
+    return subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
+
+
+def scalar_claims(cost: Mapping[str, Interval], where: str) -> list[Claim]:
+    """Hold "4.34 times faster" against scalar code, or say where it could not be measured."""
+    title, paper = "D16 against D, scalar on a CPU", f"{SCALAR_SPEED:g} times as fast"
+    if not cost:
+        return [Claim(title, paper, "", "", "not measured", where)]
+    claims = [
+        speed_claim(title, cost[exact], cost[d16], f"{how}; {where}", paper, SCALAR_SPEED)
+        for exact, d16, how in (
+            ("printed_each", "d16_each", "as printed, an m for each cosine"),
+            ("printed_one", "d16_one", "as printed, one m for all"),
+            ("printed_one", "d16_beforehand", "one m, in D16 no division left"),
+        )
+    ]
+    ours = "D with one division against D as printed, scalar"
+    conditions = f"an m for each cosine; {where}"
+    return [*claims, speed_claim(ours, cost["printed_each"], cost["exact_each"], conditions)]
+
+
+@dataclass(frozen=True)
+class Contest:
+    """Three forms of a model's whole term, or of its lobe alone, that are held against each other:
+    exact as printed, D16 as printed, and the library's exact."""
+
+    model: str
+    whole: bool
+
+    @property
+    def title(self) -> str:
+        """What is timed."""
+        return f"{MODELS[self.model]}, {'whole term' if self.whole else 'lobe alone'}"
+
+    @property
+    def forms(self) -> dict[str, tuple[str, str]]:
+        """Prelude and expression by name."""
+        variants = (
+            Variant(self.model, "exact", printed=True),
+            Variant(self.model, "d16", printed=True),
+            Variant(self.model, "exact"),
+        )
+        return {form.name: form.term if self.whole else form.lobe_term for form in variants}
+
+    def claims(
+        self, costs: Mapping[str, Interval], conditions: str, unit: str = "ns"
+    ) -> list[Claim]:
+        """Hold "more than twice" against the whole term; the lobe alone, and the library's exact
+        form, stand beside. The costs are those of the forms."""
+        printed, d16, ours = (costs[name] for name in self.forms)
+        paper, needed = (_WHOLE_PAPER, WHOLE_SPEED) if self.whole else ("", None)
+        against = f"{self.title}: our exact against exact as printed"
+        return [
+            speed_claim(self._d16, printed, d16, conditions, paper, needed, unit),
+            speed_claim(against, printed, ours, conditions, unit=unit),
+        ]
+
+    def not_measured(self, conditions: str, why: str) -> Claim:
+        """Say that the whole term could not be measured, and why."""
+        return Claim(self._d16, _WHOLE_PAPER, "", conditions, "not measured", why)
+
+    @property
+    def _d16(self) -> str:
+        return f"{self.title}: D16 against exact, as printed"
+
+
+def glsl_cost(
+    repeats: int, backend: Backend, progress: Callable[[float], object] = lambda done: None
+) -> dict[Contest, dict[str, Interval]]:
+    """Measure whole terms, and the lobes alone; progress as of :func:`by_slope`."""
+    contests = [Contest(model, whole) for whole in (True, False) for model in MODELS]
+    empty = {True: OF_VECTORS, False: OF_COSINE}
+    costs = {}
+    for number, contest in enumerate(contests):
+
+        def told(done: float, before: int = number) -> None:
+            progress((before + done) / len(contests))
+
+        costs[contest] = by_slope(contest.forms, empty[contest.whole], repeats, backend, told)
+    return costs
+
+
+def amd_claims() -> list[Claim]:
+    """Hold "more than twice" against what AMD's compiler says of whole terms."""
+    claims = []
+    for contest in (Contest(model, whole=True) for model in MODELS):
+        for family in amd.FAMILIES:
+            try:
+                rows = amd.statistics(contest.forms, family)
+            except NotMeasured as error:
+                claims.append(contest.not_measured(family, str(error)))
+                continue
+            cycles = {form: Interval(*3 * (row.inverse_throughput,)) for form, row in rows.items()}
+            where = f"{family}, estimated by the compiler of {amd.driver()}"
+            claims += contest.claims(cycles, where, "cycles")
+    return claims
+
+
+def speed_claim(
+    title: str,
+    slow: Interval,
+    fast: Interval,
+    conditions: str,
+    paper: str = "",
+    needed: float | None = None,
+    unit: str = "ns",
+) -> Claim:
+    """Hold the ratio of two costs against the paper's, if it gives one. The bounds of the ratio let
+    both costs go their worst way."""
+    least = 1e-9  # noise may take a cost to zero or below
+    ratio = slow.value / max(fast.value, least)
+    low, high = slow.low / max(fast.high, least), slow.high / max(fast.low, least)
+    verdict: Verdict = "for comparison"
+    if needed is not None:
+        verdict = "holds" if low >= needed else "fails" if high < needed else "undecided"
+    return Claim(
+        title,
+        paper,
+        f"{ratio:.2f} times ({low:.2f} to {high:.2f}): "
+        f"{slow.value:.3g} and {fast.value:.3g} {unit}",
+        conditions,
+        verdict,
+        values={"ratio": ratio, "low": low, "high": high},
+    )

@@ -1,0 +1,245 @@
+"""What plans of ten scenes choose, save and lose, and how they are checked.
+
+python -m benchmarks.plan      into docs/measurements/plan.json; half an hour; needs an OpenGL
+                               context, the head scan for two scenes, and the compilers of
+                               RADV's estimates
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+import facerender as fr
+from benchmarks.data import save, scenes
+from benchmarks.prices import amd
+from benchmarks.prices.table import cycles
+from facerender.drawing.passes.shade import shade_pass
+from facerender.drawing.prepare import simplify
+from facerender.drawing.program import Program
+from facerender.planning.budget import ROUNDING, Budget
+from facerender.planning.candidates import DECISIONS, candidates, changed
+from facerender.planning.plan import Plan, plan
+from facerender.pricing.table import load_prices
+from facerender.scenes.view import view_of
+from tests.verification.subjects import BUDGETS, KINDS, Subject, brute_force
+
+SIZE = (512, 512)
+SMALL = (64, 64)
+TURNTABLE = 8
+UNPLANNED = 50
+MODES = {"one": "one camera", "around": "eight cameras"}
+
+
+def cameras(count: int) -> list[fr.Camera]:
+    """Return cameras that no plan was made with: from all around, higher, lower, nearer."""
+    random = np.random.default_rng(7)
+    return [
+        fr.Camera(random.uniform(-180, 180), random.uniform(-30, 40), zoom=random.uniform(0.8, 2.5))
+        for _ in range(count)
+    ]
+
+
+class Views:
+    """What OpenGL draws of a subject at cameras, and the largest errors there."""
+
+    def __init__(self, renderer: fr.Renderer, subject: Subject, at: Sequence[fr.Camera]) -> None:
+        self.renderer, self.subject = renderer, subject
+        self.scenes = [replace(subject.scene, camera=each, background=None) for each in at]
+        self.exact = [self._draw(scene, subject.full) for scene in self.scenes]
+        self.known: dict[fr.Shading, list[float]] = {}
+
+    def errors(self, shading: fr.Shading) -> list[float]:
+        """Return the largest error at each camera, as a fraction of the display's range."""
+        if shading not in self.known:
+            budget = Budget.parse("1/255")
+            self.known[shading] = [
+                float(budget.errors(self._draw(scene, shading), exact).max())
+                for scene, exact in zip(self.scenes, self.exact, strict=True)
+            ]
+        return self.known[shading]
+
+    def _draw(self, scene: fr.Scene, shading: fr.Shading) -> np.ndarray:
+        return self.renderer.render(scene, shading).linear[..., :3]
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A plan, how long it took, and the largest drawn errors at its cameras and at others."""
+
+    plan: Plan
+    seconds: float
+    planned: list[float]
+    unplanned: list[float]
+
+
+Results = dict[tuple[str, str, str], Result]  # by scene, budget and kind of cost
+
+
+def short(found: Plan) -> str:
+    """Return what was chosen, in few words."""
+    shading, full = found.shading, found.full
+    differs = changed(shading, full)
+    if not differs:
+        return "exact: nothing saved"
+    words = {
+        "lights": f"specular of {listed(shading.specular_lights or ())}",
+        "frontal": f"{listed(shading.frontal_lights)} without F and G",
+        "normal map": "no normal map",
+        "slope": "m constant",
+        "specular weight": "ks constant",
+        "ambient": "no ambient",
+        "model": shading.term.model,
+        "lobe": str(shading.term.lobe).split(" (")[0],
+        "Fresnel": f"Fresnel {shading.term.fresnel}",
+        "masking": f"masking {shading.term.masking}",
+        "small slopes": "small slopes plain",
+    }
+    if "model" in differs:
+        differs = [name for name in differs if name not in ("Fresnel", "masking")]
+    return ", ".join(words[name] for name in DECISIONS if name in differs)
+
+
+def listed(lights: Sequence[int]) -> str:
+    """Return the names of lights."""
+    names = ("key", "rim", "fill")  # where there are several
+    return " and ".join(names[light] for light in lights) or "no light"
+
+
+def cost_rows(results: Results, names: Iterable[str], budget: str) -> list[dict[str, Any]]:
+    """Return the plans of all scenes for a budget, by the kind of cost."""
+    rows = []
+    for name in names:
+        row: dict[str, Any] = {"scene": name}
+        for kind in KINDS:
+            found = results[name, budget, kind].plan
+            specular = found.cost.specular / found.cost.full_specular
+            chosen = short(found)
+            row[kind] = {"cost": found.cost.relative, "specular": specular, "chosen": chosen}
+        rows.append(row)
+    return rows
+
+
+def violations(results: Iterable[Result], unplanned: bool) -> dict[str, Any]:
+    """Return the cameras over the budget, of how many, and the largest error over the budget."""
+    pairs = [
+        (error, each.plan.budget.limit)
+        for each in results
+        for error in (each.unplanned if unplanned else each.planned)
+    ]
+    over = sum(error > limit for error, limit in pairs)
+    return {"over": over, "of": len(pairs), "largest": max(error / limit for error, limit in pairs)}
+
+
+def rates(modes: dict[str, Results]) -> Iterator[dict[str, Any]]:
+    """Yield how often plans are over their budgets at their own cameras and at others."""
+    for (mode, results), budget in product(modes.items(), BUDGETS):
+        chosen = [each for key, each in results.items() if key[1] == budget]
+        own, others = violations(chosen, False), violations(chosen, True)
+        yield {"planned": MODES[mode], "budget": budget, "own": own, "others": others}
+
+
+def checks(modes: dict[str, Results]) -> Iterator[dict[str, Any]]:
+    """Yield how far sums of prices are from the compiler's estimate of the whole program."""
+    for family in amd.FAMILIES:
+        plans = [e.plan for kept in modes.values() for key, e in kept.items() if key[2] == family]
+        off = [abs(each.cost.relative - compiled(each, family)) for each in plans]
+        yield {"family": family, "largest": max(off), "median": statistics.median(off)}
+
+
+def compiled(found: Plan, family: str) -> float:
+    """Return the cost of the plan's whole fragment program over the full one's, by RADV."""
+
+    def program(shading: fr.Shading) -> Program:
+        simple = simplify(found.scene, shading)
+        (draw,) = shade_pass(simple, view_of(simple, 1.0), shading, 1).draws
+        return draw.program
+
+    own, full = cycles([program(found.shading), program(found.full)], family)
+    return own / full
+
+
+def brute(subject: Subject, renderer: fr.Renderer) -> tuple[int, int]:
+    """Return how many shadings there are, and for how many budgets and prices a plan is dearer
+    than the cheapest of them all that fits."""
+    found = {
+        (budget, kind): plan(subject.scene, budget, full=subject.full, cost=kind, renderer=renderer)
+        for budget in BUDGETS
+        for kind in KINDS
+    }
+    constants = found[BUDGETS[0], KINDS[0]].constants
+    prices = {kind: load_prices(kind, subject.scene, ()) for kind in KINDS}
+
+    def cost(shading: fr.Shading, kind: str) -> float:
+        return prices[kind].cost(subject.scene, shading)[0]
+
+    every = [
+        each
+        for each in candidates(subject.scene, subject.full, constants)
+        if each == subject.full or any(cost(each, k) < cost(subject.full, k) for k in KINDS)
+    ]
+    errors = brute_force(renderer, subject, every)
+    dearer = 0
+    for (budget, kind), chosen in found.items():
+        limit = Budget.parse(budget).limit - ROUNDING["display"]
+        fitting = [each for each, error in zip(every, errors, strict=True) if error <= limit]
+        cheapest = min(cost(each, kind) for each in fitting)
+        dearer += chosen.cost.total > cheapest
+    return len(every), dearer
+
+
+def plans_of(
+    renderer: fr.Renderer, subject: Subject, modes: dict[str, Results], unplanned: Views
+) -> None:
+    """Add the plans of a scene for all budgets and costs, with their errors as drawn."""
+    around = fr.turntable(subject.scene.camera, TURNTABLE)
+    planned = Views(renderer, subject, around)  # the first is the scene's own
+    for (mode, results), budget, kind in product(modes.items(), BUDGETS, KINDS):
+        own = {"cameras": around} if mode == "around" else {}
+        start = time.perf_counter()
+        found = plan(subject.scene, budget, full=subject.full, cost=kind, renderer=renderer, **own)
+        seconds = time.perf_counter() - start
+        drawn = planned.errors(found.shading)[: len(found.cameras)]
+        others = unplanned.errors(found.shading)
+        results[subject.name, budget, kind] = Result(found, seconds, drawn, others)
+
+
+def main() -> None:
+    modes: dict[str, Results] = {mode: {} for mode in MODES}
+    counts: dict[str, tuple[int, int]] = {}
+    with fr.Renderer(SIZE) as renderer, fr.Renderer(SMALL, samples=1) as small:
+        for subject in scenes():
+            print(subject.name, flush=True)
+            plans_of(renderer, subject, modes, Views(renderer, subject, cameras(UNPLANNED)))
+            counts[subject.name] = brute(subject, small)
+    numbers = [number for number, _ in counts.values()]
+    save(
+        "plan",
+        costs={
+            mode: {each.split("/")[0]: cost_rows(results, counts, each) for each in BUDGETS}
+            for mode, results in modes.items()
+        },
+        rates=[*rates(modes)],
+        checks=[*checks(modes)],
+        search={
+            "shadings": [min(numbers), max(numbers)],
+            "plans": len(counts) * len(BUDGETS) * len(KINDS),
+            "scenes": len(counts),
+            "dearer": sum(dearer for _, dearer in counts.values()),
+        },
+        seconds={
+            mode: [statistics.median(times), max(times)]
+            for mode, results in modes.items()
+            for times in [[each.seconds for each in results.values()]]
+        },
+    )
+
+
+if __name__ == "__main__":
+    main()

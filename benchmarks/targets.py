@@ -1,0 +1,53 @@
+"""On which targets the shader library keeps its bounds, and how near it comes to them.
+
+python -m benchmarks.targets        into docs/measurements/targets.json; of a target that is
+                                    missing here, the reason in the place of the renderer
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from benchmarks.data import save
+from tests.verification.cases import cases_of, evaluated
+from tests.verification.targets import LAVAPIPE, TARGETS, Remote, groups_of
+
+FIELDS = ("target", "renderer", "version", "functions", "samples", "percent", "case")
+
+
+def measured(target: str) -> dict[str, Any]:
+    """Evaluate all cases on a target, and return how near the worst one comes to its bound."""
+    functions, samples, shares = set(), 0, {}
+    with Remote(target) as remote:
+        for group in groups_of(target):
+            cases = cases_of(group)
+            for name, result in evaluated(cases, remote).items():
+                functions.update(re.findall(r"fr_\w+", cases[name].expression))
+                samples += len(result)
+                shares[name] = cases[name].share(result).max()
+        worst = max(shares, key=shares.__getitem__)
+        return {
+            "target": target,
+            "renderer": remote.renderer,
+            "version": remote.version,
+            "functions": len(functions),
+            "samples": samples,
+            "percent": 100.0 * shares[worst],
+            "case": worst,
+        }
+
+
+def main() -> None:
+    rows = []
+    for target in (*TARGETS, *LAVAPIPE):
+        try:
+            rows.append(measured(target))
+        except Exception as error:  # glcontext raises bare Exception
+            missing = {"target": target, "renderer": f"none: {error}"}
+            rows.append({**dict.fromkeys(FIELDS), **missing})
+    save("targets", targets=rows)
+
+
+if __name__ == "__main__":
+    main()

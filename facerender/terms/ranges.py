@@ -1,0 +1,147 @@
+"""Ranges of values. Each stands once, on the field of the dataclass that it limits; constructors,
+the command line, the schema and the checks of batches, and the explorer read it from there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from functools import cache
+from numbers import Integral, Real
+from typing import Any
+
+from facerender.errors import InputError, check_switch, shown
+
+
+@dataclass(frozen=True)
+class Range:
+    """The numbers from low to high, both included.
+
+    Parameters
+    ----------
+    low, high : the ends; high may be infinite
+    unit : such as "degrees", or "" for a number without one
+    """
+
+    low: float
+    high: float
+    unit: str = ""
+
+    def __contains__(self, value: Any) -> bool:
+        """Tell whether a value is one number of the range."""
+        number = isinstance(value, Real) and not isinstance(value, bool)
+        return bool(number and self.low <= value <= self.high)
+
+    def __str__(self) -> str:
+        several = f"{self.low:g} to {self.high:g}"
+        ends = several if self.high < math.inf else f"at least {self.low:g}"
+        return f"{ends} {self.unit}".strip()
+
+    def check(self, name: str, value: Any) -> Any:
+        """Return the value, in the form that a field holds.
+
+        Raises
+        ------
+        InputError : the value is outside the range, or of another type
+        """
+        if value not in self:
+            raise InputError(f"{name} = {shown(value)} is outside [{self.low:g}, {self.high:g}]")
+        return value
+
+
+class IntegerRange(Range):
+    """The whole numbers from low to high; a field holds an int."""
+
+    def __contains__(self, value: Any) -> bool:
+        return isinstance(value, Integral) and super().__contains__(value)
+
+    def check(self, name: str, value: Any) -> Any:
+        if value not in self:
+            bounded = isinstance(value, Integral) and self.high < math.inf
+            of = "" if bounded else "of " if self.high == math.inf else "from "
+            what = f"{'' if bounded else 'a whole number '}{of}{self}"
+            raise InputError(f"{name} = {shown(value)}: give {what}")
+        return int(value)
+
+
+class SizeRange(IntegerRange):
+    """Sides of an image, in pixels; a field holds width and height."""
+
+    def check(self, name: str, value: Any) -> Any:
+        sides = value.tolist() if hasattr(value, "tolist") else value
+        if not isinstance(sides, tuple | list) or len(sides) != 2:
+            raise InputError(f"{name} = {shown(value)}: give width and height in pixels")
+        width, height = sides
+        if width not in self or height not in self:
+            ends = f"{self.low:g} to {self.high:.0f}"
+            raise InputError(
+                f"{name} {shown(width)} x {shown(height)}: give {ends} {self.unit} a side"
+            )
+        return int(width), int(height)
+
+
+class VectorRange(Range):
+    """Three numbers of the range; one number stands for three equal ones."""
+
+    def check(self, name: str, value: Any) -> tuple[float, float, float]:
+        several = value.tolist() if hasattr(value, "tolist") else value
+        numbers = [*several] if isinstance(several, list | tuple) else [several] * 3
+        if len(numbers) != 3 or not all(each in self for each in numbers):
+            ends = f"[{self.low:g}, {self.high:g}]"
+            raise InputError(f"{name} = {shown(value)}: give a number in {ends}, or three")
+        x, y, z = map(float, numbers)
+        return x, y, z
+
+
+FRACTION = Range(0.0, 1.0)
+EXPOSURES = Range(-100.0, 100.0, "stops")  # of images for a display
+
+
+def ranged(limits: Range, default: Any = MISSING) -> Any:
+    """Return a field of a dataclass with the range of its values; None is allowed as well where
+    the field's type says so."""
+    return field(default=default, metadata={"range": limits})
+
+
+@cache
+def ranges_of(kind: type) -> Mapping[str, Range]:
+    """Return the ranges of a dataclass, by the names of its fields."""
+    return {each.name: each.metadata["range"] for each in fields(kind) if "range" in each.metadata}
+
+
+def range_of(kind: type, name: str) -> Range:
+    """Return the range of a field, such as ``range_of(Light, "radius")``."""
+    return ranges_of(kind)[name]
+
+
+def check_fields(value: object, prefix: str = "") -> None:
+    """Check those fields of a frozen dataclass that have a range or are switches, and give them the
+    form that they have there.
+
+    Parameters
+    ----------
+    prefix : what the names of the fields have before them in messages, such as "light "
+
+    Raises
+    ------
+    InputError : a value outside its range, a switch that is neither true nor false
+    """
+    kind: Any = type(value)
+    for name, limits, optional in _checked(kind):
+        own = getattr(value, name)
+        if own is None and optional:
+            continue
+        if limits is None:
+            check_switch(prefix + name, own)
+        else:
+            object.__setattr__(value, name, limits.check(prefix + name, own))
+
+
+@cache
+def _checked(kind: type) -> tuple[tuple[str, Range | None, bool], ...]:
+    limits = ranges_of(kind)
+    return tuple(
+        (each.name, limits.get(each.name), str(each.type).endswith("| None"))
+        for each in fields(kind)
+        if each.name in limits or each.type in ("bool", "bool | None")
+    )

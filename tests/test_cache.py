@@ -1,0 +1,420 @@
+"""Meshes and plans that are kept between processes: the same bits as without, nothing stale, and no
+harm from damage, other writers, a full or a closed folder."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import re
+import subprocess
+import sys
+import threading
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import facerender as fr
+from facerender import loading
+from facerender.commands import main
+from facerender.system import cache
+from tests import awkward_files as files
+from tests.awkward_files import MINI_HEAD, mini_head
+from tests.test_cli import assert_error
+
+SMALL = ("--size", "48", "--samples", "1")
+
+
+@pytest.fixture(autouse=True)
+def place(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.delenv("FACERENDER_CACHE_MIB", raising=False)
+    return tmp_path / "cache" / "facerender"
+
+
+@pytest.fixture
+def reads(monkeypatch):
+    """The mesh files that were read by trimesh."""
+    seen = []
+
+    def spy(path, *options):
+        seen.append(path)
+        return read(path, *options)
+
+    read = loading.read
+    monkeypatch.setattr(loading, "read", spy)
+    return seen
+
+
+def wait():
+    for thread in threading.enumerate():
+        if thread.name == "facerender-store":
+            thread.join()
+
+
+def load(*args, **options):
+    mesh = fr.load_mesh(*args, cache=True, **options)
+    wait()
+    return mesh
+
+
+def entries(place):
+    return sorted(place.glob("meshes/*"))
+
+
+def textured(folder: Path) -> Path:
+    folder.mkdir(exist_ok=True)
+    return files.write_textured_obj(folder / "head.obj", mini_head())
+
+
+def arrays_of(mesh):
+    yield from (mesh.bounds, mesh.profile, np.array(mesh.radius))
+    for part in mesh.parts:
+        yield from (part.positions, part.normals, part.faces)
+        yield from (each for each in (part.uv, part.colors) if each is not None)
+    for material in mesh.materials:
+        yield np.array([material.albedo, (material.m, material.roughness_factor, material.f0)])
+        for texture in (material.albedo_map, material.normal_map, material.property_map):
+            if texture is not None:
+                yield np.asarray(texture.rgb())
+                for kind in ("color", "normal", "data"):
+                    yield from texture.levels(kind).result()
+
+
+def assert_same(mesh, other):
+    assert mesh.name == other.name
+    for a, b in zip(arrays_of(mesh), arrays_of(other), strict=True):
+        assert a.dtype == b.dtype
+        np.testing.assert_array_equal(a, b)
+    for a, b in zip(mesh.materials, other.materials, strict=True):
+        for name in ("albedo_map", "normal_map", "roughness_map", "specular_map", "occlusion_map"):
+            assert (getattr(a, name) is None) == (getattr(b, name) is None)
+            if getattr(a, name) is not None:
+                assert getattr(a, name).name == getattr(b, name).name
+                np.testing.assert_array_equal(getattr(a, name).rgb(), getattr(b, name).rgb())
+
+
+def textures_of_files(folder: Path) -> dict[str, Path]:
+    """Maps of three sizes, one of them in colour."""
+    rng = np.random.default_rng(5)
+    made = {}
+    for name, shape in (
+        ("albedo", (9, 7, 3)),
+        ("specular_map", (5, 8)),
+        ("roughness_map", (4, 4, 3)),
+    ):
+        made[name] = folder / f"{name}.png"
+        Image.fromarray(rng.integers(0, 256, shape, dtype=np.uint8)).save(made[name])
+    return made
+
+
+@pytest.mark.parametrize("case", ["head", "obj", "gltf", "ply", "stl", "maps", "flipped"])
+def test_a_mesh_from_the_store_is_the_same(case, tmp_path, reads, place):
+    options = {}
+    path = MINI_HEAD
+    if case == "head":
+        path = None
+    elif case == "obj":
+        path = textured(tmp_path / "in")
+    elif case == "gltf":
+        path = files.write_gltf(tmp_path / "head.gltf", mini_head())
+    elif case == "ply":
+        colors = np.random.default_rng(1).integers(0, 256, (len(mini_head().positions), 4))
+        path = files.write_ply(tmp_path / "head.ply", mini_head(), colors.astype(np.uint8))
+    elif case == "stl":
+        path = files.write_stl(tmp_path / "head.stl", mini_head())
+    elif case == "maps":
+        options = textures_of_files(tmp_path)
+    else:
+        options = {"flip_v": True}
+    plain = fr.load_mesh(path, **options)
+    first = load(path, **options)
+    assert len(entries(place)) == 1
+    kept = load(path, **options)
+    assert len(reads) == 2
+    assert_same(plain, first)
+    assert_same(plain, kept)
+    for part in kept.parts:
+        assert part.positions.flags.writeable
+
+
+def test_the_command_draws_the_same_bits_and_imports_neither_trimesh_nor_pillow(tmp_path, place):
+    """As a process of its own, three times: without the store, to fill it, from it."""
+    code = (
+        "import sys; from facerender.commands import main\n"
+        "status = main(sys.argv[1:])\n"
+        "print(*{'trimesh', 'PIL', 'scipy'} & set(sys.modules))\n"
+        "sys.exit(status)"
+    )
+    images, imported = [], []
+    for options in (["--no-cache"], [], []):
+        png = tmp_path / f"{len(images)}.png"
+        command = [sys.executable, "-c", code, "render", MINI_HEAD, "-o", png, *SMALL, *options]
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        images.append(png.read_bytes())
+        imported.append(done.stdout.splitlines()[1])
+        assert bool(entries(place)) == (not options)
+    assert images[0] == images[1] == images[2]
+    assert imported[1] == "PIL"  # glTF is read without trimesh
+    assert imported[2] == ""
+
+
+@pytest.mark.parametrize(
+    "options",
+    [(), ("--m", "0.2"), ("--f0", "0.1"), ("--float-albedo",), ("--only", "specular")],
+    ids=" ".join,
+)
+def test_options_change_a_kept_mesh_as_any(options, tmp_path, egl, reads):
+    images = []
+    for uncached in (["--no-cache"], [], []):
+        assert main(["render", "-o", str(tmp_path / "o.exr"), *SMALL, *options, *uncached]) == 0
+        wait()
+        images.append((tmp_path / "o.exr").read_bytes())
+    assert len(reads) == 2
+    assert images[0] == images[1] == images[2]
+
+
+def test_what_is_warned_of_is_warned_of_again(tmp_path, reads):
+    head = mini_head()
+    path = files.write_obj(tmp_path / "inside-out.obj", head.with_faces(head.faces[:, ::-1]))
+    for _ in range(2):
+        with pytest.warns(fr.FacerenderWarning, match="inside-out.obj are inside out: turned"):
+            load(path)
+    assert len(reads) == 1
+
+
+@pytest.mark.parametrize("change", ["mesh", "mtl", "texture", "other texture", "removed", "name"])
+def test_a_changed_file_is_read_anew(change, tmp_path, reads):
+    path = textured(tmp_path / "in")
+    mtl, texture = (next(path.parent.glob(f"*.{suffix}")) for suffix in ("mtl", "jpg"))
+    load(path)
+    if change == "mesh":
+        path.write_text(re.sub(r"^v \S+", "v 0.01", path.read_text(), count=1, flags=re.M))
+    elif change == "mtl":
+        other = path.parent / "other.png"
+        Image.new("RGB", (4, 4), (200, 10, 10)).save(other)
+        mtl.write_text(mtl.read_text().replace(texture.name, other.name))
+    elif change == "texture":
+        times = texture.stat()
+        data = bytearray(texture.read_bytes())
+        data[-3] ^= 1
+        texture.write_bytes(data)
+        os.utime(texture, ns=(times.st_atime_ns, times.st_mtime_ns))  # as some tools do
+    elif change == "other texture":
+        Image.new("RGB", (4, 4), (10, 10, 200)).save(texture, "PNG")
+    elif change == "removed":
+        texture.unlink()
+    else:
+        path = path.rename(path.with_name("renamed.obj"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", fr.FacerenderWarning)
+        again, plain = load(path), fr.load_mesh(path)
+    assert len(reads) == 3
+    assert_same(again, plain)
+
+
+def test_options_make_a_mesh_of_their_own(reads):
+    for _ in range(2):
+        for flip_v in (False, True):
+            assert_same(load(MINI_HEAD, flip_v=flip_v), fr.load_mesh(MINI_HEAD, flip_v=flip_v))
+    assert len(reads) == 6
+
+
+def test_a_changed_map_is_read_anew(tmp_path, reads):
+    for level in (40, 90):
+        Image.new("L", (4, 4), level).save(tmp_path / "rough.png")
+        mesh = load(MINI_HEAD, roughness_map=tmp_path / "rough.png")
+        assert mesh.materials[0].slopes[1] == pytest.approx((level / 255) ** 2)
+    assert len(reads) == 2
+
+
+def test_a_mesh_in_another_folder_with_another_texture_is_another(tmp_path):
+    paths = [textured(tmp_path / name) for name in ("a", "b")]
+    Image.new("RGB", (4, 4), (10, 10, 200)).save(next((tmp_path / "b").glob("*.jpg")), "PNG")
+    for path in [*paths, *paths]:
+        assert_same(load(path), fr.load_mesh(path))
+
+
+def test_a_file_that_changes_while_it_is_read_is_not_kept(tmp_path, monkeypatch, place):
+    path = textured(tmp_path / "in")
+    read = loading.read
+
+    def read_and_change(*args, **options):
+        found = read(*args, **options)
+        path.write_text(path.read_text() + "# changed\n")
+        return found
+
+    monkeypatch.setattr(loading, "read", read_and_change)
+    load(path)
+    assert entries(place) == []
+
+
+def test_another_version_of_what_reads_meshes_reads_anew(reads, monkeypatch):
+    load(MINI_HEAD)
+    readers = loading.mesh_cache._readers()
+    assert any("trimesh" in path for path, *_ in readers)
+    assert any("PIL" in path for path, *_ in readers)
+    monkeypatch.setattr(loading.mesh_cache, "_readers", lambda: readers[1:])
+    load(MINI_HEAD)
+    assert len(reads) == 2
+
+
+def test_what_is_missing_is_not_kept(tmp_path, place):
+    path = textured(tmp_path / "in")
+    next(path.parent.glob("*.jpg")).unlink()
+    for _ in range(2):
+        with pytest.warns(fr.FacerenderWarning, match="not found in"):
+            load(path)
+    assert entries(place) == []
+
+
+def test_a_damaged_map_is_not_kept(tmp_path, place, capsys):
+    texture = tmp_path / "skin.jpg"
+    texture.write_bytes(mini_head().skin[:-200])
+    for _ in range(2):
+        mesh = load(MINI_HEAD, albedo=texture)
+        with pytest.raises(fr.InputError, match="skin.jpg is damaged"):
+            mesh.materials[0].albedo_map.levels("color").result()
+    assert entries(place) == []
+    assert capsys.readouterr() == ("", "")
+
+
+def damage(content: bytes, how: str) -> bytes:
+    middle = len(content) // 2
+    return {
+        "empty": b"",
+        "head only": content[:20],
+        "cut off": content[:middle],
+        "last byte gone": content[:-1],
+        "longer": content + b"\0",
+        "a bit": content[:middle] + bytes([content[middle] ^ 4]) + content[middle + 1 :],
+        "zeros": content[:-4096] + bytes(4096),
+        "other magic": b"facerender 0" + content[12:],
+    }[how]
+
+
+@pytest.mark.parametrize(
+    "how",
+    ["empty", "head only", "cut off", "last byte gone", "longer", "a bit", "zeros", "other magic"],
+)
+def test_a_damaged_entry_is_absent_and_made_anew(how, reads, place):
+    plain = fr.load_mesh(MINI_HEAD)
+    load(MINI_HEAD)
+    (entry,) = entries(place)
+    good = entry.read_bytes()
+    entry.write_bytes(damage(good, how))
+    assert_same(load(MINI_HEAD), plain)
+    assert len(reads) == 3
+    assert entry.read_bytes() == good
+
+
+def test_a_pipe_in_place_of_an_entry_is_absent(reads, place):
+    load(MINI_HEAD)
+    (entry,) = entries(place)
+    entry.unlink()
+    os.mkfifo(entry)
+    reader = threading.Thread(target=load, args=(MINI_HEAD,), daemon=True)
+    reader.start()
+    reader.join(30.0)
+    assert not reader.is_alive()
+
+
+WRITE = """
+import sys, numpy as np
+from facerender.system import cache
+size, seed = 1 << 20, int(sys.argv[1])
+for turn in range(40):
+    kind = np.full(size, seed, dtype=np.uint8)
+    cache.write("meshes", "same", [b"head", kind.data])
+    read = cache.read("meshes", "same")
+    assert read is not None and bytes(read[:4]) == b"head"
+    assert len(set(bytes(read[4:]))) == 1 and len(read) == size + 4
+"""
+
+
+def test_writers_at_the_same_time_leave_whole_entries(place):
+    writers = [subprocess.Popen([sys.executable, "-c", WRITE, str(seed)]) for seed in range(3)]
+    assert [writer.wait() for writer in writers] == [0, 0, 0]
+    assert [path.name for path in entries(place)] == ["same"]
+
+
+def test_what_a_writer_that_was_cut_off_has_left_is_removed(place):
+    cache.write("meshes", "a", [b"1"])
+    old, new = (place / "meshes" / f".b-{name}" for name in ("old", "new"))
+    for path in (old, new):
+        path.write_bytes(b"half")
+    os.utime(old, (1e9, 1e9))
+    assert cache.read("meshes", "b") is None
+    cache.write("plans", "c", [b"2"])
+    assert not old.exists()
+    assert new.exists()
+
+
+def test_the_least_recently_used_go(place, monkeypatch):
+    monkeypatch.setenv("FACERENDER_CACHE_MIB", "4")
+    mib = bytes(2**20 - 4096)
+    for age, name in enumerate("dcba"):
+        cache.write("meshes", name, [mib])
+        os.utime(place / "meshes" / name, (1e9 - age, 1e9 - age))
+    assert cache.size() <= 4 << 20
+    assert cache.read("meshes", "a") is not None  # used now, and so the youngest
+    cache.write("plans", "e", [mib])
+    assert {path.name for path in place.glob("*/*")} == {"a", "e", "c", "d"}
+    cache.write("meshes", "f", [mib, mib, mib])
+    assert {path.name for path in place.glob("*/*")} == {"e", "f"}
+    cache.write("meshes", "g", [mib] * 5)  # larger than all may be together
+    assert {path.name for path in place.glob("*/*")} == {"e", "f"}
+
+
+@pytest.mark.parametrize("mib", ["-1", "1.5", "much"])
+def test_a_limit_that_is_none(mib, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("FACERENDER_CACHE_MIB", mib)
+    status = main(["render", str(MINI_HEAD), "-o", str(tmp_path / "o.png"), *SMALL])
+    printed = capsys.readouterr()
+    assert_error(status, printed.out, printed.err, re.escape(f"FACERENDER_CACHE_MIB = {mib!r}"))
+
+
+@pytest.mark.parametrize("option", ["--no-cache", "limit 0", "a file", "/dev/null", "closed"])
+def test_render_without_a_store(option, tmp_path, egl, monkeypatch, place, capsys):
+    options = [option] if option == "--no-cache" else []
+    if option == "limit 0":
+        monkeypatch.setenv("FACERENDER_CACHE_MIB", "0")
+    elif option == "a file":
+        place.parent.write_text("")
+    elif option == "/dev/null":
+        monkeypatch.setenv("XDG_CACHE_HOME", option)
+    elif option == "closed":
+        place.parent.mkdir()
+        # Root may write everywhere: where this runs as root, the folder itself is in the way.
+        (place.parent / "facerender").touch(mode=0)
+    png = tmp_path / "o.png"
+    budget = ["--budget", "2/255", "--light", "key"]
+    assert main(["render", str(MINI_HEAD), "-o", str(png), *SMALL, *budget, *options]) == 0
+    wait()
+    printed = capsys.readouterr()
+    assert printed.out == f"{png}\n"
+    assert "warning" not in printed.err
+    assert not place.is_dir()
+
+
+def test_a_kept_mesh_pickles(egl, tmp_path):
+    load(MINI_HEAD)
+    scene = fr.Scene(load(MINI_HEAD))
+    with fr.Renderer((48, 48), samples=1, backend=egl) as renderer:
+        expected = renderer.render(fr.Scene(fr.load_mesh(MINI_HEAD))).linear
+        for each in (scene, pickle.loads(pickle.dumps(scene))):
+            np.testing.assert_array_equal(renderer.render(each).linear, expected)
+
+
+def test_a_loaded_mesh_is_in_the_store_when_the_process_ends(place):
+    code = "import sys, facerender; facerender.load_mesh(sys.argv[1], cache=True)"
+    subprocess.run([sys.executable, "-c", code, MINI_HEAD], check=True)
+    assert len(entries(place)) == 1
+
+
+def test_doctor_tells_where_it_is(place, capsys):
+    cache.write("plans", "a", [bytes(3 << 20)])
+    main(["doctor"])
+    assert f"cache   {place}, 3 of at most 1024 MiB" in capsys.readouterr().out

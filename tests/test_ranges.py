@@ -1,0 +1,114 @@
+"""The range of each field: constructors hold it, help texts state it."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+import facerender as fr
+from facerender.commands import main
+from facerender.lobes import GPower
+from facerender.scenes.environment import studio
+from facerender.terms.ranges import (
+    IntegerRange,
+    Range,
+    SizeRange,
+    VectorRange,
+    range_of,
+    ranges_of,
+)
+
+BASES = {
+    fr.Camera: {},
+    fr.Light: {},
+    fr.Material: {},
+    fr.EnvironmentFile: {"file": "studio"},
+    fr.Environment: {"panorama": studio()},
+    fr.Term: {},
+    fr.Shading: {},
+    fr.MeshFile: {},
+    fr.ImageSettings: {},
+    fr.Output: {"path": "a.png"},
+    fr.Job: {},
+    GPower: {"g": 4, "factor": 1.0},
+}
+FIELDS = [(kind, name) for kind in BASES for name in ranges_of(kind)]
+
+
+def of(kind, name, value):
+    together = {} if (kind, name) != (fr.Camera, "size") else {
+        "extrinsics": ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0)),
+        "intrinsics": ((1e4, 0, 0), (0, 1e4, 0), (0, 0, 1)),
+    }  # fmt: skip
+    return getattr(kind(**{**BASES[kind], **together, name: value}), name)
+
+
+@pytest.mark.parametrize(("kind", "name"), FIELDS, ids=lambda each: getattr(each, "__name__", each))
+def test_a_constructor_takes_the_range_and_no_more(kind, name):
+    limits = range_of(kind, name)
+    whole = isinstance(limits, IntegerRange)
+    form = {SizeRange: lambda end: (end, end), VectorRange: lambda end: (end,) * 3}.get(
+        type(limits), lambda end: end
+    )
+    for end, beyond in ((limits.low, -math.inf), (limits.high, math.inf)):
+        if end == math.inf:
+            continue
+        end = int(end) if whole else end
+        if not (kind is fr.Camera and name == "size"):  # whose intrinsics are of one size
+            assert of(kind, name, form(end)) == form(end)
+        further = end + (1 if beyond > 0 else -1) if whole else np.nextafter(end, beyond)
+        shown = limits.high if limits.high < math.inf else limits.low
+        told = f"{shown:.0f}" if whole else re.escape(f"{shown:g}")
+        with pytest.raises(fr.InputError, match=rf"{name}.* {told}\b"):
+            of(kind, name, form(further))
+    huge = [10**5000] if limits.high < math.inf else []
+    for wrong in (math.nan, "1", True, [], b"1", {}, *huge, *([1.5] if whole else [])):
+        with pytest.raises(fr.InputError, match=f"{name} "):
+            of(kind, name, wrong)
+
+
+def test_none_is_a_value_only_of_fields_that_say_so():
+    assert of(fr.Shading, "ks", None) is None
+    with pytest.raises(fr.InputError, match="^m = None is outside"):
+        of(fr.Material, "m", None)
+
+
+def test_numbers_of_numpy_take_the_form_of_the_field():
+    assert type(of(fr.ImageSettings, "samples", np.int64(4))) is int
+    assert of(fr.ImageSettings, "size", np.array([3, 4])) == (3, 4)
+    assert of(fr.Light, "irradiance", np.array([1.0, 2.0, 3.0])) == (1.0, 2.0, 3.0)
+    assert of(fr.Light, "irradiance", 2) == (2.0, 2.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("limits", "text"),
+    [
+        (Range(1.0, 150.0, "degrees"), "1 to 150 degrees"),
+        (IntegerRange(1, math.inf), "at least 1"),
+        (Range(1e-4, 2.0), "0.0001 to 2"),
+    ],
+)
+def test_a_range_in_words(limits, text):
+    assert str(limits) == text
+
+
+def test_help_states_ranges_units_and_defaults(capsys):
+    texts = []
+    for command in ("render", "plan"):
+        with pytest.raises(SystemExit):
+            main([command, "--help"])
+        texts.append(" ".join(capsys.readouterr().out.split()))
+    for kind, names in (
+        (fr.Material, ("m", "f0", "ks", "kd", "lobe_weight", "normal_strength")),
+        (fr.Camera, ("fov",)),
+        (fr.ImageSettings, ("samples", "anisotropy")),
+        (fr.Output, ("exposure",)),
+        (fr.Shading, ("environment_samples",)),
+    ):
+        for name in names:
+            option = rf"--{name.replace('_', '-')} [A-Z0-9_]+ [^-]*"
+            told = f", {range_of(kind, name)} ({getattr(kind, name):g}"
+            assert all(re.search(option + re.escape(told), text) for text in texts), name

@@ -1,0 +1,305 @@
+"""The npm package, and what draws with it in Chromium: the engines of the web as OpenGL does, the
+examples for three.js and Babylon.js as the float64 BRDF."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import facerender as fr
+from facerender import brdf
+from facerender.glsl.catalogue import functions
+from facerender.images.srgb import linear_to_srgb
+from facerender.scenes.light import LIGHTS
+from tests.conftest import missing, node_tool
+from tests.test_hosts import SCENES, check
+from tests.verification.hosts import ENGINES, desktop, draw, served
+
+ROOT = Path(__file__).parents[1]
+OFFLINE = re.compile("ENOTFOUND|EAI_AGAIN|ECONNREFUSED|ETIMEDOUT|ENETUNREACH")
+# Pixels of a view of 399 x 713 at 1200 x 800: the highlights of both lights.
+POINTS = {
+    "sphere": [(150, 290), (190, 315), (170, 340), (130, 315), (290, 265), (310, 265), (270, 290)],
+    "head": [(210, 240), (190, 215), (230, 240), (270, 190), (290, 190), (190, 340), (270, 365)],
+}
+
+
+def install(folder: Path, *options: str) -> None:
+    """Install what the lock file of a folder says."""
+    npm = [node_tool("npm"), "ci", "--prefer-offline", "--no-audit", "--no-fund", *options]
+    environment = {**os.environ, "NODE_USE_SYSTEM_CA": "1"}  # behind a proxy with its own
+    installed = subprocess.run(npm, cwd=folder, env=environment, capture_output=True, text=True)
+    if installed.returncode and OFFLINE.search(installed.stderr):
+        missing("the npm registry cannot be reached")
+    assert installed.returncode == 0, installed.stderr
+
+
+@contextmanager
+def opened(browser, address: str, ignored: str = "", **options):
+    """A page whose script sets window.probe; its console holds no message that is not ignored."""
+    page = browser.new_page(**options)
+    said = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.goto(address)
+    page.wait_for_function("window.probe")
+    yield page
+    page.close()
+    assert [text for text in said if not (ignored and re.search(ignored, text))] == []
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory) -> Path:
+    """The folder that npm packs."""
+    folder = tmp_path_factory.mktemp("package")
+    subprocess.run([sys.executable, ROOT / "tools/npm-package", "-o", folder], check=True)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def engines(tmp_path_factory) -> Path:
+    """Folder where the engines of the web are installed."""
+    folder = tmp_path_factory.mktemp("engines")
+    for path in (ROOT / "tests/verification/engines").glob("[.p]*[cn]"):
+        shutil.copy(path, folder)
+    install(folder, "--ignore-scripts")
+    return folder
+
+
+# --- the package ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def installed(package: Path, tmp_path_factory) -> Path:
+    """The packed package, installed in a folder."""
+    folder = tmp_path_factory.mktemp("npm")
+    (folder / "package.json").write_text("{}")
+    archive = f"facerender-shaders-{fr.__version__}.tgz"
+    for command in (["pack", package], ["install", "--offline", f"./{archive}"]):
+        subprocess.run([node_tool("npm"), *command], cwd=folder, check=True, capture_output=True)
+    return folder / "node_modules/facerender-shaders"
+
+
+def test_exports_are_flat_sources_with_their_functions_types_and_headers(installed):
+    code = 'import * as all from "facerender-shaders"; console.log(JSON.stringify(all))'
+    command = [node_tool("node"), "--input-type=module", "--eval", code]
+    output = subprocess.run(command, cwd=installed, check=True, capture_output=True, text=True)
+    exports = json.loads(output.stdout)
+    names: dict[str, list[str]] = {}
+    for function in functions():
+        words = re.split("[/_.]", function.file)[1:-1]
+        name = words[0] + "".join(map(str.capitalize, words[1:]))
+        names.setdefault(name, []).append(function.name)
+    assert exports.keys() == names.keys() >= {"cookTorrance", "wardPrinted", "lobeGPower"}
+    types = (installed / "index.d.ts").read_text(encoding="utf-8")
+    for name, source in exports.items():
+        assert all(f" {function}(" in source for function in names[name])
+        assert not re.search(r"^\s*#(include|version)", source, re.MULTILINE)
+        assert f"\n */\nexport const {name}: string;\n" in types
+    assert types.count("/**\n") == types.count("\n */\n") == len(names)
+
+
+def test_files_are_the_librarys(installed):
+    for file in (fr.shader_dir() / "facerender").rglob("*.glsl"):
+        packed = installed / "glsl" / file.relative_to(fr.shader_dir())
+        assert packed.read_bytes() == file.read_bytes()
+    assert {"LICENSE", "README.md"} <= {path.name for path in installed.iterdir()}
+
+
+# --- engines -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("host", ENGINES)
+def test_engines_of_the_web_draw_what_opengl_does(host, egl, engines, browser):
+    check(draw(host, SCENES, engines)[1], desktop(SCENES)[1])
+
+
+def test_three_js_draws_with_the_brdf_of_docs_shaders_md(package, engines, browser, tmp_path):
+    """The snippet as it stands there: a surface seen along its normal, in one light."""
+    document = (ROOT / "docs/shaders.md").read_text(encoding="utf-8")
+    snippet = re.search(r"```js\n(.*?)```", document, re.DOTALL)[1]
+    (tmp_path / "three").symlink_to(engines / "node_modules/three")
+    (tmp_path / "shaders").symlink_to(package)
+    names = {"three": "./three/build/three.module.js", "facerender-shaders": "./shaders/index.js"}
+    light = np.array([1.0, 2.0, 4.0])
+    (tmp_path / "index.html").write_text(
+        f"""<!doctype html><link rel="icon" href="data:,">
+        <script type="importmap">{json.dumps({"imports": names})}</script>
+        <script type="module">
+        import * as THREE from "three";
+        {snippet}
+        material.setValues({{ color: 0, roughness: 0.6, metalness: 0 }});
+        const scene = new THREE.Scene();
+        const light = new THREE.DirectionalLight(0xffffff, 1);
+        light.position.set({", ".join(map(str, light))});
+        scene.add(light, new THREE.Mesh(new THREE.PlaneGeometry(4, 4), material));
+        const camera = new THREE.OrthographicCamera(-1, 1, 1, -1);
+        camera.position.z = 1;
+        const renderer = new THREE.WebGLRenderer();
+        const target = new THREE.WebGLRenderTarget(1, 1, {{ type: THREE.FloatType }});
+        renderer.setRenderTarget(target);
+        renderer.render(scene, camera);
+        const pixel = new Float32Array(4);
+        renderer.readRenderTargetPixels(target, 0, 0, 1, 1, pixel);
+        window.probe = [...pixel];
+        </script>"""
+    )
+    with served(tmp_path) as address, opened(browser, address, "ReadPixels") as page:
+        drawn = page.evaluate("probe")
+    n, l = np.array([0.0, 0.0, 1.0]), light / np.linalg.norm(light)
+    expected = brdf.cook_torrance(n, l, n, 0.6**2, 0.04) * (n @ l)
+    assert expected > 1e-3
+    np.testing.assert_allclose(drawn[:3], expected, rtol=1e-5)
+
+
+# --- examples ------------------------------------------------------------------------------------
+
+
+def reference(n, eye, position, lights, m: float, lobe: str):
+    """Specular radiance of lights, by their directions and irradiances, in float64."""
+    v = (eye - position) / np.linalg.norm(eye - position)
+    return sum(
+        np.asarray(irradiance) * max(n @ l, 0.0) * brdf.cook_torrance(n, l, v, m, 0.028, lobe=lobe)
+        for l, irradiance in lights
+    )
+
+
+@pytest.fixture(scope="module")
+def babylon(package, engines, browser, tmp_path_factory):
+    """The example for Babylon.js."""
+    folder = tmp_path_factory.mktemp("babylonjs")
+    for path in (ROOT / "examples/babylonjs").glob("*.[hj]*"):
+        shutil.copy(path, folder)
+    asked, own = (
+        json.loads((each / "package.json").read_text())["dependencies"]["babylonjs"]
+        for each in (folder, engines)
+    )
+    assert asked == own, "what is installed is what the example asks for"
+    (folder / "node_modules").mkdir()
+    (folder / "node_modules/babylonjs").symlink_to(engines / "node_modules/babylonjs")
+    (folder / "node_modules/facerender-shaders").symlink_to(package)
+    size, ignored = {"width": 600, "height": 600}, r"Babylon\.js v|ReadPixels"
+    with served(folder) as at, opened(browser, at, ignored, viewport=size) as page:
+        yield page
+
+
+@pytest.mark.parametrize("lobe", ["exact", "d16", "fitted"])
+def test_highlights_of_the_babylonjs_example_are_the_float64_brdf(babylon, lobe):
+    babylon.select_option("#lobe", lobe)
+    brightest = 0.0
+    for at in [(225, 210), (260, 200), (300, 250), (420, 250), (460, 240)]:
+        found = babylon.evaluate("at => probe(...at)", at)
+        n, eye, place = (np.array(found[name]) for name in ("normal", "eye", "place"))
+        assert np.linalg.norm(place) == pytest.approx(1.0, abs=2e-3)
+        lights = [(np.array(each["towards"]), each["irradiance"]) for each in found["lights"]]
+        expected = reference(n, eye, place, lights, 0.3, lobe)
+        np.testing.assert_allclose(found["specular"], expected, rtol=1e-3, atol=1e-6)
+        brightest = max(brightest, expected.max())
+    assert brightest > 0.1
+
+
+@pytest.fixture(scope="module")
+def site(package, tmp_path_factory) -> Iterator[str]:
+    """Address of a built copy of the example for three.js."""
+    root = tmp_path_factory.mktemp("threejs")
+    example = root / "examples" / "threejs"
+    ignore = shutil.ignore_patterns("node_modules", "dist")
+    shutil.copytree(ROOT / "examples/threejs", example, ignore=ignore)
+    (root / "assets").mkdir()
+    shutil.copy(ROOT / "assets/head.glb", root / "assets")
+    shutil.copytree(package, root / "out/npm")
+    install(example)
+    vite = [node_tool("node"), "node_modules/vite/bin/vite.js", "build"]
+    subprocess.run(vite, cwd=example, check=True)
+    with served(example / "dist") as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def three(site, browser):
+    """A page for tests that say what they look at."""
+    with opened(browser, site, viewport={"width": 1200, "height": 800}) as page:
+        yield page
+
+
+@pytest.fixture
+def moved(site, browser):
+    """A page for a test that moves the eye or the window."""
+    with opened(browser, site, viewport={"width": 1200, "height": 800}) as page:
+        yield page
+
+
+@pytest.mark.parametrize("shape", POINTS)
+def test_highlights_are_the_float64_brdf(three, shape):
+    """Within 1e-3 of max(reference, 1e-3), where a white diffuse surface shows about 1."""
+    three.select_option("#shape", shape)
+    three.check("#specular")
+    lights = [(light.direction, light.irradiance) for light in (LIGHTS["key"], LIGHTS["rim"])]
+    brightest = 0.0
+    for m, lobe in [(0.15, "d16"), (0.4, "d16"), (0.4, "fitted")]:
+        three.fill("#m", str(m))
+        three.select_option("#lobe", lobe)
+        probed = three.evaluate("points => points.map(at => probe(...at))", POINTS[shape])
+        for point, values in zip(POINTS[shape], probed, strict=True):
+            found = {name: np.array(value) for name, value in values.items()}
+            normal, position, eye = found["normal"], found["position"], found["eye"]
+            if shape == "sphere":
+                assert np.linalg.norm(position) == pytest.approx(0.1, rel=3e-4)
+                np.testing.assert_allclose(normal, position / 0.1, atol=1e-3)
+            for name, used in [("exact", "exact"), ("approximation", lobe)]:
+                expected = reference(normal, eye, position, lights, m, used)
+                error = np.abs(found[name] - expected) / np.maximum(expected, 1e-3)
+                assert error.max() < 1e-3, (name, m, point)
+                brightest = max(brightest, expected.max())
+    assert brightest > 1.0
+
+
+def test_views_show_both_pictures_and_eight_times_their_difference(three):
+    three.select_option("#shape", "sphere")
+    three.check("#specular")
+    three.fill("#m", "0.4")
+    three.select_option("#lobe", "d16")
+    three.wait_for_timeout(500)  # for the frame that the controls asked for
+    views = [
+        np.asarray(Image.open(io.BytesIO(figure.screenshot())).convert("RGB")) / 255
+        for figure in three.locator("figure").all()
+    ]
+    for x, y in POINTS["sphere"]:
+        found = three.evaluate("at => probe(...at)", [x, y])
+        exact, approximation = np.array(found["exact"]), np.array(found["approximation"])
+        difference = 8.0 * (approximation - exact) @ [0.2126, 0.7152, 0.0722]
+        brighter, darker = np.maximum(difference, 0.0), np.maximum(-difference, 0.0)
+        signed = brighter * np.array([1.0, 0.32, 0.07]) + darker * np.array([0.1, 0.45, 1.0])
+        for view, linear in zip(views, (exact, approximation, signed), strict=True):
+            np.testing.assert_allclose(view[y, x], linear_to_srgb(linear), atol=4 / 255)
+
+
+def test_dragging_turns_the_shape(moved):
+    before = moved.evaluate("probe(200, 350).eye")
+    moved.mouse.move(600, 400)
+    moved.mouse.down()
+    moved.mouse.move(500, 420)
+    moved.mouse.up()
+    after = moved.evaluate("probe(200, 350).eye")
+    assert np.linalg.norm(after) == pytest.approx(np.linalg.norm(before))
+    assert np.linalg.norm(np.subtract(after, before)) > 0.1
+
+
+def test_page_fits_a_telephone(moved):
+    moved.set_viewport_size({"width": 420, "height": 800})
+    inside = "[document.body.scrollWidth <= innerWidth, document.body.scrollHeight <= innerHeight]"
+    assert moved.evaluate(inside) == [True, True]
+    sizes = [figure.bounding_box() for figure in moved.locator("figure").all()]
+    assert min(min(size["width"], size["height"]) for size in sizes) > 180

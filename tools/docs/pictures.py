@@ -1,0 +1,204 @@
+"""Pictures of the README and of the documents.
+
+python -m tools.docs.pictures [NAME ...]      from the repository's root; a minute; all need an
+                                              OpenGL context, slope-filter and occlusion the head
+                                              scan of the tests, explorer Chromium
+
+The explorer also writes docs/explorer.html, its page of the built-in head, which the repository
+does not hold: it has 3.6 MB.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageFilter
+
+import facerender as fr
+from benchmarks.skin import subjects
+from benchmarks.skin_environment import sky
+from facerender.images.srgb import encode_srgb8
+from facerender.scenes.environment import studio
+from facerender.scenes.texture import Texture
+from tests.verification.scan import load_scan, scan_folder
+from tests.verification.slope_filter import Bench, relief
+
+DOCS = Path(__file__).parents[2] / "docs"
+Pixels = NDArray[np.uint8]
+
+
+def save(name: str, rows: Iterable[Iterable[Pixels]], quality: int, scale: int = 1) -> None:
+    """Write rows of pictures as one JPEG, each pixel as a square of ``scale``."""
+    image = np.vstack([np.hstack([each[..., :3] for each in row]) for row in rows])
+    image = image.repeat(scale, axis=0).repeat(scale, axis=1)
+    Image.fromarray(image).save(DOCS / f"{name}.jpg", quality=quality)
+
+
+def halved(image: Pixels) -> Pixels:
+    """Return an image at half its size, each pixel the mean of four."""
+    return np.asarray(Image.fromarray(image).reduce(2))
+
+
+def head() -> None:
+    """Draw the built-in head from the front and three-quarter, and its specular term."""
+    mesh = fr.load_mesh()
+    lights = tuple(replace(each, radius=5.0, shadow=True) for each in fr.Scene(mesh).lights)
+    scenes = [fr.Scene(mesh, camera, lights) for camera in (fr.Camera(), fr.Camera(-35.0, 4.0))]
+    with fr.Renderer((960, 960)) as renderer:
+        front, side = (renderer.render(scene).srgb8() for scene in scenes)
+        specular = renderer.render(scenes[1], only="specular").linear
+    shown = (front, side, encode_srgb8(specular[..., :3], 1.0))
+    save("head", [map(halved, shown)], 90)
+
+
+def exact_d16() -> None:
+    """Draw the exact lobe, D16, and eight times their difference, at one m for the whole face."""
+    scene = fr.Scene(fr.load_mesh().with_material(m=0.4), fr.Camera(-35.0, 4.0))
+    with fr.Renderer((960, 960)) as renderer:
+        exact, d16 = (renderer.render(scene, fr.Shading(lobe=lobe)) for lobe in ("exact", "d16"))
+    difference = np.abs(d16.linear[..., :3] - exact.linear[..., :3])
+    shown = (exact.srgb8(), d16.srgb8(), encode_srgb8(8.0 * difference))
+    save("exact-d16", [map(halved, shown)], 90)
+
+
+def explorer() -> None:
+    """Draw the explorer in a browser: D8 at a slope where it is off by several levels."""
+    from playwright.sync_api import sync_playwright
+
+    from facerender.explorer import explorer as explorer_page
+    from facerender.job import Job
+    from tests.verification import chromium
+
+    page = DOCS / "explorer.html"
+    page.write_text(explorer_page(Job(), fr.load_mesh()), encoding="utf-8")
+    link = "#a=m:0.35&b=lobe:d8;m:0.35&camera=azimuth:-28;elevation:4&cut=0.46&budget=4"
+    with sync_playwright() as playwright:
+        browser = chromium.launch(playwright)
+        tab = browser.new_page(viewport={"width": 1280, "height": 760}, color_scheme="dark")
+        tab.goto(page.as_uri() + link)
+        tab.evaluate("explorer.errors()")
+        image = Image.open(io.BytesIO(tab.screenshot()))
+        browser.close()
+    image.convert("RGB").save(DOCS / "explorer.jpg", quality=85, optimize=True)
+
+
+def slope_filter(size: int = 192) -> None:
+    """Draw head and scan without the slope filter, with it, and as the reference."""
+    rows = []
+    for mesh, slopes in subjects().values():
+        bench = Bench.of(mesh, relief(slopes, 3.0), 0.15, size)
+        bench = replace(bench, camera=fr.Camera(-20.0, zoom=1.5))
+        with fr.Renderer((2 * size,) * 2) as renderer:
+            expected = bench.reference(renderer)
+        with fr.Renderer((size, size)) as renderer:
+            shadings = fr.Shading(slope_filter=False), fr.Shading()
+            images = [bench.image(renderer, shading) for shading in shadings]
+        rows.append(
+            [encode_srgb8(each[..., :3].astype(np.float32)) for each in (*images, expected)]
+        )
+    save("slope-filter", rows, 88, scale=2)
+
+
+def environment(size: int = 420) -> None:
+    """Draw the head under the usual lights, in the studio and under the sky, and the specular part
+    of each."""
+    mesh, camera = fr.load_mesh(), fr.Camera(azimuth=-35.0, zoom=1.3)
+    scenes = [fr.Scene(mesh, camera)]
+    for panorama, scale in ((studio(), 1.0), (sky(), 0.9)):
+        around = fr.Environment(panorama, 0.0, scale)
+        scenes.append(fr.Scene(mesh, camera, (), 0.0, environment=around))
+    with fr.Renderer((size, size)) as renderer:
+        whole = [renderer.render(scene).srgb8() for scene in scenes]
+        specular = [renderer.render(scene, only="specular").srgb8(2.0) for scene in scenes]
+    save("environment", [whole, specular], 86)
+
+
+def lobes(size: int = 420) -> None:
+    """Draw one lobe, two lobes and sweat; and both terms summed, coupled, and the difference."""
+    skin = {"second_slope": 1.7, "lobe_weight": 0.85}
+    sweat = {"second_slope": 0.35, "lobe_weight": 0.5, "lobe_map": _film()}
+    mesh, camera = fr.load_mesh(), fr.Camera(azimuth=-35.0, zoom=1.35)
+    with fr.Renderer((size, size)) as renderer:
+
+        def drawn(shading: fr.Shading = fr.Shading(), **material: object) -> Pixels:
+            return renderer.render(
+                fr.Scene(mesh.with_material(**material), camera), shading
+            ).srgb8()
+
+        plain, coupled = drawn(), drawn(fr.Shading(diffuse="coupled"))
+        save("two-lobes", [[plain, drawn(**skin), drawn(**sweat)]], 84)
+    taken = np.clip(8 * (plain.astype(int) - coupled), 0, 255).astype(np.uint8)
+    save("coupled", [[plain, coupled, taken]], 84)
+
+
+def _film() -> Texture:
+    """Return a map of sweat: a film with gaps, which is smoothed noise."""
+    noise = np.random.default_rng(4).integers(0, 256, (512, 512), dtype=np.uint8)
+    smooth = np.asarray(Image.fromarray(noise).filter(ImageFilter.GaussianBlur(4)), dtype=float)
+    film = np.clip(2.0 * ((smooth - smooth.mean()) / smooth.std() - 0.6), 0.0, 1.0)
+    return Texture(lambda: Image.fromarray(np.round(255.0 * film).astype(np.uint8)), "sweat")
+
+
+def scattering() -> None:
+    """Draw the head without scattering, with it, and eight times what it changes."""
+    mesh = fr.load_mesh().with_material(scattering="skin")
+    lights = (fr.Light(-50.0, 42.0, 3.0, shadow=True), fr.Light(80.0, 20.0, 0.5))
+    scene = fr.Scene(mesh, fr.Camera(-35.0, zoom=1.6), lights)
+    with fr.Renderer((480, 480)) as renderer:
+        shadings = (fr.Shading(scatter_samples=count) for count in (0, 32))
+        off, on = (renderer.render(scene, each).srgb8() for each in shadings)
+    change = np.clip(128 + 8 * (on.astype(int) - off), 0, 255).astype(np.uint8)
+    save("scattering", [[off, on, change]], 86)
+
+
+def shadows(size: int = 440) -> None:
+    """Draw the head without shadows, with hard ones and with soft ones."""
+    mesh = fr.load_mesh()
+    images = []
+    with fr.Renderer((size, size)) as renderer:
+        for shadow, radius in ((False, 0.0), (True, 0.0), (True, 5.0)):
+            lights = (replace(e, shadow=shadow, radius=radius) for e in fr.Scene(mesh).lights)
+            scene = fr.Scene(mesh, fr.Camera(-20.0, zoom=1.35), tuple(lights))
+            images.append(renderer.render(scene).srgb8())
+    save("shadows", [images], 88)
+
+
+def occlusion(size: int = 440) -> None:
+    """Draw the scan without baked occlusion and with it, in ambient light and in usual light."""
+    if (folder := scan_folder()) is None:
+        raise SystemExit("no head scan: set FACERENDER_TEST_DATA")
+    bare = load_scan(folder).with_material(occlusion_map=None)
+    baked, images = fr.with_occlusion(bare), []
+    with fr.Renderer((size, size)) as renderer:
+        for lit in ({"lights": (), "ambient": 3.0}, {}):
+            for mesh in (bare, baked):
+                scene = fr.Scene(mesh, fr.Camera(-20.0, zoom=1.6))
+                images.append(renderer.render(replace(scene, **lit)).srgb8())
+    save("occlusion", [images], 88)
+
+
+PICTURES: dict[str, Callable[[], None]] = {
+    **{"head": head, "exact-d16": exact_d16, "explorer": explorer, "slope-filter": slope_filter},
+    **{"environment": environment, "lobes": lobes, "scattering": scattering, "shadows": shadows},
+    "occlusion": occlusion,
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m tools.docs.pictures")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(PICTURES)}")
+    options = parser.parse_args()
+    if unknown := set(options.names).difference(PICTURES):
+        parser.error(f"no picture {', '.join(unknown)}; there are {', '.join(PICTURES)}")
+    for name in options.names or PICTURES:
+        PICTURES[name]()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""What every lobe loses, where it may be used, and what float32 does.
+
+The tables of lobes are computed; those of float32 were measured.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from facerender import lobes
+from facerender.lobes import AnyLobe
+from facerender.measure import error
+from facerender.measure.tables import markdown_table
+from facerender.terms.fitting import G_POWERS, fit_g_power
+from tools.docs.tables import load, machine, table
+
+MODELS = {4: "Cook-Torrance", 0: "Ward"}
+SLOPES = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7, 0.85, 1.0)
+FLOAT32 = (
+    ("m", "{m:g}"),
+    ("Cook-Torrance", "{cook_torrance:.1e}"),
+    ("FR_SMALL_SLOPE 0", "{cook_torrance_plain:.1e}"),
+    ("of true directions", "{cook_torrance_true:.1e}"),
+    ("Ward", "{ward:.1e}"),
+    ("FR_SMALL_SLOPE 0", "{ward_plain:.1e}"),
+    ("of true directions", "{ward_true:.1e}"),
+)
+EXTREMES = (("input", "{input}"), ("as printed", "{printed}"), ("facerender", "{facerender}"))
+
+
+def blocks() -> dict[str, str]:
+    data = load("accuracy")
+    return {
+        **{model: lobe_table(k) for k, model in MODELS.items()},
+        "domains": domains(),
+        "powers": ", ".join(map(str, G_POWERS)),
+        "fitted": fitted_g_powers(),
+        "float32": table(FLOAT32, data["float32"]),
+        "extremes": table(EXTREMES, data["extremes"]),
+        "machine": machine(data),
+    }
+
+
+def lobe_error(name: AnyLobe, m: float, k: int) -> float:
+    """Return the largest difference from the exact lobe in % of its peak, over 0 to 90 degrees."""
+    degrees = np.concatenate(
+        [np.linspace(0.0, 90.0, 20001), np.degrees(np.linspace(0, 8 * m, 20001))]
+    )
+    return 100.0 * float(np.abs(error.lobe_error(name, m, k, degrees[degrees <= 90.0])).max())
+
+
+def lobe_table(k: int) -> str:
+    """Return the errors of all lobes of a model over m."""
+    names = [name for name in lobes.NAMES if name != "exact"]
+    rows = []
+    for m in SLOPES:
+        inside = {name: bool(lobes.in_domain(m, name, k)) for name in names}
+        errors = [f"{lobe_error(name, m, k):.3g}" if inside[name] else "-" for name in names]
+        if any(inside.values()):
+            rows.append([f"{m:g}", *errors])
+    return markdown_table(["m", *names], rows)
+
+
+def domains() -> str:
+    """Return the domains of m, for both models."""
+    rows = [
+        [name, *(f"{lobes.MIN_SLOPE:g} to {lobes.max_slope(name, k):.4g}" for k in MODELS)]
+        for name in lobes.NAMES
+    ]
+    return markdown_table(["lobe", *MODELS.values()], rows)
+
+
+def fitted_g_powers() -> str:
+    """Return the best of all g for single slopes, beside the paper's three."""
+    rows = []
+    for m in SLOPES:
+        row = [f"{m:g}"]
+        for k in MODELS:
+            fits = [fit_g_power(k, g, m, m) for g in G_POWERS]
+            errors = {lobe.g: lobe_error(lobe, m, k) for lobe in fits if lobe is not None}
+            g = min(errors, key=errors.__getitem__)
+            paper = [
+                lobe_error(name, m, k)
+                for name in ("d4", "d8", "d16")
+                if lobes.in_domain(m, name, k)
+            ]
+            row += [str(g), f"{errors[g]:.2g}", f"{min(paper):.2g}" if paper else "-"]
+        rows.append(row)
+    head = [f"{model}{what}" for model in MODELS.values() for what in (", g", "", ", d4 to d16")]
+    return markdown_table(["m", *head], rows)

@@ -1,0 +1,45 @@
+"""What a whole frame costs, what samples lose, what plans of it save."""
+
+from __future__ import annotations
+
+from facerender.measure.tables import SAMPLES_HEAD
+from tools.docs.tables import load, machine, table, with_median
+
+_SAMPLES = ("frame", "silhouette", "silhouette_99", "inside", "inside_99", "over_percent")
+SAMPLES = tuple(
+    zip(SAMPLES_HEAD, ("{samples}", *(f"{{{name}:digits}}" for name in _SAMPLES)), strict=True)
+)
+_TIME = "{{{0}[value]:.2f}} ({{{0}[low]:.2f}} to {{{0}[high]:.2f}})"
+DEFERRED = (
+    ("scene", "{scene}"),
+    ("triangles", "{triangles}"),
+    ("1 sample", _TIME.format("one")),
+    ("over 1/255", "{one[over]:.3f%}"),
+    ("4 samples", _TIME.format("four")),
+    ("over 1/255", "{four[over]:.3f%}"),
+)
+PLANS = (
+    ("scene", "{scene}"),
+    ("chosen", "{chosen}"),
+    ("predicted", "{predicted:.2f}"),
+    ("measured", "{measured:.2f}"),
+    ("of a frame as drawn", "{of_drawn:.2f}"),
+    ("error", "{error}"),
+    ("worst pixel", "{worst}"),
+)
+
+
+def blocks() -> dict[str, str]:
+    data = load("frame")
+    sizes = [(f"{size} x {size}", _TIME.format(f"s{size}")) for size in data["sizes"]]
+    return {
+        "machine": machine(data),
+        "most-samples": str(data["most_samples"]),
+        **{f"samples-{size}": table(SAMPLES, rows) for size, rows in data["samples"].items()},
+        "deferred": table(DEFERRED, data["deferred"]),
+        "sizes": table(sizes, [{f"s{size}": time for size, time in data["sizes"].items()}]),
+        **{
+            f"plans-{name}": table(PLANS, with_median(plans["plans"], plans["median"]))
+            for name, plans in data["plans"].items()
+        },
+    }

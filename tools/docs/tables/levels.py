@@ -1,0 +1,25 @@
+"""What levels of detail change in the image, and what they save."""
+
+from __future__ import annotations
+
+from tools.docs.tables import load, machine, table
+
+COLUMNS = (
+    ("triangles", "{triangles:,}"),
+    ("> 1/255", "{over_1:.2g%}"),
+    ("> 2/255", "{over_2:.2g%}"),
+    ("> 4/255", "{over_4:.2g%}"),
+    ("mean", "{mean:.2f}"),
+    ("silhouette", "{silhouette:.1f}"),
+    ("frame, 1 sample", "{time[0]:.2f}"),
+    ("frame, 4 samples", "{time[1]:.2f}"),
+)
+
+
+def blocks() -> dict[str, str]:
+    data = load("levels")
+    return {
+        "machine": machine(data),
+        "seconds": f"{data['seconds']:.1f} s",
+        **{name: table(COLUMNS, levels) for name, levels in data["levels"].items()},
+    }

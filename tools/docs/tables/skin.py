@@ -1,0 +1,55 @@
+"""How near the slope filter and lights with a radius come to many samples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from tools.docs.tables import load, machine, table
+
+FILTERED = (
+    ("relief", "{relief}"),
+    ("image", "{size}"),
+    ("m", "{m:g}"),
+    ("energy without", "{none[energy]:+.1f%}"),
+    ("energy", "{filter[energy]:+.1f%}"),
+    ("L1", "{filter[l1]:.1f%}"),
+    ("of without", "{l1:.2f}"),
+    ("FLIP", "{filter[flip]:.4f}"),
+    ("of without", "{flip:.2f}"),
+)
+FLICKER = (
+    ("relief", "{relief}"),
+    ("without", "{beyond[none]:.4f}"),
+    ("slope filter", "{beyond[filter]:.4f}"),
+    ("with curvature", "{beyond[filter and curvature]:.4f}"),
+)
+DISCS = (
+    ("light from the eye", "{angle:g}"),
+    ("radius", "{radius:g}"),
+    ("m", "{m:g}"),
+    ("no size", "{without:.1f%}"),
+    ("disc", "{with:.1f%}"),
+)
+
+
+def blocks() -> dict[str, str]:
+    data = load("skin")
+    filtered = [_ratios(each) for each in data["filtered"]]
+    energies = [each["filter"]["energy"] for each in filtered]
+    return {
+        "machine": machine(data),
+        "energy": f"{100.0 * min(energies):+.1f} % to {100.0 * max(energies):+.1f} %",
+        "l1": f"{max(each['l1'] for each in filtered):.2f}",
+        "flip": f"{max(each['flip'] for each in filtered):.2f}",
+        "filtered": table(FILTERED, filtered),
+        "flicker": table(FLICKER, data["flicker"]),
+        "discs": table(DISCS, data["discs"]),
+    }
+
+
+def _ratios(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a record with L1 and FLIP of the filter over those without it."""
+    lost = record["lost"]
+    ratios = {name: lost["filter"][name] / lost["none"][name] for name in ("l1", "flip")}
+    return {**record, **lost, **ratios}

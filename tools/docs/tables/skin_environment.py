@@ -1,0 +1,36 @@
+"""How far few samples of light from all around are from many."""
+
+from __future__ import annotations
+
+from tools.docs.tables import load, machine, table
+
+COUNTS = (8, 16, 32, 64)
+DIFFUSE = (("environment", "{name}"), ("mean", "{mean:.1f%}"), ("largest", "{largest:.1f%}"))
+SAMPLES = (
+    ("mesh", "{mesh}"),
+    ("environment", "{environment}"),
+    ("m", "{m:g}"),
+    *((f"{count} samples", f"{{n{count}[of_all]:.2f%}}") for count in COUNTS),
+    ("of the specular part", "{n32[of_specular]:.1f%}"),
+    ("energy", "{n32[energy]:+.1f%}"),
+    ("p99", "{n32[displayed]:g}/255"),
+)
+
+
+def blocks() -> dict[str, str]:
+    data = load("environment")
+    rows = [
+        {**each, **{f"n{count}": lost for count, lost in each["lost"].items()}}
+        for each in data["samples"]
+    ]
+    of_specular = [each["n32"]["of_specular"] for each in rows]
+    return {
+        "machine": machine(data),
+        "diffuse": table(DIFFUSE, [{"name": name, **e} for name, e in data["diffuse"].items()]),
+        "samples": table(SAMPLES, rows),
+        "worst": f"{100.0 * max(each['n32']['of_all'] for each in rows):.2f} %",
+        "of-specular": f"{100.0 * min(of_specular):.1f} % to {100.0 * max(of_specular):.1f} %",
+        "float64": f"{data['float64']:.1e}",
+        "sample-cycles": str(data["cycles"]["sample"]),
+        "base-cycles": str(data["cycles"]["base"]),
+    }

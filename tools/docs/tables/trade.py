@@ -1,0 +1,143 @@
+"""What terms cost and lose; the README has the first table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from benchmarks.prices.amd import Statistics
+from benchmarks.prices.offline import GPUS
+from facerender.measure.measurement import MODELS, MeasuredVariant, Measurement
+from facerender.measure.pareto import CostKind
+from facerender.measure.tables import (
+    Table,
+    cost_tables,
+    error_tables,
+    markdown_table,
+    tables_of,
+)
+from facerender.pricing.interval import Interval
+from facerender.pricing.table import FAMILY_NAMES, shipped, term_name
+from facerender.pricing.variants import SLOPE, Variant
+from facerender.shading import Term
+from tools.docs.tables import load
+
+_WORDS = ("variant", "lobe", "remark", "shading")  # columns that are aligned to the left
+
+
+def blocks() -> dict[str, str]:
+    measurement = Measurement.from_dict(load("llvmpipe"))
+    compiled = [load("offline"), load("mobile")]
+    instructions = compiled[0]["instructions"] | compiled[1]["instructions"]
+    facts = measurement.as_dict()["environment"]
+    return {
+        "readme": headline(measurement),
+        "machine": "{date}: {GL_RENDERER}, OpenGL {GL_VERSION}, on {cores} cores of"
+        " {processor}".format(**facts),
+        "amd": load("amd")["driver"],
+        **{f"program-{model}": in_program(measurement, model) for model in MODELS},
+        "costs": _tables([*cost_tables(measurement), *amd_tables(measurement)]),
+        "errors": _tables(error_tables(measurement)),
+        "compilers": ", ".join(compiled[0]["compilers"] + compiled[1]["compilers"]),
+        **{f"instructions-{model}": instruction_table(instructions, model) for model in MODELS},
+    }
+
+
+def amd(family: str, measured: MeasuredVariant) -> Statistics:
+    """Return the estimate for a variant of the compiler for a family of AMD's GPUs."""
+    variant = measured.variant
+    return Statistics(**load("amd")["statistics"][family][variant.model][variant.name])
+
+
+def amd_tables(measurement: Measurement) -> list[Table]:
+    """Return the costs on AMD's GPUs as a kind of cost beside the measured ones."""
+
+    def kind(family: str, title: str) -> CostKind:
+        return CostKind(
+            f"specular term on AMD {title}",
+            "cycles a wave",
+            lambda measured: Interval(*3 * (amd(family, measured).inverse_throughput,)),
+            {
+                "instructions": lambda measured: amd(family, measured).instructions,
+                "latency, cycles": lambda measured: amd(family, measured).latency,
+            },
+        )
+
+    kinds = kind("navi21", "Navi 21"), kind("vega10", "Vega 10")
+    return [table for kind in kinds for table in tables_of(measurement, kind)]
+
+
+def headline(measurement: Measurement) -> str:
+    """Return the README's table: costs of both models side by side, relative to the printed form,
+    and the error of the lobe."""
+    head = [""]
+    rows: dict[str, list[str]] = {}
+    for model, title in MODELS.items():
+        head += [f"{title}, ns", "RDNA2, cycles", "error, %"]
+        variants = measurement.of_model(model)
+        base = variants[0].cost
+        for row in variants:
+            variant, cost = row.variant, row.cost
+            exact = variant.lobe == "exact" and not variant.printed
+            cells = rows.setdefault(f"**{variant.name}**" if exact else variant.name, [])
+            cells.append(f"{cost.term_ns.value:.2f}, {cost.term_ns.value / base.term_ns.value:.2f}")
+            cycles, of = (amd("navi21", each).inverse_throughput for each in (row, variants[0]))
+            cells.append(f"{cycles}, {cycles / of:.2f}")
+            error = row.error.lobe[measurement.settings.slope]
+            cells.append("-" if error is None else f"{error:.2f}")
+    return markdown_table(head, [[name, *cells] for name, cells in rows.items()])
+
+
+def in_program(measurement: Measurement, model: str) -> str:
+    """Return what a term of a model costs in the host's program, by lobe and target, with m per
+    fragment and with a constant m."""
+    error = {
+        row.variant: row.error.lobe[measurement.settings.slope] or 0.0
+        for row in measurement.of_model(model)
+        if not row.variant.printed
+    }
+    columns: dict[str, dict[Variant, tuple[float, float]]] = {}
+    for kind, prices in shipped().items():
+        for words, m in (("per fragment", None), ("constant", SLOPE)):
+            names = {
+                each: term_name(Term(model, each.lobe, m=m, small_slope=not each.plain), SLOPE)
+                for each in error
+            }
+            title = f"{FAMILY_NAMES.get(kind, kind)}, m {words}"
+            columns[title] = {each: prices.terms[name] for each, name in names.items()}
+
+    def cell(each: Variant, costs: dict[Variant, tuple[float, float]]) -> str:
+        text = " / ".join(f"{cost:.3g}" for cost in costs[each])
+        beaten = any(
+            error[other] <= error[each]
+            and all(a <= b for a, b in zip(costs[other], costs[each], strict=True))
+            and (error[other], costs[other]) != (error[each], costs[each])
+            for other in error
+        )
+        return text if beaten else f"**{text}**"
+
+    rows = [
+        [each.name, f"{error[each]:.2f}", *(cell(each, costs) for costs in columns.values())]
+        for each in error
+    ]
+    return markdown_table(["lobe", "error, %", *columns], rows)
+
+
+def instruction_table(instructions: dict[str, Any], model: str) -> str:
+    """Return the instructions that other compilers make of the terms of a model."""
+    names = [GPUS.get(gpu, gpu.replace("-", " ").title()) for gpu in instructions]
+    rows = [
+        [name, *("{all} ({special})".format(**of[model][name]) for of in instructions.values())]
+        for name in next(iter(instructions.values()))[model]
+    ]
+    return markdown_table(["variant", *names], rows)
+
+
+def _tables(tables: Iterable[Table]) -> str:
+    """Return tables of the package under headings of the third level, numbers aligned."""
+    parts = []
+    for each in tables:
+        marks = ["---" if name in _WORDS else "---:" for name in each.head]
+        text = f"{each.note}\n\n{markdown_table(each.head, each.rows, marks)}"
+        parts.append(f"### {each.title}\n\n{text if each.rows else 'Not measured.'}")
+    return "\n\n".join(parts)
