@@ -22,7 +22,14 @@ from facerender.errors import InputError, clipped
 from facerender.job import ImageSettings, Job, MeshFile, Output
 from facerender.loading import NORMAL_MAP_Y
 from facerender.loading.given import GLTF
-from facerender.scenes.camera import CAMERA_FILES, FRAMES, Camera, orbiting, turntable
+from facerender.scenes.camera import (
+    AZIMUTHS_BY_NAME,
+    CAMERA_FILES,
+    FRAMES,
+    Camera,
+    orbiting,
+    turntable,
+)
 from facerender.scenes.file import STUDIO, load_scene, parse_environment
 from facerender.scenes.light import LIGHTS, parse_light
 from facerender.scenes.material import Material
@@ -31,11 +38,10 @@ from facerender.scenes.scene import Scene
 from facerender.shading import DIFFUSE, SCATTER_SAMPLES, Shading
 from facerender.terms import FRESNEL, MASKING, MODELS
 
-CAMERAS = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
 WHERE = (
-    f"{', '.join(CAMERAS)}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees; turntable[:N], for 8 or N "
-    "around; gltf[:NAME], of the mesh file; a .toml with [[cameras]], a .json or .npz with K and "
-    "[R|t]; repeat for several"
+    f"{', '.join(AZIMUTHS_BY_NAME)}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees; turntable[:N], for "
+    "8 or N around; gltf[:NAME], of the mesh file; a .toml with [[cameras]], a .json or .npz with "
+    "K and [R|t]; repeat for several"
 )
 
 
@@ -322,8 +328,8 @@ def _file_cameras(
 
 
 def _orbit(place: str, camera: Camera) -> Camera:
-    if place in CAMERAS:
-        return orbiting(camera, azimuth=CAMERAS[place], elevation=0.0)
+    if place in AZIMUTHS_BY_NAME:
+        return orbiting(camera, azimuth=AZIMUTHS_BY_NAME[place], elevation=0.0)
     try:
         numbers = numbers_of("camera", place, (1, 2, 3))
     except InputError as error:
