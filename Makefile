@@ -66,7 +66,7 @@ test-system:
 	$(VENV)/pip install --quiet --editable .
 	touch $@
 
-.venv/installed-dev: pyproject.toml
+.venv/installed-dev: pyproject.toml | test-system
 	$(PYTHON) -m venv .venv
 	$(VENV)/pip install --quiet --editable '.[dev]'
 	touch $@ .venv/installed

@@ -5,6 +5,8 @@ python -m benchmarks.skin_lobes      into docs/measurements/skin_lobes.json; nee
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,24 +14,24 @@ import facerender as fr
 from benchmarks.data import save
 
 Float = NDArray[np.float64]
-SLOPES, DEGREES, COUNT = (0.1, 0.3, 0.5), 60.0, 200_000
+SLOPES, DEGREES, COUNT = (0.1, 0.3, 0.5), (30, 60), 200_000
 
 
-def variances() -> dict[str, float]:
-    """Return, by slope, the variance of reflected light with directions drawn by the cosine over
-    that with directions of the lobe."""
-    n, angle = np.array([0.0, 0.0, 1.0]), np.radians(DEGREES)
-    v = np.array([np.sin(angle), 0.0, np.cos(angle)])
-    random = np.random.default_rng(1)
-    ratios = {}
-    for m in SLOPES:
+def variances() -> dict[str, dict[str, float]]:
+    """Return, by slope and by the camera's angle in degrees, the variance of reflected light with
+    directions drawn by the cosine over that with directions of the lobe."""
+    n, random = np.array([0.0, 0.0, 1.0]), np.random.default_rng(1)
+    ratios: dict[str, dict[str, float]] = {f"{m:g}": {} for m in SLOPES}
+    for m, degrees in product(SLOPES, DEGREES):
+        v = np.array([np.sin(np.radians(degrees)), 0.0, np.cos(np.radians(degrees))])
         u = random.random((COUNT, 3))
         own = fr.brdf.cook_torrance_sample(n, v, m, u)
         weights = _weights(n, own, v, m, fr.brdf.cook_torrance_pdf(n, own, v, m))
         z, turn = np.sqrt(u[:, 0]), 2.0 * np.pi * u[:, 1]
         s = np.sqrt(1.0 - z**2)
         even = np.stack([s * np.cos(turn), s * np.sin(turn), z], axis=-1)
-        ratios[f"{m:g}"] = float(_weights(n, even, v, m, z / np.pi).var() / weights.var())
+        ratio = _weights(n, even, v, m, z / np.pi).var() / weights.var()
+        ratios[f"{m:g}"][f"{degrees:g}"] = float(ratio)
     return ratios
 
 

@@ -206,7 +206,7 @@ def load_scene_material(path):
 
 
 def test_a_simplified_mesh_keeps_second_coordinates():
-    pytest.importorskip("wasmtime")
+    pytest.importorskip("meshoptimizer")
     steps = np.linspace(-1.0, 1.0, 21)
     x, y = (each.ravel() for each in np.meshgrid(steps, steps))
     faces = grid(20, 20)[:, ::-1].copy()
@@ -250,7 +250,9 @@ def agrees(renderer, scene, shading=fr.Shading()):
 def test_a_head_of_parts_is_drawn_as_the_reference_has_it(single, hair):
     scene = fr.Scene(parts_head(hair), fr.Camera(30.0), LIGHTS, background=None)
     frame, gbuffer = agrees(single, scene)
-    shells = [each for each in gbuffer.veils if (each.part == NAMES.index("shells")).any()]
+    shells = [
+        each for each in gbuffer.transparent_layers if (each.part == NAMES.index("shells")).any()
+    ]
     assert len(shells) == 2  # front and, beyond the eyes, back
     assert (gbuffer.part == NAMES.index("eyes")).sum() > 50
     assert (gbuffer.part == NAMES.index("hair")).any() == (hair == "mask")
@@ -306,12 +308,15 @@ def test_blended_parts_lie_over_each_other_from_the_back(single):
     materials = [glass[0], replace(WHITE, kd=np.pi), glass[2]]
     frame, gbuffer = agrees(single, scene_of(quads, materials, **dark))
     np.testing.assert_allclose(frame[80, 80], (0.8125, 0.5625, 0.75, 1.0), atol=1e-6)
-    assert [each.part.max() for each in gbuffer.veils] == [2, 0]
+    assert [each.part.max() for each in gbuffer.transparent_layers] == [2, 0]
     joined = parts_joined([quads[0], quads[2]])  # nearest first: sorted by triangles
     both = [replace(WHITE, kd=np.pi), replace(glass[0], albedo=(1.0, 1.0, 1.0))]
     frame, gbuffer = agrees(single, scene_of([quads[1], joined], both, **dark))
-    assert len(gbuffer.veils) == 2
-    assert gbuffer.veils[0].position[80, 80, 2] < gbuffer.veils[1].position[80, 80, 2]
+    assert len(gbuffer.transparent_layers) == 2
+    assert (
+        gbuffer.transparent_layers[0].position[80, 80, 2]
+        < gbuffer.transparent_layers[1].position[80, 80, 2]
+    )
     alone, _ = agrees(single, scene_of([quads[0]], [glass[0]], **dark))
     np.testing.assert_allclose(alone[80, 80], (0.25, 0.0, 0.0, 0.25), atol=1e-6)
 
@@ -524,10 +529,10 @@ def test_light_scatters_below_what_is_blended(single):
     behind = replace(scene, mesh=replace(mesh, materials=tuple(clear)))
     gbuffer = single.gbuffer(scene)
     over = behind_image = single.render(behind).linear[..., :3].astype(np.float64)
-    for veil in gbuffer.veils:
-        alpha = veil.opacity[..., None]
+    for layer in gbuffer.transparent_layers:
+        alpha = layer.opacity[..., None]
         over = (
-            alpha * reference.layers(veil, scene, fr.Shading()).sum(fr.Shading())
+            alpha * reference.layers(layer, scene, fr.Shading()).sum(fr.Shading())
             + (1 - alpha) * over
         )
     assert np.abs(over - behind_image).max() > 0.01

@@ -109,7 +109,7 @@ VARIANTS = {
 @pytest.mark.parametrize("name", VARIANTS)
 @pytest.mark.parametrize("deferred", [False, True])
 def test_every_pixel_is_float64_shading(egl, baked, name, deferred, monkeypatch):
-    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
+    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
     (whole,) = baked.parts
     changes = dict(VARIANTS[name])
     if "colors" in changes:

@@ -43,7 +43,7 @@ def renderer(egl, monkeypatch, tmp_path):
 @pytest.mark.parametrize("deferred", [False, True])
 @pytest.mark.parametrize("samples", [1, 4])
 def test_a_filter_reads_what_was_shaded_and_a_depth(renderer, head, samples, deferred, monkeypatch):
-    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *scene: deferred)
+    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *scene: deferred)
     scene = fr.Scene(head.with_material(m=0.3), background=None)
     view = view_of(scene, 1.0)
     above = view_of(replace(scene, camera=fr.Camera(elevation=60.0)), 1.0)
@@ -84,7 +84,9 @@ def test_what_a_scene_does_not_need_is_no_pass(renderer, head, monkeypatch):
         lambda step, *rest: drawn.append(step.name) or draw(step, *rest),
     )
     for deferred in (False, True):
-        monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_, on=deferred: on)
+        monkeypatch.setattr(
+            "facerender.drawing.renderer.deferred_is_cheaper", lambda *_, on=deferred: on
+        )
         renderer.render(fr.Scene(head))
         renderer.render(fr.Scene(head), only="normal")
     assert drawn == ["shade", "surface", "visible", "shade", "visible", "surface"]

@@ -14,7 +14,7 @@ from facerender.commands import main
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(
     page
-    for pattern in ("*.md", "docs/*.md", "examples/*.md", "examples/*/README.md")
+    for pattern in ("*.md", "docs/**/*.md", "examples/*.md", "examples/*/README.md")
     for page in ROOT.glob(pattern)
 )
 CODE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)

@@ -59,7 +59,7 @@ def all_of_them(mesh: fr.Mesh) -> fr.Scene:
 
 @pytest.mark.parametrize("deferred", [False, True])
 def test_every_pixel_is_float64_shading(egl, head, deferred, monkeypatch):
-    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: deferred)
+    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
     scene, shading = all_of_them(head), fr.Shading()
     with fr.Renderer((320, 320), samples=1, backend=egl, float_albedo=True) as renderer:
         gbuffer = renderer.gbuffer(scene, shading)

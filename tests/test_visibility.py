@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 import facerender as fr
-from facerender.drawing.facets import IN_ROW, Facets
 from facerender.drawing.passes import visibility
+from facerender.drawing.triangle_setup import IN_ROW, TriangleSetup
 from facerender.images.srgb import linear_to_srgb
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
@@ -50,7 +50,9 @@ def both(egl, monkeypatch) -> Both:
     def draw(scene: fr.Scene, size=(256, 192), samples=1, only=None):
         images = []
         for deferred in (True, False):
-            monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_, on=deferred: on)
+            monkeypatch.setattr(
+                "facerender.drawing.renderer.deferred_is_cheaper", lambda *_, on=deferred: on
+            )
             with fr.Renderer(size, samples=samples, backend=egl, float_albedo=True) as renderer:
                 images.append(renderer.render(scene, only=only).linear)
         return tuple(images)
@@ -117,14 +119,14 @@ def test_terms(both, head, only):
     assert np.quantile(error, 0.99) < 1e-3
 
 
-def test_facets_give_what_vertices_have(head):
+def test_the_setup_gives_what_vertices_have(head):
     part = head.parts[0]
-    facets = Facets.of(part, head)
-    packed = facets.texture().reshape(-1, facets.texels, 4)[: len(facets.faces)]
-    for corner in facets.faces.T:
-        at = facets.positions[corner]
+    setup = TriangleSetup.of(part, head)
+    packed = setup.texture().reshape(-1, setup.texels, 4)[: len(setup.faces)]
+    for corner in setup.faces.T:
+        at = setup.positions[corner]
         values = np.einsum("ijk,ik->ij", packed[:, :, :3], at) + packed[:, :, 3] * (
-            1.0 - 2.0 * (np.arange(facets.texels) == 0)
+            1.0 - 2.0 * (np.arange(setup.texels) == 0)
         )
         np.testing.assert_allclose(values[:, 0], 0.0, atol=1e-6)  # on its plane
         np.testing.assert_allclose(values[:, 1:4], part.normals[corner], atol=2e-4)
@@ -212,7 +214,7 @@ def rates(egl) -> Both:
 
 @pytest.mark.parametrize("azimuth", [10.0, 100.0, 190.0])
 @pytest.mark.parametrize("elevation", [-10.0, 25.0])
-def test_shaded_once_the_side_that_most_samples_see_stands_for_all(once, azimuth, elevation):
+def test_shaded_once_the_side_that_most_samples_see_stands_for_all(rates, azimuth, elevation):
     """Without lights the image is colour times coverage, and a pixel's colour tells how many of its
     samples see which side."""
     mesh = mesh_of(tetrahedron()).with_material(albedo=(1.0, 1.0, 1.0))
@@ -241,7 +243,7 @@ def test_shaded_once_every_part_of_a_pixel_is(rates):
     assert (np.abs(one - full) > 1e-2).any()
 
 
-def test_heads_that_are_shaded_once(once, head):
+def test_heads_that_are_shaded_once(rates, head):
     one, full = rates(fr.Scene(head, fr.Camera(-35.0), background=None), (1024, 1024))
     assert (one != full).any()
     assert_same(one, full, 0.985)
@@ -249,26 +251,26 @@ def test_heads_that_are_shaded_once(once, head):
 
 
 @pytest.mark.parametrize(("samples", "brightness"), [(1, 0.0), (2, 0.0), (8, 0.0), (4, 1e6)])
-def test_what_cannot_be_shaded_once_is_drawn_as_without(once, head, samples, brightness):
+def test_what_cannot_be_shaded_once_is_drawn_as_without(rates, head, samples, brightness):
     one, full = rates(fr.Scene(head, background=(brightness,) * 3), (64, 64), samples)
     np.testing.assert_array_equal(one, full)
 
 
-def test_shading_once_is_not_left_to_where_deferring_pays(once, head, monkeypatch):
+def test_shading_once_is_not_left_to_where_deferring_pays(rates, head, monkeypatch):
     scene = fr.Scene(head)
     one, _ = rates(scene)
-    monkeypatch.setattr("facerender.drawing.renderer.pays", lambda *_: False)
+    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: False)
     np.testing.assert_array_equal(rates(scene)[0], one)
 
 
 def test_where_it_pays(head):
     scene = fr.Scene(head)
     llvmpipe = "llvmpipe (LLVM 15.0.6, 256 bits)"
-    assert visibility.pays(scene, (1024, 1024), 1, llvmpipe)
-    assert not visibility.pays(scene, (1024, 1024), 4, "softpipe")
+    assert visibility.deferred_is_cheaper(scene, (1024, 1024), 1, llvmpipe)
+    assert not visibility.deferred_is_cheaper(scene, (1024, 1024), 4, "softpipe")
     low = fr.Scene(mesh_of(cube()))
-    assert not visibility.pays(low, (1024, 1024), 1, llvmpipe)
-    assert visibility.pays(low, (1024, 1024), 4, llvmpipe)
+    assert not visibility.deferred_is_cheaper(low, (1024, 1024), 1, llvmpipe)
+    assert visibility.deferred_is_cheaper(low, (1024, 1024), 4, llvmpipe)
 
 
 def test_what_is_too_large_is_drawn_as_it_comes(head):

@@ -20,7 +20,7 @@ PACKAGES = {
     "exr": ("OpenEXR",),
     "hdr": ("OpenImageIO",),
     "draco": ("DracoPy",),
-    "lod": ("wasmtime",),
+    "lod": ("meshoptimizer",),
     "rays": ("embreex",),
     "batch": ("distributed", "fsspec", "pyarrow"),
     "completion": ("shtab",),

@@ -15,12 +15,12 @@ from typing import Any, Literal, Protocol
 import glcontext
 import moderngl
 
-from facerender.drawing.host import (
+from facerender.drawing.gl_state import (
     HostContext,
     bind_osmesa,
     current_context,
     egl_in_use,
-    put_aside_state,
+    save_state,
 )
 from facerender.errors import ContextError, InputError, shown
 from facerender.system.forked import IMPORTER
@@ -297,7 +297,7 @@ class Context:
                         "the context in which this renderer was made is not current in this "
                         "thread: make it current first"
                     )
-                restore = put_aside_state(self.loader.load)
+                restore = save_state(self.loader.load)
                 try:
                     yield self.gl
                 finally:
@@ -365,7 +365,7 @@ def create_context(backend: Backend = "auto") -> Context:
 def _open(name: str, host: HostContext | None) -> Context:
     loader = _OPENERS[name]()
     guest = host if name == "current" else None
-    restore = put_aside_state(loader.load) if guest else None
+    restore = save_state(loader.load) if guest else None
     try:
         gl = moderngl.create_context(require=_GL_VERSION, standalone=not guest, context=loader)
         # An OpenGL object that Python drops in another context would free a stranger there.

@@ -187,8 +187,8 @@ class GBuffer:
     emission : (H, W, 3) float32, radiance that the surface gives off itself; None where no material
         does
     opacity : (H, W) float32, of a blended part, 0 where it is not; None of what is not blended
-    veils : the surfaces of blended parts before all that is not blended, in the order in which they
-        lie over each other at each pixel
+    transparent_layers : the surfaces of blended parts before all that is not blended, in the order
+        in which they lie over each other at each pixel
     """
 
     part: NDArray[np.int64]
@@ -206,14 +206,14 @@ class GBuffer:
     facing: NDArray[np.float32] | None = None
     emission: NDArray[np.float32] | None = None
     opacity: NDArray[np.float32] | None = None
-    veils: tuple[GBuffer, ...] = ()
+    transparent_layers: tuple[GBuffer, ...] = ()
 
     @property
     def coverage(self) -> NDArray[np.float64]:
         """(H, W), of blended parts their opacity."""
         clear = (self.part < 0).astype(np.float64)
-        for veil in self.veils:
-            clear = clear * (1.0 - veil.opacity) if veil.opacity is not None else clear
+        for layer in self.transparent_layers:
+            clear = clear * (1.0 - layer.opacity) if layer.opacity is not None else clear
         return np.asarray(1.0 - clear)
 
     def __repr__(self) -> str:

@@ -183,7 +183,7 @@ class Program:
             f'#define {kind.upper()}_LIGHTS {count}\n#include "host/light/{kind}.glsl"'
             for kind, count in counts.items()
         ]
-        loops = seen if self.fragment == "seen.frag" else added
+        loops = seen if self.fragment == "light_visibility.frag" else added
         return "\n".join([*kinds, f"#define EVERY_LIGHT {' '.join(loops)}\n"])
 
 
@@ -266,10 +266,12 @@ def shade_program(
     )
 
 
-def seen_program(part: Part, material: Material, shading: Shading, lighting: Lighting) -> Program:
+def light_visibility_program(
+    part: Part, material: Material, shading: Shading, lighting: Lighting
+) -> Program:
     """Return the program that draws how much of each light a part of a simplified scene sees."""
     features = surface_features(part, material, shading) + shadow_features(lighting)
-    return Program("seen.frag", features=features, lights=lighting.groups)
+    return Program("light_visibility.frag", features=features, lights=lighting.groups)
 
 
 def shadow_features(lighting: Lighting) -> tuple[str, ...]:

@@ -74,10 +74,10 @@ def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float6
     """
     terms = layers(gbuffer, scene, shading)
     image = terms.sum(shading) + scattered(gbuffer, scene, shading, terms)
-    for veil in gbuffer.veils:
-        assert veil.opacity is not None
-        over = veil.opacity[..., None].astype(np.float64)
-        image = over * layers(veil, scene, shading).sum(shading) + (1.0 - over) * image
+    for layer in gbuffer.transparent_layers:
+        assert layer.opacity is not None
+        over = layer.opacity[..., None].astype(np.float64)
+        image = over * layers(layer, scene, shading).sum(shading) + (1.0 - over) * image
     return image
 
 

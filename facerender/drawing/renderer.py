@@ -21,10 +21,15 @@ from facerender.drawing.frame import Frame, GBuffer, in_order
 from facerender.drawing.memory import check_memory
 from facerender.drawing.passes import Pass
 from facerender.drawing.passes.shade import shade_pass
-from facerender.drawing.passes.shadow import seen_pass, shadow_passes
+from facerender.drawing.passes.shadow import light_visibility_pass, shadow_passes
 from facerender.drawing.passes.surface import surface_pass
-from facerender.drawing.passes.veil import PEELED, Veil, veil_over, veils
-from facerender.drawing.passes.visibility import Visibility, can_defer, pays
+from facerender.drawing.passes.transparency import (
+    PREVIOUS_LAYER,
+    BlendedPart,
+    blended_parts,
+    with_blended,
+)
+from facerender.drawing.passes.visibility import Visibility, can_defer, deferred_is_cheaper
 from facerender.drawing.prepare import reduced, simplify, start_maps
 from facerender.drawing.program import ENVIRONMENT_MAP, Lighting
 from facerender.drawing.reference import data_view
@@ -109,7 +114,7 @@ class Renderer:
         _LIMITS["anisotropy"].check("anisotropy", anisotropy)
         for name, value in (("float_albedo", float_albedo), ("full_maps", full_maps)):
             check_switch(name, value)
-        self._peeling = threading.Lock()  # a layer is drawn by what the one before it left
+        self._layer_lock = threading.Lock()  # a layer is drawn by what the one before it left
         if memory is not None:
             check_range("memory", memory, 1.0, 1e9)
         self.anisotropy, self.full_maps, self.memory = anisotropy, full_maps, memory
@@ -260,38 +265,42 @@ class Renderer:
         check_switch("blended", blended)
         view = view_of(scene, self.size[0] / self.size[1])
         scene = self._simplified(scene, shading, view, 4)
-        with self._peeling:
+        with self._layer_lock:
             over = [
                 layer
-                for veil in (veils(scene, view) if blended else ())
-                for layer in self._layers(scene, view, shading, veil)
+                for blended_part in (blended_parts(scene, view) if blended else ())
+                for layer in self._layers(scene, view, shading, blended_part)
             ]
-        return replace(self._gbuffer(scene, view, shading)[0], veils=tuple(over))
+        return replace(self._gbuffer(scene, view, shading)[0], transparent_layers=tuple(over))
 
-    def _layers(self, scene: Scene, view: View, shading: Shading, veil: Veil) -> list[GBuffer]:
-        """All layers of a veil, at each pixel in the order in which its triangles are drawn."""
+    def _layers(
+        self, scene: Scene, view: View, shading: Shading, blended_part: BlendedPart
+    ) -> list[GBuffer]:
+        """Return all layers of a part by depth peeling, at each pixel in drawing order."""
         layers: list[GBuffer] = []
         numbers: list[NDArray[np.float32]] = []
         while True:
-            layer, number = self._gbuffer(scene, view, shading, replace(veil, layer=len(layers)))
+            layer, number = self._gbuffer(
+                scene, view, shading, replace(blended_part, layer=len(layers))
+            )
             if not (layer.part >= 0).any():
                 return in_order(layers, np.array(numbers))
             layers.append(layer)
             numbers.append(number)
 
     def _gbuffer(
-        self, scene: Scene, view: View, shading: Shading, veil: Veil | None = None
+        self, scene: Scene, view: View, shading: Shading, blended_part: BlendedPart | None = None
     ) -> tuple[GBuffer, NDArray[np.float32]]:
-        """The G-buffer of all that is not blended in a simplified scene, or of a layer of a veil,
-        with the numbers of its triangles as they are drawn."""
+        """Return the G-buffer of all opaque parts of a simplified scene, or of one layer of a
+        blended part, with the numbers of its triangles as they are drawn."""
         visibility = self._visibility(scene, view, 1)
-        scatters = veil is None and _scattering(scene, self.size) is not None
-        surface = surface_pass(scene, view, shading, visibility, scatters, veil)
+        scatters = blended_part is None and _scattering(scene, self.size) is not None
+        surface = surface_pass(scene, view, shading, visibility, scatters, blended_part)
         passes = [visibility.drawn(), surface] if visibility else [surface]
         known: dict[str, moderngl.Texture] = {}
-        if veil is not None and veil.layer:
+        if blended_part is not None and blended_part.layer:
             before = replace(surface.target, number=1 - surface.target.number)
-            known[PEELED] = self._resources.target(before).color_attachments[-1]  # type: ignore[assignment]
+            known[PREVIOUS_LAYER] = self._resources.target(before).color_attachments[-1]  # type: ignore[assignment]
         position, normal, albedo, uv, *others = self._draw(passes, scene, known)
         two = any(material.two_lobes for material in scene.mesh.materials)
         shines = any(any(material.emissive) for material in scene.mesh.materials)
@@ -299,7 +308,7 @@ class Renderer:
         seen = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
         lighting = Lighting.of(scene, shading)
         if shadows := shadow_passes(scene, lighting):
-            look = seen_pass(scene, view, shading, visibility, veil)
+            look = light_visibility_pass(scene, view, shading, visibility, blended_part)
             images = self._draw([*shadows, *passes[:-1], look], scene, known)
             number = len(lighting.shadowed)
             seen[..., lighting.shadowed] = np.concatenate(images, axis=-1)[..., :number]
@@ -318,9 +327,9 @@ class Renderer:
             lobe_weight=None if lobes is None else lobes[..., 1],
             facing=uv[..., 3] if scatters else None,
             emission=others[0][..., :3] if shines else None,
-            opacity=uv[..., 3] if veil else None,
+            opacity=uv[..., 3] if blended_part else None,
         )
-        return gbuffer, others[-1][..., 1] if veil else np.empty((0, 0), np.float32)
+        return gbuffer, others[-1][..., 1] if blended_part else np.empty((0, 0), np.float32)
 
     def _simplified(self, scene: Scene, shading: Shading, view: View, samples: int) -> Scene:
         """Return what is drawn of a scene, whose maps are being decoded."""
@@ -364,9 +373,9 @@ class Renderer:
                 passes += self._apart(scene, view, shading, scattering, cull_back_faces)
             how = scattering, shading.scatter_samples, background, not beside, area
             last = [scatter_pass(view, *how)]
-            if veils(scene, view):
+            if blended_parts(scene, view):
                 whole = shade_pass(scene, view, shading, samples, only)
-                last = veil_over(replace(whole, cull_back_faces=cull_back_faces), *last)
+                last = with_blended(replace(whole, cull_back_faces=cull_back_faces), *last)
             passes += last
         return self._draw([*shadow_passes(scene, Lighting.of(scene, shading)), *passes], scene)[0]
 
@@ -389,7 +398,8 @@ class Renderer:
     ) -> Visibility | None:
         """What a scene's image is deferred to, where that is asked for or cheaper."""
         if self._can_defer(scene, samples) and (
-            shading_rate == "pixel" or pays(scene, self.size, samples, self.context.renderer)
+            shading_rate == "pixel"
+            or deferred_is_cheaper(scene, self.size, samples, self.context.renderer)
         ):
             return Visibility.of(scene, view, self.size, samples, shading_rate)
         return None

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.context import Context
-from facerender.drawing.facets import Facets
 from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.prepare import part_maps
 from facerender.drawing.program import Program, part_columns
+from facerender.drawing.triangle_setup import TriangleSetup
 from facerender.errors import ContextError, InputError
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.mips import Kind
@@ -95,8 +95,10 @@ class Resources:
     ) -> None:
         self.context, self.size = context, size
         self.anisotropy, self.albedo_kind = anisotropy, albedo_kind
-        self.geometries: WeakKeyDictionary[Part | Facets, Geometry] = WeakKeyDictionary()
-        self.facets: WeakKeyDictionary[Facets, moderngl.Texture] = WeakKeyDictionary()
+        self.geometries: WeakKeyDictionary[Part | TriangleSetup, Geometry] = WeakKeyDictionary()
+        self.setup_textures: WeakKeyDictionary[TriangleSetup, moderngl.Texture] = (
+            WeakKeyDictionary()
+        )
         self.textures: WeakKeyDictionary[Texture, dict[Kind, moderngl.Texture]]
         self.textures = WeakKeyDictionary()
         self.environments: WeakKeyDictionary[Panorama, moderngl.Texture] = WeakKeyDictionary()
@@ -111,7 +113,7 @@ class Resources:
 
     def release(self) -> None:
         """Free everything on the GPU; the context is current."""
-        caches = (self.geometries, self.facets, self.textures, self.programs, self.targets)
+        caches = (self.geometries, self.setup_textures, self.textures, self.programs, self.targets)
         for made in (*caches, self.scopes, self.environments, self.screens, self.held):
             made.clear()
         self.context.gl.gc()
@@ -198,8 +200,8 @@ class Resources:
         set_uniforms(program, {**step.uniforms, **draw.uniforms})
         self.bind(program, draw, drawn)
         screen = draw.depth in ("mark", "marked")
-        if draw.facets is not None and not screen:
-            self.positions(draw.facets).array(self.context.gl, program).render()
+        if draw.setup is not None and not screen:
+            self.positions(draw.setup).array(self.context.gl, program).render()
         elif draw.part is None or screen:
             if program not in self.screens:
                 self.screens[program] = self.context.gl.vertex_array(program, [])
@@ -214,7 +216,7 @@ class Resources:
     def bind(
         self, program: moderngl.Program, draw: Draw, drawn: Mapping[str, moderngl.Texture]
     ) -> None:
-        """Bind a material's maps, facets, and textures of the scene, to their uniforms."""
+        """Bind a material's maps, triangle setup, and textures of the scene, to their uniforms."""
         textures = dict(drawn)
         if draw.part is not None and draw.material is not None:
             filtered = "SLOPE_FILTER" in draw.program.features
@@ -223,8 +225,8 @@ class Resources:
                 if name in program:
                     own = self.texture(name, source, kind)  # before binding: it uses unit 0
                     textures[name] = own
-        if draw.facets is not None and draw.depth == "marked":
-            textures["facets"] = self.facet_texture(draw.facets)
+        if draw.setup is not None and draw.depth == "marked":
+            textures["triangle_setup"] = self.setup_texture(draw.setup)
         used = [(name, texture) for name, texture in textures.items() if name in program]
         for unit, (name, texture) in enumerate(used):
             texture.use(unit)
@@ -297,23 +299,23 @@ class Resources:
             self.geometries[part] = Geometry(gl.buffer(vertices), widths, gl.buffer(part.faces), {})
         return self.geometries[part]
 
-    def positions(self, facets: Facets) -> Geometry:
-        """Upload where facets lie, once."""
-        if facets not in self.geometries:
+    def positions(self, setup: TriangleSetup) -> Geometry:
+        """Upload the positions of triangles, once."""
+        if setup not in self.geometries:
             gl = self.context.gl
             gl.gc()
-            buffers = gl.buffer(facets.positions), gl.buffer(facets.faces)
-            self.geometries[facets] = Geometry(buffers[0], {"in_position": 3}, buffers[1], {})
-        return self.geometries[facets]
+            buffers = gl.buffer(setup.positions), gl.buffer(setup.faces)
+            self.geometries[setup] = Geometry(buffers[0], {"in_position": 3}, buffers[1], {})
+        return self.geometries[setup]
 
-    def facet_texture(self, facets: Facets) -> moderngl.Texture:
-        """Upload what deferred shading reads of facets, once."""
-        if facets not in self.facets:
-            packed = facets.texture()
+    def setup_texture(self, setup: TriangleSetup) -> moderngl.Texture:
+        """Upload what deferred shading reads of triangles, once."""
+        if setup not in self.setup_textures:
+            packed = setup.texture()
             texture = self.context.gl.texture(packed.shape[1::-1], 4, packed, dtype="f4")
             texture.filter = moderngl.NEAREST, moderngl.NEAREST
-            self.facets[facets] = texture
-        return self.facets[facets]
+            self.setup_textures[setup] = texture
+        return self.setup_textures[setup]
 
     def environment(self, panorama: Panorama) -> moderngl.Texture:
         """Upload the map of a panorama, once."""

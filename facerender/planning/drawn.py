@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.passes.visibility import pays
+from facerender.drawing.passes.visibility import deferred_is_cheaper
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.planning.budget import Budget, highest_but
@@ -42,7 +42,7 @@ def draw(place: Place, shading: Shading, detail: LevelOfDetail) -> NDArray[np.fl
 def _saves_shading(place: Place, samples: int) -> bool:
     """Tell whether per-pixel shading is possible, and known to be cheaper."""
     scene, renderer = place.scene, place.renderer
-    known = pays(scene, renderer.size, samples, renderer.context.renderer)
+    known = deferred_is_cheaper(scene, renderer.size, samples, renderer.context.renderer)
     return known and renderer.can_shade_per_pixel(scene, samples)
 
 

@@ -3,7 +3,7 @@
 #ifndef HOST_ALPHA_GLSL
 #define HOST_ALPHA_GLSL
 
-#include "host/place.glsl"
+#include "host/texture_coordinates.glsl"
 
 uniform float opacity;
 #ifdef OPACITY_MAP
@@ -18,14 +18,14 @@ float opacity_here() {
 #endif
 }
 
-#ifdef PEEL
+#ifdef DEPTH_PEELING
 // Depth in the layer before in red, its triangle's number in green, and in alpha whether there is any.
-uniform sampler2D peeled;
+uniform sampler2D previous_layer;
 
 // Leaves what lies behind the layer before, or as deep and was drawn before it: at equal depth the
 // last that is drawn stays.
-void peel() {
-    vec4 before = texelFetch(peeled, ivec2(gl_FragCoord.xy), 0);
+void discard_previous_layers() {
+    vec4 before = texelFetch(previous_layer, ivec2(gl_FragCoord.xy), 0);
     bool behind = gl_FragCoord.z > before.r;
     bool earlier = gl_FragCoord.z == before.r && float(gl_PrimitiveID) < before.g;
     if (before.a == 0.0 || !(behind || earlier)) discard;

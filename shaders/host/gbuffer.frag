@@ -25,7 +25,7 @@ layout(location = LAYER) out vec4 layer;
 
 void main() {
 #ifdef VISIBLE
-    Point p = point(facet_at(0));
+    Point p = point(triangle_at(0));
 #else
     Point p = point();
 #endif
@@ -59,7 +59,7 @@ void main() {
 #ifdef ALPHA_MASK
     share_left();
 #endif
-#ifdef PEEL
-    peel();
+#ifdef DEPTH_PEELING
+    discard_previous_layers();
 #endif
 }

@@ -1,5 +1,5 @@
 // An image before its background, with what scattering changes in its diffuse light, where
-// scattered.frag marked it.
+// scatter_mask.frag marked it.
 #include "facerender/constants.glsl"
 #include "facerender/scatter.glsl"
 #include "host/scattering.glsl"

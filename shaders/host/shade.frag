@@ -158,13 +158,13 @@ vec3 shaded(Point p) {
 }
 
 #ifdef PIXEL_RATE
-// What the part adds to the background where visible.frag marked it: of the facets that the pixel's
+// What the part adds to the background where visible.frag marked it: of the triangles that the pixel's
 // samples see, the one that most of them see stands for all.
 void main() {
-    uint count = uint(facet_count);
+    uint count = uint(triangle_count);
     uint seen[SAMPLES];
-    for (int i = 0; i < SAMPLES; ++i) seen[i] = facet_at(i);
-    uint facet = count;
+    for (int i = 0; i < SAMPLES; ++i) seen[i] = triangle_at(i);
+    uint triangle = count;
     float weight = 0.0;
     int most = 0;
     for (int i = 0; i < SAMPLES; ++i) {
@@ -174,37 +174,37 @@ void main() {
         for (int j = 0; j < SAMPLES; ++j) alike += int(seen[j] == seen[i]);
         if (alike >= most) {
             most = alike;
-            facet = seen[i];
+            triangle = seen[i];
         }
     }
-    radiance = weight * vec4(shaded(point(facet)) - background, 1.0);
+    radiance = weight * vec4(shaded(point(triangle)) - background, 1.0);
 }
 #elif defined(VISIBLE)
-// What the part adds to the background where visible.frag marked it: each facet that the pixel's
+// What the part adds to the background where visible.frag marked it: each triangle that the pixel's
 // samples see is shaded once, at the pixel's centre, as OpenGL does with several samples.
 void main() {
-    uint count = uint(facet_count);
+    uint count = uint(triangle_count);
     uint seen[SAMPLES];
-    uint facet = count;
+    uint triangle = count;
     for (int i = 0; i < SAMPLES; ++i) {
-        seen[i] = facet_at(i);
-        if (seen[i] < count) facet = seen[i];
+        seen[i] = triangle_at(i);
+        if (seen[i] < count) triangle = seen[i];
     }
     radiance = vec4(0.0);
     do {
         float weight = 0.0;
         uint next = count;
         for (int i = 0; i < SAMPLES; ++i) {
-            if (seen[i] == facet) {
+            if (seen[i] == triangle) {
                 weight += 1.0 / float(SAMPLES);
                 seen[i] = count;
             } else if (seen[i] < count) {
                 next = seen[i];
             }
         }
-        radiance += weight * vec4(shaded(point(facet)) - background, 1.0);
-        facet = next;
-    } while (facet < count);
+        radiance += weight * vec4(shaded(point(triangle)) - background, 1.0);
+        triangle = next;
+    } while (triangle < count);
 }
 #elif defined(ALPHA_MASK)
 void main() {

@@ -53,7 +53,7 @@ Light shadowed(Light light, int shadow, Surface s, Point p) {
     return light;
 }
 
-#ifdef HOST_LIGHT_SIZE_GLSL
+#ifdef HOST_LIGHT_AREA_GLSL
 float share(Disc light, int shadow, Surface s, Point p) {
     return visibility(shadow, s, p, light.center.direction, light.size.x);
 }

@@ -1,6 +1,6 @@
 // What lies at a point: geometry and maps, without light. Shared by shade.frag and gbuffer.frag, so
 // that the NumPy reference reads exactly what is shaded.
-#include "host/place.glsl"
+#include "host/texture_coordinates.glsl"
 uniform vec3 eye;
 #ifdef VISIBLE
 #include "host/point/visible.glsl"

@@ -1,6 +1,6 @@
-// Which facet a sample sees: its number in the part, after those of the parts before. Float32 has all
+// Which triangle a sample sees: its number in the part, after those of the parts before. Float32 has all
 // whole numbers up to 2^24.
 uniform int first;
-out float facet;
+out float triangle;
 
-void main() { facet = float(first + gl_PrimitiveID); }
+void main() { triangle = float(first + gl_PrimitiveID); }

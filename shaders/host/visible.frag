@@ -3,7 +3,7 @@
 
 void main() {
     for (int i = 0; i < SAMPLES; ++i) {
-        if (facet_at(i) < uint(facet_count)) return;
+        if (triangle_at(i) < uint(triangle_count)) return;
     }
     discard;
 }

@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.facets import Facets
 from facerender.drawing.program import Program, Uniforms
+from facerender.drawing.triangle_setup import TriangleSetup
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
 
@@ -46,12 +46,12 @@ class Draw:
 
     Attributes
     ----------
-    facets : of the part: only its positions are drawn, in the order of the facets
+    setup : of the part's triangles: only their positions are drawn, in their order
     area : left, lowest row, width and height in pixels of the target; None for all of it
     depth : "test", what is behind is hidden; "hide", the same, and depth alone is drawn; "blend",
         the same, and what is drawn, which hides nothing, lies over what is there; "mark", depth
         alone is drawn, over whatever is there; "marked", what is drawn shows where the draw before
-        marked. With the last two one triangle covers the area, whose program reads the facets
+        marked. With the last two one triangle covers the area, whose program reads the setup
     order : of the part's triangles, their numbers as they are drawn; None for their own order
     """
 
@@ -59,7 +59,7 @@ class Draw:
     uniforms: Uniforms
     part: Part | None = None
     material: Material | None = None
-    facets: Facets | None = None
+    setup: TriangleSetup | None = None
     area: Area | None = None
     depth: Literal["test", "hide", "blend", "mark", "marked"] = "test"
     order: NDArray[np.int64] | None = None

@@ -44,7 +44,7 @@ def scatter_pass(
         "pixels": scattering.pixels,
         "background": np.asarray(behind),
     }
-    composed = Draw(Program("composed.frag", "screen.vert"), {"depth": 1.0})
+    composed = Draw(Program("background.frag", "screen.vert"), {"depth": 1.0})
     draws = (composed, *_draws(scattering, samples, ("SEVERAL",) * several))
     within = tuple(replace(draw, area=area) for draw in draws)
     return Pass("scatter", Target(), within, (*behind, 0.0), uniforms)
@@ -54,7 +54,7 @@ def _draws(scattering: Scattering, samples: int, several: tuple[str, ...]) -> It
     unit = scattering.millimetres
     for number, gaussians in enumerate(scattering.profiles, 1):
         own = {"profile": number, "depth": 1.0 / (1.0 + number)}
-        yield Draw(Program("scattered.frag", "screen.vert", several), own, depth="mark")
+        yield Draw(Program("scatter_mask.frag", "screen.vert", several), own, depth="mark")
         table = np.array(gaussians)
         variance = table[:, :1] / unit**2
         weight = table[:, 1:] / (2.0 * math.pi * variance)

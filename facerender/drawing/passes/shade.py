@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from facerender.drawing.passes import Draw, Pass, Target
-from facerender.drawing.passes.veil import unveiled, veiling
+from facerender.drawing.passes.transparency import blended_draws, unblended
 from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import Lighting, part_uniforms, scene_uniforms, shade_program
 from facerender.scenes.scene import Only, Scene, slope_ranges
@@ -67,8 +67,8 @@ def shade_pass(
     drawn = Pass("shade", Target(samples=samples), tuple(draws), (*background, 0.0), uniforms)
     if scattering:
         drawn = _beside(drawn, scattering, apart)
-    shown = unveiled(scene, drawn.draws)
-    shown += () if scattering else veiling(scene, view, drawn.draws)
+    shown = unblended(scene, drawn.draws)
+    shown += () if scattering else blended_draws(scene, view, drawn.draws)
     drawn = replace(drawn, draws=shown)
     return visibility.shaded(drawn, {"background": np.asarray(background)}) if visibility else drawn
 

@@ -6,19 +6,19 @@ from __future__ import annotations
 from collections.abc import Hashable
 from weakref import ref
 
-from facerender.drawing.facets import facets_of
 from facerender.drawing.passes import Draw, Pass, Target
-from facerender.drawing.passes.veil import Veil, cut_features, unveiled
+from facerender.drawing.passes.transparency import BlendedPart, mask_features, unblended
 from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import (
     SHADOW_MAP,
     Lighting,
     Program,
+    light_visibility_program,
     part_uniforms,
     scene_uniforms,
-    seen_program,
     surface_features,
 )
+from facerender.drawing.triangle_setup import triangle_setup_of
 from facerender.errors import InputError
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import drawn_alpha
@@ -68,13 +68,15 @@ def _draws(scene: Scene, number: int, space: LightSpace) -> list[Draw]:
         alpha = drawn_alpha(part, material)
         if alpha == "blend":
             continue
-        features = cut_features(surface_features(part, material, Shading()))
+        features = mask_features(surface_features(part, material, Shading()))
         program = Program("shadow_map.frag", "shadow_map.vert", features)
         if alpha == "mask":
             own = {**part_uniforms(part, material), **uniforms}
             draws.append(Draw(program, own, part, material, area=area))
         else:
-            draws.append(Draw(program, uniforms, facets=facets_of(part, scene.mesh), area=area))
+            draws.append(
+                Draw(program, uniforms, setup=triangle_setup_of(part, scene.mesh), area=area)
+            )
     return draws
 
 
@@ -85,19 +87,19 @@ def _cut(material: Material) -> Hashable:
     return (material.alpha, map_, *own) if material.alpha != "opaque" else None
 
 
-def seen_pass(
+def light_visibility_pass(
     scene: Scene,
     view: View,
     shading: Shading,
     visibility: Visibility | None = None,
-    veil: Veil | None = None,
+    blended_part: BlendedPart | None = None,
 ) -> Pass:
     """Return the pass that draws how much of each light that casts shadows a point sees, in the
-    order of programs; visibility as of the pass that shades, veil as of the surface's."""
+    order of programs; visibility as of the pass that shades, blended_part as of the surface's."""
     lighting = Lighting.of(scene, shading)
     draws = [
         Draw(
-            seen_program(part, material, shading, lighting),
+            light_visibility_program(part, material, shading, lighting),
             part_uniforms(part, material),
             part,
             material,
@@ -105,6 +107,6 @@ def seen_pass(
         for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True)
     ]
     uniforms = scene_uniforms(scene, view, lighting)
-    shown = unveiled(scene, draws) if veil is None else veil.alone(scene, draws)
-    drawn = Pass("seen", Target(colors=MOST // 4), shown, uniforms=uniforms)
+    shown = unblended(scene, draws) if blended_part is None else blended_part.alone(scene, draws)
+    drawn = Pass("light_visibility", Target(colors=MOST // 4), shown, uniforms=uniforms)
     return visibility.shaded(drawn) if visibility else drawn

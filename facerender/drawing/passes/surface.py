@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from facerender.drawing.passes import Draw, Pass, Target
-from facerender.drawing.passes.veil import Veil, unveiled
+from facerender.drawing.passes.transparency import BlendedPart, unblended
 from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import (
     Program,
@@ -24,22 +24,22 @@ def surface_pass(
     shading: Shading,
     visibility: Visibility | None = None,
     scatters: bool = False,
-    veil: Veil | None = None,
+    blended_part: BlendedPart | None = None,
 ) -> Pass:
     """Return the pass that draws position and part, normal and m, albedo and specular weight,
     texture coordinates and occlusion of a simplified scene, where a part has two lobes second m and
     lobe weight, where one shines what it gives off, and where it scatters how the mesh faces the
     eye; visibility as of the pass that shades.
 
-    veil : draws a layer of this alone, in place of all that is not blended, with its opacity, and
-        in a last image depth and number of the triangle as it is drawn
+    blended_part : draw one layer of this part, with its opacity, in place of all that is not
+        blended, and in a last image depth and number of the triangle as it is drawn
     """
     two = any(material.two_lobes for material in scene.mesh.materials)
     shines = any(any(material.emissive) for material in scene.mesh.materials)
     parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
-    further = ("SCATTER",) * (scatters and veil is None)
+    further = ("SCATTER",) * (scatters and blended_part is None)
     further += (f"EMITTED {4 + two}",) * shines
-    further += (f"LAYER {4 + two + shines}",) * (veil is not None)
+    further += (f"LAYER {4 + two + shines}",) * (blended_part is not None)
     draws = [
         Draw(
             Program("gbuffer.frag", features=_features(part, material, shading, two) + further),
@@ -50,10 +50,10 @@ def surface_pass(
         for number, (part, material) in enumerate(parts, 1)
     ]
     uniforms = scene_uniforms(scene, view)
-    shown = unveiled(scene, draws) if veil is None else veil.alone(scene, draws)
+    shown = unblended(scene, draws) if blended_part is None else blended_part.alone(scene, draws)
     target = Target(colors=4 + two + shines)
-    if veil is not None:  # a layer reads the one before
-        target = Target(colors=target.colors + 1, sampled=True, number=veil.layer % 2)
+    if blended_part is not None:  # a layer reads the one before
+        target = Target(colors=target.colors + 1, sampled=True, number=blended_part.layer % 2)
     drawn = Pass("surface", target, shown, uniforms=uniforms)
     return visibility.shaded(drawn) if visibility else drawn
 

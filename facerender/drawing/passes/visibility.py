@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.facets import IN_ROW, Facets, facets_of
 from facerender.drawing.passes import Area, Draw, Pass, Target
 from facerender.drawing.program import Program, Uniforms
+from facerender.drawing.triangle_setup import IN_ROW, TriangleSetup, triangle_setup_of
 from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.scene import Scene, ShadingRate
 from facerender.scenes.view import View
 
-DRIVERS = ("llvmpipe",)  # on which deferred shading was measured: docs/performance.md
+DRIVERS = ("llvmpipe",)  # on which deferred shading was measured: docs/measurements/performance.md
 _MOST_PIXELS = 30  # for each triangle; with more, and one sample, it is dearer
 _MOST_TRIANGLES = 1 << 24  # that float32 numbers apart
 _BRIGHTEST = 1e3  # background, of which float32 takes away all but 6e-5
@@ -35,7 +35,7 @@ def can_defer(scene: Scene, rows: int) -> bool:
     return sum(counts) < _MOST_TRIANGLES and max(counts) <= rows * IN_ROW and not bright
 
 
-def pays(scene: Scene, size: tuple[int, int], samples: int, driver: str) -> bool:
+def deferred_is_cheaper(scene: Scene, size: tuple[int, int], samples: int, driver: str) -> bool:
     """Tell whether deferred shading is known to be cheaper.
 
     Parameters
@@ -54,12 +54,12 @@ class Visible:
 
     Attributes
     ----------
-    facets : of the part
+    setup : triangles of the part, as shading reads them
     first : what stands for its first triangle in the image, where 0 is the background
     area : that the part may cover; without width or height it is not in the image
     """
 
-    facets: Facets
+    setup: TriangleSetup
     first: int
     area: Area
 
@@ -93,9 +93,9 @@ class Visibility:
         """Number the triangles of a scene, and tell where they are."""
         parts, first = [], 1
         for part in scene.mesh.parts:
-            facets = facets_of(part, scene.mesh)
-            parts.append(Visible(facets, first, _area(facets, view, size)))
-            first += len(facets.faces)
+            setup = triangle_setup_of(part, scene.mesh)
+            parts.append(Visible(setup, first, _area(setup, view, size)))
+            first += len(setup.faces)
         return cls(view, size, samples, tuple(parts), shading_rate)
 
     @property
@@ -110,7 +110,7 @@ class Visibility:
         """Return the pass that draws it."""
         program = Program("visibility.frag", "visibility.vert")
         draws = tuple(
-            Draw(program, {"first": each.first}, facets=each.facets)
+            Draw(program, {"first": each.first}, setup=each.setup)
             for each in self.parts
             if all(each.area[2:])
         )
@@ -139,22 +139,22 @@ class Visibility:
     def _shaded(self, draw: Draw, part: Visible, depth: float) -> tuple[Draw, Draw]:
         """What marks where a part is visible, at a depth of its own, and what shades it there."""
         samples = f"SAMPLES {self.samples}"
-        uniforms = {"first": part.first, "facet_count": len(part.facets.faces), "depth": depth}
+        uniforms = {"first": part.first, "triangle_count": len(part.setup.faces), "depth": depth}
         visible = Program("visible.frag", "screen.vert", (samples,))
         features = (
             *draw.program.features,
             "VISIBLE",
             *(("PIXEL_RATE",) * (self.shading_rate == "pixel")),
             samples,
-            f"FACETS_IN_ROW {IN_ROW}",
-            f"FACET_TEXELS {part.facets.texels}",
+            f"TRIANGLES_IN_ROW {IN_ROW}",
+            f"TRIANGLE_TEXELS {part.setup.texels}",
         )
         program = replace(draw.program, vertex="screen.vert", features=features)
         shaded = replace(
             draw,
             program=program,
             uniforms={**draw.uniforms, **uniforms},
-            facets=part.facets,
+            setup=part.setup,
             area=part.area,
             depth="marked",
         )
@@ -175,8 +175,8 @@ def _rays(view: View, size: tuple[int, int]) -> Uniforms:
     return {"ray": corner, "ray_x": right / size[0], "ray_y": up / size[1]}
 
 
-def _area(facets: Facets, view: View, size: tuple[int, int]) -> Area:
-    low, high = facets.bounds
+def _area(setup: TriangleSetup, view: View, size: tuple[int, int]) -> Area:
+    low, high = setup.bounds
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True), [1.0]), axis=-1).reshape(-1, 4)
     clip = corners @ view.matrix
     if clip[:, 3].min() <= 0.0:

@@ -1,5 +1,5 @@
 // Distant lights that are seen as discs.
-#include "host/light/size.glsl"
+#include "host/light/area.glsl"
 
 uniform vec3 disc_direction[DISC_LIGHTS];  // towards the centre
 uniform vec3 disc_irradiance[DISC_LIGHTS];

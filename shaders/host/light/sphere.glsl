@@ -1,5 +1,5 @@
 // Point lights that have a size.
-#include "host/light/size.glsl"
+#include "host/light/area.glsl"
 
 uniform vec3 sphere_position[SPHERE_LIGHTS];
 uniform vec3 sphere_intensity[SPHERE_LIGHTS];  // irradiance at distance 1

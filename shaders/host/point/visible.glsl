@@ -1,42 +1,42 @@
-// The point at which the ray through a pixel's centre meets a facet's plane: a triangle as
-// drawing/facets.py packs it, its plane and its attributes as affine functions of the position.
+// The point at which the ray through a pixel's centre meets a triangle's plane: a triangle as
+// drawing/triangle_setup.py packs it, its plane and its attributes as affine functions of the position.
 // After Burns and Hunt (2013), "The visibility buffer: a cache-friendly approach to deferred
 // shading".
 #include "host/point/point.glsl"
 #include "host/visible.glsl"
 
-uniform sampler2D facets;
+uniform sampler2D triangle_setup;
 uniform vec3 ray;  // from the eye to the first pixel's outer corner; any length
 uniform vec3 ray_x;  // what a pixel to the right adds
 uniform vec3 ray_y;
 
 #define TEXEL(map, p, place) textureGrad(map, (p).place, (p).uv_x, (p).uv_y)
 
-vec4 texel_of(uint facet, int index) {
-    int row = int(facet) / FACETS_IN_ROW;
-    int column = int(facet) - row * FACETS_IN_ROW;
-    return texelFetch(facets, ivec2(column * FACET_TEXELS + index, row), 0);
+vec4 texel_of(uint triangle, int index) {
+    int row = int(triangle) / TRIANGLES_IN_ROW;
+    int column = int(triangle) - row * TRIANGLES_IN_ROW;
+    return texelFetch(triangle_setup, ivec2(column * TRIANGLE_TEXELS + index, row), 0);
 }
 
 #ifdef CURVATURE
-vec3 normal_change(uint facet, vec3 change) {
+vec3 normal_change(uint triangle, vec3 change) {
     return vec3(
-        dot(texel_of(facet, 1).xyz, change),
-        dot(texel_of(facet, 2).xyz, change),
-        dot(texel_of(facet, 3).xyz, change)
+        dot(texel_of(triangle, 1).xyz, change),
+        dot(texel_of(triangle, 2).xyz, change),
+        dot(texel_of(triangle, 3).xyz, change)
     );
 }
 #endif
 
-float affine(uint facet, int index, vec3 position) {
-    vec4 function = texel_of(facet, index);
+float affine(uint triangle, int index, vec3 position) {
+    vec4 function = texel_of(triangle, index);
     return dot(function.xyz, position) + function.w;
 }
 
 vec3 view_ray() { return ray + gl_FragCoord.x * ray_x + gl_FragCoord.y * ray_y; }
 
-Point point(uint facet) {
-    vec4 plane = texel_of(facet, 0);
+Point point(uint triangle) {
+    vec4 plane = texel_of(triangle, 0);
     vec3 direction = view_ray();
     float across = dot(direction, plane.xyz);
     Point p;
@@ -47,19 +47,19 @@ Point point(uint facet) {
     float distance = clamp((plane.w - dot(eye, plane.xyz)) / across, 1e-3, 1.0);
     p.position = eye + distance * direction;
     p.normal = vec3(
-        affine(facet, 1, p.position), affine(facet, 2, p.position), affine(facet, 3, p.position)
+        affine(triangle, 1, p.position), affine(triangle, 2, p.position), affine(triangle, 3, p.position)
     );
 #if defined(UV) || defined(CURVATURE) || defined(SHADOWS)
     vec3 position_x = distance * (ray_x - direction * (dot(ray_x, plane.xyz) / across));
     vec3 position_y = distance * (ray_y - direction * (dot(ray_y, plane.xyz) / across));
 #endif
 #ifdef CURVATURE
-    p.normal_x = normal_change(facet, position_x);
-    p.normal_y = normal_change(facet, position_y);
+    p.normal_x = normal_change(triangle, position_x);
+    p.normal_y = normal_change(triangle, position_y);
 #endif
 #ifdef UV
-    vec4 u = texel_of(facet, 4);
-    vec4 v = texel_of(facet, 5);
+    vec4 u = texel_of(triangle, 4);
+    vec4 v = texel_of(triangle, 5);
     p.uv = vec2(dot(u.xyz, p.position) + u.w, dot(v.xyz, p.position) + v.w);
     p.uv_x = vec2(dot(u.xyz, position_x), dot(v.xyz, position_x));
     p.uv_y = vec2(dot(u.xyz, position_y), dot(v.xyz, position_y));
@@ -70,16 +70,16 @@ Point point(uint facet) {
 #endif
 #ifdef VERTEX_OCCLUSION
 #ifdef UV
-    p.occlusion = affine(facet, 6, p.position);
+    p.occlusion = affine(triangle, 6, p.position);
 #else
-    p.occlusion = affine(facet, 4, p.position);
+    p.occlusion = affine(triangle, 4, p.position);
 #endif
 #endif
 #ifdef VERTEX_COLORS
     p.color = vec3(
-        affine(facet, FACET_TEXELS - 3, p.position),
-        affine(facet, FACET_TEXELS - 2, p.position),
-        affine(facet, FACET_TEXELS - 1, p.position)
+        affine(triangle, TRIANGLE_TEXELS - 3, p.position),
+        affine(triangle, TRIANGLE_TEXELS - 2, p.position),
+        affine(triangle, TRIANGLE_TEXELS - 1, p.position)
     );
 #endif
     return p;

@@ -105,8 +105,8 @@ def _told(
     if scene.environment is not None:
         texels = scene.environment.panorama.map
         maps[ENVIRONMENT_MAP] = _map(blob, [texels], "float", np.float32, filtered=False)
-    if draw.facets is not None:
-        columns, faces = {"in_position": draw.facets.positions}, draw.facets.faces
+    if draw.setup is not None:
+        columns, faces = {"in_position": draw.setup.positions}, draw.setup.faces
     else:
         assert draw.part is not None
         assert draw.material is not None

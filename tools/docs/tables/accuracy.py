@@ -1,4 +1,4 @@
-"""docs/accuracy.md: what every lobe loses, where it may be used, and what float32 does.
+"""What every lobe loses, where it may be used, and what float32 does.
 
 The tables of lobes are computed; those of float32 were measured.
 """

@@ -1,4 +1,4 @@
-"""docs/frame.md: what a whole frame costs, what samples lose, what plans of it save."""
+"""What a whole frame costs, what samples lose, what plans of it save."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/levels.md: what levels of detail change in the image, and what they save."""
+"""What levels of detail change in the image, and what they save."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/plan.md: what plans of ten scenes choose, save and lose, and how they are checked."""
+"""What plans of ten scenes choose, save and lose, and how they are checked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/shaders.md: the reference of the GLSL library, from the headers of its files."""
+"""The reference of the GLSL library, from the headers of its files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/skin.md: how near the slope filter and lights with a radius come to many samples."""
+"""How near the slope filter and lights with a radius come to many samples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/skin-environment.md: how far few samples of light from all around are from many."""
+"""How far few samples of light from all around are from many."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SAMPLES = (
 
 
 def blocks() -> dict[str, str]:
-    data = load("environment")
+    data = load("skin_environment")
     rows = [
         {**each, **{f"n{count}": lost for count, lost in each["lost"].items()}}
         for each in data["samples"]

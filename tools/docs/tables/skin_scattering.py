@@ -1,4 +1,4 @@
-"""docs/skin-scattering.md: what scattering in the image loses and costs."""
+"""What scattering in the image loses and costs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/skin-shadows.md: how far shadows and baked occlusion are from rays, and what they cost."""
+"""How far shadows and baked occlusion are from rays, and what they cost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/skin-together.md: what each part of skin costs of a frame, and what plans leave out."""
+"""What each part of skin costs of a frame, and what plans leave out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/targets.md: on which targets the shader library is tested, and how near its bounds it is."""
+"""On which targets the shader library is tested, and how near its bounds it is."""
 
 from __future__ import annotations
 

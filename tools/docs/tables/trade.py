@@ -1,4 +1,4 @@
-"""docs/trade.md, and the README's table of costs: what terms cost and lose, from measurements."""
+"""What terms cost and lose; the README has the first table."""
 
 from __future__ import annotations
 

@@ -1,0 +1,97 @@
+"""Blended parts, drawn after all others, from the back to the front, over what is there; and depth
+peeling, which draws one transparent layer of a part."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.drawing.passes import Draw, Pass
+from facerender.drawing.program import Program
+from facerender.drawing.triangle_setup import triangle_setup_of
+from facerender.scenes.mesh import drawn_alpha
+from facerender.scenes.scene import Scene
+from facerender.scenes.view import View
+
+PREVIOUS_LAYER = "previous_layer"  # the texture of the layer before the one that is drawn
+_CUT = ("UV", "OPACITY", "ALPHA", "TO_COVERAGE")  # how features begin that masks depend on
+
+
+@dataclass(frozen=True, eq=False)
+class BlendedPart:
+    """A blended part.
+
+    Attributes
+    ----------
+    part : its number in the mesh
+    order : of its triangles, from the back to the front by the depth of their middles
+    layer : which of its surfaces before a pixel is meant, where only one is drawn: 0 is the nearest
+    """
+
+    part: int
+    order: NDArray[np.int64]
+    layer: int = 0
+
+    def alone(self, scene: Scene, draws: Sequence[Draw]) -> tuple[Draw, ...]:
+        """Return, of the draws of every part, that of its layer, behind the depth of what hides
+        it."""
+        own = draws[self.part]
+        features = (*own.program.features, *(("DEPTH_PEELING",) * (self.layer > 0)))
+        program = replace(own.program, features=features)
+        hides = (depth_only(draw) for draw in unblended(scene, draws))
+        return *hides, replace(own, program=program, order=self.order)
+
+
+def blended_parts(scene: Scene, view: View) -> list[BlendedPart]:
+    """Return the blended parts in the order in which they are drawn: that whose nearest vertex is
+    farthest first."""
+    found = []
+    for number, (part, material) in enumerate(
+        zip(scene.mesh.parts, scene.mesh.materials, strict=True)
+    ):
+        if drawn_alpha(part, material) == "blend":
+            setup = triangle_setup_of(part, scene.mesh)
+            depth = setup.positions @ view.forward
+            order = np.argsort(-depth[setup.faces].sum(axis=1), kind="stable")
+            found.append((float(depth.min()), BlendedPart(number, order)))
+    return [part for _, part in sorted(found, key=lambda each: -each[0])]
+
+
+def unblended(scene: Scene, draws: Sequence[Draw]) -> tuple[Draw, ...]:
+    """Return the draws, of those of every part, of parts that are not blended."""
+    parts = zip(scene.mesh.parts, scene.mesh.materials, draws, strict=True)
+    return tuple(draw for part, material, draw in parts if drawn_alpha(part, material) != "blend")
+
+
+def blended_draws(scene: Scene, view: View, draws: Sequence[Draw]) -> tuple[Draw, ...]:
+    """Return the draws, of those of every part, of blended parts, in their order."""
+    over = blended_parts(scene, view)
+    return tuple(replace(draws[each.part], order=each.order, depth="blend") for each in over)
+
+
+def with_blended(shaded: Pass, image: Pass) -> list[Pass]:
+    """Return the pass that draws the blended parts of another, and a pass that draws an image of
+    one sample a pixel, with these over it."""
+    hides = [depth_only(draw) for draw in shaded.draws if draw.depth == "test"]
+    over = [draw for draw in shaded.draws if draw.depth == "blend"]
+    target = replace(shaded.target, sampled=True, number=1)
+    blended = replace(
+        shaded, name="transparent", target=target, draws=(*hides, *over), clear=(0.0,) * 4
+    )
+    composite = Draw(Program("transparent.frag", "screen.vert"), {"depth": -1.0}, depth="blend")
+    return [blended, replace(image, draws=(*image.draws, composite))]
+
+
+def depth_only(draw: Draw) -> Draw:
+    """Return a draw of a part that leaves its depth alone."""
+    program = Program("depth.frag", features=mask_features(draw.program.features))
+    return replace(draw, program=program, depth="hide")
+
+
+def mask_features(features: Sequence[str]) -> tuple[str, ...]:
+    """Return what a program needs to know of a mask, where there is one."""
+    cut = "ALPHA_MASK" in features
+    return tuple(name for name in features if name.startswith(_CUT)) if cut else ()

@@ -1,0 +1,107 @@
+"""Triangles as deferred shading reads them: each one's plane, and its attributes as affine
+functions of the position. No OpenGL here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.drawing.program import part_columns
+from facerender.scenes.mesh import Mesh, Part
+
+IN_ROW = 256  # of the texture
+_AT_ONCE = 1 << 12
+_ROUNDING = 2.0**-22  # of a width, from float32 positions of size 1
+
+Floats = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleSetup:
+    """The triangles of a part.
+
+    Attributes
+    ----------
+    positions : (N, 3) float32, of the vertices in the renderer's space
+    faces : (F, 3) uint32
+    columns : the attributes of the vertices, from the normal on, (N, K) float32
+    """
+
+    positions: NDArray[np.float32]
+    faces: NDArray[np.uint32]
+    columns: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, part: Part, mesh: Mesh) -> TriangleSetup:
+        """Take what is drawn of a part."""
+        columns = part_columns(part, mesh)
+        positions = columns.pop("in_position").astype(np.float32)
+        columns.pop("in_uv2", None)  # deferred shading has one kind of texture coordinates
+        attributes = np.hstack([*columns.values()], dtype=np.float32, casting="same_kind")
+        return cls(positions, np.asarray(part.faces, dtype=np.uint32), attributes)
+
+    @cached_property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """The lowest and the highest corner of what the triangles use."""
+        used = self.positions[self.faces.ravel()]
+        return used.min(axis=0), used.max(axis=0)
+
+    @property
+    def texels(self) -> int:
+        """How many texels a triangle takes."""
+        return 1 + int(self.columns.shape[1])
+
+    def texture(self) -> NDArray[np.float32]:
+        """Return (rows, IN_ROW * texels, 4) float32: of each triangle the unit normal of its plane
+        with the plane's distance from the origin, and for each attribute gradient and offset.
+
+        Where rounding hides how wide a triangle is, as of one that fills a T-junction, attributes
+        change along its length alone, and it faces where its first vertex does.
+        """
+        rows = -(-len(self.faces) // IN_ROW)
+        packed = np.zeros((rows * IN_ROW, self.texels, 4), dtype=np.float32)
+        for start in range(0, len(self.faces), _AT_ONCE):
+            faces = self.faces[start : start + _AT_ONCE]
+            corners = self.positions[faces].astype(np.float64)
+            corner = corners[:, 0]
+            u, v = (corners[:, i] - corner for i in (1, 2))
+            normal = np.cross(u, v)
+            hidden = (_ROUNDING * np.maximum(np.abs(corners).max(axis=(1, 2)), 1e-30))[:, None] ** 2
+            lengths = _dot(u, u) + _dot(v, v) + hidden
+            normal *= _dot(normal, normal) > hidden * lengths
+            area = _dot(normal, normal) + hidden * lengths
+            value = self.columns[faces[:, 0]]
+            change_u, change_v = (self.columns[faces[:, i]] - value for i in (1, 2))
+            out = packed[start : start + len(faces)]
+            across_u = (np.cross(v, normal) + hidden * u) / area
+            across_v = (np.cross(normal, u) + hidden * v) / area
+            along = (u * _dot(u, value[:, :3]) + v * _dot(v, value[:, :3])) / lengths
+            normal += np.sqrt(hidden * lengths) * (value[:, :3] - along)
+            out[:, 0, :3] = normal / np.sqrt(_dot(normal, normal))
+            out[:, 1:, :3] = change_u[..., None] * across_u[:, None]
+            out[:, 1:, :3] += change_v[..., None] * across_v[:, None]
+            out[:, 0, 3] = np.einsum("ij,ij->i", out[:, 0, :3], corner)
+            out[:, 1:, 3] = value - np.einsum("ijk,ik->ij", out[:, 1:, :3], corner)
+        return packed.reshape(rows, IN_ROW * self.texels, 4)
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    """The dot products of rows, (N, 1)."""
+    return np.asarray(np.einsum("ij,ij->i", a, b)[:, None])
+
+
+_made: WeakKeyDictionary[Part, tuple[tuple[float, ...], TriangleSetup]] = WeakKeyDictionary()
+
+
+def triangle_setup_of(part: Part, mesh: Mesh) -> TriangleSetup:
+    """Return the triangle setup of a part of a mesh, made once for meshes that place it alike."""
+    place = (*mesh.center, mesh.radius)
+    known = _made.get(part)
+    if known is None or known[0] != place:
+        _made[part] = known = place, TriangleSetup.of(part, mesh)
+    return known[1]
