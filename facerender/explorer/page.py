@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from facerender._version import __version__
+from facerender import __version__
 from facerender.explorer.mesh import PackedMesh, drawable, encoded
 from facerender.glsl.code import call
 from facerender.glsl.library import TARGETS, shader_dir, shader_source, term_source
