@@ -87,18 +87,24 @@ def add_field(
     )
 
 
-def add_quiet(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
-    command.add_argument(
-        "--quiet", action="store_true", help="only warnings and errors on standard error"
-    )
+def add_flag(group: argparse._ActionsContainer, name: str, text: str) -> None:
+    """Add an option without a value."""
+    group.add_argument(f"--{name}", action="store_true", help=text)
 
 
-def add_verbose(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
+def add_switch(group: argparse._ActionsContainer, name: str, text: str) -> None:
+    """Add an option and its contrary, --no-NAME."""
+    group.add_argument(f"--{name}", action=argparse.BooleanOptionalAction, help=text)
+
+
+def add_quiet(command: argparse._ActionsContainer) -> None:
+    add_flag(command, "quiet", "only warnings and errors on standard error")
+
+
+def add_verbose(command: argparse._ActionsContainer) -> None:
     """Add --quiet and its contrary."""
     add_quiet(command)
-    command.add_argument(
-        "--verbose", action="store_true", help="every step and when it began, on standard error"
-    )
+    add_flag(command, "verbose", "every step and when it began, on standard error")
 
 
 def telling(options: argparse.Namespace) -> Callable[[str], None]:
@@ -120,24 +126,19 @@ def steps(options: argparse.Namespace) -> Bar:
     return Bar(options.quiet, tell if options.verbose else None)
 
 
-def add_allow_outside(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
-    command.add_argument(
-        "--allow-outside",
-        action="store_true",
-        help="open what the mesh file refers to wherever it lies (below its folder alone)",
-    )
+def add_allow_outside(command: argparse._ActionsContainer) -> None:
+    text = "open what the mesh file refers to wherever it lies (below its folder alone)"
+    add_flag(command, "allow-outside", text)
 
 
-def add_parts(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
-    command.add_argument(
-        "--parts",
-        metavar="NAME,...",
-        help="draw these parts of the mesh alone; *, ? and [...] are wildcards, and facerender "
-        "info lists the names (all)",
+def add_parts(command: argparse._ActionsContainer) -> None:
+    parts = (
+        "draw these parts of the mesh alone; *, ? and [...] are wildcards, and facerender info "
+        "lists the names (all)"
     )
-    command.add_argument(
-        "--hide", metavar="NAME,...", help="draw all parts but these, named in the same way (none)"
-    )
+    command.add_argument("--parts", metavar="NAME,...", help=parts)
+    others = "draw all parts but these, named in the same way (none)"
+    command.add_argument("--hide", metavar="NAME,...", help=others)
 
 
 def check_outputs(
