@@ -13,12 +13,13 @@ from functools import lru_cache
 
 import numpy as np
 
+from facerender.drawing.resolve import resolve
 from facerender.errors import InputError
 from facerender.planning.budget import Budget
 from facerender.planning.candidates import shadowed
 from facerender.scenes.light import Light
 from facerender.scenes.material import Material
-from facerender.scenes.scene import Scene, slope_ranges
+from facerender.scenes.scene import Scene
 from facerender.shading import Shading, Term
 from facerender.terms import FRESNEL, MASKING, AnyLobe, lobe_entry
 from facerender.terms.masking import MIN_COSINE
@@ -44,7 +45,7 @@ def bound(scene: Scene, shading: Shading, full: Shading, budget: Budget) -> floa
     for light, *both in lit:
         _check_known(light, [term for term in both if term])
     worst = 0.0
-    for material, slopes in zip(scene.mesh.materials, slope_ranges(scene, full), strict=True):
+    for material, slopes in zip(scene.mesh.materials, resolve(scene, full).slopes, strict=True):
         radiance = 0.0
         if shading.ambient != full.ambient:
             radiance = material.kd / np.pi * max(material.albedo) * np.max(scene.ambient)

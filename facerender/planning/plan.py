@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.prepare import simplify
 from facerender.drawing.renderer import Renderer
+from facerender.drawing.resolve import resolve
 from facerender.errors import InputError, check_switch, check_type, each_of, warn
 from facerender.glsl.code import call
 from facerender.glsl.library import Language, Target, term_source
@@ -33,7 +33,7 @@ from facerender.scenes.camera import Camera
 from facerender.scenes.file import scene_toml
 from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.planned import LevelOfDetail, Planned
-from facerender.scenes.scene import Scene, slope_ranges
+from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 from facerender.system.progress import Progress, no_progress
 
@@ -146,9 +146,9 @@ class Plan:
         ------
         InputError : an unknown target
         """
-        simple = simplify(self.scene, self.shading)
-        smallest = min(low for low, _ in slope_ranges(simple, self.shading))
-        two = any(each.two_lobes for each in simple.mesh.materials)
+        resolved = resolve(self.scene, self.shading)
+        smallest = min(low for low, _ in resolved.slopes)
+        two = any(each.two_lobes for each in resolved.scene.mesh.materials)
         flat = term_source(self.shading.term, smallest, target, two)
         version, _, rest = flat.partition("\n") if flat.startswith("#") else ("", "", flat)
         terms = [self.shading.of(light) for light in range(len(self.scene.lights))]
@@ -438,7 +438,7 @@ def _measured(
 
 def _guaranteed(scene: Scene, full: Shading, budget: Budget, cost: str, progress: Progress) -> Plan:
     bound(scene, full, full, budget)  # refuses at once what it cannot bound
-    ends = [end for slopes in slope_ranges(simplify(scene, full), full) for end in slopes]
+    ends = [end for slopes in resolve(scene, full).slopes for end in slopes]
     brightest = [float(np.max(light.irradiance)) for light in scene.lights]
     faintest = tuple(int(light) for light in np.argsort(brightest, kind="stable"))
     constants = Constants(max(ends), max(each.ks for each in scene.mesh.materials), faintest)

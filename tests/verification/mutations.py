@@ -16,6 +16,7 @@ from scipy import ndimage
 import facerender as fr
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.program import Program
+from facerender.drawing.resolve import resolve
 from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import view_of
@@ -57,7 +58,7 @@ class Studio:
     ) -> NDArray[np.float32]:
         """The same with one passage of the GLSL replaced."""
         scene = fr.Scene(self.mesh.with_material(**material), self.camera)
-        step = shade_pass(scene, view_of(scene, 1.0), shading, self.renderer.samples)
+        step = shade_pass(resolve(scene, shading), view_of(scene, 1.0), self.renderer.samples)
         draws = tuple(
             replace(draw, program=Patched(**vars(draw.program), old=old, new=new))
             for draw in step.draws
