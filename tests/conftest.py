@@ -18,6 +18,7 @@ import pytest
 
 import facerender as fr
 from facerender.drawing.context import Backend, create_context
+from facerender.system import meshoptimizer
 from tests.verification import chromium
 from tests.verification.scan import TEST_DATA, load_scan, scan_folder
 
@@ -123,6 +124,15 @@ def awkward() -> Path:
 @pytest.fixture(scope="session")
 def scan_mesh(scan: Path) -> fr.Mesh:
     return load_scan(scan)
+
+
+@pytest.fixture
+def no_meshoptimizer(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """As where the extra lod is not installed."""
+    monkeypatch.setattr(meshoptimizer, "find_spec", lambda name: None)
+    meshoptimizer.library.cache_clear()
+    yield
+    meshoptimizer.library.cache_clear()
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.visibility import can_defer
 from facerender.drawing.resolve import resolve
 from facerender.errors import FacerenderWarning, InputError
-from facerender.explorer import plain
+from facerender.explorer.mesh import drawable
 from facerender.job import Job
 from facerender.loading.given import given
 from facerender.loading.mesh_cache import Files
@@ -207,7 +207,7 @@ def load_scene_material(path):
 
 
 def test_a_simplified_mesh_keeps_second_coordinates():
-    pytest.importorskip("wasmtime")
+    pytest.importorskip("meshoptimizer")
     steps = np.linspace(-1.0, 1.0, 21)
     x, y = (each.ravel() for each in np.meshgrid(steps, steps))
     faces = grid(20, 20)[:, ::-1].copy()
@@ -545,7 +545,7 @@ def test_light_scatters_below_what_is_blended(single):
 def test_what_cannot_show_a_part_says_so():
     mesh = parts_head("blend")
     with pytest.warns(FacerenderWarning, match="shows parts without blended parts, masks$"):
-        shown = plain(mesh)
+        shown = drawable(mesh)
     assert len(shown.parts) == 3
     assert {material.alpha for material in shown.materials} == {"opaque"}
     with (

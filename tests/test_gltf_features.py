@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.loading.gltf_features import EXTENSIONS, FEATURES, markdown
+from facerender.loading.gltf_features import EXTENSIONS, FEATURES
 from facerender.loading.gltf_schema import COMPONENTS
 from tests import awkward_files as files
 from tests.awkward_files import mini_head
@@ -109,10 +109,8 @@ def test_feature(name: str, tmp_path: Path) -> None:
     CASES[name](tmp_path)
 
 
-def test_every_case_is_a_feature_and_the_documents_show_them() -> None:
+def test_every_case_is_a_feature() -> None:
     assert CASES.keys() == {each.name for each in FEATURES}
-    text = (Path(__file__).parents[1] / "docs" / "formats.md").read_text(encoding="utf-8")
-    assert markdown() in text
 
 
 # --- shape ---------------------------------------------------------------------------------------
@@ -466,7 +464,7 @@ PACKED_FACES = "e1f010007687566778a9866589689801690000"
 
 @case("EXT_meshopt_compression", "KHR_meshopt_compression")
 def _(folder: Path) -> None:
-    pytest.importorskip("wasmtime")
+    pytest.importorskip("meshoptimizer")
     vertices = np.arange(24, dtype="<f4").reshape(8, 3) ** 2
     faces = np.array([[0, 1, 2], [2, 1, 3]])
     for key in ("EXT_meshopt_compression", "KHR_meshopt_compression"):

@@ -210,7 +210,7 @@ def test_names_survive_levels_occlusion_and_the_store(tmp_path, monkeypatch):
     kept = fr.MeshFile(str(path)).cached()
     assert kept is not None
     assert names(kept) == ["Head"]
-    require_module("wasmtime")
+    require_module("meshoptimizer")
     assert names(fr.simplified(kept, 300)) == ["Head"]
     require_module("embreex")
     assert names(fr.with_occlusion(kept)) == ["Head"]

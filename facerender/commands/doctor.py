@@ -9,7 +9,7 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from facerender._version import __version__
+from facerender import __version__
 from facerender.commands.streams import tell
 from facerender.drawing.context import AUTO, Finding, probe
 from facerender.system import cache
@@ -20,7 +20,7 @@ PACKAGES = {
     "exr": ("OpenEXR",),
     "hdr": ("OpenImageIO",),
     "draco": ("DracoPy",),
-    "lod": ("wasmtime",),
+    "lod": ("meshoptimizer",),
     "rays": ("embreex",),
     "batch": ("distributed", "fsspec", "pyarrow"),
     "completion": ("shtab",),

@@ -12,7 +12,7 @@ EXAMPLES = {
     ),
     "info": ("facerender info head.glb", "facerender info scan.obj --json"),
     "batch": (
-        "facerender batch jobs.csv -o out --size 256 --passes image,mask,depth",
+        "facerender batch jobs.csv -o out --size 256 --outputs image,mask,depth",
         "facerender batch jobs.toml --check",
         "facerender batch --status out",
     ),
@@ -27,10 +27,7 @@ EXAMPLES = {
         "facerender compare goldens out --report report.html",
         "facerender compare --calibrate runs --limits pytest.ini",
     ),
-    "explore": (
-        "facerender explore head.glb -o head.html",
-        "facerender explore --plan 1/255 -o head.html",
-    ),
+    "explore": ("facerender explore head.glb -o head.html",),
     "shaders": (
         "facerender shaders list",
         "facerender shaders flatten cook_torrance --target 330 --lobe d16",

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender._version import __version__
+from facerender import __version__
 from facerender.errors import FacerenderError, InputError, warn
 from facerender.loading.given import Given
 from facerender.loading.referred import content_of

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender._version import __version__
+from facerender import __version__
 from facerender.errors import InputError, check_switch, check_type, warn
 from facerender.scenes.mesh import Mesh, coordinates, drawn_alpha
 from facerender.system import cache as disk_cache

@@ -1,0 +1,29 @@
+"""Draws the suite of image pairs into a folder, or what it lacks of it.
+
+python -m benchmarks.pairs OUT [--scenes NAME ...] [--changes NAME ...]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+from benchmarks.pairs.suite import draw_suite
+from tests.verification.pairs.changes import CHANGES
+from tests.verification.pairs.scenes import SETTINGS
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.pairs", description=__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--scenes", nargs="+", choices=SETTINGS, default=[*SETTINGS])
+    parser.add_argument("--changes", nargs="+", choices=CHANGES, default=[*CHANGES])
+    given = parser.parse_args()
+    os.environ.setdefault("LP_NUM_THREADS", "1")
+    for scene in draw_suite(given.out, given.scenes, given.changes):
+        print(scene, flush=True)
+
+
+if __name__ == "__main__":
+    main()

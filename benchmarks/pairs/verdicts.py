@@ -1,0 +1,207 @@
+"""What facerender's comparison at its defaults, and other tools, say of the pairs of a suite.
+
+python -m benchmarks.pairs.verdicts SUITE -o docs/measurements/pairs.json
+python -m benchmarks.pairs.verdicts SUITE --peers -o docs/measurements/pairs_peers.json
+
+The first prints what facerender judges wrong; facerender finds a pair different, too, where it
+cannot compare it. Pairs of identical pixels are left out, and so are changes that must fail and
+whose effect is not above the encoding's noise. Peers give numbers that grow with the difference,
+and get the threshold that suits best the very pairs that they are scored on: those of the half that
+is reported. ``benchmarks/pairs/peers.py`` says what they need.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import product
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.pairs.peers import PEERS, present
+from benchmarks.pairs.suite import INDEX, WORKERS, read_pairs
+from facerender import __version__
+from facerender.comparison.compare import compare
+from facerender.errors import InputError
+from facerender.system.atomic import write_text
+from tests.verification.pairs.changes import CHANGES, Format, Must
+from tests.verification.pairs.draw import Pair
+from tests.verification.pairs.scenes import Half
+
+FACERENDER = "facerender compare"
+HALVES: tuple[Half, ...] = ("tune", "report")
+FORMATS: tuple[Format, ...] = ("png", "exr")
+
+Differences = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A pair, and the number of each judge."""
+
+    pair: Pair
+    differences: Differences
+
+
+@dataclass(frozen=True)
+class Score:
+    """How a judge does on the pairs of a half and format, who finds those different whose number is
+    above a threshold."""
+
+    judge: str
+    half: Half
+    format: Format
+    threshold: float
+    caught: int
+    must_fail: int
+    alarms: int
+    must_pass: int
+
+    @property
+    def balanced(self) -> float:
+        """Balanced accuracy: the mean of the shares of both kinds that are judged right."""
+        return 0.5 * (self.caught / self.must_fail + 1.0 - self.alarms / self.must_pass)
+
+
+@dataclass(frozen=True)
+class Tally:
+    """How many pairs of a change facerender found different, of how many."""
+
+    change: str
+    must: Must
+    half: Half
+    format: Format
+    different: int
+    pairs: int
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Versions of judges by their names, and how they did."""
+
+    versions: Mapping[str, str]
+    scores: tuple[Score, ...]
+    tallies: tuple[Tally, ...]
+
+
+def counted(pairs: Iterable[Pair]) -> list[Pair]:
+    """Return the pairs that a judge can be right or wrong on."""
+    return [
+        pair for pair in pairs if not pair.identical and (pair.above_floor or pair.must == "pass")
+    ]
+
+
+def score(threshold: float, judged: Sequence[Judged], judge: str) -> Score:
+    """Score a judge with a threshold on pairs of one half and format."""
+    fails = np.array([each.pair.must == "fail" for each in judged])
+    above = np.array([each.differences[judge] > threshold for each in judged])
+    return Score(
+        *(judge, judged[0].pair.half, judged[0].pair.format, threshold),
+        caught=int((above & fails).sum()),
+        must_fail=int(fails.sum()),
+        alarms=int((above & ~fails).sum()),
+        must_pass=int((~fails).sum()),
+    )
+
+
+def best(judged: Sequence[Judged], judge: str) -> Score:
+    """Return the score at the threshold that suits these very pairs best."""
+    values = np.unique([each.differences[judge] for each in judged])
+    between = 0.5 * (values[1:] + values[:-1])
+    scores = (score(float(each), judged, judge) for each in (*between, values[-1]))
+    return max(scores, key=lambda found: found.balanced)
+
+
+def own(out: Path, pair: Pair) -> Differences:
+    """Compare a pair as ``facerender compare`` does."""
+    try:
+        different = not compare(out / pair.golden, out / pair.image)
+    except InputError:
+        different = True
+    return {FACERENDER: float(different)}
+
+
+def of_peers(names: Sequence[str], out: Path, pair: Pair) -> Differences:
+    """Ask the peers of these names that read the pair's format."""
+    found: dict[str, float] = {}
+    for peer in PEERS:
+        if peer.name in names and pair.format in peer.formats:
+            found |= peer.measure(out / pair.golden, out / pair.image)
+    return {judge: float(f"{value:.6g}") for judge, value in found.items()}
+
+
+def judge(pairs: Sequence[Pair], ask: Callable[[Pair], Differences]) -> list[Judged]:
+    """Ask of all pairs."""
+    with ProcessPoolExecutor(WORKERS, get_context("spawn")) as pool:
+        return [Judged(*each) for each in zip(pairs, pool.map(ask, pairs), strict=True)]
+
+
+def summed(judged: Sequence[Judged], change: str, half: Half, kind: Format) -> Tally | None:
+    """Count the pairs of a change that facerender found different; None where there are none."""
+    found = [
+        each.differences[FACERENDER] > 0.0
+        for each in judged
+        if (each.pair.change, each.pair.half, each.pair.format) == (change, half, kind)
+    ]
+    return (
+        Tally(change, CHANGES[change].must, half, kind, sum(found), len(found)) if found else None
+    )
+
+
+def scores(judged: Sequence[Judged]) -> Iterator[Score]:
+    """Score every judge on each half and format: facerender by its verdict, others at their best
+    threshold."""
+    for half, kind in product(HALVES, FORMATS):
+        own = [each for each in judged if (each.pair.half, each.pair.format) == (half, kind)]
+        for judge in dict.fromkeys(name for each in own for name in each.differences):
+            how = partial(score, 0.5) if judge == FACERENDER else best
+            yield how(own, judge)
+
+
+def read_summary(path: Path) -> Summary:
+    """Return what :func:`write_summary` wrote."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    return Summary(
+        content["versions"],
+        tuple(Score(**each) for each in content["scores"]),
+        tuple(Tally(**each) for each in content["tallies"]),
+    )
+
+
+def write_summary(path: Path, summary: Summary) -> None:
+    write_text(path, json.dumps(asdict(summary), indent=1) + "\n")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.pairs.verdicts", description=__doc__
+    )
+    parser.add_argument("suite", type=Path)
+    parser.add_argument("--peers", action="store_true", help="ask them in place of facerender")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.json")
+    given = parser.parse_args()
+    pairs = counted(read_pairs(given.suite / INDEX))
+    if given.peers:
+        versions = {peer.name: told for peer, told in present()}
+        pairs = [pair for pair in pairs if pair.half == "report"]
+        judged = judge(pairs, partial(of_peers, [*versions], given.suite))
+        tallies: tuple[Tally, ...] = ()
+    else:
+        versions = {FACERENDER: f"facerender {__version__}"}
+        judged = judge(pairs, partial(own, given.suite))
+        for each in judged:
+            if (each.differences[FACERENDER] > 0.0) != (each.pair.must == "fail"):
+                print("missed" if each.pair.must == "fail" else "alarm", each.pair.image)
+        counts = (summed(judged, *each) for each in product(CHANGES, HALVES, FORMATS))
+        tallies = tuple(each for each in counts if each)
+    write_summary(given.output, Summary(versions, tuple(scores(judged)), tallies))
+
+
+if __name__ == "__main__":
+    main()

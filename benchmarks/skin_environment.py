@@ -1,0 +1,145 @@
+"""Measures what docs/measurements/skin.md says: light from all around by few samples against many,
+and by nine coefficients against the whole panorama.
+
+python -m benchmarks.skin_environment   into docs/measurements/skin_environment.json; 3 minutes
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+import facerender as fr
+from benchmarks.data import meshes, save
+from benchmarks.prices import table
+from facerender.drawing import reference
+from facerender.images.srgb import encode_srgb8
+from facerender.scenes.environment import studio
+from facerender.scenes.vectors import direction_to
+from facerender.terms.environment import environment_irradiance
+
+Float = NDArray[np.float64]
+
+SIZE, MANY = 192, 4096
+COUNTS, SLOPES = (8, 16, 32, 64), (0.15, 0.3, 0.5)
+
+
+@dataclass(frozen=True)
+class SampleError:
+    """Of an image lit from all around, over its covered pixels.
+
+    Attributes
+    ----------
+    of_all : mean absolute error over the mean of the image
+    of_specular : the same over the mean of its specular part
+    energy : how much more light there is, of the specular part
+    displayed : 99th percentile of the error as displayed, of 255
+    """
+
+    of_all: float
+    of_specular: float
+    energy: float
+    displayed: float
+
+
+def sky(rows: int = 512) -> fr.Panorama:
+    """A clear sky over grey ground, with a sun of 4 degrees."""
+    directions = panorama_directions(rows)
+    height = directions[..., 1]
+    radiance = np.where(height > 0.0, 0.4 + 0.8 * (1.0 - np.abs(height)) ** 3, 0.25)
+    away = 1.0 - directions @ direction_to(-50.0, 40.0)
+    radiance = radiance + 900.0 * np.exp(-away / 3e-4)
+    return fr.Panorama("sky and sun", radiance[..., None] * [1.0, 0.95, 0.9])
+
+
+def panorama_directions(rows: int) -> Float:
+    """Return where the values of a panorama lie, (rows, 2 rows, 3)."""
+    elevation = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)[:, None]
+    azimuth = np.pi * (1.0 - (np.arange(2 * rows) + 0.5) / rows)
+    across, up = np.cos(elevation), np.sin(elevation) + 0.0 * azimuth
+    return np.stack([across * np.sin(azimuth), up, across * np.cos(azimuth)], axis=-1)
+
+
+def diffuse_error(panorama: fr.Panorama, count: int = 400) -> tuple[float, float]:
+    """Return the mean and the largest error of the irradiance over its mean, by nine coefficients,
+    over directions."""
+    n = np.random.default_rng(1).normal(size=(count, 3))
+    n /= np.linalg.norm(n, axis=-1, keepdims=True)
+    rows = len(panorama.radiance)
+    directions = panorama_directions(rows).reshape(-1, 3)
+    solid_angle = np.sqrt(1.0 - directions[:, 1:2] ** 2) * (np.pi / rows) ** 2
+    received = panorama.radiance.reshape(-1, 3) * solid_angle
+    expected = np.array([np.maximum(directions @ each, 0.0) @ received for each in n])
+    error = np.abs(environment_irradiance(panorama.coefficients, n) - expected)
+    return float(error.mean() / expected.mean()), float(error.max() / expected.mean())
+
+
+def sample_errors(
+    renderer: fr.Renderer, scene: fr.Scene, counts: tuple[int, ...] = COUNTS
+) -> dict[int, SampleError]:
+    """Return what numbers of samples lose against MANY."""
+    covered = renderer.gbuffer(scene).part >= 0
+
+    def image(count: int) -> Float:
+        shading = fr.Shading(environment_samples=count)
+        return renderer.render(scene, shading).linear[covered][:, :3].astype(np.float64)
+
+    many = image(MANY)
+    specular = many - image(0)
+    errors = {}
+    for count in counts:
+        few = image(count)
+        error = np.abs(few - many)
+        shown = [encode_srgb8(each.astype(np.float32)).astype(float) for each in (few, many)]
+        errors[count] = SampleError(
+            float(error.mean() / many.mean()),
+            float(error.mean() / specular.mean()),
+            float((few - many).mean() / specular.mean()),
+            float(np.quantile(np.abs(np.subtract(*shown)).max(axis=-1), 0.99)),
+        )
+    return errors
+
+
+def float64_error(renderer: fr.Renderer, scene: fr.Scene, shading: fr.Shading) -> float:
+    """Return the largest difference from float64, over the larger of it and 0.01."""
+    gbuffer = renderer.gbuffer(scene, shading)
+    covered = gbuffer.part >= 0
+    expected = reference.shade(gbuffer, scene, shading)[covered]
+    image = renderer.render(scene, shading).linear[covered][:, :3]
+    return float((np.abs(image - expected) / np.maximum(expected, 0.01)).max())
+
+
+def main() -> None:
+    panoramas = [studio(), sky()]
+    diffuse = {
+        each.name: dict(zip(("mean", "largest"), diffuse_error(each), strict=True))
+        for each in panoramas
+    }
+    rows, worst = [], 0.0
+    with fr.Renderer((SIZE, SIZE), samples=1) as renderer:
+        for name, mesh in meshes():
+            for panorama in panoramas:
+                bare = fr.Scene(mesh, fr.Camera(-35.0, zoom=1.3), (), 0.0, None)
+                scene = replace(bare, environment=fr.Environment(panorama, 20.0))
+                worst = max(worst, float64_error(renderer, scene, fr.Shading()))
+                for m in SLOPES:
+                    smooth = replace(scene, mesh=mesh.with_material(m=m))
+                    errors = sample_errors(renderer, smooth)
+                    lost = {str(count): asdict(error) for count, error in errors.items()}
+                    rows.append({"mesh": name, "environment": panorama.name, "m": m, "lost": lost})
+                    print(name, panorama.name, m, errors[32], flush=True)
+    parts = table.parts("navi21")
+    cycles = {"sample": parts["environment sample"], "base": parts["environment"]}
+    save(
+        "skin_environment",
+        diffuse=diffuse,
+        samples=rows,
+        float64=worst,
+        cycles={name: round(value) for name, value in cycles.items()},
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,260 @@
+"""Readers of tables of jobs: .jsonl, .csv, .parquet, .toml and .py, one row after the other."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import json
+import os
+import re
+import runpy
+import traceback
+from collections import Counter
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from facerender.batch.grid import grid_rows
+from facerender.batch.tables import Table, nested
+from facerender.errors import FacerenderError, InputError, clipped, reason, shown
+from facerender.job import MESH_PATHS
+from facerender.system.files import read_file, tables_of
+
+# A row, or what is wrong with it, and the line where it ends in a file that has lines of rows.
+Found = tuple[int | None, Table | InputError]
+
+_LONGEST_LINE = 2**20
+_MOST_TOML = 2**26  # bytes
+_NUMBER = re.compile(r"[+-]?([0-9]+|[0-9]+\.[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_WORDS = {"true": True, "false": False, "null": None}
+_TEXT = {  # columns of a .csv file that hold text whatever it looks like
+    *(
+        "id",
+        "outputs",
+        "scene",
+        "mesh",
+        "mesh.parts",
+        "mesh.hide",
+        "environment",
+        "environment.file",
+    ),
+    *(f"mesh.{name}" for name in MESH_PATHS),
+}
+
+
+def found_rows(path: str | os.PathLike[str]) -> Iterator[Found]:
+    """Yield the rows of a table by the kind of its file, as :func:`nested` returns them.
+
+    Raises
+    ------
+    InputError : the file cannot be read, or not from here on
+    """
+    file = Path(path)
+    try:
+        read = _FORMATS[file.suffix.lower()]
+    except KeyError:
+        known = ", ".join(_FORMATS)
+        raise InputError(f"{file}: unknown kind of table {file.suffix!r}; give {known}") from None
+    try:
+        if file.exists() and not (file.is_file() or file.is_dir()):
+            raise InputError(f"{file} is no regular file; give a table")
+        yield from read(file)
+    except OSError as error:
+        raise InputError(f"cannot read {file}: {reason(error)}") from None
+
+
+def _nested(row: Any) -> Table | InputError:
+    try:
+        return nested(row)
+    except InputError as error:
+        return error
+
+
+def _lines(path: Path) -> Generator[str, None, None]:
+    """Yield the lines of a file of text.
+
+    Raises
+    ------
+    InputError : a line that is not UTF-8, or longer than a row can be
+    """
+    with path.open("rb") as file:
+        number = 0
+        while line := file.readline(_LONGEST_LINE + 1):
+            number += 1
+            if len(line) > _LONGEST_LINE:
+                raise InputError(
+                    f"{path.name}, line {number} has more than {_LONGEST_LINE} bytes: give a row "
+                    "a line"
+                )
+            try:
+                yield line.decode("utf-8-sig" if number == 1 else "utf-8")
+            except UnicodeDecodeError as error:
+                raise InputError(
+                    f"{path.name}, line {number} is not UTF-8 ({error.reason}): save the file as "
+                    "UTF-8"
+                ) from None
+
+
+def _jsonl(path: Path) -> Iterator[Found]:
+    for number, line in enumerate(_lines(path), 1):
+        if line.strip():
+            try:
+                row = _JSON.decode(line.strip())
+            except (ValueError, RecursionError) as error:
+                yield number, InputError(f"no JSON: {_why(error)}; give an object a line")
+            else:
+                yield number, _nested(row)
+
+
+def _why(error: Exception) -> str:
+    if isinstance(error, json.JSONDecodeError):
+        return f"{error.msg} at column {error.colno}"
+    return "nested too deep" if isinstance(error, RecursionError) else str(error)
+
+
+def _object(pairs: list[tuple[str, Any]]) -> Table:
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        raise ValueError(f"key {shown(_twice([key for key, _ in pairs]))} is given twice")
+    return table
+
+
+def _twice(names: Sequence[str]) -> str:
+    """Return the first name that is there more than once."""
+    counts = Counter(names)
+    return next(name for name in names if counts[name] > 1)
+
+
+def _no_constant(text: str) -> float:
+    raise ValueError(f"{text} is not a finite number")
+
+
+_JSON = json.JSONDecoder(object_pairs_hook=_object, parse_constant=_no_constant)
+
+
+def _csv(path: Path) -> Iterator[Found]:
+    with closing(_lines(path)) as lines:
+        reader = csv.reader(lines, strict=True)
+        rows = ([cell.strip() for cell in cells] for cells in reader)
+        try:
+            names = next(filter(any, rows), [])
+            _check_columns(path, names)
+            readers = [str if name in _TEXT else _cell for name in names]
+            for cells in filter(any, rows):
+                yield reader.line_num, _csv_row(names, readers, cells)
+        except csv.Error as error:
+            raise InputError(f"{path.name}, line {reader.line_num} is not CSV: {error}") from None
+
+
+def _csv_row(
+    names: list[str], readers: Sequence[Callable[[str], Any]], cells: list[str]
+) -> Table | InputError:
+    if len(cells) != len(names):
+        return InputError(
+            f"{len(cells)} cells under {len(names)} columns: give as many, and quote cells with "
+            "commas"
+        )
+    try:
+        each = zip(names, readers, cells, strict=True)
+        return _nested({name: read(cell) for name, read, cell in each if cell})
+    except (ValueError, RecursionError) as error:
+        return InputError(f"a cell cannot be read: {_why(error)}")
+
+
+def _check_columns(path: Path, names: list[str]) -> None:
+    if "" in names:
+        raise InputError(f"{path.name}: a column has no name; name it in the first line")
+    if len(set(names)) < len(names):
+        raise InputError(f"{path.name} has two columns {shown(_twice(names))}: leave one out")
+
+
+def _cell(text: str) -> Any:
+    if match := _NUMBER.fullmatch(text):
+        return int(text) if match[1].isdecimal() and not match[2] else float(text)
+    if text[:1] in ("[", "{", '"'):
+        return _JSON.decode(text)
+    return _WORDS.get(text.lower(), text)
+
+
+def _parquet(path: Path) -> Iterator[Found]:
+    try:
+        parquet = importlib.import_module("pyarrow.parquet")
+    except ImportError:
+        raise InputError(
+            f"{path.name} needs the package pyarrow; pip install 'facerender[batch]'"
+        ) from None
+    with path.open("rb") as file:
+        try:
+            table = parquet.ParquetFile(file)
+            _check_columns(path, table.schema_arrow.names)
+            for batch in table.iter_batches(4096):
+                for row in batch.to_pylist():
+                    yield None, _nested(row)
+        except (ValueError, ArithmeticError, NotImplementedError, OSError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(
+                f"{path.name} is not Parquet that can be read: {clipped(str(error))}"
+            ) from None
+
+
+def read_toml(path: Path) -> Table:
+    """Read the tables of a TOML file.
+
+    Raises
+    ------
+    InputError : it cannot be read, or is not TOML
+    """
+    return tables_of(read_file(path, "tables as TOML", _MOST_TOML), path.name)
+
+
+def _toml(path: Path) -> Iterator[Found]:
+    if not (tables := read_toml(path)):
+        return
+    try:
+        for row in grid_rows(tables):
+            yield None, row
+    except (InputError, RecursionError) as error:
+        raise InputError(f"{path.name}: {_why(error)}") from None
+
+
+def _py(path: Path) -> Iterator[Found]:
+    path.open("rb").close()  # an error of its own where it cannot be read
+
+    def running(step: Callable[[], Any]) -> Any:
+        try:
+            return step()
+        except (Exception, SystemExit) as error:
+            raise InputError(_where(path, error)) from None
+
+    jobs = running(lambda: runpy.run_path(str(path), run_name="facerender_jobs")).get("jobs")
+    if not callable(jobs):
+        raise InputError(f"{path.name} has no function jobs(): write one that yields rows")
+    rows = running(lambda: iter(jobs()))
+    end = object()
+    while (row := running(lambda: next(rows, end))) is not end:
+        yield None, _nested(row)
+
+
+def _where(path: Path, error: BaseException) -> str:
+    """Tell an error of a user's program in one line, with the last line of it that was run."""
+    lines = [
+        frame.lineno
+        for frame in traceback.extract_tb(error.__traceback__)
+        if frame.filename == str(path)
+    ]
+    if isinstance(error, SyntaxError) and error.filename == str(path):
+        lines.append(error.lineno)
+    line = f", line {lines[-1]}" if lines else ""
+    kind = "" if isinstance(error, FacerenderError) else f"{type(error).__name__}: "
+    return f"{path.name}{line}: {kind}{clipped(str(error))}"
+
+
+_FORMATS: dict[str, Callable[[Path], Iterator[Found]]] = {
+    ".jsonl": _jsonl,
+    ".csv": _csv,
+    ".parquet": _parquet,
+    ".toml": _toml,
+    ".py": _py,
+}

@@ -1,0 +1,252 @@
+"""Rows of a .toml file: its common tables, a list of jobs, the grid of its axes' values, random
+values. Rows are made one after the other."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from decimal import Decimal, DecimalException
+from typing import Any
+
+import numpy as np
+
+from facerender.batch.tables import Table, merged, nested, placed
+from facerender.errors import InputError, shown
+
+MOST_ROWS = 10**9
+_MOST_AXES = 100
+_BLOCK = 1024  # rows whose random numbers are made at once
+
+
+def grid_rows(tables: Table) -> Iterator[Table]:
+    """Yield the rows of a file's tables, those of a mesh side by side.
+
+    For each mesh of the grid, each of ``jobs``, each combination of the other axes, the last one
+    fastest, as many rows as ``random`` counts. What a row has itself wins: random over grid over
+    jobs over what is common.
+
+    Raises
+    ------
+    InputError : an axis or a range that is none, more than MOST_ROWS rows
+    """
+    tables = dict(tables)
+    grid, chance = (tables.pop(key, {}) for key in ("grid", "random"))
+    jobs = tables.pop("jobs", [{}])
+    for name, table in (("grid", grid), ("random", chance)):
+        if not isinstance(table, Mapping):
+            raise InputError(f"{name} = {shown(table)}: give a table, [{name}]")
+    if not isinstance(jobs, list) or not jobs:
+        raise InputError(f"jobs = {shown(jobs)}: give tables, [[jobs]]")
+    chance = dict(chance)
+    count = _whole("random.count", chance.pop("count", 1), 1)
+    seed = _whole("random.seed", chance.pop("seed", 0), 0)
+    axes = [_axis(key, value) for key, value in _leaves(grid, "grid", _is_range)]
+    draws = [_Draw(key, how, seed) for key, how in _leaves(chance, "random", _is_draw)]
+    if len(axes) > _MOST_AXES or len(draws) > _MOST_AXES:
+        raise InputError(f"more than {_MOST_AXES} axes in grid or random: give fewer")
+    keys = [*(axis.key for axis in axes), *(draw.key for draw in draws)]
+    keys = ["mesh.path" if key == "mesh" else key for key in keys]
+    if twice := [key for key in keys if keys.count(key) > 1]:
+        raise InputError(f"{twice[0]} is given twice in grid and random: leave one out")
+    rows = len(jobs) * count * math.prod(axis.count for axis in axes)
+    if rows > MOST_ROWS:
+        raise InputError(
+            f"grid, jobs and random give {rows} rows together: give {MOST_ROWS} at most"
+        )
+    common = nested(tables)
+    bases = [merged(common, nested(job)) for job in jobs]
+    meshes = [axis for axis in axes if axis.key.split(".")[0] == "mesh"]
+    others = [axis for axis in axes if axis not in meshes]
+    number = 0
+    for mesh in _spread({}, meshes):
+        for base in bases:
+            for row in _spread(merged(base, mesh), others):
+                for _ in range(count):
+                    for draw in draws:
+                        row = merged(row, draw(number))
+                    yield row
+                    number += 1
+
+
+@dataclass(frozen=True, eq=False)
+class _Axis:
+    """The values of a key, each as a row that has nothing else."""
+
+    key: str
+    count: int
+    row: Callable[[int], Table]
+
+
+def _spread(base: Table, axes: Sequence[_Axis]) -> Iterator[Table]:
+    if not axes:
+        yield base
+        return
+    for place in range(axes[0].count):
+        yield from _spread(merged(base, axes[0].row(place)), axes[1:])
+
+
+def _leaves(
+    table: Mapping[str, Any], name: str, whole: Callable[[Any], bool]
+) -> Iterator[tuple[str, Any]]:
+    """Yield the values of a table by dotted keys, whether its own were quoted or not."""
+    for key, value in table.items():
+        if isinstance(value, Mapping) and value and not whole(value):
+            for rest, leaf in _leaves(value, f"{name}.{key}", whole):
+                yield f"{key}.{rest}", leaf
+        else:
+            yield key, value
+
+
+def _is_range(value: Mapping[str, Any]) -> bool:
+    return bool({"from", "to", "step"} & set(value))
+
+
+def _is_draw(value: Mapping[str, Any]) -> bool:
+    return not set(value).isdisjoint(_DRAWS)
+
+
+def _axis(key: str, value: Any) -> _Axis:
+    name = f"grid.{key}"
+    if isinstance(value, list) and value:
+        rows = [nested({key: each}) for each in value]
+        return _Axis(key, len(rows), rows.__getitem__)
+    if not isinstance(value, Mapping):
+        raise InputError(
+            f"{name} = {shown(value)}: give a list of values, or {{ from, to, step }}, or "
+            "{ from, to, count }"
+        )
+    if len(value) != 3 or set(value) - {"from", "to", "step", "count"}:
+        raise InputError(f"{name} = {shown(value)}: give from, to, and step or count")
+    low, high = (_number(f"{name}.{end}", value.get(end)) for end in ("from", "to"))
+    whole = all(type(each) is int for each in value.values())
+    try:
+        start, end = Decimal(str(low)), Decimal(str(high))
+        if "step" in value:
+            step = Decimal(str(_number(f"{name}.step", value["step"])))
+            if not step or (end - start) / step < 0:
+                raise InputError(
+                    f"{name}.step = {value['step']!r} does not lead from {low} to {high}: give "
+                    "another"
+                )
+            count = int((end - start) // step) + 1
+        else:
+            count = _whole(f"{name}.count", value["count"], 1)
+            step = (end - start) / max(count - 1, 1)
+            whole = whole and step == int(step)
+    except DecimalException:
+        raise InputError(f"{name} = {shown(value)}: give numbers nearer to each other") from None
+    number = int if whole else float
+    keys = key.split(".")
+
+    def row(place: int) -> Table:
+        made: Table = placed(keys, number(start + place * step))
+        return made
+
+    return _Axis(key, count, row)
+
+
+class _Draw:
+    """Random values of a key, a function of the seed, the key and the row's number alone.
+
+    The numbers are those of Philox, a generator of which every block of four words is a function
+    of its key and a counter: the counter is the row's number, the key the seed and a digest of the
+    dotted key, so that another key in the table leaves this one's values as they are.
+
+    References: Salmon et al. (2011), "Parallel random numbers: as easy as 1, 2, 3".
+    """
+
+    def __init__(self, key: str, how: Any, seed: int) -> None:
+        self.key, self._keys = key, key.split(".")
+        name = f"random.{key}"
+        if not isinstance(how, Mapping) or len(how) != 1 or set(how) - set(_DRAWS):
+            raise InputError(f"{name} = {shown(how)}: give one of {_REMEDY}")
+        ((kind, given),) = how.items()
+        if not isinstance(given, list) or not given:
+            raise InputError(f"{name}.{kind} = {shown(given)}: give one of {_REMEDY}")
+        if kind == "choice":
+            self._rows = [nested({key: each}) for each in given]
+        elif len(given) != 2:
+            raise InputError(f"{name}.{kind} = {shown(given)}: give two numbers")
+        else:
+            self._ends = [float(_number(f"{name}.{kind}", each)) for each in given]
+            _check_ends(name, kind, *self._ends)
+        self._value = _DRAWS[kind]
+        digest = hashlib.blake2b(key.encode(), digest_size=8).digest()
+        self._stream = np.array([seed, int.from_bytes(digest, "little")], dtype=np.uint64)
+        self._first, self._words = -_BLOCK, [[0]]
+
+    def __call__(self, number: int) -> Table:
+        """Return the value of the row of a number, as a row that has nothing else."""
+        if not 0 <= number - self._first < _BLOCK:
+            self._first = number
+            generator = np.random.Philox(key=self._stream, counter=[self._first, 0, 0, 0])
+            self._words = generator.random_raw(4 * _BLOCK).reshape(_BLOCK, 4)[:, :2].tolist()
+        return self._value(self, *self._words[number - self._first])
+
+    def _uniform(self, word: int, _: int) -> Table:
+        low, high = self._ends
+        share = _share(word)
+        return self._row((1.0 - share) * low + share * high, low, high)
+
+    def _log_uniform(self, word: int, _: int) -> Table:
+        low, high = self._ends
+        share = _share(word)
+        value = math.exp((1.0 - share) * math.log(low) + share * math.log(high))
+        return self._row(value, low, high)
+
+    def _normal(self, word: int, other: int) -> Table:
+        """By Box and Muller (1958)."""
+        mean, sigma = self._ends
+        radius = math.sqrt(-2.0 * math.log(1.0 - _share(word)))
+        value = mean + sigma * radius * math.cos(2.0 * math.pi * _share(other))
+        return self._row(value, -math.inf, math.inf)
+
+    def _choice(self, word: int, _: int) -> Table:
+        return self._rows[word * len(self._rows) >> 64]
+
+    def _row(self, value: float, low: float, high: float) -> Table:
+        """With 12 digits, which two machines' exp and log agree on."""
+        row: Table = placed(self._keys, min(max(float(f"{value:.12g}"), low), high))
+        return row
+
+
+_DRAWS: dict[str, Callable[[_Draw, int, int], Table]] = {
+    "uniform": _Draw._uniform,
+    "log_uniform": _Draw._log_uniform,
+    "normal": _Draw._normal,
+    "choice": _Draw._choice,
+}
+_REMEDY = (
+    "{ uniform = [LOW, HIGH] }, { log_uniform = [LOW, HIGH] }, { normal = [MEAN, SIGMA] }, "
+    "{ choice = [...] }"
+)
+
+
+def _check_ends(name: str, kind: str, low: float, high: float) -> None:
+    if kind == "normal":
+        if high < 0.0:
+            raise InputError(f"{name}.normal: sigma = {high:g} is negative; give at least 0")
+        return
+    if low > high:
+        raise InputError(f"{name}.{kind} = [{low:g}, {high:g}]: give the lower end first")
+    if kind == "log_uniform" and low <= 0.0:
+        raise InputError(f"{name}.log_uniform = [{low:g}, {high:g}]: give ends above 0")
+
+
+def _share(word: int) -> float:
+    """Of 64 bits, a number in [0, 1)."""
+    return (word >> 11) * 2.0**-53
+
+
+def _number(name: str, value: Any) -> int | float:
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e300:
+        return value
+    raise InputError(f"{name} = {shown(value)}: give a finite number")
+
+
+def _whole(name: str, value: Any, least: int) -> int:
+    if type(value) is int and least <= value < 2**63:
+        return value
+    raise InputError(f"{name} = {shown(value)}: give a whole number from {least} to 2^63 - 1")

@@ -1,0 +1,190 @@
+"""Files of a chunk: those of its jobs, or a tar of them, and its record, which is written last."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import os
+import tarfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from io import BytesIO
+from pathlib import Path
+
+from facerender.batch.chunk import Chunk, Record, Settings
+from facerender.batch.jobs import Row, file_name
+from facerender.batch.storage import Storage
+
+ABOUT = "batch.json"  # what was asked for, by which run
+BEGUN = "begun"  # of chunks that may have no record yet: the files that they will have
+RECORDS = "records"
+STALE = "stale"  # records of jobs that are no longer asked for as they were
+_BLOCK = 512  # of a tar
+
+
+@dataclass(frozen=True)
+class Head:
+    """The first line of a chunk's record."""
+
+    chunk: int
+    done: int
+    failed: int
+
+
+class Writer:
+    """Files of a chunk's jobs, in their order: each by itself, or one behind the other in a tar.
+
+    Parameters
+    ----------
+    tar : the unfinished tar of layout "shards", and so many bytes of it that count; or None
+    """
+
+    def __init__(self, settings: Settings, chunk: Chunk, tar: Path | None, size: int) -> None:
+        self.storage, self.chunk, self._run = Storage(settings.output), chunk, settings.run
+        self.size = size
+        self._tar = tar
+        self._get = lru_cache(1)(self.storage.get)  # a chunk's jobs were in one tar mostly
+        if tar is not None:
+            with tar.open("r+b" if size else "wb") as file:
+                file.truncate(size)
+
+    def write(self, position: int, files: Mapping[str, bytes], facts: Record) -> Record:
+        """Write the files of a job, and return its record. OSError where they cannot be."""
+        row = self.chunk.rows[position]
+        if self._tar is None and not self.storage.remote:  # there it would be a request a job
+            _check_run(self.storage, self._run)
+        written: Record = {}
+        for name, content in files.items():
+            path = _path(self.chunk, row, name, self._tar is not None)
+            if self._tar is None:
+                self.storage.put(path, content)
+            digest = hashlib.sha256(content).hexdigest()
+            written[name] = {"path": path, "bytes": len(content), "sha256": digest}
+        record = self._record(position, facts, written)
+        if self._tar is not None:
+            about = json.dumps(record).encode()
+            members = {f"{row.id}.{name}": content for name, content in files.items()}
+            members[f"{row.id}.json"] = about
+            self.size = _append(self._tar, itertools.starmap(_member, members.items()))
+        return record
+
+    def keep(self, position: int) -> Record | None:
+        """Take over the files of a job that an earlier run has drawn, and return its record; None
+        where there are none."""
+        if (kept := self.chunk.kept.get(position)) is None:
+            return None
+        try:
+            files = _read_files(self._get, kept)
+        except (OSError, KeyError, tarfile.TarError):
+            return None
+        digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+        if digests != {name: about["sha256"] for name, about in kept["files"].items()}:
+            return None  # another run has drawn over them
+        facts = {key: kept[key] for key in kept if key not in ("id", "number", "key", "files")}
+        if self._tar is None:
+            return self._record(position, facts, kept["files"])
+        return self.write(position, files, facts)
+
+    def _record(self, position: int, facts: Record, files: Record) -> Record:
+        row = self.chunk.rows[position]
+        about = {"id": row.id, "number": row.number, "key": self.chunk.keys[position]}
+        return {**about, **facts, "files": files}
+
+
+class Superseded(OSError):
+    """A later run of the batch writes there now."""
+
+
+def _check_run(storage: Storage, run: str) -> None:
+    try:
+        about = json.loads(storage.get(ABOUT))
+    except FileNotFoundError:  # no coordinator
+        return
+    if about["run"] != run:
+        raise Superseded("another run of the batch has begun there")
+
+
+def begin(settings: Settings, chunk: Chunk) -> None:
+    """Write down which files a chunk will have, so that they can be removed where it comes to no
+    record and is not asked for again. OSError where it cannot be, or another run has begun."""
+    storage = Storage(settings.output)
+    _check_run(storage, settings.run)
+    named: list[Record] = []
+    for row in chunk.rows:
+        names = map(file_name, row.outputs)
+        files = {n: {"path": _path(chunk, row, n, settings.layout == "shards")} for n in names}
+        named.append({"id": row.id, "key": "", "files": files})
+    _put_records(storage, f"{BEGUN}/{chunk.name}.jsonl", Head(chunk.number, 0, 0), named)
+
+
+def commit(settings: Settings, chunk: Chunk, tar: Path | None, records: Sequence[Record]) -> None:
+    """Finish the tar of a chunk, and write its record, after which it is done: a line that counts
+    the jobs, and one for each of them. OSError as of :func:`begin`."""
+    storage = Storage(settings.output)
+    _check_run(storage, settings.run)
+    if tar is not None:
+        _append(tar, [bytes(2 * _BLOCK)])
+        storage.move(tar, _shard(chunk))
+    failed = sum("error" in record for record in records)
+    head = Head(chunk.number, len(records) - failed, failed)
+    _put_records(storage, f"{RECORDS}/{chunk.name}.jsonl", head, records)
+    storage.drop(f"{BEGUN}/{chunk.name}.jsonl")
+
+
+def _put_records(storage: Storage, name: str, head: Head, records: Iterable[Record]) -> None:
+    lines = "".join(json.dumps(each) + "\n" for each in (asdict(head), *records))
+    storage.put(name, lines.encode())
+
+
+def _path(chunk: Chunk, row: Row, name: str, shards: bool) -> str:
+    """Where a file of a job lies: by itself, or in the tar of its chunk."""
+    return _shard(chunk) if shards else f"data/{row.id}/{name}"
+
+
+def _shard(chunk: Chunk) -> str:
+    return f"shards/{chunk.name}.tar"
+
+
+def _read_files(get: Callable[[str], bytes], record: Record) -> dict[str, bytes]:
+    """Return the files of a drawn job; FileNotFoundError or KeyError without them."""
+    files: Mapping[str, Mapping[str, str]] = record["files"]
+    paths = {name: about["path"] for name, about in files.items()}
+    if all(path.startswith("data/") for path in paths.values()):
+        return {name: get(path) for name, path in paths.items()}
+    with tarfile.open(fileobj=BytesIO(get(next(iter(paths.values()))))) as tar:
+        members = {name: tar.extractfile(f"{record['id']}.{name}") for name in paths}
+        return {name: file.read() for name, file in members.items() if file}
+
+
+def _append(tar: Path, pieces: Iterable[bytes]) -> int:
+    """Write to the end of a tar, which is there, and return its size: another coordinator may have
+    removed it, and a new one would lack what was written before."""
+    with tar.open("r+b") as file:
+        file.seek(0, os.SEEK_END)
+        file.writelines(pieces)
+        return file.tell()
+
+
+def _member(name: str, content: bytes) -> bytes:
+    entry = tarfile.TarInfo(name)  # owner, mode and time stay fixed
+    entry.size = len(content)
+    return entry.tobuf(tarfile.GNU_FORMAT) + content + bytes(-len(content) % _BLOCK)
+
+
+def read_head(storage: Storage, name: str) -> Head:
+    """Return what the record of a chunk counts."""
+    return Head(**json.loads(storage.get(f"{RECORDS}/{name}.jsonl", 200).partition(b"\n")[0]))
+
+
+def records_of(storage: Storage, name: str, folder: str = RECORDS) -> Iterator[Record]:
+    """Return the records of a chunk's jobs, drawn and failed."""
+    for line in storage.get(f"{folder}/{name}.jsonl").splitlines()[1:]:
+        yield json.loads(line)
+
+
+def record_names(storage: Storage, folder: str = RECORDS) -> set[str]:
+    """Return the names of the chunks that have a record."""
+    suffix = ".jsonl"
+    return {name.removesuffix(suffix) for name in storage.names(folder) if name.endswith(suffix)}

@@ -1,0 +1,124 @@
+"""Where a batch is written: a folder, or what fsspec reaches (s3://...). A file is there whole or
+not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from facerender.errors import InputError
+
+_UNFINISHED = ".unfinished"
+
+
+class Storage:
+    """A folder of files by name, with slashes between.
+
+    Parameters
+    ----------
+    root : path of a folder, or a URL that fsspec reads
+
+    Raises
+    ------
+    InputError : a URL of an unknown kind, or whose package is missing
+    """
+
+    def __init__(self, root: str) -> None:
+        self.root, self.remote = root.rstrip("/"), "://" in root
+        if self.remote:
+            self._system, self._path = _remote(self.root)
+
+    def put(self, name: str, content: bytes) -> None:
+        """Write a file; OSError if it cannot be."""
+        if self.remote:
+            self._system.pipe_file(f"{self._path}/{name}", content)
+            return
+        temporary = self.unfinished()
+        temporary.write_bytes(content)
+        self.move(temporary, name)
+
+    def move(self, source: Path, name: str) -> None:
+        """Make a file of :meth:`unfinished` a file of the place."""
+        if self.remote:
+            self._system.put_file(str(source), f"{self._path}/{name}")
+            source.unlink()
+            return
+        target = Path(self.root, name)
+        try:
+            os.replace(source, target)
+        except FileNotFoundError:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(source, target)
+
+    def has(self, name: str) -> bool:
+        """Tell whether a file is there."""
+        if self.remote:
+            return bool(self._system.exists(f"{self._path}/{name}"))
+        return os.path.exists(Path(self.root, name))
+
+    def rename(self, name: str, other: str) -> None:
+        """Give a file another name."""
+        if self.remote:
+            self._system.mv(f"{self._path}/{name}", f"{self._path}/{other}")
+        else:
+            self.move(Path(self.root, name), other)
+
+    def unfinished(self) -> Path:
+        """Return a path for a file that will be moved here: nobody else's, and its folder is
+        there."""
+        folder = Path(tempfile.gettempdir() if self.remote else self.root, _UNFINISHED)
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder / uuid4().hex
+
+    def get(self, name: str, most: int | None = None) -> bytes:
+        """Return a file's content, or its first bytes; FileNotFoundError without it."""
+        if self.remote:
+            return bytes(self._system.cat_file(f"{self._path}/{name}", end=most))
+        with open(f"{self.root}/{name}", "rb") as file:
+            return file.read(-1 if most is None else most)
+
+    def names(self, folder: str) -> list[str]:
+        """Return the names of the files in a folder, which need not be there."""
+        try:
+            if self.remote:
+                found = self._system.ls(f"{self._path}/{folder}", detail=False)
+                return [each.rpartition("/")[2] for each in found]
+            return os.listdir(Path(self.root, folder))
+        except FileNotFoundError:
+            return []
+
+    def drop(self, name: str) -> None:
+        """Remove a file if it is there."""
+        if not self.remote:
+            Path(self.root, name).unlink(missing_ok=True)
+        elif self._system.exists(f"{self._path}/{name}"):
+            self._system.rm_file(f"{self._path}/{name}")
+
+    def prune(self, name: str) -> None:
+        """Remove the folder of a file if it is empty; nobody writes now."""
+        with suppress(OSError):
+            if not self.remote:
+                Path(self.root, name).parent.rmdir()
+
+    def sweep(self) -> None:
+        """Remove what writers have left that were cut off; nobody writes now."""
+        if not self.remote:
+            shutil.rmtree(Path(self.root, _UNFINISHED), ignore_errors=True)
+
+
+def _remote(root: str) -> tuple[Any, str]:
+    try:
+        import fsspec
+    except ImportError:
+        raise InputError(f"{root} needs fsspec: pip install 'facerender[batch]'") from None
+    try:
+        # A listing that is kept would miss what others have written since.
+        system, path = fsspec.core.url_to_fs(root, use_listings_cache=False)
+    except (ValueError, ImportError) as error:
+        raise InputError(f"{root} cannot be reached ({error}); give a folder or a URL") from None
+    return system, str(path)

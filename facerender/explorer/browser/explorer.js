@@ -1,0 +1,437 @@
+// The page: when it draws, pointers and keys, the link.
+const SETTLED = 180;  // milliseconds without a change after which errors, code and link follow
+
+let state = firstState();
+let drawing = null;  // until there is one, and where there can be none
+let pixels = null;   // errors of the picture on screen
+let statisticsNow = null;
+let awaited = [];    // who waits for the errors of what is on screen
+let [frame, timer, version] = [0, 0, 0];
+const canvas = byId("canvas");
+const picture = byId("picture");
+const still = () => state;
+
+function tell(text) {
+  byId("message").textContent = text;
+  byId("message").hidden = !text;
+}
+
+// Everything that changes the state calls this.
+function changed() {
+  ++version;
+  statisticsNow = null;
+  refresh();
+  if (!frame) frame = requestAnimationFrame(paint);
+  clearTimeout(timer);
+  timer = setTimeout(settle, SETTLED);
+}
+
+function paint() {
+  frame = 0;
+  if (!drawing || drawing.gl.isContextLost()) return;
+  const scale = Math.min(devicePixelRatio, 2);
+  const [width, height] = [picture.clientWidth, picture.clientHeight]
+    .map(side => Math.max(Math.round(side * scale), 1));
+  try {
+    drawing.resize(width, height);
+    drawing.draw("a", state);
+    drawing.draw("b", state);
+    drawing.show(state);
+  } catch (error) {
+    fail(error);
+  }
+  place();
+}
+
+async function settle() {
+  history.replaceState(null, "", `#${fragmentOf(state)}`);
+  writeCode();
+  if (!drawing || drawing.gl.isContextLost()) return;
+  if (frame) {
+    cancelAnimationFrame(frame);
+    paint();
+  }
+  const now = version;
+  const found = await drawing.measure(state);
+  if (now !== version || !found) return;
+  pixels = found;
+  statisticsNow = statistics(found, drawing.size[0]);
+  readout();
+  plotHere();
+  awaited.splice(0).forEach(({resolve}) => resolve(statisticsNow));
+}
+
+// Puts what lies over the picture in its place.
+function place() {
+  const [width, height] = [picture.clientWidth, picture.clientHeight];
+  const view = viewOf(state.camera, width / height);
+  [...byId("handles").children].forEach((handle, i) => {
+    const light = state.lights[i];
+    const at = projected(view, scaledBy(directionTo(light), 0.9));
+    handle.style.left = `${100 * clamp(at.x, 0.03, 0.97)}%`;
+    handle.style.top = `${100 * clamp(at.y, 0.04, 0.96)}%`;
+    handle.classList.toggle("behind", at.z > 0);
+  });
+  const wipe = state.show === "wipe";
+  byId("cut").hidden = !wipe;
+  byId("cut").style.left = `${100 * state.cut}%`;
+  byId("cut").setAttribute("aria-valuenow", Math.round(100 * state.cut));
+  byId("tag-a").hidden = !wipe && state.show !== "a";
+  byId("tag-b").hidden = !wipe && state.show !== "b";
+  for (const which of ["a", "b"]) {
+    byId(`tag-${which}`).replaceChildren(element("b", {}, SWATCH[which]), ` ${lobeName(state[which])}`);
+  }
+  byId("legend").hidden = state.show !== "difference";
+  byId("legend-end").textContent = `${figure(255 / state.gain)} of 255`;
+}
+
+function readout() {
+  for (const row of document.querySelectorAll("#readout tr[data-measure]")) {
+    const {measure} = row.dataset;
+    const scale = {display: 1, relative: 100, linear: 255}[measure];
+    const found = statisticsNow[measure];
+    [found.largest, found.most, found.mean].forEach((value, i) => {
+      row.cells[i + 1].textContent = figure(scale * value);
+    });
+  }
+  const {at} = statisticsNow.display;
+  const [width, height] = drawing.size;
+  const some = at !== null && statisticsNow.display.largest > 0;
+  byId("mark").hidden = !some;
+  if (some) {
+    byId("mark").style.left = `${100 * (at[0] + 0.5) / width}%`;
+    byId("mark").style.top = `${100 * (at[1] + 0.5) / height}%`;
+  }
+  const many = x => x.toLocaleString("en");
+  const samples = drawing.samples > 1 ? `${drawing.samples} samples` : "1 sample";
+  byId("where").textContent = (some ? `Largest at ${at[0]}, ${at[1]} (ring). ` : "A and B are the same. ")
+    + `${many(statisticsNow.covered)} pixels of ${many(width)} × ${many(height)}, ${samples}.`;
+  byId("over").textContent = state.budget === null ? ""
+    : `Over ${short(state.budget)}/255: ${figure(100 * shareOver(pixels, state.budget))} % of them.`;
+}
+
+// The pixel whose slope the lobes are drawn at: under the pointer, or else that of the largest error.
+let pointed = null;
+let scale = "linear";
+let lobes = null;
+
+function plotHere() {
+  const at = pointed ?? statisticsNow?.display.at;
+  if (!drawing || !at) return;
+  const [found] = drawing.probe(state, [at]);
+  if (found.a.part < 0) return;
+  const {position} = viewOf(state.camera, drawing.size[0] / drawing.size[1]);
+  const here = geometryAt(found.a, position, state.lights);
+  const angles = here.lights.filter(light => light.lit).map(light => light.angle);
+  lobes = Object.fromEntries(["a", "b"].map(which => {
+    const {m} = found[which];
+    return [which, {m, angles, values: lobeValues(drawing, state[which], m)}];
+  }));
+  plotLobes(byId("lobes"), lobes, scale);
+  const slopes = found.a.m === found.b.m ? `m ${figure(found.a.m)}`
+    : `m ${figure(found.a.m)} in A, ${figure(found.b.m)} in B`;
+  const cosines = here.lights.map(light => figure(light.cosine)).join(", ");
+  byId("here").textContent = `${pointed ? "Under the pointer" : "At the ring"}: ${slopes}, `
+    + `N.V ${figure(here.facing)}, N.L ${cosines || "without a light"}.`;
+}
+
+let cost = null;  // the last measurement
+let costOf = "";  // the image that was measured
+const imageKey = ({a, b, camera, lights, ambient, only}) =>
+  JSON.stringify([a, b, camera, lights, ambient, only, drawing?.size]);
+const tellCost = text => { byId("price-told").textContent = text; };
+
+async function measureCost() {
+  if (!drawing || drawing.gl.isContextLost()) return;
+  const began = version;
+  byId("price").disabled = true;
+  byId("save").hidden = true;
+  tellCost("warming up");
+  try {
+    costOf = imageKey(state);
+    cost = await measuredCost(drawing, state, tellCost,
+      () => version !== began || drawing.gl.isContextLost());
+    if (!cost) tellCost("Stopped: the picture changed.");
+    byId("save").hidden = !cost;
+  } finally {
+    byId("price").disabled = false;
+  }
+  refresh();
+  if (began === version) drawing.show(state);
+}
+
+// Brings the table of costs up to the state: a measurement is that of one image.
+function writeCosts({write}) {
+  const same = cost !== null && costOf === imageKey(state);
+  write(same ? cost : null);
+  if (!cost || byId("price").disabled) return;
+  const passes = cost.passes === 1 ? "1 pass" : `${cost.passes} passes`;
+  tellCost(same ? `${cost.gpu}: ${passes} of ${cost.size.join(" × ")} pixels a round, by its `
+    + `${cost.method === "fence" ? "fence" : "own clock"}.`
+    : "Measured was another picture, which can still be saved.");
+}
+
+function saveCost() {
+  const blob = new Blob([JSON.stringify(cost, null, 2)], {type: "application/json"});
+  const link = element("a", {href: URL.createObjectURL(blob), download: "explorer-cost.json"});
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+}
+
+// A pointer that rests on the picture chooses the pixel.
+function watchPointer() {
+  let rest = 0;
+  canvas.addEventListener("pointermove", event => {
+    clearTimeout(rest);
+    if (event.buttons) return;
+    const box = canvas.getBoundingClientRect();
+    const share = [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
+    rest = setTimeout(() => {
+      if (!drawing || drawing.gl.isContextLost()) return;
+      pointed = share.map((each, i) => clamp(Math.floor(each * drawing.size[i]), 0, drawing.size[i] - 1));
+      plotHere();
+    }, 120);
+  });
+  canvas.addEventListener("pointerleave", () => {
+    clearTimeout(rest);
+    pointed = null;
+    plotHere();
+  });
+}
+
+let codeSide = "b";
+let codeForm = "command";
+
+function writeCode() {
+  byId("outside").textContent = ["a", "b"].map(which => [SWATCH[which], outsideDomain(state[which])])
+    .filter(([, words]) => words).map(([name, words]) => `${name}: ${words}.`).join(" ");
+  if (!sources) return;
+  const text = which => codeOf(state, which, codeForm, drawing?.size ?? [1024, 1024]);
+  if (codeSide !== "diff") return byId("code").replaceChildren(text(codeSide));
+  const lines = hunks(diff(text("a"), text("b")));
+  const classes = {"-": "gone", "+": "come", "@": "same", " ": ""};
+  byId("code").replaceChildren(...lines.every(([sign]) => sign === "@") ? ["A and B are the same here."]
+    : lines.map(([sign, line]) => element("span", {className: classes[sign]},
+      sign === "@" ? `⋯ ${line}\n` : `${sign} ${line}\n`)));
+}
+
+function buildControls() {
+  const set = name => value => {
+    state[name] = value;
+    changed();
+  };
+  choice("show", Object.entries(SHOWS), () => state.show, set("show"));
+  choice("only", Object.entries(ONLY), () => state.only, set("only"));
+  const {cameras} = facts;
+  choice("cameras", Object.keys(cameras).map(name => [name, name]), () => {
+    const {azimuth, elevation} = state.camera;
+    return elevation === 0 ? Object.keys(cameras).find(name => cameras[name] === azimuth) : undefined;
+  }, name => {
+    Object.assign(state.camera, {azimuth: cameras[name], elevation: 0});
+    changed();
+  });
+  const budget = number("budget in 1/255", [0, 255], () => state.budget, set("budget"), {empty: "none"});
+  byId("sliders").append(
+    slider("gain", {low: 0, high: 6, step: 1}, () => Math.log2(state.gain),
+      value => set("gain")(2 ** value), () => `× ${state.gain}`),
+    slider("exposure", {low: -4, high: 4, step: 0.25}, () => state.exposure, set("exposure"),
+      value => `${value > 0 ? "+" : ""}${value}`),
+    element("label", {className: "budget"}, element("span", {}, "red over"), budget, "/255"),
+  );
+  byId("terms").append(termTable(still, changed));
+  byId("lights").append(lightTable(still, changed));
+  refreshers.push(() => {
+    const handles = byId("handles");
+    while (handles.children.length > state.lights.length) handles.lastChild.remove();
+    while (handles.children.length < state.lights.length) handles.append(handleOf(handles.children.length));
+  });
+  const costs = costTable();
+  byId("costs").append(costs.table);
+  refreshers.push(() => writeCosts(costs));
+  choice("scale", SCALES, () => scale, value => {
+    scale = value;
+    if (lobes) plotLobes(byId("lobes"), lobes, scale);
+  });
+  choice("code-of", [["a", "A"], ["b", "B"], ["diff", "A to B"]], () => codeSide, value => { codeSide = value; writeCode(); });
+  const names = {330: "GLSL 330", es300: "GLSL ES 300", vulkan: "Vulkan"};
+  const targets = Object.keys(facts.targets).map(target => [target, names[target] ?? target]);
+  const kinds = [["command", "command line"], ["toml", "TOML"], ["python", "Python"], ...targets];
+  choice("code-kind", kinds, () => codeForm, value => { codeForm = value; writeCode(); });
+  byId("copy").addEventListener("click", async () => {
+    const text = byId("code").textContent;
+    try {
+      await navigator.clipboard.writeText(text);
+      byId("copy").textContent = "copied";
+    } catch {  // not from a file, in some browsers: what is marked can be copied by hand
+      getSelection().selectAllChildren(byId("code"));
+      byId("copy").textContent = "marked";
+    }
+    setTimeout(() => { byId("copy").textContent = "copy"; }, 1500);
+  });
+}
+
+// What can be dragged in place of a light.
+function handleOf(i) {
+  const label = `Light ${i + 1}: drag it, or use the arrow keys`;
+  const handle = element("button", {type: "button", className: "handle", title: label, "aria-label": label}, String(i + 1));
+  const turn = (across, up) => {
+    const light = state.lights[i];
+    light.azimuth = (light.azimuth + across + 540) % 360 - 180;
+    light.elevation = clamp(light.elevation + up, -90, 90);
+    changed();
+  };
+  dragged(handle, (dx, dy) => {
+    const behind = handle.classList.contains("behind") ? -1 : 1;
+    turn(0.45 * behind * dx, -0.45 * dy);
+  });
+  handle.addEventListener("keydown", event => {
+    const step = STEPS[event.key];
+    if (!step) return;
+    event.preventDefault();
+    turn(5 * step[0], -5 * step[1]);
+  });
+  return handle;
+}
+
+const STEPS = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1]};
+
+// Calls with what a pointer, or two, move; with the ratio of two pointers' distances.
+function dragged(target, move, pinch) {
+  const held = new Map();
+  const apart = () => {
+    const [a, b] = [...held.values()];
+    return b ? Math.max(Math.hypot(a.x - b.x, a.y - b.y), 1) : null;
+  };
+  target.addEventListener("pointerdown", event => {
+    if (event.button) return;
+    held.set(event.pointerId, {x: event.clientX, y: event.clientY});
+    target.setPointerCapture(event.pointerId);
+  });
+  target.addEventListener("pointermove", event => {
+    const last = held.get(event.pointerId);
+    if (!last) return;
+    const before = apart();
+    const [dx, dy] = [event.clientX - last.x, event.clientY - last.y];
+    Object.assign(last, {x: event.clientX, y: event.clientY});
+    if (before === null) move(dx, dy, event);
+    else pinch?.(apart() / before);
+  });
+  for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) {
+    target.addEventListener(name, event => held.delete(event.pointerId));
+  }
+}
+
+function orbit(dx, dy) {
+  const {camera} = state;
+  camera.azimuth = (camera.azimuth - dx + 540) % 360 - 180;
+  camera.elevation = clamp(camera.elevation + dy, -90, 90);
+  changed();
+}
+
+function zoom(factor) {
+  state.camera.zoom = clamp(state.camera.zoom * factor, 0.2, 50);
+  changed();
+}
+
+function cutAt(share) {
+  state.cut = clamp(share, 0, 1);
+  changed();
+}
+
+function listen() {
+  dragged(canvas, (dx, dy) => orbit(0.4 * dx / Math.sqrt(state.camera.zoom), 0.4 * dy / Math.sqrt(state.camera.zoom)), zoom);
+  canvas.addEventListener("wheel", event => {
+    event.preventDefault();
+    zoom(Math.exp(-0.0015 * event.deltaY * (event.deltaMode ? 30 : 1)));
+  }, {passive: false});
+  canvas.addEventListener("keydown", event => {
+    const step = STEPS[event.key];
+    const keys = {"+": () => zoom(1.1), "=": () => zoom(1.1), "-": () => zoom(1 / 1.1), "0": () => {
+      state.camera = {...facts.camera};
+      changed();
+    }};
+    if (event.ctrlKey || event.metaKey || !(step || keys[event.key])) return;
+    event.preventDefault();
+    if (step) orbit(5 * step[0], 5 * step[1]);
+    else keys[event.key]();
+  });
+  dragged(byId("cut"), (dx, dy, event) => {
+    const box = picture.getBoundingClientRect();
+    cutAt((event.clientX - box.left) / box.width);
+  });
+  byId("cut").addEventListener("keydown", event => {
+    const step = {...STEPS, Home: [-100, 0], End: [100, 0]}[event.key];
+    if (!step?.[0]) return;
+    event.preventDefault();
+    cutAt(state.cut + 0.02 * step[0]);
+  });
+  canvas.addEventListener("webglcontextlost", event => {
+    event.preventDefault();  // so that it may come back
+    tell("The graphics driver lost the picture. It is drawn again as soon as the driver is back.");
+  });
+  canvas.addEventListener("webglcontextrestored", () => attempt(() => {
+    drawing.start();
+    tell("");
+    changed();
+  }));
+  watchPointer();
+  byId("price").addEventListener("click", () => attempt(measureCost));
+  byId("save").addEventListener("click", saveCost);
+  addEventListener("hashchange", () => restore(location.hash));
+  new ResizeObserver(changed).observe(picture);
+}
+
+function restore(fragment) {
+  const {state: found, unknown} = stateOf(fragment);
+  state = found;
+  byId("notes").textContent = unknown.length
+    ? `Of the link, this page does not understand: ${unknown.join(", ")}.` : "";
+  changed();
+}
+
+function fail(error) {
+  drawing = null;
+  awaited.splice(0).forEach(({reject}) => reject(error));
+  tell(error instanceof Unable ? error.message : `The page failed: ${error.message}`);
+  if (!(error instanceof Unable)) throw error;
+}
+
+async function attempt(action) {
+  try {
+    await action();
+  } catch (error) {
+    fail(error);
+  }
+}
+
+// For tests, and for the curious: explorer.probe([[x, y]]) in the browser's console.
+window.explorer = {
+  get state() { return state; },
+  get size() { return drawing.size; },
+  get samples() { return drawing.samples; },
+  // errors of what is on screen, once they are known
+  errors: () => statisticsNow ?? new Promise((resolve, reject) => awaited.push({resolve, reject})),
+  probe: places => drawing.probe(state, places),
+  pixels: which => drawing.read(drawing.targets[which]),
+  lobe: which => ({m: lobes[which].m, values: [...lobes[which].values]}),
+  code: (which, form) => codeOf(state, which, form, drawing.size),
+};
+
+attempt(async () => {
+  const unpacks = Boolean(window.DecompressionStream);
+  const held = unpacks && Promise.all(
+    [meshParts(), mapImages(), inflated("sources").then(found => found.json())]);
+  buildControls();  // while the browser unpacks
+  restore(location.hash);
+  if (!unpacks) {
+    throw new Unable("This browser cannot unpack the mesh (no DecompressionStream): Chrome 80, Firefox "
+      + "113, Safari 16.4 or later can.");
+  }
+  openContext(document.createElement("canvas"));  // tells what is missing before anything is drawn
+  const [parts, images, texts] = await held;
+  sources = texts;
+  drawing = new Drawing(canvas, parts, images);
+  listen();
+  tell("");
+  changed();
+});

@@ -1,0 +1,147 @@
+// The lobes of A and B against the angle, at the slopes of a pixel; evaluated by the library.
+const ANGLES = 361;  // from 0 to 90 degrees
+const COSINES = Float32Array.from({length: ANGLES}, (_, i) => Math.cos(Math.PI / 2 * i / (ANGLES - 1)));
+const SCALES = [["linear", "linear"], ["log", "log"], ["polar", "polar"]];
+const LOWEST = 1e-4;  // of the logarithmic scale
+const [PLOT, BELOW] = [{width: 360, height: 190}, {width: 360, height: 90}];
+
+// Values of a term's lobe at the angles.
+function lobeValues(drawing, term, m) {
+  const {gl} = drawing;
+  const target = floatTarget(gl, ANGLES, 1);
+  const program = drawing.onScreen(
+    termSource(term, m).text, `#define K ${modelOf(term).k}\n`, sources.page["lobe.frag"]);
+  const cosines = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, cosines);
+  gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R32F, ANGLES, 1);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+  gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ANGLES, 1, gl.RED, gl.FLOAT, COSINES);
+  setUniforms(gl, program, {m, cosines: 0});
+  gl.disable(gl.DEPTH_TEST);
+  gl.viewport(0, 0, ANGLES, 1);
+  drawing.triangle();
+  const values = new Float32Array(4 * ANGLES);
+  gl.readPixels(0, 0, ANGLES, 1, gl.RGBA, gl.FLOAT, values);
+  release(gl, target);
+  gl.deleteTexture(cosines);
+  return values.filter((_, i) => i % 4 === 0);
+}
+
+// What the registry states of a lobe's largest difference from the exact one, in % of the peak.
+function statedError(term, m) {
+  const stated = lobeOf(term).errors?.[modelOf(term).k];
+  if (!stated || lobeOf(term).by_angle) return {text: ""};
+  if (stated.length === 1) return {limit: stated[0], text: `${lobeName(term)}: stated ${stated[0]} % for every m`};
+  const step = Math.round(10 * m) - 1;
+  const known = step >= 0 && step < stated.length && Math.abs(10 * m - step - 1) < 0.005;
+  const near = clamp(Math.floor(10 * m) - 1, 0, stated.length - 2);
+  return {
+    limit: known ? stated[step] : undefined,
+    text: known ? `${lobeName(term)}: stated ${stated[step]} % at m = ${short((step + 1) / 10)}`
+      : `${lobeName(term)}: stated ${stated[near]} % at m = ${short((near + 1) / 10)}, `
+        + `${stated[near + 1]} % at ${short((near + 2) / 10)}`,
+  };
+}
+
+function svg(tag, attributes, ...children) {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  made.append(...children);
+  return made;
+}
+
+const pathOf = points => points.map(([x, y], i) => `${i ? "L" : "M"}${x.toFixed(1)} ${y.toFixed(1)}`).join("");
+
+function axes({width, height}, across, up, grid) {
+  const text = (x, y, anchor, words) => svg("text", {x, y, "text-anchor": anchor}, words);
+  return [
+    ...grid.map(([y, words]) => svg("g", {},
+      svg("path", {class: "grid", d: `M42 ${y}H${width - 4}`}), text(38, y + 3.5, "end", words))),
+    ...across.map(([x, words]) => text(x, height - 2, "middle", words)),
+    text(42, 10, "start", up),
+  ];
+}
+
+// Draws both plots. found: of a pixel {a, b}: m and the angles of the half vectors of lights.
+function plotLobes(box, {a, b}, scale) {
+  const {width, height} = PLOT;
+  const [left, right, top, bottom] = [42, width - 4, 16, height - 14];
+  const each = [["a", a], ["b", b]];
+  const highest = Math.max(1, ...a.values, ...b.values);
+  const curves = svg("svg", {viewBox: `0 0 ${width} ${height}`, role: "img",
+    "aria-label": `Lobes of A at m ${figure(a.m)} and of B at m ${figure(b.m)} against the angle`});
+  const degrees = i => 90 * i / (ANGLES - 1);
+  // The angles from which on both lobes are dark are left out.
+  let dark = ANGLES - 1;
+  while (dark > 40 && Math.max(a.values[dark], b.values[dark]) < (scale === "log" ? LOWEST : 2e-3)) --dark;
+  const x = i => left + (right - left) * i / dark;
+  const step = [2, 5, 10, 15, 20].find(each => degrees(dark) / each < 6.5);
+  const ticks = Array.from({length: 1 + Math.floor((degrees(dark) - 2) / step)},
+    (_, i) => [x(i * step / 90 * (ANGLES - 1)), `${i * step}°`]);
+  if (scale === "polar") {
+    const [middle, radius] = [width / 2, (height - 18) / highest];
+    for (const r of [0.5, 1]) {
+      const d = `M${middle - r * radius * highest} ${height - 6}a1 1 0 0 1 ${2 * r * radius * highest} 0`;
+      curves.append(svg("path", {class: "grid", d}));
+    }
+    for (const [which, {values}] of each) {
+      const points = [];
+      for (let i = -ANGLES + 1; i < ANGLES; ++i) {
+        const angle = radians(degrees(i));
+        const value = values[Math.abs(i)] * radius;
+        points.push([middle + value * Math.sin(angle), height - 6 - value * Math.cos(angle)]);
+      }
+      curves.append(svg("path", {class: `curve ${which}`, d: pathOf(points)}));
+    }
+  } else {
+    const y = scale === "log"
+      ? v => bottom - (bottom - top) * Math.log(Math.max(v, LOWEST) / LOWEST) / Math.log(highest / LOWEST)
+      : v => bottom - (bottom - top) * Math.max(v, 0) / highest;
+    const grid = (scale === "log" ? [1, 0.1, 0.01, 0.001, 1e-4] : [0, 0.25, 0.5, 0.75, 1])
+      .map(v => [y(v), v === 1e-4 ? "1e-4" : String(v)]);
+    curves.append(...axes(PLOT, ticks, "E/c^k", grid));
+    for (const angle of a.angles) {
+      const i = angle / 90 * (ANGLES - 1);
+      if (i <= dark) curves.append(svg("path", {class: "light", d: `M${x(i)} ${top}V${bottom}`}));
+    }
+    for (const [which, {values}] of each) {
+      const points = [...values.slice(0, dark + 1)].map((v, i) => [x(i), y(v)]);
+      curves.append(svg("path", {class: `curve ${which}`, d: pathOf(points)}));
+    }
+  }
+
+  const apart = [...b.values].map((v, i) => 100 * (v - a.values[i]));
+  const limits = [statedError(state.a, a.m), statedError(state.b, b.m)];
+  const fromExact = [state.a, state.b].some(term => lobeOf(term).by_angle) && a.m === b.m
+    && modelOf(state.a).k === modelOf(state.b).k;
+  const limit = fromExact ? Math.max(0, ...limits.map(each => each.limit ?? 0)) : 0;
+  const most = Math.max(limit, ...apart.map(Math.abs), 1e-3) * 1.1;
+  const level = v => BELOW.height / 2 - v / most * (BELOW.height / 2 - 14);
+  const below = svg("svg", {viewBox: `0 0 ${BELOW.width} ${BELOW.height}`, role: "img",
+    "aria-label": `B less A: up to ${figure(Math.max(...apart.map(Math.abs)))} % of the peak`});
+  below.append(...axes(BELOW, [], "B − A, % of the peak",
+    [most / 1.1, 0, -most / 1.1].map(v => [level(v), `${v < 0 ? "−" : ""}${figure(Math.abs(v))}`])));
+  for (const sign of limit ? [1, -1] : []) {
+    below.append(svg("path", {class: "limit", d: `M${left} ${level(sign * limit)}H${right}`}));
+  }
+  below.append(svg("path", {class: "curve b", d: pathOf(apart.slice(0, dark + 1).map((v, i) => [x(i), level(v)]))}));
+  box.replaceChildren(curves, below, element("p", {className: "note"},
+    limits.map(each => each.text).filter(Boolean).join("; ")));
+}
+
+// Angles in degrees between the normal of a probed pixel and the half vectors of the lights, and its
+// N.L and N.V.
+function geometryAt({position, normal}, camera, lights) {
+  const v = unit(camera.map((x, i) => x - position[i]));
+  const each = lights.map(light => {
+    const direction = directionTo(light);
+    const l = light.distance === null ? direction
+      : unit(scaledBy(direction, light.distance).map((x, i) => x - position[i]));
+    return {
+      lit: dot(normal, l) > 0, cosine: dot(normal, l),
+      angle: Math.acos(clamp(dot(normal, unit(l.map((x, i) => x + v[i]))), -1, 1)) * 180 / Math.PI,
+    };
+  });
+  return {facing: dot(normal, v), lights: each};
+}

@@ -1,0 +1,93 @@
+"""The functions of meshoptimizer (Kapoulkine, 2016-2026), of the extra ``lod``, through ctypes."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from importlib.machinery import PathFinder
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_POINTER, _SIZE, _FLOAT = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_float
+_DECODER = ctypes.c_int, [_POINTER, _SIZE, _SIZE, _POINTER, _SIZE]
+_FILTER = None, [_POINTER, _SIZE, _SIZE]
+# Result and arguments, as src/meshoptimizer.h of version 0.23 declares them.
+_TYPES: dict[str, tuple[Any, list[Any]]] = {
+    "simplifyWithAttributes": (
+        _SIZE,
+        [_POINTER, _POINTER, _SIZE, _POINTER, _SIZE, _SIZE, _POINTER, _SIZE, _POINTER, _SIZE]
+        + [_POINTER, _SIZE, _FLOAT, ctypes.c_uint, _POINTER],
+    ),
+    "optimizeVertexCache": (None, [_POINTER, _POINTER, _SIZE, _SIZE]),
+    "decodeVertexBuffer": _DECODER,
+    "decodeIndexBuffer": _DECODER,
+    "decodeIndexSequence": _DECODER,
+    "decodeFilterOct": _FILTER,
+    "decodeFilterQuat": _FILTER,
+    "decodeFilterExp": _FILTER,
+}
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """Return the compiled library of the Python package meshoptimizer, its types declared.
+
+    The package's own wrappers declare no types of simplify_with_attributes and of the filters: they
+    hand 64-bit sizes on as 32-bit integers, and crash. They are not imported.
+
+    Raises
+    ------
+    ImportError : the package is not installed
+    """
+    package = find_spec("meshoptimizer")
+    places = package.submodule_search_locations if package else None
+    found = PathFinder.find_spec("_meshoptimizer", places) if places else None
+    if found is None or found.origin is None:
+        raise ImportError("no package meshoptimizer")
+    functions = ctypes.CDLL(found.origin)
+    for name, (result, arguments) in _TYPES.items():
+        function = getattr(functions, f"meshopt_{name}")
+        function.restype, function.argtypes = result, arguments
+    return functions
+
+
+def collapsed(
+    faces: NDArray[np.uint32],
+    positions: NDArray[np.float32],
+    attributes: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    triangles: int,
+) -> NDArray[np.uint32]:
+    """Return at most so many faces (F, 3) of the same vertices, if these allow it, whatever the
+    error.
+
+    Parameters
+    ----------
+    faces, positions : (F, 3) and (N, 3)
+    attributes, weights : (N, K), and (K,): how much an attribute's error counts beside a distance
+    triangles : the number to collapse edges to
+    """
+    faces, weights = np.ascontiguousarray(faces), np.ascontiguousarray(weights)
+    positions, attributes = np.ascontiguousarray(positions), np.ascontiguousarray(attributes)
+    left = np.empty_like(faces)
+    count = library().meshopt_simplifyWithAttributes(
+        *(left.ctypes.data, faces.ctypes.data, faces.size),
+        *(positions.ctypes.data, len(positions), positions.strides[0]),
+        *(attributes.ctypes.data, attributes.strides[0], weights.ctypes.data, len(weights)),
+        *(None, 3 * triangles, np.finfo(np.float32).max, 0, None),  # no vertex locked, no option
+    )
+    return left[: count // 3]
+
+
+def in_cache_order(faces: NDArray[np.uint32], vertices: int) -> NDArray[np.uint32]:
+    """Return faces (F, 3) in an order in which a GPU transforms few vertices twice (Sander et al.
+    2007)."""
+    faces = np.ascontiguousarray(faces)
+    ordered = np.empty_like(faces)
+    library().meshopt_optimizeVertexCache(
+        ordered.ctypes.data, faces.ctypes.data, faces.size, vertices
+    )
+    return ordered

@@ -1,0 +1,321 @@
+"""Passes of a job: the bytes that a renderer's frames have, data that other programs read, and
+cameras that project the mesh to where it is."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+from PIL import Image
+
+import facerender as fr
+from facerender.batch.outputs import OUTPUTS, camera_facts, draw, transforms_frame
+from facerender.images.read import read_image
+from facerender.scenes.planned import Planned
+from facerender.scenes.scene import ONLY
+
+SIZE = (96, 64)
+KEY = fr.Light(-50.0, 42.0, irradiance=3.0, shadow=True)
+
+
+@pytest.fixture(scope="module")
+def drawing(egl):
+    with fr.Renderer(SIZE, samples=4, backend=egl) as renderer:
+        yield renderer
+
+
+@pytest.fixture(scope="module")
+def halves(head):
+    """The built-in head, its upper and lower triangles as two parts."""
+    (part,) = head.parts
+    upper = part.positions[part.faces][..., 1].mean(axis=1) > head.center[1]
+    parts = tuple(replace(part, faces=part.faces[each]) for each in (upper, ~upper))
+    return replace(head, parts=parts, materials=head.materials * 2)
+
+
+def job_of(**changes) -> fr.Job:
+    image = fr.ImageSettings(size=SIZE)
+    return replace(fr.Job(camera=fr.Camera(-35.0, 10.0), lights=(KEY,), image=image), **changes)
+
+
+def unchanged(content):
+    return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+
+
+def layers_of(content):
+    with OpenEXR.File(io.BytesIO(content), separate_channels=True) as file:
+        return {name: channel.pixels.copy() for name, channel in file.channels().items()}
+
+
+@pytest.mark.parametrize("background", [None, (0.2, 0.1, 0.0)])
+def test_pictures_are_those_that_frames_save(head, drawing, background, tmp_path):
+    job = job_of(background=background)
+    files = draw(job, head, drawing, OUTPUTS, 0.5).files
+    assert [*files] == [f"{name}.png" for name in OUTPUTS[:-1]] + ["layers.exr"]
+    numbers = ("depth", "mask", "parts")  # of which a frame makes a picture
+    for only in (None, *ONLY):
+        name = f"{only or 'image'}.png"
+        drawing.render(job.scene(head), job.shading, only).save(tmp_path / name, 0.5)
+        assert (files[name] == (tmp_path / name).read_bytes()) == (only not in numbers), name
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"drawn_samples": 1},
+        {"triangles": 3000},
+        {"cull_back_faces": True},
+        {"shading_rate": "pixel"},
+    ],
+    ids=str,
+)
+def test_a_planned_job_is_drawn_as_planned(head, drawing, how, tmp_path):
+    camera = fr.Camera(-35.0, -70.0)  # into the neck, which is open
+    planned = Planned((SIZE,), 4, **how)
+    job = job_of(camera=camera, material={"m": 0.25, "albedo": (0.5, 0.3, 0.2)})
+    outputs = "image", "specular", "normal"
+    drawn = draw(replace(job, planned=planned), head, drawing, outputs, 0.0)
+    assert drawn.facts["planned"] is True
+    detail = planned.detail
+    for only in (None, "specular", "normal"):
+        name = f"{only or 'image'}.png"
+        drawing.render(detail.of(job.scene(head)), job.shading, only, **detail.values).save(
+            tmp_path / name
+        )
+        assert drawn.files[name] == (tmp_path / name).read_bytes()
+    whole = draw(job, head, drawing, ("image",), 0.0)
+    assert "planned" not in whole.facts
+    assert drawn.files["image.png"] != whole.files["image.png"]
+    elsewhere = replace(job, planned=replace(planned, sizes=((512, 512),)))
+    with pytest.warns(fr.FacerenderWarning, match="was planned for 512 x 512 pixels with 4 samp"):
+        drawn = draw(elsewhere, head, drawing, ("image",), 0.0)
+    assert drawn.facts["planned"] is False
+    assert drawn.files == whole.files
+
+
+def test_the_same_bytes_from_another_renderer(head, drawing, egl):
+    first = draw(job_of(), head, drawing, OUTPUTS, 0.0)
+    with fr.Renderer(SIZE, samples=4, backend=egl) as other:
+        again = draw(job_of(), head, other, OUTPUTS[::-1] * 2, 0.0)
+    assert first.files == again.files
+    assert first.facts == again.facts == json.loads(json.dumps(first.facts))
+
+
+def test_what_is_drawn_once_serves_all_outputs(head, drawing, monkeypatch):
+    calls = []
+    for name in ("render", "gbuffer"):
+        plain = getattr(fr.Renderer, name)
+
+        def counted(*args, name=name, plain=plain, **options):
+            calls.append(name)
+            return plain(*args, **options)
+
+        monkeypatch.setattr(fr.Renderer, name, counted)
+    draw(job_of(), head, drawing, OUTPUTS, 0.0)
+    assert sorted(calls) == ["gbuffer", "render", "render", "render"]
+    calls.clear()
+    draw(job_of(), head, drawing, ("specular",), 0.0)
+    draw(job_of(), head, drawing, ("mask", "parts", "depth", "normal"), 0.0)
+    assert calls == ["render", "gbuffer"]
+
+
+@pytest.mark.parametrize("camera", [fr.Camera(), fr.Camera(zoom=8.0), fr.Camera(fov=120.0)])
+def test_depth_is_within_half_a_step(head, drawing, camera):
+    mesh = moved(head)
+    drawn = draw(job_of(camera=camera), mesh, drawing, ("depth",), 0.0)
+    (content,), scale = drawn.files.values(), drawn.facts["depth_scale"]
+    steps = unchanged(content)
+    assert steps.dtype == np.uint16
+    with Image.open(io.BytesIO(content)) as image:
+        np.testing.assert_array_equal(np.asarray(image), steps)
+    exact = drawing.render(fr.Scene(mesh, camera), only="depth").linear
+    np.testing.assert_array_equal(steps > 0, exact[..., 3] > 0)
+    assert steps.any()
+    assert np.abs(steps * scale - exact[..., 0]).max() <= (0.5 + 1e-6) * scale
+    farthest = max(np.linalg.norm(mesh.center - eye_of(drawn.facts["camera"])), 0) + mesh.radius
+    assert scale <= farthest / 65535 * (1 + 1e-9)
+
+
+def test_cameras_of_one_distance_share_their_scale(head, drawing):
+    jobs = [job_of(camera=camera) for camera in fr.turntable(count=5)]
+    scales = [draw(job, head, drawing, ("depth",), 0.0).facts["depth_scale"] for job in jobs]
+    assert scales == pytest.approx([scales[0]] * 5, rel=1e-12)
+
+
+def test_a_camera_that_sees_nothing(head, drawing):
+    away = fr.Camera(position=tuple(head.center + [0, 0, 3]), target=tuple(head.center + [0, 0, 9]))
+    with pytest.warns(fr.FacerenderWarning, match="no pixel shows head.glb: .* behind the camera"):
+        drawn = draw(job_of(camera=away), head, drawing, OUTPUTS, 0.0)
+    for name in ("depth", "mask", "parts", "normal"):
+        assert not unchanged(drawn.files[f"{name}.png"]).any()
+    assert drawn.facts["depth_scale"] > 0.0
+    json.dumps(drawn.facts, allow_nan=False)
+
+
+def test_mask_and_parts_are_what_the_centre_of_a_pixel_hits(halves, drawing):
+    drawn = draw(job_of(), halves, drawing, ("mask", "parts", "depth"), 0.0)
+    part = drawing.gbuffer(job_of().scene(halves)).part
+    mask, parts, depth = (unchanged(drawn.files[f"{n}.png"]) for n in ("mask", "parts", "depth"))
+    assert (mask.dtype, parts.dtype) == (np.uint8, np.uint16)
+    np.testing.assert_array_equal(parts, part + 1)
+    assert set(np.unique(parts)) == {0, 1, 2}
+    np.testing.assert_array_equal(mask, 255 * (part >= 0))
+    np.testing.assert_array_equal(depth > 0, mask > 0)
+    assert drawn.facts["parts"] == 2
+
+
+def test_layers_hold_every_pass(halves, drawing, tmp_path):
+    job = job_of(background=None)
+    content = draw(job, halves, drawing, ("layers",), 3.0).files["layers.exr"]
+    layers = layers_of(content)
+    assert {values.dtype for values in layers.values()} == {np.dtype(np.float32)}
+    scene = job.scene(halves)
+    rgb, part = "RGB", drawing.gbuffer(scene).part
+    for only, names in {
+        None: "RGBA",
+        "depth": "Z",
+        "normal": [f"normal.{axis}" for axis in "XYZ"],
+        "visibility": ["visibility.Y"],
+        **{
+            only: [f"{only}.{each}" for each in rgb]
+            for only in ("specular", "diffuse", "albedo", "cosines")
+        },
+    }.items():
+        linear = drawing.render(scene, job.shading, only).linear
+        for index, name in enumerate(names):
+            np.testing.assert_array_equal(layers.pop(name), linear[..., index], name)
+    np.testing.assert_array_equal(layers.pop("part.Y"), part + 1)
+    np.testing.assert_array_equal(layers.pop("mask.A"), part >= 0)
+    assert not layers
+    (tmp_path / "layers.exr").write_bytes(content)
+    picture = read_image(tmp_path / "layers.exr")  # as a program that knows no layers
+    np.testing.assert_array_equal(picture.pixels, drawing.render(scene).linear)
+    assert picture.metadata["GL_RENDERER"] == drawing.metadata["GL_RENDERER"]
+
+
+def test_what_cannot_be_drawn_is_told(head, drawing, monkeypatch):
+    with pytest.raises(fr.InputError, match=r"unknown output 'norml'; known: image, specular"):
+        draw(job_of(), head, drawing, ("norml",), 0.0)
+    many = replace(head, parts=head.parts * 65536, materials=head.materials * 65536)
+    with pytest.raises(fr.InputError, match=r"65536 parts, and parts.png numbers 65535: ask for"):
+        draw(job_of(), many, drawing, ("parts",), 0.0)
+    monkeypatch.setitem(sys.modules, "OpenEXR", None)
+    with pytest.raises(fr.InputError, match=r"^layers.exr: EXR needs the package OpenEXR; pip"):
+        draw(job_of(), head, drawing, ("image", "layers"), 0.0)
+    assert draw(job_of(), head, drawing, ("image",), 0.0).files
+
+
+# --- the camera ----------------------------------------------------------------------------------
+
+
+def moved(mesh: fr.Mesh) -> fr.Mesh:
+    """The mesh in millimetres, far from the origin."""
+    offset = np.array([4e5, -2e4, 7e5])
+    parts = [replace(part, positions=part.positions * 1e3 + offset) for part in mesh.parts]
+    bounds, radius = mesh.bounds * 1e3 + offset, mesh.radius * 1e3
+    return replace(mesh, parts=tuple(parts), bounds=bounds, radius=radius)
+
+
+def eye_of(camera):
+    return np.array(camera["transform_matrix"])[:3, 3]
+
+
+CAMERAS = {
+    "front": fr.Camera(),
+    "orbit": fr.Camera(azimuth=215.0, elevation=-30.0, fov=60.0),
+    "near": fr.Camera(azimuth=40.0, zoom=6.0),
+    "above": fr.Camera(azimuth=30.0, elevation=90.0),
+    "below": fr.Camera(azimuth=-70.0, elevation=-90.0),
+    "placed": fr.Camera(position=(1.5, 0.8, 2.0), target=(0.1, 0.2, -0.1), fov=35.0),
+    "level": fr.Camera(position=(-3.0, 0.0, 0.0), fov=40.0),
+    "straight down": fr.Camera(position=(0.0, 4.0, 0.0), target=(0.0, 0.0, 0.0), azimuth=20.0),
+}
+
+
+@pytest.mark.parametrize("place", [lambda mesh: mesh, moved], ids=["metres", "millimetres"])
+@pytest.mark.parametrize("name", CAMERAS)
+def test_what_a_pixel_sees_projects_to_its_centre(head, drawing, name, place):
+    mesh, camera = place(head), CAMERAS[name]
+    for end in ("position", "target"):  # said in radii from the centre
+        if (point := getattr(camera, end)) is not None:
+            camera = replace(camera, **{end: tuple(mesh.to_mesh_space(point))})
+    seen = drawing.gbuffer(fr.Scene(mesh, camera))
+    facts = camera_facts(seen.view, mesh, SIZE)
+    covered = seen.part >= 0
+    assert covered.sum() > 100
+    pose, to_world = np.array(facts["Rt"]), np.array(facts["transform_matrix"])
+
+    points = mesh.to_mesh_space(seen.position[covered])
+    in_camera = points @ pose[:, :3].T + pose[:, 3]
+    depth = drawing.render(fr.Scene(mesh, camera), only="depth").linear[covered][:, 0]
+    np.testing.assert_allclose(in_camera[:, 2], depth, rtol=1e-6)
+    pixels = in_camera @ np.array(facts["K"]).T
+    pixels = pixels[:, :2] / pixels[:, 2:]
+    centres = np.argwhere(covered)[:, ::-1] + 0.5
+    assert np.abs(pixels - centres).max() < 1e-3
+    by_opencv, _ = cv2.projectPoints(
+        points, cv2.Rodrigues(pose[:, :3])[0], pose[:, 3], np.array(facts["K"]), None
+    )
+    np.testing.assert_allclose(by_opencv[:, 0], pixels, atol=1e-3)
+
+    assert np.linalg.det(pose[:, :3]) == pytest.approx(1.0)  # right-handed
+    np.testing.assert_allclose(pose[:, :3] @ pose[:, :3].T, np.eye(3), atol=1e-12)
+    flipped = np.diag([1.0, -1.0, -1.0]) @ np.linalg.inv(to_world)[:3]
+    np.testing.assert_allclose(flipped, pose, atol=1e-9 * np.abs(pose).max())
+    np.testing.assert_allclose(eye_of(facts), mesh.to_mesh_space(seen.view.eye), rtol=1e-12)
+    assert (facts["K"][0][2], facts["K"][1][2]) == (SIZE[0] / 2, SIZE[1] / 2)
+    assert facts["K"][0][0] == facts["K"][1][1]  # square pixels
+
+
+def test_a_frame_of_transforms_json(head, drawing):
+    camera = draw(job_of(), head, drawing, ("mask",), 0.0).facts["camera"]
+    frame = transforms_frame(camera, "data/0/image.png")
+    assert frame == json.loads(json.dumps(frame))
+    keys = ["file_path", "w", "h", "fl_x", "fl_y", "cx", "cy", "transform_matrix"]
+    assert [*frame] == keys
+    assert [frame[key] for key in ("file_path", "w", "h", "cx", "cy")] == [
+        *("data/0/image.png", 96, 64, 48.0, 32.0)
+    ]
+    # instant-ngp's way of the vertical angle: 2 atan(h / (2 fl_y))
+    assert np.degrees(2 * np.arctan(64 / (2 * frame["fl_y"]))) == pytest.approx(25.0)
+    assert frame["fl_x"] == pytest.approx(frame["fl_y"])
+    up, back = np.array(frame["transform_matrix"])[:3, 1:3].T
+    assert up[1] > 0.9  # y is up
+    assert back @ (eye_of(camera) - head.center) > 0  # z points away from the mesh
+
+
+def test_the_page_reads_what_is_written(head, egl, tmp_path, monkeypatch):
+    text = (Path(__file__).parents[1] / "docs" / "outputs.md").read_text(encoding="utf-8")
+    camera = fr.Camera(position=(0.0, 0.0, 1.0), target=(0.0, 0.0, 0.0))
+    job = fr.Job(camera=camera, image=fr.ImageSettings(size=(512, 384)))
+    with fr.Renderer.of(job, egl) as renderer:
+        drawn = draw(job, head, renderer, OUTPUTS, 0.0)
+        seen = renderer.gbuffer(job.scene(head))
+    for name, content in drawn.files.items():
+        (tmp_path / name).write_bytes(content)
+    monkeypatch.chdir(tmp_path)
+    told: dict[str, Any] = {"record": drawn.facts}
+    for block in re.findall(r"^```python$(.*?)^```$", text, re.DOTALL | re.MULTILINE):
+        exec(block, told)
+    assert (told["u"], told["v"]) == pytest.approx((342.61, 148.70), abs=0.005)
+    covered = seen.part >= 0
+    np.testing.assert_array_equal(told["part"], seen.part)
+    np.testing.assert_allclose(told["normal"], told["exact"], atol=0.5 / 127.5 + 1e-6)
+    exact = head.to_mesh_space(seen.position[covered])
+    assert np.abs(told["points"] - exact).max() < drawn.facts["depth_scale"]
+    np.testing.assert_allclose(told["project"](exact), told["rays"] @ told["K"].T[:, :2], atol=1e-3)
+    to_eye = head.to_mesh_space(seen.view.eye) - exact
+    assert (told["in_camera"][:, 2] < 0.0).mean() > 0.9  # normals look back at the camera
+    cosine = (told["exact"][covered] * to_eye).sum(axis=1) / np.linalg.norm(to_eye, axis=1)
+    shown = cv2.imread("cosines.png")[..., 1][covered]  # N.V
+    np.testing.assert_allclose(shown / 255, np.maximum(cosine, 0.0), atol=0.5 / 255 + 1e-5)
+    assert told["image"].shape == (384, 512, 4)
