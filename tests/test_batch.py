@@ -30,7 +30,7 @@ from facerender.batch.jobs import Row, read_jobs
 from facerender.batch.place import Place
 from facerender.batch.supervisor import CannotDraw, draw_chunk
 from facerender.commands import main
-from facerender.loading.named import named_files
+from facerender.loading.references import named_files
 from tests.conftest import require_module
 
 COMMAND = [sys.executable, "-m", "facerender", "batch"]

@@ -15,7 +15,7 @@ from uuid import uuid4
 
 from facerender._version import __version__
 from facerender.batch.jobs import Row
-from facerender.loading.named import named_files
+from facerender.loading.references import named_files
 from facerender.system.data import data_dir
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from facerender.batch.jobs import EXPOSURE_LIMITS, ID, LIMITS, PASSES
 from facerender.job import ImageSettings, MeshFile
-from facerender.loading import NORMAL_MAP_Y
+from facerender.loading.source import NORMAL_MAP_Y
 from facerender.scenes.camera import FRAMES, Camera
 from facerender.scenes.file import EnvironmentFile
 from facerender.scenes.light import LIGHTS, Light

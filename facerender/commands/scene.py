@@ -20,8 +20,7 @@ from facerender.commands.common import (
 from facerender.drawing.prepare import start_maps
 from facerender.errors import InputError, clipped
 from facerender.job import ImageSettings, Job, MeshFile, Output
-from facerender.loading import NORMAL_MAP_Y
-from facerender.loading.given import GLTF
+from facerender.loading.source import GLTF, NORMAL_MAP_Y
 from facerender.scenes.camera import CAMERA_FILES, FRAMES, Camera, orbiting, turntable
 from facerender.scenes.file import STUDIO, load_scene, parse_environment
 from facerender.scenes.light import LIGHTS, parse_light
