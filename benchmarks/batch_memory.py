@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-from facerender.batch.chunk import Settings, chunks, painter
+from facerender.batch.chunk import Settings, chunks, code_version
 from facerender.batch.jobs import read_jobs
 from facerender.batch.supervisor import Supervisor
 from facerender.system.data import data_dir
@@ -93,7 +93,7 @@ def measure(sweep: str, jobs: int, size: int, folder: Path) -> list[float]:
         for number in range(jobs):
             row = {"id": f"j{number}", "image.size": size, "image.samples": 1}
             file.write(json.dumps(row | change(number, folder)) + "\n")
-    settings = Settings(str(folder / "out"), painter=painter())
+    settings = Settings(str(folder / "out"), code_version=code_version())
     supervisor, seen, drawn = Supervisor(), [], 0
 
     def heard(worker: str, what: str, job: str) -> None:

@@ -7,32 +7,29 @@ python -m benchmarks.comparison      into docs/measurements/comparison.json; nee
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from itertools import product
 from typing import Any
 
 import numpy as np
 from scipy import ndimage
 
-import facerender as fr
 from benchmarks.data import meshes, save
 from facerender.comparison.compare import Comparison, compare
 from facerender.comparison.verdict import changed_alike
 from facerender.images.srgb import encode_srgb8
-from tests.verification.drivers import DRIVERS, draw_with
 from tests.verification.mutations import (
     BROKEN,
     CAMERAS,
+    DRIVERS,
     HARMLESS,
-    SIZE,
     Images,
-    Studio,
-    brighter,
+    images,
     rougher,
-    weaker,
+    setting_of,
 )
-from tests.verification.scan import scan_folder
+from tests.verification.pairs.changes import exposed, factor
+from tests.verification.pairs.room import Room, draw_elsewhere
 
 GATES = {  # and how their reasons begin
     **{"point": r"\d+ pixel", "block": "block", "trend": "neighbouring blocks", "grain": "grain"},
@@ -75,15 +72,10 @@ def row(result: Comparison) -> dict[str, Any]:
 
 def drivers() -> Iterator[dict[str, Any]]:
     """Yield the figures of what two drivers draw."""
-    with tempfile.TemporaryDirectory() as folder:
-        for size in (512, 1024):
-            for name, scan in {"head": None, "scan": scan_folder()}.items():
-                if name == "scan" and scan is None:
-                    continue
-                a, b = (draw_with(each, Path(folder) / each, scan, size) for each in DRIVERS)
-                for camera in CAMERAS:
-                    image = {"image": f"{name}, {camera}, {size}"}
-                    yield image | row(compare(a[camera], b[camera]))
+    for size, name, camera in product((512, 1024), dict(meshes()), CAMERAS):
+        setting = setting_of(name, camera, size=size)
+        drawn = (draw_elsewhere(setting, variables=each) for each in DRIVERS.values())
+        yield {"image": f"{name}, {camera}, {size}"} | row(compare(*drawn))
 
 
 def smallest(change: Change, found: Sees, most: float) -> float | None:
@@ -130,14 +122,14 @@ def places(linear: np.ndarray) -> dict[str, tuple[int, int]]:
     return {"smooth skin": smooth, "the silhouette": tuple(rim[len(rim) // 2])}
 
 
-def thresholds(name: str, studio: Studio) -> Iterator[dict[str, Any]]:
+def thresholds(name: str, room: Room) -> Iterator[dict[str, Any]]:
     """Yield the smallest changes of a camera that each check sees, EXR and PNG as a whole."""
     changes: dict[str, tuple[Change, float]] = {
-        "ks, %": (lambda by: weaker(studio, 0.01 * by), 50.0),
-        "m from 0.3, %": (lambda by: rougher(studio, 0.3 * (1.0 + 0.01 * by)), 50.0),
-        "exposure, %": (lambda by: brighter(studio, 0.01 * by), 50.0),
+        "ks, %": (lambda by: images(factor("ks", 1.0 - 0.01 * by))(room), 50.0),
+        "m from 0.3, %": (lambda by: images(rougher(0.3 + 0.003 * by))(room), 50.0),
+        "exposure, %": (lambda by: images(exposed(1.0 + 0.01 * by))(room), 50.0),
     }
-    linear = studio.draw()
+    linear = room.golden
     for where, place in places(linear).items():
         changes[f"pixel brighter, {where}"] = (one_pixel(linear, place, 1.0), 8.0)
         changes[f"pixel darker, {where}"] = (one_pixel(linear, place, -1.0), 1.0)
@@ -149,15 +141,14 @@ def thresholds(name: str, studio: Studio) -> Iterator[dict[str, Any]]:
 
 def main() -> None:
     changes, least = {}, []
-    for name, mesh in meshes():
-        with fr.Renderer((SIZE, SIZE), samples=1, float_albedo=True) as renderer:
-            for camera, where in CAMERAS.items():
-                studio = Studio(renderer, mesh, where)
-                changes[f"{name}-{camera}"] = [
-                    {"change": change} | row(compare(*make(studio)))
-                    for change, make in (BROKEN | HARMLESS).items()
-                ]
-                least += thresholds(f"{name}, {camera}", studio)
+    for name, camera in product(dict(meshes()), CAMERAS):
+        room = Room(setting_of(name, camera))
+        changes[f"{name}-{camera}"] = [
+            {"change": change} | row(compare(*make(room)))
+            for change, make in (BROKEN | HARMLESS).items()
+        ]
+        least += thresholds(f"{name}, {camera}", room)
+        room.renderer.release()
     save("comparison", changes=changes, drivers=[*drivers()], thresholds=least)
 
 

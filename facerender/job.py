@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-from facerender.errors import InputError, shown
+from facerender.errors import InputError, shown, warn
 from facerender.images.decode import MAX_SIDE
 from facerender.images.write import format_of
 from facerender.loading import cached_mesh, load_mesh
@@ -19,7 +19,7 @@ from facerender.scenes.light import Light
 from facerender.scenes.lod import simplified
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import TRIANGLES, Mesh, names_of
-from facerender.scenes.planned import Planned
+from facerender.scenes.planned import LevelOfDetail, Planned
 from facerender.scenes.scene import ONLY, Only, Scene
 from facerender.scenes.vectors import COLORS, Vector
 from facerender.shading import Shading
@@ -96,6 +96,16 @@ class MeshFile:
 
 # Of a mesh file's fields, those that are files.
 MESH_PATHS = tuple(each.name for each in fields(MeshFile) if each.type == "str | None")
+
+
+def parse_size(text: str, name: str = "size") -> tuple[int, int]:
+    """Read width and height from ``N`` or ``WxH``; InputError for other text."""
+    try:
+        numbers = [int(word) for word in text.lower().split("x")]
+        width, height = numbers * 2 if len(numbers) == 1 else numbers
+    except ValueError:
+        raise InputError(f"{name} {shown(text)}: give N or WxH, such as 1024 or 640x480") from None
+    return width, height
 
 
 @dataclass(frozen=True)
@@ -225,6 +235,25 @@ class Job:
             self.background,
             environment,
         )
+
+    def detail(self, samples: int, name: str = "the scene") -> LevelOfDetail:
+        """Return how finely an image is drawn: as planned if the scene was planned for images of
+        this size and these samples. FacerenderWarning if it was planned for others.
+
+        Parameters
+        ----------
+        samples : per pixel, as many as the renderer has
+        name : of the scene in the warning
+        """
+        if self.planned and self.planned.holds(self.image.size, samples):
+            return self.planned.detail
+        if self.planned:
+            width, height = self.image.size
+            warn(
+                f"{name} was planned for {self.planned}: at {width} x {height} with "
+                f"{self.image.samples} its error is unknown; plan for this size and these samples"
+            )
+        return LevelOfDetail(self.image.samples, None)
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, for JSON or TOML; see :meth:`from_dict`."""

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
@@ -25,12 +26,13 @@ import pytest
 
 import facerender as fr
 from facerender.batch import engine
-from facerender.batch.chunk import Settings, chunks, painter
+from facerender.batch.chunk import Settings, chunks, code_version
 from facerender.batch.jobs import Row, read_jobs
-from facerender.batch.place import Place
+from facerender.batch.storage import Storage
 from facerender.batch.supervisor import CannotDraw, draw_chunk
 from facerender.commands import main
 from facerender.loading.references import named_files
+from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 
 COMMAND = [sys.executable, "-m", "facerender", "batch"]
@@ -112,7 +114,7 @@ def small(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("layout", ["files", "shards"])
 def test_bytes_are_the_same_with_any_workers(table, draw, small, tmp_path, layout):
-    jobs = rows(9, passes="image,mask,depth")
+    jobs = rows(9, outputs="image,mask,depth")
     for job in jobs[::2]:
         job["mesh"] = str(small)
     path = table(jobs)
@@ -132,6 +134,46 @@ def test_images_are_those_of_a_renderer(table, draw, tmp_path):
         renderer.render(fr.Scene(mesh, fr.Camera(-30.0))).save(tmp_path / "alone.png")
     alone = (tmp_path / "alone.png").read_bytes()
     assert (tmp_path / "out/data/one/image.png").read_bytes() == alone
+
+
+def test_a_planned_scene_is_drawn_as_render_draws_it(table, draw, tmp_path):
+    """A scene of `facerender plan`, named by the command or by a job."""
+    planned, size = str(tmp_path / "planned.toml"), ("--size", "48")
+    where = (*size, "--camera", "0", "--camera", "-60,20", "--scene", planned)
+    plan = ["plan", str(MINI_HEAD), "--budget", "24/255", "--within", "90%", "--m", "0.3", *where]
+    assert main([*plan, "--backend", "egl", "--quiet"]) == 0
+    detail = tomllib.loads(Path(planned).read_text())["planned"]
+    assert detail.get("drawn_samples", 4) < 4 or "triangles" in detail or detail["cull_back_faces"]
+    jobs = rows(3, mesh=str(MINI_HEAD), outputs="image,specular")
+    draw(table(jobs), "command", "--scene", planned)
+    draw(table([{**job, "scene": planned} for job in jobs]), "job", *size)
+    assert tree(tmp_path / "command/data") == tree(tmp_path / "job/data")
+    draw(table(jobs), "exact")
+    for job in jobs:
+        for only in ("image", "specular"):
+            words = [
+                "render",
+                str(MINI_HEAD),
+                "--scene",
+                planned,
+                *size,
+                "-o",
+                str(tmp_path / "a.png"),
+            ]
+            words += ["--camera", f"{job['camera.azimuth']}"]
+            assert main(words + ["--only", only] * (only != "image")) == 0
+            file = f"data/{job['id']}/{only}.png"
+            assert (tmp_path / "command" / file).read_bytes() == (tmp_path / "a.png").read_bytes()
+            assert (tmp_path / "exact" / file).read_bytes() != (tmp_path / "a.png").read_bytes()
+
+    draw(table([jobs[0] | {"image.size": 64}, jobs[1]]), "other", "--scene", planned)
+    records = list(map(json.loads, (tmp_path / "other/jobs.jsonl").read_text().splitlines()))
+    assert [record["planned"] for record in records] == [False, True]
+    assert "its error is unknown; plan for this size" in records[0]["warnings"][0]
+    (tmp_path / "whole.toml").write_text(Path(planned).read_text().partition("[planned]")[0])
+    draw(table([jobs[0] | {"image.size": 64}]), "whole", "--scene", str(tmp_path / "whole.toml"))
+    file = "data/job000/image.png"
+    assert (tmp_path / "other" / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
 
 
 def test_a_second_run_draws_nothing(table, draw, small):
@@ -281,18 +323,20 @@ def test_a_worker_that_ends_before_it_is_written_to(table, small, tmp_path):
     assert json.loads(found.stdout.splitlines()[0])["deaths"] == 1
 
 
-def test_a_table_that_is_another_each_time(table, draw, small, tmp_path, capsys):
+def test_a_table_is_read_once(draw, small, tmp_path):
+    """A program may yield other rows the next time."""
     path = tmp_path / "jobs.py"
     path.write_text(
-        "import random\n"
+        "import random\nfrom pathlib import Path\n"
         "def jobs():\n"
-        f"    for i in range(4):\n"
+        f"    with Path({str(tmp_path / 'calls')!r}).open('a') as file:\n"
+        "        file.write('called ')\n"
+        "    for i in range(4):\n"
         f"        yield {{'mesh': {str(small)!r}, 'camera.azimuth': random.random()}}\n"
     )
-    found = draw(str(path), "out")
-    assert found["status"] == 2
-    assert "the table of jobs, or a file that it names, has changed" in found["err"]
-    assert not list((tmp_path / "out").glob("records/*"))
+    found = draw(str(path), "out", "--chunk", "2")
+    assert (found["status"], found["drawn"]) == (0, 4)
+    assert (tmp_path / "calls").read_text() == "called "
 
 
 @pytest.mark.parametrize("layout", ["files", "shards"])
@@ -306,7 +350,7 @@ def test_what_was_cut_off_and_is_no_longer_asked_for_goes(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:  # between data and record
-        patched.setattr("facerender.batch.output._put_records", die)
+        patched.setattr("facerender.batch.records._put_records", die)
         draw(table(jobs), "out", *options)
     draw(table(jobs[1:]), "out", *options)
     draw(table(jobs[1:]), "fresh", *options)
@@ -320,7 +364,7 @@ def test_a_driver_may_end_at_any_step(table, draw, small, tmp_path, monkeypatch,
     options = ("--chunk", "2", "--transforms")
     jobs = rows(4, mesh=str(small))
     draw(table(jobs[1:]), "fresh", *options)
-    real = getattr(Place, step)
+    real = getattr(Storage, step)
     for count in range(20):
         shutil.rmtree(tmp_path / "out", ignore_errors=True)
         draw(table(jobs), "out", *options)
@@ -332,7 +376,7 @@ def test_a_driver_may_end_at_any_step(table, draw, small, tmp_path, monkeypatch,
             return real(*given)
 
         with monkeypatch.context() as patched:
-            patched.setattr(Place, step, or_die)
+            patched.setattr(Storage, step, or_die)
             ended = draw(table(jobs[1:]), "out", *options)["status"]
         assert draw(table(jobs[1:]), "out", *options)["status"] == 0
         assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
@@ -347,14 +391,14 @@ def test_a_run_that_another_has_followed_writes_nothing(table, draw, small, tmp_
     before = tree(tmp_path / "out")
     (chunk,) = chunks(read_jobs(table([{**job, "material.m": 0.5} for job in jobs])), 2)
     with pytest.raises(CannotDraw, match="another run of the batch has begun there"):
-        draw_chunk(Settings(str(tmp_path / "out"), painter=painter()), chunk)
+        draw_chunk(Settings(str(tmp_path / "out"), code_version=code_version()), chunk)
     assert tree(tmp_path / "out") == before
 
 
 def test_a_file_that_is_another_where_it_is_drawn(table, draw, small, tmp_path):
     (chunk,) = chunks(read_jobs(table(rows(2, mesh=str(small)))), 2)
     small.write_text(small.read_text() + "# changed\n")
-    outcome = draw_chunk(Settings(str(tmp_path / "out"), painter=painter()), chunk)
+    outcome = draw_chunk(Settings(str(tmp_path / "out"), code_version=code_version()), chunk)
     assert [record["id"] for record in outcome.failed] == ["job000", "job001"]
     assert "not here what they were where the batch" in outcome.failed[0]["error"]
 
@@ -474,7 +518,7 @@ def test_killed_again_and_again(table, draw, small, tmp_path, layout):
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # it closes no file
 def test_webdataset_reads_shards(table, draw, small, tmp_path):
     webdataset = require_module("webdataset")
-    draw(table(rows(5, mesh=str(small), passes="image,depth")), "out", "--layout", "shards")
+    draw(table(rows(5, mesh=str(small), outputs="image,depth")), "out", "--layout", "shards")
     shards = sorted(str(path) for path in (tmp_path / "out/shards").glob("*.tar"))
     found = list(webdataset.WebDataset(shards, shardshuffle=False).decode("rgb8"))
     assert [each["__key__"] for each in found] == [f"job{i:03d}" for i in range(5)]
@@ -561,7 +605,7 @@ def cluster() -> Iterator[str]:
 
 
 def test_a_cluster_draws_the_same_bytes(table, draw, small, tmp_path, cluster):
-    jobs = rows(8, passes="image,mask")
+    jobs = rows(8, outputs="image,mask")
     for job in jobs[::2]:
         job["mesh"] = str(small)
     jobs.append({**jobs[0], "id": "absent", "mesh": str(tmp_path / "absent.glb")})

@@ -20,8 +20,6 @@ from facerender.drawing import reference
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.prepare import simplify
 from facerender.images.exr import save_exr
-from facerender.planning.bound import bound
-from facerender.planning.budget import Budget
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import Prices
 from facerender.scenes.environment import SIDE, studio
@@ -333,17 +331,3 @@ def test_a_plan_is_sound(small, head, monkeypatch):
     near, far = taken
     assert near == 32
     assert far < 32
-
-
-def test_a_guarantee_refuses_what_changes_the_environment(head):
-    scene, full = around(head, fr.Environment(studio())), fr.Shading()
-    for other in (
-        fr.Shading(environment=False),
-        fr.Shading(environment_samples=16),
-        fr.Shading(fresnel="constant"),
-        fr.Shading(m=0.3),
-        fr.Shading(ks=0.5),
-        fr.Shading(diffuse="coupled"),
-    ):
-        assert bound(scene, other, full, Budget(1.0)) > 0.999
-    assert bound(scene, fr.Shading(lobe="d16"), full, Budget(1.0)) == 0.0  # no light has a lobe

@@ -439,10 +439,6 @@ def test_a_frame_is_measured_beside_the_full_one(drawing, scene, cli):
     assert status == 0
     last = out.splitlines()[-1]
     assert re.fullmatch(r"measured +\d+\.\d\d of the full frame \(.* to .*\), in turns", last)
-    with pytest.raises(fr.InputError, match="a guarantee is of no frame: leave verify_cost out"):
-        fr.plan(scene, WIDE, guarantee=True, verify_cost=True)
-    cli.fail("leave verify_cost out", "plan", *FACE, *("--budget", WIDE, "--guarantee"),
-             "--verify-cost")  # fmt: skip
 
 
 def test_a_ratio_is_of_the_frames_of_one_turn(monkeypatch):

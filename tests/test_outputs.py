@@ -360,10 +360,10 @@ def test_a_signal_undoes_what_is_half_done(tmp_path):
 DRIVEN = """
 import os, signal, sys, time
 from pathlib import Path
-from facerender.system.signals import heed_the_driver
+from facerender.system.signals import heed_the_coordinator
 from facerender.system.atomic import write_whole
 
-heed_the_driver()
+heed_the_coordinator()
 
 def write(name):
     Path(name).write_text("half")

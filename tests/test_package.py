@@ -22,7 +22,7 @@ WITHOUT_GL = [
     *("drawing.frame", "drawing.reference", "drawing.prepare"),
     *("comparison.compare", "comparison.flip", "comparison.visualization"),
     *("comparison.goldens", "comparison.report", "page.document"),
-    *("batch.jobs", "batch.passes", "batch.supervisor", "batch.driver", "batch.folder"),
+    *("batch.jobs", "batch.outputs", "batch.supervisor", "batch.coordinator", "batch.folder"),
     *("pricing.interval", "pricing.variants"),
     *("measure.measurement", "measure.pareto", "measure.tables", "measure.plots", "measure.report"),
 ]

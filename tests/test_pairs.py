@@ -1,5 +1,6 @@
 """The suite of image pairs: what is drawn and counted of it, and the comparison on some of it."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations, product
 from pathlib import Path
@@ -8,22 +9,14 @@ import numpy as np
 import pytest
 
 import facerender as fr
+from benchmarks.pairs.suite import INDEX, draw_missing, read_pairs, write_index
+from benchmarks.pairs.verdicts import Judged, best, counted, score
 from facerender.comparison.compare import compare
 from facerender.images.srgb import encode_srgb8
 from tests.verification.pairs.changes import CHANGES
-from tests.verification.pairs.draw import (
-    FLOORS,
-    INDEX,
-    Drawer,
-    Pair,
-    read_pairs,
-    slug,
-    steps,
-    write_index,
-)
+from tests.verification.pairs.draw import FLOORS, Pair, slug, steps
 from tests.verification.pairs.room import Room
 from tests.verification.pairs.scenes import SETTINGS
-from tests.verification.pairs.verdicts import Judged, best, counted, score
 from tests.verification.pairs.webgl import draw_webgl
 
 SCENES = {
@@ -46,10 +39,17 @@ HARMLESS = [
 def suite(tmp_path_factory, egl) -> tuple[Path, list[Pair]]:
     folder = tmp_path_factory.mktemp("pairs")
     for setting in SCENES.values():
-        drawer = Drawer(setting, folder)
-        drawer.draw([*BROKEN, *HARMLESS])
-        drawer.room.renderer.release()
+        draw_missing(setting, folder, [*BROKEN, *HARMLESS])
     return folder, write_index(folder)
+
+
+@pytest.fixture
+def room(request, egl) -> Iterator[Room]:
+    """A setting in a small size."""
+    name, size = request.param
+    room = Room(replace(SETTINGS[name], size=size))
+    yield room
+    room.renderer.release()
 
 
 @pytest.mark.parametrize("change", [*BROKEN, *HARMLESS])
@@ -75,9 +75,7 @@ def test_the_index_says_what_is_drawn_and_nothing_is_drawn_twice(suite):
     assert pair.above_floor == (pair.effect > FLOORS["exr"])
     before = {file: file.stat().st_mtime_ns for file in files}
     (folder / "head-front" / "2-black-pixels.exr").unlink()
-    drawer = Drawer(SCENES["head-front"], folder)
-    drawer.draw([*BROKEN, *HARMLESS])
-    drawer.room.renderer.release()
+    draw_missing(SCENES["head-front"], folder, [*BROKEN, *HARMLESS])
     kept = {file: file.stat().st_mtime_ns for file in files if file.exists()}
     assert kept.keys() == before.keys()
     changed = {file.name for file, time in kept.items() if time != before[file]}
@@ -101,14 +99,13 @@ def test_every_change_has_a_name_of_its_own_for_its_files():
         assert slug(a) != slug(b)
 
 
-def test_a_camera_that_moves_shifts_the_picture(egl):
-    room = Room(replace(SCENES["head-front"], size=64))
+@pytest.mark.parametrize("room", [("head-front", 64)], indirect=True)
+def test_a_camera_that_moves_shifts_the_picture(room):
     by = room.moved((1.0, -2.0))
     places = np.column_stack([0.05 * np.random.default_rng(1).normal(size=(50, 3)), np.ones(50)])
     a, b = (places @ view.matrix for view in (room.view, by))
     moved = 32.0 * (b[:, :2] / b[:, 3:] - a[:, :2] / a[:, 3:])
     np.testing.assert_allclose(moved, np.broadcast_to([-1.0, 2.0], moved.shape), rtol=0.1)
-    room.renderer.release()
 
 
 def test_steps_are_the_8_bit_picture_before_rounding():
@@ -134,11 +131,10 @@ def test_the_best_threshold_is_found():
     assert score(1.0, judged, "judge").balanced == 0.5
 
 
-def test_swiftshader_draws_the_scene(egl, browser):
-    setting = replace(SETTINGS["parts-above"], size=96)
-    room = Room(setting)
-    image = draw_webgl(browser, room.scene, setting.shading, room.size, setting.float_albedo)
+@pytest.mark.parametrize("room", [("parts-above", 96)], indirect=True)
+def test_swiftshader_draws_the_scene(room, browser):
+    how = room.setting.shading, room.size, room.setting.float_albedo
+    image = draw_webgl(browser, room.scene, *how)
     apart = np.abs(image - room.golden)
     assert apart.mean() < 2e-3
     assert (apart.max(axis=-1) > 0.02).mean() < 0.01
-    room.renderer.release()

@@ -6,7 +6,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import random
 import re
 from dataclasses import asdict, replace
 from itertools import product
@@ -18,11 +17,9 @@ from PIL import Image
 import facerender as fr
 from facerender import lobes
 from facerender.drawing import reference
-from facerender.drawing.frame import GBuffer
 from facerender.glsl.library import LANGUAGES
 from facerender.lobes import GPower
 from facerender.planning import drawn, search
-from facerender.planning.bound import bound
 from facerender.planning.budget import ROUNDING, Budget
 from facerender.planning.candidates import (
     DECISIONS,
@@ -38,9 +35,7 @@ from facerender.scenes.camera import turntable
 from facerender.scenes.file import load_scene, scene_toml
 from facerender.scenes.light import LIGHTS
 from facerender.scenes.planned import Planned
-from facerender.scenes.view import View
 from facerender.shading import Shading
-from facerender.terms.fitting import fit_g_power
 from tests.conftest import require_module
 from tests.test_glsl import OUTPUT, run
 from tests.verification import metal
@@ -397,164 +392,6 @@ def test_errors_are_those_of_the_reference_and_rendered_within_the_budget(
     assert (plan.budget.exposure, error.size, error.within) == (exposure, (32, 32), error.maximum)
 
 
-# --- guarantee -----------------------------------------------------------------------------------
-
-
-def every_view(random_state, light, slope, weight, albedo=1.0):
-    """Pixels with any normal before an eye, and some for which light and eye graze the surface, on
-    opposite sides, where a highlight is brightest."""
-    count = 400
-    towards = light.direction
-    eye = random_state.normal(size=3)
-    eye *= 5.0 / np.linalg.norm(eye)
-    position = random_state.normal(size=(1, count, 3)) * 0.3
-    normal = random_state.normal(size=(1, count, 3))
-    v = eye - position
-    v /= np.linalg.norm(v, axis=-1, keepdims=True)
-    half = towards + v
-    normal[:, : count // 2] = half[:, : count // 2] + 0.05 * normal[:, : count // 2]
-    # almost opposite: light and eye rise by the same angle from the surface
-    grazing = slice(count // 2, 3 * count // 4)
-    rise = 10.0 ** random_state.uniform(-4, -1, (count // 4, 1))
-    side = np.cross(towards, random_state.normal(size=(count // 4, 3)))
-    side /= np.linalg.norm(side, axis=-1, keepdims=True)
-    away = -(towards - 2.0 * rise * side)
-    away /= np.linalg.norm(away, axis=-1, keepdims=True)
-    position[0, grazing] = eye - 5.0 * away
-    normal[0, grazing] = towards + away
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    plane = np.ones((1, count))
-    return GBuffer(
-        part=np.zeros((1, count), dtype=np.int64),
-        position=position,
-        normal=normal,
-        albedo=np.full((1, count, 3), albedo),
-        m=plane * slope,
-        specular_weight=plane * weight,
-        occlusion=plane,
-        uv=np.zeros((1, count, 2)),
-        visibility=np.ones((1, count, 1)),
-        view=View(eye, -eye / 5.0, np.eye(4)),
-    )
-
-
-def worst_of_the_bound(gbuffer, scene, shading, full):
-    """The largest share of the bound that the error of a shading is."""
-    own = gbuffer if shading.term.m is None else replace(gbuffer, m=0 * gbuffer.m + shading.term.m)
-    images = [reference.shade(at, scene, each) for at, each in ((own, shading), (gbuffer, full))]
-    worst = 0.0
-    for budget in (Budget(1.0, "display", 1.0), Budget(1.0, "relative")):
-        error = budget.errors(*images)[gbuffer.part >= 0].max()
-        if error > 0.0:
-            worst = max(worst, error / max(bound(scene, shading, full, budget), 1e-300))
-    return worst
-
-
-@pytest.mark.parametrize("full", [Shading(), Shading("ward"), Shading(fresnel="dielectric")])
-def test_the_bound_is_above_every_error(full, bare):
-    choose = random.Random(0)
-    random_state = np.random.default_rng(0)
-    shares = []
-    for m, (ks, irradiance) in product((0.1, 0.3, 0.8), ((1.0, 2.0), (1e-6, 1.0))):
-        light = fr.Light(40.0, 30.0, irradiance)
-        mesh = bare.with_material(m=m, ks=ks, albedo_map=None, albedo=0.5, kd=0.7)
-        scene = fr.Scene(mesh, lights=(light,), ambient=1e-3)
-        listed = list(candidates(scene, full, Constants(0.7 * m, ks, (0,))))
-        listed = [*choose.sample(listed, 40), replace(full, ambient=False)]
-        if full.term.entry.factors:
-            listed.append(full.replace(frontal_lights=(0,)))
-        for shading in listed:
-            gbuffer = every_view(random_state, light, m, ks, albedo=0.5)
-            shares.append(worst_of_the_bound(gbuffer, scene, shading, full))
-    assert max(shares) <= 1.0 + 1e-9
-    assert max(shares) > 1e-3  # nor is it so loose that nothing could violate it
-
-
-def test_the_bound_holds_in_what_cameras_see(small, head):
-    scene = fr.Scene(head.with_material(ks=1e-7), lights=(LIGHTS["key"], LIGHTS["fill"]))
-    listed = list(candidates(scene, Shading(), Constants(0.3, 1e-7, (1, 0), (0, 1))))
-    choose = random.Random(1)
-    for shading in choose.sample(listed, 40):
-        scene = replace(scene, camera=fr.Camera(choose.uniform(-180, 180), choose.uniform(-80, 80)))
-        (error,) = brute_force(small, Subject("", scene), [shading])
-        assert error <= bound(scene, shading, Shading(), Budget(1.0)) * (1.0 + 1e-9)
-
-
-def test_the_bound_knows_that_a_rough_lobe_peaks_off_the_normal(bare):
-    m = 1.9
-    full = Shading(masking="none")
-    light = fr.Light(0.0, 0.0, 1.0)  # at +z
-    off = math.acos(1 / math.sqrt(2 * m * m))  # of the peak
-    rise = 1e-4
-    # light, half vector and eye are in one plane with the normal, the eye on the horizon
-    half = (math.pi / 2 - rise) - off
-    normal = np.array([math.sin(half - off), 0.0, math.cos(half - off)])
-    eye = 5.0 * np.array([math.sin(2 * half), 0.0, math.cos(2 * half)])
-    assert normal @ eye / 5.0 == pytest.approx(rise, rel=1e-3)
-    gbuffer = replace(
-        every_view(np.random.default_rng(0), light, m, 1.0),
-        position=np.zeros((1, 400, 3)),
-        normal=np.broadcast_to(normal, (1, 400, 3)),
-        view=View(eye, -eye / 5.0, np.eye(4)),
-    )
-    scene = fr.Scene(bare.with_material(m=m, f0=0.99, kd=0.0), lights=(light,), ambient=0.0)
-    highest = reference.shade(gbuffer, scene, full).max()
-    # a pixel as near to the horizon as the shader has any
-    highest *= rise / 1e-6
-    dull = replace(full, specular_lights=())
-    limit = bound(scene, dull, full, Budget(1.0, "relative")) * 0.01
-    assert 0.8 * limit < highest < limit * 1.001
-
-
-@pytest.fixture
-def no_renderer(monkeypatch):
-    def refuse(*arguments, **options):
-        raise AssertionError("a guarantee needs no OpenGL")
-
-    monkeypatch.setattr(fr.Renderer, "__init__", refuse)
-
-
-@pytest.mark.usefixtures("no_renderer")
-def test_a_guarantee_lets_through_what_changes_nothing(bare):
-    dark = fr.Light(10.0, irradiance=0.0)
-    scene = fr.Scene(bare.with_material(m=0.3), lights=(dark, *KEY), ambient=0.0)
-    plan = fr.plan(scene, "0.5/255", guarantee=True, cost="navi21")
-    assert plan.shading == Shading(m=0.3, specular_lights=(1,))
-    assert (plan.error.maximum, plan.error.pixel, plan.error.camera) == (0.0, None, None)
-    assert (plan.cameras, plan.sizes, plan.samples, plan.error_map) == ((), (), None, None)
-    assert plan.cost.relative < 1.0
-    assert "a bound, which holds for every camera" in plan.explain()
-    assert "0/255: nothing changes but rounding" in plan.explain()
-    assert json.loads(json.dumps(plan.as_dict()))["guarantee"] is True
-    with pytest.raises(fr.InputError, match="a guarantee is not measured at any camera"):
-        plan.save_error_map("error.png")
-
-
-@pytest.mark.usefixtures("no_renderer")
-def test_a_guarantee_is_never_above_its_budget(bare):
-    scene = fr.Scene(bare, lights=KEY)
-    for budget in ("1/255", "100/255", "5%", "256/255"):
-        plan = fr.plan(scene, budget, guarantee=True, cost="navi21")
-        assert plan.error.maximum == bound(scene, plan.shading, plan.full, plan.budget)
-        assert plan.error.maximum <= plan.budget.limit
-    assert plan.shading.specular_lights == ()
-
-
-@pytest.mark.usefixtures("no_renderer")
-def test_a_guarantee_spares_what_next_to_nothing_comes_of(bare):
-    scene = fr.Scene(bare.with_material(m=0.3, ks=1e-10), lights=KEY)
-    assert fr.plan(scene, "4/255", guarantee=True).shading.specular_lights == ()
-    assert fr.plan(scene, "0", guarantee=True).shading == Shading()
-
-
-def test_the_bound_sees_the_lobes_of_small_slopes(bare):
-    """They lie between angles that are evenly spaced."""
-    for m in (1e-4, 1.2e-4, 1e-3):
-        scene = fr.Scene(bare.with_material(m=m))
-        for lobe in ("cosine", "d4", fit_g_power(4, 1, m, m)):
-            assert bound(scene, Shading(lobe=lobe), Shading(), Budget(1.0)) > 0.5, (m, lobe)
-
-
 # --- what it refuses -----------------------------------------------------------------------------
 
 
@@ -562,7 +399,6 @@ def test_the_bound_sees_the_lobes_of_small_slopes(bare):
     ("changes", "options", "message"),
     [
         ({"lights": ()}, {}, "the scene has no lights: there is no shading to plan"),
-        ({"lights": ()}, {"guarantee": True}, "the scene has no lights"),
         ({}, {"full": Shading(lobe="d8")}, "a plan chooses the lobe: leave d8 out"),
         ({}, {"full": Shading(lobe=GPower(4, 0.3))}, r"leave g-power 4 \(0.3/m\^2\) out"),
         (
@@ -580,10 +416,7 @@ def test_the_bound_sees_the_lobes_of_small_slopes(bare):
             "the cameras see nothing of head.glb",
         ),
         ({}, {"full": Shading(specular_lights=(0, 7))}, "specular_lights names light 7"),
-        ({}, {"budget": "0.1 flip", "guarantee": True}, "FLIP has no bound over all views"),
         ({}, {"within": "99.9"}, "within 99.9: give a share of the pixels such as 99.9% or 0.999"),
-        ({}, {"within": 0.9, "guarantee": True}, "holds at every pixel: leave within 0.9 out"),
-        ({}, {"sizes": [(8, 8)], "guarantee": True}, "leave cameras and sizes out"),
         ({}, {"sizes": [(0, 8)]}, "size 0 x 8: give 1 to 16384 pixels a side"),
     ],
 )
@@ -610,7 +443,7 @@ def test_a_camera_that_sees_nothing_beside_one_that_sees(small, subject):
 
 @pytest.fixture(scope="module")
 def plans(small, head, bare, subject):
-    """Plans that chose differently; the last one is a guarantee."""
+    """Plans that chose differently."""
     mesh = head.with_material(m=0.3)
     scenes = (
         (subject("frontal").scene, "0.5/255"),
@@ -623,7 +456,6 @@ def plans(small, head, bare, subject):
         (fr.Scene(mesh.with_material(ks=0.1), lights=KEY, ambient=0.0), "30%"),
     )
     found = [fr.plan(scene, budget, cost="auto", renderer=small) for scene, budget in scenes]
-    found.append(fr.plan(fr.Scene(mesh, lights=KEY), "1/255", guarantee=True))
     assert len({plan.shading for plan in found}) > 6
     assert any(isinstance(plan.shading.term.lobe, GPower) for plan in found)
     assert any(plan.shading.term.model == "ward" for plan in found)
@@ -657,7 +489,7 @@ def test_every_decision_has_a_line(plans):
 
 
 def test_what_a_decision_adds_and_saves(plans, small):
-    for plan in plans[:-1]:
+    for plan in plans:
         prices = load_prices("auto", plan.scene, [], software=True)
         every = list(candidates(plan.scene, plan.full, plan.constants))
         unit = "1%" if plan.budget.unit == "relative" else "1/255"
@@ -713,7 +545,6 @@ def test_as_dict_goes_through_json(plans):
         assert found["error"]["maximum"] == plan.error.maximum
         assert found["cost"]["relative"] == plan.cost.total / plan.cost.full_total
         assert [each["text"] for each in found["decisions"]] == [d.text for d in plan.decisions]
-        assert found["guarantee"] is (plan is plans[-1])
         assert [fr.Camera(**each) for each in found["cameras"]] == list(plan.cameras)
         assert 0 <= found["tried"] <= found["candidates"]
 
@@ -790,7 +621,7 @@ def test_its_shader_without_a_target_is_to_be_included(plans):
 
 def test_error_map(plans, tmp_path):
     path = tmp_path / "error.png"
-    for plan in plans[:-1]:
+    for plan in plans:
         plan.save_error_map(path)
         with Image.open(path) as image:
             pixels = np.asarray(image).astype(int)
@@ -881,8 +712,8 @@ def test_a_plan_pinned_in_a_file(plans, tmp_path):
         found = load_scene(path)
         assert Shading.from_dict(found["shading"]) == plan.shading
         assert found["lights"] == plan.scene.lights
-        measured = bool(plan.cameras) and plan.shading != plan.full  # or it holds anywhere
-        assert found.get("planned") == (Planned(((32, 32),), 1) if measured else None)
+        changes = plan.shading != plan.full  # or it holds anywhere
+        assert found.get("planned") == (Planned(((32, 32),), 1) if changes else None)
         for line in plan.explain().splitlines():
             assert f"# {line}\n" in plan.scene_toml()
 

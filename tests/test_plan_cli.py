@@ -263,17 +263,6 @@ def test_error_map(plan, cli):
     assert pixels[y, x] == pixels.max() > 0
 
 
-def test_guarantee(plan, cli):
-    path = cli.folder / "sure.toml"
-    out = plan("--budget", "1/255", "--guarantee", "--m", "0.3", "--scene", path)
-    assert "a bound, which holds for every camera" in out
-    assert re.search(r"^error +0/255: nothing changes but rounding$", out, re.MULTILINE)
-    assert "no guarantee" not in out
-    np.testing.assert_allclose(
-        cli.render("--scene", path).astype(int), cli.render("--light", "key", "--m", "0.3"), atol=1
-    )
-
-
 def test_exposure_counts(plan):
     normal, bright = (
         json.loads(plan("--budget", "2/255", "--json", "--exposure", stops)) for stops in "04"
@@ -295,9 +284,6 @@ def test_exposure_counts(plan):
         (("--budget", "1/0"), r"budget '1/0'"),
         (("--budget", "1/255", "--target", "330"), r"--target 330 .* say --emit OUT\.glsl"),
         (("--budget", "1/255", "--emit", "x", "--target", "metal"), r"invalid choice: 'metal'"),
-        (("--budget", "1/255", "--guarantee", "--camera", "0"), r"leave --camera and --error-map"),
-        (("--budget", "1/255", "--guarantee", "--error-map", "a.png"), r"--guarantee is not mea"),
-        (("--budget", "0.1 flip", "--guarantee"), r"FLIP has no bound over all views"),
         (("--budget", "1/255", "--cost", "voodoo"), r"unknown cost 'voodoo'; known: frame, auto, "),
         (("--budget", "1/255", "--camera", "top"), r"--camera 'top': give .*, or front"),
         (("--budget", "1/255", "--camera", "gone.toml"), r"cannot read gone\.toml: no such file"),
@@ -310,7 +296,6 @@ def test_exposure_counts(plan):
         (("--budget", "1/255", "--size", "0..4"), r"give a smaller and a larger one"),
         (("--budget", "1/255", "--size", "8..99999"), r"99999 x 99999: give 1 to 16384 pixels"),
         (("--budget", "1/255", "--within", "99.9"), r"within 99\.9: give a share of the pixels"),
-        (("--budget", "1/255", "--within", "99%", "--guarantee"), r"holds at every pixel: leave"),
         (("--budget", "1/255", "--exposure", "nan"), r"exposure = nan is outside"),
         (("--budget", "1/255", "--lobe", "d8"), r"unrecognized arguments: --lobe d8"),
         (("--budget", "1/255", "--model", "ward", "--fresnel", "dielectric"), r"ward has no Fres"),
@@ -600,6 +585,6 @@ def test_help_names_the_units(capsys):
     with pytest.raises(SystemExit):
         main(["plan", "--help"])
     out = " ".join(capsys.readouterr().out.split())
-    words = ("1/255, 0.5% or '0.02 flip'", "turntable", "--guarantee", "OUT.toml")
+    words = ("1/255, 0.5% or '0.02 flip'", "turntable", "OUT.toml")
     for word in (*words, "--within SHARE", "512..1024"):
         assert word in out

@@ -20,7 +20,7 @@ from facerender.errors import InputError, NotMeasured
 from facerender.pricing.interval import Interval
 from tests.conftest import missing
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[1] / "docs" / "measurements"
 FIGURES = [f"fig{number}.png" for number in range(1, 6)]
 
 

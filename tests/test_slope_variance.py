@@ -15,8 +15,6 @@ from facerender.commands import main
 from facerender.drawing import reference
 from facerender.drawing.program import surface_features
 from facerender.images.read import read_image
-from facerender.planning.bound import bound
-from facerender.planning.budget import Budget
 from facerender.scenes.light import parse_light
 from facerender.scenes.scene import slope_ranges
 from tests.conftest import require_module
@@ -132,14 +130,6 @@ def test_a_slope_of_a_term_is_not_widened(renderer, head):
         for each in (pinned, pinned.replace(slope_filter=False))
     ]
     assert np.abs(images[0] - images[1]).max() < 0.05 * images[0].max()
-
-
-def test_a_guarantee_knows_the_filter(head):
-    scene = fr.Scene(head)
-    budget = Budget.parse("1/255")
-    for changes in ({"slope_filter": False}, {"curvature": True}):
-        assert bound(scene, fr.Shading(**changes), fr.Shading(), budget) > 0.99
-    assert bound(scene, fr.Shading(), fr.Shading(), budget) == 0.0
 
 
 @pytest.mark.parametrize("radius", [-1.0, 20.001, float("nan"), "wide"])

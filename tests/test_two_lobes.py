@@ -14,8 +14,6 @@ from benchmarks.prices import amd
 from facerender import InputError, brdf
 from facerender.drawing import reference
 from facerender.drawing.passes.shade import shade_pass
-from facerender.planning.bound import bound
-from facerender.planning.budget import Budget
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import load_prices
 from facerender.scenes.scene import slope_ranges
@@ -192,13 +190,3 @@ def test_a_second_lobe_has_its_price(head):
                 assert dear > cheap
             else:
                 assert dear == cheap
-
-
-def test_the_bound_of_a_single_lobe_is_above_its_error(renderer, head):
-    mesh = head.with_material(m=0.3, normal_map=None, ks=1e-7, **SKIN)
-    scene = fr.Scene(mesh, SIDE)
-    gbuffer, full = renderer.gbuffer(scene), fr.Shading()
-    for other in (fr.Shading(two_lobes=False), fr.Shading(lobe="d8"), fr.Shading(m=0.2)):
-        images = [reference.shade(gbuffer, scene, each) for each in (other, full)]
-        error = Budget(1.0).errors(*images)[gbuffer.part >= 0].max()
-        assert 0.0 < error <= bound(scene, other, full, Budget(1.0))

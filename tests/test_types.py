@@ -106,7 +106,6 @@ RIGHT: dict[str, tuple[Any, ...]] = {
     "plan budget": (1.5,),
     "plan within": (True,),
     "plan exposure": (-7, 1.5),
-    "plan guarantee": (True,),
     "plan verify_cost": (True,),
     "plan renderer": (None,),
 }
@@ -236,7 +235,7 @@ def doors(egl: Any) -> Iterator[dict[str, Door]]:
                 fr.plan,
                 {
                     **{"scene": scene, "budget": "1/255", "full": shading, "cameras": None},
-                    **{"sizes": None, "within": 1.0, "guarantee": False, "verify_cost": False},
+                    **{"sizes": None, "within": 1.0, "verify_cost": False},
                     **{"cost": "auto", "exposure": 0.0, "renderer": renderer},
                 },
             ),

@@ -27,7 +27,7 @@ from facerender.system.progress import Bar, Progress, no_progress
 
 def reproduce(
     repeats: int = 25,
-    size: tuple[int, int] = (360, 420),
+    size: tuple[int, int] = (270, 315),
     backend: Backend = "auto",
     progress: Progress = no_progress,
 ) -> Reproduction:

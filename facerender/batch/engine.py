@@ -90,7 +90,7 @@ def scheduler_gone() -> FacerenderError:
     return FacerenderError("the scheduler is gone; start it, and run the same command again")
 
 
-def workers_that_pay() -> tuple[int, str]:
+def default_workers() -> tuple[int, str]:
     """Return how many workers this machine is for, and why: one for each core that this process may
     use, and each with the memory that it needs."""
     cores, memory = _cores(), available()

@@ -1,4 +1,4 @@
-"""What a batch says while it runs: bars on standard error, lines of JSON on standard output."""
+"""Progress of a batch: bars on standard error, lines of JSON on standard output."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _FRAME = 0.2  # seconds between those that are drawn
 
 
 class Progress:
-    """On a terminal jobs done of all, rate, time left and failures, and what each worker does.
-    Where a signal ends the process it is said how many are done.
+    """Bars on a terminal: jobs done, rate, time left and failures, and the step of each worker.
+    When a signal ends the process, the number of jobs done is printed.
 
     Parameters
     ----------
-    work : all of it, and what is left
-    workers : of this process, of which every step is heard; 0 where only chunks are
-    lines : whether standard output gets a line of JSON for each chunk and each failed job
+    work : the jobs of the batch, and those that are left
+    workers : number of workers of this process, which report every step; 0 for a cluster
+    lines : whether to print a line of JSON for each chunk and each failed job
     quiet : no bars
     """
 
@@ -62,18 +62,18 @@ class Progress:
         for bar in (*self._of.values(), *self._free, self._bar):
             bar.close()
 
-    def heard(self, worker: str, what: str, job: str) -> None:
-        """Take note of what a worker of this process says, in its supervisor's thread."""
-        if what in ("done", "kept", "failed"):
+    def report(self, worker: str, step: str, job: str) -> None:
+        """Show a step of a worker of this process; called in its supervisor's thread."""
+        if step in ("done", "kept", "failed"):
             self._bar.update()
         thread = threading.get_ident()
         if thread not in self._of and self._free:
             self._of[thread] = self._free.pop(0)
         if thread in self._of:
-            self._of[thread].set_description_str(f"{worker}  {what} {job}")
+            self._of[thread].set_description_str(f"{worker}  {step} {job}")
 
     def finished(self, outcome: Outcome) -> None:
-        """Take note of a chunk that is done."""
+        """Show a chunk that is done."""
         jobs = outcome.drawn + outcome.kept + len(outcome.failed)
         self._done += jobs
         if not self._workers:
@@ -95,12 +95,12 @@ class Progress:
         )
 
     def say(self, event: str, **facts: Any) -> None:
-        """Print a line of JSON, where they are wanted."""
+        """Print a line of JSON, if wanted."""
         if not self._lines:
             return
         try:
             print(json.dumps({"time": round(time.time(), 3), "event": event, **facts}), flush=True)
-        except OSError:  # who reads has read enough, or the disk is full
+        except OSError:  # the reader has closed the pipe, or the disk is full
             self._lines = False
 
     def _ended(self) -> str:

@@ -1,5 +1,5 @@
-"""Has chunks drawn, and plans made, by a process that may crash or hang, names the job at fault,
-and goes on after it: what every engine calls. No OpenGL here."""
+"""Supervises the process that draws chunks: restarts it when it crashes or hangs, names the job at
+fault, and commits the chunk. Engines call it. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -15,43 +15,44 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import count
 from multiprocessing.connection import Connection
+from pathlib import Path
 
 from facerender.batch.chunk import Chunk, Record, Settings
-from facerender.batch.groups import Group
-from facerender.batch.messages import Order, PlanOrder, Said, failure
-from facerender.batch.output import begin, commit
-from facerender.batch.place import Place
+from facerender.batch.protocol import Message, Order, failure
+from facerender.batch.records import begin, commit
+from facerender.batch.storage import Storage
 from facerender.errors import FacerenderError, reason
 from facerender.system.signals import hold
 
-Heard = Callable[[str, str, str], None]  # worker, what it says, the job's id
+Report = Callable[[str, str, str], None]  # worker, step, the job's id
 
 # A worker has one thread: a process for each core outruns threads, and bits are the same.
 _ALONE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-_HERE = threading.local()
-_BETWEEN = -1  # no job's position
-_TO_START = 60.0  # seconds until a worker says something
+_THREAD = threading.local()
+_NO_JOB = -1
+_TO_START = 60.0  # seconds until the first message of a worker
 
 
 class CannotDraw(FacerenderError, RuntimeError):
-    """No job can be drawn or written here, whichever it is."""
+    """No job can be drawn or written here."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a chunk.
+    """The result of a chunk.
 
     Attributes
     ----------
     chunk : its number
-    drawn, kept : jobs that were drawn now, and that an earlier run has drawn
-    failed : records of jobs that were given up
+    drawn, kept : number of jobs drawn now, and drawn by an earlier run
+    failed : records of the jobs that failed
     size : bytes of all files
-    seconds : that it took
-    deaths : of workers on the way
-    renderer : GL_RENDERER and GL_VERSION; "" where nothing was drawn
-    worker : host and process that drew it last
+    seconds : duration
+    deaths : number of workers that ended or hung
+    renderer : GL_RENDERER and GL_VERSION; "" if nothing was drawn
+    worker : host and process that drew last
     """
 
     chunk: int
@@ -65,41 +66,37 @@ class Outcome:
     worker: str
 
 
-def draw_chunk(settings: Settings, chunk: Chunk, heard: Heard | None = None) -> Outcome:
-    """Draw, write and commit a chunk with this thread's worker, whatever its jobs do.
+def draw_chunk(settings: Settings, chunk: Chunk, report: Report | None = None) -> Outcome:
+    """Draw, write and commit a chunk with this thread's worker.
 
     Raises
     ------
     CannotDraw : nothing can be drawn here: no OpenGL, a full disk
     """
-    return _own().run(settings, chunk, heard or _say_nothing)
+    if not hasattr(_THREAD, "supervisor"):
+        _THREAD.supervisor = Supervisor()
+    outcome: Outcome = _THREAD.supervisor.run(settings, chunk, report or _no_report)
+    return outcome
 
 
-def plan_group(settings: Settings, group: Group) -> Record:
-    """Plan a group with this thread's worker, as :func:`facerender.batch.planner.planned` tells it,
-    or tell in "error" why it cannot be planned; errors as of :func:`draw_chunk`."""
-    return _own().plan(settings, group)
-
-
-def _own() -> Supervisor:
-    """The supervisor of this thread."""
-    if not hasattr(_HERE, "supervisor"):
-        _HERE.supervisor = Supervisor()
-    supervisor: Supervisor = _HERE.supervisor
-    return supervisor
-
-
-class _Ended(Exception):
-    """A worker that died or hung, and how."""
+class _WorkerEnded(Exception):
+    """How a worker died or hung."""
 
 
 class Supervisor:
-    """One worker after the other."""
+    """Starts one worker after the other.
+
+    Pebble 5.2.3 was tried in place of this class: its pool starts processes by multiprocessing,
+    which refuses that in the workers of Dask ("daemonic processes are not allowed to have
+    children"); when an idle worker is killed the pool ends with "Unexpected error within the
+    Pool", without the exit status; a worker that hangs while it starts has no time limit. With 30
+    kills of 400 jobs its files were the same as these, and the two modules had @@ lines less.
+    """
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: Connection | None = None
-        self._patience = 0.0  # seconds of silence that are granted besides
+        self._patience = 0.0  # seconds of silence that are allowed besides the time limit
 
     def __del__(self) -> None:
         self.stop()
@@ -112,43 +109,14 @@ class Supervisor:
             self._connection.close()
         self._process = self._connection = None
 
-    def run(self, settings: Settings, chunk: Chunk, heard: Heard) -> Outcome:
+    def run(self, settings: Settings, chunk: Chunk, report: Report) -> Outcome:
         """See :func:`draw_chunk`."""
-        began, deaths = time.perf_counter(), 0
-        records: dict[int, Record] = {}
-        tries: Counter[int] = Counter()
-        said: Counter[str] = Counter()
-        tar = Place(settings.output).unfinished() if settings.layout == "shards" else None
-        size = 0
+        began = time.perf_counter()
+        tar = Storage(settings.output).unfinished() if settings.layout == "shards" else None
         try:
             begin(settings, chunk)
-            while True:
-                left = [each for each in range(len(chunk.rows)) if each not in records]
-                order = Order(settings, chunk, tuple(left), tar, size)
-                last = Said("starts")
-                try:
-                    for last in self._answers(order):
-                        if last.record is not None:
-                            records[last.position], size = last.record, last.size
-                            said[last.what] += 1
-                            tries[_BETWEEN] = 0
-                        heard(self.worker, last.what, _id(chunk, last.position))
-                    break
-                except _Ended as ended:
-                    why = str(ended)
-                deaths += 1
-                at = last.position if last.what in ("loads", "draws") else _BETWEEN
-                tries[at] += 1
-                if tries[at] < settings.tries:
-                    continue
-                text = f"the worker {why}, {tries[at]} times"
-                if at == _BETWEEN:
-                    raise CannotDraw(f"chunk {chunk.number}: {text}, before a job or behind one")
-                for position in _at_fault(chunk, last) - set(records):
-                    records[position] = failure(chunk, position, "WorkerDied", text)
-                    heard(self.worker, "failed", chunk.rows[position].id)
-            ordered = [records[position] for position in sorted(records)]
-            commit(settings, chunk, tar, ordered)
+            records, steps, deaths = self._draw(settings, chunk, tar, report)
+            commit(settings, chunk, tar, records)
         except OSError as error:
             raise CannotDraw(
                 f"cannot write to {settings.output}: {reason(error)}; make room, and run the same "
@@ -157,55 +125,77 @@ class Supervisor:
         finally:
             if tar is not None:
                 tar.unlink(missing_ok=True)
-        failed = tuple(each for each in ordered if "error" in each)
-        files = [about for each in ordered for about in each.get("files", {}).values()]
+        files = [about for each in records for about in each.get("files", {}).values()]
         return Outcome(
             chunk.number,
-            drawn=said["done"],
-            kept=said["kept"],
-            failed=failed,
+            drawn=steps["done"],
+            kept=steps["kept"],
+            failed=tuple(each for each in records if "error" in each),
             size=sum(about["bytes"] for about in files),
             seconds=time.perf_counter() - began,
             deaths=deaths,
-            renderer=next((_renderer(each) for each in ordered if "GL_RENDERER" in each), ""),
+            renderer=next((_renderer(each) for each in records if "GL_RENDERER" in each), ""),
             worker=self.worker,
         )
 
-    def plan(self, settings: Settings, group: Group) -> Record:
-        """See :func:`plan_group`."""
-        why, found = "", None
-        for _ in range(settings.tries):
+    def _draw(
+        self, settings: Settings, chunk: Chunk, tar: Path | None, report: Report
+    ) -> tuple[list[Record], Counter[str], int]:
+        """Draw the jobs of a chunk, and return their records in order, the number of jobs by their
+        last step, and the number of workers that ended."""
+        records: dict[int, Record] = {}
+        attempts, steps, size = Counter[int](), Counter[str](), 0
+        for deaths in count():
+            left = [each for each in range(len(chunk.rows)) if each not in records]
+            last = Message("starts")
             try:
-                for said in self._answers(PlanOrder(settings, group)):
-                    found = said.record or found
-            except _Ended as ended:
-                why = str(ended)
-            else:
-                assert found is not None
-                return found
-        return {"error": f"the worker {why}, {settings.tries} times"}
+                for last in self._answers(Order(settings, chunk, tuple(left), tar, size)):
+                    if last.record is not None:
+                        records[last.position], size = last.record, last.size
+                        steps[last.step] += 1
+                        attempts[_NO_JOB] = 0
+                    report(self.worker, last.step, _id(chunk, last.position))
+                return [records[position] for position in sorted(records)], steps, deaths
+            except _WorkerEnded as ended:
+                how = str(ended)
+            at = last.position if last.step in ("loads", "draws") else _NO_JOB
+            attempts[at] += 1
+            if attempts[at] < settings.tries:
+                continue
+            text = f"the worker {how}, {attempts[at]} times"
+            if at == _NO_JOB:
+                raise CannotDraw(f"{chunk}: {text}, before or after a job")
+            for position in _at_fault(chunk, last) - set(records):
+                records[position] = failure(chunk, position, "WorkerDied", text)
+                report(self.worker, "failed", chunk.rows[position].id)
+        raise AssertionError  # the loop has no end of its own
 
-    def _answers(self, order: Order | PlanOrder) -> Iterator[Said]:
-        """Send an order, and yield what the worker says until it is done with it. CannotDraw where
-        it says so, _Ended where it is no more."""
+    def _answers(self, order: Order) -> Iterator[Message]:
+        """Send an order, and yield the worker's messages up to the last.
+
+        Raises
+        ------
+        CannotDraw : the worker cannot draw any job
+        _WorkerEnded : the worker died or hung
+        """
         try:
             connection = self._started(order.settings.timeout)
             connection.send(order)
-            said = Said("starts")
-            while said.what != "end":
+            message = Message("starts")
+            while message.step != "end":
                 if not connection.poll(max(order.settings.timeout, self._patience)):
                     raise TimeoutError
-                said, self._patience = connection.recv(), 0.0
-                if said.what == "cannot":
-                    raise CannotDraw(said.text)
-                yield said
+                message, self._patience = connection.recv(), 0.0
+                if message.step == "cannot":
+                    raise CannotDraw(message.text)
+                yield message
             return
         except (TimeoutError, BlockingIOError):
-            why = f"said nothing for {order.settings.timeout:g} s"
+            how = f"said nothing for {order.settings.timeout:g} s"
         except (EOFError, ConnectionError):
-            why = self._end()
+            how = self._exit()
         self.stop()
-        raise _Ended(why)
+        raise _WorkerEnded(how)
 
     @property
     def worker(self) -> str:
@@ -213,11 +203,13 @@ class Supervisor:
         return f"{socket.gethostname()}:{self._process.pid if self._process else 0}"
 
     def _started(self, timeout: float) -> Connection:
-        """The connection to the worker, which is started where there is none."""
+        """Return the connection to the worker, which is started if there is none."""
         if self._connection is None or self._process is None or self._process.poll() is not None:
             self.stop()
+            # A socket rather than a pipe: it has time limits, without which a worker that stops in
+            # the middle of a message would block this thread for ever.
             ours, theirs = socket.socketpair()
-            limit = struct.pack("ll", math.ceil(timeout), 0)  # of a worker that stops in a message
+            limit = struct.pack("ll", math.ceil(timeout), 0)
             ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
             ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
             hold()
@@ -233,8 +225,8 @@ class Supervisor:
             self._patience = _TO_START
         return self._connection
 
-    def _end(self) -> str:
-        """How the worker has ended."""
+    def _exit(self) -> str:
+        """Return how the worker has ended."""
         assert self._process is not None
         code = self._process.wait()
         return f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with {code}"
@@ -248,13 +240,13 @@ def _id(chunk: Chunk, position: int) -> str:
     return chunk.rows[position].id if position >= 0 else ""
 
 
-def _at_fault(chunk: Chunk, last: Said) -> set[int]:
-    """The job that was being drawn, or all jobs of the mesh that was being loaded."""
-    if last.what != "loads":
+def _at_fault(chunk: Chunk, last: Message) -> set[int]:
+    """Return the job that was being drawn, or all jobs of the mesh that was being loaded."""
+    if last.step != "loads":
         return {last.position}
     mesh = chunk.rows[last.position].tables.get("mesh")
     return {i for i, row in enumerate(chunk.rows) if row.tables.get("mesh") == mesh}
 
 
-def _say_nothing(worker: str, what: str, job: str) -> None:
+def _no_report(worker: str, step: str, job: str) -> None:
     pass

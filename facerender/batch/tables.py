@@ -1,5 +1,5 @@
-"""Rows of a job table as nested plain data: dotted keys, shorthands, one table over another. How
-files hold them is told in ``forms.py``, what a whole row means in ``jobs.py``."""
+"""Rows of a table of jobs as nested plain data: dotted keys, shorthands, one table over another.
+``formats.py`` reads the files, ``jobs.py`` makes jobs of the rows."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from facerender.errors import InputError
+from facerender.errors import InputError, clipped, shown
 from facerender.scenes.file import EnvironmentFile, parse_environment
 from facerender.scenes.light import parse_light
 
@@ -21,21 +21,6 @@ Table = dict[str, Any]
 _DEEPEST = 10  # tables in tables
 _DIGITS = frozenset("0123456789")
 _MOST_BITS = 64  # of whole numbers
-
-
-def told(value: Any) -> str:
-    """Return a value as messages show it."""
-    try:
-        text = repr(value)
-    except (ValueError, RecursionError):  # Python does not print numbers of 5000 digits
-        text = f"a {type(value).__name__} that is too long to print"
-    return short(text)
-
-
-def short(text: str, most: int = 120) -> str:
-    """Return text as one line of so many characters at most."""
-    line = " ".join(text.split())
-    return line if len(line) <= most else f"{line[: most - 3]}..."
 
 
 def nested(row: Any) -> Table:
@@ -51,20 +36,20 @@ def nested(row: Any) -> Table:
         environment that is none
     """
     if type(row) is not dict and not isinstance(row, Mapping):
-        raise InputError(f"row = {told(row)}: give a table")
-    given = {}
+        raise InputError(f"row = {shown(row)}: give a table")
+    values = {}
     for key, value in row.items():
         if key == "mesh" and isinstance(value, str | os.PathLike):
             key = "mesh.path"
         elif key == "environment" and isinstance(value, str):
             found = parse_environment(value)
             for name in [each.name for each in fields(EnvironmentFile)][: value.count(",") + 1]:
-                given[f"environment.{name}"] = getattr(found, name)
+                values[f"environment.{name}"] = getattr(found, name)
             continue
-        if key in given:
+        if key in values:
             raise InputError(f"{key} is given twice: leave one out")
-        given[key] = value
-    tables: Table = _plain(given, "", 0)
+        values[key] = value
+    tables: Table = _plain(values, "", 0)
     if "lights" in tables:
         tables["lights"] = _lights(tables["lights"])
     return tables
@@ -130,7 +115,7 @@ def _plain(value: Any, name: str, depth: int) -> Any:
     if kind is int:
         if value.bit_length() > _MOST_BITS:
             raise InputError(
-                f"{name} = {told(value)}: a whole number has {_MOST_BITS} bits at most"
+                f"{name} = {shown(value)}: a whole number has {_MOST_BITS} bits at most"
             )
         return value
     if depth > _DEEPEST:
@@ -144,7 +129,7 @@ def _plain(value: Any, name: str, depth: int) -> Any:
     if isinstance(value, os.PathLike):
         return _plain(os.fspath(value), name, depth + 1)
     raise InputError(
-        f"{name} = {told(value)}: give a number, true or false, text, a list or a table"
+        f"{name} = {shown(value)}: give a number, true or false, text, a list or a table"
     )
 
 
@@ -152,7 +137,7 @@ def _plain_table(value: Mapping[Any, Any], name: str, depth: int) -> Table:
     table: Table = {}
     for key, each in value.items():
         if not isinstance(key, str):
-            raise InputError(f"key {told(key)}{f' of {name}' if name else ''}: give text")
+            raise InputError(f"key {shown(key)}{f' of {name}' if name else ''}: give text")
         if each is None:
             continue
         full = f"{name}.{key}" if name else key
@@ -162,7 +147,7 @@ def _plain_table(value: Mapping[Any, Any], name: str, depth: int) -> Table:
         if "." in key:
             key, *parts = key.split(".")
             if depth + len(parts) > _DEEPEST:
-                raise InputError(f"key {told(full)} has too many dots: leave it out")
+                raise InputError(f"key {shown(full)} has too many dots: leave it out")
             each = placed(parts, each)
         table[key] = _joined(table[key], each, full) if key in table else each
     return table
@@ -171,20 +156,20 @@ def _plain_table(value: Mapping[Any, Any], name: str, depth: int) -> Table:
 def _joined(one: Any, other: Any, name: str) -> Any:
     """Return the first table with what is in the other, where no key is in both."""
     if type(one) is not dict or type(other) is not dict:
-        raise InputError(f"{short(name)} is given twice, or beside the whole: leave one out")
+        raise InputError(f"{clipped(name)} is given twice, or beside the whole: leave one out")
     for key, value in other.items():
         one[key] = _joined(one[key], value, name) if key in one else value
     return one
 
 
-def _lights(given: Any) -> Any:
-    if isinstance(given, str):
-        given = [given]
-    if type(given) is list:
-        return [_light(each) if isinstance(each, str) else each for each in given]
-    if type(given) is dict:
-        return {k: _light(each) if isinstance(each, str) else each for k, each in given.items()}
-    return given
+def _lights(lights: Any) -> Any:
+    if isinstance(lights, str):
+        lights = [lights]
+    if type(lights) is list:
+        return [_light(each) if isinstance(each, str) else each for each in lights]
+    if type(lights) is dict:
+        return {k: _light(each) if isinstance(each, str) else each for k, each in lights.items()}
+    return lights
 
 
 @lru_cache(1024)

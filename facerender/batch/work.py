@@ -1,11 +1,15 @@
-"""What is left of a batch to do: its chunks against the records that are there."""
+"""Work that is left of a batch: its chunks, compared with the records of earlier runs."""
 
 from __future__ import annotations
 
+import pickle
+import tempfile
 from array import array
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import IO
 
 import numpy as np
 
@@ -13,64 +17,74 @@ from facerender.batch.chunk import (
     Chunk,
     Record,
     Settings,
-    chunk_size,
     chunks,
     forget_files,
     hash_of,
 )
 from facerender.batch.jobs import Row
-from facerender.batch.output import BEGUN, STALE, read_head, record_names, records_of
-from facerender.batch.place import Place
-from facerender.errors import InputError
+from facerender.batch.records import BEGUN, STALE, read_head, record_names, records_of
+from facerender.batch.storage import Storage
+from facerender.errors import FacerenderError, InputError, reason
+
+_IN_MEMORY = 1 << 24  # bytes of chunks before they go to the disk
 
 
-@dataclass(frozen=True)
-class Work:
-    """What a batch has to do.
+class Spool:
+    """The chunks of a batch in a temporary file: a table of jobs is read once, and few of its rows
+    are in memory.
 
-    Attributes
-    ----------
-    size : jobs of a chunk
-    jobs, left : how many there are, and how many of them in chunks without a record
-    todo : names of those chunks by their numbers
-    stale : names of chunks that were drawn or begun, and are no longer asked for as they were
+    names : of all chunks in their order
     """
 
-    size: int
-    jobs: int
-    left: int
-    todo: Mapping[int, str]
-    stale: frozenset[str]
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._of: dict[str, tuple[int, int]] = {}  # jobs, and where it begins
+
+    def add(self, chunk: Chunk) -> None:
+        """Write a chunk."""
+        self._of[chunk.name] = len(chunk.rows), self._file.tell()
+        pickle.dump(chunk, self._file, protocol=pickle.HIGHEST_PROTOCOL)
+
+    @property
+    def names(self) -> Iterable[str]:
+        return self._of.keys()
+
+    def jobs(self, names: Iterable[str]) -> int:
+        """Return the number of jobs of chunks."""
+        return sum(self._of[name][0] for name in names)
+
+    def chunks(self, names: Iterable[str]) -> Iterator[Chunk]:
+        """Read chunks."""
+        for name in names:
+            self._file.seek(self._of[name][1])
+            chunk: Chunk = pickle.load(self._file)
+            yield chunk
 
 
-def work_of(
-    rows: Iterable[Row], total: int, settings: Settings, size: int | None, retry_failed: bool
-) -> Work:
-    """Compare the jobs with the records that are there.
+@contextmanager
+def spooled(rows: Iterable[Row], settings: Settings, size: int | None) -> Iterator[Spool]:
+    """Read all rows, and keep them as chunks; ``size`` as of :func:`chunks`.
 
-    Parameters
-    ----------
-    rows, total : the jobs, and how many there are
-    size : of a chunk; None for what suits the number of jobs
-    retry_failed : whether chunks with failed jobs have to be drawn again
+    Raises
+    ------
+    FacerenderError : no room in the folder of temporary files
+    InputError : an id that the layout cannot hold
     """
     forget_files()
-    place = Place(settings.output)
-    size = size or chunk_size(total)
-    found = record_names(place)
-    todo, left, current = dict[int, str](), 0, set[str]()
-    for chunk in chunks(_with_keys(rows, settings), size):
-        current.add(chunk.name)
-        done = chunk.name in found
-        if not done or (retry_failed and read_head(place, chunk.name).failed):
-            todo[chunk.number] = chunk.name
-            left += len(chunk.rows)
-    known = found | record_names(place, BEGUN)
-    return Work(size, total, left, todo, frozenset(known - current))
+    with tempfile.SpooledTemporaryFile(_IN_MEMORY) as file:
+        spool = Spool(file)
+        try:
+            for chunk in chunks(_with_valid_ids(rows, settings), size):
+                spool.add(chunk)
+        except OSError as error:
+            raise FacerenderError(
+                f"cannot write the jobs to {tempfile.gettempdir()}: {reason(error)}; make room, or "
+                "set TMPDIR to another folder"
+            ) from None
+        yield spool
 
 
-def _with_keys(rows: Iterable[Row], settings: Settings) -> Iterator[Row]:
-    """Rows whose ids can name what a layout holds."""
+def _with_valid_ids(rows: Iterable[Row], settings: Settings) -> Iterator[Row]:
     for row in rows:
         if settings.layout == "shards" and "." in row.id:
             raise InputError(
@@ -80,13 +94,47 @@ def _with_keys(rows: Iterable[Row], settings: Settings) -> Iterator[Row]:
         yield row
 
 
-def with_kept(source: Iterable[Chunk], place: Place) -> Iterator[Chunk]:
-    """Chunks with the records of those of their jobs that are drawn: of stale records, or of their
-    own that has failed jobs besides."""
-    known = _Known(place)
-    names = record_names(place)
-    for chunk in source:
-        own = records_of(place, chunk.name) if chunk.name in names else ()
+@dataclass(frozen=True)
+class Work:
+    """The work that is left of a batch.
+
+    Attributes
+    ----------
+    spool : all chunks
+    todo : names of those without a record
+    jobs, left : number of jobs, of all chunks and of those
+    stale : names of chunks that were drawn or begun, and whose jobs have changed
+    """
+
+    spool: Spool
+    todo: tuple[str, ...]
+    jobs: int
+    left: int
+    stale: frozenset[str]
+
+
+def work_of(spool: Spool, storage: Storage, retry_failed: bool) -> Work:
+    """Compare chunks with the records of a batch.
+
+    retry_failed : whether chunks with failed jobs are drawn again
+    """
+    found = record_names(storage)
+    todo = tuple(
+        name
+        for name in spool.names
+        if name not in found or (retry_failed and read_head(storage, name).failed)
+    )
+    stale = (found | record_names(storage, BEGUN)).difference(spool.names)
+    return Work(spool, todo, spool.jobs(spool.names), spool.jobs(todo), frozenset(stale))
+
+
+def with_kept(work: Work, storage: Storage) -> Iterator[Chunk]:
+    """Yield the chunks to draw, with the records of their jobs that are drawn already: stale ones,
+    or their own if other jobs of them have failed."""
+    known = _DrawnBefore(storage)
+    names = record_names(storage)
+    for chunk in work.spool.chunks(work.todo):
+        own = records_of(storage, chunk.name) if chunk.name in names else ()
         drawn = {record["key"]: record for record in own if "error" not in record}
         kept = {}
         for position, key in enumerate(chunk.keys):
@@ -95,27 +143,27 @@ def with_kept(source: Iterable[Chunk], place: Place) -> Iterator[Chunk]:
         yield replace(chunk, kept=kept)
 
 
-class _Known:
-    """Stale records of drawn jobs by key, of which few are in memory: 16 bytes for each."""
+class _DrawnBefore:
+    """Stale records of drawn jobs by their keys: 16 bytes in memory for each."""
 
-    def __init__(self, place: Place) -> None:
-        self._names = sorted(record_names(place, STALE))
-        hashes, places = array("Q"), array("L")
+    def __init__(self, storage: Storage) -> None:
+        self._names = sorted(record_names(storage, STALE))
+        hashes, numbers = array("Q"), array("L")
         for number, name in enumerate(self._names):
-            for record in records_of(place, name, STALE):
+            for record in records_of(storage, name, STALE):
                 if "error" not in record:
                     hashes.append(hash_of(record["key"]))
-                    places.append(number)
+                    numbers.append(number)
         order = np.argsort(np.asarray(hashes), kind="stable")
-        self._hashes, self._places = np.asarray(hashes)[order], np.asarray(places)[order]
+        self._hashes, self._numbers = np.asarray(hashes)[order], np.asarray(numbers)[order]
         self._read = lru_cache(4)(
-            lambda name: {each["key"]: each for each in records_of(place, name, STALE)}
+            lambda name: {each["key"]: each for each in records_of(storage, name, STALE)}
         )
 
     def find(self, key: str) -> Record | None:
         wanted = np.uint64(hash_of(key))
         first, last = (np.searchsorted(self._hashes, wanted, side) for side in ("left", "right"))
-        for number in self._places[first:last]:
+        for number in self._numbers[first:last]:
             record: Record | None = self._read(self._names[number]).get(key)
             if record is not None and "error" not in record:
                 return record

@@ -7,22 +7,18 @@ import json
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from facerender.commands.common import add_parts, add_quiet, check_outputs
 from facerender.commands.streams import say, tell
 from facerender.errors import InputError
 
 if TYPE_CHECKING:
-    from facerender.batch.chunk import Settings
     from facerender.batch.engine import Engine
-    from facerender.batch.jobs import Row
-    from facerender.batch.place import Place
-    from facerender.batch.plans import Plans
+    from facerender.batch.jobs import JobTable
 
 _FAILED = 3
 _EPILOG = "exit status: 0 all jobs are drawn, 3 some failed, 2 nothing could start or go on"
@@ -39,18 +35,7 @@ def add(batch: argparse.ArgumentParser) -> None:
     add_parts(common)
     common.add_argument("--size", help="N or WxH in pixels (1024)")
     common.add_argument("--samples", type=int, help="per pixel (4)")
-    common.add_argument("--passes", metavar="LIST", help="image,mask,depth,layers,... (image)")
-
-    planned = batch.add_argument_group("plans")
-    planned.add_argument(
-        "--budget",
-        metavar="ERROR",
-        help="of image.png: plan once for jobs that differ in their cameras, within 1/255, 0.5%% "
-        "or '0.02 flip'",
-    )
-    planned.add_argument(
-        "--within", metavar="SHARE", help="of the pixels: where --budget must hold (100%%)"
-    )
+    common.add_argument("--outputs", metavar="LIST", help="image,mask,depth,layers,... (image)")
 
     drawing = batch.add_argument_group("workers")
     drawing.add_argument("--workers", type=int, metavar="N", help="processes here (those that pay)")
@@ -87,105 +72,92 @@ def run(options: argparse.Namespace) -> int:
         tell(json.dumps(schema(), indent=2))
         return 0
     if options.status:
-        return _tell(options.status, options.json)
-    if options.within is not None and options.budget is None:
-        raise InputError(f"--within {options.within} is of a budget: say --budget ERROR")
-    if options.budget is not None:
-        from facerender.planning.budget import Budget
-
-        Budget.parse(options.budget, within=options.within or 1.0)
+        return _print_status(options.status, options.json)
     if options.jobs is None:
         raise InputError("no jobs: give a table of them, such as jobs.csv")
     _check_read(options)
-    common = _common(options)
-    jobs = _checked(options, common)
+    table = _table(options)
     if options.check:
+        for _ in table:
+            pass
+        _check_faults(table)
+        tell(f"{options.jobs}: {table.rows} jobs of {table.meshes} meshes")
         return 0
     if options.output is None:
         raise InputError("no output: say -o FOLDER")
-    return _draw(options, common, jobs)
+    for name, least in (("workers", 1), ("tries", 1), ("timeout", 1.0), ("chunk", 1)):
+        value = getattr(options, name)
+        if value is not None and not value >= least:
+            raise InputError(f"--{name} {value}: give at least {least:g}")
+    return _draw(options, table)
 
 
 def _check_read(options: argparse.Namespace) -> None:
-    """A table that is read is not replaced by one of the batch."""
+    """Raise InputError if a table of the batch would replace a file that is read."""
     if options.output is None or "://" in options.output or options.check:
         return
     from facerender.batch.folder import TABLES
-    from facerender.batch.output import ABOUT
+    from facerender.batch.records import ABOUT
 
     written = (Path(options.output, name) for name in (*TABLES, ABOUT))
     read = [options.jobs, options.scene, options.mesh]
     check_outputs([path for path in written if os.path.isfile(path)], read)
 
 
-def _draw(options: argparse.Namespace, common: dict[str, Any], jobs: int) -> int:
-    from facerender.batch import driver, folder
-    from facerender.batch.chunk import Settings, painter
-    from facerender.batch.jobs import read_jobs
+def _table(options: argparse.Namespace) -> JobTable:
+    """Return the table of jobs, with the values that the options give to all rows."""
+    from facerender.batch.jobs import JobTable
+
+    common = {"mesh.path": options.mesh, "outputs": options.outputs, "scene": options.scene}
+    common |= {f"mesh.{name}": getattr(options, name) for name in ("parts", "hide")}
+    common |= {f"image.{name}": getattr(options, name) for name in ("size", "samples")}
+    return JobTable(options.jobs, common)
+
+
+def _check_faults(table: JobTable) -> None:
+    """Raise InputError with the faults of the first bad rows."""
+    if table.faults:
+        for fault in table.faults[:-1]:
+            say(f"facerender: error: {fault}")
+        more = f"; and {table.more} more rows" if table.more else ""
+        raise InputError(f"{table.faults[-1]}{more}")
+
+
+def _draw(options: argparse.Namespace, table: JobTable) -> int:
+    from facerender.batch import coordinator, folder
+    from facerender.batch.chunk import Settings, code_version
     from facerender.batch.parquet import check_parquet
     from facerender.batch.progress import Progress
-    from facerender.batch.work import work_of
+    from facerender.batch.work import spooled, work_of
 
-    for name, least in (("workers", 1), ("tries", 1), ("timeout", 1.0), ("chunk", 1)):
-        value = getattr(options, name)
-        if value is not None and not value >= least:
-            raise InputError(f"--{name} {value}: give at least {least:g}")
     if options.table == "parquet":
         check_parquet()
     output = options.output if "://" in options.output else os.path.abspath(options.output)
     settings = Settings(
-        output, options.layout, options.backend, options.timeout, options.tries, painter()
+        output, options.layout, options.backend, options.timeout, options.tries, code_version()
     )
     began = time.monotonic()
-    about: dict[str, Any] = {"table": options.jobs, "jobs": jobs}
-    read = partial(read_jobs, options.jobs, common)
     with ExitStack() as stack:
-        place = stack.enter_context(folder.driving(settings, about))
+        spool = stack.enter_context(spooled(table, settings, options.chunk))
+        _check_faults(table)
+        about = {"table": options.jobs, "jobs": table.rows}
+        storage = stack.enter_context(folder.locked(settings, about))
         stack.enter_context(_surviving_pipes())
-        engine = cache(lambda: stack.enter_context(_engine(options)))
-        if options.budget is not None:
-            plans = _plans(options, read, place, settings, engine)
-            folder.tell(place, settings, {**about, "plans": plans.about})
-            read = partial(_with_plans, read, plans)
-        work = work_of(read(), jobs, settings, options.chunk, options.retry_failed)
-        folder.set_aside(place, work)
+        work = work_of(spool, storage, options.retry_failed)
+        folder.set_aside(storage, work)
         drawn = 0
         if work.todo:
-            with Progress(work, engine().workers, options.json, options.quiet) as told:
-                drawn = driver.run(read(), work, settings, engine(), told)
-        folder.finish(place, options.table, options.transforms)
-    return _tell(output, options.json, drawn, time.monotonic() - began)
-
-
-def _plans(
-    options: argparse.Namespace,
-    read: Callable[[], Iterator[Row]],
-    place: Place,
-    settings: Settings,
-    engine: Callable[[], Engine],
-) -> Plans:
-    from facerender.batch.groups import grouped
-    from facerender.batch.plans import planned
-
-    groups = grouped(read, options.budget, options.within or "100%")
-    return planned(groups, place, settings, engine, options.retry_failed, _saying(options))
-
-
-def _saying(options: argparse.Namespace) -> Callable[[str], None]:
-    """What informs, unless nobody wants to know."""
-    return (lambda text: None) if options.quiet else (lambda text: say(f"facerender: {text}"))
-
-
-def _with_plans(read: Callable[[], Iterator[Row]], plans: Plans) -> Iterator[Row]:
-    from facerender.batch.groups import with_plans
-
-    return with_plans(read(), plans.of)
+            engine = stack.enter_context(_engine(options))
+            with Progress(work, engine.workers, options.json, options.quiet) as progress:
+                drawn = coordinator.run(work, settings, engine, progress)
+        folder.finish(storage, options.table, options.transforms)
+    return _print_status(output, options.json, drawn, time.monotonic() - began)
 
 
 @contextmanager
 def _surviving_pipes() -> Iterator[None]:
-    """Have a worker or a scheduler that ends raise an error where it is written to, and not end
-    this process as the command line has it."""
+    """Raise an error when this process writes to a worker or a scheduler that has ended: the
+    command line's handler of SIGPIPE would end it with status 141."""
     before = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     try:
         yield
@@ -200,13 +172,16 @@ def _engine(options: argparse.Namespace) -> AbstractContextManager[Engine]:
         return engine.dask(options.scheduler)
     if options.workers is not None:
         return engine.local(options.workers)
-    workers, why = engine.workers_that_pay()
-    _saying(options)(f"{workers} worker{'s' if workers > 1 else ''}: {why}")
+    workers, why = engine.default_workers()
+    if not options.quiet:
+        say(f"facerender: {workers} worker{'s' if workers > 1 else ''}: {why}")
     return engine.local(workers)
 
 
-def _tell(output: str, as_json: bool, drawn: int | None = None, seconds: float = 0.0) -> int:
-    """Print what became of a batch, and return its exit status."""
+def _print_status(
+    output: str, as_json: bool, drawn: int | None = None, seconds: float = 0.0
+) -> int:
+    """Print the status of a batch, and return the exit status."""
     from facerender.batch.folder import status
 
     found = status(output)
@@ -216,41 +191,8 @@ def _tell(output: str, as_json: bool, drawn: int | None = None, seconds: float =
     text = f"{output}: {found.done} of {found.jobs} jobs are done, {found.failed} have failed"
     if left:
         text += f", {left} are left"
-    if plans := found.about.get("plans"):
-        from facerender.batch.plans import text as plans_text
-
-        facts |= {"plans": plans}
     if drawn is not None:
         facts |= {"drawn": drawn, "seconds": round(seconds, 3)}
         text += f"; {drawn} drawn now, {drawn / seconds:.1f} a second"
-    if plans:
-        text += f"; {plans_text(plans)}"
     tell(json.dumps({"event": "end", **facts}) if as_json else text)
     return _FAILED if found.failed else 0
-
-
-def _checked(options: argparse.Namespace, common: dict[str, Any]) -> int:
-    """How many jobs there are; InputError with the faults of the first bad ones."""
-    from facerender.batch.jobs import check_jobs
-
-    checked = check_jobs(options.jobs, common)
-    if checked.faults:
-        for fault in checked.faults[:-1]:
-            say(f"facerender: error: {fault}")
-        more = f"; and {checked.more} more rows" if checked.more else ""
-        raise InputError(f"{checked.faults[-1]}{more}")
-    if options.check:
-        tell(f"{options.jobs}: {checked.rows} jobs of {checked.meshes} meshes")
-    return checked.rows
-
-
-def _common(options: argparse.Namespace) -> dict[str, Any]:
-    """What rows have that do not say otherwise."""
-    from facerender.batch.forms import read_toml
-
-    common = read_toml(Path(options.scene)) if options.scene else {}
-    given = {"mesh.path": options.mesh, "passes": options.passes}
-    given |= {f"mesh.{name}": getattr(options, name) for name in ("parts", "hide")}
-    given |= {f"image.{name}": getattr(options, name) for name in ("size", "samples")}
-    given = {key: value for key, value in given.items() if value is not None}
-    return common | given

@@ -15,21 +15,12 @@ import numpy as np
 
 from facerender.commands.streams import say
 from facerender.errors import InputError, reason
-from facerender.job import MESH_PATHS, MeshFile
+from facerender.job import MESH_PATHS, MeshFile, parse_size
 from facerender.loading.references import named_files
 from facerender.loading.source import GLTF
 from facerender.system.atomic import check_writable, remove_abandoned
 from facerender.system.progress import Bar
 from facerender.terms.ranges import IntegerRange, range_of
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    try:
-        numbers = [int(word) for word in text.lower().split("x")]
-        width, height = numbers * 2 if len(numbers) == 1 else numbers
-    except ValueError:
-        raise InputError(f"size {text!r}: give N or WxH, such as 1024 or 640x480") from None
-    return width, height
 
 
 def parse_sizes(text: str) -> list[tuple[int, int]]:
@@ -96,18 +87,24 @@ def add_field(
     )
 
 
-def add_quiet(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
-    command.add_argument(
-        "--quiet", action="store_true", help="only warnings and errors on standard error"
-    )
+def add_flag(group: argparse._ActionsContainer, name: str, text: str) -> None:
+    """Add an option without a value."""
+    group.add_argument(f"--{name}", action="store_true", help=text)
 
 
-def add_verbose(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
+def add_switch(group: argparse._ActionsContainer, name: str, text: str) -> None:
+    """Add an option and its contrary, --no-NAME."""
+    group.add_argument(f"--{name}", action=argparse.BooleanOptionalAction, help=text)
+
+
+def add_quiet(command: argparse._ActionsContainer) -> None:
+    add_flag(command, "quiet", "only warnings and errors on standard error")
+
+
+def add_verbose(command: argparse._ActionsContainer) -> None:
     """Add --quiet and its contrary."""
     add_quiet(command)
-    command.add_argument(
-        "--verbose", action="store_true", help="every step and when it began, on standard error"
-    )
+    add_flag(command, "verbose", "every step and when it began, on standard error")
 
 
 def telling(options: argparse.Namespace) -> Callable[[str], None]:
@@ -129,24 +126,19 @@ def steps(options: argparse.Namespace) -> Bar:
     return Bar(options.quiet, tell if options.verbose else None)
 
 
-def add_allow_outside(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
-    command.add_argument(
-        "--allow-outside",
-        action="store_true",
-        help="open what the mesh file refers to wherever it lies (below its folder alone)",
-    )
+def add_allow_outside(command: argparse._ActionsContainer) -> None:
+    text = "open what the mesh file refers to wherever it lies (below its folder alone)"
+    add_flag(command, "allow-outside", text)
 
 
-def add_parts(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
-    command.add_argument(
-        "--parts",
-        metavar="NAME,...",
-        help="draw these parts of the mesh alone; *, ? and [...] are wildcards, and facerender "
-        "info lists the names (all)",
+def add_parts(command: argparse._ActionsContainer) -> None:
+    parts = (
+        "draw these parts of the mesh alone; *, ? and [...] are wildcards, and facerender info "
+        "lists the names (all)"
     )
-    command.add_argument(
-        "--hide", metavar="NAME,...", help="draw all parts but these, named in the same way (none)"
-    )
+    command.add_argument("--parts", metavar="NAME,...", help=parts)
+    others = "draw all parts but these, named in the same way (none)"
+    command.add_argument("--hide", metavar="NAME,...", help=others)
 
 
 def check_outputs(

@@ -12,7 +12,7 @@ EXAMPLES = {
     ),
     "info": ("facerender info head.glb", "facerender info scan.obj --json"),
     "batch": (
-        "facerender batch jobs.csv -o out --size 256 --passes image,mask,depth",
+        "facerender batch jobs.csv -o out --size 256 --outputs image,mask,depth",
         "facerender batch jobs.toml --check",
         "facerender batch --status out",
     ),

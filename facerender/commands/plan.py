@@ -36,9 +36,6 @@ def add(plan: argparse.ArgumentParser) -> None:
         help="of the pixels that each image covers: where the budget must hold (100%%)",
     )
     plan.add_argument(
-        "--guarantee", action="store_true", help="bound the error for every camera; looser"
-    )
-    plan.add_argument(
         "--cost",
         default="frame",
         metavar="OF",
@@ -91,8 +88,6 @@ def run(options: argparse.Namespace) -> int:
     sizes = parse_sizes(options.size)
     if options.target and not options.emit:
         raise InputError(f"--target {options.target} is of a shader: say --emit OUT.glsl")
-    if options.guarantee and (options.camera or options.error_map):
-        raise InputError("--guarantee is not measured: leave --camera and --error-map out")
     job, cameras = job_of(options, sizes[-1])
     check_outputs([options.emit, options.pinned, options.error_map], files_read(options, job))
     if options.error_map and not options.error_map.lower().endswith(".png"):
@@ -106,13 +101,9 @@ def run(options: argparse.Namespace) -> int:
         "within": options.within,
         "full": job.shading,
     }
-    with steps(options) as choices["progress"]:
-        if options.guarantee:
-            planned = plan(scene, options.budget, guarantee=True, **choices)
-        else:
-            with Renderer.of(job, options.backend) as renderer:
-                choices |= {"cameras": (*cameras.values(),), "sizes": sizes, "renderer": renderer}
-                planned = plan(scene, options.budget, **choices)
+    with steps(options) as choices["progress"], Renderer.of(job, options.backend) as renderer:
+        choices |= {"cameras": (*cameras.values(),), "sizes": sizes, "renderer": renderer}
+        planned = plan(scene, options.budget, **choices)
     if options.emit:
         write_text(options.emit, planned.shader(options.target))
     if options.pinned:

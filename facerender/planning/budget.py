@@ -100,22 +100,6 @@ class Budget:
         """Return how many pixels of an image that covers so many may be over the limit."""
         return covered - math.ceil(Fraction(str(self.within)) * covered)
 
-    def bound(self, radiance: float) -> float:
-        """Return the largest error that a change of the radiance by this much can make: on black,
-        where both the display's curve and a relative error rise most.
-
-        Raises
-        ------
-        InputError : FLIP, which depends on the whole image
-        """
-        if self.unit == "flip":
-            raise InputError(
-                "FLIP has no bound over all views: give a budget such as 1/255 or 0.5%"
-            )
-        if self.unit == "relative":
-            return radiance / FLOOR
-        return float(self._displayed(np.array(radiance)))
-
     @property
     def share(self) -> str:
         """The share of the pixels in words, such as "99.9 %"."""

@@ -59,13 +59,12 @@ def decisions(
     shading: Shading,
     error: Callable[[Shading], float],
     otherwise: Callable[[Shading], float],
-    might: str,
 ) -> Iterator[Decision]:
     """Tell of each decision of a shading.
 
     Parameters
     ----------
-    error, otherwise : give the error of a shading, the second one as far as might says
+    error, otherwise : give the error of a shading, the second one at least
     """
     made = groups(shading, choice.full)
     for name in DECISIONS:
@@ -73,7 +72,7 @@ def decisions(
             yield _made(choice, shading, name, made[name], error)
         elif any(name in names for names in made.values()):
             continue  # told with another
-        elif (kept := _kept(choice, shading, name, otherwise, might)) is not None:
+        elif (kept := _kept(choice, shading, name, otherwise)) is not None:
             yield kept
 
 
@@ -133,7 +132,6 @@ def _kept(
     shading: Shading,
     name: str,
     otherwise: Callable[[Shading], float],
-    might: str,
 ) -> Decision | None:
     own = choice.total(shading)
     names = SINGLE if name == "two lobes" else (name,)
@@ -156,7 +154,7 @@ def _kept(
     nearest = others[errors.index(min(errors))]
     chosen, other = (_words(choice.scene, each, names) for each in (shading, nearest))
     saved = choice.saved(nearest, shading)
-    text = f"{chosen}: {other} {might} {choice.budget.text(min(errors))}, and save "
+    text = f"{chosen}: {other} would err by at least {choice.budget.text(min(errors))}, and save "
     text += _share(choice, name, saved)
     return Decision(name, False, chosen, other, min(errors), saved, text, values(nearest, names))
 

@@ -4,11 +4,11 @@ what they cost in ``pricing/table.py``, what frames cost in ``frames.py``."""
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,6 @@ from facerender.errors import InputError, check_switch, check_type, each_of, war
 from facerender.glsl.code import call
 from facerender.glsl.library import Language, Target, term_source
 from facerender.images.write import save_png
-from facerender.planning.bound import Unbounded, bound
 from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import Constants
 from facerender.planning.decisions import Decision, decisions, details
@@ -49,23 +48,23 @@ class Error:
 
     Attributes
     ----------
-    maximum : the largest error of a pixel; with a guarantee, the bound
+    maximum : the largest error of a pixel
     within : the largest error of the budget's share of the pixels, of the worst image; the maximum
         where that is all of them
-    percentile : exceeded by one covered pixel in 1000, or None with a guarantee
+    percentile : exceeded by one covered pixel in 1000
     camera, size, pixel : where the largest is: index of the camera, width and height of the image,
-        x and y; None with a guarantee
+        x and y
     drawn, drawn_within : maximum and within of the images as the renderer draws them, with the
         samples and triangles of the plan; None where only fragments are priced and a pixel has one
-        sample, or with a guarantee
+        sample
     """
 
     maximum: float
     within: float
-    percentile: float | None = None
-    camera: int | None = None
-    size: tuple[int, int] | None = None
-    pixel: tuple[int, int] | None = None
+    percentile: float
+    camera: int
+    size: tuple[int, int]
+    pixel: tuple[int, int]
     drawn: float | None = None
     drawn_within: float | None = None
 
@@ -81,9 +80,9 @@ class Plan:
     full : the shading that it stands for
     error, cost, decisions : see there
     budget : as parsed
-    cameras : whose pixels were measured; with a guarantee none, since it holds for all
+    cameras : whose pixels were measured
     sizes : width and height in pixels of the images that were measured, of every camera
-    samples : of each pixel of them; None with a guarantee
+    samples : of each pixel of them
     detail : how finely the frame is drawn that stands for the full one; None where the cost is
         that of a fragment
     measured : the frame's time over that of the full one, where it was asked for
@@ -91,7 +90,7 @@ class Plan:
     candidates, tried : how many shadings cost less than the full one, and how many were evaluated
         at every pixel
     error_map : (H, W), of the image with the largest error, as drawn where samples or triangles
-        were taken away; None with a guarantee
+        were taken away
     """
 
     scene: Scene
@@ -103,13 +102,13 @@ class Plan:
     budget: Budget
     cameras: tuple[Camera, ...]
     sizes: tuple[tuple[int, int], ...]
-    samples: int | None
+    samples: int
     detail: LevelOfDetail | None
     measured: Interval | None
     constants: Constants
     candidates: int
     tried: int
-    error_map: NDArray[np.float64] | None = field(default=None, repr=False)
+    error_map: NDArray[np.float64] = field(repr=False)
 
     def explain(self) -> str:
         """Return the plan in words: what was measured, a line for each decision, error and cost."""
@@ -167,9 +166,9 @@ class Plan:
 
     @property
     def planned(self) -> Planned | None:
-        """For which images it holds, and how finely they are drawn; None with a guarantee, and
-        where nothing was taken away."""
-        if self.samples is None or self._is_full:
+        """For which images it holds, and how finely they are drawn; None where nothing was taken
+        away."""
+        if self._is_full:
             return None
         detail = self.detail or LevelOfDetail(self.samples, None)
         fewer = detail.samples if detail.samples < self.samples else None
@@ -183,7 +182,6 @@ class Plan:
             "shading": self.shading.as_dict(),
             "budget": asdict(self.budget),
             "full": self.full.as_dict(),
-            "guarantee": not self.cameras,
             "error": asdict(self.error),
             "cost": asdict(self.cost) | {"relative": self.cost.relative},
             "decisions": [asdict(decision) for decision in self.decisions],
@@ -203,12 +201,10 @@ class Plan:
 
         Raises
         ------
-        InputError : a guarantee has no map; another suffix; a place that cannot be written
+        InputError : another suffix; a place that cannot be written
         """
         if os.path.splitext(path)[1].lower() != ".png":
             raise InputError(f"{path}: an error map is a .png")
-        if self.error_map is None:
-            raise InputError("a guarantee is not measured at any camera: it has no error map")
         at = self.error_map / max(self.budget.limit, 1e-12)
         heat = np.stack([np.interp(at, _STOPS, ramp) for ramp in _COLORS.T], axis=-1)
         heat[at > 1.0] = _OVER
@@ -217,12 +213,10 @@ class Plan:
 
     @property
     def _is_full(self) -> bool:
-        finest = self.detail is None or self.detail == LevelOfDetail(self.samples or 1, None)
+        finest = self.detail is None or self.detail == LevelOfDetail(self.samples, None)
         return self.shading == self.full and finest
 
     def _basis(self) -> str:
-        if not self.cameras:
-            return "a bound, which holds for every camera"
         sizes = ", ".join(f"{width} x {height}" for width, height in self.sizes)
         count = f"{len(self.cameras)} cameras" if len(self.cameras) > 1 else "1 camera"
         shown = f", {self.budget.exposure:+g} stops" if self.budget.exposure else ""
@@ -241,8 +235,6 @@ class Plan:
             return drawn.removeprefix("; ")
         if error.maximum == 0.0:
             return f"{text(0.0)}: nothing changes but rounding{drawn}"
-        if error.pixel is None or error.size is None or error.percentile is None:
-            return f"at most {text(error.maximum)}"
         at = "at pixel ({}, {})".format(*error.pixel)
         at += f" of camera {error.camera}" if len(self.cameras) > 1 else ""
         at += " of {} x {}".format(*error.size) if len(self.sizes) > 1 else ""
@@ -267,7 +259,6 @@ def plan(
     cameras: Sequence[Camera] | None = None,
     sizes: Sequence[tuple[int, int]] | None = None,
     within: str | float = 1.0,
-    guarantee: bool = False,
     cost: str = FRAME,
     verify_cost: bool = False,
     exposure: float = 0.0,
@@ -282,47 +273,62 @@ def plan(
     budget : the largest error of a pixel: "1/255" of the displayed image, "0.5%" of the linear
         radiance, "0.02 flip"; see :class:`facerender.planning.budget.Budget`
     full : what counts as exact; its lobe is the exact one
-    cameras : where the error is measured; None for the scene's own. See
-        :func:`facerender.turntable`
-    sizes : width and height of the images that are measured, of every camera; None for the
-        renderer's size
-    within : share of the pixels which the budget must hold at, of those that each image covers:
-        0.999 or "99.9%"; the error of the worst pixel is told as well
-    guarantee : bound the error over all views in place of measuring it
+    cameras : where the error is measured, such as :func:`facerender.turntable`; the scene's own
+    sizes : width and height of the images that are measured, of every camera; the renderer's
+    within : fraction of the pixels that each image covers at which the budget must hold: 0.999 or
+        "99.9%"; the error of the worst pixel is told as well
     cost : "frame", of whole frames on this driver, by a few that are measured; or of a fragment,
-        which leaves samples and triangles as they are: "auto", "llvmpipe", "navi21" (RDNA2) or
-        "vega10" (GCN5) from the table, or "here"; see
-        :func:`facerender.pricing.table.load_prices`. With a guarantee a fragment's, of "auto" RDNA2
+        which leaves samples and triangles as they are: "auto", "llvmpipe", "navi21" (RDNA2),
+        "vega10" (GCN5) or "here"; see :func:`facerender.pricing.table.load_prices`
     verify_cost : measure the chosen frame beside the full one, in turns
     exposure : of the displayed image, in stops
-    renderer : draws; what it shades with several samples a pixel counts as well; None makes one of
-        1024 x 1024 pixels with 4 samples
-    progress : called with what is done now and the share of it that is done
+    renderer : draws, also with several samples a pixel; a :class:`facerender.Renderer` of its own
+    progress : called with the step that is done now and the fraction of it that is done
 
     Raises
     ------
-    InputError : an unknown unit, a negative budget, a scene without lights, cameras that see
-        nothing, another lobe than the exact one, FLIP with a guarantee or without its package, no
-        share of the pixels, or one with a guarantee
+    InputError : a value that cannot be used, a scene without lights, cameras that see nothing,
+        another lobe than the exact one, FLIP without its package
     ContextError : no OpenGL context
 
     Warns
     -----
     FacerenderWarning : a part is blended: what shading changes of it is not counted
     """
+    _check_types(scene, budget, full, cost, renderer)
+    check_switch("verify_cost", verify_cost)
+    if cameras is not None:
+        cameras = each_of("cameras", cameras, Camera, "several facerender.Camera")
+    allowed = Budget.parse(budget, exposure, within)
+    at = (scene.camera,) if cameras is None else tuple(cameras)
+    task = _Task(scene, allowed, _checked(scene, full), at, cost, verify_cost, progress)
+    with ExitStack() as stack:
+        return _planned(task, _renderers(renderer, sizes, stack))
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is planned; attributes as the parameters of :func:`plan`."""
+
+    scene: Scene
+    budget: Budget
+    full: Shading
+    cameras: tuple[Camera, ...]
+    cost: str
+    verify_cost: bool
+    progress: Progress
+
+
+def _check_types(scene: Any, budget: Any, full: Any, cost: Any, renderer: Any) -> None:
     check_type("scene", scene, Scene, "a facerender.Scene")
     check_type("budget", budget, str | float | int, 'an error with its unit, such as "1/255"')
     check_type("full", full, Shading, "a facerender.Shading")
     check_type("cost", cost, str, f'where prices come from, such as "{FRAME}"')
     check_type("renderer", renderer, Renderer | None, "a facerender.Renderer")
-    for name, value in (("guarantee", guarantee), ("verify_cost", verify_cost)):
-        check_switch(name, value)
-    if cameras is not None:
-        cameras = each_of("cameras", cameras, Camera, "several facerender.Camera")
-    if sizes is not None:
-        remedy = "widths and heights, such as [(512, 512)]"
-        sizes = each_of("sizes", sizes, tuple | list, remedy)
-    allowed = Budget.parse(budget, exposure, within)
+
+
+def _checked(scene: Scene, full: Shading) -> Shading:
+    """Return the shading with small slopes as m needs them; errors and warnings of :func:`plan`."""
     if full.term.lobe != "exact":
         raise InputError(f"a plan chooses the lobe: leave {full.term.lobe} out")
     if full != full.replace(lights={}, frontal_lights=full.frontal_lights):
@@ -331,158 +337,118 @@ def plan(
         raise InputError("the scene has no lights: there is no shading to plan")
     if "blend" in map(drawn_alpha, scene.mesh.parts, scene.mesh.materials):
         warn(f"parts of {scene.mesh.name} are blended: the plan counts what lies behind them")
-    full = replace(full, term=replace(full.term, small_slope=None))  # as the slopes need it
-    if guarantee:
-        if cameras is not None or sizes is not None:
-            raise InputError("a guarantee holds for every camera: leave cameras and sizes out")
-        if allowed.within < 1.0:
-            raise InputError(f"a guarantee holds at every pixel: leave within {within} out")
-        if verify_cost:
-            raise InputError("a guarantee is of no frame: leave verify_cost out")
-        return _guaranteed(scene, full, allowed, cost, progress)
-    at = (scene.camera,) if cameras is None else tuple(cameras)
-    with ExitStack() as stack:
-        drawing = renderer or stack.enter_context(Renderer())
-        renderers = [
-            drawing if size == drawing.size else stack.enter_context(_resized(drawing, size))
-            for size in (sizes or [drawing.size])
-        ]
-        places = [Place(replace(scene, camera=camera), each) for each in renderers for camera in at]
-        views = []
-        for number, place in enumerate(places):
-            progress("views", number / len(places))
-            views.append(Region.seen(place, full, allowed))
-        if not any(view.counted.any() for view in views):
-            raise InputError(f"the cameras see nothing of {scene.mesh.name}")
-        constants = constants_seen(scene, full, views)
-        software = drawing.context.software
-        progress("prices", 0.0)
-        choice = Choice(scene, full, allowed, constants, cost, software, views)
-        return _measured(choice, at, places, views, cost == FRAME, verify_cost, progress)
+    return replace(full, term=replace(full.term, small_slope=None))
 
 
-def _resized(renderer: Renderer, size: tuple[int, int]) -> Renderer:
-    """Return a renderer that differs in its size alone."""
-    return Renderer(
-        size,
-        samples=renderer.samples,
-        backend=renderer.context.backend,  # type: ignore[arg-type]
-        anisotropy=renderer.anisotropy,
-        float_albedo=renderer.albedo_kind == "linear-color",
-        full_maps=renderer.full_maps,
-        memory=renderer.memory,
-    )
+def _renderers(
+    renderer: Renderer | None, sizes: Sequence[tuple[int, int]] | None, stack: ExitStack
+) -> list[Renderer]:
+    """Return a renderer for each size, which differ in nothing else; the stack closes new ones."""
+    if sizes is not None:
+        sizes = each_of("sizes", sizes, tuple | list, "widths and heights, such as [(512, 512)]")
+    first = renderer or stack.enter_context(Renderer())
+
+    def resized(size: tuple[int, int]) -> Renderer:
+        return Renderer(
+            size,
+            samples=first.samples,
+            backend=first.context.backend,  # type: ignore[arg-type]
+            anisotropy=first.anisotropy,
+            float_albedo=first.albedo_kind == "linear-color",
+            full_maps=first.full_maps,
+            memory=first.memory,
+        )
+
+    return [
+        first if size == first.size else stack.enter_context(resized(size))
+        for size in (sizes or [first.size])
+    ]
 
 
-def _measured(
-    choice: Choice,
-    cameras: tuple[Camera, ...],
-    places: Sequence[Place],
-    views: Sequence[Region],
-    framed: bool,
-    verify: bool,
-    progress: Progress,
-) -> Plan:
-    samples = places[0].renderer.samples
-    drawn = None
-    if samples > 1 or framed or verify:
+def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
+    scene, progress, sizes = task.scene, task.progress, [each.size for each in renderers]
+    places = [
+        Place(replace(scene, camera=camera), each) for each in renderers for camera in task.cameras
+    ]
+    views = []
+    for number, place in enumerate(places):
+        progress("views", number / len(places))
+        views.append(Region.seen(place, task.full, task.budget))
+    if not any(view.counted.any() for view in views):
+        raise InputError(f"the cameras see nothing of {scene.mesh.name}")
+    constants = constants_seen(scene, task.full, views)
+    progress("prices", 0.0)
+    software = renderers[0].context.software
+    choice = Choice(scene, task.full, task.budget, constants, task.cost, software, views)
+    samples, drawn = renderers[0].samples, None
+    if samples > 1 or task.cost == FRAME or task.verify_cost:
         drawn = Drawn(places, choice.full, choice.budget)
-    if drawn and framed and choice.limit >= 0.0:
+    framed = drawn if task.cost == FRAME else None  # whose level of detail is chosen
+    if framed and choice.limit >= 0.0:
         progress("samples and triangles", 0.0)
-        drawn.coarsen()
+        framed.coarsen()
     witnesses = Witnesses(views, choice, drawn)
     shading = choice.first(witnesses.let_pass, progress)
-    if drawn and framed:
+    if framed:
         progress("frames", 0.0)
-        choice.frames = measured_frames(choice, drawn)
+        choice.frames = measured_frames(choice, framed)
     maps = [view.errors(shading) for view in views]
-    worst = int(np.argmax([errors.max() for errors in maps]))
-    y, x = np.unravel_index(np.argmax(maps[worst]), maps[worst].shape)
-    seen = np.concatenate([each[view.counted] for each, view in zip(maps, views, strict=True)])
-    as_drawn = np.max([*drawn.errors(shading)], axis=0).tolist() if drawn else (None, None)
-    error = Error(
-        float(seen.max()),
-        max(highest_but(each, view.spared) for each, view in zip(maps, views, strict=True)),
-        float(np.quantile(seen, 0.999)),
-        worst % len(cameras),
-        places[worst].renderer.size,
-        (int(x), int(y)),
-        *as_drawn,
-    )
+    error = _error(maps, views, task.cameras, sizes, [*drawn.errors(shading)] if drawn else [])
     progress("decisions", 0.0)
-    told = decisions(
-        choice,
-        shading,
-        error=lambda other: max(view.error(other) for view in views),
-        otherwise=witnesses.error,
-        might="would err by at least",
-    )
-    sizes = tuple(dict.fromkeys(place.renderer.size for place in places))
-    if drawn and drawn.detail != drawn.finest:
-        maps = [*drawn.maps(shading)]
-        worst = int(np.argmax([errors.max() for errors in maps]))
-    return _plan(
-        choice,
-        shading,
-        error,
-        (*(details(choice, drawn) if drawn and framed else ()), *told),
-        cameras,
-        sizes,
-        samples,
-        drawn.detail if drawn and framed else None,
-        verified(choice.full, shading, drawn) if drawn and verify else None,
-        witnesses.tried,
-        maps[worst],
-    )
-
-
-def _guaranteed(scene: Scene, full: Shading, budget: Budget, cost: str, progress: Progress) -> Plan:
-    bound(scene, full, full, budget)  # refuses at once what it cannot bound
-    ends = [end for slopes in slope_ranges(simplify(scene, full), full) for end in slopes]
-    brightest = [float(np.max(light.irradiance)) for light in scene.lights]
-    faintest = tuple(int(light) for light in np.argsort(brightest, kind="stable"))
-    constants = Constants(max(ends), max(each.ks for each in scene.mesh.materials), faintest)
-    choice = Choice(scene, full, budget, constants, cost, software=False)
-
-    def at_most(shading: Shading) -> float:
-        try:
-            return bound(scene, shading, full, budget)
-        except Unbounded:
-            return math.inf
-
-    shading = choice.first(lambda each: at_most(each) <= choice.limit, progress)
-    told = decisions(choice, shading, at_most, at_most, might="might err by up to")
-    return _plan(choice, shading, Error(at_most(shading), at_most(shading)), told)
-
-
-def _plan(
-    choice: Choice,
-    shading: Shading,
-    error: Error,
-    told: Iterable[Decision],
-    cameras: tuple[Camera, ...] = (),
-    sizes: tuple[tuple[int, int], ...] = (),
-    samples: int | None = None,
-    detail: LevelOfDetail | None = None,
-    measured: Interval | None = None,
-    tried: int = 0,
-    error_map: NDArray[np.float64] | None = None,
-) -> Plan:
+    largest = partial(_largest_error, views)
+    made = [*decisions(choice, shading, error=largest, otherwise=witnesses.error)]
+    if framed:
+        made = [*details(choice, framed), *made]
+        maps = [*framed.maps(shading)] if framed.detail != framed.finest else maps
     return Plan(
-        choice.scene,
-        shading,
-        choice.full,
-        error,
-        choice.cost(shading),
-        tuple(told),
-        choice.budget,
-        cameras,
-        sizes,
-        samples,
-        detail,
-        measured,
-        choice.constants,
-        choice.count,
-        tried,
-        error_map,
+        scene=choice.scene,
+        shading=shading,
+        full=choice.full,
+        error=error,
+        cost=choice.cost(shading),
+        decisions=tuple(made),
+        budget=choice.budget,
+        cameras=task.cameras,
+        sizes=tuple(dict.fromkeys(sizes)),
+        samples=samples,
+        detail=framed.detail if framed else None,
+        measured=verified(choice.full, shading, drawn) if drawn and task.verify_cost else None,
+        constants=choice.constants,
+        candidates=choice.count,
+        tried=witnesses.tried,
+        error_map=maps[_worst(maps)],
+    )
+
+
+def _largest_error(views: Sequence[Region], shading: Shading) -> float:
+    return max(view.error(shading) for view in views)
+
+
+def _worst(maps: Sequence[NDArray[np.float64]]) -> int:
+    """Return the index of the error map with the largest error."""
+    return int(np.argmax([errors.max() for errors in maps]))
+
+
+def _error(
+    maps: Sequence[NDArray[np.float64]],
+    views: Sequence[Region],
+    cameras: Sequence[Camera],
+    sizes: Sequence[tuple[int, int]],
+    drawn: Sequence[tuple[float, float]],
+) -> Error:
+    """Return the error of the views, which are those of every camera at each size."""
+    worst = _worst(maps)
+    y, x = np.unravel_index(np.argmax(maps[worst]), maps[worst].shape)
+    covered = np.concatenate([each[view.counted] for each, view in zip(maps, views, strict=True)])
+    maximum, within = np.max(drawn, axis=0).tolist() if drawn else (None, None)
+    number, camera = divmod(worst, len(cameras))
+    return Error(
+        maximum=float(covered.max()),
+        within=max(highest_but(each, view.spared) for each, view in zip(maps, views, strict=True)),
+        percentile=float(np.quantile(covered, 0.999)),
+        camera=camera,
+        size=sizes[number],
+        pixel=(int(x), int(y)),
+        drawn=maximum,
+        drawn_within=within,
     )

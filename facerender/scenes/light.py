@@ -83,8 +83,6 @@ class LightKind:
         towards it and its irradiance there, in float64
     sine : of one that is seen as a disc, its mesh and positions (..., 3): the sine of its radius
         there, (..., 1), or one for all; None for kinds without size
-    highest : the largest irradiance that it may give anywhere; None where nobody knows: a guarantee
-        then refuses it
     """
 
     name: str
@@ -93,7 +91,6 @@ class LightKind:
     uniforms: Callable[[Sequence[Light], Mesh], dict[str, Float]]
     lighting: Callable[[Light, Mesh, Float], tuple[Float, Float]]
     sine: Callable[[Light, Mesh, Float], Float] | None = None
-    highest: Callable[[Light], float] | None = None
 
     @property
     def price(self) -> str:
@@ -205,7 +202,6 @@ LIGHT_KINDS: dict[str, LightKind] = {
             matches=lambda light: light.position is not None and not light.radius,
             uniforms=_points,
             lighting=_point_lighting,
-            highest=lambda light: math.inf,  # it may be as near as one likes
         ),
         LightKind(
             "sphere",
@@ -214,7 +210,6 @@ LIGHT_KINDS: dict[str, LightKind] = {
             uniforms=_spheres,
             lighting=_point_lighting,
             sine=_sphere_sine,
-            highest=lambda light: math.inf,
         ),
         LightKind(
             "disc",
@@ -223,7 +218,6 @@ LIGHT_KINDS: dict[str, LightKind] = {
             uniforms=_discs,
             lighting=_distant_lighting,
             sine=lambda light, mesh, position: _sine(light),
-            highest=lambda light: float(np.max(light.irradiance)),
         ),
         LightKind(
             "directional",
@@ -231,7 +225,6 @@ LIGHT_KINDS: dict[str, LightKind] = {
             matches=lambda light: True,
             uniforms=_distant,
             lighting=_distant_lighting,
-            highest=lambda light: float(np.max(light.irradiance)),
         ),
     )
 }

@@ -25,7 +25,7 @@ def heed_signals() -> None:
             signal.signal(getattr(signal, name), _end)
 
 
-def heed_the_driver() -> None:
+def heed_the_coordinator() -> None:
     """Have SIGTERM end the process as it does by default, once what is half done is undone. SIGINT
     is for the driver, which passes it on as SIGTERM."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -24,14 +24,12 @@ class Fresnel(Entry):
     evaluate : the same in float64; checks its domain
     rounding : of f0 and V.H, how far float32 may be from it: relative to it, and absolute
     exactness : a plan may put terms of the same or a smaller one in its place
-    at_most_1 : whether it is so everywhere, as a guarantee needs; refused where nobody knows
     """
 
     number: int
     evaluate: Callable[[ArrayLike, ArrayLike], Float]
     rounding: Callable[[Float, Float], tuple[Float | float, Float | float]]
     exactness: int
-    at_most_1: bool = False
 
     @property
     def macro(self) -> str:
@@ -98,7 +96,6 @@ FRESNEL: dict[str, Fresnel] = registry(
         evaluate=fresnel_schlick,
         rounding=lambda f0, v_dot_h: (8.0 * ULP, 8.0 * ULP),
         exactness=1,
-        at_most_1=True,
     ),
     Fresnel(
         name="dielectric",
@@ -109,7 +106,6 @@ FRESNEL: dict[str, Fresnel] = registry(
         # square root, division, square: 10 ulp; the loss of a difference is absolute
         rounding=lambda f0, v_dot_h: (16.0 * ULP, 16.0 * ULP * f0),
         exactness=2,
-        at_most_1=True,
     ),
     Fresnel(
         name="constant",
@@ -119,7 +115,6 @@ FRESNEL: dict[str, Fresnel] = registry(
         evaluate=_constant,
         rounding=lambda f0, v_dot_h: (0.0, 0.0),
         exactness=0,
-        at_most_1=True,
     ),
 )
 

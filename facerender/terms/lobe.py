@@ -45,8 +45,6 @@ class Lobe(Entry):
         ... 0.6, or one number for every slope; None where nothing is stated
     rounding : of c, m, k, how far float32 may be from ``evaluate``: relative to it, and absolute
     amplified : what a relative error of 1/m² (1 - c) becomes in the lobe, in units of its peak
-    highest : of the largest m, and k, the largest value over c there and at every smaller m; None
-        where nobody knows: a guarantee then refuses the lobe
     colour : in plots
     macro, macros : the macro that stands for it, and further ones that its GLSL needs
     price : what tables of prices call it; its name, or several lobes' that cost the same
@@ -63,7 +61,6 @@ class Lobe(Entry):
     errors: Mapping[int, tuple[float, ...]] | None = None
     rounding: Rounding
     amplified: Callable[[Float], Float] = lambda error: error
-    highest: Callable[[float, int], float] | None = None
     colour: str
     macro: str = ""
     macros: Mapping[str, str] = field(default_factory=dict)
@@ -440,16 +437,6 @@ def _fitted_rounding(c: Float, m: Float, k: int, name: str) -> tuple[float, Floa
     return ULP * lobe.power, power_error(base, error, lobe.power) + TINY
 
 
-def _peak(m: float, k: int) -> float:
-    return 1.0
-
-
-def _exact_peak(m: float, k: int) -> float:
-    """In Cook-Torrance, above m = 0.7071, the exact lobe is highest off the normal."""
-    w = max(m**2, 0.5) if k else 0.5
-    return 4.0 * w**2 * math.exp(1.0 / w - 2.0)
-
-
 def _g_power(g: int, number: int, colour: str, errors: Mapping[int, tuple[float, ...]]) -> Lobe:
     return Lobe(
         name=f"d{g}",
@@ -461,7 +448,6 @@ def _g_power(g: int, number: int, colour: str, errors: Mapping[int, tuple[float,
         open_ends=(4,),
         errors=errors,
         rounding=lambda c, m, k: _g_power_rounding(c, m, k, g, 2.0 / g, k / g),
-        highest=_peak,
         colour=colour,
     )
 
@@ -477,7 +463,6 @@ LOBES: dict[str, Lobe] = registry(
         ends={4: MAX_SLOPE, 0: MAX_SLOPE},
         errors={4: (0.0,), 0: (0.0,)},
         rounding=_exact_rounding,
-        highest=_exact_peak,
         colour="#000000",
         of_tan2=exact_tan2,
     ),
@@ -495,7 +480,6 @@ LOBES: dict[str, Lobe] = registry(
         },
         rounding=_cosine_rounding,
         amplified=lambda error: error + 7e-7,  # log2
-        highest=_peak,
         colour="#767676",
     ),
     _g_power(
@@ -525,7 +509,6 @@ LOBES: dict[str, Lobe] = registry(
         ends={k: FITTED["fitted", k].max_slope for k in TITLES},
         errors={4: (0.19,), 0: (0.13,)},
         rounding=partial(_fitted_rounding, name="fitted"),
-        highest=_peak,
         colour="#00805d",
         constants=("FR_FITTED_COEFFICIENTS", fitted_coefficients),
     ),
@@ -538,7 +521,6 @@ LOBES: dict[str, Lobe] = registry(
         ends={k: FITTED["fitted-fine", k].max_slope for k in TITLES},
         errors={4: (0.04,), 0: (0.04,)},
         rounding=partial(_fitted_rounding, name="fitted-fine"),
-        highest=_peak,
         colour="#c44e00",
         constants=("FR_FITTED_FINE_COEFFICIENTS", fitted_fine_coefficients),
     ),
@@ -576,7 +558,6 @@ def _of_g_power(lobe: GPower) -> Lobe:
         ends=dict.fromkeys(TITLES, end),
         rounding=lambda c, m, k: _g_power_rounding(c, m, k, g, factor, offset),
         amplified=lambda error: error * factor * g / 2.0,
-        highest=_peak,
         colour="#444444",
         macro="FR_LOBE_G_POWER",
         macros={"FR_G": str(g), "FR_STEEPNESS(m, k)": f"({factor} / ((m) * (m)){less})"},

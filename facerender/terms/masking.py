@@ -25,13 +25,11 @@ class Masking(Entry):
     number : of its macro, unlike every other's
     cut : of N.L and N.V, up to which a BRDF with it is exactly 0
     evaluate : G in float64, of n_dot_h, v_dot_h, n_dot_l, n_dot_v, with a unit half vector
-    at_most_1 : whether G is so everywhere, as a guarantee needs; refused where nobody knows
     """
 
     number: int
     cut: float = 0.0
     evaluate: Callable[[Float, Float, Float, Float], Float]
-    at_most_1: bool = False
 
     @property
     def macro(self) -> str:
@@ -77,7 +75,6 @@ MASKING: dict[str, Masking] = registry(
         file="masking/v_cavity",
         call="fr_masking_v_cavity_ratio(n_dot_h, h_dot_h, n_dot_l, n_dot_v)",
         evaluate=masking_v_cavity,
-        at_most_1=True,
     ),
     Masking(
         name="kelemen",
@@ -88,7 +85,6 @@ MASKING: dict[str, Masking] = registry(
         evaluate=lambda n_dot_h, v_dot_h, n_dot_l, n_dot_v: masking_kelemen(
             v_dot_h, n_dot_l, n_dot_v
         ),
-        at_most_1=True,
     ),
     Masking(
         name="none",
@@ -98,6 +94,5 @@ MASKING: dict[str, Masking] = registry(
         "min(n_dot_l, n_dot_v) > FR_MIN_COSINE ? h_dot_h : 0.0, abs(n_dot_l * n_dot_v) + FR_FLOOR)",
         cut=MIN_COSINE,
         evaluate=lambda n_dot_h, v_dot_h, n_dot_l, n_dot_v: np.ones_like(n_dot_h),
-        at_most_1=True,
     ),
 )

@@ -68,8 +68,6 @@ class Model(Entry):
     environment : the radiance (vec3) that it reflects of ``environment_map``, with the exact lobe,
         of the call's variables but l and the lobe, and of environment_size; None where nobody has
         written it: an environment then has no specular part
-    at_most : of the smallest m, the largest f N.L N.V there and at every larger m, for a lobe and
-        terms that are at most 1; None where nobody knows: a guarantee then refuses the model
     """
 
     title: str
@@ -80,7 +78,6 @@ class Model(Entry):
     printed: str = ""
     two: Entry | None = None
     environment: Entry | None = None
-    at_most: Callable[[float], float] | None = None
 
 
 def checked_unit(name: str, vectors: ArrayLike) -> Float:
@@ -239,11 +236,6 @@ def ward_printed(
     return np.where(at.above, value, 0.0)
 
 
-def _at_most(m: float) -> float:
-    """N.L G/((N.L)(N.V)) is at most 1/N.V with masking at most 1, and Ward's sqrt(N.L/N.V) less."""
-    return 1.0 / (4.0 * np.pi * m**2)
-
-
 def _without_factors(brdf: Callable[..., Float]) -> Float64Model:
     """Give a BRDF without a Fresnel term the reflectance f0, so that all models agree where normal,
     light and eye coincide."""
@@ -288,7 +280,6 @@ MODELS: dict[str, Model] = registry(
             call="fr_environment_cook_torrance("
             "environment_map, environment_size, n, v, {m}, f0, {fresnel}, {masking})",
         ),
-        at_most=_at_most,
     ),
     Model(
         name="ward",
@@ -304,7 +295,6 @@ MODELS: dict[str, Model] = registry(
             file="environment",
             call="f0 * fr_environment_ward(environment_map, environment_size, n, v, {m})",
         ),
-        at_most=_at_most,
     ),
     Model(
         name="ward-printed",
@@ -314,6 +304,5 @@ MODELS: dict[str, Model] = registry(
         k=K_WARD,
         evaluate=_without_factors(ward_printed),
         family="printed",
-        at_most=_at_most,
     ),
 )

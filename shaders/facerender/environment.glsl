@@ -3,7 +3,7 @@
 //
 //   unit      radiance in that of the map, irradiance in as much times sr
 //   error     of 32 samples 0.5 % of all light in the mean, of the irradiance 3 % in the mean and
-//             10 % at worst (docs/skin-environment.md); float32 adds 1e-4 of the radiance that is
+//             10 % at worst (docs/measurements/skin.md); float32 adds 1e-4 of the radiance that is
 //             reflected, and 1e-6 of the map's highest value
 //   source    Ramamoorthi and Hanrahan (2001), "An efficient representation for irradiance
 //             environment maps"; Krivanek and Colbert (2008), "Real-time shading with filtered

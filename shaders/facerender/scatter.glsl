@@ -4,7 +4,7 @@
 //   source    profile: d'Eon and Luebke (2007), "Advanced techniques for realistic real-time skin
 //             rendering", GPU Gems 3, chapter 14; samples in the image: Jimenez et al. (2009),
 //             "Screen-space perceptual rendering of human skin", here with distances in space
-//   error     against the profile's integral over a mesh: docs/skin-scattering.md; each function's
+//   error     against the profile's integral over a mesh: docs/measurements/skin.md; each function's
 //             own, in float32 beside it
 //   unit      lengths are of one unit, the host's; what is scattered has that of the image
 //

@@ -1,8 +1,8 @@
 // Shadows: how much of a light a place sees, from a map of what stands nearest to the light.
 //
 //   unit      none, in [0, 1]
-//   error     against rays: docs/skin.md; each function's own in float32 is none but where a depth
-//             equals that of the map within rounding, and the answer is 0 or 1
+//   error     against rays: docs/measurements/skin.md; each function's own in float32 is none but
+//             where a depth equals that of the map within rounding, and the answer is 0 or 1
 //   source    Williams (1978), "Casting curved shadows on curved surfaces"; discs: Fernando (2005),
 //             "Percentage-closer soft shadows"
 //

@@ -40,7 +40,8 @@ float fr_slope_filtered(float m, float variance) {
 //
 //   formula   0.5 (0.35 alpha)^2, alpha = sqrt((1 - |N|)/|N|)/0.35 of the mean N of unit normals
 //   alpha     of the map, filtered with its red, green and blue, in [0, 1]
-//   error     docs/skin.md has what remains of a highlight's error; float32 adds 3e-7 of the result
+//   error     docs/measurements/skin.md has what remains of a highlight's error; float32 adds 3e-7
+//             of the result
 //   source    Toksvig (2005), "Mipmapping normal maps", with the variance kept in place of |N|
 float fr_slope_variance_map(float alpha) {
     float deviation = FR_MAP_DEVIATION * alpha;

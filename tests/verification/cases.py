@@ -792,6 +792,13 @@ def half_vector_square() -> Case:
     return Case(include("half_vector"), call, inputs, (h * h).sum(axis=-1), 4e-7, 2.0 * FLOOR)
 
 
+def _highest(lobe: str, m: Floats, k: int) -> Floats:
+    """Return the largest value of a lobe over c: 1, but for the exact one in Cook-Torrance, which
+    above m = 0.7071 is largest off the normal."""
+    w = np.maximum(m**2, 0.5) if lobe == "exact" and k else np.full_like(m, 0.5)
+    return np.asarray(4.0 * w**2 * np.exp(1.0 / w - 2.0))
+
+
 def brdf_case(
     term: Term, inputs: Inputs, prelude: str = "", call: str = "", f0: float = F0
 ) -> Case:
@@ -811,10 +818,7 @@ def brdf_case(
     else:
         peak = f0 * (n_dot_l * n_dot_v if term.model == "ward" else n_dot_v + v_dot_h) ** -0.5
     lobe, k = lobe_entry(term.lobe), term.entry.k
-    if lobe.highest is not None:
-        slope, place = np.unique(m, return_inverse=True)
-        peak *= np.array([lobe.highest(each, k) for each in slope.tolist()])[place]
-    peak /= 4.0 * np.pi * m**2
+    peak *= _highest(lobe.name, m, k) / (4.0 * np.pi * m**2)
     lengths = [np.linalg.norm(x, axis=-1) for x in (n, l, v)]
     off = np.abs(np.subtract(lengths, 1.0)).max(axis=0)
     off = np.maximum(off - 1e-7, 0.0)
@@ -1066,10 +1070,7 @@ def pdf(model: str) -> Case:
         1.0, 4.0 * safe[0] * safe[1] / np.where(above, ((l + v) ** 2).sum(axis=-1), 1.0)
     )
     peak = 0.5 / safe[0] if model == "ward" else seen / (4.0 * safe[1])
-    slope, place = np.unique(m, return_inverse=True)
-    highest = lobe_entry("exact").highest
-    assert highest is not None
-    peak *= np.array([highest(each, 4) for each in slope.tolist()])[place] / (np.pi * m**2)
+    peak *= _highest("exact", m, 4) / (np.pi * m**2)
     e = 4e-7 * (1.0 + 1.0 / safe[0])
     bound = 1e-5 + 2e-7 / safe[1] + e / m
     call = f"fr_{model}_pdf(n, l, v, m)"

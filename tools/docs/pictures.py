@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 
 import facerender as fr
+from benchmarks.skin import subjects
+from benchmarks.skin_environment import sky
 from facerender.images.srgb import encode_srgb8
 from facerender.scenes.environment import studio
 from facerender.scenes.texture import Texture
-from tests.verification.environment import sky
 from tests.verification.scan import load_scan, scan_folder
-from tests.verification.skin import subjects
 from tests.verification.slope_filter import Bench, relief
 
 DOCS = Path(__file__).parents[2] / "docs"

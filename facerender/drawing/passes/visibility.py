@@ -15,7 +15,7 @@ from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.scene import Scene, ShadingRate
 from facerender.scenes.view import View
 
-DRIVERS = ("llvmpipe",)  # on which deferred shading was measured: docs/performance.md
+DRIVERS = ("llvmpipe",)  # on which deferred shading was measured: docs/measurements/performance.md
 _MOST_PIXELS = 30  # for each triangle; with more, and one sample, it is dearer
 _MOST_TRIANGLES = 1 << 24  # that float32 numbers apart
 _BRIGHTEST = 1e3  # background, of which float32 takes away all but 6e-5

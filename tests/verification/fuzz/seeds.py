@@ -276,7 +276,7 @@ def options() -> Iterator[Sequence[str]]:
 def tables() -> Iterator[tuple[str, bytes]]:
     """Yield tables of jobs."""
     rows = [
-        {"id": "a", "camera": {"azimuth": 10}, "material": {"m": 0.3}, "passes": ["image", "mask"]},
+        {"id": "a", "camera": {"azimuth": 10}, "material.m": 0.3, "outputs": ["image", "mask"]},
         {"id": "b", "lights": ["key"], "image": {"size": [64, 64]}, "exposure": 0.5},
     ]
     yield "a.jsonl", b"".join(json.dumps(row).encode() + b"\n" for row in rows)

@@ -19,13 +19,13 @@ import facerender as fr
 from facerender.images.write import png_bytes
 from facerender.scenes.mesh import Part
 from tests.verification import chromium
-from tests.verification.mutations import bright, edge, set_pixels
 from tests.verification.pairs.room import Linear, Patch, Room, draw_elsewhere
 from tests.verification.pairs.webgl import draw_webgl
 
 Format = Literal["exr", "png"]
 Must = Literal["fail", "pass"]
 Bytes = NDArray[np.uint8]
+Places = tuple[NDArray[np.int64], ...]  # rows and columns of pixels
 Encode = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
@@ -307,19 +307,42 @@ def grain(by: float) -> Callable[[Room], Linear]:
     return make
 
 
-def pixels(
-    where: Callable[..., tuple[NDArray[np.int64], ...]], count: int, radiance: float
-) -> Callable[[Room], Linear]:
-    return lambda room: set_pixels(room.golden, where(room.golden, count), radiance)
+def bright(linear: Linear, count: int, seed: int = 1) -> Places:
+    """Pixels well inside the coverage, brighter than the median."""
+    inside = ndimage.binary_erosion(linear[..., 3] >= 1.0, iterations=5)
+    level = linear[..., :3].min(axis=-1)
+    return _some(inside & (level > np.median(level[inside])), count, seed)
 
 
-def dark(linear: Linear, count: int, seed: int = 1) -> tuple[NDArray[np.int64], ...]:
-    """Rows and columns of pixels inside the coverage: of the darkest thousandth, without black."""
+def edge(linear: Linear, count: int, seed: int = 1) -> Places:
+    """The last fully covered pixels before the silhouette."""
+    full = linear[..., 3] >= 1.0
+    return _some(full & ~ndimage.binary_erosion(full), count, seed)
+
+
+def dark(linear: Linear, count: int, seed: int = 1) -> Places:
+    """Pixels inside the coverage: of the darkest thousandth, without black."""
     inside = ndimage.binary_erosion(linear[..., 3] >= 1.0, iterations=3)
     level = linear[..., :3].max(axis=-1)
     inside &= level > 1e-3
-    places = np.argwhere(inside & (level <= np.quantile(level[inside], 1e-3)))
-    return tuple(np.random.default_rng(seed).choice(places, count, replace=False).T)
+    return _some(inside & (level <= np.quantile(level[inside], 1e-3)), count, seed)
+
+
+def _some(mask: NDArray[np.bool_], count: int, seed: int) -> Places:
+    chosen = np.random.default_rng(seed).choice(np.argwhere(mask), count, replace=False)
+    return tuple(chosen.T)
+
+
+def set_pixels(linear: Linear, where: Places, radiance: float) -> Linear:
+    image = linear.copy()
+    image[..., :3][where] = radiance
+    return image
+
+
+def pixels(
+    where: Callable[[Linear, int], Places], count: int, radiance: float
+) -> Callable[[Room], Linear]:
+    return lambda room: set_pixels(room.golden, where(room.golden, count), radiance)
 
 
 def packed(room: Room) -> Linear:
@@ -346,11 +369,13 @@ FOUR = ((-0.125, -0.375), (0.375, -0.125), (-0.375, 0.125), (0.125, 0.375))
 OTHER_FOUR = ((-0.375, -0.25), (0.125, -0.375), (-0.125, 0.25), (0.375, 0.375))
 
 
+SOFTPIPE = {"GALLIUM_DRIVER": "softpipe", "LIBGL_ALWAYS_SOFTWARE": "1"}
+
+
 def softpipe(room: Room) -> Against:
     """Mesa's other driver, which has one sample."""
-    variables = {"GALLIUM_DRIVER": "softpipe", "LIBGL_ALWAYS_SOFTWARE": "1"}
-    image = draw_elsewhere(room.setting, 1, variables=variables)
-    return _with_one_sample(room, image, "softpipe")
+    setting = replace(room.setting, samples=1)
+    return _with_one_sample(room, draw_elsewhere(setting, variables=SOFTPIPE).linear, "softpipe")
 
 
 def swiftshader(room: Room) -> Against:
@@ -371,12 +396,11 @@ def _with_one_sample(room: Room, image: Linear, renderer: str) -> Against:
 
 def narrow(room: Room) -> Linear:
     """llvmpipe with vectors of 128 bits."""
-    width = {"LP_NATIVE_VECTOR_WIDTH": "128"}
-    return draw_elsewhere(room.setting, room.setting.samples, variables=width)
+    return draw_elsewhere(room.setting, variables={"LP_NATIVE_VECTOR_WIDTH": "128"}).linear
 
 
 def osmesa(room: Room) -> Linear:
-    return draw_elsewhere(room.setting, room.setting.samples, "osmesa")
+    return draw_elsewhere(room.setting, "osmesa").linear
 
 
 def other_means(room: Room) -> Against | None:

@@ -1,19 +1,14 @@
 """Draws the scene of a setting: as it is, with something of it changed, from a camera that moves by
-parts of a pixel, or by another driver in a process of its own, which this module is as well.
-
-python -m tests.verification.pairs.room SETTING SAMPLES BACKEND FILE.npy
-"""
+parts of a pixel, or by another driver in a process of its own."""
 
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
-import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
+from multiprocessing import get_context
 from types import MappingProxyType
 from typing import cast
 
@@ -24,13 +19,26 @@ from numpy.typing import NDArray
 import facerender as fr
 from facerender.drawing.context import Backend
 from facerender.drawing.passes import Draw, Pass
+from facerender.drawing.program import Program
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import View, view_of
-from tests.verification.mutations import Patched
-from tests.verification.pairs.scenes import SETTINGS, Setting
+from tests.verification.pairs.scenes import Setting
 
 Linear = NDArray[np.float32]
 Patch = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Patched(Program):
+    """A program with one passage of its GLSL replaced."""
+
+    old: str = ""
+    new: str = ""
+
+    def sources(self, version: str) -> dict[str, str]:
+        stages = super().sources(version)
+        assert stages["frag"].count(self.old) == 1, self.old
+        return stages | {"frag": stages["frag"].replace(self.old, self.new)}
 
 
 class Retouched(fr.Renderer):
@@ -57,16 +65,14 @@ class Retouched(fr.Renderer):
 class Room:
     """A setting before its renderer. Images are linear RGB and coverage, (H, W, 4)."""
 
-    def __init__(
-        self, setting: Setting, samples: int | None = None, backend: Backend = "egl"
-    ) -> None:
+    def __init__(self, setting: Setting, backend: Backend = "egl") -> None:
         self.setting = setting
         self.scene = setting.scene()
         self.size = (setting.size, setting.size)
         self.view = view_of(self.scene, 1.0)
         self.renderer = Retouched(
             self.size,
-            samples=samples or setting.samples,
+            samples=setting.samples,
             backend=backend,
             float_albedo=setting.float_albedo,
         )
@@ -92,7 +98,7 @@ class Room:
         seen = view or view_of(own, 1.0)
         self.renderer.patch = patch
         simplified = self.renderer._simplified(own, how, seen, samples)
-        return self.renderer._shaded(simplified, seen, how, samples, None, True)
+        return self.renderer._shaded(simplified, seen, how, samples, None, False)
 
     @cached_property
     def golden(self) -> Linear:
@@ -139,29 +145,18 @@ class Room:
 
 def draw_elsewhere(
     setting: Setting,
-    samples: int,
     backend: Backend = "egl",
     variables: Mapping[str, str] = MappingProxyType({}),
-) -> Linear:
-    """Draw a setting in a process of its own, whose environment has further variables."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder, "linear.npy")
-        arguments = [setting.name, str(samples), backend, str(file)]
-        subprocess.run(
-            [sys.executable, "-m", "tests.verification.pairs.room", *arguments],
-            cwd=Path(__file__).parents[3],
-            env={**os.environ, **variables},
-            check=True,
-            capture_output=True,
-        )
-        return cast(Linear, np.load(file))
+) -> fr.Frame:
+    """Draw a setting in a process of its own, whose environment has further variables: a driver is
+    chosen when Mesa is loaded."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        return pool.submit(_draw, setting, backend, dict(variables)).result()
 
 
-def main(name: str, samples: str, backend: Backend, file: str) -> None:
-    room = Room(SETTINGS[name], int(samples), backend)
-    np.save(file, room.golden)
+def _draw(setting: Setting, backend: Backend, variables: Mapping[str, str]) -> fr.Frame:
+    os.environ |= variables
+    room = Room(setting, backend)
+    frame = room.frame(room.golden)
     room.renderer.release()
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])  # type: ignore[arg-type]
+    return frame

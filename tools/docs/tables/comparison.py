@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from benchmarks.pairs.verdicts import FACERENDER, Summary, read_summary
 from facerender.comparison.compare import LIMITS
 from facerender.comparison.verdict import FOREIGN
 from facerender.measure.tables import markdown_table
-from tests.verification.pairs.verdicts import FACERENDER, Summary, read_summary
 from tools.docs.tables import MEASUREMENTS, Columns, load, machine, table
 
 _RESULT = (

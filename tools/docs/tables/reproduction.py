@@ -14,6 +14,10 @@ CLAIMS = (
 
 
 def blocks() -> dict[str, str]:
-    data = load("reproduction")
+    data = load("reproduction/reproduction")
+    claims = [
+        {**claim, "verdict": ": ".join(filter(None, (claim["verdict"], claim["where"])))}
+        for claim in data["claims"]
+    ]
     facts = [f"- {name}: {value}" for name, value in data["environment"].items()]
-    return {"claims": table(CLAIMS, data["claims"]), "environment": "\n".join(facts)}
+    return {"claims": table(CLAIMS, claims), "environment": "\n".join(facts)}

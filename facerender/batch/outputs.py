@@ -1,5 +1,5 @@
-"""The passes of a job and its camera: from plain data to the bytes of its files, and to what a
-record of it tells. A renderer that is given draws; no OpenGL here."""
+"""Outputs of a job: from its plain data to the bytes of its files and the facts of its record, with
+the camera. No OpenGL here: a renderer is a parameter."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.batch.jobs import PASSES, file_name
+from facerender.batch.jobs import OUTPUTS, check_outputs, file_name
 from facerender.drawing.frame import Frame
 from facerender.drawing.reference import data_view
 from facerender.errors import InputError
@@ -47,98 +47,107 @@ _MOST = 65535  # in 16 bits
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """What a job became.
+    """The files of a job.
 
     Attributes
     ----------
     files : content by file name, such as "image.png"
     facts : plain data for a record: "facerender", "GL_RENDERER", "GL_VERSION", and "camera" as of
-        :func:`camera_facts`; with the pass depth "depth_scale", the mesh's units in a step; with
-        parts or layers "parts", how many the mesh has; of a planned job "planned", whether the plan
-        holds for images of this size and these samples, and was drawn
+        :func:`camera_facts`; with the pass depth "depth_scale", the mesh's units per value; with
+        parts or layers "parts", their number; for a planned scene "planned", whether it was planned
+        for images of this size and these samples, and was drawn as planned
     """
 
     files: dict[str, bytes]
     facts: dict[str, Any]
 
 
-def check_passes(passes: Sequence[str]) -> None:
-    """Raise InputError where a pass is unknown, or needs a package that is not installed."""
-    for name in passes:
-        if name not in PASSES:
-            raise InputError(f"unknown pass {name!r}; known: {', '.join(PASSES)}")
-    if "layers" in passes:
-        openexr("layers.exr")
-
-
-def draw(job: Job, mesh: Mesh, renderer: Renderer, passes: Sequence[str], exposure: float) -> Drawn:
-    """Draw passes of a job; docs/passes.md tells what each file holds.
+def draw(
+    job: Job, mesh: Mesh, renderer: Renderer, outputs: Sequence[str], exposure: float
+) -> Drawn:
+    """Draw outputs of a job; docs/outputs.md describes their files.
 
     The image, the specular and the diffuse term are drawn once each, and all data once together,
-    however many passes want them. On one driver the same job gives the same bytes.
+    for any number of outputs. With one OpenGL driver the same job gives the same bytes.
 
     Parameters
     ----------
-    mesh : what ``job.mesh.load()`` gave
+    mesh : the result of ``job.mesh.load()``
     renderer : made for the job's image settings
-    passes : of PASSES
+    outputs : names of OUTPUTS
     exposure : of image, specular and diffuse as PNG, in stops
 
     Raises
     ------
-    InputError : as of :func:`check_passes`, :meth:`facerender.Job.scene` and
-        :meth:`facerender.Renderer.render`; more parts than parts.png can number
+    InputError : as of :func:`check_outputs`, :meth:`facerender.Job.scene` and
+        :meth:`facerender.Renderer.render`; more parts than parts.png can number; layers.exr without
+        OpenEXR
     """
-    check_passes(passes)
-    if "parts" in passes and len(mesh.parts) > _MOST:
+    check_outputs(outputs)
+    if "layers" in outputs:
+        openexr("layers.exr")
+    if "parts" in outputs and len(mesh.parts) > _MOST:
         raise InputError(
             f"{mesh.name} has {len(mesh.parts)} parts, and parts.png numbers {_MOST}: ask for "
             "layers in place of parts"
         )
-    metadata = {**renderer.metadata, "samples": "1"}  # of data
+    detail = job.detail(renderer.samples)
     facts: dict[str, Any] = {
-        name: metadata[name] for name in ("facerender", "GL_RENDERER", "GL_VERSION")
+        name: renderer.metadata[name] for name in ("facerender", "GL_RENDERER", "GL_VERSION")
     }
-    detail = LevelOfDetail(job.image.samples, None)
     if job.planned:
         facts["planned"] = job.planned.holds(renderer.size, renderer.samples)
-        detail = job.planned.detail if facts["planned"] else detail
-    # Before the material is set, which makes another mesh: what is simplified once serves all jobs.
+    # Before the material is set, which makes another mesh: a simplified mesh serves all jobs.
     drawn = mesh if detail.triangles is None else simplified(mesh, detail.triangles)
     scene = job.scene(drawn)
     view = view_of(scene, renderer.size[0] / renderer.size[1])
     facts["camera"] = camera_facts(view, mesh, renderer.size)
-
-    needed = PASSES if "layers" in passes else passes
-    frames = _shaded(job, scene, detail, renderer, needed)
-    if not _SHADED.keys() >= set(needed):
-        gbuffer = renderer.gbuffer(scene, job.shading, blended=False)
-        for only in DATA:
-            if only in needed:
-                linear = data_view(gbuffer, scene, only)
-                frames[only] = Frame(linear, only, scene.background is None, metadata)
-
+    frames = _frames(job, scene, detail, renderer, OUTPUTS if "layers" in outputs else outputs)
+    if "depth" in outputs:
+        facts["depth_scale"] = _depth_scale(view, mesh)
     files = {}
-    for name in filter(passes.__contains__, PASSES):
+    for name in filter(outputs.__contains__, OUTPUTS):
+        file = file_name(name)
         if name == "layers":
-            layers = _layers(frames)
-            files[file_name(name)] = exr_bytes(file_name(name), layers, frames["image"].metadata)
-            continue
-        pixels: NDArray[Any]
-        if name == "mask":
-            pixels = np.uint8(255) * (frames[name].linear[..., 0] > 0.0)
-        elif name == "parts":
-            pixels = frames[name].linear[..., 0].astype(np.uint16)
-        elif name == "depth":
-            scale = facts["depth_scale"] = _depth_scale(view, mesh)
-            depth = frames[name].linear[..., 0].astype(np.float64)
-            pixels = np.round(depth / scale).astype(np.uint16)
+            files[file] = exr_bytes(file, _layers(frames), frames["image"].metadata)
         else:
-            pixels = frames[name].srgb8(exposure)
-        files[file_name(name)] = png_bytes(pixels, frames[name].metadata)
-    if {"parts", "layers"} & set(passes):
+            pixels = _pixels(frames[name], name, exposure, facts.get("depth_scale", 1.0))
+            files[file] = png_bytes(pixels, frames[name].metadata)
+    if {"parts", "layers"} & set(outputs):
         facts["parts"] = len(mesh.parts)
     return Drawn(files, facts)
+
+
+def _frames(
+    job: Job, scene: Scene, detail: LevelOfDetail, renderer: Renderer, outputs: Sequence[str]
+) -> dict[str, Frame]:
+    """Return the frames that outputs need, by name."""
+    values = replace(detail, samples=min(detail.samples, renderer.samples)).values
+    frames = {
+        name: renderer.render(scene, job.shading, only, **values)
+        for name, only in _SHADED.items()
+        if name in outputs
+    }
+    if not _SHADED.keys() >= set(outputs):
+        gbuffer = renderer.gbuffer(scene, job.shading, blended=False)
+        metadata = {**renderer.metadata, "samples": "1"}
+        for only in DATA:
+            if only in outputs:
+                linear = data_view(gbuffer, scene, only)
+                frames[only] = Frame(linear, only, scene.background is None, metadata)
+    return frames
+
+
+def _pixels(frame: Frame, name: str, exposure: float, depth_scale: float) -> NDArray[Any]:
+    """Return the values of a PNG."""
+    if name == "mask":
+        return np.uint8(255) * (frame.linear[..., 0] > 0.0)
+    if name == "parts":
+        return frame.linear[..., 0].astype(np.uint16)
+    if name == "depth":
+        depth = frame.linear[..., 0].astype(np.float64)
+        return np.round(depth / depth_scale).astype(np.uint16)
+    return frame.srgb8(exposure)
 
 
 def camera_facts(view: View, mesh: Mesh, size: tuple[int, int]) -> dict[str, Any]:
@@ -183,17 +192,6 @@ def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any
         "cx": cx,
         "cy": cy,
         "transform_matrix": camera["transform_matrix"],
-    }
-
-
-def _shaded(
-    job: Job, scene: Scene, detail: LevelOfDetail, renderer: Renderer, names: Sequence[str]
-) -> dict[str, Frame]:
-    values = replace(detail, samples=min(detail.samples, renderer.samples)).values
-    return {
-        name: renderer.render(scene, job.shading, only, **values)
-        for name, only in _SHADED.items()
-        if name in names
     }
 
 

@@ -1,5 +1,4 @@
-"""The files that tables of jobs are: .jsonl, .csv, .parquet, .toml, .py, read one row after the
-other."""
+"""Readers of tables of jobs: .jsonl, .csv, .parquet, .toml and .py, one row after the other."""
 
 from __future__ import annotations
 
@@ -11,13 +10,14 @@ import re
 import runpy
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from facerender.batch.product import product
-from facerender.batch.tables import Table, nested, short, told
-from facerender.errors import FacerenderError, InputError, reason
+from facerender.batch.grid import grid_rows
+from facerender.batch.tables import Table, nested
+from facerender.errors import FacerenderError, InputError, clipped, reason, shown
 from facerender.job import MESH_PATHS
 from facerender.system.files import read_file, tables_of
 
@@ -29,7 +29,16 @@ _MOST_TOML = 2**26  # bytes
 _NUMBER = re.compile(r"[+-]?([0-9]+|[0-9]+\.[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _WORDS = {"true": True, "false": False, "null": None}
 _TEXT = {  # columns of a .csv file that hold text whatever it looks like
-    *("id", "passes", "mesh", "mesh.parts", "mesh.hide", "environment", "environment.file"),
+    *(
+        "id",
+        "outputs",
+        "scene",
+        "mesh",
+        "mesh.parts",
+        "mesh.hide",
+        "environment",
+        "environment.file",
+    ),
     *(f"mesh.{name}" for name in MESH_PATHS),
 }
 
@@ -43,14 +52,14 @@ def found_rows(path: str | os.PathLike[str]) -> Iterator[Found]:
     """
     file = Path(path)
     try:
-        form = _FORMS[file.suffix.lower()]
+        read = _FORMATS[file.suffix.lower()]
     except KeyError:
-        known = ", ".join(_FORMS)
+        known = ", ".join(_FORMATS)
         raise InputError(f"{file}: unknown kind of table {file.suffix!r}; give {known}") from None
     try:
         if file.exists() and not (file.is_file() or file.is_dir()):
             raise InputError(f"{file} is no regular file; give a table")
-        yield from form(file)
+        yield from read(file)
     except OSError as error:
         raise InputError(f"cannot read {file}: {reason(error)}") from None
 
@@ -62,7 +71,7 @@ def _nested(row: Any) -> Table | InputError:
         return error
 
 
-def _lines(path: Path) -> Iterator[str]:
+def _lines(path: Path) -> Generator[str, None, None]:
     """Yield the lines of a file of text.
 
     Raises
@@ -107,7 +116,7 @@ def _why(error: Exception) -> str:
 def _object(pairs: list[tuple[str, Any]]) -> Table:
     table = dict(pairs)
     if len(table) < len(pairs):
-        raise ValueError(f"key {told(_twice([key for key, _ in pairs]))} is given twice")
+        raise ValueError(f"key {shown(_twice([key for key, _ in pairs]))} is given twice")
     return table
 
 
@@ -125,36 +134,39 @@ _JSON = json.JSONDecoder(object_pairs_hook=_object, parse_constant=_no_constant)
 
 
 def _csv(path: Path) -> Iterator[Found]:
-    reader = csv.reader(_lines(path), strict=True)
-    rows = ([cell.strip() for cell in cells] for cells in reader)
+    with closing(_lines(path)) as lines:
+        reader = csv.reader(lines, strict=True)
+        rows = ([cell.strip() for cell in cells] for cells in reader)
+        try:
+            names = next(filter(any, rows), [])
+            _check_columns(path, names)
+            readers = [str if name in _TEXT else _cell for name in names]
+            for cells in filter(any, rows):
+                yield reader.line_num, _csv_row(names, readers, cells)
+        except csv.Error as error:
+            raise InputError(f"{path.name}, line {reader.line_num} is not CSV: {error}") from None
+
+
+def _csv_row(
+    names: list[str], readers: Sequence[Callable[[str], Any]], cells: list[str]
+) -> Table | InputError:
+    if len(cells) != len(names):
+        return InputError(
+            f"{len(cells)} cells under {len(names)} columns: give as many, and quote cells with "
+            "commas"
+        )
     try:
-        names = next(filter(any, rows), [])
-        _check_columns(path, names)
-        readers = [str if name in _TEXT else _cell for name in names]
-        for cells in filter(any, rows):
-            row: Table | InputError
-            try:
-                if len(cells) != len(names):
-                    raise InputError(
-                        f"{len(cells)} cells under {len(names)} columns: give as many, and quote "
-                        "cells with commas"
-                    )
-                each = zip(names, readers, cells, strict=True)
-                row = nested({name: read(cell) for name, read, cell in each if cell})
-            except InputError as error:
-                row = error
-            except (ValueError, RecursionError) as error:
-                row = InputError(f"a cell cannot be read: {_why(error)}")
-            yield reader.line_num, row
-    except csv.Error as error:
-        raise InputError(f"{path.name}, line {reader.line_num} is not CSV: {error}") from None
+        each = zip(names, readers, cells, strict=True)
+        return _nested({name: read(cell) for name, read, cell in each if cell})
+    except (ValueError, RecursionError) as error:
+        return InputError(f"a cell cannot be read: {_why(error)}")
 
 
 def _check_columns(path: Path, names: list[str]) -> None:
     if "" in names:
         raise InputError(f"{path.name}: a column has no name; name it in the first line")
     if len(set(names)) < len(names):
-        raise InputError(f"{path.name} has two columns {told(_twice(names))}: leave one out")
+        raise InputError(f"{path.name} has two columns {shown(_twice(names))}: leave one out")
 
 
 def _cell(text: str) -> Any:
@@ -183,7 +195,7 @@ def _parquet(path: Path) -> Iterator[Found]:
             if isinstance(error, InputError):
                 raise
             raise InputError(
-                f"{path.name} is not Parquet that can be read: {short(str(error))}"
+                f"{path.name} is not Parquet that can be read: {clipped(str(error))}"
             ) from None
 
 
@@ -201,7 +213,7 @@ def _toml(path: Path) -> Iterator[Found]:
     if not (tables := read_toml(path)):
         return
     try:
-        for row in product(tables):
+        for row in grid_rows(tables):
             yield None, row
     except (InputError, RecursionError) as error:
         raise InputError(f"{path.name}: {_why(error)}") from None
@@ -236,10 +248,10 @@ def _where(path: Path, error: BaseException) -> str:
         lines.append(error.lineno)
     line = f", line {lines[-1]}" if lines else ""
     kind = "" if isinstance(error, FacerenderError) else f"{type(error).__name__}: "
-    return f"{path.name}{line}: {kind}{short(str(error))}"
+    return f"{path.name}{line}: {kind}{clipped(str(error))}"
 
 
-_FORMS: dict[str, Callable[[Path], Iterator[Found]]] = {
+_FORMATS: dict[str, Callable[[Path], Iterator[Found]]] = {
     ".jsonl": _jsonl,
     ".csv": _csv,
     ".parquet": _parquet,

@@ -1,4 +1,4 @@
-"""What a batch writes: what a chunk will be, files of jobs or a tar, and its record, last."""
+"""Files of a chunk: those of its jobs, or a tar of them, and its record, which is written last."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 from facerender.batch.chunk import Chunk, Record, Settings
 from facerender.batch.jobs import Row, file_name
-from facerender.batch.place import Place
+from facerender.batch.storage import Storage
 
 ABOUT = "batch.json"  # what was asked for, by which run
 BEGUN = "begun"  # of chunks that may have no record yet: the files that they will have
@@ -42,10 +42,10 @@ class Writer:
     """
 
     def __init__(self, settings: Settings, chunk: Chunk, tar: Path | None, size: int) -> None:
-        self.place, self.chunk, self._run = Place(settings.output), chunk, settings.run
+        self.storage, self.chunk, self._run = Storage(settings.output), chunk, settings.run
         self.size = size
         self._tar = tar
-        self._get = lru_cache(1)(self.place.get)  # a chunk's jobs were in one tar mostly
+        self._get = lru_cache(1)(self.storage.get)  # a chunk's jobs were in one tar mostly
         if tar is not None:
             with tar.open("r+b" if size else "wb") as file:
                 file.truncate(size)
@@ -53,13 +53,13 @@ class Writer:
     def write(self, position: int, files: Mapping[str, bytes], facts: Record) -> Record:
         """Write the files of a job, and return its record. OSError where they cannot be."""
         row = self.chunk.rows[position]
-        if self._tar is None and not self.place.remote:  # there it would be a request a job
-            _check_run(self.place, self._run)
+        if self._tar is None and not self.storage.remote:  # there it would be a request a job
+            _check_run(self.storage, self._run)
         written: Record = {}
         for name, content in files.items():
             path = _path(self.chunk, row, name, self._tar is not None)
             if self._tar is None:
-                self.place.put(path, content)
+                self.storage.put(path, content)
             digest = hashlib.sha256(content).hexdigest()
             written[name] = {"path": path, "bytes": len(content), "sha256": digest}
         record = self._record(position, facts, written)
@@ -94,13 +94,13 @@ class Writer:
 
 
 class Superseded(OSError):
-    """Another run of a batch writes there now."""
+    """A later run of the batch writes there now."""
 
 
-def _check_run(place: Place, run: str) -> None:
+def _check_run(storage: Storage, run: str) -> None:
     try:
-        about = json.loads(place.get(ABOUT))
-    except FileNotFoundError:  # no driver
+        about = json.loads(storage.get(ABOUT))
+    except FileNotFoundError:  # no coordinator
         return
     if about["run"] != run:
         raise Superseded("another run of the batch has begun there")
@@ -109,33 +109,33 @@ def _check_run(place: Place, run: str) -> None:
 def begin(settings: Settings, chunk: Chunk) -> None:
     """Write down which files a chunk will have, so that they can be removed where it comes to no
     record and is not asked for again. OSError where it cannot be, or another run has begun."""
-    place = Place(settings.output)
-    _check_run(place, settings.run)
+    storage = Storage(settings.output)
+    _check_run(storage, settings.run)
     named: list[Record] = []
     for row in chunk.rows:
-        names = map(file_name, row.passes)
+        names = map(file_name, row.outputs)
         files = {n: {"path": _path(chunk, row, n, settings.layout == "shards")} for n in names}
         named.append({"id": row.id, "key": "", "files": files})
-    _put_records(place, f"{BEGUN}/{chunk.name}.jsonl", Head(chunk.number, 0, 0), named)
+    _put_records(storage, f"{BEGUN}/{chunk.name}.jsonl", Head(chunk.number, 0, 0), named)
 
 
 def commit(settings: Settings, chunk: Chunk, tar: Path | None, records: Sequence[Record]) -> None:
     """Finish the tar of a chunk, and write its record, after which it is done: a line that counts
     the jobs, and one for each of them. OSError as of :func:`begin`."""
-    place = Place(settings.output)
-    _check_run(place, settings.run)
+    storage = Storage(settings.output)
+    _check_run(storage, settings.run)
     if tar is not None:
         _append(tar, [bytes(2 * _BLOCK)])
-        place.move(tar, _shard(chunk))
+        storage.move(tar, _shard(chunk))
     failed = sum("error" in record for record in records)
     head = Head(chunk.number, len(records) - failed, failed)
-    _put_records(place, f"{RECORDS}/{chunk.name}.jsonl", head, records)
-    place.drop(f"{BEGUN}/{chunk.name}.jsonl")
+    _put_records(storage, f"{RECORDS}/{chunk.name}.jsonl", head, records)
+    storage.drop(f"{BEGUN}/{chunk.name}.jsonl")
 
 
-def _put_records(place: Place, name: str, head: Head, records: Iterable[Record]) -> None:
+def _put_records(storage: Storage, name: str, head: Head, records: Iterable[Record]) -> None:
     lines = "".join(json.dumps(each) + "\n" for each in (asdict(head), *records))
-    place.put(name, lines.encode())
+    storage.put(name, lines.encode())
 
 
 def _path(chunk: Chunk, row: Row, name: str, shards: bool) -> str:
@@ -159,7 +159,7 @@ def _read_files(get: Callable[[str], bytes], record: Record) -> dict[str, bytes]
 
 
 def _append(tar: Path, pieces: Iterable[bytes]) -> int:
-    """Write to the end of a tar, which is there, and return its size: another driver may have
+    """Write to the end of a tar, which is there, and return its size: another coordinator may have
     removed it, and a new one would lack what was written before."""
     with tar.open("r+b") as file:
         file.seek(0, os.SEEK_END)
@@ -173,18 +173,18 @@ def _member(name: str, content: bytes) -> bytes:
     return entry.tobuf(tarfile.GNU_FORMAT) + content + bytes(-len(content) % _BLOCK)
 
 
-def read_head(place: Place, name: str) -> Head:
+def read_head(storage: Storage, name: str) -> Head:
     """Return what the record of a chunk counts."""
-    return Head(**json.loads(place.get(f"{RECORDS}/{name}.jsonl", 200).partition(b"\n")[0]))
+    return Head(**json.loads(storage.get(f"{RECORDS}/{name}.jsonl", 200).partition(b"\n")[0]))
 
 
-def records_of(place: Place, name: str, folder: str = RECORDS) -> Iterator[Record]:
+def records_of(storage: Storage, name: str, folder: str = RECORDS) -> Iterator[Record]:
     """Return the records of a chunk's jobs, drawn and failed."""
-    for line in place.get(f"{folder}/{name}.jsonl").splitlines()[1:]:
+    for line in storage.get(f"{folder}/{name}.jsonl").splitlines()[1:]:
         yield json.loads(line)
 
 
-def record_names(place: Place, folder: str = RECORDS) -> set[str]:
+def record_names(storage: Storage, folder: str = RECORDS) -> set[str]:
     """Return the names of the chunks that have a record."""
     suffix = ".jsonl"
-    return {name.removesuffix(suffix) for name in place.names(folder) if name.endswith(suffix)}
+    return {name.removesuffix(suffix) for name in storage.names(folder) if name.endswith(suffix)}

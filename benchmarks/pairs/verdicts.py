@@ -1,13 +1,13 @@
 """What facerender's comparison at its defaults, and other tools, say of the pairs of a suite.
 
-python -m tests.verification.pairs.verdicts SUITE -o docs/measurements/pairs.json
-python -m tests.verification.pairs.verdicts SUITE --peers -o docs/measurements/pairs_peers.json
+python -m benchmarks.pairs.verdicts SUITE -o docs/measurements/pairs.json
+python -m benchmarks.pairs.verdicts SUITE --peers -o docs/measurements/pairs_peers.json
 
 The first prints what facerender judges wrong; facerender finds a pair different, too, where it
 cannot compare it. Pairs of identical pixels are left out, and so are changes that must fail and
 whose effect is not above the encoding's noise. Peers give numbers that grow with the difference,
 and get the threshold that suits best the very pairs that they are scored on: those of the half that
-is reported. ``tests/verification/pairs/peers.py`` says what they need.
+is reported. ``benchmarks/pairs/peers.py`` says what they need.
 """
 
 from __future__ import annotations
@@ -24,13 +24,14 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.pairs.peers import PEERS, present
+from benchmarks.pairs.suite import INDEX, WORKERS, read_pairs
 from facerender import __version__
 from facerender.comparison.compare import compare
 from facerender.errors import InputError
 from facerender.system.atomic import write_text
 from tests.verification.pairs.changes import CHANGES, Format, Must
-from tests.verification.pairs.draw import INDEX, WORKERS, Pair, read_pairs
-from tests.verification.pairs.peers import PEERS, present
+from tests.verification.pairs.draw import Pair
 from tests.verification.pairs.scenes import Half
 
 FACERENDER = "facerender compare"
@@ -179,7 +180,7 @@ def write_summary(path: Path, summary: Summary) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(
-        prog="python -m tests.verification.pairs.verdicts", description=__doc__
+        prog="python -m benchmarks.pairs.verdicts", description=__doc__
     )
     parser.add_argument("suite", type=Path)
     parser.add_argument("--peers", action="store_true", help="ask them in place of facerender")

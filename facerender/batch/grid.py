@@ -1,5 +1,5 @@
-"""Rows of a .toml file: its common tables, a list of jobs, the product of a grid's axes, values
-drawn at random. No row is made before it is asked for."""
+"""Rows of a .toml file: its common tables, a list of jobs, the grid of its axes' values, random
+values. Rows are made one after the other."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from facerender.batch.tables import Table, merged, nested, placed, told
-from facerender.errors import InputError
+from facerender.batch.tables import Table, merged, nested, placed
+from facerender.errors import InputError, shown
 
 MOST_ROWS = 10**9
 _MOST_AXES = 100
 _BLOCK = 1024  # rows whose random numbers are made at once
 
 
-def product(tables: Table) -> Iterator[Table]:
+def grid_rows(tables: Table) -> Iterator[Table]:
     """Yield the rows of a file's tables, those of a mesh side by side.
 
     For each mesh of the grid, each of ``jobs``, each combination of the other axes, the last one
@@ -36,9 +36,9 @@ def product(tables: Table) -> Iterator[Table]:
     jobs = tables.pop("jobs", [{}])
     for name, table in (("grid", grid), ("random", chance)):
         if not isinstance(table, Mapping):
-            raise InputError(f"{name} = {told(table)}: give a table, [{name}]")
+            raise InputError(f"{name} = {shown(table)}: give a table, [{name}]")
     if not isinstance(jobs, list) or not jobs:
-        raise InputError(f"jobs = {told(jobs)}: give tables, [[jobs]]")
+        raise InputError(f"jobs = {shown(jobs)}: give tables, [[jobs]]")
     chance = dict(chance)
     count = _whole("random.count", chance.pop("count", 1), 1)
     seed = _whole("random.seed", chance.pop("seed", 0), 0)
@@ -114,11 +114,11 @@ def _axis(key: str, value: Any) -> _Axis:
         return _Axis(key, len(rows), rows.__getitem__)
     if not isinstance(value, Mapping):
         raise InputError(
-            f"{name} = {told(value)}: give a list of values, or {{ from, to, step }}, or "
+            f"{name} = {shown(value)}: give a list of values, or {{ from, to, step }}, or "
             "{ from, to, count }"
         )
     if len(value) != 3 or set(value) - {"from", "to", "step", "count"}:
-        raise InputError(f"{name} = {told(value)}: give from, to, and step or count")
+        raise InputError(f"{name} = {shown(value)}: give from, to, and step or count")
     low, high = (_number(f"{name}.{end}", value.get(end)) for end in ("from", "to"))
     whole = all(type(each) is int for each in value.values())
     try:
@@ -136,7 +136,7 @@ def _axis(key: str, value: Any) -> _Axis:
             step = (end - start) / max(count - 1, 1)
             whole = whole and step == int(step)
     except DecimalException:
-        raise InputError(f"{name} = {told(value)}: give numbers nearer to each other") from None
+        raise InputError(f"{name} = {shown(value)}: give numbers nearer to each other") from None
     number = int if whole else float
     keys = key.split(".")
 
@@ -161,14 +161,14 @@ class _Draw:
         self.key, self._keys = key, key.split(".")
         name = f"random.{key}"
         if not isinstance(how, Mapping) or len(how) != 1 or set(how) - set(_DRAWS):
-            raise InputError(f"{name} = {told(how)}: give one of {_REMEDY}")
+            raise InputError(f"{name} = {shown(how)}: give one of {_REMEDY}")
         ((kind, given),) = how.items()
         if not isinstance(given, list) or not given:
-            raise InputError(f"{name}.{kind} = {told(given)}: give one of {_REMEDY}")
+            raise InputError(f"{name}.{kind} = {shown(given)}: give one of {_REMEDY}")
         if kind == "choice":
             self._rows = [nested({key: each}) for each in given]
         elif len(given) != 2:
-            raise InputError(f"{name}.{kind} = {told(given)}: give two numbers")
+            raise InputError(f"{name}.{kind} = {shown(given)}: give two numbers")
         else:
             self._ends = [float(_number(f"{name}.{kind}", each)) for each in given]
             _check_ends(name, kind, *self._ends)
@@ -188,25 +188,25 @@ class _Draw:
     def _uniform(self, word: int, _: int) -> Table:
         low, high = self._ends
         share = _share(word)
-        return self._told((1.0 - share) * low + share * high, low, high)
+        return self._row((1.0 - share) * low + share * high, low, high)
 
     def _log_uniform(self, word: int, _: int) -> Table:
         low, high = self._ends
         share = _share(word)
         value = math.exp((1.0 - share) * math.log(low) + share * math.log(high))
-        return self._told(value, low, high)
+        return self._row(value, low, high)
 
     def _normal(self, word: int, other: int) -> Table:
         """By Box and Muller (1958)."""
         mean, sigma = self._ends
         radius = math.sqrt(-2.0 * math.log(1.0 - _share(word)))
         value = mean + sigma * radius * math.cos(2.0 * math.pi * _share(other))
-        return self._told(value, -math.inf, math.inf)
+        return self._row(value, -math.inf, math.inf)
 
     def _choice(self, word: int, _: int) -> Table:
         return self._rows[word * len(self._rows) >> 64]
 
-    def _told(self, value: float, low: float, high: float) -> Table:
+    def _row(self, value: float, low: float, high: float) -> Table:
         """With 12 digits, which two machines' exp and log agree on."""
         row: Table = placed(self._keys, min(max(float(f"{value:.12g}"), low), high))
         return row
@@ -243,10 +243,10 @@ def _share(word: int) -> float:
 def _number(name: str, value: Any) -> int | float:
     if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e300:
         return value
-    raise InputError(f"{name} = {told(value)}: give a finite number")
+    raise InputError(f"{name} = {shown(value)}: give a finite number")
 
 
 def _whole(name: str, value: Any, least: int) -> int:
     if type(value) is int and least <= value < 2**63:
         return value
-    raise InputError(f"{name} = {told(value)}: give a whole number from {least} to 2^63 - 1")
+    raise InputError(f"{name} = {shown(value)}: give a whole number from {least} to 2^63 - 1")

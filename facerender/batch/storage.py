@@ -16,7 +16,7 @@ from facerender.errors import InputError
 _UNFINISHED = ".unfinished"
 
 
-class Place:
+class Storage:
     """A folder of files by name, with slashes between.
 
     Parameters

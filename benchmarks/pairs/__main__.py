@@ -1,6 +1,6 @@
 """Draws the suite of image pairs into a folder, or what it lacks of it.
 
-python -m tests.verification.pairs OUT [--scenes NAME ...] [--changes NAME ...]
+python -m benchmarks.pairs OUT [--scenes NAME ...] [--changes NAME ...]
 """
 
 from __future__ import annotations
@@ -9,13 +9,13 @@ import argparse
 import os
 from pathlib import Path
 
+from benchmarks.pairs.suite import draw_suite
 from tests.verification.pairs.changes import CHANGES
-from tests.verification.pairs.draw import draw_suite
 from tests.verification.pairs.scenes import SETTINGS
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m tests.verification.pairs", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.pairs", description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--scenes", nargs="+", choices=SETTINGS, default=[*SETTINGS])
     parser.add_argument("--changes", nargs="+", choices=CHANGES, default=[*CHANGES])

@@ -1,7 +1,8 @@
-"""What a batch costs its driver: seconds and memory of 10^6 jobs of which none is drawn, and of a
-second run of a batch that is done.
+"""Cost of a batch for its coordinator: time and memory of 10^6 jobs, of which none is drawn, and of
+a second run of a batch that is done.
 
-    python benchmarks/batch_driver.py [--jobs 1000000] [--done 10000] [--formats toml csv jsonl]
+    python benchmarks/batch_coordinator.py [--jobs 1000000] [--done 10000]
+        [--formats toml csv jsonl]
 
 Chunks go to an engine that takes and answers them without drawing. Of the batch that is done, the
 files are written by what workers write with, and are a few bytes each.
@@ -25,8 +26,8 @@ from typing import Any
 
 from facerender.batch import engine
 from facerender.batch.chunk import Chunk, Settings
-from facerender.batch.output import Writer, begin, commit
-from facerender.batch.place import Place
+from facerender.batch.records import Writer, begin, commit
+from facerender.batch.storage import Storage
 from facerender.batch.supervisor import Outcome
 from facerender.commands import main as facerender
 
@@ -57,7 +58,7 @@ class Small(Nothing):
 
     def answer(self, settings: Settings, chunk: Chunk) -> Outcome:
         begin(settings, chunk)
-        tar = Place(settings.output).unfinished() if settings.layout == "shards" else None
+        tar = Storage(settings.output).unfinished() if settings.layout == "shards" else None
         writer = Writer(settings, chunk, tar, 0)
         records = [
             writer.write(i, {"image.png": b"nothing"}, {"job": row.tables, **_FACTS})

@@ -18,7 +18,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.batch.passes import PASSES, camera_facts, draw, transforms_frame
+from facerender.batch.outputs import OUTPUTS, camera_facts, draw, transforms_frame
 from facerender.images.read import read_image
 from facerender.scenes.planned import Planned
 from facerender.scenes.scene import ONLY
@@ -59,8 +59,8 @@ def layers_of(content):
 @pytest.mark.parametrize("background", [None, (0.2, 0.1, 0.0)])
 def test_pictures_are_those_that_frames_save(head, drawing, background, tmp_path):
     job = job_of(background=background)
-    files = draw(job, head, drawing, PASSES, 0.5).files
-    assert [*files] == [f"{name}.png" for name in PASSES[:-1]] + ["layers.exr"]
+    files = draw(job, head, drawing, OUTPUTS, 0.5).files
+    assert [*files] == [f"{name}.png" for name in OUTPUTS[:-1]] + ["layers.exr"]
     numbers = ("depth", "mask", "parts")  # of which a frame makes a picture
     for only in (None, *ONLY):
         name = f"{only or 'image'}.png"
@@ -82,8 +82,8 @@ def test_a_planned_job_is_drawn_as_planned(head, drawing, how, tmp_path):
     camera = fr.Camera(-35.0, -70.0)  # into the neck, which is open
     planned = Planned((SIZE,), 4, **how)
     job = job_of(camera=camera, material={"m": 0.25, "albedo": (0.5, 0.3, 0.2)})
-    passes = "image", "specular", "normal"
-    drawn = draw(replace(job, planned=planned), head, drawing, passes, 0.0)
+    outputs = "image", "specular", "normal"
+    drawn = draw(replace(job, planned=planned), head, drawing, outputs, 0.0)
     assert drawn.facts["planned"] is True
     detail = planned.detail
     for only in (None, "specular", "normal"):
@@ -96,20 +96,21 @@ def test_a_planned_job_is_drawn_as_planned(head, drawing, how, tmp_path):
     assert "planned" not in whole.facts
     assert drawn.files["image.png"] != whole.files["image.png"]
     elsewhere = replace(job, planned=replace(planned, sizes=((512, 512),)))
-    drawn = draw(elsewhere, head, drawing, ("image",), 0.0)
+    with pytest.warns(fr.FacerenderWarning, match="was planned for 512 x 512 pixels with 4 samp"):
+        drawn = draw(elsewhere, head, drawing, ("image",), 0.0)
     assert drawn.facts["planned"] is False
     assert drawn.files == whole.files
 
 
 def test_the_same_bytes_from_another_renderer(head, drawing, egl):
-    first = draw(job_of(), head, drawing, PASSES, 0.0)
+    first = draw(job_of(), head, drawing, OUTPUTS, 0.0)
     with fr.Renderer(SIZE, samples=4, backend=egl) as other:
-        again = draw(job_of(), head, other, PASSES[::-1] * 2, 0.0)
+        again = draw(job_of(), head, other, OUTPUTS[::-1] * 2, 0.0)
     assert first.files == again.files
     assert first.facts == again.facts == json.loads(json.dumps(first.facts))
 
 
-def test_what_is_drawn_once_serves_all_passes(head, drawing, monkeypatch):
+def test_what_is_drawn_once_serves_all_outputs(head, drawing, monkeypatch):
     calls = []
     for name in ("render", "gbuffer"):
         plain = getattr(fr.Renderer, name)
@@ -119,7 +120,7 @@ def test_what_is_drawn_once_serves_all_passes(head, drawing, monkeypatch):
             return plain(*args, **options)
 
         monkeypatch.setattr(fr.Renderer, name, counted)
-    draw(job_of(), head, drawing, PASSES, 0.0)
+    draw(job_of(), head, drawing, OUTPUTS, 0.0)
     assert sorted(calls) == ["gbuffer", "render", "render", "render"]
     calls.clear()
     draw(job_of(), head, drawing, ("specular",), 0.0)
@@ -153,7 +154,7 @@ def test_cameras_of_one_distance_share_their_scale(head, drawing):
 def test_a_camera_that_sees_nothing(head, drawing):
     away = fr.Camera(position=tuple(head.center + [0, 0, 3]), target=tuple(head.center + [0, 0, 9]))
     with pytest.warns(fr.FacerenderWarning, match="no pixel shows head.glb: .* behind the camera"):
-        drawn = draw(job_of(camera=away), head, drawing, PASSES, 0.0)
+        drawn = draw(job_of(camera=away), head, drawing, OUTPUTS, 0.0)
     for name in ("depth", "mask", "parts", "normal"):
         assert not unchanged(drawn.files[f"{name}.png"]).any()
     assert drawn.facts["depth_scale"] > 0.0
@@ -202,7 +203,7 @@ def test_layers_hold_every_pass(halves, drawing, tmp_path):
 
 
 def test_what_cannot_be_drawn_is_told(head, drawing, monkeypatch):
-    with pytest.raises(fr.InputError, match=r"unknown pass 'norml'; known: image, specular"):
+    with pytest.raises(fr.InputError, match=r"unknown output 'norml'; known: image, specular"):
         draw(job_of(), head, drawing, ("norml",), 0.0)
     many = replace(head, parts=head.parts * 65536, materials=head.materials * 65536)
     with pytest.raises(fr.InputError, match=r"65536 parts, and parts.png numbers 65535: ask for"):
@@ -293,11 +294,11 @@ def test_a_frame_of_transforms_json(head, drawing):
 
 
 def test_the_page_reads_what_is_written(head, egl, tmp_path, monkeypatch):
-    text = (Path(__file__).parents[1] / "docs" / "passes.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[1] / "docs" / "outputs.md").read_text(encoding="utf-8")
     camera = fr.Camera(position=(0.0, 0.0, 1.0), target=(0.0, 0.0, 0.0))
     job = fr.Job(camera=camera, image=fr.ImageSettings(size=(512, 384)))
     with fr.Renderer.of(job, egl) as renderer:
-        drawn = draw(job, head, renderer, PASSES, 0.0)
+        drawn = draw(job, head, renderer, OUTPUTS, 0.0)
         seen = renderer.gbuffer(job.scene(head))
     for name, content in drawn.files.items():
         (tmp_path / name).write_bytes(content)

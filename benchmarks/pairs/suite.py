@@ -1,0 +1,80 @@
+"""Draws every scene of the suite as golden and once per change, and keeps what is known of each
+pair."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict
+from multiprocessing import get_context
+from pathlib import Path
+
+from facerender.system.atomic import write_text
+from tests.verification.pairs.changes import CHANGES, Change
+from tests.verification.pairs.draw import Pair, draw
+from tests.verification.pairs.room import Room
+from tests.verification.pairs.scenes import SETTINGS, Setting
+
+INDEX = "index.json"
+WORKERS = 2
+_PAIRS = "pairs.json"
+
+
+def draw_missing(setting: Setting, out: Path, names: Sequence[str]) -> None:
+    """Draw what a folder lacks of some changes of a scene."""
+    folder = out / setting.name
+    folder.mkdir(parents=True, exist_ok=True)
+    none_of = folder / "none.json"  # what the scene has nothing of
+    absent = set(json.loads(none_of.read_text())) if none_of.exists() else set()
+    known = {(pair.change, pair.format): pair for pair in read_pairs(folder / _PAIRS)}
+    there = {key for key, pair in known.items() if (out / pair.image).exists()}
+    room = Room(setting)
+    for name in names:
+        change = CHANGES[name]
+        formats = change.formats if isinstance(change, Change) else ("png",)
+        if name in absent or all((name, each) in there for each in formats):
+            continue
+        pairs = [*draw(room, name, out)]
+        known |= {(pair.change, pair.format): pair for pair in pairs}
+        if not pairs:
+            absent.add(name)
+            write_text(none_of, json.dumps(sorted(absent)))
+        write_pairs(folder / _PAIRS, [*known.values()])
+    room.renderer.release()
+
+
+def draw_scene(name: str, out: Path, changes: Sequence[str]) -> str:
+    draw_missing(SETTINGS[name], out, changes)
+    return name
+
+
+def draw_suite(
+    out: Path,
+    scenes: Sequence[str] = (*SETTINGS,),
+    changes: Sequence[str] = (*CHANGES,),
+) -> Iterator[str]:
+    """Draw the pairs that a folder lacks, and keep the index there; yields the scenes as they are
+    done."""
+    with ProcessPoolExecutor(WORKERS, get_context("spawn")) as pool:
+        work = [pool.submit(draw_scene, name, out, changes) for name in scenes]
+        for done in as_completed(work):
+            yield done.result()
+            write_index(out)
+
+
+def read_pairs(path: Path) -> list[Pair]:
+    """Return the pairs of an index; none where it is not there."""
+    return [Pair(**each) for each in json.loads(path.read_text())] if path.exists() else []
+
+
+def write_pairs(path: Path, pairs: Sequence[Pair]) -> None:
+    rows = ",\n".join(json.dumps(asdict(pair)) for pair in pairs)
+    write_text(path, f"[\n{rows}\n]\n")
+
+
+def write_index(out: Path) -> list[Pair]:
+    """Collect the pairs of all scenes."""
+    pairs = [pair for name in SETTINGS for pair in read_pairs(out / name / _PAIRS)]
+    write_pairs(out / INDEX, pairs)
+    return pairs

@@ -1,0 +1,70 @@
+"""Sends every chunk without a record to an engine, a few for each worker at a time, and collects
+the outcomes."""
+
+from __future__ import annotations
+
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
+from itertools import islice
+
+from facerender.batch.chunk import Chunk, Settings
+from facerender.batch.engine import Engine, scheduler_gone
+from facerender.batch.progress import Progress
+from facerender.batch.storage import Storage
+from facerender.batch.supervisor import Outcome, draw_chunk
+from facerender.batch.work import Work, with_kept
+from facerender.errors import FacerenderError, warn
+
+_AHEAD = 2  # chunks that wait for each worker
+_TRIES = 3  # of a chunk whose supervisor was lost
+
+
+def run(work: Work, settings: Settings, engine: Engine, progress: Progress) -> int:
+    """Draw the chunks to do, and return the number of jobs that were drawn.
+
+    Raises
+    ------
+    CannotDraw : nothing can be drawn or written
+    FacerenderError : the scheduler has ended, or workers are lost again and again
+    """
+    drawn, renderers = 0, set[str]()
+    waiting = with_kept(work, Storage(settings.output))
+    report = progress.report if engine.workers else None
+    sent: dict[Future[Outcome], tuple[Chunk, int]] = {}
+
+    def send(chunk: Chunk, tries: int) -> None:
+        sent[engine.executor.submit(draw_chunk, settings, chunk, report)] = chunk, tries
+
+    while True:
+        free = (1 + _AHEAD) * engine.slots() - len(sent)
+        for chunk in islice(waiting, max(free, 0)):
+            send(chunk, 1)
+        if not sent:
+            return drawn
+        for future in wait(sent, return_when=FIRST_COMPLETED).done:
+            chunk, tries = sent.pop(future)
+            try:
+                outcome = future.result()
+            except FacerenderError:
+                raise
+            except CancelledError:
+                raise scheduler_gone() from None
+            except Exception as error:
+                if tries >= _TRIES:
+                    raise FacerenderError(
+                        f"{chunk} was lost {_TRIES} times ({error!r}); run the same command again"
+                    ) from error
+                send(chunk, tries + 1)
+                continue
+            drawn += outcome.drawn
+            _check_renderer(outcome, renderers)
+            progress.finished(outcome)
+
+
+def _check_renderer(outcome: Outcome, known: set[str]) -> None:
+    """Warn of an OpenGL driver that differs from the others'."""
+    if outcome.renderer and known and outcome.renderer not in known:
+        warn(
+            f"{outcome.worker} draws with {outcome.renderer}, others with {min(known)}: their "
+            "pixels may differ in the last digits"
+        )
+    known |= {outcome.renderer} - {""}
