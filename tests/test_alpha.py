@@ -15,7 +15,7 @@ from facerender.drawing import reference
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.visibility import can_defer
 from facerender.errors import FacerenderWarning, InputError
-from facerender.explorer import plain
+from facerender.explorer.mesh import drawable
 from facerender.job import Job
 from facerender.loading.mesh_cache import MeshFiles
 from facerender.loading.source import Orientation, source_of
@@ -544,7 +544,7 @@ def test_light_scatters_below_what_is_blended(single):
 def test_what_cannot_show_a_part_says_so():
     mesh = parts_head("blend")
     with pytest.warns(FacerenderWarning, match="shows parts without blended parts, masks$"):
-        shown = plain(mesh)
+        shown = drawable(mesh)
     assert len(shown.parts) == 3
     assert {material.alpha for material in shown.materials} == {"opaque"}
     with (

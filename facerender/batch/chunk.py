@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 from uuid import uuid4
 
-from facerender._version import __version__
+from facerender import __version__
 from facerender.batch.jobs import Row
 from facerender.loading.references import named_files
 from facerender.system.data import data_dir

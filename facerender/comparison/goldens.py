@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from facerender._version import __version__
+from facerender import __version__
 from facerender.comparison.compare import Comparable, as_picture, compare
 from facerender.comparison.pairs import Pair
 from facerender.comparison.shift_range import MOVES, range_of

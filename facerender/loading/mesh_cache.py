@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender._version import __version__
+from facerender import __version__
 from facerender.errors import FacerenderError, InputError, warn
 from facerender.loading.references import content_of
 from facerender.loading.source import Orientation, Source

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from facerender._version import __version__
+from facerender import __version__
 from facerender.drawing.renderer import Renderer
 from facerender.planning.budget import Budget
 from facerender.planning.plan import plan

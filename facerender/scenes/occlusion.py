@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender._version import __version__
+from facerender import __version__
 from facerender.errors import InputError, check_switch, check_type, warn
 from facerender.scenes.mesh import Mesh, coordinates, drawn_alpha
 from facerender.system import cache as disk_cache
