@@ -98,7 +98,7 @@ def draw(room: Room, change: Change | Encoded, out: Path) -> Iterator[Pair]:
 
     if isinstance(change, Encoded):
         a, golden = room.frame(room.golden), folder / "golden.png"
-        image = folder / f"{slug(name)}.{change.suffix}"
+        image = folder / f"{slug(name)}.png"
         if (content := change.make(a.srgb8())) is not None:
             if not golden.exists():
                 a.save(golden)
