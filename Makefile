@@ -17,7 +17,7 @@ PYTEST = LP_NUM_THREADS=1 $(VENV)/pytest -n auto --dist loadfile
 MINUTES ?= 10
 PREFIX ?= /usr/local
 SHARE = $(DESTDIR)$(PREFIX)/share
-VERSION = $(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' facerender/_version.py)
+VERSION = $(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' facerender/__init__.py)
 
 .PHONY: render test slow fuzz docs head npm install-shaders system test-system
 

@@ -7,7 +7,7 @@ Without options: the tables of docs/measurements/scale.md; with -o, their data f
 tools.docs`, as docs/measurements/scale_simulated.json. A model of events, in one process, in
 seconds:
 
-- A driver of each part reads and digests rows, and keeps a window of chunks in flight.
+- A coordinator of each part reads and digests rows, and keeps a window of chunks in flight.
 - A scheduler of each part serves one message after the other: half of a task's time when it comes,
   half when it is done; times are lognormal.
 - Workers draw a chunk at a time; some are slow, their children crash, they are lost. One that has
@@ -42,7 +42,7 @@ TARGET = 1e8 / 86400.0  # images a second
 class Cluster:
     """What is simulated. Times in seconds, sizes in bytes, rates a second unless said otherwise.
 
-    Measured here: draw, chunk_start, image_bytes, driver_row, driver_chunk, scheduler and
+    Measured here: draw, chunk_start, image_bytes, coordinator_row, coordinator_chunk, scheduler and
     scheduler_sigma. Public: request_limit is what Amazon S3 grants PUTs to a prefix, put lies
     in the middle of the latencies of small objects that it names ("Best practices design patterns:
     optimizing Amazon S3 performance"). The rest is assumed.
@@ -50,15 +50,16 @@ class Cluster:
     Parameters
     ----------
     workers, chunk, layout, parts, window : processes that draw; jobs of a chunk; "shards" or
-        "files"; drivers with a scheduler of their own, which share workers and rows evenly; chunks
-        in flight for each worker
+        "files"; coordinators with a scheduler of their own, which share workers and rows evenly;
+        chunks in flight for each worker
     draw, draw_spread : of an image on one core; its standard deviation over its mean
     chunk_start : before the first image of a chunk: a mesh that is not kept
     slow_share, slow_factor : workers that are slow, and how much
     crashes, crash_cost : of a drawing child, an hour and worker; a new child and the job again
     losses, loss_found, loss_back : of a worker with its chunk, an hour; until the scheduler sends
         the chunk to another, and until the worker is back
-    driver_row, driver_chunk : to read, check and digest a row; to send a chunk and take its result
+    coordinator_row, coordinator_chunk : to read, check and digest a row; to send a chunk and take
+        its result
     scheduler, scheduler_sigma : a task; of the logarithm of a message's time
     image_bytes, objects : of all files of a job; how many these are
     put, put_sigma, puts, request_limit : median latency of a request, sigma of its logarithm; how
@@ -81,8 +82,8 @@ class Cluster:
     losses: float = 0.01
     loss_found: float = 30.0
     loss_back: float = 120.0
-    driver_row: float = 5e-5
-    driver_chunk: float = 2e-3
+    coordinator_row: float = 5e-5
+    coordinator_chunk: float = 2e-3
     scheduler: float = 2e-3
     scheduler_sigma: float = 0.5
     image_bytes: float = 1e5
@@ -104,7 +105,8 @@ class Cluster:
         speed = 1.0 - self.slow_share + self.slow_share / self.slow_factor
         return {
             "workers": self.workers * speed / (self.draw + self.chunk_start / self.chunk),
-            "driver": self.parts / (self.driver_row + self.driver_chunk / self.chunk),
+            "coordinator": self.parts
+            / (self.coordinator_row + self.coordinator_chunk / self.chunk),
             "scheduler": self.parts * self.chunk / self.scheduler,
             "requests": self.request_limit * self.chunk / self.requests,
             "link": self.link / self.image_bytes,
@@ -118,8 +120,8 @@ class Told:
     Parameters
     ----------
     images : a second
-    full : the share of time in which drivers, schedulers, requests and link were busy, and workers
-        drew, or waited for the store
+    full : the share of time in which coordinators, schedulers, requests and link were busy, and
+        workers drew, or waited for the store
     median, slowest : seconds from a worker's start of a chunk to its record, of half of the chunks
         and of all but 1 %
     again : chunks that were lost and drawn again, of a million
@@ -172,110 +174,142 @@ class _Random:
 
 def simulate(cluster: Cluster, seed: int = 1) -> Told:
     """Run a cluster for fifteen chunks of a worker, after four and twice what fills the windows."""
-    seconds = max(15.0 * (cluster.chunk * cluster.draw + cluster.chunk_start), 60.0)
-    sending = cluster.chunk * cluster.driver_row + cluster.driver_chunk
-    warm = 0.25 * seconds + 2.0 * cluster.window * cluster.workers / cluster.parts * sending
-    random, end = _Random(seed), warm + seconds
-    drivers = [_Server(warm) for _ in range(cluster.parts)]
-    schedulers = [_Server(warm) for _ in range(cluster.parts)]
-    requests, link = _Server(warm), _Server(warm)
-    ready: list[deque[int]] = [deque() for _ in range(cluster.parts)]
-    idle: list[list[int]] = [[] for _ in range(cluster.parts)]
-    begun = [0.0] * cluster.workers
-    for worker in range(cluster.workers):
-        idle[worker % cluster.parts].append(worker)
-    events: list[tuple[float, int, str, int, int]] = []  # time, number, what, part, worker
-    count = images = again = 0
-    drawing = waiting = 0.0
-    times: list[float] = []
+    simulation = _Simulation(cluster, seed)
+    simulation.run()
+    return simulation.told()
 
-    def at(time: float, what: str, part: int, worker: int = -1) -> None:
-        nonlocal count
-        count += 1
-        heappush(events, (time, count, what, part, worker))
 
-    def message() -> float:
-        sigma = cluster.scheduler_sigma
-        return 0.5 * cluster.scheduler * math.exp(sigma * random.normal() - 0.5 * sigma * sigma)
+class _Simulation:
+    """The events of a cluster: rows sent by coordinators, tasks passed by schedulers, chunks drawn
+    by workers and stored."""
 
-    def give(part: int, now: float) -> None:
-        nonlocal drawing, again
-        while ready[part] and idle[part]:
-            ready[part].popleft()
-            worker = idle[part].pop()
-            draw = (
-                cluster.chunk
-                * cluster.draw
-                * max(1.0 + cluster.draw_spread / math.sqrt(cluster.chunk) * random.normal(), 0.1)
-            )
-            draw += cluster.chunk_start
-            if worker < cluster.slow_share * cluster.workers:
-                draw *= cluster.slow_factor
-            if not begun[worker]:  # so that workers are out of step
-                draw *= random.uniform()
-            if random.uniform() < cluster.crashes * draw / 3600.0:
-                draw += cluster.crash_cost
-            if random.uniform() < cluster.losses * draw / 3600.0:
-                lost = now + draw * random.uniform()
-                at(lost + cluster.loss_found, "task", part)
-                at(lost + cluster.loss_back, "back", part, worker)
-                again += 1
+    def __init__(self, cluster: Cluster, seed: int) -> None:
+        parts, workers = range(cluster.parts), range(cluster.workers)
+        self.cluster = cluster
+        self.random = _Random(seed)
+        self.seconds = max(15.0 * (cluster.chunk * cluster.draw + cluster.chunk_start), 60.0)
+        self.sending = cluster.chunk * cluster.coordinator_row + cluster.coordinator_chunk
+        filling = 2.0 * cluster.window * cluster.workers / cluster.parts * self.sending
+        self.warm = 0.25 * self.seconds + filling
+        self.end = self.warm + self.seconds
+        self.coordinators = [_Server(self.warm) for _ in parts]
+        self.schedulers = [_Server(self.warm) for _ in parts]
+        self.requests, self.link = _Server(self.warm), _Server(self.warm)
+        self.ready: list[deque[int]] = [deque() for _ in parts]
+        self.idle = [[worker for worker in workers if worker % cluster.parts == n] for n in parts]
+        self.begun = [0.0] * cluster.workers
+        self.events: list[tuple[float, int, str, int, int]] = []  # time, number, what, part, worker
+        self.count = self.images = self.again = 0
+        self.drawing = self.waiting = 0.0
+        self.times: list[float] = []
+
+    def run(self) -> None:
+        """Handle events in the order of time until the end."""
+        for part, idle in enumerate(self.idle):
+            for _ in range(max(int(self.cluster.window * len(idle)), 1)):
+                self._at(0.0, "row", part)
+        while self.events and self.events[0][0] < self.end:
+            now, _, what, part, worker = heappop(self.events)
+            if what == "row":  # the coordinator has room in its window
+                self._at(self.coordinators[part].serve(now, self.sending), "task", part)
+            elif what == "task":  # a chunk comes to the scheduler
+                self._at(self.schedulers[part].serve(now, self._message()), "ready", part)
+            elif what == "ready":
+                self.ready[part].append(worker)
+                self._give(part, now)
+            elif what == "store":
+                self._store(now, part, worker)
+            elif what == "stored":
+                if now >= self.warm:
+                    self.images += self.cluster.chunk
+                    self.times.append(now - self.begun[worker])
+                self._at(self.schedulers[part].serve(now, self._message()), "row", part)
+                self._at(now, "back", part, worker)
+            elif what == "back":
+                self.idle[part].append(worker)
+                self._give(part, now)
+
+    def _at(self, time: float, what: str, part: int, worker: int = -1) -> None:
+        self.count += 1
+        heappush(self.events, (time, self.count, what, part, worker))
+
+    def _since_warm(self, start: float, stop: float) -> float:
+        """Return how much of a span counts."""
+        return max(min(stop, self.end) - max(start, self.warm), 0.0)
+
+    def _message(self) -> float:
+        sigma = self.cluster.scheduler_sigma
+        factor = math.exp(sigma * self.random.normal() - 0.5 * sigma * sigma)
+        return 0.5 * self.cluster.scheduler * factor
+
+    def _draw(self, worker: int) -> float:
+        """Return how long a worker draws a chunk."""
+        cluster = self.cluster
+        spread = cluster.draw_spread / math.sqrt(cluster.chunk)
+        draw = cluster.chunk * cluster.draw * max(1.0 + spread * self.random.normal(), 0.1)
+        draw += cluster.chunk_start
+        if worker < cluster.slow_share * cluster.workers:
+            draw *= cluster.slow_factor
+        if not self.begun[worker]:  # so that workers are out of step
+            draw *= self.random.uniform()
+        if self.random.uniform() < cluster.crashes * draw / 3600.0:
+            draw += cluster.crash_cost
+        return draw
+
+    def _give(self, part: int, now: float) -> None:
+        """Give the chunks that are ready to idle workers."""
+        while self.ready[part] and self.idle[part]:
+            self.ready[part].popleft()
+            worker = self.idle[part].pop()
+            draw = self._draw(worker)
+            if self.random.uniform() < self.cluster.losses * draw / 3600.0:
+                lost = now + draw * self.random.uniform()
+                self._at(lost + self.cluster.loss_found, "task", part)
+                self._at(lost + self.cluster.loss_back, "back", part, worker)
+                self.again += 1
                 continue
-            drawing += max(min(now + draw, end) - max(now, warm), 0.0)
-            begun[worker] = now
-            at(now + draw, "store", part, worker)
+            self.drawing += self._since_warm(now, now + draw)
+            self.begun[worker] = now
+            self._at(now + draw, "store", part, worker)
 
-    for part in range(cluster.parts):
-        held = max(int(cluster.window * len(idle[part])), 1)
-        for _ in range(held):
-            at(0.0, "row", part)
-    while events and events[0][0] < end:
-        now, _, what, part, worker = heappop(events)
-        if what == "row":  # the driver has room in its window
-            at(drivers[part].serve(now, sending), "task", part)
-        elif what == "task":  # a chunk comes to the scheduler
-            at(schedulers[part].serve(now, message()), "ready", part)
-        elif what == "ready":
-            ready[part].append(worker)
-            give(part, now)
-        elif what == "store":  # a chunk is drawn: written, and its record after it
-            size, n = cluster.chunk * cluster.image_bytes, cluster.requests
-            after = (n - 1) / cluster.puts + 1.0  # one after the other; the record comes last
-            sigma = cluster.put_sigma
-            mean = cluster.put * math.exp(0.5 * sigma * sigma)
-            spread = mean * math.sqrt(math.expm1(sigma * sigma) * after)
-            told = now + max(after * mean + spread * random.normal(), 0.3 * after * cluster.put)
-            told = max(told + size / cluster.nic, requests.serve(now, n / cluster.request_limit))
-            told = max(told, link.serve(now, size / cluster.link))
-            waiting += max(min(told, end) - max(now, warm), 0.0)
-            at(told, "stored", part, worker)
-        elif what == "stored":
-            if now >= warm:
-                images += cluster.chunk
-                times.append(now - begun[worker])
-            at(schedulers[part].serve(now, message()), "row", part)
-            at(now, "back", part, worker)
-        elif what == "back":
-            idle[part].append(worker)
-            give(part, now)
-    held = cluster.workers * seconds
-    full = {
-        "workers": drawing / held,
-        "waiting": waiting / held,
-        "driver": sum(server.busy for server in drivers) / (cluster.parts * seconds),
-        "scheduler": sum(server.busy for server in schedulers) / (cluster.parts * seconds),
-        "requests": requests.busy / seconds,
-        "link": link.busy / seconds,
-    }
-    full = {name: min(share, 1.0) for name, share in full.items()}
-    median, slowest = np.quantile(times, (0.5, 0.99)) if times else (math.nan, math.nan)
-    lost = 1e6 * again * cluster.chunk / max(images, 1)
-    return Told(images / seconds, full, float(median), float(slowest), lost, _first(cluster, full))
+    def _store(self, now: float, part: int, worker: int) -> None:
+        """Write a chunk that is drawn, and its record after it."""
+        cluster = self.cluster
+        size, n = cluster.chunk * cluster.image_bytes, cluster.requests
+        after = (n - 1) / cluster.puts + 1.0  # one after the other; the record comes last
+        sigma = cluster.put_sigma
+        mean = cluster.put * math.exp(0.5 * sigma * sigma)
+        spread = mean * math.sqrt(math.expm1(sigma * sigma) * after)
+        latency = max(after * mean + spread * self.random.normal(), 0.3 * after * cluster.put)
+        sent = now + latency + size / cluster.nic
+        stored = max(sent, self.requests.serve(now, n / cluster.request_limit))
+        stored = max(stored, self.link.serve(now, size / cluster.link))
+        self.waiting += self._since_warm(now, stored)
+        self._at(stored, "stored", part, worker)
+
+    def told(self) -> Told:
+        """Return what was counted between the warm-up and the end."""
+        cluster, seconds = self.cluster, self.seconds
+        all_workers, all_parts = cluster.workers * seconds, cluster.parts * seconds
+        busy = {
+            "workers": self.drawing / all_workers,
+            "waiting": self.waiting / all_workers,
+            "coordinator": sum(server.busy for server in self.coordinators) / all_parts,
+            "scheduler": sum(server.busy for server in self.schedulers) / all_parts,
+            "requests": self.requests.busy / seconds,
+            "link": self.link.busy / seconds,
+        }
+        full = {name: min(share, 1.0) for name, share in busy.items()}
+        times = self.times
+        median, slowest = np.quantile(times, (0.5, 0.99)) if times else (math.nan, math.nan)
+        again = 1e6 * self.again * cluster.chunk / max(self.images, 1)
+        first = _first(cluster, full)
+        return Told(self.images / seconds, full, float(median), float(slowest), again, first)
 
 
 def _first(cluster: Cluster, full: Mapping[str, float]) -> str:
     capacities = cluster.capacities()
-    served = ("driver", "scheduler", "requests", "link")
+    served = ("coordinator", "scheduler", "requests", "link")
     busy = [name for name in served if full[name] >= 0.9]
     if busy:
         return min(busy, key=capacities.__getitem__)
@@ -285,14 +319,14 @@ def _first(cluster: Cluster, full: Mapping[str, float]) -> str:
 def measured(path: Path = MEASURED) -> Cluster:
     """A cluster of machines such as the one that was measured, as many as the target takes."""
     told = json.loads(path.read_text(encoding="utf-8"))
-    draw, driver, busiest = told["draw"], told["driver"], told["scheduler"][-1]
+    draw, coordinator, busiest = told["draw"], told["coordinator"], told["scheduler"][-1]
     _, half, most = busiest["trip_s"]
     cluster = Cluster(
         draw=draw["image_s"],
         chunk_start=draw["load_s"],
         image_bytes=draw["bytes"]["shard"] + draw["bytes"]["record"],
-        driver_row=driver["row_s"],
-        driver_chunk=busiest["driver_s"],
+        coordinator_row=coordinator["row_s"],
+        coordinator_chunk=busiest["coordinator_s"],
         scheduler=busiest["scheduler_s"],
         scheduler_sigma=math.log(most / half) / 1.2816,  # the normal distribution's 90th percentile
     )
@@ -306,14 +340,14 @@ def enough(cluster: Cluster, share: float = 0.85) -> int:
 
 
 HEAD = (
-    *("", "images/s", "in a day", "workers draw", "wait for the store", "driver", "scheduler"),
+    *("", "images/s", "in a day", "workers draw", "wait for the store", "coordinator", "scheduler"),
     *("PUT requests", "link", "a chunk, s: half, 99 %", "lost and again, of 10^6", "full first"),
 )
 
 
 def row(name: str, told: Told) -> list[str]:
     """Return what a simulation tells as a row under HEAD."""
-    parts = ("workers", "waiting", "driver", "scheduler", "requests", "link")
+    parts = ("workers", "waiting", "coordinator", "scheduler", "requests", "link")
     shares = [f"{100.0 * told.full[part]:.0f} %" for part in parts]
     chunk = f"{told.median:.1f}, {told.slowest:.1f}"
     day = f"{told.images * 86400.0 / 1e6:.0f} M"
@@ -330,9 +364,9 @@ def tables(base: Cluster) -> dict[str, Runs]:
     grown = [(f"{n} workers", replace(base, workers=n)) for n in workers]
     many, wide = workers[-1], {"link": 10.0 * base.link}
     split: Runs = [
-        (f"{many} workers, 1 driver, 10 times the link", replace(base, workers=many, **wide)),
-        (f"the same, {4} drivers", replace(base, workers=many, parts=4, **wide)),
-        (f"the same, {16} drivers", replace(base, workers=many, parts=16, **wide)),
+        (f"{many} workers, 1 coordinator, 10 times the link", replace(base, workers=many, **wide)),
+        (f"the same, {4} coordinators", replace(base, workers=many, parts=4, **wide)),
+        (f"the same, {16} coordinators", replace(base, workers=many, parts=16, **wide)),
     ]
     files = replace(base, layout="files")
     layouts: Runs = [
@@ -356,7 +390,7 @@ def tables(base: Cluster) -> dict[str, Runs]:
     return {
         "Jobs of a chunk": sized,
         "Workers": grown,
-        "Several drivers over parts of the table": split,
+        "Several coordinators over parts of the table": split,
         "Layout": layouts,
         "What goes wrong": wrong,
     }
@@ -368,7 +402,11 @@ def sleepers(run: Mapping[str, Any]) -> Cluster:
         workers=run["slots"],
         **{"chunk": 1, "draw": run["nap_s"], "draw_spread": 0.0, "chunk_start": 0.0},
         **{"slow_share": 0.0, "crashes": 0.0, "losses": 0.0, "put": 0.0, "image_bytes": 1.0},
-        **{"driver_row": 0.0, "driver_chunk": run["driver_s"], "scheduler": run["scheduler_s"]},
+        **{
+            "coordinator_row": 0.0,
+            "coordinator_chunk": run["coordinator_s"],
+            "scheduler": run["scheduler_s"],
+        },
         request_limit=1e9,
     )
 

@@ -1,12 +1,12 @@
 """What benchmarks/scale.py needs of this machine, into docs/measurements/scale.json.
 
-    python benchmarks/scale_measure.py [draw driver scheduler store ...]    all, or those named
+    python benchmarks/scale_measure.py [draw coordinator scheduler store ...]    all, or those named
 
 draw       `facerender batch` to shards of image, mask and 16-bit depth at 256 pixels: CPU time of a
            job, of all its processes, without their start; bytes; and CPU time to load a mesh
-driver     `facerender batch --check`: CPU time of a row; bytes of a chunk of them, pickled
+coordinator  `facerender batch --check`: CPU time of a row; bytes of a chunk of them, pickled
 scheduler  `dask scheduler` and `dask worker` on loopback; tasks that sleep, with the rows of a
-           chunk: CPU time of scheduler and driver a task, round trips, how many a second at most
+           chunk: CPU time of scheduler and coordinator a task, round trips, the rate at most
 store      as many small files as images, and shards of a hundred, to a folder and to moto's S3 on
            loopback through s3fs
 """
@@ -105,7 +105,7 @@ def draw() -> dict[str, Any]:
     }
 
 
-def driver() -> dict[str, Any]:
+def coordinator() -> dict[str, Any]:
     """Rows of a table, read and checked; a chunk of them pickled."""
     few, many = 1000, 21000
     with tempfile.TemporaryDirectory() as folder:
@@ -186,7 +186,7 @@ def through_dask(slots: int, nap: float, count: int) -> dict[str, Any]:
     trips.sort()
     return {
         **{"slots": slots, "nap_s": nap, "tasks": count, "offered": slots / nap},
-        **{"done": count / seconds, "scheduler_s": used[0] / count, "driver_s": own / count},
+        **{"done": count / seconds, "scheduler_s": used[0] / count, "coordinator_s": own / count},
         **{"workers_s": sum(used[1:]) / count},
         "trip_s": [trips[len(trips) * at // 100] for at in (10, 50, 90)],
     }
@@ -287,7 +287,7 @@ def machine() -> dict[str, Any]:
     return {"cores": os.cpu_count(), "processor": name, "date": time.strftime("%Y-%m-%d")}
 
 
-PARTS = {"draw": draw, "driver": driver, "scheduler": scheduler, "store": store}
+PARTS = {"draw": draw, "coordinator": coordinator, "scheduler": scheduler, "store": store}
 
 
 def main() -> None:

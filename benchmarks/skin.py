@@ -1,16 +1,14 @@
 """Measures what docs/measurements/skin.md says, on the built-in head and the head scan.
 
-python -m benchmarks.skin -o docs/measurements/skin.json      a quarter of an hour
+python -m benchmarks.skin      into docs/measurements/skin.json; a quarter of an hour
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 from dataclasses import asdict
-from pathlib import Path
 
 import facerender as fr
+from benchmarks.data import save
 from tests.verification.scan import load_scan, pores, scan_folder
 from tests.verification.slope_filter import Float, disc, filtered, flicker, relief, slopes_of
 
@@ -32,11 +30,6 @@ def subjects() -> Subjects:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.skin")
-    parser.add_argument("-o", "--output", required=True, metavar="FILE.json", type=Path)
-    options = parser.parse_args()
-    with fr.Renderer((16, 16)) as renderer:
-        facts = {name: renderer.metadata[name] for name in ("GL_RENDERER", "GL_VERSION")}
     seen, shaken = [], []
     for name, (mesh, slopes) in subjects().items():
         for strength in STRENGTHS:
@@ -55,8 +48,7 @@ def main() -> None:
         for m in (0.15, 0.3):
             errors = dict(zip(("without", "with"), disc(angle, radius, m), strict=True))
             discs.append({"angle": angle, "radius": radius, "m": m, **errors})
-    measured = {"environment": facts, "filtered": seen, "flicker": shaken, "discs": discs}
-    options.output.write_text(json.dumps(measured, indent=1) + "\n", encoding="utf-8")
+    save("skin", filtered=seen, flicker=shaken, discs=discs)
 
 
 if __name__ == "__main__":

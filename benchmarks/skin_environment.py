@@ -1,27 +1,24 @@
 """Measures what docs/measurements/skin.md says: light from all around by few samples against many,
 and by nine coefficients against the whole panorama.
 
-python -m benchmarks.skin_environment -o docs/measurements/environment.json      three minutes
+python -m benchmarks.skin_environment   into docs/measurements/skin_environment.json; 3 minutes
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 import facerender as fr
+from benchmarks.data import meshes, save
 from benchmarks.prices import table
 from facerender.drawing import reference
 from facerender.images.srgb import encode_srgb8
 from facerender.scenes.environment import studio
 from facerender.scenes.vectors import direction_to
 from facerender.terms.environment import environment_irradiance
-from tests.verification.scan import load_scan, scan_folder
 
 Float = NDArray[np.float64]
 
@@ -114,16 +111,7 @@ def float64_error(renderer: fr.Renderer, scene: fr.Scene, shading: fr.Shading) -
     return float((np.abs(image - expected) / np.maximum(expected, 0.01)).max())
 
 
-def subjects() -> dict[str, fr.Mesh]:
-    if (folder := scan_folder()) is None:
-        raise SystemExit("no head scan: set FACERENDER_TEST_DATA")
-    return {"head": fr.load_mesh(), "scan": load_scan(folder)}
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.skin_environment")
-    parser.add_argument("-o", "--output", required=True, metavar="FILE.json", type=Path)
-    options = parser.parse_args()
     panoramas = [studio(), sky()]
     diffuse = {
         each.name: dict(zip(("mean", "largest"), diffuse_error(each), strict=True))
@@ -131,8 +119,7 @@ def main() -> None:
     }
     rows, worst = [], 0.0
     with fr.Renderer((SIZE, SIZE), samples=1) as renderer:
-        facts = {name: renderer.metadata[name] for name in ("GL_RENDERER", "GL_VERSION")}
-        for name, mesh in subjects().items():
+        for name, mesh in meshes():
             for panorama in panoramas:
                 bare = fr.Scene(mesh, fr.Camera(-35.0, zoom=1.3), (), 0.0, None)
                 scene = replace(bare, environment=fr.Environment(panorama, 20.0))
@@ -145,14 +132,13 @@ def main() -> None:
                     print(name, panorama.name, m, errors[32], flush=True)
     parts = table.parts("navi21")
     cycles = {"sample": parts["environment sample"], "base": parts["environment"]}
-    measured = {
-        "environment": facts,
-        "diffuse": diffuse,
-        "samples": rows,
-        "float64": worst,
-        "cycles": {name: round(value) for name, value in cycles.items()},
-    }
-    options.output.write_text(json.dumps(measured, indent=1) + "\n", encoding="utf-8")
+    save(
+        "skin_environment",
+        diffuse=diffuse,
+        samples=rows,
+        float64=worst,
+        cycles={name: round(value) for name, value in cycles.items()},
+    )
 
 
 if __name__ == "__main__":

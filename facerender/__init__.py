@@ -25,9 +25,8 @@ shader_source   one file of the GLSL library, flat, for a target; shader_dir: th
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from facerender._version import __version__
 from facerender.scenes import sources
-from facerender.system import forked  # noqa: F401  # notes the process
+from facerender.system import IMPORTER  # noqa: F401  # as early as possible
 
 if TYPE_CHECKING:
     from facerender import brdf, lobes
@@ -59,6 +58,8 @@ if TYPE_CHECKING:
     from facerender.scenes.texture import Texture
     from facerender.scenes.view import View, shifted, view_of
     from facerender.shading import Shading, Term
+
+__version__ = "0.1.0"
 
 __all__ = [
     "Camera",

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from operator import index
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,8 @@ from facerender.terms import FRESNEL, MASKING, MODELS, AnyLobe, GPower, Model, l
 from facerender.terms.entry import named
 from facerender.terms.lobe import SLOPES
 from facerender.terms.ranges import IntegerRange, Range, check_fields, range_of, ranged
+
+S = TypeVar("S")
 
 _INDEX = re.compile("[0-9]{1,9}")  # of a light
 
@@ -29,14 +31,6 @@ SMALL_SLOPE = 0.2  # from here on the exact lobe is accurate without FR_SMALL_SL
 MAX_WEIGHT = 1e6
 MAX_ENVIRONMENT_SAMPLES = 4096
 WEIGHTS = Range(0.0, MAX_WEIGHT)  # of specular and diffuse terms
-SWITCHES = {
-    "normal_map": True,
-    "ambient": True,
-    "two_lobes": True,
-    "slope_filter": True,
-    "curvature": False,
-    "environment": True,
-}
 SCATTER_SAMPLES = (0, 8, 16, 32, 64)
 FRONTAL: Changes = (("fresnel", "constant"), ("masking", "none"))
 
@@ -97,7 +91,7 @@ class Term:
         ------
         InputError : m leaves the domain, and ``outside`` is "error"
         """
-        slopes = (smallest, largest) if self.m is None else (self.m, self.m)
+        slopes = self.slope(smallest), self.slope(largest)
         lobe = lobe_entry(self.lobe)
         if lobe.belongs(slopes, self.entry.k).all():
             return self
@@ -105,6 +99,10 @@ class Term:
             return replace(self, lobe="exact").for_slopes(smallest, largest)
         lobe.check(slopes, self.entry.k)
         return self
+
+    def slope(self, m: S) -> S | float:
+        """Return the m that counts: the term's own, or else that of the material."""
+        return m if self.m is None else self.m
 
     def second(self, factor: float) -> Term:
         """Return the term of a second lobe, whose slope is so many times the first one's."""
@@ -115,7 +113,7 @@ class Term:
         own."""
         if self.small_slope is not None:
             return self.small_slope
-        return (smallest_m if self.m is None else self.m) < SMALL_SLOPE
+        return self.slope(smallest_m) < SMALL_SLOPE
 
     def brdf(
         self, n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike, f0: float
@@ -131,7 +129,7 @@ class Term:
             n,
             l,
             v,
-            m if self.m is None else self.m,
+            self.slope(m),
             f0,
             lobe=self.lobe,
             fresnel_term=self.fresnel,
@@ -142,7 +140,7 @@ class Term:
 _TERM_FIELDS = tuple(field.name for field in fields(Term))
 
 
-_GIVEN_BY_TERM: Any = object()  # nothing was said: the term's own
+_OF_TERM: Any = object()  # a parameter that was not given: the term's own counts
 
 
 @dataclass(frozen=True, init=False)
@@ -181,108 +179,86 @@ class Shading:
     """
 
     term: Term = Term()
-    lights: tuple[tuple[int, Changes], ...] = ()
-    specular_lights: tuple[int, ...] | None = None
-    shadow_lights: tuple[int, ...] | None = None
     outside: str = "error"
     ks: float | None = ranged(WEIGHTS, None)
     normal_map: bool = True
     ambient: bool = True
+    two_lobes: bool = True
     slope_filter: bool = True
     curvature: bool = False
-    two_lobes: bool = True
+    environment: bool = True
     diffuse: str = "lambert"
     scatter_samples: int = 16
-    environment: bool = True
     environment_samples: int = ranged(IntegerRange(0, MAX_ENVIRONMENT_SAMPLES), 32)
+    specular_lights: tuple[int, ...] | None = None
+    shadow_lights: tuple[int, ...] | None = None
+    lights: tuple[tuple[int, Changes], ...] = ()
 
     def __init__(
         self,
-        model: str = _GIVEN_BY_TERM,
-        lobe: AnyLobe = _GIVEN_BY_TERM,
-        fresnel: str = _GIVEN_BY_TERM,
-        outside: str = "error",
-        masking: str = _GIVEN_BY_TERM,
+        model: str = _OF_TERM,
+        lobe: AnyLobe = _OF_TERM,
+        fresnel: str = _OF_TERM,
+        outside: str = outside,
+        masking: str = _OF_TERM,
         *,
-        m: float | None = _GIVEN_BY_TERM,
-        small_slope: bool | None = _GIVEN_BY_TERM,
-        term: Term = Term(),
-        lights: Mapping[int, Mapping[str, Any]] | Sequence[tuple[int, Changes]] = (),
-        specular_lights: Sequence[int] | None = None,
-        shadow_lights: Sequence[int] | None = None,
+        m: float | None = _OF_TERM,
+        small_slope: bool | None = _OF_TERM,
+        term: Term = term,
+        lights: Mapping[int, Mapping[str, Any]] | Sequence[tuple[int, Changes]] = lights,
+        specular_lights: Sequence[int] | None = specular_lights,
+        shadow_lights: Sequence[int] | None = shadow_lights,
         frontal_lights: Sequence[int] | None = None,
         ks: float | None = None,
-        normal_map: bool = True,
-        ambient: bool = True,
-        slope_filter: bool = True,
-        curvature: bool = False,
-        two_lobes: bool = True,
-        diffuse: str = "lambert",
-        scatter_samples: int = 16,
-        environment: bool = True,
+        normal_map: bool = normal_map,
+        ambient: bool = ambient,
+        slope_filter: bool = slope_filter,
+        curvature: bool = curvature,
+        two_lobes: bool = two_lobes,
+        diffuse: str = diffuse,
+        scatter_samples: int = scatter_samples,
+        environment: bool = environment,
         environment_samples: int = 32,
     ) -> None:
-        if not isinstance(term, Term):
-            raise InputError(f"term = {shown(term)}: give a Term")
-        given = zip(_TERM_FIELDS, (model, lobe, fresnel, masking, m, small_slope), strict=True)
-        words: dict[str, Any] = {n: value for n, value in given if value is not _GIVEN_BY_TERM}
-        term = replace(term, **words) if words else term
+        values = {name: value for name, value in locals().items() if name in _FIELDS}
+        check_type("term", term, Term, "a Term")
+        words = (model, lobe, fresnel, masking, m, small_slope)
+        given = zip(_TERM_FIELDS, words, strict=True)
+        own: dict[str, Any] = {name: word for name, word in given if word is not _OF_TERM}
+        values["term"] = term = replace(term, **own) if own else term
         changes = _by_light(lights)
-        check_type("outside", outside, str, "a word")
-        check_type("diffuse", diffuse, str, "a word")
         if frontal_lights is not None:
-            frontal = _indices("frontal_lights", frontal_lights)
-            if frontal and not term.entry.factors:
-                raise InputError(
-                    f"{term.model} has no other term for frontal_lights: leave them out"
-                )
-            changes = {
-                light: _without(FRONTAL, own) if _is_frontal(own) else own
-                for light, own in changes.items()
-            }
-            for own in changes.values():
-                replace(term, **dict(own))  # validates what those of frontal light replace
-            for light in frontal:
-                changes[light] = _changes(dict(changes.get(light, ())) | dict(FRONTAL))
-        if specular_lights is not None:
-            specular_lights = tuple(sorted(_indices("specular_lights", specular_lights)))
-        if shadow_lights is not None:
-            shadow_lights = tuple(sorted(_indices("shadow_lights", shadow_lights)))
-        for name, value in (
-            ("term", term),
-            ("lights", tuple(sorted((light, own) for light, own in changes.items() if own))),
-            ("specular_lights", specular_lights),
-            ("shadow_lights", shadow_lights),
-            ("outside", outside),
-            ("ks", ks),
-            ("normal_map", normal_map),
-            ("ambient", ambient),
-            ("slope_filter", slope_filter),
-            ("curvature", curvature),
-            ("two_lobes", two_lobes),
-            ("diffuse", diffuse),
-            ("scatter_samples", scatter_samples),
-            ("environment", environment),
-            ("environment_samples", environment_samples),
-        ):
+            changes = _with_frontal(term, changes, frontal_lights)
+        values["lights"] = tuple(sorted(each for each in changes.items() if each[1]))
+        for name in ("specular_lights", "shadow_lights"):
+            if values[name] is not None:
+                values[name] = tuple(sorted(_indices(name, values[name])))
+        for name, value in values.items():
             object.__setattr__(self, name, value)
-        if outside not in OUTSIDE:
-            known = ", ".join(OUTSIDE)
-            raise InputError(f"unknown choice outside the domain {shown(outside)}; known: {known}")
-        if diffuse not in DIFFUSE:
-            raise InputError(f"unknown diffuse term {shown(diffuse)}; known: {', '.join(DIFFUSE)}")
+        self._check()
+
+    def _check(self) -> None:
+        known: tuple[object, ...]
+        for name, what, known in (
+            ("outside", "choice outside the domain", OUTSIDE),
+            ("diffuse", "diffuse term", DIFFUSE),
+        ):
+            check_type(name, value := getattr(self, name), str, "a word")
+            if value not in known:
+                words = ", ".join(map(str, known))
+                raise InputError(f"unknown {what} {shown(value)}; known: {words}")
         counts = range_of(Shading, "environment_samples")
-        if environment_samples not in counts or environment_samples % 2:
+        if self.environment_samples not in counts or self.environment_samples % 2:
             raise InputError(
-                f"environment_samples = {shown(environment_samples)}: give an even number up to "
-                f"{counts.high:g}"
+                f"environment_samples = {shown(self.environment_samples)}: give an even number up "
+                f"to {counts.high:g}"
             )
         check_fields(self)
-        number = isinstance(scatter_samples, int | float) and not isinstance(scatter_samples, bool)
-        if not number or scatter_samples not in SCATTER_SAMPLES:
-            known = ", ".join(map(str, SCATTER_SAMPLES))
-            raise InputError(f"scatter_samples = {shown(scatter_samples)}: give one of {known}")
-        terms = (term, *self._own.values())
+        count = self.scatter_samples
+        if not isinstance(count, int | float) or count is True or count not in SCATTER_SAMPLES:
+            words = ", ".join(map(str, SCATTER_SAMPLES))
+            raise InputError(f"scatter_samples = {shown(count)}: give one of {words}")
+        terms = (self.term, *self._own.values())
         powers = {each.lobe for each in terms if isinstance(each.lobe, GPower)}
         if len(powers) > 1:
             raise InputError(
@@ -301,12 +277,6 @@ class Shading:
         if self.specular_lights is not None and light not in self.specular_lights:
             return None
         return self._own.get(light, self.term)
-
-    @property
-    def constant_slope(self) -> float | None:
-        """The slope that takes the place of all materials', where every term has one of its own."""
-        pinned = all(term.m is not None for term in self._own.values())
-        return self.term.m if pinned else None
 
     @cached_property
     def _own(self) -> dict[int, Term]:
@@ -336,17 +306,12 @@ class Shading:
         """Return what is not the default, as TOML and JSON hold it."""
         own = {str(light): _told(_without(FRONTAL, changes)) for light, changes in self.lights}
         values = asdict(self.term) | {
-            "outside": self.outside,
-            "ks": self.ks,
-            **{name: getattr(self, name) for name in SWITCHES},
-            "diffuse": self.diffuse,
-            "scatter_samples": self.scatter_samples,
-            "environment_samples": self.environment_samples,
-            "specular_lights": None if self.specular_lights is None else [*self.specular_lights],
-            "shadow_lights": None if self.shadow_lights is None else [*self.shadow_lights],
+            **{name: getattr(self, name) for name in _FIELDS},
             "frontal_lights": list(self.frontal_lights),
             "lights": {light: changes for light, changes in own.items() if changes},
         }
+        for name in ("specular_lights", "shadow_lights"):
+            values[name] = None if values[name] is None else [*values[name]]
         return {key: values[key] for key in _KEYS if values[key] != _DEFAULTS[key]}
 
     @classmethod
@@ -371,24 +336,28 @@ class Shading:
         return cls(**values)
 
 
+_FIELDS = {field.name: field.default for field in fields(Shading)}
 # As TOML and JSON name what a shading is made of, and what it is where nothing is said.
+_DEFAULTS = asdict(Term()) | _FIELDS | {"frontal_lights": [], "lights": {}}
 _KEYS = (
-    *("model", "lobe", "fresnel", "outside", "masking", "small_slope", "m", "ks"),
-    *(*SWITCHES, "diffuse", "scatter_samples", "environment_samples"),
-    *("specular_lights", "shadow_lights", "frontal_lights", "lights"),
+    *("model", "lobe", "fresnel", "outside", "masking", "small_slope", "m"),
+    *(name for name in _FIELDS if name not in ("term", "outside", "lights")),
+    *("frontal_lights", "lights"),
 )
-_DEFAULTS = asdict(Term()) | {
-    "outside": "error",
-    "ks": None,
-    **SWITCHES,
-    "diffuse": "lambert",
-    "scatter_samples": 16,
-    "environment_samples": 32,
-    "specular_lights": None,
-    "shadow_lights": None,
-    "frontal_lights": [],
-    "lights": {},
-}
+
+
+def _with_frontal(term: Term, changes: dict[int, Changes], lights: Any) -> dict[int, Changes]:
+    """Return the changes with the term of frontal light for these lights and no others."""
+    frontal = _indices("frontal_lights", lights)
+    if frontal and not term.entry.factors:
+        raise InputError(f"{term.model} has no other term for frontal_lights: leave them out")
+    others = {
+        light: _without(FRONTAL, own) if _is_frontal(own) else own for light, own in changes.items()
+    }
+    for own in others.values():
+        replace(term, **dict(own))  # validates what those of frontal light replace
+    near = {light: _changes(dict(others.get(light, ())) | dict(FRONTAL)) for light in frontal}
+    return others | near
 
 
 def _indices(name: str, lights: Any) -> tuple[int, ...]:

@@ -31,7 +31,7 @@ from facerender.batch.jobs import JobTable, Row
 from facerender.batch.storage import Storage
 from facerender.batch.supervisor import CannotDraw, draw_chunk
 from facerender.commands import main
-from facerender.loading.named import named_files
+from facerender.loading.references import named_files
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender import brdf
-from facerender._version import __version__
+from facerender import __version__, brdf
 from facerender.drawing.context import Backend
 from facerender.images.read import read_image
 from facerender.images.srgb import linear_to_srgb, srgb_to_linear

@@ -13,7 +13,7 @@ EVEN = Cluster(workers=64, slow_share=0.0, crashes=0.0, losses=0.0, put=0.01)
     ("first", "changes"),
     [
         ("workers", {}),
-        ("driver", {"driver_row": 4e-3}),
+        ("coordinator", {"coordinator_row": 4e-3}),
         ("scheduler", {"scheduler": 0.4}),
         ("requests", {"layout": "files", "puts": 32, "request_limit": 500.0}),
         ("link", {"link": 2e7}),
@@ -33,8 +33,8 @@ def test_workers_that_wait_for_one_request_after_the_other():
     assert told.images < 0.25 * min(EVEN.capacities().values())
 
 
-def test_two_drivers_carry_twice_what_one_does():
-    full = replace(EVEN, driver_row=4e-3)
+def test_two_coordinators_carry_twice_what_one_does():
+    full = replace(EVEN, coordinator_row=4e-3)
     one, two = simulate(full), simulate(replace(full, parts=2))
     assert two.images == pytest.approx(2.0 * one.images, rel=0.1)
 

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from facerender._version import __version__
+from facerender import __version__
 from facerender.batch.chunk import Record, Settings
 from facerender.batch.outputs import transforms_frame
 from facerender.batch.records import (

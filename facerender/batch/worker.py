@@ -22,7 +22,7 @@ from facerender.drawing.context import Backend
 from facerender.drawing.renderer import Renderer
 from facerender.errors import ContextError, FacerenderWarning, InputError, noting
 from facerender.job import MESH_PATHS, ImageSettings, Job, MeshFile
-from facerender.loading.named import named_files
+from facerender.loading.references import named_files
 from facerender.scenes.mesh import Mesh
 from facerender.system.signals import heed_the_coordinator
 

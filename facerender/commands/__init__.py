@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any, NoReturn, TextIO
 
-from facerender._version import __version__
+from facerender import __version__
 from facerender.commands.examples import EXAMPLES
 from facerender.commands.streams import make_usable, say, tell
 from facerender.errors import FacerenderError, FacerenderWarning, InputError, clipped

@@ -16,8 +16,8 @@ import numpy as np
 from facerender.commands.streams import say
 from facerender.errors import InputError, reason
 from facerender.job import MESH_PATHS, MeshFile, parse_size
-from facerender.loading.given import GLTF
-from facerender.loading.named import named_files
+from facerender.loading.references import named_files
+from facerender.loading.source import GLTF
 from facerender.system.atomic import check_writable, remove_abandoned
 from facerender.system.progress import Bar
 from facerender.terms.ranges import IntegerRange, range_of
@@ -87,18 +87,24 @@ def add_field(
     )
 
 
-def add_quiet(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
-    command.add_argument(
-        "--quiet", action="store_true", help="only warnings and errors on standard error"
-    )
+def add_flag(group: argparse._ActionsContainer, name: str, text: str) -> None:
+    """Add an option without a value."""
+    group.add_argument(f"--{name}", action="store_true", help=text)
 
 
-def add_verbose(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
+def add_switch(group: argparse._ActionsContainer, name: str, text: str) -> None:
+    """Add an option and its contrary, --no-NAME."""
+    group.add_argument(f"--{name}", action=argparse.BooleanOptionalAction, help=text)
+
+
+def add_quiet(command: argparse._ActionsContainer) -> None:
+    add_flag(command, "quiet", "only warnings and errors on standard error")
+
+
+def add_verbose(command: argparse._ActionsContainer) -> None:
     """Add --quiet and its contrary."""
     add_quiet(command)
-    command.add_argument(
-        "--verbose", action="store_true", help="every step and when it began, on standard error"
-    )
+    add_flag(command, "verbose", "every step and when it began, on standard error")
 
 
 def telling(options: argparse.Namespace) -> Callable[[str], None]:
@@ -120,24 +126,19 @@ def steps(options: argparse.Namespace) -> Bar:
     return Bar(options.quiet, tell if options.verbose else None)
 
 
-def add_allow_outside(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
-    command.add_argument(
-        "--allow-outside",
-        action="store_true",
-        help="open what the mesh file refers to wherever it lies (below its folder alone)",
-    )
+def add_allow_outside(command: argparse._ActionsContainer) -> None:
+    text = "open what the mesh file refers to wherever it lies (below its folder alone)"
+    add_flag(command, "allow-outside", text)
 
 
-def add_parts(command: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
-    command.add_argument(
-        "--parts",
-        metavar="NAME,...",
-        help="draw these parts of the mesh alone; *, ? and [...] are wildcards, and facerender "
-        "info lists the names (all)",
+def add_parts(command: argparse._ActionsContainer) -> None:
+    parts = (
+        "draw these parts of the mesh alone; *, ? and [...] are wildcards, and facerender info "
+        "lists the names (all)"
     )
-    command.add_argument(
-        "--hide", metavar="NAME,...", help="draw all parts but these, named in the same way (none)"
-    )
+    command.add_argument("--parts", metavar="NAME,...", help=parts)
+    others = "draw all parts but these, named in the same way (none)"
+    command.add_argument("--hide", metavar="NAME,...", help=others)
 
 
 def check_outputs(
@@ -191,9 +192,10 @@ def make_folder(text: str) -> Path:
 
 
 def import_trimesh(mesh: str | None) -> None:
-    """Import trimesh, for a mesh that it reads, without scipy and networkx, which it imports where
-    it finds them, for things that reading a file does not need, and which take two thirds of a cold
-    start. The process is this command's own, so nobody else misses them in trimesh."""
+    """Import trimesh, for a mesh that it reads, without scipy and networkx."""
+    # trimesh imports both if it finds them, and has no switch. Reading a file needs neither, and
+    # they make an import of 0.23 s one of 1.0 s. The process is the command's own: no other code
+    # in it misses them.
     if mesh is None or Path(mesh).suffix.lower() in GLTF:
         return
     absent = [name for name in ("scipy", "networkx") if name not in sys.modules]

@@ -9,7 +9,7 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from facerender._version import __version__
+from facerender import __version__
 from facerender.commands.streams import tell
 from facerender.drawing.context import AUTO, Finding, probe
 from facerender.system import cache

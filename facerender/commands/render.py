@@ -7,7 +7,13 @@ import json
 from dataclasses import replace
 from typing import Any
 
-from facerender.commands.common import add_field, add_verbose, check_outputs, telling
+from facerender.commands.common import (
+    add_field,
+    add_flag,
+    add_verbose,
+    check_outputs,
+    telling,
+)
 from facerender.commands.scene import add_scene, files_read, job_of, load
 from facerender.commands.streams import say, tell
 from facerender.commands.views import STANDARD_OUTPUT, Target, check_sheet
@@ -36,26 +42,15 @@ def add(render: argparse.ArgumentParser) -> None:
     )
     terms, scene = add_scene(render)
     terms.add_argument("--lobe", choices=tuple(LOBES), help="(exact)")
-    terms.add_argument(
-        "--outside",
-        choices=OUTSIDE,
-        help="what a material gets whose m leaves the domain of the lobe (error)",
-    )
-    terms.add_argument(
-        "--budget",
-        metavar="ERROR",
-        help="plan a cheaper frame within 1/255, 0.5%% or '0.02 flip', and draw that",
-    )
-    terms.add_argument(
-        "--within", metavar="SHARE", help="of the pixels: where --budget must hold (100%%)"
-    )
+    outside = f"action if m is outside the lobe's valid range ({Shading.outside})"
+    terms.add_argument("--outside", choices=OUTSIDE, help=outside)
+    budget = "plan a cheaper frame within 1/255, 0.5%% or '0.02 flip', and draw that"
+    terms.add_argument("--budget", metavar="ERROR", help=budget)
+    within = "fraction of pixels that must meet the budget (100%%)"
+    terms.add_argument("--within", metavar="FRACTION", help=within)
     scene.add_argument("--scene", metavar="FILE.toml", help="camera, lights, material, reflectance")
-    scene.add_argument(
-        "--target",
-        dest="looked_at",
-        metavar="X,Y,Z",
-        help="what images have in their centre, in the mesh's units (the centre of the frame)",
-    )
+    target = "what images have in their centre, in the mesh's units (the centre of the frame)"
+    scene.add_argument("--target", dest="looked_at", metavar="X,Y,Z", help=target)
     add_field(scene, MeshFile, "triangles", "simplify the mesh to N", "all", metavar="N")
 
     image = render.add_argument_group("image")
@@ -64,36 +59,29 @@ def add(render: argparse.ArgumentParser) -> None:
     add_field(image, Output, "exposure", "of all but an EXR", default=Output.exposure)
     image.add_argument("--only", choices=ONLY, help="one term in place of the whole image")
     image.add_argument("--format", choices=FORMATS, help="of standard output, -o - (png)")
-    image.add_argument(
-        "--sheet", action="store_true", help="all views beside each other in one image"
-    )
-    image.add_argument(
-        "--fps", type=float, metavar="N", help="views a second, of a .gif, .webp or .mp4 (12)"
-    )
+    add_flag(image, "sheet", "all views beside each other in one image")
+    fps = "views per second, of a .gif, .webp or .mp4 (12)"
+    image.add_argument("--fps", type=float, metavar="N", help=fps)
     image.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
-    image.add_argument(
-        "--no-cache",
-        dest="cache",
-        action="store_false",
-        help="neither read nor write what is kept of meshes and plans in ~/.cache/facerender",
-    )
-    image.add_argument(
-        "--memory",
-        type=float,
-        metavar="MIB",
-        help="refuse what would take more than so many (what the system has left)",
-    )
-    image.add_argument("--json", action="store_true", help="describe the image as JSON")
+    add_flag(image, "no-cache", "neither read nor write the cache in ~/.cache/facerender")
+    memory = "fail if the estimated memory exceeds N MiB (what the system has left)"
+    image.add_argument("--memory", type=float, metavar="N", help=memory)
+    add_flag(image, "json", "describe the image as JSON")
     add_verbose(image)
 
 
-def run(options: argparse.Namespace) -> int:
+def _check(options: argparse.Namespace) -> None:
+    """Raise InputError for options that exclude each other."""
     if options.budget is not None and options.only is not None:
         raise InputError(f"--budget plans the whole image: leave --only {options.only} out")
     if options.within is not None and options.budget is None:
         raise InputError(f"--within {options.within} is of a budget: say --budget ERROR")
     if options.json and options.output == STANDARD_OUTPUT:
         raise InputError("-o - and --json both write to standard output: leave one of them out")
+
+
+def run(options: argparse.Namespace) -> int:
+    _check(options)
     job, cameras = job_of(options, parse_size(options.size) if options.size else None)
     if options.budget is not None and len(cameras) > 1:
         raise InputError(
@@ -109,8 +97,7 @@ def run(options: argparse.Namespace) -> int:
     check_outputs(written, files_read(options, job))
     step = telling(options)
     step("mesh")
-    scene = load(job, options.cache, ahead=options.memory is None)
-    shading = job.shading
+    scene = load(job, not options.no_cache, ahead=options.memory is None)
     step(f"OpenGL, for {scene.mesh!r}")
     width, height = job.image.size
     if target.kind == "sheet":
@@ -124,28 +111,26 @@ def run(options: argparse.Namespace) -> int:
             from facerender.planning.cache import planned
 
             within = options.within or 1.0
-            asked = scene, options.budget, shading, options.exposure, within, renderer
-            plan = planned(*asked, cache=options.cache)
+            asked = scene, options.budget, job.shading, options.exposure, within, renderer
+            plan = planned(*asked, cache=not options.no_cache)
             shading, detail = Shading.from_dict(plan["shading"]), LevelOfDetail(**plan["detail"])
         else:
-            detail = job.detail(renderer.samples, options.scene)
-        drawn = detail.of(scene)
+            shading, detail = job.shading, job.detail(renderer.samples, options.scene)
+        simplified = detail.of(scene)
         values = replace(detail, samples=min(detail.samples, renderer.samples)).values
-        scenes = (replace(drawn, camera=camera) for camera in cameras.values())
+        scenes = (replace(simplified, camera=camera) for camera in cameras.values())
         frames = (renderer.render(each, shading, options.only, **values) for each in scenes)
         frame = target.write(frames, options.exposure, scene.background)
-        backend = renderer.context.backend
     if options.json:
         facts = {
             "output": target.files[0] if len(target.files) == 1 else target.files,
             "size": job.image.size,
-            "backend": backend,
+            "backend": renderer.context.backend,
             "only": frame.only,
             **frame.metadata,
             "warnings": options.warnings,
+            **({"plan": plan} if plan else {}),
         }
-        if plan:
-            facts["plan"] = plan
         tell(json.dumps(facts, indent=2))
         return 0
     if written:

@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from facerender._version import __version__
+from facerender import __version__
 from facerender.errors import InputError, check_type
 from facerender.glsl.code import defines, file_of, lobe_macros, term_macros
 from facerender.glsl.includes import Includes

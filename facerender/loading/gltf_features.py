@@ -125,9 +125,3 @@ def not_understood(required: Sequence[str]) -> list[str]:
         for each in set(required)
         if each not in EXTENSIONS or EXTENSIONS[each].fate == "refused"
     )
-
-
-def markdown() -> str:
-    """The table of docs/formats.md."""
-    rows = [f"| {each.name} | {each.fate} | {each.how} |" for each in FEATURES]
-    return "\n".join(["| glTF | | |", "|---|---|---|", *rows]) + "\n"

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from facerender._version import __version__
+from facerender import __version__
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.prepare import start_maps
 from facerender.drawing.renderer import Renderer

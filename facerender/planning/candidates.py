@@ -10,7 +10,8 @@ from operator import attrgetter
 from typing import Any
 
 from facerender.drawing.prepare import simplify
-from facerender.scenes.scene import Scene, slope_ranges
+from facerender.drawing.resolve import resolve
+from facerender.scenes.scene import Scene
 from facerender.shading import SCATTER_SAMPLES, SMALL_SLOPE, Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe
 from facerender.terms.fitting import G_POWERS, fit_g_power
@@ -79,22 +80,37 @@ def candidates(
     fits : whether a single lobe, fewer samples, shadows left out and Lambert's diffuse light, each
         by itself, may be combined with others; there are too many combinations of them all
     """
+    lit = [light for light in constants.faintest if full.of(light)]
+    kinds = [full.specular_lights, *(tuple(sorted(lit[n:])) for n in range(1, len(lit) + 1))]
+    near = set(full.frontal_lights)
+    for surface in _surfaces(scene, full, constants, fits):
+        for shading, lights in product(_terms(scene, surface), kinds):
+            if lights == () and shading != surface:
+                continue
+            own = shading
+            if lights != shading.specular_lights:
+                own = with_lights(shading, lights, shading.frontal_lights)
+            yield own
+            if shading.term != shading.term.frontal:
+                order = [at for at in constants.frontal if own.of(at) and at not in near]
+                for count in range(1, len(order)):
+                    yield with_lights(own, lights, sorted(near.union(order[:count])))
+
+
+def _surfaces(
+    scene: Scene, full: Shading, constants: Constants, fits: Callable[[Shading], bool]
+) -> Iterator[Shading]:
+    """Yield the full shading with other values of all but the lights and the kind of its terms."""
     materials = scene.mesh.materials
-    textured = {
-        name: any(getattr(each, name) is not None for each in materials)
+    normal_maps, specular_maps = (
+        any(getattr(each, name) is not None for each in materials)
         for name in ("normal_map", "specular_map")
-    }
+    )
     slopes: list[tuple[bool, float | None]] = [(full.two_lobes, full.term.m)]
     if full.term.m is None:
         slopes.append((full.two_lobes, constants.m))
     if full.two_lobes:
         slopes += [(False, m) for m in constants.single if fits(full.replace(two_lobes=False, m=m))]
-    weights: list[float | None] = [full.ks]
-    if full.ks is None and textured["specular_map"]:
-        weights.append(constants.ks)
-    kinds: list[tuple[int, ...] | None] = [full.specular_lights]
-    kept = [light for light in constants.faintest if full.of(light)]
-    kinds += [tuple(sorted(kept[gone:])) for gone in range(1, len(kept) + 1)]
     cast = [tuple(sorted(constants.shadows[n:])) for n in range(1, len(constants.shadows) + 1)]
     scatters = any(each.scattering and each.kd > 0.0 for each in materials)
     fewer = [count for count in SCATTER_SAMPLES if scatters and count < full.scatter_samples]
@@ -105,34 +121,19 @@ def candidates(
         whole = getattr(full, name)
         return [whole, *(each for each in others if fits(replace(full, **{name: each})))]
 
-    for (two_lobes, m), ks, shadows, scattered, normal_map, ambient, diffuse, sampled in product(
-        slopes,
-        weights,
-        of("shadow_lights", cast),
-        of("scatter_samples", fewer),
-        {full.normal_map, full.normal_map and not textured["normal_map"]},
-        {full.ambient, full.ambient and not any(scene.ambient)},  # type: ignore[arg-type]
-        of("diffuse", {"lambert"} - {full.diffuse}),
-        of("environment_samples", samples),
-    ):
-        term = replace(full.term, m=m)
-        own: dict[str, Any] = {"two_lobes": two_lobes, "normal_map": normal_map, "ambient": ambient}
-        own |= {"shadow_lights": shadows, "diffuse": diffuse}
-        own |= {"scatter_samples": scattered, "environment_samples": sampled}
-        surface = replace(full, term=term, ks=ks, **own)
-        for shading in _terms(scene, surface):
-            for lights in kinds:
-                if lights == () and shading != surface:
-                    continue
-                lit = shading
-                if lights != shading.specular_lights:
-                    lit = with_lights(shading, lights, shading.frontal_lights)
-                yield lit
-                if shading.term != shading.term.frontal:
-                    near = set(full.frontal_lights)
-                    order = [at for at in constants.frontal if lit.of(at) and at not in near]
-                    for count in range(1, len(order)):
-                        yield with_lights(lit, lights, sorted(near.union(order[:count])))
+    weights = [full.ks, constants.ks] if full.ks is None and specular_maps else [full.ks]
+    others: dict[str, Iterable[Any]] = {
+        "ks": weights,
+        "shadow_lights": of("shadow_lights", cast),
+        "scatter_samples": of("scatter_samples", fewer),
+        "normal_map": {full.normal_map, full.normal_map and not normal_maps},
+        "ambient": {full.ambient, full.ambient and not any(scene.ambient)},  # type: ignore[arg-type]
+        "diffuse": of("diffuse", {"lambert"} - {full.diffuse}),
+        "environment_samples": of("environment_samples", samples),
+    }
+    for (two_lobes, m), *values in product(slopes, *others.values()):
+        own = dict(zip(others, values, strict=True))
+        yield replace(full, term=replace(full.term, m=m), two_lobes=two_lobes, **own)
 
 
 def shadowed(scene: Scene, shading: Shading) -> list[int]:
@@ -150,7 +151,7 @@ def with_lights(
 
 
 def _terms(scene: Scene, full: Shading) -> Iterator[Shading]:
-    ranges = slope_ranges(simplify(scene, full), full)
+    ranges = resolve(scene, full).slopes
     smallest, largest = min(low for low, _ in ranges), max(high for _, high in ranges)
     family = full.term.entry.family
     for model in [model for model in MODELS.values() if model.family == family]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from facerender._version import __version__
+from facerender import __version__
 from facerender.errors import InputError
 from facerender.scenes.texture import Texture
 from facerender.system.atomic import write_bytes

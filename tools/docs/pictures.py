@@ -30,6 +30,7 @@ from tests.verification.scan import load_scan, scan_folder
 from tests.verification.slope_filter import Bench, relief
 
 DOCS = Path(__file__).parents[2] / "docs"
+IMAGES = DOCS / "images"
 Pixels = NDArray[np.uint8]
 
 
@@ -37,7 +38,7 @@ def save(name: str, rows: Iterable[Iterable[Pixels]], quality: int, scale: int =
     """Write rows of pictures as one JPEG, each pixel as a square of ``scale``."""
     image = np.vstack([np.hstack([each[..., :3] for each in row]) for row in rows])
     image = image.repeat(scale, axis=0).repeat(scale, axis=1)
-    Image.fromarray(image).save(DOCS / f"{name}.jpg", quality=quality)
+    Image.fromarray(image).save(IMAGES / f"{name}.jpg", quality=quality)
 
 
 def halved(image: Pixels) -> Pixels:
@@ -71,7 +72,7 @@ def explorer() -> None:
     """Draw the explorer in a browser: D8 at a slope where it is off by several levels."""
     from playwright.sync_api import sync_playwright
 
-    from facerender.explorer import explorer as explorer_page
+    from facerender.explorer.page import explorer_page
     from facerender.job import Job
     from tests.verification import chromium
 
@@ -85,7 +86,7 @@ def explorer() -> None:
         tab.evaluate("explorer.errors()")
         image = Image.open(io.BytesIO(tab.screenshot()))
         browser.close()
-    image.convert("RGB").save(DOCS / "explorer.jpg", quality=85, optimize=True)
+    image.convert("RGB").save(IMAGES / "explorer.jpg", quality=85, optimize=True)
 
 
 def slope_filter(size: int = 192) -> None:

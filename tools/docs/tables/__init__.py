@@ -33,17 +33,24 @@ class _Formatter(Formatter):
         return str(super().format_field(value, spec))
 
 
+_FORMATTER = _Formatter()
+
+
 def load(name: str) -> dict[str, Any]:
     """Return what docs/measurements/NAME.json holds."""
     data: dict[str, Any] = json.loads((MEASUREMENTS / f"{name}.json").read_text(encoding="utf-8"))
     return data
 
 
+def row(formats: Iterable[str], record: Mapping[str, Any]) -> list[str]:
+    """Return the cells of a row: formats with the values of a record."""
+    return [_FORMATTER.format(form, **record) for form in formats]
+
+
 def table(columns: Columns, records: Iterable[Mapping[str, Any]]) -> str:
     """Return a table in Markdown, a row for each record."""
-    write = _Formatter().format
-    rows = [[write(form, **record) for _, form in columns] for record in records]
-    return markdown_table([head for head, _ in columns], rows)
+    heads, formats = zip(*columns, strict=True)
+    return markdown_table(heads, [row(formats, record) for record in records])
 
 
 def with_median(

@@ -8,7 +8,7 @@ from typing import Any
 
 from benchmarks import scale
 from facerender.measure.tables import markdown_table
-from tools.docs.tables import load, table
+from tools.docs.tables import load, row, table
 
 SCHEDULER = (
     ("slots", "{slots} of {nap_s:g} s"),
@@ -17,11 +17,48 @@ SCHEDULER = (
     ("simulated", "{simulated:.1f}"),
     ("cores busy with it", "{busy:.2f} of {cores}"),
     ("scheduler, ms a task", "{scheduler_ms:.1f}"),
-    ("driver, ms", "{driver_ms:.1f}"),
+    ("coordinator, ms", "{coordinator_ms:.1f}"),
     ("workers, ms", "{workers_ms:.1f}"),
     ("round trip, ms: 10, 50, 90 %", "{trips}"),
 )
 PLAN_HEAD = ("", "measured, or granted", "at 10^8 images a day", "full")
+PLAN = (
+    (
+        *("cores", "{draw_ms:.0f} ms an image, {base.chunk_start:.1f} s a chunk for its mesh"),
+        *("{base.workers}, as {machines} machines of 16", "{share[workers]:.1f%}"),
+    ),
+    ("chunks", "{base.chunk} jobs", "{shards:.1f}/s, {shards_day:.2f} M a day", ""),
+    ("scheduler", "{scheduler_ms:.1f} ms a task", "1", "{share[scheduler]:.1f%}"),
+    ("scheduler, were a job a task", "", "{schedulers:.0f} of them", "{schedulers:.0f%}"),
+    (
+        *("coordinator", "{row_us:.0f} us a row, {chunk_ms:.1f} ms a chunk"),
+        *("1", "{share[coordinator]:.1f%}"),
+    ),
+    ("storage", "{image_kb:.0f} kB an image", "{images_tb:.1f} TB a day", ""),
+    (
+        *("link to the store", "{link_gbit:.0f} Gbit/s"),
+        *("{images_gbit:.2f} Gbit/s", "{share[link]:.1f%}"),
+    ),
+    ("objects, shards", "{shard_mb:.1f} MB a shard, and a record", "{objects:.1f} M a day", ""),
+    (
+        *("PUT requests, shards", "{base.request_limit:.0f}/s for a prefix"),
+        *("{shard_puts:.0f}/s", "{share[requests]:.1f%}"),
+    ),
+    (
+        *("PUT requests, files", "{base.request_limit:.0f}/s for a prefix"),
+        *("{file_puts:.0f}/s", "{file_share:.1f%}"),
+    ),
+    (
+        *("records, and the table of all", "{record_kb:.1f} and {table_kb:.1f} kB a job, JSON"),
+        *("{record_gb:.0f} and {table_gb:.0f} GB a day", ""),
+    ),
+    ("rows to the workers", "{sent:.0f} B a job, pickled", "{sent_gb:.0f} GB a day", ""),
+    (
+        *("a second run of a day", "1,000 records a LIST request, 1 at a time"),
+        *("{list_s:.0f} s to find what is done", ""),
+    ),
+    ("", "a row as above", "{rows_h:.1f} h of one core to read and check the table", ""),
+)
 STORE = (
     ("to", "{where}"),
     ("as", "{what}"),
@@ -47,7 +84,7 @@ def blocks() -> dict[str, str]:
             f"{name}-kb": f"{draw['bytes'][f'{name}.png'] / 1e3:.1f} kB"
             for name in ("image", "mask", "depth")
         },
-        "plan": markdown_table(PLAN_HEAD, plan_rows(base, data)),
+        "plan": markdown_table(PLAN_HEAD, [row(cells, plan_values(base, data)) for cells in PLAN]),
         "feeds": f"{round(base.parts * chunk / base.scheduler):,} workers",
         "chunk": f"{chunk:.1f} s",
         "full-first": full_first(base),
@@ -66,92 +103,39 @@ def blocks() -> dict[str, str]:
     }
 
 
-def plan_rows(base: scale.Cluster, told: dict[str, Any]) -> list[list[str]]:
-    """Return what the target takes of each part, beside what one of it carries."""
-    target = scale.TARGET
-    carries = base.capacities()
-    shards = target / base.chunk
+def plan_values(base: scale.Cluster, data: dict[str, Any]) -> dict[str, Any]:
+    """Return the values of PLAN: what the target takes of each part, and what one of it carries."""
+    target, size = scale.TARGET, base.image_bytes
+    shards, sent = target / base.chunk, data["coordinator"]["chunk_bytes"] / base.chunk
     files = replace(base, layout="files")
-    size = base.image_bytes
-    share = {name: f"{100 * target / value:.1f} %" for name, value in carries.items()}
-    return [
-        [
-            "cores",
-            f"{base.draw * 1e3:.0f} ms an image, {base.chunk_start:.1f} s a chunk for its mesh",
-            f"{base.workers}, as {base.workers // 16} machines of 16",
-            share["workers"],
-        ],
-        ["chunks", f"{base.chunk} jobs", f"{shards:.1f}/s, {shards * 86400 / 1e6:.2f} M a day", ""],
-        ["scheduler", f"{base.scheduler * 1e3:.1f} ms a task", "1", share["scheduler"]],
-        [
-            "scheduler, were a job a task",
-            "",
-            f"{target * base.scheduler:.0f} of them",
-            f"{100 * target * base.scheduler:.0f} %",
-        ],
-        [
-            "driver",
-            f"{base.driver_row * 1e6:.0f} us a row, {base.driver_chunk * 1e3:.1f} ms a chunk",
-            "1",
-            share["driver"],
-        ],
-        [
-            "storage",
-            f"{size / 1e3:.0f} kB an image",
-            f"{target * size * 86400 / 1e12:.1f} TB a day",
-            "",
-        ],
-        [
-            "link to the store",
-            f"{base.link / 1.25e8:.0f} Gbit/s",
-            f"{target * size * 8 / 1e9:.2f} Gbit/s",
-            share["link"],
-        ],
-        [
-            "objects, shards",
-            f"{base.chunk * size / 1e6:.1f} MB a shard, and a record",
-            f"{2 * shards * 86400 / 1e6:.1f} M a day",
-            "",
-        ],
-        [
-            "PUT requests, shards",
-            f"{base.request_limit:.0f}/s for a prefix",
-            f"{2 * shards:.0f}/s",
-            share["requests"],
-        ],
-        [
-            "PUT requests, files",
-            f"{base.request_limit:.0f}/s for a prefix",
-            f"{target * files.requests / base.chunk:.0f}/s",
-            f"{100 * target / files.capacities()['requests']:.1f} %",
-        ],
-        [
-            "records, and the table of all",
-            f"{told['draw']['bytes']['record'] / 1e3:.1f} and "
-            f"{told['draw']['bytes']['table'] / 1e3:.1f} kB a job, JSON",
-            f"{1e8 * told['draw']['bytes']['record'] / 1e9:.0f} and "
-            f"{1e8 * told['draw']['bytes']['table'] / 1e9:.0f} GB a day",
-            "",
-        ],
-        [
-            "rows to the workers",
-            f"{told['driver']['chunk_bytes'] / base.chunk:.0f} B a job, pickled",
-            f"{1e8 * told['driver']['chunk_bytes'] / base.chunk / 1e9:.0f} GB a day",
-            "",
-        ],
-        [
-            "a second run of a day",
-            "1,000 records a LIST request, 1 at a time",
-            f"{1e8 / base.chunk / 1000 * base.put:.0f} s to find what is done",
-            "",
-        ],
-        [
-            "",
-            "a row as above",
-            f"{1e8 * base.driver_row / 3600:.1f} h of one core to read and check the table",
-            "",
-        ],
-    ]
+    share = {name: target / value for name, value in base.capacities().items()}
+    return {
+        "base": base,
+        "share": share,
+        "draw_ms": 1e3 * base.draw,
+        "machines": base.workers // 16,
+        "shards": shards,
+        "shards_day": shards * 86400 / 1e6,
+        "scheduler_ms": 1e3 * base.scheduler,
+        "schedulers": target * base.scheduler,
+        "row_us": 1e6 * base.coordinator_row,
+        "chunk_ms": 1e3 * base.coordinator_chunk,
+        "image_kb": size / 1e3,
+        "images_tb": target * size * 86400 / 1e12,
+        "link_gbit": base.link / 1.25e8,
+        "images_gbit": target * size * 8 / 1e9,
+        "shard_mb": base.chunk * size / 1e6,
+        "objects": 2 * shards * 86400 / 1e6,
+        "shard_puts": 2 * shards,
+        "file_puts": target * files.requests / base.chunk,
+        "file_share": target / files.capacities()["requests"],
+        **{f"{name}_kb": data["draw"]["bytes"][name] / 1e3 for name in ("record", "table")},
+        **{f"{name}_gb": data["draw"]["bytes"][name] / 10.0 for name in ("record", "table")},
+        "sent": sent,
+        "sent_gb": sent / 10.0,
+        "list_s": 1e8 / base.chunk / 1000 * base.put,
+        "rows_h": 1e8 * base.coordinator_row / 3600,
+    }
 
 
 def full_first(base: scale.Cluster) -> str:
@@ -159,7 +143,7 @@ def full_first(base: scale.Cluster) -> str:
     names = {
         "requests": "PUT requests",
         "link": "the link to the store",
-        "driver": "the driver",
+        "coordinator": "the coordinator",
         "scheduler": "the scheduler",
     }
     rates = base.capacities()
@@ -171,7 +155,7 @@ def scheduler_rows(data: dict[str, Any], simulated: list[float]) -> Iterator[dic
     """Yield the runs of a real scheduler on loopback beside the simulated one."""
     for run, images in zip(data["scheduler"], simulated, strict=True):
         parts = {
-            f"{name}_ms": 1e3 * run[f"{name}_s"] for name in ("scheduler", "driver", "workers")
+            f"{name}_ms": 1e3 * run[f"{name}_s"] for name in ("scheduler", "coordinator", "workers")
         }
         yield {
             **run,

@@ -18,7 +18,7 @@ SAMPLES = (
 
 
 def blocks() -> dict[str, str]:
-    data = load("environment")
+    data = load("skin_environment")
     rows = [
         {**each, **{f"n{count}": lost for count, lost in each["lost"].items()}}
         for each in data["samples"]

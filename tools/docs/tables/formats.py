@@ -1,0 +1,10 @@
+"""What of glTF and its extensions is drawn."""
+
+from __future__ import annotations
+
+from facerender.loading.gltf_features import FEATURES
+
+
+def blocks() -> dict[str, str]:
+    rows = [f"| {each.name} | {each.fate} | {each.how} |" for each in FEATURES]
+    return {"gltf": "\n".join(["| glTF | | |", "|---|---|---|", *rows])}
