@@ -103,7 +103,7 @@ def scattered(
     place, area = gbuffer.position.astype(np.float64), scatter_area(gbuffer.facing)
     for index, gaussians in enumerate(found.profiles, 1):
         own = number == index
-        depth = (place[own] - gbuffer.view.eye) @ gbuffer.view.forward
+        depth = (place[own] - gbuffer.view.position) @ gbuffer.view.forward
         scale = found.pixels / (depth * found.millimetres)
         size = scale, found.millimetres, gaussians, shading.scatter_samples
         light = scatter(terms.light, place, number, area, *size, own)
@@ -143,7 +143,7 @@ def layers(
         m = gbuffer.m[covered].astype(np.float64)
         albedo = material.kd / np.pi * gbuffer.albedo[covered].astype(np.float64)
         weight = gbuffer.specular_weight[covered].astype(np.float64)
-        v = _normalised(gbuffer.view.eye - position)
+        v = _normalised(gbuffer.view.position - position)
 
         occlusion = gbuffer.occlusion[covered].astype(np.float64)
         coupling = None
@@ -200,7 +200,7 @@ def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArr
         if not covered.any():
             continue
         n = gbuffer.normal[covered].astype(np.float64)
-        v = _normalised(gbuffer.view.eye - gbuffer.position[covered].astype(np.float64))
+        v = _normalised(gbuffer.view.position - gbuffer.position[covered].astype(np.float64))
         albedo = material.kd / np.pi * gbuffer.albedo[covered].astype(np.float64)
         occlusion = gbuffer.occlusion[covered].astype(np.float64)[:, None]
         total = albedo * occlusion * environment_irradiance(panorama.coefficients, n @ turn.T)
@@ -286,7 +286,7 @@ def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]
     view[..., 3] = covered
     position = gbuffer.position[covered].astype(np.float64)
     normal = gbuffer.normal[covered].astype(np.float64)
-    to_eye = gbuffer.view.eye - position
+    to_eye = gbuffer.view.position - position
     if only == "albedo":
         values = gbuffer.albedo[covered]
     elif only == "normal":
