@@ -27,7 +27,7 @@ from typing import Any
 from playwright.sync_api import Playwright, sync_playwright
 
 import facerender as fr
-from facerender.explorer import explorer
+from facerender.explorer.page import explorer_page
 from facerender.job import Job
 from facerender.system.data import data_dir
 from tests.verification import chromium
@@ -125,7 +125,7 @@ def main() -> None:
         folder = options.keep or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
         ours, theirs = folder / "explorer.html", folder / "three.html"
-        ours.write_text(explorer(Job(), fr.load_mesh()), encoding="utf-8")
+        ours.write_text(explorer_page(Job(), fr.load_mesh()), encoding="utf-8")
         browser = chromium.launch(playwright)
         page = browser.new_page(viewport=VIEWPORT)
         page.goto(ours.as_uri())

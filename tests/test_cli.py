@@ -22,8 +22,8 @@ from PIL import Image
 
 import facerender as fr
 from facerender.commands import doctor, main
-from facerender.commands.scene import CAMERAS
 from facerender.drawing import context
+from facerender.scenes.camera import AZIMUTHS_BY_NAME
 from facerender.scenes.light import LIGHTS
 from facerender.scenes.scene import ONLY
 from facerender.terms import MASKING
@@ -251,7 +251,7 @@ def test_exposure_in_stops(cli: Cli) -> None:
 # --- camera, lights, material --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "azimuth"), CAMERAS.items())
+@pytest.mark.parametrize(("name", "azimuth"), AZIMUTHS_BY_NAME.items())
 def test_camera_names(name: str, azimuth: float, cli: Cli) -> None:
     np.testing.assert_array_equal(
         cli.render("--camera", name), cli.render("--camera", f"{azimuth:g}")

@@ -22,12 +22,12 @@ from facerender.commands.scene import job_of
 from facerender.comparison.compare import compare
 from facerender.drawing import reference
 from facerender.drawing.frame import GBuffer
-from facerender.explorer import QUALITIES, encoded, explorer, octahedral
+from facerender.explorer.mesh import QUALITIES, encoded, octahedral
+from facerender.explorer.page import explorer_page
 from facerender.glsl.library import TARGETS, term_source
 from facerender.job import Job, MeshFile
 from facerender.lobes import GPower, lobe
 from facerender.planning.budget import Budget
-from facerender.pricing import table
 from facerender.scenes.mesh import slope_range
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import view_of
@@ -43,6 +43,7 @@ PLACES = [
     *((0.50, 0.55), (0.44, 0.55), (0.56, 0.55), (0.50, 0.66), (0.47, 0.72), (0.53, 0.72)),
 ]
 OWN = GPower(6, 0.3, 0.4)
+FRONT = np.array([0.0, 0.0, 1.0])  # where the tests have point lights
 TERMS = [
     ("", Term(), {}),
     ("lobe:d8;m:0.25;f0:0.05;ks:0.7", Term(lobe="d8"), {"m": 0.25, "f0": 0.05, "ks": 0.7}),
@@ -71,7 +72,7 @@ def write(folder: Path) -> tuple[str, MeshFile]:
     """Write a page, and return its address, and the mesh that it shows."""
     mesh = MeshFile(str(MINI), **maps(folder))
     path = folder / "explorer.html"
-    path.write_text(explorer(Job(mesh), mesh.load()), encoding="utf-8")
+    path.write_text(explorer_page(Job(mesh), mesh.load()), encoding="utf-8")
     return path.as_uri(), mesh
 
 
@@ -142,12 +143,16 @@ def pictures(page):
 def scene_of(page, mesh, changes):
     """The scene that a page shows, for the same size."""
     now = page.evaluate("explorer.state")
-    lights = tuple(
+    lights = [
         fr.Light(
-            each["azimuth"], each["elevation"], tuple(each["irradiance"]), None, each["radius"]
+            each["azimuth"],
+            each["elevation"],
+            each["irradiance"],
+            each["distance"] and tuple(mesh.center + mesh.radius * each["distance"] * FRONT),
+            each["radius"],
         )
         for each in now["lights"]
-    )
+    ]
     camera = fr.Camera(**now["camera"])
     return fr.Scene(mesh.with_material(**changes), camera, lights, tuple(now["ambient"]))
 
@@ -168,7 +173,7 @@ def expected(page, mesh, found, term, changes):
 @pytest.mark.parametrize(("words", "term", "changes"), TERMS, ids=[each[0] for each in TERMS])
 def test_pixels_are_the_float64_reference(page, mesh, words, term, changes):
     """A is the exact term, B another: each within 1e-3 of what float64 gives there."""
-    lights = "-50,42,3.6,3.4,3.1;30,20,1,1.2,1.4,8"  # the second one a disc
+    lights = "-50,42,3.6,3.4,3.1,20;30,20,1,1.2,1.4;0,0,1,1,1,0,3"  # a disc, a point light
     look(page, f"b={words}&lights={lights}" if words else f"lights={lights}")
     if not words:
         page.evaluate("explorer.state.b.lobe = 'exact'")
@@ -491,7 +496,7 @@ def test_a_term_of_the_registry_appears_by_itself(browser, tmp_path, monkeypatch
         text = text.replace(line, own + line)
     file.write_text(text, encoding="utf-8")
     monkeypatch.setattr("facerender.glsl.library.shader_dir", lambda: shaders)
-    monkeypatch.setattr("facerender.explorer.shader_dir", lambda: shaders)
+    monkeypatch.setattr("facerender.explorer.page.shader_dir", lambda: shaders)
     address, file = write(tmp_path)
     mesh = file.load()
     with opened(browser, address) as page:
@@ -507,8 +512,6 @@ def test_a_term_of_the_registry_appears_by_itself(browser, tmp_path, monkeypatch
         )
         options = page.get_by_label("lobe of A").locator("option").all_inner_texts()
         assert options == [*LOBES, "g-power of one’s own"]
-        (told,) = costs_told(page)
-        assert [cells[2:] for cells in told["cells"][1:]] == [["not priced"] * 2] * 3
     for label, entries in (("Fresnel", FRESNEL), ("masking", MASKING)):
         assert f'"{next(iter(entries))}"' in (tmp_path / "explorer.html").read_text(), label
     assert len(MODELS) == 3
@@ -538,126 +541,19 @@ def test_cost_is_measured_and_saved(page):
     assert saved["gpu"] in page.inner_text("#price-told")
 
 
-LIT = "lights=-50,42,3,3,3,5;30,20,1,1,1;10,0,1,1,1,0,2.5;40,0,1,1,1,4,3"  # one of each kind
-PRICED = [
-    "", "b=lobe:exact;m:0.15", "b=lobe:exact;m:0.35", "b=lobe:d8;m:0.2&lights=none", "b=ks:0",
-    f"b=model:ward;lobe:fitted;m:0.5&{LIT}", "b=lobe:g-power;g:6;factor:0.3&ambient=0,0,0",
-    f"b=lobe:d16;fresnel:constant;masking:none;ks:0.4&ambient=0,0,0&{LIT}",
-    "b=lobe:exact;m:0.1;ks:0.7;masking:kelemen&lights=-50,42,3,3,3", "b=ks:0.5",
-]  # fmt: skip
-
-
-TOLD = """links => links.map(link => {
-    history.replaceState(null, "", `#${link}`);
-    dispatchEvent(new HashChangeEvent("hashchange"));
-    const table = document.querySelector(".costs");
-    const {width, height} = table.getBoundingClientRect();
-    return {
-        state: structuredClone(explorer.state), prices: explorer.prices(), size: [width, height],
-        cells: [...table.tBodies].map(body => [...body.rows[1].cells].map(each => each.innerText)),
-    };
-})"""
-
-
-def costs_told(page, *links):
-    """What the page tells of costs for each link, before it draws: state, prices, the table's size,
-    and its cells by row; without a link of what is on screen."""
-    return page.evaluate(TOLD, links or [page.evaluate("location.hash.slice(1)")])
-
-
-def check_prices(told, mesh):
-    """The page's prices of B are ``Prices.cost``'s, in every target; and so is its base."""
-    now = told["state"]
-    lights = [
-        fr.Light(
-            radius=each["radius"],
-            position=each["distance"] and (*mesh.center[:2], mesh.center[2] + 9 * mesh.radius),
-        )
-        for each in now["lights"]
-    ]
-    b = now["b"]
-    own = GPower(b["g"], b["factor"], b["offset"])
-    name = own if b["lobe"] == "g-power" else b["lobe"]
-    term = Term(b["model"], name, b["fresnel"], b["masking"])
-    changes = {each: b[each] for each in ("m", "f0", "ks") if b[each] is not None}
-    scene = fr.Scene(mesh.with_material(**changes), lights=lights, ambient=tuple(now["ambient"]))
-    assert len(told["prices"]) == len(table.shipped()) == 3
-    for each, prices in zip(told["prices"], table.shipped().values(), strict=True):
-        whole, _ = prices.cost(scene, fr.Shading(term=term))
-        dull, _ = prices.cost(replace(scene, mesh=mesh.with_material(ks=0.0)), fr.Shading())
-        assert each["b"] == pytest.approx(whole, rel=1e-5)
-        assert each["base"] == pytest.approx(dull, rel=1e-5)
-        assert each["difference"] == pytest.approx(each["b"] - each["a"], abs=1e-5)
-
-
-def test_prices_are_those_of_the_table(browser, page, mesh, tmp_path):
-    told = costs_told(page, *PRICED)
-    for each in told:
-        check_prices(each, mesh)
-    assert len({each["prices"][0]["b"] for each in told}) > 7
-    plain = replace(mesh.materials[0], roughness_map=None, normal_map=None, m=0.15)
-    three = replace(
-        mesh,
-        parts=(*mesh.parts, *mesh.parts, replace(mesh.parts[0], faces=mesh.parts[0].faces[:99])),
-        materials=(*mesh.materials, replace(plain, ks=0.0), plain),
-    )
-    (tmp_path / "three.html").write_text(explorer(Job(), three), encoding="utf-8")
-    with opened(browser, (tmp_path / "three.html").as_uri(), fragment="#lights=none") as other:
-        other.evaluate("explorer.errors()")
-        for each in costs_told(other, *PRICED):
-            check_prices(each, three)
-
-
-def test_prices_stand_beside_what_is_measured_here(page):
-    headings = page.locator(".costs th[scope=rowgroup]").all_inner_texts()
-    assert headings[0].startswith("here ms a picture")
-    for heading, prices in zip(headings[1:], table.shipped().values(), strict=True):
-        assert heading.endswith(f"{prices.unit}; {prices.source}")
-    assert page.locator(".costs thead th[scope=col]").count() == 4
-    d8, exact = costs_told(page, "b=lobe:d8&lights=-50,42,3,3,3", "b=lobe:exact")
-    assert d8["cells"][0] == ["–"] * 4
-    for cells, each in zip(d8["cells"][1:], d8["prices"], strict=True):
-        shown = [float(cell.replace(",", "").replace("−", "-")) for cell in cells]
-        assert shown == pytest.approx(list(each.values()), rel=5e-3, abs=1e-3)
-    assert [cells[3] for cells in exact["cells"][1:]] == ["0"] * 3
-
-
-def test_what_has_no_price_is_told(browser, mesh, tmp_path, monkeypatch):
-    content = json.loads(table.TABLE.read_text(encoding="utf-8"))
-    del content["navi21"]["parts"]["disc light"]
-    for name in [name for name in content["vega10"]["terms"] if " d8" in name]:
-        del content["vega10"]["terms"][name]
-    monkeypatch.setattr(table, "TABLE", tmp_path / "prices.json")
-    table.TABLE.write_text(json.dumps(content))
-    (tmp_path / "page.html").write_text(explorer(Job(), mesh), encoding="utf-8")
-    with opened(browser, (tmp_path / "page.html").as_uri()) as page:
-        page.evaluate("explorer.errors()")
-        links = "b=lobe:d8", "b=lobe:d4&lights=0,0,1,1,1,5", "b=lobe:g-power;g:7"
-        d8, disc, power = (each["cells"][1:] for each in costs_told(page, *links))
-    none = "not priced"
-    assert none not in d8[0]
-    assert [cell == none for cell in d8[1]] == [False, False, True, True]
-    assert disc[0] == [none] * 4
-    assert none not in disc[1]
-    assert [cells[2:] for cells in power] == [[none] * 2] * 3  # nobody has priced it
-
-
-def test_the_table_of_costs_keeps_its_size(page):
-    links = "", "b=lobe:g-power;g:7", "lights=none", f"b=model:ward&{LIT}", "camera=zoom:0.3"
-    for width in (1280, 360):
-        page.set_viewport_size({"width": width, "height": 900})
-        sizes = [each["size"] for each in costs_told(page, *links)]
-        assert sizes == sizes[:1] * len(links)
-    page.evaluate("explorer.errors()")
+def test_the_table_of_costs_is_of_one_picture_and_keeps_its_size(page):
+    look(page)
+    place = "[...document.querySelectorAll('.costs')].map(e => [e.offsetWidth, e.offsetHeight])"
+    sizes = [page.evaluate(place)]
     page.click("#price")
     page.locator("#save").wait_for(timeout=60_000)
-    (measured,) = costs_told(page)
-    assert "–" not in measured["cells"][0]
-    (other,) = costs_told(page, "b=lobe:d4")  # another picture than that which was measured
-    assert other["cells"][0] == ["–"] * 4
+    cells = page.locator(".costs td")
+    assert "–" not in cells.all_inner_texts()
+    sizes.append(page.evaluate(place))
+    look(page, "b=lobe:d4")  # another picture than the one that was measured
+    assert cells.all_inner_texts() == ["–"] * 4
     assert "another picture" in page.inner_text("#price-told")
-    assert measured["size"] == other["size"] == sizes[0]
-    page.set_viewport_size(VIEW["viewport"])
+    assert sizes == [page.evaluate(place)] * 2
 
 
 def test_a_cost_of_two_pictures_is_not_told(page):
@@ -722,11 +618,20 @@ def test_the_built_in_head_fits(tmp_path, capsys):
     assert "https://" not in text
 
 
-@pytest.mark.parametrize("name", ["page.png", "page"])
-def test_another_name_than_that_of_a_page_is_refused(tmp_path, capsys, name):
-    assert main(["explore", "-o", str(tmp_path / name)]) == 2
-    assert "give a name that ends in .html" in capsys.readouterr().err
-    assert not (tmp_path / name).exists()
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("page.png", "give a name that ends in .html"),
+        ("page", "give a name that ends in .html"),
+        ("gone/page.html", "cannot write"),
+        ("folder.html", "cannot write"),
+    ],
+)
+def test_an_output_that_cannot_be_a_page_is_refused_first(tmp_path, capsys, name, words):
+    (tmp_path / "folder.html").mkdir()
+    assert main(["explore", "missing.glb", "-o", str(tmp_path / name)]) == 2
+    assert words in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["folder.html"]
 
 
 def test_maps_are_less_than_a_step_off(head):

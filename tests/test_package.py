@@ -127,7 +127,7 @@ def test_wheel_renders_away_from_the_checkout(tmp_path):
     for name in ("page.css", "viewer.js"):
         assert (ROOT / "facerender" / "page" / name).read_text(encoding="utf-8") in report
     explorer = (tmp_path / "explorer.html").read_text(encoding="utf-8")
-    source = (ROOT / "facerender/page/explorer/explorer.js").read_text(encoding="utf-8")
+    source = (ROOT / "facerender/explorer/browser/explorer.js").read_text(encoding="utf-8")
     assert source.splitlines()[-1] in explorer
     assert (tmp_path / "out/data/one/image.png").is_file()
     command = [sys.executable, "-m", "pytest", "--facerender-unused=fail"]  # it knows the plugin

@@ -28,6 +28,7 @@ from facerender.planning.candidates import (
     Constants,
     candidates,
     changed,
+    values,
     with_decisions,
 )
 from facerender.pricing.table import load_prices
@@ -286,6 +287,24 @@ def test_a_huge_budget_drops_every_highlight(small, head):
     cost = fr.plan(fr.Scene(head), "1e9%", cost="auto", renderer=small).cost
     assert cost.specular == 0.0
     assert cost.total <= cost.full_total - cost.full_specular * (1 - 1e-12)
+
+
+def test_decisions_have_the_values_in_which_the_shadings_differ(small, head):
+    plan = fr.plan(fr.Scene(head), "7/255", cost="auto", renderer=small)
+    taken = {
+        path: value
+        for each in plan.decisions
+        if each.changed
+        for path, value in each.values.items()
+    }
+    differs = changed(plan.shading, plan.full)
+    assert len(differs) > 3
+    assert values(plan.shading, differs).items() <= taken.items()
+    for each in plan.decisions:
+        assert each.values
+        names = [name for name, path in DECISIONS.items() if path in each.values]
+        assert values(plan.full if each.changed else plan.shading, names) != each.values
+    assert json.loads(json.dumps(plan.as_dict()))["decisions"][0]["values"]
 
 
 def test_of_the_same_cost_what_changes_least_is_chosen(small, bare):

@@ -27,10 +27,7 @@ EXAMPLES = {
         "facerender compare goldens out --report report.html",
         "facerender compare --calibrate runs --limits pytest.ini",
     ),
-    "explore": (
-        "facerender explore head.glb -o head.html",
-        "facerender explore --plan 1/255 -o head.html",
-    ),
+    "explore": ("facerender explore head.glb -o head.html",),
     "shaders": (
         "facerender shaders list",
         "facerender shaders flatten cook_torrance --target 330 --lobe d16",

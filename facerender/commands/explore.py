@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from facerender.commands.common import (
     add_allow_outside,
@@ -18,14 +17,9 @@ from facerender.commands.common import (
 )
 from facerender.commands.streams import tell
 from facerender.errors import InputError
-from facerender.explorer import explorer
+from facerender.explorer.page import explorer_page
 from facerender.job import Job, MeshFile
 from facerender.system.atomic import write_text
-from facerender.system.progress import Progress
-
-if TYPE_CHECKING:
-    from facerender.planning.plan import Plan
-    from facerender.scenes.mesh import Mesh
 
 
 def add(explore: argparse.ArgumentParser) -> None:
@@ -38,11 +32,6 @@ def add(explore: argparse.ArgumentParser) -> None:
         "mesh", nargs="?", help=".glb .gltf .obj .ply .stl; without it the built-in head"
     )
     explore.add_argument("-o", "--output", required=True, metavar="OUT.html")
-    explore.add_argument(
-        "--plan",
-        metavar="BUDGET",
-        help="1/255, 0.5%% or '0.02 flip': what facerender plan decides within it, as switches",
-    )
     maps = explore.add_argument_group("maps, in place of those of the mesh file")
     add_maps(maps, "albedo", "normal-map", "specular-map", "roughness-map")
     maps.add_argument("--flip-v", action="store_true", help="turn texture coordinates upside down")
@@ -56,17 +45,13 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             f"{options.output}: the explorer is a page; give a name that ends in .html"
         )
-    if options.plan is not None:
-        from facerender.planning.budget import Budget
-
-        Budget.parse(options.plan)
     file = MeshFile(
         options.mesh,
-        options.albedo,
-        options.normal_map,
-        options.specular_map,
-        options.roughness_map,
-        options.flip_v,
+        albedo=options.albedo,
+        normal_map=options.normal_map,
+        specular_map=options.specular_map,
+        roughness_map=options.roughness_map,
+        flip_v=options.flip_v,
         allow_outside=options.allow_outside,
         parts=options.parts,
         hide=options.hide,
@@ -75,20 +60,9 @@ def run(options: argparse.Namespace) -> int:
     import_trimesh(options.mesh)
     with steps(options) as progress:
         progress("mesh", 0.0)
-        job, mesh = Job(file), file.load()
-        planned = _planned(job, mesh, options.plan, progress) if options.plan else None
+        mesh = file.load()
         progress("page", 0.0)
-        page = explorer(job, mesh, planned)
+        page = explorer_page(Job(file), mesh)
     write_text(options.output, page)
     tell(options.output)
     return 0
-
-
-def _planned(job: Job, mesh: Mesh, budget: str, progress: Progress) -> Plan:
-    """Return the plan of what the page begins with. Its cost is that of a fragment: the page draws
-    all samples and triangles."""
-    from facerender.drawing.renderer import Renderer
-    from facerender.planning.plan import plan
-
-    with Renderer.of(job) as renderer:
-        return plan(job.scene(mesh), budget, cost="auto", renderer=renderer, progress=progress)

@@ -22,9 +22,15 @@ from facerender.commands.common import (
 from facerender.drawing.prepare import start_maps
 from facerender.errors import InputError, clipped
 from facerender.job import ImageSettings, Job, MeshFile
-from facerender.loading import NORMAL_MAP_Y
-from facerender.loading.given import GLTF
-from facerender.scenes.camera import CAMERA_FILES, FRAMES, Camera, orbiting, turntable
+from facerender.loading.source import GLTF, NORMAL_MAP_Y
+from facerender.scenes.camera import (
+    AZIMUTHS_BY_NAME,
+    CAMERA_FILES,
+    FRAMES,
+    Camera,
+    orbiting,
+    turntable,
+)
 from facerender.scenes.file import STUDIO, load_scene, parse_environment
 from facerender.scenes.light import LIGHTS, parse_light
 from facerender.scenes.material import Material
@@ -36,11 +42,10 @@ from facerender.terms import FRESNEL, MASKING, MODELS
 _FACTORS = (
     *("m", "f0", "ks", "kd", "second_slope", "lobe_weight", "scattering", "normal_strength"),
 )
-CAMERAS = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
 WHERE = (
-    f"{', '.join(CAMERAS)}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees; turntable[:N], for 8 or N "
-    "around; gltf[:NAME], of the mesh file; a .toml with [[cameras]], a .json or .npz with K and "
-    "[R|t]; repeat for several"
+    f"{', '.join(AZIMUTHS_BY_NAME)}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees; turntable[:N], for "
+    "8 or N around; gltf[:NAME], of the mesh file; a .toml with [[cameras]], a .json or .npz with "
+    "K and [R|t]; repeat for several"
 )
 
 
@@ -291,8 +296,8 @@ def _file_cameras(
 
 
 def _orbit(place: str, camera: Camera) -> Camera:
-    if place in CAMERAS:
-        return orbiting(camera, azimuth=CAMERAS[place], elevation=0.0)
+    if place in AZIMUTHS_BY_NAME:
+        return orbiting(camera, azimuth=AZIMUTHS_BY_NAME[place], elevation=0.0)
     try:
         numbers = numbers_of("camera", place, (1, 2, 3))
     except InputError as error:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender import lobes
 from facerender.comparison import flip
-from facerender.comparison.blocks import BLOCK, FLOOR, blocks, cells
+from facerender.comparison.blocks import BLOCK, FLOOR, block_sums, cell_sums
 from facerender.comparison.compare import FULL
 from facerender.comparison.neighbourhoods import filtered
 from facerender.drawing.context import Backend
@@ -159,12 +159,12 @@ def block_error(
     inside = coverage >= FULL
     for _ in range(3):
         inside = filtered(inside, np.minimum)
-    count = blocks(cells(inside))
+    count = block_sums(cell_sums(inside))
     worst = 0.0
     for channel in range(3):
         x, y = reference[..., channel], a[..., channel]
-        of = np.maximum(blocks(cells(np.abs(x) * inside)), FLOOR * np.maximum(count, 1.0))
-        change = np.abs(blocks(cells((y - x) * inside))) / of
+        of = np.maximum(block_sums(cell_sums(np.abs(x) * inside)), FLOOR * np.maximum(count, 1.0))
+        change = np.abs(block_sums(cell_sums((y - x) * inside))) / of
         worst = max(worst, float(change[count >= BLOCK**2 // 4].max(initial=0.0)))
     return worst
 

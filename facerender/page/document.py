@@ -8,19 +8,22 @@ from collections.abc import Iterable
 from html import escape
 from pathlib import Path
 
+_FOLDER = Path(__file__).parent
 
-def document(title: str, body: str, *files: str) -> str:
+
+def document(title: str, body: str, *files: str | Path) -> str:
     """Return a page.
 
     Parameters
     ----------
     title : text, of the window and of the page
     body : HTML that follows the title; classes are those of page.css
-    files : beside this one, such as "viewer.js": scripts, which share one scope, and stylesheets
-        that go beyond page.css
+    files : scripts, which share one scope, and stylesheets besides page.css: of this folder, such
+        as "viewer.js", or by their paths
     """
-    styles = ["page.css", *(file for file in files if file.endswith(".css"))]
-    script = "".join(file_text(file) for file in files if file.endswith(".js"))
+    paths = [_FOLDER / file for file in ("page.css", *files)]
+    style = "".join(path.read_text(encoding="utf-8") for path in paths if path.suffix == ".css")
+    script = "".join(path.read_text(encoding="utf-8") for path in paths if path.suffix == ".js")
     code = f'<script type="module">\n{script}</script>\n' if script else ""
     return f"""<!DOCTYPE html>
 <html lang="en">
@@ -29,7 +32,7 @@ def document(title: str, body: str, *files: str) -> str:
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{escape(title)}</title>
 <style>
-{"".join(map(file_text, styles))}</style>
+{style}</style>
 </head>
 <body>
 <h1>{escape(title)}</h1>
@@ -74,8 +77,3 @@ def row(name: str, cells: Iterable[str], kind: str = "") -> str:
     marked = f' class="{kind}"' if kind else ""
     values = "".join(f"<td>{cell}</td>" for cell in cells)
     return f'<tr{marked}><th scope="row">{name}</th>{values}</tr>'
-
-
-def file_text(name: str) -> str:
-    """Return a file of this folder, such as "page.css"."""
-    return (Path(__file__).parent / name).read_text(encoding="utf-8")

@@ -16,6 +16,7 @@ Frame = Literal["all", "head", "face"]
 Pose = tuple[float, float, float, float]
 
 FRAMES: tuple[Frame, ...] = get_args(Frame)
+AZIMUTHS_BY_NAME = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
 CAMERA_FILES = (".toml", ".json", ".npz")
 MOST_CAMERAS = 100_000
 _NOT_ROTATED = 1e-3  # of the nine numbers of a rotation, by rounding

@@ -16,6 +16,7 @@ from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import direction_to, within_reach
 from facerender.terms.ranges import range_of
 
+FRAMING_MARGIN = 1.04
 _SAME_SHAPE = 0.005  # of width over height, by rounding
 SIZES = range_of(Camera, "size")
 _XYW = [0, 1, 3]  # of clip coordinates, without the depth buffer's
@@ -242,4 +243,4 @@ def _framing_distance(
     top = y * (sine + cosine / vertical) + r * abs(cosine - sine / vertical)
     bottom = y * (sine - cosine / vertical) + r * abs(cosine + sine / vertical)
     side = y * sine + r * math.hypot(1.0 / horizontal, cosine)
-    return 1.04 * float(max(top.max(), bottom.max(), side.max()))
+    return FRAMING_MARGIN * float(max(top.max(), bottom.max(), side.max()))

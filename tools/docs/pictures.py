@@ -72,7 +72,7 @@ def explorer() -> None:
     """Draw the explorer in a browser: D8 at a slope where it is off by several levels."""
     from playwright.sync_api import sync_playwright
 
-    from facerender.explorer import explorer as explorer_page
+    from facerender.explorer.page import explorer_page
     from facerender.job import Job
     from tests.verification import chromium
 

@@ -1,4 +1,4 @@
-// The page: what is drawn when, what pointers and keys do, the link.
+// The page: when it draws, pointers and keys, the link.
 const SETTLED = 180;  // milliseconds without a change after which errors, code and link follow
 
 let state = firstState();
@@ -67,7 +67,7 @@ function place() {
   const view = viewOf(state.camera, width / height);
   [...byId("handles").children].forEach((handle, i) => {
     const light = state.lights[i];
-    const at = projected(view, scaledBy(directionTo(light.azimuth, light.elevation), 0.9));
+    const at = projected(view, scaledBy(directionTo(light), 0.9));
     handle.style.left = `${100 * clamp(at.x, 0.03, 0.97)}%`;
     handle.style.top = `${100 * clamp(at.y, 0.04, 0.96)}%`;
     handle.classList.toggle("behind", at.z > 0);
@@ -120,8 +120,8 @@ function plotHere() {
   if (!drawing || !at) return;
   const [found] = drawing.probe(state, [at]);
   if (found.a.part < 0) return;
-  const {eye} = viewOf(state.camera, drawing.size[0] / drawing.size[1]);
-  const here = geometryAt(found.a, eye, state.lights);
+  const {position} = viewOf(state.camera, drawing.size[0] / drawing.size[1]);
+  const here = geometryAt(found.a, position, state.lights);
   const angles = here.lights.filter(light => light.lit).map(light => light.angle);
   lobes = Object.fromEntries(["a", "b"].map(which => {
     const {m} = found[which];
@@ -132,41 +132,24 @@ function plotHere() {
     : `m ${figure(found.a.m)} in A, ${figure(found.b.m)} in B`;
   const cosines = here.lights.map(light => figure(light.cosine)).join(", ");
   byId("here").textContent = `${pointed ? "Under the pointer" : "At the ring"}: ${slopes}, `
-    + `N.V ${figure(here.eye)}, N.L ${cosines || "without a light"}.`;
+    + `N.V ${figure(here.facing)}, N.L ${cosines || "without a light"}.`;
 }
 
-let alone = null;  // what each decision of the plan loses by itself
-
-async function measureEach() {
-  if (!drawing?.targets || drawing.gl.isContextLost()) return;
-  const began = version;
-  const buttons = [byId("plan-measure"), byId("price")];  // neither while the other measures
-  if (buttons.some(each => each.disabled)) return;
-  buttons.forEach(each => { each.disabled = true; });
-  try {
-    alone = await lossesAlone(drawing, state, text => { byId("plan-told").textContent = text; },
-      () => version !== began || drawing.gl.isContextLost());
-  } finally {
-    buttons.forEach(each => { each.disabled = false; });
-    refresh();
-  }
-}
-
-let cost = null;  // what was measured here
-let costOf = "";  // what it was measured of
-const pictured = ({a, b, camera, lights, ambient, only}) =>
+let cost = null;  // the last measurement
+let costOf = "";  // the image that was measured
+const imageKey = ({a, b, camera, lights, ambient, only}) =>
   JSON.stringify([a, b, camera, lights, ambient, only, drawing?.size]);
 const tellCost = text => { byId("price-told").textContent = text; };
 
-async function priceHere() {
+async function measureCost() {
   if (!drawing || drawing.gl.isContextLost()) return;
   const began = version;
   byId("price").disabled = true;
   byId("save").hidden = true;
   tellCost("warming up");
   try {
-    costOf = pictured(state);
-    cost = await priced(drawing, state, tellCost,
+    costOf = imageKey(state);
+    cost = await measuredCost(drawing, state, tellCost,
       () => version !== began || drawing.gl.isContextLost());
     if (!cost) tellCost("Stopped: the picture changed.");
     byId("save").hidden = !cost;
@@ -177,10 +160,10 @@ async function priceHere() {
   if (began === version) drawing.show(state);
 }
 
-// Brings the table of costs up to the state; what was measured here is that of one picture.
-function writeCosts(table) {
-  const same = cost !== null && costOf === pictured(state);
-  table.write(state, same ? cost : null);
+// Brings the table of costs up to the state: a measurement is that of one image.
+function writeCosts({write}) {
+  const same = cost !== null && costOf === imageKey(state);
+  write(same ? cost : null);
   if (!cost || byId("price").disabled) return;
   const passes = cost.passes === 1 ? "1 pass" : `${cost.passes} passes`;
   tellCost(same ? `${cost.gpu}: ${passes} of ${cost.size.join(" × ")} pixels a round, by its `
@@ -216,32 +199,20 @@ function watchPointer() {
   });
 }
 
+let codeSide = "b";
+let codeForm = "command";
+
 function writeCode() {
-  const words = outsideWords();
-  byId("outside").textContent = words;
-  const smallest = term => term.m ?? Math.min(...facts.parts.map(part => part.slopes[0]));
-  const size = drawing ? drawing.size : [1024, 1024];
-  const text = which => {
-    if (Object.hasOwn(facts.targets, codeKind)) {
-      return flattened(state[which], codeKind, smallest(state[which]));
-    }
-    return {command: commandLine, toml, python}[codeKind](state, which, size);
-  };
-  if (!sources) return;
-  const lines = codeOf === "diff" ? hunks(diff(text("a"), text("b"))) : null;
-  byId("code").replaceChildren(...lines
-    ? lines.map(([sign, line]) => element("span", {className: {"-": "gone", "+": "come", "@": "same"}[sign] ?? ""},
-      sign === "@" ? `⋯ ${line}\n` : `${sign} ${line}\n`))
-    : [text(codeOf)]);
-  if (lines && lines.every(([sign]) => sign === "@")) byId("code").textContent = "A and B are the same here.";
-}
-
-let codeOf = "b";
-let codeKind = "command";
-
-function outsideWords() {
-  return ["a", "b"].map(which => [SWATCH[which], outside(state[which])])
+  byId("outside").textContent = ["a", "b"].map(which => [SWATCH[which], outsideDomain(state[which])])
     .filter(([, words]) => words).map(([name, words]) => `${name}: ${words}.`).join(" ");
+  if (!sources) return;
+  const text = which => codeOf(state, which, codeForm, drawing?.size ?? [1024, 1024]);
+  if (codeSide !== "diff") return byId("code").replaceChildren(text(codeSide));
+  const lines = hunks(diff(text("a"), text("b")));
+  const classes = {"-": "gone", "+": "come", "@": "same", " ": ""};
+  byId("code").replaceChildren(...lines.every(([sign]) => sign === "@") ? ["A and B are the same here."]
+    : lines.map(([sign, line]) => element("span", {className: classes[sign]},
+      sign === "@" ? `⋯ ${line}\n` : `${sign} ${line}\n`)));
 }
 
 function buildControls() {
@@ -251,14 +222,15 @@ function buildControls() {
   };
   choice("show", Object.entries(SHOWS), () => state.show, set("show"));
   choice("only", Object.entries(ONLY), () => state.only, set("only"));
-  choice("cameras", Object.keys(CAMERAS).map(name => [name, name]), () => {
+  const {cameras} = facts;
+  choice("cameras", Object.keys(cameras).map(name => [name, name]), () => {
     const {azimuth, elevation} = state.camera;
-    return elevation === 0 ? Object.keys(CAMERAS).find(name => CAMERAS[name] === azimuth) : undefined;
+    return elevation === 0 ? Object.keys(cameras).find(name => cameras[name] === azimuth) : undefined;
   }, name => {
-    Object.assign(state.camera, {azimuth: CAMERAS[name], elevation: 0});
+    Object.assign(state.camera, {azimuth: cameras[name], elevation: 0});
     changed();
   });
-  const budget = number("budget in 1/255", {low: 0, high: 255, empty: "none"}, () => state.budget, set("budget"));
+  const budget = number("budget in 1/255", [0, 255], () => state.budget, set("budget"), {empty: "none"});
   byId("sliders").append(
     slider("gain", {low: 0, high: 6, step: 1}, () => Math.log2(state.gain),
       value => set("gain")(2 ** value), () => `× ${state.gain}`),
@@ -273,7 +245,6 @@ function buildControls() {
     while (handles.children.length > state.lights.length) handles.lastChild.remove();
     while (handles.children.length < state.lights.length) handles.append(handleOf(handles.children.length));
   });
-  buildPlan(still, () => drawing?.size, () => alone, changed);
   const costs = costTable();
   byId("costs").append(costs.table);
   refreshers.push(() => writeCosts(costs));
@@ -281,11 +252,11 @@ function buildControls() {
     scale = value;
     if (lobes) plotLobes(byId("lobes"), lobes, scale);
   });
-  choice("code-of", [["a", "A"], ["b", "B"], ["diff", "A to B"]], () => codeOf, value => { codeOf = value; writeCode(); });
+  choice("code-of", [["a", "A"], ["b", "B"], ["diff", "A to B"]], () => codeSide, value => { codeSide = value; writeCode(); });
   const names = {330: "GLSL 330", es300: "GLSL ES 300", vulkan: "Vulkan"};
   const targets = Object.keys(facts.targets).map(target => [target, names[target] ?? target]);
   const kinds = [["command", "command line"], ["toml", "TOML"], ["python", "Python"], ...targets];
-  choice("code-kind", kinds, () => codeKind, value => { codeKind = value; writeCode(); });
+  choice("code-kind", kinds, () => codeForm, value => { codeForm = value; writeCode(); });
   byId("copy").addEventListener("click", async () => {
     const text = byId("code").textContent;
     try {
@@ -404,8 +375,7 @@ function listen() {
     changed();
   }));
   watchPointer();
-  byId("plan-measure")?.addEventListener("click", () => attempt(measureEach));
-  byId("price").addEventListener("click", () => attempt(priceHere));
+  byId("price").addEventListener("click", () => attempt(measureCost));
   byId("save").addEventListener("click", saveCost);
   addEventListener("hashchange", () => restore(location.hash));
   new ResizeObserver(changed).observe(picture);
@@ -443,17 +413,14 @@ window.explorer = {
   errors: () => statisticsNow ?? new Promise((resolve, reject) => awaited.push({resolve, reject})),
   probe: places => drawing.probe(state, places),
   pixels: which => drawing.read(drawing.targets[which]),
-  prices: () => prices.map(target => fragmentPrices(target, state)),
   lobe: which => ({m: lobes[which].m, values: [...lobes[which].values]}),
-  code: (which, kind) => Object.hasOwn(facts.targets, kind)
-    ? flattened(state[which], kind, state[which].m ?? Math.min(...facts.parts.map(part => part.slopes[0])))
-    : {command: commandLine, toml, python}[kind](state, which, drawing.size),
+  code: (which, form) => codeOf(state, which, form, drawing.size),
 };
 
 attempt(async () => {
   const unpacks = Boolean(window.DecompressionStream);
   const held = unpacks && Promise.all(
-    [meshParts(), mapImages(), ...["sources", "prices"].map(id => inflated(id).then(found => found.json()))]);
+    [meshParts(), mapImages(), inflated("sources").then(found => found.json())]);
   buildControls();  // while the browser unpacks
   restore(location.hash);
   if (!unpacks) {
@@ -461,8 +428,8 @@ attempt(async () => {
       + "113, Safari 16.4 or later can.");
   }
   openContext(document.createElement("canvas"));  // tells what is missing before anything is drawn
-  const [parts, images, texts, known] = await held;
-  [sources, prices] = [texts, known];
+  const [parts, images, texts] = await held;
+  sources = texts;
   drawing = new Drawing(canvas, parts, images);
   listen();
   tell("");

@@ -10,8 +10,7 @@ function lobeValues(drawing, term, m) {
   const {gl} = drawing;
   const target = floatTarget(gl, ANGLES, 1);
   const program = drawing.onScreen(
-    defined(lobeMacros(term, m)), `#define K ${modelOf(term).k}\n`, sources.models[term.model],
-    sources.page["lobe.frag"]);
+    termSource(term, m).text, `#define K ${modelOf(term).k}\n`, sources.page["lobe.frag"]);
   const cosines = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, cosines);
   gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R32F, ANGLES, 1);
@@ -133,10 +132,10 @@ function plotLobes(box, {a, b}, scale) {
 
 // Angles in degrees between the normal of a probed pixel and the half vectors of the lights, and its
 // N.L and N.V.
-function geometryAt({position, normal}, eye, lights) {
-  const v = unit(eye.map((x, i) => x - position[i]));
+function geometryAt({position, normal}, camera, lights) {
+  const v = unit(camera.map((x, i) => x - position[i]));
   const each = lights.map(light => {
-    const direction = directionTo(light.azimuth, light.elevation);
+    const direction = directionTo(light);
     const l = light.distance === null ? direction
       : unit(scaledBy(direction, light.distance).map((x, i) => x - position[i]));
     return {
@@ -144,5 +143,5 @@ function geometryAt({position, normal}, eye, lights) {
       angle: Math.acos(clamp(dot(normal, unit(l.map((x, i) => x + v[i]))), -1, 1)) * 180 / Math.PI,
     };
   });
-  return {eye: dot(normal, v), lights: each};
+  return {facing: dot(normal, v), lights: each};
 }

@@ -1,4 +1,4 @@
-// What the page holds: facts, arrays of the mesh, GLSL, maps. See facerender/explorer.py.
+// What the page holds: facts, arrays of the mesh, GLSL, maps. See facerender/explorer.
 const facts = JSON.parse(document.getElementById("facts").textContent);
 const {registry} = facts;
 
@@ -62,8 +62,8 @@ async function meshParts() {
       attributes.in_uv = [2, Float32Array.from(columns[uv], (x, i) =>
         corner[i % 2] + x / facts.steps.uv * extent[i % 2])];
     }
-    if (color !== undefined) attributes.in_color = [3, scaled(color, 1e-4)];
-    if (occlusion !== undefined) attributes.in_occlusion = [1, scaled(occlusion, 1e-4)];
+    if (color !== undefined) attributes.in_color = [3, scaled(color, 1 / facts.steps.vertex)];
+    if (occlusion !== undefined) attributes.in_occlusion = [1, scaled(occlusion, 1 / facts.steps.vertex)];
     return {...part, attributes, triangles: Uint32Array.from(columns[faces])};
   });
 }

@@ -1,4 +1,4 @@
-// The pictures A and B on float targets, their error, and what the canvas shows of them.
+// The images A and B on float targets, their error, and the image on the canvas.
 const MOST_SAMPLES = 4;
 
 class Drawing {
@@ -111,16 +111,13 @@ class Drawing {
       const program = this.program(vertexSource(part, term), fragmentOf(part));
       const values = {
         ...part.uniforms, ambient: state.ambient, part: i + 1,
-        view_projection: view.matrix, eye: view.eye,
+        view_projection: view.matrix, eye: view.position,
       };
       for (const kind of Object.keys(sources.lights)) {
         const lights = state.lights.filter(light => lightKind(light) === kind);
-        if (!lights.length) continue;
-        for (const [name, [, list]] of Object.entries(lightArrays(kind, lights))) values[name] = list;
+        if (lights.length) Object.assign(values, lightArrays(kind, lights));
       }
-      for (const [name, own] of [
-        ["slope", ownSlope(term)], ["f0", term.f0], ["specular_weight", term.weight ?? term.ks],
-      ]) {
+      for (const [name, own] of [["slope", term.m], ["f0", term.f0], ["specular_weight", term.ks]]) {
         if (own !== null) values[name] = own;
       }
       Object.entries(part.maps).forEach(([name, texture], unit) => {
@@ -136,36 +133,39 @@ class Drawing {
     gl.activeTexture(gl.TEXTURE0);
   }
 
-  clear() {
+  // Draws image "a" or "b".
+  draw(which, state) {
+    const target = this.targets[which];
+    this.begin(target);
+    this.drawParts(state, state[which], part => shadeSource(part, state[which], state));
+    this.resolve(target);
+  }
+
+  // Binds the target with samples, or else the given one, and clears it.
+  begin(target) {
     const {gl} = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, (this.targets.sampled ?? target).buffer);
     gl.clearColor(...facts.background, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
   }
 
-  // Draws picture "a" or "b".
-  draw(which, state) {
-    const {gl, targets} = this;
-    const [width, height] = this.size;
-    const target = targets[which];
-    const drawn = targets.sampled ?? target;
-    gl.bindFramebuffer(gl.FRAMEBUFFER, drawn.buffer);
-    this.clear();
-    this.drawParts(state, state[which], part => shadeSource(part, state[which], state));
-    if (drawn === target) return;
-    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, drawn.buffer);
+  resolve(target) {
+    const {gl, targets: {sampled}} = this;
+    if (!sampled) return;
+    const whole = [0, 0, ...this.size];
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, sampled.buffer);
     gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, target.buffer);
-    gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
+    gl.blitFramebuffer(...whole, ...whole, gl.COLOR_BUFFER_BIT, gl.NEAREST);
     // No tile need be stored; and ANGLE on SwiftShader would clear for B before it resolves A.
     gl.invalidateFramebuffer(gl.READ_FRAMEBUFFER, [gl.COLOR_ATTACHMENT0, gl.DEPTH_ATTACHMENT]);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
   }
 
-  // Shades all that is seen of "a", "b" or "base", which has no highlights, so many times more than
-  // once; nothing is shown of it.
+  // Shades the visible pixels of "a", "b" or "base" (no highlights) count times more than once.
   repeat(state, which, count) {
-    const {gl, targets} = this;
+    const {gl} = this;
     const term = state[which === "base" ? "a" : which];
-    gl.bindFramebuffer(gl.FRAMEBUFFER, (targets.sampled ?? targets.error).buffer);
-    this.clear();
+    this.begin(this.targets.error);
     gl.depthFunc(gl.LEQUAL);
     for (let i = 0; i <= count; ++i) {
       this.drawParts(state, term, part => shadeSource(part, term, state, which !== "base"));
@@ -173,18 +173,7 @@ class Drawing {
     gl.depthFunc(gl.LESS);
   }
 
-  // Makes a pixel of what repeat() drew one that can be read.
-  resolveForReading() {
-    const {gl, targets} = this;
-    if (!targets.sampled) return;
-    const whole = [0, 0, ...this.size];
-    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, targets.sampled.buffer);
-    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, targets.error.buffer);
-    gl.blitFramebuffer(...whole, ...whole, gl.COLOR_BUFFER_BIT, gl.NEAREST);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, targets.error.buffer);
-  }
-
-  // Binds both pictures for a program, which is what error.glsl needs.
+  // Binds both images for a program with error.glsl.
   compare(program, exposure) {
     const {gl, targets} = this;
     [targets.a, targets.b].forEach((target, unit) => {
@@ -238,45 +227,43 @@ class Drawing {
     return pixels;
   }
 
-  // What is shaded at the centres of pixels [x, y], of one sample, and the radiance in A and B.
+  // The surface at the centres of pixels [x, y], of one sample, and the radiance in A and B.
   probe(state, places) {
     const {gl} = this;
-    const [width, height] = this.size;
-    const surface = floatTarget(gl, width, height, {attachments: 4, depth: true});
-    const single = floatTarget(gl, width, height, {depth: true});
-    const pixel = (target, attachment, [x, y]) => {
-      const found = new Float32Array(4);
-      gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
-      gl.readBuffer(gl.COLOR_ATTACHMENT0 + attachment);
-      gl.readPixels(x, y, 1, 1, gl.RGBA, gl.FLOAT, found);
-      return [...found];
-    };
     const found = places.map(() => ({}));
     for (const which of ["a", "b"]) {
       const term = state[which];
-      gl.bindFramebuffer(gl.FRAMEBUFFER, surface.buffer);
-      gl.clearColor(0, 0, 0, 0);
-      gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-      this.drawParts(state, term, part => gbufferSource(part, term));
-      gl.bindFramebuffer(gl.FRAMEBUFFER, single.buffer);
-      this.clear();
-      this.drawParts(state, term, part => shadeSource(part, term, state));
-      places.forEach((place, i) => {
-        const [position, normal, albedo, other] = [0, 1, 2, 3].map(n => pixel(surface, n, place));
+      // Reads a pixel of each attachment at each place.
+      const drawn = (attachments, background, fragmentOf) => {
+        const target = floatTarget(gl, ...this.size, {attachments, depth: true});
+        gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
+        gl.clearColor(...background, 0);
+        gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+        this.drawParts(state, term, fragmentOf);
+        const values = places.map(([x, y]) => target.textures.map((_, i) => {
+          const pixel = new Float32Array(4);
+          gl.readBuffer(gl.COLOR_ATTACHMENT0 + i);
+          gl.readPixels(x, y, 1, 1, gl.RGBA, gl.FLOAT, pixel);
+          return [...pixel];
+        }));
+        release(gl, target);
+        return values;
+      };
+      const surface = drawn(4, [0, 0, 0], part => gbufferSource(part, term));
+      const image = drawn(1, facts.background, part => shadeSource(part, term, state));
+      surface.forEach(([position, normal, albedo, other], i) => {
         found[i][which] = {
           part: position[3] - 1, position: position.slice(0, 3), normal: normal.slice(0, 3),
           m: normal[3], albedo: albedo.slice(0, 3), specular_weight: albedo[3],
-          occlusion: other[2], radiance: pixel(single, 0, place).slice(0, 3),
+          occlusion: other[2], radiance: image[i][0].slice(0, 3),
         };
       });
     }
-    release(gl, surface);
-    release(gl, single);
     return found;
   }
 }
 
-// Waits until the GPU has done all that it was given; false where the context is lost.
+// Waits until the GPU has finished all commands; false if the context is lost.
 function fenced(gl) {
   const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
   gl.flush();

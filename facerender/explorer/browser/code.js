@@ -1,0 +1,146 @@
+// The same image elsewhere: the command line, TOML, Python, and a diff of two texts.
+const rounded = list => list.map(short).join(", ");
+
+const materialFields = term => Object.fromEntries(
+  ["m", "f0", "ks"].filter(name => term[name] !== null).map(name => [name, short(term[name])]));
+
+// Fields of the shading that are not the first ones, by their names in TOML and Python.
+function shadingFields(term) {
+  const first = {model: firstModel, lobe: Object.keys(registry.lobes)[0],
+    ...modelOf(term).factors && {fresnel: firstFresnel, masking: firstMasking}};
+  return Object.fromEntries(
+    Object.keys(first).filter(name => term[name] !== first[name]).map(name => [name, term[name]]));
+}
+
+function pointOf(light) {
+  return scaledBy(directionTo(light), light.distance * facts.radius).map((x, i) => x + facts.center[i]);
+}
+
+// Without the roughness map if the term has a slope of its own.
+function meshWords(term) {
+  const {roughness_map: roughness, ...others} = facts.mesh.maps;
+  return [facts.mesh.shell, ...Object.values(others), term.m === null && roughness].filter(Boolean);
+}
+
+function commandLine(state, which, size) {
+  const term = state[which];
+  const {azimuth, elevation, zoom, fov} = state.camera;
+  const option = ([name, value]) => `--${name} ${value}`;
+  const lines = [
+    "facerender render", ...meshWords(term),
+    ...term.lobe === "g-power" ? [`--scene ${which}.toml`] : Object.entries(shadingFields(term)).map(option),
+    ...Object.entries(materialFields(term)).map(option),
+    ...state.lights.map(light => {
+      const place = light.distance === null
+        ? `${short(light.azimuth)},${short(light.elevation)}` : `point:${pointOf(light).map(short)}`;
+      const radius = light.radius ? `,radius=${short(light.radius)}` : "";
+      return `--light ${place},${light.irradiance.map(short)}${radius}`;
+    }),
+    `--ambient ${state.ambient.map(short)}`, `--background ${facts.background.map(short)}`,
+    `--camera ${short(azimuth)},${short(elevation)},${short(zoom)}`, `--fov ${short(fov)}`,
+    ...state.exposure ? [`--exposure ${short(state.exposure)}`] : [],
+    ...state.only === "all" ? [] : [`--only ${state.only}`],
+    `--size ${size.join("x")}`, `-o ${which}.png`,
+  ];
+  return (state.lights.length ? "" : "# without a light: --light cannot say none, so write the scene file\n")
+    + lines.join(" \\\n    ");
+}
+
+// The scene as tables of TOML, and as calls of Python, differ in the form of a field alone.
+const lightFields = light => ({
+  ...light.distance === null ? {azimuth: short(light.azimuth), elevation: short(light.elevation)}
+    : {position: pointOf(light).map(short)},
+  irradiance: light.irradiance.map(short), ...light.radius && {radius: short(light.radius)},
+});
+const fieldsOf = (table, form) => Object.entries(table).map(([name, value]) => form(name, value));
+
+function toml(state, which) {
+  const term = state[which];
+  const field = (name, value) => `${name} = ${Array.isArray(value) ? `[${value.join(", ")}]` : value}`;
+  const lobe = value => value === "g-power"
+    ? `{ g = ${term.g}, factor = ${literal(term.factor)}, offset = ${literal(term.offset)} }`
+    : JSON.stringify(value);
+  const section = (name, fields) => fields.length ? ["", `[${name}]`, ...fields] : [];
+  const camera = Object.fromEntries(Object.keys(ranges.camera).map(name => [name, short(state.camera[name])]));
+  const lights = state.lights.map(light => `    { ${fieldsOf(lightFields(light), field).join(", ")} },\n`);
+  return [
+    `# ${["facerender render", ...meshWords(term), `--scene ${which}.toml -o ${which}.png`].join(" ")}`,
+    `ambient = [${rounded(state.ambient)}]`, `background = [${rounded(facts.background)}]`,
+    lights.length ? `lights = [\n${lights.join("")}]` : "lights = []",
+    ...section("camera", fieldsOf(camera, field)),
+    ...section("material", fieldsOf(materialFields(term), field)),
+    ...section("shading", fieldsOf(shadingFields(term), (name, value) => field(name, lobe(value)))),
+  ].join("\n") + "\n";
+}
+
+function python(state, which, size) {
+  const term = state[which];
+  const {azimuth, elevation, zoom, fov} = state.camera;
+  const field = (name, value) => `${name}=${Array.isArray(value) ? `(${value.join(", ")})` : value}`;
+  const lobe = value => value === "g-power"
+    ? `GPower(${term.g}, ${literal(term.factor)}, ${literal(term.offset)})` : JSON.stringify(value);
+  const lights = state.lights.map(light => `    fr.Light(${fieldsOf(lightFields(light), field).join(", ")}),\n`);
+  const material = fieldsOf(materialFields(term), field).join(", ");
+  const shading = fieldsOf(shadingFields(term), (name, value) => field(name, lobe(value))).join(", ");
+  const mesh = facts.mesh.python + (material && `.with_material(${material})`);
+  const only = state.only === "all" ? "" : `, only="${state.only}"`;
+  return [
+    "import facerender as fr",
+    ...term.lobe === "g-power" ? ["from facerender.lobes import GPower"] : [], "",
+    `lights = (\n${lights.join("")})`,
+    `camera = fr.Camera(${short(azimuth)}, ${short(elevation)}, fov=${short(fov)}, zoom=${short(zoom)})`,
+    `scene = fr.Scene(\n    ${mesh},\n    camera,\n    lights,\n    ambient=(${rounded(state.ambient)}),`
+      + `\n    background=(${rounded(facts.background)}),\n)`,
+    `with fr.Renderer((${size.join(", ")})) as renderer:`,
+    `    frame = renderer.render(scene, fr.Shading(${shading})${only})`,
+    `frame.save("${which}.png"${state.exposure ? `, ${short(state.exposure)}` : ""})`,
+  ].join("\n") + "\n";
+}
+
+// The text of A or B in a form: "command", "toml", "python", or a target of GLSL.
+function codeOf(state, which, form, size) {
+  const forms = {command: commandLine, toml, python};
+  if (forms[form]) return forms[form](state, which, size);
+  const {text} = termSource(state[which], smallestSlope(state[which]));
+  return `#version ${facts.targets[form]}\n${text}`;
+}
+
+// Lines of one text and another: "-", "+" or " " before each; the longest common subsequence.
+function diff(before, after) {
+  const [a, b] = [before.split("\n"), after.split("\n")];
+  const lengths = Array.from({length: a.length + 1}, () => new Uint16Array(b.length + 1));
+  for (let i = a.length - 1; i >= 0; --i) {
+    for (let j = b.length - 1; j >= 0; --j) {
+      lengths[i][j] = a[i] === b[j] ? 1 + lengths[i + 1][j + 1] : Math.max(lengths[i + 1][j], lengths[i][j + 1]);
+    }
+  }
+  const lines = [];
+  for (let i = 0, j = 0; i < a.length || j < b.length;) {
+    if (i < a.length && a[i] === b[j]) {
+      lines.push([" ", a[i++]]);
+      ++j;
+    } else if (j === b.length || i < a.length && lengths[i + 1][j] >= lengths[i][j + 1]) {
+      lines.push(["-", a[i++]]);
+    } else {
+      lines.push(["+", b[j++]]);
+    }
+  }
+  return lines;
+}
+
+const CONTEXT = 3;  // lines around a change
+
+// A diff without the lines far from a change; "@" and their number stand in their place.
+function hunks(lines) {
+  const near = lines.map((_, i) =>
+    lines.slice(Math.max(i - CONTEXT, 0), i + CONTEXT + 1).some(([sign]) => sign !== " "));
+  const shown = [];
+  for (let i = 0; i < lines.length;) {
+    let end = i;
+    while (end < lines.length && !near[end]) ++end;
+    if (end > i) shown.push(["@", `${end - i} lines the same`]);
+    else shown.push(lines[end++]);
+    i = end;
+  }
+  return shown;
+}

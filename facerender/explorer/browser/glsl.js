@@ -1,0 +1,58 @@
+// The GLSL of a term, and the programs that draw it; the texts are in the page's data.
+let sources = null;  // by role; unpacked first
+
+const modelOf = term => registry.models[term.model];
+const lobeOf = term => term.lobe === "g-power" ? registry.g_power : registry.lobes[term.lobe];
+const smallestSlope = term => term.m ?? Math.min(...facts.parts.map(part => part.slopes[0]));
+
+// The file of a term's model with every choice made, for slopes from the smallest on, and its call.
+function termSource(term, smallest) {
+  const plain = lobeOf(term).by_angle && smallest >= registry.small_slope;
+  const factors = modelOf(term).factors ? [term.fresnel, term.masking] : [];
+  const key = [term.model, term.lobe, ...factors, ...plain ? ["plain"] : []].join(" ");
+  const {lines, call} = sources.terms[key];
+  const text = lines.map(i => sources.lines[i]).join("\n") + "\n";
+  if (term.lobe !== "g-power") return {text, call};
+  const offset = term.offset ? ` - ${literal(term.offset)}` : "";
+  const steepness = `(${literal(term.factor)} / ((m) * (m))${offset})`;
+  return {call, text: text.replace(/lobe g-power .*(?=\.$)/m, `lobe ${lobeName(term)}`)
+    .replace(/(?<=^#define FR_G ).*/m, term.g)
+    .replace(/(?<=^#define FR_STEEPNESS\(m, k\) ).*/m, steepness)};
+}
+
+function lobeName({lobe, g, factor, offset}) {
+  if (lobe !== "g-power") return lobe;
+  const less = offset ? ` ${offset > 0 ? "-" : "+"} ${+Math.abs(offset).toPrecision(5)}` : "";
+  return `g-power ${g} (${+factor.toPrecision(5)}/m^2${less})`;
+}
+
+// The start of the renderer's programs for a part: its features as macros.
+function surfaceHead(part, term) {
+  const own = part.features.filter(name => term.m === null || name !== "ROUGHNESS_MAP");
+  return "#version 300 es\n" + own.map(name => `#define ${name}\n`).join("");
+}
+
+const vertexSource = (part, term) => surfaceHead(part, term) + sources.host["surface.vert"];
+const gbufferSource = (part, term) => surfaceHead(part, term) + sources.host["gbuffer.frag"];
+
+function shadeSource(part, term, {lights, ambient, only}, specular = true) {
+  const head = [surfaceHead(part, term)];
+  if (only === "all" && part.uniforms.diffuse_brdf > 0) head.push("#define DIFFUSE\n");
+  if (only === "all" && ambient.some(Boolean)) head.push("#define AMBIENT\n");
+  if (specular) {
+    const {text, call} = termSource(term, term.m ?? part.slopes[0]);
+    head.push(text, "#define SPECULAR\n",
+      "float specular_term(int term, vec3 n, vec3 l, vec3 v, float m, float f0) {\n",
+      `    return ${call};\n}\n`);
+  } else {
+    head.push("precision highp float;\n");
+  }
+  const loops = [];
+  for (const [kind, text] of Object.entries(sources.lights)) {
+    const count = lights.filter(light => lightKind(light) === kind).length;
+    if (!count) continue;
+    head.push(`#define ${kind.toUpperCase()}_LIGHTS ${count}\n`, text);
+    loops.push(`for (int i = 0; i < ${count}; ++i) add_light(s, v, ${kind}_light(i, s.position), 0);`);
+  }
+  return [...head, `#define EVERY_LIGHT ${loops.join(" ")}\n`, sources.host["shade.frag"]].join("");
+}

@@ -1,0 +1,140 @@
+// The state of the page, and its form in the URL's fragment, which holds the differences from the
+// first state.
+const SHOWS = {wipe: "A | B", a: "A", b: "B", difference: "|A − B|"};
+const ONLY = {all: "whole", specular: "specular"};
+const MOST_LIGHTS = 8;
+const SWATCH = {a: "A", b: "B"};
+const {ranges} = facts;
+
+const [firstModel] = Object.keys(registry.models);
+const [firstFresnel] = registry.fresnel;
+const [firstMasking] = registry.masking;
+
+// m, f0, ks: null for the file's own.
+const plainTerm = lobe => ({
+  model: firstModel, lobe, g: 8, factor: 0.25, offset: 0.5,
+  fresnel: firstFresnel, masking: firstMasking, m: null, f0: null, ks: null,
+});
+
+const isWithin = (value, [low, high]) => value >= low && value <= high;
+const within = range => text => {
+  const value = Number(text);
+  return text.trim() !== "" && isWithin(value, range) ? value : undefined;
+};
+const allWithin = table => Object.fromEntries(
+  Object.entries(table).map(([name, range]) => [name, within(range)]));
+const oneOf = names => text => names.includes(text) ? text : undefined;
+
+// How each field is read from text; undefined where it cannot be.
+const TERM_FIELDS = {
+  model: oneOf(Object.keys(registry.models)),
+  lobe: oneOf([...Object.keys(registry.lobes), "g-power"]),
+  fresnel: oneOf(registry.fresnel),
+  masking: oneOf(registry.masking),
+  ...allWithin(ranges.term),
+  g: text => Number.isInteger(Number(text)) ? within(ranges.term.g)(text) : undefined,
+};
+const CAMERA_FIELDS = allWithin(ranges.camera);
+const FIELDS = {
+  show: oneOf(Object.keys(SHOWS)),
+  only: oneOf(Object.keys(ONLY)),
+  cut: within([0, 1]),
+  gain: within([1, 64]),
+  budget: text => text === "" ? null : within([0, 255])(text),
+  exposure: within(ranges.exposure),
+};
+
+function firstState() {
+  const lobes = Object.keys(registry.lobes);
+  return {
+    a: plainTerm(lobes[0]), b: plainTerm(registry.lobes.d16 ? "d16" : lobes.at(-1)),
+    show: "wipe", only: "all", cut: 0.5, gain: 8, budget: null, exposure: 0,
+    camera: {...facts.camera},
+    lights: facts.lights.map(light => ({...light})),
+    ambient: [...facts.ambient],
+  };
+}
+
+const lightWords = ({azimuth, elevation, irradiance, radius, distance}) =>
+  [azimuth, elevation, ...irradiance, ...radius || distance !== null ? [radius] : [],
+    ...distance !== null ? [distance] : []].map(short).join(",");
+const lightsWords = lights => lights.map(lightWords).join(";") || "none";
+
+const isColour = values =>
+  values.length === 3 && values.every(value => isWithin(value, ranges.light.irradiance));
+
+function lightOf(text) {
+  const [azimuth, elevation, ...rest] = text.split(",").map(Number);
+  const [irradiance, radius = 0, distance = null] = [rest.slice(0, 3), ...rest.slice(3)];
+  const light = {azimuth, elevation, irradiance, radius, distance};
+  const good = isColour(irradiance) && (distance === null || distance > 1)
+    && ["azimuth", "elevation", "radius"].every(name => isWithin(light[name], ranges.light[name]));
+  return good ? light : undefined;
+}
+
+const word = value => typeof value === "number" ? short(value) : value ?? "";
+
+function fragmentOf(state) {
+  const first = firstState();
+  const changes = (table, own) => Object.keys(table)
+    .filter(name => own[name] !== table[name])
+    .map(name => `${name}:${word(own[name])}`);
+  const words = [];
+  for (const which of ["a", "b"]) {
+    const own = changes(first[which], state[which])
+      .filter(word => state[which].lobe === "g-power" || !/^(g|factor|offset):/.test(word));
+    if (own.length) words.push(`${which}=${own.join(";")}`);
+  }
+  const camera = changes(first.camera, state.camera);
+  if (camera.length) words.push(`camera=${camera.join(";")}`);
+  const lists = ({lights, ambient}) =>
+    ({lights: lightsWords(lights), ambient: ambient.map(short).join(",")});
+  for (const [name, text] of Object.entries(lists(state))) {
+    if (text !== lists(first)[name]) words.push(`${name}=${text}`);
+  }
+  for (const name of Object.keys(FIELDS)) {
+    if (state[name] !== first[name]) words.push(`${name}=${word(state[name])}`);
+  }
+  return words.join("&");
+}
+
+// The state of a fragment, and the words in it that mean nothing here.
+function stateOf(fragment) {
+  const state = firstState();
+  const unknown = [];
+  const assign = (into, fields, [name, text = ""], words) => {
+    const value = Object.hasOwn(fields, name) ? fields[name](text) : undefined;
+    if (value === undefined) unknown.push(words);
+    else into[name] = value;
+  };
+  const lists = {
+    lights(text) {
+      const lights = text === "none" ? [] : text.split(";").map(lightOf);
+      return lights.includes(undefined) || lights.length > MOST_LIGHTS ? undefined : lights;
+    },
+    ambient(text) {
+      const ambient = text.split(",").map(Number);
+      return isColour(ambient) ? ambient : undefined;
+    },
+  };
+  for (const pair of decodeURIComponent(fragment.replace(/^#/, "")).split("&").filter(Boolean)) {
+    const [name, text = ""] = pair.split("=");
+    const table = {a: TERM_FIELDS, b: TERM_FIELDS, camera: CAMERA_FIELDS}[name];
+    if (!table) assign(state, {...FIELDS, ...lists}, [name, text], pair);
+    else for (const each of text.split(";")) {
+      assign(state[name], table, each.split(":"), `${SWATCH[name] ?? name} ${each}`);
+    }
+  }
+  return {state, unknown};
+}
+
+// Why facerender render refuses a term's slopes; "" where they lie in the domain of its lobe.
+function outsideDomain(term) {
+  const highest = term.m ?? Math.max(...facts.parts.map(part => part.slopes[1]));
+  const {k} = modelOf(term);
+  const lobe = lobeOf(term);
+  const end = lobe.ends[k];
+  const inside = lobe.open.includes(k) ? highest < end : highest <= end * (1 + 1e-6);
+  return inside ? "" : `m reaches ${figure(highest)}, outside the domain of ${lobeName(term)} here, which `
+    + `ends at ${figure(end)}: facerender render refuses it without --outside exact`;
+}

@@ -1,0 +1,182 @@
+"""A mesh and its maps as data of the explorer's page: quantised, and compressed."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.drawing.prepare import part_maps
+from facerender.drawing.program import part_uniforms, surface_features
+from facerender.errors import warn
+from facerender.scenes.material import MAPS, Material
+from facerender.scenes.mesh import Mesh, Part, drawn_alpha, slope_range
+from facerender.scenes.mips import Kind
+from facerender.scenes.texture import Texture
+from facerender.shading import Shading
+
+POSITION_STEPS = 2**16 - 1  # across the bounding sphere: 2.6 micrometres on a head
+NORMAL_STEPS = 2**15 - 1  # of an octahedron's coordinate: 0.003 degrees
+UV_STEPS = 2**16 - 1
+VERTEX_STEPS = 10_000  # of colours and occlusion at vertices
+LARGEST_MAP = 2048  # texels a side, which every WebGL 2 takes
+QUALITIES: dict[Kind, tuple[int, ...]] = {
+    "color": (93, 97),
+    "normal": (95, 98),
+    "data": (93, 97),
+}
+LEAST_LOSS = 1.0  # mean error in 8-bit levels, below which a map may be a JPEG
+
+
+def drawable(mesh: Mesh) -> Mesh:
+    """Return a mesh without the features that the page does not draw: all parts are opaque, and
+    blended ones are left out unless there are no others; there is no emission; maps have strength
+    1, use the first texture coordinates, repeat, and are smoothed.
+
+    Warns
+    -----
+    FacerenderWarning : a feature is left out
+    """
+    alphas = [*map(drawn_alpha, mesh.parts, mesh.materials)]
+    lost = ["blended parts"] * ("blend" in alphas) + ["masks"] * ("mask" in alphas)
+    materials = []
+    for material in mesh.materials:
+        lost += ["emission"] * any(material.emissive)
+        second = [name for name in MAPS if material.by_second(name)]
+        lost += ["maps by second texture coordinates"] * bool(second)
+        default = (material.normal_strength, material.occlusion_strength) == (1.0, 1.0)
+        lost += ["strengths of maps"] * (not default)
+        maps = {name: getattr(material, name) for name in MAPS if name not in second}
+        if not material.packs:
+            maps = {name: own and own.sampled(Texture.wrap) for name, own in maps.items()}
+        removed = dict.fromkeys((*second, "opacity_map", "emissive_map"))
+        plain = {"alpha": "opaque", "emissive": 0.0, "second_uv": ()}
+        strengths = {"normal_strength": 1.0, "occlusion_strength": 1.0}
+        materials.append(replace(material, **{**maps, **removed, **plain, **strengths}))
+    if lost:
+        warn(f"the explorer shows {mesh.name} without {', '.join(dict.fromkeys(lost))}")
+    opaque = [number for number, alpha in enumerate(alphas) if alpha != "blend"]
+    numbers = opaque or range(len(alphas))
+    parts = tuple(mesh.parts[number] for number in numbers)
+    return replace(mesh, parts=parts, materials=tuple(materials[number] for number in numbers))
+
+
+@dataclass
+class PackedMesh:
+    """The data of a mesh.
+
+    Attributes
+    ----------
+    parts : facts of each part, with the numbers of its columns and textures
+    columns : arrays of whole numbers (N, K)
+    textures : maps and their kinds
+    """
+
+    parts: list[dict[str, Any]] = field(default_factory=list)
+    columns: list[NDArray[np.int64]] = field(default_factory=list)
+    textures: list[tuple[Texture, Kind]] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, mesh: Mesh) -> PackedMesh:
+        packed = cls()
+        for part, material in zip(mesh.parts, mesh.materials, strict=True):
+            packed.parts.append(packed._part(mesh, part, material))
+        return packed
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """All but the bytes of arrays and maps."""
+        steps = {"position": POSITION_STEPS, "normal": NORMAL_STEPS, "uv": UV_STEPS}
+        return {
+            "steps": steps | {"vertex": VERTEX_STEPS},
+            "parts": self.parts,
+            "columns": [list(values.shape) for values in self.columns],
+            "maps": [kind for _, kind in self.textures],
+        }
+
+    @property
+    def bytes(self) -> bytes:
+        """The columns, compressed."""
+        return zlib.compress(b"".join(map(_planes, self.columns)), 9)
+
+    def _part(self, mesh: Mesh, part: Part, material: Material) -> dict[str, Any]:
+        maps: dict[str, int] = {}
+        for name, texture, kind in part_maps(part, material, "color", slope_filter=True):
+            if (texture, kind) not in self.textures:
+                self.textures.append((texture, kind))
+            maps[name] = self.textures.index((texture, kind))
+        corner, extent = np.zeros(2), np.ones(2)
+        values: dict[str, NDArray[Any]] = {
+            "position": (mesh.normalised(part.positions) + 1.0) * (0.5 * POSITION_STEPS),
+            "normal": octahedral(part.normals) * NORMAL_STEPS,
+            "faces": part.faces,
+        }
+        if part.uv is not None:
+            corner, extent = part.uv.min(axis=0), np.ptp(part.uv, axis=0).clip(1e-9)
+            values["uv"] = (part.uv - corner) / extent * UV_STEPS
+        if part.colors is not None:
+            values["color"] = part.colors * VERTEX_STEPS
+        if part.occlusion is not None:
+            values["occlusion"] = part.occlusion[:, None] * VERTEX_STEPS
+        arrays = {name: len(self.columns) + i for i, name in enumerate(values)}
+        self.columns += [np.round(each).astype(np.int64) for each in values.values()]
+        uniforms: Mapping[str, Any] = part_uniforms(part, material)
+        return {
+            "features": surface_features(part, material, Shading()),
+            "uniforms": {name: np.asarray(value).tolist() for name, value in uniforms.items()},
+            "arrays": arrays,
+            "uv": [corner.tolist(), extent.tolist()],
+            "maps": maps,
+            "slopes": slope_range(part, material),
+        }
+
+
+def octahedral(normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Map unit vectors (N, 3) to a square, (N, 2) in [-1, 1].
+
+    References: Cigolle et al. (2014), "A survey of efficient representations for independent unit
+    vectors".
+    """
+    flat = normals / np.abs(normals).sum(axis=1, keepdims=True)
+    low = flat[:, 2] < 0.0
+    folded = (1.0 - np.abs(flat[:, 1::-1])) * np.where(flat[:, :2] < 0.0, -1.0, 1.0)
+    return np.asarray(np.where(low[:, None], folded, flat[:, :2]))
+
+
+def _planes(values: NDArray[np.int64]) -> bytes:
+    """Return whole numbers (N, K) in a form that deflate compresses well: differences of rows, the
+    sign in the lowest bit, in four planes of bytes."""
+    steps = np.diff(values, axis=0, prepend=0)
+    folded = ((steps << 1) ^ (steps >> 63)).astype("<u4")
+    return folded.view(np.uint8).reshape(-1, 4).T.tobytes()
+
+
+def encoded(texture: Texture, kind: Kind) -> bytes:
+    """Return a map as an image file, row 0 at the bottom: a JPEG if its mean error is below one
+    8-bit level, or else a PNG.
+
+    Raises
+    ------
+    InputError : the map is damaged
+    """
+    from PIL import Image
+
+    image = texture.rgb()
+    if max(image.size) > LARGEST_MAP:
+        scale = LARGEST_MAP / max(image.size)
+        width, height = (max(round(side * scale), 1) for side in image.size)
+        image = image.resize((width, height), Image.Resampling.BOX)
+    texels = np.asarray(image).astype(np.int16)
+    for quality in QUALITIES[kind]:
+        file = BytesIO()
+        image.save(file, "JPEG", quality=quality, subsampling=0, optimize=True)
+        if np.abs(np.asarray(Image.open(file)) - texels).mean() < LEAST_LOSS:
+            return file.getvalue()
+    file = BytesIO()
+    image.save(file, "PNG", optimize=True)
+    return file.getvalue()

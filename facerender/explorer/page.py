@@ -1,0 +1,220 @@
+"""The explorer's page: mesh, maps, GLSL, registry and ranges as data, and the scripts that use
+them."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import zlib
+from base64 import b64encode
+from html import escape
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from facerender import __version__
+from facerender.explorer.mesh import PackedMesh, drawable, encoded
+from facerender.glsl.code import call
+from facerender.glsl.library import TARGETS, shader_dir, shader_source, term_source
+from facerender.job import Job
+from facerender.page.document import document
+from facerender.scenes.camera import AZIMUTHS_BY_NAME, Camera
+from facerender.scenes.light import LIGHT_KINDS, Light
+from facerender.scenes.material import Material
+from facerender.scenes.mesh import Mesh
+from facerender.scenes.view import FRAMING_MARGIN
+from facerender.shading import SMALL_SLOPE, Term
+from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower, lobe_entry
+from facerender.terms.lobe import MIN_SLOPE, Lobe
+from facerender.terms.ranges import EXPOSURES, Range, range_of, ranges_of
+
+_BROWSER = Path(__file__).parent / "browser"
+_SCRIPTS = (
+    *("numbers", "data", "camera", "glsl", "gl", "drawing", "errors", "state", "controls"),
+    *("lobe", "cost", "code", "explorer"),
+)
+_SHADERS = ("level.frag", "error.glsl", "error.frag", "show.frag", "lobe.frag")
+_HOST = ("shade.frag", "gbuffer.frag", "surface.vert", "screen.vert")
+_CAMERA = ("azimuth", "elevation", "zoom", "fov")
+_G_POWER = GPower(8, 0.25, 0.5)  # the page replaces its numbers
+
+
+def explorer_page(job: Job, mesh: Mesh) -> str:
+    """Return the page. Features that it cannot draw are left out: see :func:`drawable`.
+
+    Parameters
+    ----------
+    job : its mesh file, lights, ambient light, background and camera are the first state
+    mesh : of the job
+
+    Raises
+    ------
+    InputError : a map that is damaged; maps over 2048 texels a side are reduced
+    """
+    mesh = drawable(mesh)
+    packed = PackedMesh.of(mesh)
+    facts = {
+        "version": __version__,
+        "name": mesh.name,
+        "mesh": _words(job),
+        "center": mesh.center.tolist(),
+        "radius": mesh.radius,
+        "profile": mesh.profile.round(5).tolist(),
+        "framing_margin": FRAMING_MARGIN,
+        **packed.facts,
+        "camera": {name: getattr(job.camera, name) for name in _CAMERA},
+        "cameras": AZIMUTHS_BY_NAME,
+        "lights": [_light(light, mesh) for light in job.lights],
+        "ambient": job.ambient,
+        "background": job.background or (0.0, 0.0, 0.0),
+        "registry": registry(),
+        "ranges": _ranges(),
+        "targets": TARGETS,
+    }
+    sources = zlib.compress(json.dumps(_sources()).encode(), 9)
+    data = [
+        _json("facts", facts),
+        _bytes("geometry", packed.bytes),
+        _bytes("sources", sources),
+        *(_bytes(f"map-{i}", encoded(*each)) for i, each in enumerate(packed.textures)),
+    ]
+    body = _text("explorer.html") + "".join(data)
+    files = [_BROWSER / "explorer.css", *(_BROWSER / f"{name}.js" for name in _SCRIPTS)]
+    return document(f"facerender explorer: {mesh.name}", body, *files)
+
+
+def registry() -> dict[str, Any]:
+    """Return every model, lobe, Fresnel and masking term, as data for the page's controls."""
+    return {
+        "models": {
+            model.name: {"title": model.title, "k": model.k, "factors": model.factors}
+            for model in MODELS.values()
+        },
+        "lobes": {lobe.name: _lobe(lobe) for lobe in LOBES.values()},
+        "g_power": _lobe(lobe_entry(_G_POWER)),
+        "fresnel": [*FRESNEL],
+        "masking": [*MASKING],
+        "small_slope": SMALL_SLOPE,
+    }
+
+
+def _lobe(lobe: Lobe) -> dict[str, Any]:
+    return {
+        "ends": lobe.ends,
+        "open": lobe.open_ends,
+        "errors": lobe.errors,
+        "by_angle": lobe.of_tan2 is not None,
+    }
+
+
+def _ranges() -> dict[str, Any]:
+    """Return the ranges of the numbers that the page changes, as [low, high]."""
+
+    def pair(limits: Range) -> list[float]:
+        return [limits.low, limits.high]
+
+    light = ("azimuth", "elevation", "radius", "irradiance")
+    term = {name: range_of(Material, name) for name in ("m", "f0", "ks")}
+    return {
+        "term": {name: pair(each) for name, each in (term | dict(ranges_of(GPower))).items()},
+        "camera": {name: pair(range_of(Camera, name)) for name in _CAMERA},
+        "light": {name: pair(range_of(Light, name)) for name in light},
+        "exposure": pair(EXPOSURES),
+    }
+
+
+def _sources() -> dict[str, Any]:
+    """Return the GLSL of the page's programs by role: flat files, and of each term its lines, as
+    numbers of ``lines``, without #version, and its call."""
+    host = shader_dir() / "host"
+    lines: dict[str, int] = {}
+    terms = {}
+    for name, (term, smallest) in _terms().items():
+        text = term_source(term, smallest, "330").rstrip("\n").split("\n")[1:]
+        numbers = [lines.setdefault(line, len(lines)) for line in text]
+        terms[name] = {"lines": numbers, "call": call(term)}
+    return {
+        "lines": [*lines],
+        "terms": terms,
+        "variance": shader_source("slope_variance"),
+        "host": {name: shader_source(str(host / name)) for name in _HOST},
+        "lights": {kind: shader_source(str(host / f"light/{kind}.glsl")) for kind in LIGHT_KINDS},
+        "page": {name: _text(name) for name in _SHADERS},
+    }
+
+
+def _terms() -> dict[str, tuple[Term, float]]:
+    """Return every term, and the smallest slope for which its GLSL is written, by its words."""
+    lobes: dict[str, AnyLobe] = {name: name for name in LOBES} | {"g-power": _G_POWER}
+    terms = {}
+    for model, (name, lobe) in product(MODELS.values(), lobes.items()):
+        slopes = {"": MIN_SLOPE}
+        if lobe_entry(lobe).of_tan2:
+            slopes["plain"] = SMALL_SLOPE
+        factors = product(FRESNEL, MASKING) if model.factors else [("", "")]
+        for (fresnel, masking), (suffix, smallest) in product(factors, slopes.items()):
+            words = filter(None, [model.name, name, fresnel, masking, suffix])
+            term = Term(model.name, lobe, fresnel or Term.fresnel, masking or Term.masking)
+            terms[" ".join(words)] = (term, smallest)
+    return terms
+
+
+def _light(light: Light, mesh: Mesh) -> dict[str, Any]:
+    """Return a light by its direction from the mesh's centre; of a point light with its distance
+    there, in the renderer's space."""
+    azimuth, elevation, distance = light.azimuth, light.elevation, None
+    if light.position is not None:
+        x, y, z = mesh.normalised(light.position)
+        distance = float(np.linalg.norm((x, y, z)))
+        azimuth = float(np.degrees(np.arctan2(x, z)))
+        elevation = float(np.degrees(np.arcsin(y / max(distance, 1e-30))))
+    return {
+        "azimuth": azimuth,
+        "elevation": elevation,
+        "irradiance": light.irradiance,
+        "radius": light.radius,
+        "distance": distance,
+    }
+
+
+def _words(job: Job) -> dict[str, Any]:
+    """Return the mesh's files as arguments of the command line and of Python."""
+    file = job.mesh
+    names = ("albedo", "normal_map", "specular_map", "roughness_map")
+    maps = {name: value for name in names if (value := getattr(file, name)) is not None}
+    parts = {"parts": file.parts, "hide": file.hide}
+    selected = {name: ",".join(values) for name, values in parts.items() if values}
+    switches = {name: True for name in ("flip_v", "allow_outside") if getattr(file, name)}
+    path = [file.path] if file.path else []
+
+    def option(name: str) -> str:
+        return f"--{name.replace('_', '-')}"
+
+    python = [*map(repr, path), *(f"{name}={value!r}" for name, value in (maps | switches).items())]
+    select = ", ".join(f"{name}={value!r}" for name, value in selected.items())
+    return {
+        "shell": " ".join(
+            [
+                *map(shlex.quote, path),
+                *map(option, switches),
+                *(f"--{name} {shlex.quote(value)}" for name, value in selected.items()),
+            ]
+        ),
+        "maps": {name: f"{option(name)} {shlex.quote(value)}" for name, value in maps.items()},
+        "python": f"fr.load_mesh({', '.join(python)})" + (f".select({select})" if select else ""),
+    }
+
+
+def _text(name: str) -> str:
+    return (_BROWSER / name).read_text(encoding="utf-8")
+
+
+def _json(name: str, value: Any) -> str:
+    text = json.dumps(value, separators=(",", ":")).replace("</", "<\\/")
+    return f'<script type="application/json" id="{escape(name)}">{text}</script>\n'
+
+
+def _bytes(name: str, content: bytes) -> str:
+    return f'<script type="text/plain" id="{escape(name)}">{b64encode(content).decode()}</script>\n'
