@@ -16,7 +16,7 @@ import numpy as np
 import facerender as fr
 from benchmarks.data import meshes, save, scenes
 from facerender.images.srgb import linear_to_srgb
-from facerender.measure.antialiasing import antialiasing
+from facerender.measure.rendering import antialiasing
 from facerender.planning.decisions import Decision
 from facerender.pricing.frame import ratio
 from tests.verification.subjects import Subject

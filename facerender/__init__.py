@@ -26,7 +26,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from facerender.scenes import sources
-from facerender.system import forked  # noqa: F401  # notes the process
+from facerender.system import IMPORTER  # noqa: F401  # as early as possible
 
 if TYPE_CHECKING:
     from facerender import brdf, lobes

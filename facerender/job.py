@@ -11,7 +11,8 @@ from typing import Any
 from facerender.errors import InputError, shown, warn
 from facerender.images.decode import MAX_SIDE
 from facerender.images.write import format_of
-from facerender.loading import cached_mesh, check_normal_map_y, load_mesh
+from facerender.loading import cached_mesh, load_mesh
+from facerender.loading.source import check_normal_map_y
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import KEYS, EnvironmentFile, from_table, scene_value, toml_text
 from facerender.scenes.light import Light

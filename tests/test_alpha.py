@@ -14,11 +14,12 @@ from facerender.batch.schema import schema
 from facerender.drawing import reference
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.visibility import can_defer
+from facerender.drawing.resolve import resolve
 from facerender.errors import FacerenderWarning, InputError
 from facerender.explorer.mesh import drawable
 from facerender.job import Job
-from facerender.loading.given import given
-from facerender.loading.mesh_cache import Files
+from facerender.loading.mesh_cache import MeshFiles
+from facerender.loading.source import Orientation, source_of
 from facerender.scenes.file import load_scene, scene_toml
 from facerender.scenes.light import parse_light
 from facerender.scenes.material import MAPS, Material
@@ -161,8 +162,8 @@ def test_meshes_survive_pickles_and_the_store(tmp_path, monkeypatch):
     mesh = mesh_of([replace(part, uv2=part.uv[::-1].copy())], [full_material()])
     file = tmp_path / "head.obj"
     file.write_text("v 0 0 0\n")
-    files = Files(given(file), {}, False, False, "up")
-    files.keep(files.digest(), mesh, {}, [])
+    files = MeshFiles(source_of(file), {}, Orientation(), False)
+    files.store(files.digest(), mesh, {}, [])
     wait_for_store()
     kept = files.find()
     for found in (kept, pickle.loads(pickle.dumps(mesh)), copy.deepcopy(mesh)):
@@ -179,7 +180,7 @@ def wait_for_store():
     import threading
 
     for thread in threading.enumerate():
-        if thread.name == "facerender-store":
+        if thread.name == "facerender-cache":
             thread.join()
 
 
@@ -506,7 +507,7 @@ def test_what_changes_nothing_is_not_compiled_in(head):
     def programs(material):
         scene = fr.Scene(replace(head, materials=(material,)), lights=LIGHTS)
         assert can_defer(scene, 16384)
-        drawn = shade_pass(scene, view_of(scene, 1.0), shading, 4)
+        drawn = shade_pass(resolve(scene, shading), view_of(scene, 1.0), 4)
         return [draw.program for draw in drawn.draws]
 
     without = programs(bare)

@@ -50,7 +50,7 @@ def reads(monkeypatch):
 
 def wait():
     for thread in threading.enumerate():
-        if thread.name == "facerender-store":
+        if thread.name == "facerender-cache":
             thread.join()
 
 
@@ -253,10 +253,10 @@ def test_a_file_that_changes_while_it_is_read_is_not_kept(tmp_path, monkeypatch,
 
 def test_another_version_of_what_reads_meshes_reads_anew(reads, monkeypatch):
     load(MINI_HEAD)
-    readers = loading.mesh_cache._readers()
+    readers = loading.mesh_cache._code()
     assert any("trimesh" in path for path, *_ in readers)
     assert any("PIL" in path for path, *_ in readers)
-    monkeypatch.setattr(loading.mesh_cache, "_readers", lambda: readers[1:])
+    monkeypatch.setattr(loading.mesh_cache, "_code", lambda: readers[1:])
     load(MINI_HEAD)
     assert len(reads) == 2
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
+from facerender.loading.gltf_document import COMPONENTS
 from facerender.loading.gltf_features import EXTENSIONS, FEATURES
-from facerender.loading.gltf_schema import COMPONENTS
 from tests import awkward_files as files
 from tests.awkward_files import mini_head
 from tests.test_hostile_mesh import loaded, refused

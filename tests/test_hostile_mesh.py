@@ -705,7 +705,7 @@ def test_a_damaged_entry_of_the_store_is_passed_over(
     monkeypatch.delenv("FACERENDER_CACHE_MIB", raising=False)
     expected = fr.load_mesh(MINI_HEAD, cache=True).bounds
     for thread in threading.enumerate():
-        if thread.name == "facerender-store":
+        if thread.name == "facerender-cache":
             thread.join()
     (entry,) = (tmp_path / "facerender" / "meshes").iterdir()
     content = bytes(cache.read("meshes", entry.name) or b"")
@@ -721,7 +721,7 @@ def test_a_damaged_entry_of_the_store_is_passed_over(
         mesh = fr.load_mesh(MINI_HEAD, cache=True)
         np.testing.assert_array_equal(mesh.bounds, expected)
         for thread in threading.enumerate():
-            if thread.name == "facerender-store":
+            if thread.name == "facerender-cache":
                 thread.join()
 
 

@@ -96,7 +96,7 @@ def test_bytes_are_kept_in_the_store(tmp_path, monkeypatch):
     content = MINI_HEAD.read_bytes()
     first = fr.load_mesh(content, cache=True)
     for thread in __import__("threading").enumerate():
-        if thread.name == "facerender-store":
+        if thread.name == "facerender-cache":
             thread.join()
     monkeypatch.setattr("facerender.loading.read", lambda *_: pytest.fail("it was read anew"))
     assert_same(fr.load_mesh(content, cache=True), first)

@@ -732,7 +732,7 @@ BROKEN: dict[str, tuple[str, Make, str]] = {
         content(b"v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n"),
         r"flat\.obj is damaged",
     ),
-    "face of strangers": (
+    "face out of range": (
         "index.obj",
         content(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 999\n"),
         r"index\.obj is damaged",

@@ -205,7 +205,7 @@ def test_names_survive_levels_occlusion_and_the_store(tmp_path, monkeypatch):
     path = write_glb(tmp_path / "a.glb", mini_head(), [{"name": "Head"}])
     assert names(fr.load_mesh(path, cache=True)) == ["Head"]
     for thread in __import__("threading").enumerate():
-        if thread.name == "facerender-store":
+        if thread.name == "facerender-cache":
             thread.join()
     kept = fr.MeshFile(str(path)).cached()
     assert kept is not None

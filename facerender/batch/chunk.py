@@ -16,8 +16,9 @@ from uuid import uuid4
 
 from facerender import __version__
 from facerender.batch.jobs import Row
-from facerender.loading.named import named_files
+from facerender.loading.references import named_files
 from facerender.system.data import data_dir
+from facerender.system.files import digest_of
 
 if TYPE_CHECKING:
     from facerender.drawing.context import Backend
@@ -197,12 +198,3 @@ def _content(path: str) -> str:
 def hash_of(text: str) -> int:
     """Return 64 bits of a digest, for sets of texts that would not fit in memory."""
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest(), "little")
-
-
-def digest_of(*pieces: str | bytes) -> str:
-    """Return a digest of pieces; it depends on where each one ends."""
-    whole = hashlib.blake2b(digest_size=16)
-    for piece in pieces:
-        content = piece.encode() if isinstance(piece, str) else piece
-        whole.update(len(content).to_bytes(8, "little") + content)
-    return whole.hexdigest()

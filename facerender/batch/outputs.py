@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.batch.jobs import OUTPUTS, check_outputs, file_name
-from facerender.drawing.frame import Frame
-from facerender.drawing.reference import data_view
+from facerender.drawing.frame import Frame, data_view
 from facerender.errors import InputError
 from facerender.images.exr import exr_bytes, openexr
 from facerender.images.write import png_bytes

@@ -11,7 +11,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from facerender.batch.jobs import ID, OUTPUTS, TABLE_KINDS
 from facerender.job import ImageSettings
-from facerender.loading import NORMAL_MAP_Y
+from facerender.loading.source import NORMAL_MAP_Y
 from facerender.scenes.light import LIGHTS
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.scene import Scene

@@ -22,8 +22,7 @@ from facerender.commands.common import (
 from facerender.drawing.prepare import start_maps
 from facerender.errors import InputError, clipped
 from facerender.job import ImageSettings, Job, MeshFile
-from facerender.loading import NORMAL_MAP_Y
-from facerender.loading.given import GLTF
+from facerender.loading.source import GLTF, NORMAL_MAP_Y
 from facerender.scenes.camera import (
     AZIMUTHS_BY_NAME,
     CAMERA_FILES,

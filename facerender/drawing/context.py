@@ -23,7 +23,7 @@ from facerender.drawing.gl_state import (
     save_state,
 )
 from facerender.errors import ContextError, InputError, shown
-from facerender.system.forked import IMPORTER
+from facerender.system import IMPORTER
 
 Backend = Literal["auto", "egl", "osmesa", "native", "current"]
 

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_switch, check_type, noting, shown
-from facerender.loading.given import GLTF, given
-from facerender.loading.mesh_cache import Files
-from facerender.loading.objects import is_object, millimetres_of, name_of, pieces_of
+from facerender.errors import InputError, check_switch, check_type, noting, warn
+from facerender.loading.from_trimesh import is_object, millimetres_of, name_of, pieces_of
+from facerender.loading.mesh_cache import MeshFiles
 from facerender.loading.read import read
-from facerender.loading.referred import Referred
-from facerender.loading.translate import override
+from facerender.loading.references import References
+from facerender.loading.source import GLTF, Orientation, source_of
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.repair import Piece, clean
 from facerender.scenes.sources import MeshSource
@@ -27,7 +26,6 @@ from facerender.scenes.texture import Texture
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-NORMAL_MAP_Y = ("up", "down")
 Path_ = str | os.PathLike[str]
 if TYPE_CHECKING:
     Map = Path_ | Texture | NDArray[Any] | Image
@@ -79,34 +77,14 @@ def load_mesh(
     InputError : the file or a map is missing, empty, damaged, of no known format, or has no faces;
         millimetres outside [1e-6, 1e6]; another normal_map_y
     """
-    check_switch("flip_v", flip_v)
-    check_switch("cache", cache)
-    check_switch("allow_outside", allow_outside)
-    check_normal_map_y(normal_map_y)
-    paths, textures = _maps(
+    maps = _maps(
         albedo_map=albedo,
         normal_map=normal_map,
         specular_map=specular_map,
         roughness_map=roughness_map,
         lobe_map=lobe_map,
     )
-    if is_object(source):
-        name = name_of(source)
-        overrides = {key: Texture.open(path) for key, path in paths.items()} | textures
-        with np.errstate(all="ignore"):
-            said = flip_v, normal_map_y, millimetres_of(source)
-            mesh = _made(pieces_of(source, name), name, overrides, *said)
-        return _scaled(mesh, millimetres)
-    files = Files(given(source, kind), paths, flip_v, allow_outside, normal_map_y)
-    if not cache or textures:
-        return _scaled(_read(files, textures)[0], millimetres)
-    if (found := files.find()) is not None:
-        return _scaled(found, millimetres)
-    digest = files.digest()
-    with noting() as warnings:
-        mesh, referred = _read(files, {})
-    if digest is not None:
-        files.keep(digest, mesh, referred.files, warnings)
+    mesh = _loaded(source, kind, *maps, Orientation(flip_v, normal_map_y), allow_outside, cache)
     return _scaled(mesh, millimetres)
 
 
@@ -121,18 +99,44 @@ def cached_mesh(
 ) -> Mesh | None:
     """Return the mesh that :func:`load_mesh` would take from the cache, if it is there."""
     paths, _ = _maps(**{"albedo_map" if n == "albedo" else n: each for n, each in maps.items()})
-    mesh = Files(given(source), paths, flip_v, allow_outside, normal_map_y).find()
+    files = MeshFiles(source_of(source), paths, Orientation(flip_v, normal_map_y), allow_outside)
+    mesh = files.find()
     return None if mesh is None else _scaled(mesh, millimetres)
+
+
+def _loaded(
+    source: MeshSource | None,
+    kind: str | None,
+    paths: Mapping[str, Path],
+    textures: Mapping[str, Texture],
+    orientation: Orientation,
+    allow_outside: bool,
+    cache: bool,
+) -> Mesh:
+    """Return a mesh; ``paths`` and ``textures`` are maps in place of its own."""
+    check_switch("cache", cache)
+    check_switch("allow_outside", allow_outside)
+    if is_object(source):
+        name = name_of(source)
+        overrides = {key: Texture.open(path) for key, path in paths.items()} | {**textures}
+        with np.errstate(all="ignore"):
+            pieces = pieces_of(source, name)
+            return _assembled(pieces, name, overrides, orientation, millimetres_of(source))
+    files = MeshFiles(source_of(source, kind), paths, orientation, allow_outside)
+    if not cache or textures:
+        return _read(files, textures)[0]
+    if (found := files.find()) is not None:
+        return found
+    digest = files.digest()
+    with noting() as warnings:
+        mesh, references = _read(files, {})
+    if digest is not None:
+        files.store(digest, mesh, references.files, warnings)
+    return mesh
 
 
 def _scaled(mesh: Mesh, millimetres: float | None) -> Mesh:
     return mesh if millimetres is None else replace(mesh, millimetres=millimetres)
-
-
-def check_normal_map_y(value: Any) -> None:
-    """Raise InputError where a value is not where green of a normal map can point."""
-    if not (isinstance(value, str) and value in NORMAL_MAP_Y):
-        raise InputError(f"normal_map_y = {shown(value)}: give {' or '.join(NORMAL_MAP_Y)}")
 
 
 def _maps(**given: Map | None) -> tuple[dict[str, Path], dict[str, Texture]]:
@@ -155,36 +159,60 @@ def _maps(**given: Map | None) -> tuple[dict[str, Path], dict[str, Texture]]:
     return paths, textures
 
 
-def _read(files: Files, textures: Mapping[str, Texture]) -> tuple[Mesh, Referred]:
+def _read(files: MeshFiles, textures: Mapping[str, Texture]) -> tuple[Mesh, References]:
     """Return a mesh, and the files that its file refers to."""
     source = files.source
     overrides = {name: Texture.open(file) for name, file in files.maps.items()} | {**textures}
     with np.errstate(all="ignore"):  # what overflows is found and dropped
-        found, referred = read(source, "albedo_map" in overrides, files.allow_outside)
-        millimetres = 1000.0 if source.kind in GLTF else None
-        said = files.flip_v, files.normal_map_y
-        return _made(found, source.name, overrides, *said, millimetres), referred
+        found, references = read(source, "albedo_map" in overrides, files.allow_outside)
+        millimetres = 1000.0 if source.suffix in GLTF else None
+        mesh = _assembled(found, source.name, overrides, files.orientation, millimetres)
+        return mesh, references
 
 
-def _made(
+def _assembled(
     found: Sequence[Piece],
     name: str,
     overrides: Mapping[str, Texture],
-    flip_v: bool,
-    normal_map_y: str,
+    orientation: Orientation,
     millimetres: float | None,
 ) -> Mesh:
     pieces = clean(found, name)
-    if flip_v:
+    if orientation.flip_v:
         for piece in pieces:
             for key in ("uv", "uv2"):
                 if (uv := getattr(piece, key)) is not None:
                     setattr(piece, key, uv * (1.0, -1.0) + (0.0, 1.0))
     if overrides:
-        override(pieces, overrides, name)
-    if normal_map_y == "down":
+        _override(pieces, overrides, name)
+    if orientation.normal_map_y == "down":
         _turn_normal_maps(pieces)
     return Mesh.assembled(pieces, name, millimetres)
+
+
+def _override(pieces: Sequence[Piece], maps: Mapping[str, Texture], name: str) -> None:
+    """Give every piece with texture coordinates the maps that the caller named; they are sampled as
+    those in whose place they are, or else as its albedo map."""
+    if all(piece.uv is None for piece in pieces):
+        raise InputError(
+            f"{name} has no texture coordinates, which {next(iter(maps.values())).name} "
+            "needs; unwrap the mesh, or render it without maps"
+        )
+    for piece in pieces:
+        if piece.uv is None:
+            warn(f"a part of {name} has no texture coordinates: it is drawn without maps")
+            continue
+        changes: dict[str, Any] = {}
+        for field, texture in maps.items():
+            like = getattr(piece.material, field) or piece.material.albedo_map or texture
+            same = like.sampling == texture.sampling
+            changes[field] = texture if same else texture.sampled(*like.sampling)
+        if "albedo_map" in maps:
+            changes["albedo"] = (1.0, 1.0, 1.0)
+            piece.colors = None
+        if "roughness_map" in maps:
+            changes["roughness_factor"] = 1.0
+        piece.material = replace(piece.material, **changes)
 
 
 def _turn_normal_maps(pieces: Sequence[Piece]) -> None:

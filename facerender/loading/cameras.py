@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_path, clipped, reason, shown
-from facerender.loading.given import GLTF
-from facerender.loading.gltf import _chunks, _transform
-from facerender.loading.gltf_schema import damaged, document_of
+from facerender.loading.gltf_document import chunks, damaged, document_of
+from facerender.loading.gltf_nodes import scene_nodes
+from facerender.loading.source import GLTF
 from facerender.scenes.camera import CAMERA_FILES, MOST_CAMERAS, Camera
 from facerender.scenes.file import MOST_BYTES, from_table, load_scene
 from facerender.scenes.view import SIZES
@@ -78,30 +78,22 @@ def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
     ------
     InputError : it is damaged, or has no camera, or one that is orthographic
     """
-    document = document_of(_chunks(content, name)[0], name)
-    nodes, seen = document["nodes"], set()
-    if scenes := document["scenes"]:
-        roots = scenes[document.get("scene", 0)].get("nodes", [])
-    else:
-        roots = sorted({*range(len(nodes))} - {i for n in nodes for i in n.get("children", ())})
-    queue = [(index, np.eye(4)) for index in reversed(roots)]
+    document = document_of(chunks(content, name)[0], name)
     found = []
-    while queue:
-        index, world = queue.pop()
-        node = nodes[index]
-        if index in seen:
-            raise damaged(name, f"nodes[{index}] has two parents, or is below itself")
-        seen.add(index)
-        world = world @ _transform(node)
-        if "camera" in node:
-            camera = document["cameras"][node["camera"]]
-            label = node.get("name") or camera.get("name") or ""
-            if "perspective" not in camera:
-                raise InputError(
-                    f"camera {shown(label)} of {name} is orthographic: give a perspective one"
-                )
-            found.append((label, _looking(world, camera["perspective"]["yfov"])))
-        queue += [(child, world) for child in reversed(node.get("children", []))]
+    try:
+        for node in scene_nodes(document):
+            if "camera" in node.properties:
+                camera = document["cameras"][node.properties["camera"]]
+                label = node.properties.get("name") or camera.get("name") or ""
+                if "perspective" not in camera:
+                    raise InputError(
+                        f"camera {shown(label)} of {name} is orthographic: give a perspective one"
+                    )
+                found.append((label, _looking(node.world, camera["perspective"]["yfov"])))
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise damaged(name, str(error)) from None
     if not found:
         raise InputError(f"{name} has no camera: give another file, or angles")
     return _named(found, "camera")

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped
-from facerender.loading.gltf_schema import COMPONENTS, TYPES
+from facerender.loading.gltf_document import COMPONENTS, TYPES
 from facerender.loading.meshopt import decoded
-from facerender.loading.referred import Referred, inline
+from facerender.loading.references import References, inline
 
 _MOST_ZEROS = 1 << 26  # bytes that a sparse accessor need not hold
 
@@ -23,7 +23,7 @@ class Buffers:
     damaged, or is not there."""
 
     def __init__(
-        self, name: str, document: Doc, binary: memoryview | None, referred: Referred
+        self, name: str, document: Doc, binary: memoryview | None, referred: References
     ) -> None:
         self.name = name
         self.document = document

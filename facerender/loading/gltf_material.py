@@ -15,7 +15,7 @@ from facerender.errors import clipped, warn
 from facerender.loading.gltf_buffers import Buffers, Doc
 from facerender.loading.gltf_features import EXTENSIONS
 from facerender.loading.images import image_of, missing_image, unreadable
-from facerender.loading.referred import inline
+from facerender.loading.references import inline
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Alpha, Material
 from facerender.scenes.texture import Texture, Wrap
 from facerender.scenes.vectors import HIGHEST
@@ -33,7 +33,7 @@ _METAL = 0.1  # what an image of none may show of it, as JPEG has it
 
 
 @dataclass(frozen=True)
-class Place:
+class TextureTransform:
     """Where on its image a map lies: a set of texture coordinates, and what transforms it."""
 
     texcoord: int = 0
@@ -42,8 +42,8 @@ class Place:
     scale: tuple[float, ...] = (1.0, 1.0)
 
     @classmethod
-    def of(cls, use: Doc) -> Place:
-        """The place of a material's use of a texture."""
+    def of(cls, use: Doc) -> TextureTransform:
+        """Return the transform of a material's use of a texture."""
         own = use.get("extensions", {}).get("KHR_texture_transform", {})
         return cls(
             own.get("texCoord", use.get("texCoord", 0)),
@@ -52,7 +52,7 @@ class Place:
             tuple(map(float, own.get("scale", (1.0, 1.0)))),
         )
 
-    def moved(self, uv: NDArray[Any]) -> NDArray[np.float64]:
+    def applied(self, uv: NDArray[Any]) -> NDArray[np.float64]:
         """Return texture coordinates (N, 2), v downwards, as they are transformed, v upwards."""
         u, v = (uv[:, i].astype(np.float64) * self.scale[i] for i in (0, 1))
         cos, sin = math.cos(self.rotation), math.sin(self.rotation)
@@ -67,8 +67,8 @@ class Look:
     the others at the first."""
 
     material: Material
-    first: Place
-    second: Place | None
+    first: TextureTransform
+    second: TextureTransform | None
 
 
 class Materials:
@@ -91,7 +91,7 @@ class Materials:
             self.looks[index, has_colors] = self._look(index, has_colors)
         return self.looks[index, has_colors]
 
-    def tell(self, message: str) -> None:
+    def warn(self, message: str) -> None:
         """Warn, once."""
         if message not in self.told:
             self.told.add(message)
@@ -100,7 +100,7 @@ class Materials:
     def _look(self, index: int | None, has_colors: bool) -> Look:
         if index is None:
             material = Material(albedo=(1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO)
-            return Look(material, Place(), None)
+            return Look(material, TextureTransform(), None)
         source = self.document["materials"][index]
         extensions = source.get("extensions", {})
         metallic = source.get("pbrMetallicRoughness", {})
@@ -119,8 +119,10 @@ class Materials:
             "emissive_map": source.get("emissiveTexture") if any(emissive) else None,
             "specular_map": specular.get("specularTexture"),
         }
-        places = {key: Place.of(use) for key, use in uses.items() if use is not None}
-        first = Place.of(base) if base else next(iter(places.values()), Place())
+        places = {key: TextureTransform.of(use) for key, use in uses.items() if use is not None}
+        first = (
+            TextureTransform.of(base) if base else next(iter(places.values()), TextureTransform())
+        )
         second = next((each for each in places.values() if each != first), None)
         maps: dict[str, Any] = {}
         for key, place in places.items():
@@ -128,7 +130,7 @@ class Materials:
             if place in (first, second):
                 maps[key] = self._map(uses[key], kind, _CHANNELS.get(key))
             else:
-                self.tell(
+                self.warn(
                     f"the {kind} map of {self.name} lies by texture coordinates of its own beside "
                     "two others: left out"
                 )
@@ -166,7 +168,7 @@ class Materials:
             if feature is None or feature.fate != "warned":
                 continue
             if not feature.factor or np.any(own.get(feature.factor, 0.0)):
-                self.tell(f"{self.name} has {key}: drawn otherwise ({feature.how})")
+                self.warn(f"{self.name} has {key}: drawn otherwise ({feature.how})")
 
     def _factor(self, what: str, value: float, most: float = 1.0) -> float:
         if not 0.0 <= value <= most:
@@ -198,7 +200,7 @@ class Materials:
         specular = extensions.get("KHR_materials_specular", {})
         tint = specular.get("specularColorFactor", (1.0, 1.0, 1.0))
         if "specularColorTexture" in specular or max(tint) - min(tint) > 0.01 * max(tint):
-            self.tell(f"{self.name} has a coloured specular (KHR_materials_specular): drawn grey")
+            self.warn(f"{self.name} has a coloured specular (KHR_materials_specular): drawn grey")
         grey = self._factor("specularColor", sum(tint) / 3.0, HIGHEST)
         return min(f0 * grey, 0.999)
 
@@ -213,7 +215,7 @@ class Materials:
         if found is not None:
             image = found[0]
             if image.width * image.height > _MOST_LOOKED_AT:
-                self.tell(f"{self.name} has a metallic map: drawn as if it were 0")
+                self.warn(f"{self.name} has a metallic map: drawn as if it were 0")
                 return
             try:
                 image.load()
@@ -222,7 +224,7 @@ class Materials:
             except Exception:  # who draws it is told
                 return
         if factor > _METAL:
-            self.tell(f"{self.name} has metallic materials: drawn as dielectrics, which skin is")
+            self.warn(f"{self.name} has metallic materials: drawn as dielectrics, which skin is")
 
     # --- maps ------------------------------------------------------------------------------------
 
@@ -245,7 +247,7 @@ class Materials:
         source = self._source(texture)
         if source is None:
             basis = "KHR_texture_basisu" in texture.get("extensions", {})
-            self.tell(
+            self.warn(
                 f"the {kind} map of {self.name} has no image that is understood"
                 f"{' (KHR_texture_basisu)' * basis}: left out"
             )

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from facerender.errors import InputError, clipped, warn
 from facerender.images.decode import open_image
-from facerender.loading.referred import Referred
+from facerender.loading.references import References
 from facerender.scenes.texture import FORMATS
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def unreadable(shown: str, kind: str, fatal: bool) -> None:
     raise InputError(f"{message}; replace it{remedy}")
 
 
-def missing_image(referred: Referred, name: str) -> None:
+def missing_image(referred: References, name: str) -> None:
     """Warn of an image that is not there."""
     near = referred.folder.iterdir() if referred.folder else ()
     beside = [each.name for each in near if each.suffix.lower() in SUFFIXES]

@@ -1,9 +1,8 @@
-"""Meshes that were loaded before, with the mip chains of their maps, in the store: by the files
-that they come from and by what read them. To have them back takes neither trimesh nor Pillow."""
+"""The cache of meshes that were loaded, with the mip chains of their maps: an entry's name is a
+digest of the files and of the code that read them. Reading one needs neither trimesh nor Pillow."""
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
 import json
 import math
@@ -20,14 +19,14 @@ from numpy.typing import NDArray
 
 from facerender import __version__
 from facerender.errors import FacerenderError, InputError, warn
-from facerender.loading.given import Given
-from facerender.loading.referred import content_of
+from facerender.loading.references import content_of
+from facerender.loading.source import Orientation, Source
 from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.mips import Kind, Levels
 from facerender.scenes.texture import LARGE, Texture, pack
 from facerender.system import cache
-from facerender.system.files import read_file
+from facerender.system.files import digest_of, read_file
 
 Chains = dict[Texture, dict[Kind, Future[Levels]]]
 
@@ -35,7 +34,7 @@ _KIND = "meshes"
 _ALIGNMENT = 64
 _LENGTH = struct.Struct("<Q")
 _PACKAGE = Path(__file__).parents[1]
-_LIBRARIES = ("numpy", "scipy", "trimesh", "PIL", "DracoPy")
+_LIBRARIES = ("numpy", "scipy", "trimesh", "PIL", "DracoPy", "meshoptimizer")
 # What the maps of a material are drawn from.
 _CHAINS: dict[str, Kind] = {
     **dict.fromkeys(("albedo_map", "emissive_map"), "color"),
@@ -47,37 +46,34 @@ _ARRAYS = tuple(each.name for each in fields(Part) if each.name != "name")
 
 
 @dataclass(frozen=True)
-class Files:
-    """What a mesh is loaded from.
+class MeshFiles:
+    """The files that a mesh is loaded from.
 
     Attributes
     ----------
     source : the mesh file
     maps : by the field of :class:`Material`, image files in place of the mesh file's own maps
-    flip_v, allow_outside, normal_map_y : see :func:`facerender.load_mesh`
+    orientation, allow_outside : see :func:`facerender.load_mesh`
     """
 
-    source: Given
+    source: Source
     maps: Mapping[str, Path]
-    flip_v: bool
+    orientation: Orientation
     allow_outside: bool
-    normal_map_y: str
 
     def digest(self) -> str | None:
-        """Return the entry's name in the store, or None where a file cannot be read."""
-        path, kind = self.source.path, self.source.kind
-        names = [path.name, kind, *((field, each.name) for field, each in self.maps.items())]
+        """Return the entry's name in the cache, or None where a file cannot be read."""
+        names = [self.source.path.name, *((field, each.name) for field, each in self.maps.items())]
+        options = self.orientation, self.allow_outside
+        facts = __version__, _code(), names, self.source.suffix, options
         try:
-            said = self.flip_v, self.allow_outside, self.normal_map_y
-            facts = [__version__, _readers(), names, *said]
             maps = [read_file(each, "a file") for each in self.maps.values()]
-            contents = [self.source.read(), *maps]
+            return digest_of(repr(facts), self.source.read(), *maps)
         except InputError:
             return None
-        return _digest(repr(facts).encode(), *(_digest(each).encode() for each in contents))
 
     def find(self) -> Mesh | None:
-        """Return the mesh from the store, and warn of what was warned of when it was read; None
+        """Return the mesh from the cache, and warn of what was warned of when it was read; None
         where it is not there, is damaged, or a file that the mesh file refers to is another now."""
         name = self.digest()
         content = None if name is None else cache.read(_KIND, name)
@@ -104,12 +100,12 @@ class Files:
         if self.source.folder is None:
             return None
         content = content_of(self.source.folder, name, self.allow_outside)
-        return None if content is None else _digest(content)
+        return None if content is None else digest_of(content)
 
-    def keep(
+    def store(
         self, name: str, mesh: Mesh, referred: Mapping[str, bytes | None], warnings: Sequence[str]
     ) -> None:
-        """Put the mesh into the store when its maps are decoded, in a thread that the process
+        """Put the mesh into the cache when its maps are decoded, in a thread that the process
         waits for when it ends.
 
         Parameters
@@ -123,7 +119,7 @@ class Files:
             return  # the warning of it names the folder, and what lies there
         if any(math.prod(each.size) > LARGE for each in _maps(mesh)):
             return  # all of them would be decoded
-        files = {each: None if data is None else _digest(data) for each, data in referred.items()}
+        files = {each: None if data is None else digest_of(data) for each, data in referred.items()}
         chains = _start(mesh)
 
         def write() -> None:
@@ -134,19 +130,12 @@ class Files:
             if self.digest() == name:
                 cache.write(_KIND, name, pieces)
 
-        threading.Thread(target=write, name="facerender-store").start()
+        threading.Thread(target=write, name="facerender-cache").start()
 
 
-def _digest(*contents: bytes) -> str:
-    whole = hashlib.blake2b(digest_size=16)
-    for each in contents:
-        whole.update(each)
-    return whole.hexdigest()
-
-
-def _readers() -> list[tuple[str, int, int]]:
-    """What reads meshes and decodes images: file, size and time of change of our modules, and of
-    the libraries that are installed."""
+def _code() -> list[tuple[str, int, int]]:
+    """Return what identifies the code that reads meshes and decodes images: file, size and time of
+    change of modules of this package and of libraries."""
     specs = (importlib.util.find_spec(name) for name in _LIBRARIES)
     found = [Path(spec.origin) for spec in specs if spec and spec.origin]
     for folder in ("images", "loading", "scenes"):

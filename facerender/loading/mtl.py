@@ -15,8 +15,7 @@ from facerender.errors import InputError, clipped, warn
 from facerender.images.srgb import srgb_to_linear
 from facerender.loading.bump import Bump
 from facerender.loading.images import image_of, unreadable
-from facerender.loading.named import UDIM
-from facerender.loading.referred import Referred
+from facerender.loading.references import UDIM, References
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Material
 from facerender.scenes.repair import Piece
 from facerender.scenes.texture import Texture
@@ -102,7 +101,7 @@ class Library:
     text : an MTL file of their names alone
     """
 
-    def __init__(self, data: bytes, referred: Referred, name: str, without_albedo: bool) -> None:
+    def __init__(self, data: bytes, referred: References, name: str, without_albedo: bool) -> None:
         """Read the MTL files that an OBJ file names.
 
         Raises
@@ -211,7 +210,7 @@ class Library:
                 uv2=None if piece.uv2 is None else piece.uv2[kept] - corner,
                 colors=None if piece.colors is None else piece.colors[kept],
                 material=self.look(name, piece.colors is not None, tile).material,
-                strangers=0,
+                out_of_range=0,
             )
 
     # --- factors ---------------------------------------------------------------------------------

@@ -1,28 +1,24 @@
-"""Mesh files as pieces: glTF read here, the other formats by trimesh, and what it would pass
-over."""
+"""Mesh files as pieces: glTF is read by this package, the other formats by trimesh."""
 
 from __future__ import annotations
 
 import logging
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from threading import get_ident
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from facerender.errors import InputError, clipped, reason, warn
-from facerender.loading.given import GLTF, Given
+from facerender.loading.from_trimesh import has_normals, piece_of
 from facerender.loading.gltf import read_gltf
-from facerender.loading.gltf_schema import damaged
+from facerender.loading.gltf_document import damaged
 from facerender.loading.images import image_of, missing_image, unreadable
-from facerender.loading.kinds import check_kind
 from facerender.loading.obj import has_relative, with_absolute, with_parts
 from facerender.loading.ply import check_faces, checked_ply
-from facerender.loading.referred import Referred
-from facerender.loading.translate import piece_of
+from facerender.loading.references import References
+from facerender.loading.source import GLTF, Source, check_format
 from facerender.scenes.repair import Piece, check_count
 from facerender.scenes.texture import Texture
 
@@ -36,7 +32,9 @@ _OPTIONS = {".ply": {"skip_materials": True}, ".obj": {"split_objects": True}}  
 _TRIANGLE = 50  # bytes in a binary STL file, behind a header of 84
 
 
-def read(source: Given, without_albedo: bool, allow_outside: bool) -> tuple[list[Piece], Referred]:
+def read(
+    source: Source, without_albedo: bool, allow_outside: bool
+) -> tuple[list[Piece], References]:
     """Return every instance of a geometry with faces, and the files that were referred to.
 
     without_albedo : the albedo of the file is not wanted
@@ -46,26 +44,29 @@ def read(source: Given, without_albedo: bool, allow_outside: bool) -> tuple[list
     InputError : the file, or one that it refers to and that is needed, cannot be used
     """
     data = source.read()
-    suffix, name = source.kind, source.name
+    suffix, name = source.suffix, source.name
     if not data:
         raise InputError(f"{name} is an empty file: there is no geometry in it")
-    check_kind(data, suffix, name)
-    referred = Referred(name, source.folder, allow_outside)
+    check_format(data, suffix, name)
+    references = References(name, source.folder, allow_outside)
     if suffix in GLTF:
-        pieces = read_gltf(data, referred, without_albedo)
+        pieces = read_gltf(data, references, without_albedo)
         if not pieces:
             raise _no_faces(name, points=False)
-        return pieces, referred
+        return pieces, references
     try:
         import trimesh  # noqa: F401  # its loggers are there then
 
         with _quiet():
-            pieces = _by_trimesh(data, name, suffix, referred, without_albedo)
+            if suffix == ".obj":
+                pieces = _read_obj(data, name, references, without_albedo)
+            else:
+                pieces = _read_ply_or_stl(data, name, suffix, references, without_albedo)
     except InputError:
         raise
     except Exception as error:  # each reader of trimesh fails in its own way on a damaged file
         raise damaged(name, reason(error)) from None
-    return pieces, referred
+    return pieces, references
 
 
 def _no_faces(name: str, points: bool) -> InputError:
@@ -73,101 +74,95 @@ def _no_faces(name: str, points: bool) -> InputError:
     return InputError(f"there {what} in {name}; give a triangle mesh")
 
 
-def _by_trimesh(
-    data: bytes, name: str, suffix: str, referred: Referred, without_albedo: bool
+def _read_ply_or_stl(
+    data: bytes, name: str, suffix: str, references: References, without_albedo: bool
 ) -> list[Piece]:
     texture = None
-    strangers = 0
-    names = [""]
-    library = None
     if suffix == ".ply":
         data, texture = checked_ply(data)
-    elif suffix == ".stl":
+    else:
         check_count(len(_SOLIDS.findall(data)), name)
         data = _checked_stl(data, name)
-    else:
-        from facerender.loading.mtl import Library
+    geometries = [*_geometries(data, suffix, name).values()]
+    if texture is not None:
+        _give_texture(geometries, texture, references, not without_albedo)
+    textures: dict[int, Texture] = {}
+    lost = bool(references.missing())
+    pieces = [piece_of(each, name, textures, lost) for each in geometries]
+    _clear(*geometries)
+    check_count(len(pieces), name)
+    _warn_of_missing(references, without_albedo)
+    return pieces
 
-        library = Library(data, referred, name, without_albedo)
-        data, names = with_parts(data, name)
-        check_count(len(names), name)
-        if has_relative(data):
-            data, strangers = with_absolute(data)
-    resolver = _Resolver(referred, library)
+
+def _read_obj(data: bytes, name: str, references: References, without_albedo: bool) -> list[Piece]:
+    from facerender.loading.mtl import Library
+
+    library = Library(data, references, name, without_albedo)
+    data, names = with_parts(data, name)
+    check_count(len(names), name)
+    out_of_range = 0
+    if has_relative(data):
+        data, out_of_range = with_absolute(data)
     try:
-        geometries = _geometries(data, suffix, name, resolver)
-        lost = suffix == ".obj" and _lost_references(data, [*geometries.values()])
+        geometries = _geometries(data, ".obj", name, library)
+        lost = _lost_references(data, [*geometries.values()])
     except InputError:
         raise
-    except Exception:
-        if suffix != ".obj":
-            raise
+    except Exception:  # a reference to what is not there, which trimesh reports in several ways
         lost = True
-    if lost:  # a reference to what is not there
+    if lost:
         data, more = with_absolute(data)
-        strangers += more
-        if strangers and re.search(rb"^f[ \t]", data, re.MULTILINE) is None:
-            raise ValueError(f"no vertex of its {strangers} faces is there")
-        geometries = _geometries(data, suffix, name, resolver)
-    if referred.refused:
-        raise referred.refused[0]
-    if texture is not None:
-        _give_texture([*geometries.values()], resolver, texture)
-    for each in dict.fromkeys(resolver.broken):
-        unreadable(f"{clipped(each, 80)} (named by {name})", "albedo", not without_albedo)
-    textures: dict[int, Texture] = {}
-    lost = library is None and bool(referred.missing())
-    pieces = [piece_of(each, name, textures, lost, library) for each in geometries.values()]
-    pieces[0].strangers += strangers
-    numbers = [0] * len(pieces)
-    if len(names) > 1:
-        numbers = [int(each.partition("_")[0]) for each in geometries]
-    for piece, number in zip(pieces, numbers, strict=True):
-        piece.name = names[number]
-    materials = [_material_name(each) for each in geometries.values()]
-    for each in geometries.values():
-        _empty(each)
+        out_of_range += more
+        if out_of_range and re.search(rb"^f[ \t]", data, re.MULTILINE) is None:
+            raise ValueError(f"no vertex of its {out_of_range} faces is there")
+        geometries = _geometries(data, ".obj", name, library)
+    pieces: list[tuple[int, Piece, str]] = []
+    for key, geometry in geometries.items():
+        number = int(key.partition("_")[0]) if len(names) > 1 else 0
+        material = str(getattr(getattr(geometry.visual, "material", None), "name", ""))
+        pieces.append((number, piece_of(geometry, name, {}, False, library), material))
+        pieces[-1][1].name = names[number]
+    pieces[0][1].out_of_range += out_of_range
+    _clear(*geometries.values())
+    pieces.sort(key=lambda each: each[0])
     found = [
-        part
-        for i in np.argsort(numbers, kind="stable")
-        for part in _with_tiles(pieces[i], materials[i], library)
+        part for _, piece, material in pieces for part in _with_tiles(piece, material, library)
     ]
     check_count(len(found), name)
-    if not without_albedo:
-        for missing in referred.missing():
-            missing_image(referred, missing)
+    _warn_of_missing(references, without_albedo)
     return found
 
 
-def _empty(loaded: object) -> None:
-    """Take all from what trimesh has loaded: it refers to itself, and would keep vertices and maps
-    until the garbage collector comes."""
-    vars(loaded).clear()
+def _warn_of_missing(references: References, without_albedo: bool) -> None:
+    if not without_albedo:
+        for missing in references.missing():
+            missing_image(references, missing)
 
 
-def _material_name(geometry: trimesh.Trimesh) -> str:
-    return str(getattr(getattr(geometry.visual, "material", None), "name", ""))
+def _clear(*loaded: object) -> None:
+    """Clear objects of trimesh: they refer to themselves, and would keep vertices and maps until
+    the garbage collector comes."""
+    for each in loaded:
+        vars(each).clear()
 
 
-def _with_tiles(piece: Piece, material: str, library: Library | None) -> Iterator[Piece]:
-    """Yield a piece, or what of it lies on each tile of UDIM, where its maps have several."""
-    tiles = {} if library is None else library.tiles(material, piece)
-    if library is None or not tiles:
-        yield piece
-        return
-    yield from library.split(piece, material, tiles)
+def _with_tiles(piece: Piece, material: str, library: Library) -> Sequence[Piece]:
+    """Return a piece, or its part on each tile of UDIM, where its maps have several."""
+    tiles = library.tiles(material, piece)
+    return [*library.split(piece, material, tiles)] if tiles else [piece]
 
 
 def _geometries(
-    data: bytes, suffix: str, name: str, resolver: _Resolver
+    data: bytes, suffix: str, name: str, library: Library | None = None
 ) -> dict[str, trimesh.Trimesh]:
-    """Return what has faces in a file, at least one, by trimesh's names."""
+    """Return the geometries with faces of a file, at least one, by trimesh's names."""
     import trimesh
 
     scene = trimesh.load_scene(
         trimesh.util.wrap_as_stream(data),
         file_type=suffix[1:],
-        resolver=resolver,
+        resolver=None if library is None else _MaterialNames(library, name),
         process=False,
         **_OPTIONS.get(suffix, {}),
     )
@@ -181,60 +176,53 @@ def _geometries(
     if not found:
         points = any(len(getattr(each, "vertices", ())) for each in scene.geometry.values())
         raise _no_faces(name, points)
-    _empty(scene)
+    _clear(scene)
     for each in found.values():
         check_faces(each.metadata)
     return found
 
 
 def _lost_references(data: bytes, geometries: list[trimesh.Trimesh]) -> bool:
-    """Whether faces of an OBJ file name texture coordinates or normals that have not come."""
+    """Whether faces of an OBJ file name texture coordinates or normals that trimesh lost."""
     uv, normals = (
         re.search(pattern, data, re.MULTILINE) is not None
         for pattern in (rb"^f[ \t]+\d+/\d", rb"^f[ \t]+\d+/\d*/\d")
     )
     return any(
-        (uv and getattr(each.visual, "uv", None) is None)
-        or (normals and "vertex_normals" not in each._cache.cache)
+        (uv and getattr(each.visual, "uv", None) is None) or (normals and not has_normals(each))
         for each in geometries
     )
 
 
-class _Resolver:
-    """Reads for trimesh what is referred to, of an OBJ file the names of materials alone, and
-    remembers what is no image, which it passes over."""
+class _MaterialNames:
+    """Gives trimesh an MTL file of the names alone: the materials are read by this package."""
 
-    def __init__(self, referred: Referred, library: Library | None) -> None:
-        self.referred = referred
-        self.library = library
-        self.broken: list[str] = []
-        self.file_name = referred.name
+    def __init__(self, library: Library, name: str) -> None:
+        self.library, self.file_name = library, name
 
     def get(self, name: str) -> bytes:
-        if self.library is not None:
-            return self.library.text
-        content = self.referred.read(name, "an image file")
-        try:
-            image_of(content)
-        except ValueError:
-            self.broken.append(name)
-        return content
+        return self.library.text
 
     __getitem__ = get
 
 
-def _give_texture(geometries: list[trimesh.Trimesh], resolver: _Resolver, name: str) -> None:
-    """Give the geometries of a PLY file its texture."""
+def _give_texture(
+    geometries: Sequence[trimesh.Trimesh], texture: str, references: References, fatal: bool
+) -> None:
+    """Give the geometries of a PLY file its texture.
+
+    fatal : whether a texture that is no image is an error
+    """
     try:
-        image = image_of(resolver.referred.read(name, "an image file"))
+        image = image_of(references.read(texture, "an image file"))
     except FileNotFoundError:
         return
     except InputError:
         raise
     except ValueError:
-        resolver.broken.append(name)
+        unreadable(f"{clipped(texture, 80)} (named by {references.name})", "albedo", fatal)
         return
-    image.info["file_path"] = name
+    image.info["file_path"] = texture
     for geometry in geometries:
         if geometry.visual.kind == "texture":
             geometry.visual.material.image = image
@@ -260,7 +248,7 @@ def _checked_stl(data: bytes, name: str) -> bytes:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep what trimesh logs in this thread off standard error: whatever matters is told by us."""
+    """Keep what trimesh logs in this thread off standard error: this package warns itself."""
     me = get_ident()
 
     def is_of_another(record: logging.LogRecord) -> bool:

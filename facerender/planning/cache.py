@@ -3,7 +3,6 @@ budget, prices."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterator
 from contextlib import suppress
@@ -22,6 +21,7 @@ from facerender.scenes.scene import Scene
 from facerender.scenes.texture import Texture
 from facerender.shading import Shading
 from facerender.system import cache as disk_cache
+from facerender.system.files import digest_of
 
 
 def planned(
@@ -53,12 +53,8 @@ def planned(
 
 
 def _digest(*parts: Any) -> str:
-    digest = hashlib.blake2b(digest_size=16)
-    digest.update(TABLE.read_bytes())
-    for part in (__version__, *parts):
-        for piece in _pieces(part):
-            digest.update(piece)
-    return digest.hexdigest()
+    pieces = (piece for part in (__version__, *parts) for piece in _pieces(part))
+    return digest_of(TABLE.read_bytes(), *pieces)
 
 
 def _pieces(value: Any) -> Iterator[bytes]:

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.prepare import simplify
 from facerender.drawing.renderer import Renderer
+from facerender.drawing.resolve import resolve
 from facerender.errors import InputError, check_switch, check_type, each_of, warn
 from facerender.glsl.code import call
 from facerender.glsl.library import Language, Target, term_source
@@ -32,7 +32,7 @@ from facerender.scenes.camera import Camera
 from facerender.scenes.file import scene_toml
 from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.planned import LevelOfDetail, Planned
-from facerender.scenes.scene import Scene, slope_ranges
+from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 from facerender.system.progress import Progress, no_progress
 
@@ -145,9 +145,9 @@ class Plan:
         ------
         InputError : an unknown target
         """
-        simple = simplify(self.scene, self.shading)
-        smallest = min(low for low, _ in slope_ranges(simple, self.shading))
-        two = any(each.two_lobes for each in simple.mesh.materials)
+        resolved = resolve(self.scene, self.shading)
+        smallest = min(low for low, _ in resolved.slopes)
+        two = any(each.two_lobes for each in resolved.scene.mesh.materials)
         flat = term_source(self.shading.term, smallest, target, two)
         version, _, rest = flat.partition("\n") if flat.startswith("#") else ("", "", flat)
         terms = [self.shading.of(light) for light in range(len(self.scene.lights))]

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from facerender.drawing.frame import GBuffer
 from facerender.drawing.prepare import simplify
 from facerender.drawing.reference import Layers, environment_layer, layers
+from facerender.drawing.resolve import resolve
 from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import (
     Constants,
@@ -31,7 +32,7 @@ from facerender.planning.candidates import (
 from facerender.planning.drawn import Drawn, Place, Scattered
 from facerender.pricing.frame import Frames
 from facerender.pricing.table import NoPrice, load_prices
-from facerender.scenes.scene import Scene, slope_ranges
+from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 from facerender.system.progress import Progress
 
@@ -331,8 +332,8 @@ def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:
 def constants_seen(scene: Scene, full: Shading, views: Sequence[Region]) -> Constants:
     """Return what stands for the maps, their means weighted by the highlights, and how bright those
     of each light are."""
-    single = simplify(scene, replace(full, two_lobes=False))
-    ends = {end for slopes in slope_ranges(single, full) for end in slopes}
+    single = resolve(scene, replace(full, two_lobes=False))
+    ends = {end for slopes in single.slopes for end in slopes}
     peaks, losses, darkened = np.zeros((3, len(scene.lights)))
     cast = shadowed(scene, full)
     m, ks, light = [], [], []

@@ -3,9 +3,7 @@ those of Embree, which embreex runs."""
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +12,7 @@ from facerender import __version__
 from facerender.errors import InputError, check_switch, check_type, warn
 from facerender.scenes.mesh import Mesh, coordinates, drawn_alpha
 from facerender.system import cache as disk_cache
+from facerender.system.files import digest_of
 
 Floats = NDArray[np.float32]
 Numbers = NDArray[np.int64]
@@ -74,9 +73,10 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
 def _values(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], cache: bool
 ) -> NDArray[np.float64]:
-    """Return what reaches vertices, places and normals (N, 6), by way of the store; 1 for those
+    """Return what reaches vertices, places and normals (N, 6), by way of the cache; 1 for those
     that no face uses."""
-    name = _digest(vertices, faces) if cache else ""
+    facts = repr((__version__, DIRECTIONS, _OFFSET, vertices.shape, faces.shape))
+    name = digest_of(facts, vertices.data, faces.data) if cache else ""
     if cache and (content := disk_cache.read("occlusion", name)) is not None:
         return np.frombuffer(content)
     used, corners = np.unique(faces, return_inverse=True)
@@ -84,25 +84,16 @@ def _values(
     different, numbers = np.unique(rows, axis=0, return_inverse=True)
     corners, numbers = corners.reshape(-1, 3), numbers.reshape(-1)
     values = np.ones(len(vertices))
-    values[used] = _open_share(rows[:, :3], corners, different, numbers[corners])[numbers]
+    values[used] = _open_fraction(rows[:, :3], corners, different, numbers[corners])[numbers]
     if cache:
         disk_cache.write("occlusion", name, [values.data])
     return values
 
 
-def _digest(*arrays: NDArray[Any]) -> str:
-    digest = hashlib.blake2b(digest_size=16)
-    digest.update(repr((__version__, DIRECTIONS, _OFFSET)).encode())
-    for array in arrays:
-        digest.update(repr(array.shape).encode())
-        digest.update(array.data)
-    return digest.hexdigest()
-
-
-def _open_share(
+def _open_fraction(
     positions: Floats, faces: Numbers, vertices: Floats, corners: Numbers
 ) -> NDArray[np.float64]:
-    """Return the share of a light from everywhere that triangles let through, in [0, 1].
+    """Return the fraction of ambient light that triangles let through, in [0, 1].
 
     Parameters
     ----------
@@ -122,7 +113,7 @@ def _open_share(
     starts = vertices[:, :3] + np.float32(_OFFSET) * _off_surface(
         positions, faces, vertices, corners
     )
-    shares = []
+    fractions = []
     for first in range(0, len(vertices), _AT_ONCE):
         origins, normals = (each[first : first + _AT_ONCE] for each in (starts, vertices[:, 3:]))
         through, total = np.zeros((2, len(origins)))
@@ -133,8 +124,8 @@ def _open_share(
             missed = scene.run(origins[above], towards, query="OCCLUDED") < 0
             through[above] += cosines[above] * missed
             total[above] += cosines[above]
-        shares.append(through / total)
-    return np.concatenate(shares)
+        fractions.append(through / total)
+    return np.concatenate(fractions)
 
 
 def _off_surface(positions: Floats, faces: Numbers, vertices: Floats, corners: Numbers) -> Floats:

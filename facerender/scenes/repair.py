@@ -34,7 +34,7 @@ class Triangles(Protocol):
 class Piece:
     """A part on its way: normals may be absent, faces may be bad.
 
-    strangers : faces that were left out because they name vertices that are not there
+    out_of_range : number of faces that were left out because they name vertices that are not there
     name : what its file calls it, which another piece may be called too
     """
 
@@ -44,7 +44,7 @@ class Piece:
     uv: NDArray[np.float64] | None
     colors: NDArray[np.float64] | None
     material: Material
-    strangers: int = 0
+    out_of_range: int = 0
     name: str = ""
     uv2: NDArray[np.float64] | None = None
 
@@ -133,12 +133,12 @@ def _outwardness(corners: NDArray[np.float64]) -> float:
 
 def _drop_bad_faces(pieces: Sequence[Piece], name: str) -> None:
     """Drop faces of vertices that are not there, or are no numbers, and those without area."""
-    strangers = sum(piece.strangers for piece in pieces)
+    out_of_range = sum(piece.out_of_range for piece in pieces)
     infinite = huge = bad_faces = huge_faces = flat_faces = 0
     for piece in pieces:
         known = ((piece.faces >= 0) & (piece.faces < len(piece.positions))).all(axis=1)
         if not known.all():
-            strangers += int((~known).sum())
+            out_of_range += int((~known).sum())
             piece.faces = piece.faces[known]
         small = np.asarray((np.abs(piece.positions) < _HUGE).all(axis=1))
         if not small.all():
@@ -156,8 +156,8 @@ def _drop_bad_faces(pieces: Sequence[Piece], name: str) -> None:
         keep = _has_area(_corners(piece))
         flat_faces += int((~keep).sum())
         piece.faces = piece.faces[keep]
-    if strangers:
-        warn(f"{name} has {strangers} faces of vertices that are not there: dropped")
+    if out_of_range:
+        warn(f"{name} has {out_of_range} faces of vertices that are not there: dropped")
     if infinite:
         warn(f"{name} has {infinite} non-finite vertices: {bad_faces} faces dropped")
     if huge:

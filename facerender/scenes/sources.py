@@ -1,5 +1,4 @@
-"""What stands for a mesh: a file, its content, or objects of trimesh. What reads them is above this
-room, and is named here when the package is imported."""
+"""What :class:`facerender.Scene` takes in place of a mesh."""
 
 from __future__ import annotations
 
@@ -14,4 +13,5 @@ if TYPE_CHECKING:
 else:
     MeshSource = Any
 
-reader: Callable[[Any], Any] | None = None  # facerender.load_mesh
+# facerender.load_mesh, set by the package: loading imports scenes, and scenes may not import it.
+reader: Callable[[Any], Any] | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import stat
@@ -67,6 +68,16 @@ def read_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> byte
     """Return the content of a regular file; parameters and errors as of :func:`open_file`."""
     with open_file(path, what, most) as file:
         return file.read(os.fstat(file.fileno()).st_size)
+
+
+def digest_of(*pieces: str | bytes | memoryview) -> str:
+    """Return a digest of pieces, as 32 hexadecimal digits; their lengths count."""
+    whole = hashlib.blake2b(digest_size=16)
+    for piece in pieces:
+        content = memoryview(piece.encode() if isinstance(piece, str) else piece).cast("B")
+        whole.update(content.nbytes.to_bytes(8, "little"))
+        whole.update(content)
+    return whole.hexdigest()
 
 
 def check_downloaded(content: bytes, subject: str) -> None:

@@ -20,6 +20,7 @@ import facerender as fr
 from facerender.drawing.context import Backend
 from facerender.drawing.passes import Draw, Pass
 from facerender.drawing.program import Program
+from facerender.drawing.renderer import _Image
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import View, view_of
 from tests.verification.pairs.scenes import Setting
@@ -97,8 +98,8 @@ class Room:
         samples = samples or self.renderer.samples
         seen = view or view_of(own, 1.0)
         self.renderer.patch = patch
-        simplified = self.renderer._simplified(own, how, seen, samples)
-        return self.renderer._shaded(simplified, seen, how, samples, None, False)
+        resolved = self.renderer._resolved(own, how, seen, samples)
+        return self.renderer._shaded(resolved, seen, _Image(samples))
 
     @cached_property
     def golden(self) -> Linear:

@@ -1,23 +1,94 @@
-"""trimesh's geometries and materials as ours."""
+"""Meshes and scenes of trimesh, whether it has read them or a program has made them, as pieces."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
+from numpy.typing import NDArray
 
-from facerender.errors import InputError, clipped, warn
+from facerender.errors import InputError, clipped, reason, warn
 from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.material import MAPS, SKIN_ALBEDO, Material
-from facerender.scenes.repair import Piece
+from facerender.scenes.repair import Piece, check_count, placed
 from facerender.scenes.texture import Texture
 
 if TYPE_CHECKING:
     import trimesh
 
     from facerender.loading.mtl import Library
+
+Instance = tuple[str, "trimesh.Trimesh", NDArray[np.float64]]
+
+
+def is_object(source: Any) -> TypeGuard[trimesh.Trimesh | trimesh.Scene]:
+    """Whether a source is a mesh or a scene of trimesh, for which nothing is imported."""
+    library = sys.modules.get("trimesh")
+    return library is not None and isinstance(source, library.Trimesh | library.Scene)
+
+
+def name_of(source: trimesh.Trimesh | trimesh.Scene) -> str:
+    """Return what messages call a mesh or a scene: what its metadata do, or its kind."""
+    facts = source.metadata
+    found = facts.get("name") or facts.get("file_name")
+    return clipped(found, 80) if isinstance(found, str) else f"a trimesh.{type(source).__name__}"
+
+
+def millimetres_of(source: trimesh.Trimesh | trimesh.Scene) -> float | None:
+    """Return how many millimetres a unit is; None where the object does not say."""
+    import trimesh
+
+    try:
+        return float(trimesh.units.unit_conversion(source.units, "millimeters"))
+    except Exception:  # no units, none that are known, or several in a scene
+        return None
+
+
+def pieces_of(source: trimesh.Trimesh | trimesh.Scene, name: str) -> list[Piece]:
+    """Return copies of every instance of a mesh with faces.
+
+    Raises
+    ------
+    InputError : there are none, or arrays in them are no mesh
+    """
+    textures: dict[int, Texture] = {}
+    pieces = []
+    try:
+        for called, mesh, world in _instances(source):
+            piece = placed(piece_of(mesh, name, textures, False), world)
+            piece.name = called
+            pieces.append(piece)
+            check_count(len(pieces), name)
+    except InputError:
+        raise
+    except Exception as error:  # what others have put into the arrays
+        raise InputError(f"{name} is no mesh that can be drawn: {reason(error)}") from None
+    if not pieces:
+        raise InputError(f"there is no face in {name}; give a triangle mesh")
+    return pieces
+
+
+def _instances(source: trimesh.Trimesh | trimesh.Scene) -> Iterator[Instance]:
+    import trimesh
+
+    if isinstance(source, trimesh.Trimesh):
+        if len(source.faces):
+            yield str(source.metadata.get("name") or ""), source, np.eye(4)
+        return
+    for node in source.graph.nodes_geometry:
+        world, key = source.graph[node]
+        mesh = source.geometry[key]
+        if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
+            yield str(node), mesh, np.asarray(world, dtype=np.float64)
+
+
+def has_normals(geometry: trimesh.Trimesh) -> bool:
+    """Whether a geometry has normals of its own."""
+    # vertex_normals computes those that are missing, and trimesh has no public way to ask before.
+    return "vertex_normals" in geometry._cache.cache
 
 
 def piece_of(
@@ -38,8 +109,7 @@ def piece_of(
         geometry.update_faces(known)
         faces = np.asarray(geometry.faces, dtype=np.int64)
     normals = None
-    # vertex_normals computes them when there are none; only the cache tells the file's own.
-    if "vertex_normals" in geometry._cache.cache:
+    if has_normals(geometry):
         normals = np.asarray(geometry.vertex_normals, dtype=np.float64)
     visual = geometry.visual
     uv = getattr(visual, "uv", None)
@@ -71,7 +141,7 @@ def piece_of(
         uv=uv,
         colors=colors,
         material=material,
-        strangers=int((~known).sum()),
+        out_of_range=int((~known).sum()),
         uv2=uv2,
     )
 
@@ -132,28 +202,3 @@ def _of_gltf(source: Any, file: str, textures: dict[int, Texture]) -> Material:
         emissive=tuple(emissive.tolist()),
         emissive_map=texture("emissiveTexture", "emission"),
     )
-
-
-def override(pieces: Sequence[Piece], maps: Mapping[str, Texture], name: str) -> None:
-    """Give every piece with texture coordinates the maps that the caller named; they are sampled as
-    those in whose place they are, or else as its albedo map."""
-    if all(piece.uv is None for piece in pieces):
-        raise InputError(
-            f"{name} has no texture coordinates, which {next(iter(maps.values())).name} "
-            "needs; unwrap the mesh, or render it without maps"
-        )
-    for piece in pieces:
-        if piece.uv is None:
-            warn(f"a part of {name} has no texture coordinates: it is drawn without maps")
-            continue
-        changes: dict[str, Any] = {}
-        for field, texture in maps.items():
-            like = getattr(piece.material, field) or piece.material.albedo_map or texture
-            same = like.sampling == texture.sampling
-            changes[field] = texture if same else texture.sampled(*like.sampling)
-        if "albedo_map" in maps:
-            changes["albedo"] = (1.0, 1.0, 1.0)
-            piece.colors = None
-        if "roughness_map" in maps:
-            changes["roughness_factor"] = 1.0
-        piece.material = replace(piece.material, **changes)

@@ -1,15 +1,18 @@
-"""The JSON of a glTF file, checked against a table of what is read of it. The table says what the
-schema of glTF 2.0 (Khronos, 2021, section 5) says of these properties; others are passed over."""
+"""The chunks of a glTF file, and its JSON, checked against a table of what is read of it. The table
+says what the schema of glTF 2.0 (Khronos, 2021, section 5) says of these properties; others are
+passed over."""
 
 from __future__ import annotations
 
 import json
 import reprlib
+import struct
 from collections.abc import Callable
 from typing import Any
 
 from facerender.errors import InputError, reason
 
+_JSON, _BINARY = 0x4E4F534A, 0x004E4942  # kinds of chunks
 MOST_VALUES = 2_000_000  # of a document: each takes up to 100 bytes of memory
 MOST_ENTRIES = 1 << 17  # of one of its lists: nodes, accessors
 
@@ -202,6 +205,31 @@ _VALUES: dict[str, tuple[Callable[[Any], bool], str]] = {
     "type": (lambda value: isinstance(value, str) and value in TYPES, "an accessor type of glTF"),
     "mode": (lambda value: _is_number(value) and value in range(7), "a primitive mode of glTF"),
 }
+
+
+def chunks(data: bytes, name: str) -> tuple[bytes, memoryview | None]:
+    """Return the JSON and the binary chunk of a file; without the latter, a text is all JSON."""
+    if data[:4] != b"glTF":
+        return data, None
+    declared = struct.unpack_from("<I", data, 8)[0] if len(data) >= 20 else 20
+    if declared > len(data):
+        said = declared if len(data) >= 20 else "at least 20"
+        raise InputError(
+            f"{name} is truncated: its header says {said} bytes, the file has {len(data)}"
+        )
+    if (version := struct.unpack_from("<I", data, 4)[0]) != 2:
+        raise InputError(f"{name} is glTF of version {version}: export it as version 2")
+    found: dict[int, memoryview] = {}
+    start = 12
+    while start + 8 <= declared:
+        length, kind = struct.unpack_from("<II", data, start)
+        if start + 8 + length > declared:
+            raise damaged(name, f"a chunk of {length} bytes in a file of {declared}")
+        found.setdefault(kind, memoryview(data)[start + 8 : start + 8 + length])
+        start += 8 + length
+    if _JSON not in found:
+        raise damaged(name, "it has no chunk of JSON")
+    return bytes(found[_JSON]), found.get(_BINARY)
 
 
 def document_of(text: bytes, name: str) -> dict[str, Any]:

@@ -1,0 +1,89 @@
+"""The nodes of a glTF file's scene, and where their transforms place them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+_TRANSFORMS = ("matrix", "translation", "rotation", "scale")
+
+Doc = dict[str, Any]
+
+
+class Node(NamedTuple):
+    """A node of a scene.
+
+    Attributes
+    ----------
+    number, properties : of the document's nodes
+    world : (4, 4), for columns, from the node's space to the scene's
+    visible : whether it and all nodes above it are (KHR_node_visibility)
+    """
+
+    number: int
+    properties: Doc
+    world: NDArray[np.float64]
+    visible: bool
+
+
+def scene_nodes(document: Doc) -> Iterator[Node]:
+    """Yield the nodes of a checked document's scene, or without scenes all, each before those below
+    it.
+
+    Raises
+    ------
+    ValueError : a node has two parents, or is below itself
+    """
+    nodes = document["nodes"]
+    if scenes := document["scenes"]:
+        roots = scenes[document.get("scene", 0)].get("nodes", [])
+    else:
+        children = {child for node in nodes for child in node.get("children", ())}
+        roots = sorted(set(range(len(nodes))) - children)
+    found: set[int] = set()
+    queue = [(index, np.eye(4), True) for index in reversed(roots)]
+    while queue:
+        index, world, visible = queue.pop()
+        if index in found:
+            raise ValueError(f"nodes[{index}] has two parents, or is below itself")
+        found.add(index)
+        node = nodes[index]
+        if not node.keys().isdisjoint(_TRANSFORMS):
+            world = world @ transform(node)
+        own = node.get("extensions", {}).get("KHR_node_visibility", {})
+        visible = visible and own.get("visible", True)
+        yield Node(index, node, world, visible)
+        queue += [(child, world, visible) for child in reversed(node.get("children", []))]
+
+
+def transform(node: Doc) -> NDArray[np.float64]:
+    """Return a node's matrix (4, 4), for columns."""
+    matrix = np.eye(4)
+    if "matrix" in node:
+        matrix = np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
+    local = np.eye(4)
+    if "rotation" in node:
+        local[:3, :3] = _rotation(np.array(node["rotation"], dtype=np.float64))
+    if "scale" in node:
+        local[:3, :3] *= np.array(node["scale"], dtype=np.float64)
+    if "translation" in node:
+        local[:3, 3] = node["translation"]
+    return matrix @ local
+
+
+def _rotation(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the matrix (3, 3) of a quaternion x, y, z, w of any length."""
+    length = float(np.linalg.norm(quaternion))
+    if not 1e-12 < length < np.inf:
+        return np.eye(3)
+    x, y, z, w = quaternion / length
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )

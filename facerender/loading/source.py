@@ -1,0 +1,199 @@
+"""Sources of meshes: files, bytes and open files, and which format they have."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from facerender.errors import InputError, check_switch, clipped, reason, shown
+from facerender.system.data import data_dir
+from facerender.system.files import MOST, check_downloaded, read_file
+
+GLTF = (".glb", ".gltf")
+NORMAL_MAP_Y = ("up", "down")
+_BEGINNINGS = (
+    (b"PK\x03\x04", "a ZIP archive, as USDZ is too", "unpack or export it"),
+    (b"\x1f\x8b", "a gzip archive", "unpack it"),
+    (b"BZh", "a bzip2 archive", "unpack it"),
+    (b"\xfd7zXZ", "an xz archive", "unpack it"),
+    (b"7z\xbc\xaf", "a 7z archive", "unpack it"),
+    (b"\x28\xb5\x2f\xfd", "a Zstandard archive", "unpack it"),
+    (b"Rar!", "a RAR archive", "unpack it"),
+    (b"Kaydara FBX", "an FBX file", "export it as .glb"),
+    (b"; FBX", "an FBX file", "export it as .glb"),
+    (b"PXR-USDC", "a USD file", "export it as .glb"),
+    (b"#usda", "a USD file", "export it as .glb"),
+    (b"BLENDER", "a Blender file", "export it as .glb"),
+    (b"DRACO", "a bare Draco file", "export it as .glb"),
+    (b"\x89PNG", "a PNG image", "give it as --albedo, and a mesh"),
+    (b"\xff\xd8\xff", "a JPEG image", "give it as --albedo, and a mesh"),
+    (b"%PDF", "a PDF document", "give a mesh"),
+    (b"\x89HDF", "an HDF5 file", "export it as .glb"),
+    (b"\x93NUMPY", "a NumPy file", "export it as .glb"),
+    (b"\x7fELF", "a program", "give a mesh"),
+)
+_MESHES = ((b"glTF", ".glb"), (b"ply\n", ".ply"), (b"ply\r\n", ".ply"))
+FORMATS = {".glb": "glTF", ".gltf": "glTF", ".obj": "OBJ", ".ply": "PLY", ".stl": "STL"}
+_OBJ = re.compile(rb"(?:^|\n)[ \t]*(?:v|vn|vt|f|o|g|usemtl|mtllib)[ \t]+\S")
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """Which way a file's maps are stored; parameters and errors as of
+    :func:`facerender.load_mesh`."""
+
+    flip_v: bool = False
+    normal_map_y: str = "up"
+
+    def __post_init__(self) -> None:
+        check_switch("flip_v", self.flip_v)
+        check_normal_map_y(self.normal_map_y)
+
+
+def check_normal_map_y(value: Any) -> None:
+    """Raise InputError where a value is not where green of a normal map can point."""
+    if not (isinstance(value, str) and value in NORMAL_MAP_Y):
+        raise InputError(f"normal_map_y = {shown(value)}: give {' or '.join(NORMAL_MAP_Y)}")
+
+
+@dataclass(frozen=True)
+class Source:
+    """A mesh file, or its content.
+
+    Attributes
+    ----------
+    path : of the file; of content a name for messages
+    suffix : .glb, .gltf, .obj, .ply or .stl, whatever the file is named
+    content : None to read the file
+    folder : where files lie that it refers to; None of content, whose folder is not known
+    """
+
+    path: Path
+    suffix: str
+    content: bytes | None
+    folder: Path | None
+
+    @property
+    def name(self) -> str:
+        return clipped(self.path.name, 80)
+
+    def read(self) -> bytes:
+        """Return the content.
+
+        Raises
+        ------
+        InputError : a file that cannot be read, or of no format that is
+        """
+        if self.content is not None:
+            return self.content
+        shown = clipped(str(self.path))
+        if os.path.isdir(self.path):
+            raise InputError(f"{shown} is a directory; give a mesh file in it")
+        if self.suffix not in FORMATS:
+            known = ", ".join(FORMATS)
+            suffix = clipped(self.suffix, 40)
+            raise InputError(f"{shown}: unknown mesh format {suffix!r}; give {known}")
+        return read_file(self.path, "a mesh file")
+
+
+def source_of(source: Any, kind: str | None = None) -> Source:
+    """Return what :func:`facerender.load_mesh` reads; parameters and errors as there."""
+    suffix = None
+    if kind is not None:
+        suffix = f".{str(kind).lower().removeprefix('.')}"
+        if suffix not in FORMATS:
+            known = ", ".join(each[1:] for each in FORMATS)
+            raise InputError(f"unknown kind {shown(kind)} of mesh; known: {known}")
+    if source is None:
+        source = data_dir("assets") / "head.glb"
+    if isinstance(source, str | os.PathLike):
+        path = Path(source)
+        return Source(path, suffix or path.suffix.lower(), None, path.parent)
+    folder, path = None, Path("bytes")
+    if hasattr(source, "read"):
+        name = getattr(source, "name", None)
+        path = Path(name if isinstance(name, str) and name else "file")
+        folder = path.parent if os.path.isfile(path) else None
+        source = _content(source, path.name)
+    if not isinstance(source, bytes | bytearray | memoryview):
+        raise InputError(
+            f"mesh file = {shown(source)}: give a path, bytes, a file that is open, or a mesh or "
+            "scene of trimesh"
+        )
+    content = bytes(source)
+    if suffix is None:
+        named = path.suffix.lower()
+        suffix = named if named in FORMATS else _suffix_of(content, path.name)
+    return Source(path, suffix, content, folder)
+
+
+def _content(file: Any, name: str) -> bytes:
+    try:
+        content = file.read(MOST + 1)
+    except (OSError, ValueError) as error:
+        why = reason(error)
+        raise InputError(f"cannot read {name}: {why}; give a file open for reading") from None
+    if not isinstance(content, bytes):
+        raise InputError(f"{name} is open as text: open it as bytes, with mode 'rb'")
+    if len(content) > MOST:
+        raise InputError(f"{name} has more than {MOST} bytes; give a mesh file")
+    if not content:
+        raise InputError(f"{name} has no more bytes to read: rewind it with seek(0), or fill it")
+    return content
+
+
+def _suffix_of(data: bytes, name: str) -> str:
+    """Return the suffix of what some bytes are, by how they begin.
+
+    Raises
+    ------
+    InputError : they are none of these kinds
+    """
+    start = data[: 1 << 16].removeprefix(b"\xef\xbb\xbf").lstrip()
+    for beginning, suffix in _MESHES:
+        if start.startswith(beginning):
+            return suffix
+    if start.startswith(b"{"):
+        return ".gltf"
+    if len(data) > 84 and len(data) == 84 + 50 * struct.unpack_from("<I", data, 80)[0]:
+        return ".stl"
+    if start[:5].lower() == b"solid" and b"facet" in start:
+        return ".stl"
+    check_format(data, ".obj", name)
+    if b"\0" not in start and _OBJ.search(start):
+        return ".obj"
+    raise InputError(f"{name}: no mesh is known by these bytes; say its kind, such as kind='obj'")
+
+
+def check_format(data: bytes, suffix: str, name: str) -> None:
+    """Raise InputError where a file's content is known, and not what its suffix says."""
+    start = data[:512].removeprefix(b"\xef\xbb\xbf").lstrip()
+    wanted = FORMATS[suffix]
+    for beginning, kind, remedy in _BEGINNINGS:
+        if start.startswith(beginning):
+            raise InputError(f"{name} is not {wanted} but {kind}; {remedy}")
+    check_downloaded(start, f"{name} is not {wanted} but")
+    if start.startswith(b"<"):
+        raise InputError(f"{name} is not {wanted} but an XML file; download the file itself")
+    if data[257:262] == b"ustar":
+        raise InputError(f"{name} is not {wanted} but a tar archive; unpack it")
+    for beginning, other in _MESHES:
+        if start.startswith(beginning) and FORMATS[other] != wanted:
+            raise InputError(f"{name} is not {wanted} but {FORMATS[other]}; name it {other}")
+    if wanted != "glTF" and start.startswith(b"{"):
+        raise InputError(f"{name} is not {wanted} but {_json(data)}")
+
+
+def _json(data: bytes) -> str:
+    try:
+        document = json.loads(data) if len(data) < 1 << 20 else None
+    except (ValueError, RecursionError):
+        document = None
+    if isinstance(document, dict) and "asset" in document:
+        return "glTF; name it .gltf"
+    return f"JSON ({clipped(data[:200].decode('utf-8', 'replace'), 60)}); give a mesh"
