@@ -16,7 +16,7 @@ from PIL import Image
 import facerender as fr
 from facerender.drawing.prepare import simplify
 from facerender.images.srgb import linear_to_srgb
-from facerender.measure.antialiasing import antialiasing
+from facerender.measure.rendering import antialiasing
 from facerender.planning import cache as plan_cache
 from facerender.planning import frame_times
 from facerender.planning.budget import Budget
