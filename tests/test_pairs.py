@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from benchmarks.pairs.suite import INDEX, draw_missing, read_pairs, write_index
+from benchmarks.pairs.suite import INDEX, SUITE, draw_missing, read_pairs, write_index
 from benchmarks.pairs.verdicts import Judged, best, counted, score
+from benchmarks.pairs.webgl import draw_webgl
 from facerender.comparison.compare import compare
 from facerender.images.srgb import encode_srgb8
-from tests.verification.pairs.changes import CHANGES
 from tests.verification.pairs.draw import FLOORS, Pair, slug, steps
 from tests.verification.pairs.room import Room
 from tests.verification.pairs.scenes import SETTINGS
-from tests.verification.pairs.webgl import draw_webgl
 
 SCENES = {
     "head-three-quarter": replace(SETTINGS["head-three-quarter"], size=256),
@@ -93,7 +92,7 @@ def test_the_halves_share_no_head_camera_or_light():
 
 
 def test_every_change_has_a_name_of_its_own_for_its_files():
-    for a, b in combinations(CHANGES, 2):
+    for a, b in combinations(SUITE, 2):
         assert slug(a) != slug(b)
 
 

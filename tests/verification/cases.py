@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender import brdf, lobes, resolve_includes
-from facerender.drawing.evaluate import WIDTH, Inputs
 from facerender.glsl import code
 from facerender.lobes import AnyLobe, GPower
 from facerender.shading import Term
@@ -34,6 +33,7 @@ from facerender.terms import (
 )
 from facerender.terms.entry import ULP
 from facerender.terms.lobe import TINY, power_error
+from tests.verification.evaluate import WIDTH, Inputs
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]

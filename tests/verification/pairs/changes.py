@@ -18,9 +18,7 @@ from scipy import ndimage
 import facerender as fr
 from facerender.images.write import png_bytes
 from facerender.scenes.mesh import Part
-from tests.verification import chromium
 from tests.verification.pairs.room import Linear, Patch, Room, draw_elsewhere
-from tests.verification.pairs.webgl import draw_webgl
 
 Format = Literal["exr", "png"]
 Must = Literal["fail", "pass"]
@@ -373,20 +371,10 @@ SOFTPIPE = {"GALLIUM_DRIVER": "softpipe", "LIBGL_ALWAYS_SOFTWARE": "1"}
 def softpipe(room: Room) -> Against:
     """Mesa's other driver, which has one sample."""
     setting = replace(room.setting, samples=1)
-    return _with_one_sample(room, draw_elsewhere(setting, variables=SOFTPIPE).linear, "softpipe")
+    return with_one_sample(room, draw_elsewhere(setting, variables=SOFTPIPE).linear, "softpipe")
 
 
-def swiftshader(room: Room) -> Against:
-    """WebGL 2 on SwiftShader, with one sample."""
-    from playwright.sync_api import sync_playwright
-
-    setting = room.setting
-    scene = room.scene, setting.shading, room.size, setting.float_albedo
-    with sync_playwright() as playwright, chromium.launch(playwright) as browser:
-        return _with_one_sample(room, draw_webgl(browser, *scene), "SwiftShader")
-
-
-def _with_one_sample(room: Room, image: Linear, renderer: str) -> Against:
+def with_one_sample(room: Room, image: Linear, renderer: str) -> Against:
     if room.setting.samples == 1:
         return Against("golden", room.golden, image, 1, renderer)
     return Against("golden-1", room.draw(samples=1), image, 1, renderer)
@@ -523,7 +511,6 @@ def changes() -> Iterator[Change | Encoded]:
         "vectors of 128 bits": narrow,
         "OSMesa": osmesa,
         "softpipe": softpipe,
-        "SwiftShader": swiftshader,
     }
     for name, make in harmless.items():
         yield Change(name, "pass", make)

@@ -16,7 +16,7 @@ import facerender as fr
 from facerender.images.srgb import linear_to_srgb
 from facerender.images.write import save_png
 from facerender.system.atomic import write_bytes
-from tests.verification.pairs.changes import CHANGES, Against, Encode, Encoded, Format, Must
+from tests.verification.pairs.changes import Against, Change, Encode, Encoded, Format, Must
 from tests.verification.pairs.room import Linear, Room
 from tests.verification.pairs.scenes import Half
 
@@ -82,10 +82,10 @@ def slug(name: str) -> str:
     return re.sub(r"[^a-z0-9.+-]+", "-", name.lower().replace(" %", "")).strip("-")
 
 
-def draw(room: Room, name: str, out: Path) -> Iterator[Pair]:
+def draw(room: Room, change: Change | Encoded, out: Path) -> Iterator[Pair]:
     """Draw the pairs of a change into the folder of the room's scene; a golden that is there stays.
     Yields none where the scene lacks what the change changes."""
-    change, setting = CHANGES[name], room.setting
+    name, setting = change.name, room.setting
     folder = out / setting.name
     folder.mkdir(parents=True, exist_ok=True)
 
