@@ -25,6 +25,7 @@ from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Part
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import view_of
+from tests.conftest import wait_for_cache
 from tests.test_lod import grid
 from tests.test_lod import mesh_of as shaped
 from tests.verification.parts_head import NAMES, hairs, parts_head
@@ -154,16 +155,14 @@ def same(a, b):
     return a == b
 
 
-def test_meshes_survive_pickles_and_the_store(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setenv("FACERENDER_CACHE_MIB", "64")
+def test_meshes_survive_pickles_and_the_cache(tmp_path, cache_folder):
     part = quad()
     mesh = mesh_of([replace(part, uv2=part.uv[::-1].copy())], [full_material()])
     file = tmp_path / "head.obj"
     file.write_text("v 0 0 0\n")
     files = MeshFiles(source_of(file), {}, Orientation(), False)
     files.store(files.digest(), mesh, {}, [])
-    wait_for_store()
+    wait_for_cache()
     kept = files.find()
     for found in (kept, pickle.loads(pickle.dumps(mesh)), copy.deepcopy(mesh)):
         for kind in (Part, Material):
@@ -173,14 +172,6 @@ def test_meshes_survive_pickles_and_the_store(tmp_path, monkeypatch):
             for each in fields(kind):
                 assert same(getattr(want, each.name), getattr(got, each.name)), each.name
     assert kept.materials[0].property_map is None  # the occlusion has other coordinates
-
-
-def wait_for_store():
-    import threading
-
-    for thread in threading.enumerate():
-        if thread.name == "facerender-cache":
-            thread.join()
 
 
 def test_factors_survive_scene_files_and_jobs(tmp_path):

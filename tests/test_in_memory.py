@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
@@ -30,11 +29,12 @@ from tests.awkward_files import (
     write_stl,
     write_textured_obj,
 )
+from tests.conftest import wait_for_cache
 
 HEAD = mini_head()
 
 
-def assert_same(a: fr.Mesh, b: fr.Mesh) -> None:
+def assert_same(a, b):
     """The same parts, but for their names, the same factors and the same texels of every map."""
     assert len(a.parts) == len(b.parts)
     for part, other in zip(a.parts, b.parts, strict=True):
@@ -52,7 +52,7 @@ def assert_same(a: fr.Mesh, b: fr.Mesh) -> None:
                 assert one == pytest.approx(two, abs=1e-6) if isinstance(one, float) else True
 
 
-def scene_of(path: Path) -> Any:
+def scene_of(path):
     return trimesh.load_scene(path, process=False)
 
 
@@ -90,14 +90,10 @@ def test_an_open_file_finds_what_lies_beside_it_and_bytes_do_not(tmp_path):
     assert mesh.materials[0].albedo_map is None
 
 
-def test_bytes_are_kept_in_the_store(tmp_path, monkeypatch):
-    monkeypatch.setenv("FACERENDER_CACHE_MIB", "64")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+def test_bytes_are_cached(cache_folder, monkeypatch):
     content = MINI_HEAD.read_bytes()
     first = fr.load_mesh(content, cache=True)
-    for thread in __import__("threading").enumerate():
-        if thread.name == "facerender-cache":
-            thread.join()
+    wait_for_cache()
     monkeypatch.setattr("facerender.loading.read", lambda *_: pytest.fail("it was read anew"))
     assert_same(fr.load_mesh(content, cache=True), first)
 
@@ -251,7 +247,7 @@ def test_maps_are_given_as_arrays_images_and_textures():
         fr.load_mesh,
     ],
 )
-def test_a_picture_is_the_same_of_whatever_a_mesh_is_given_as(make: Callable[[Path], Any]):
+def test_a_picture_is_the_same_of_whatever_a_mesh_is_given_as(make):
     size = (64, 64)
     known = fr.load_mesh(MINI_HEAD)
     if make is scene_of:  # trimesh does not tell how maps are sampled
@@ -355,7 +351,7 @@ def test_arrays_are_mended_as_files_are():
     np.testing.assert_allclose(np.linalg.norm(mesh.parts[0].normals, axis=1), 1.0)
 
 
-def changed(values: NDArray[Any], value: float) -> NDArray[Any]:
+def changed(values, value):
     copied = values.astype(float)
     copied[5, 1] = value
     return copied
@@ -485,7 +481,7 @@ def test_images_that_are_none_are_told(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def everything() -> dict[str, Any]:
+def everything():
     """One of every public class."""
     mesh = fr.load_mesh(MINI_HEAD)
     scene = fr.Scene(mesh, environment=fr.Environment(fr.Panorama("even", np.ones((2, 4, 3)))))
@@ -521,7 +517,7 @@ def everything() -> dict[str, Any]:
     }
 
 
-def assert_equal(a: Any, b: Any, where: str) -> None:
+def assert_equal(a, b, where):
     assert type(a) is type(b), where
     if isinstance(a, np.ndarray):
         np.testing.assert_array_equal(a, b, where)
