@@ -22,6 +22,7 @@ import facerender as fr
 from facerender.images.srgb import srgb_to_linear
 from tests.awkward_files import (
     MINI_HEAD,
+    assert_equal,
     mini_head,
     repeated,
     write_gltf,
@@ -515,24 +516,6 @@ def everything():
         "compare": fr.compare(frame.linear, frame.linear),
         "Part": mesh.parts[0],
     }
-
-
-def assert_equal(a, b, where):
-    assert type(a) is type(b), where
-    if isinstance(a, np.ndarray):
-        np.testing.assert_array_equal(a, b, where)
-    elif isinstance(a, fr.Texture):
-        np.testing.assert_array_equal(np.asarray(a.rgb()), np.asarray(b.rgb()), where)
-    elif isinstance(a, Exception):
-        assert str(a) == str(b)
-    elif isinstance(a, list | tuple):
-        for i, pair in enumerate(zip(a, b, strict=True)):
-            assert_equal(*pair, f"{where}[{i}]")
-    elif hasattr(a, "__dataclass_fields__"):
-        for name in a.__dataclass_fields__:
-            assert_equal(getattr(a, name), getattr(b, name), f"{where}.{name}")
-    elif not callable(a):
-        assert a == b or "object at" in repr(a), where
 
 
 def test_every_public_class_is_among_them(everything):
