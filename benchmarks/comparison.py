@@ -15,8 +15,8 @@ import numpy as np
 from scipy import ndimage
 
 from benchmarks.data import meshes, save
-from facerender.comparison.compare import Comparison, compare
-from facerender.comparison.verdict import changed_alike
+from facerender.comparison.compare import compare
+from facerender.comparison.result import Comparison
 from facerender.images.srgb import encode_srgb8
 from tests.verification.mutations import (
     BROKEN,
@@ -31,7 +31,7 @@ from tests.verification.mutations import (
 from tests.verification.pairs.changes import exposed, factor
 from tests.verification.pairs.room import Room, draw_elsewhere
 
-GATES = {  # and how their reasons begin
+CHECKS = {  # and how their reasons begin
     **{"point": r"\d+ pixel", "block": "block", "trend": "neighbouring blocks", "grain": "grain"},
     **{"texture": "texture", "shift": "shift", "coverage": "coverage"},
 }
@@ -40,20 +40,20 @@ Change = Callable[[float], Images]
 Sees = Callable[[Images], bool]
 
 
-def gates(result: Comparison) -> list[str]:
-    """Name the gates that failed, by their reasons."""
+def failed_checks(result: Comparison) -> list[str]:
+    """Name the checks that failed, by their reasons."""
     return [
         name
-        for name, start in GATES.items()
+        for name, start in CHECKS.items()
         if any(re.match(start, reason) for reason in result.reasons)
     ]
 
 
-# By each gate alone: of the trend no reason is told where blocks are over their limit.
+# By each check alone: of the trend no reason is told where blocks are over their limit.
 ALONE: dict[str, Callable[[Comparison], bool]] = {
-    "point": lambda result: "point" in gates(result),
+    "point": lambda result: "point" in failed_checks(result),
     "block": lambda result: result.blocks > 0,
-    "trend": changed_alike,
+    "trend": lambda result: result.changed_alike,
 }
 
 
@@ -66,7 +66,7 @@ def row(result: Comparison) -> dict[str, Any]:
         "linear": result.encoding != "srgb8",
         **{"point": result.point, "points": result.points, "block": result.block},
         **{"blocks": result.blocks, "judged": result.blocks_judged, "trend": result.trend},
-        **{"texture": result.texture, "gates": gates(result), "looks_like": list(guesses)},
+        **{"texture": result.texture, "checks": failed_checks(result), "looks_like": list(guesses)},
     }
 
 
@@ -89,8 +89,8 @@ def smallest(change: Change, found: Sees, most: float) -> float | None:
     return high
 
 
-def sees(gate: str) -> Sees:
-    return lambda images: ALONE[gate](compare(*images))
+def sees(check: str) -> Sees:
+    return lambda images: ALONE[check](compare(*images))
 
 
 def differ(images: Images) -> bool:
@@ -98,7 +98,9 @@ def differ(images: Images) -> bool:
 
 
 def png(images: Images) -> bool:
-    return not compare(*(encode_srgb8(image[..., :3]) for image in images)).same
+    return not compare(
+        *(encode_srgb8(np.asarray(image, np.float32)[..., :3]) for image in images)
+    ).same
 
 
 def one_pixel(linear: np.ndarray, place: tuple[int, int], sign: float) -> Change:
@@ -134,13 +136,14 @@ def thresholds(name: str, room: Room) -> Iterator[dict[str, Any]]:
         changes[f"pixel brighter, {where}"] = (one_pixel(linear, place, 1.0), 8.0)
         changes[f"pixel darker, {where}"] = (one_pixel(linear, place, -1.0), 1.0)
     for what, (change, most) in changes.items():
-        finds = {**{gate: sees(gate) for gate in ALONE}, "EXR": differ, "PNG": png}
-        seen = {gate: smallest(change, find, most) for gate, find in finds.items()}
+        finds = {**{check: sees(check) for check in ALONE}, "EXR": differ, "PNG": png}
+        seen = {check: smallest(change, find, most) for check, find in finds.items()}
         yield {"image": name, "change": what, "most": most, "seen": seen}
 
 
 def main() -> None:
-    changes, least = {}, []
+    changes: dict[str, object] = {}
+    least: list[dict[str, Any]] = []
     for name, camera in product(dict(meshes()), CAMERAS):
         room = Room(setting_of(name, camera))
         changes[f"{name}-{camera}"] = [

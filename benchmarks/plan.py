@@ -21,8 +21,8 @@ from benchmarks.data import save, scenes
 from benchmarks.prices import amd
 from benchmarks.prices.table import cycles
 from facerender.drawing.passes.shade import shade_pass
-from facerender.drawing.prepare import simplify
 from facerender.drawing.program import Program
+from facerender.drawing.resolve import resolve
 from facerender.planning.budget import ROUNDING, Budget
 from facerender.planning.candidates import DECISIONS, candidates, changed
 from facerender.planning.plan import Plan, plan
@@ -157,8 +157,8 @@ def compiled(found: Plan, family: str) -> float:
     """Return the cost of the plan's whole fragment program over the full one's, by RADV."""
 
     def program(shading: fr.Shading) -> Program:
-        simple = simplify(found.scene, shading)
-        (draw,) = shade_pass(simple, view_of(simple, 1.0), shading, 1).draws
+        resolved = resolve(found.scene, shading)
+        (draw,) = shade_pass(resolved, view_of(resolved.scene, 1.0), 1).draws
         return draw.program
 
     own, full = cycles([program(found.shading), program(found.full)], family)
@@ -201,7 +201,7 @@ def plans_of(
     around = fr.turntable(subject.scene.camera, TURNTABLE)
     planned = Views(renderer, subject, around)  # the first is the scene's own
     for (mode, results), budget, kind in product(modes.items(), BUDGETS, KINDS):
-        own = {"cameras": around} if mode == "around" else {}
+        own: dict[str, Any] = {"cameras": around} if mode == "around" else {}
         start = time.perf_counter()
         found = plan(subject.scene, budget, full=subject.full, cost=kind, renderer=renderer, **own)
         seconds = time.perf_counter() - start

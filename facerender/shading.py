@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from operator import index
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,8 @@ from facerender.terms import FRESNEL, MASKING, MODELS, AnyLobe, GPower, Model, l
 from facerender.terms.entry import named
 from facerender.terms.lobe import SLOPES
 from facerender.terms.ranges import IntegerRange, Range, check_fields, range_of, ranged
+
+S = TypeVar("S")
 
 _INDEX = re.compile("[0-9]{1,9}")  # of a light
 
@@ -89,7 +91,7 @@ class Term:
         ------
         InputError : m leaves the domain, and ``outside`` is "error"
         """
-        slopes = (smallest, largest) if self.m is None else (self.m, self.m)
+        slopes = self.slope(smallest), self.slope(largest)
         lobe = lobe_entry(self.lobe)
         if lobe.belongs(slopes, self.entry.k).all():
             return self
@@ -97,6 +99,10 @@ class Term:
             return replace(self, lobe="exact").for_slopes(smallest, largest)
         lobe.check(slopes, self.entry.k)
         return self
+
+    def slope(self, m: S) -> S | float:
+        """Return the m that counts: the term's own, or else that of the material."""
+        return m if self.m is None else self.m
 
     def second(self, factor: float) -> Term:
         """Return the term of a second lobe, whose slope is so many times the first one's."""
@@ -107,7 +113,7 @@ class Term:
         own."""
         if self.small_slope is not None:
             return self.small_slope
-        return (smallest_m if self.m is None else self.m) < SMALL_SLOPE
+        return self.slope(smallest_m) < SMALL_SLOPE
 
     def brdf(
         self, n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike, f0: float
@@ -123,7 +129,7 @@ class Term:
             n,
             l,
             v,
-            m if self.m is None else self.m,
+            self.slope(m),
             f0,
             lobe=self.lobe,
             fresnel_term=self.fresnel,
@@ -271,12 +277,6 @@ class Shading:
         if self.specular_lights is not None and light not in self.specular_lights:
             return None
         return self._own.get(light, self.term)
-
-    @property
-    def constant_slope(self) -> float | None:
-        """The slope that takes the place of all materials', where every term has one of its own."""
-        pinned = all(term.m is not None for term in self._own.values())
-        return self.term.m if pinned else None
 
     @cached_property
     def _own(self) -> dict[int, Term]:

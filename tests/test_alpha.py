@@ -14,6 +14,7 @@ from facerender.batch.schema import schema
 from facerender.drawing import reference
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.visibility import can_defer
+from facerender.drawing.resolve import resolve
 from facerender.errors import FacerenderWarning, InputError
 from facerender.explorer.mesh import drawable
 from facerender.job import Job
@@ -485,7 +486,7 @@ def test_what_changes_nothing_is_not_compiled_in(head):
     def programs(material):
         scene = fr.Scene(replace(head, materials=(material,)), lights=LIGHTS)
         assert can_defer(scene, 16384)
-        drawn = shade_pass(scene, view_of(scene, 1.0), shading, 4)
+        drawn = shade_pass(resolve(scene, shading), view_of(scene, 1.0), 4)
         return [draw.program for draw in drawn.draws]
 
     without = programs(bare)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from configparser import RawConfigParser
 from dataclasses import asdict, fields
 from pathlib import Path
 
@@ -15,9 +14,9 @@ from facerender import pytest_plugin
 from facerender.commands import main
 from facerender.commands.compare import LIMITED, default_of
 from facerender.comparison.calibration import LEAST, MARGIN, Calibration, calibration_of, runs_of
-from facerender.comparison.compare import HIGHEST, LIMITS, Limits, compare
-from facerender.comparison.limits_file import NAMES, read_limits, text_of, write_limits
-from facerender.comparison.verdict import changed_alike
+from facerender.comparison.compare import compare
+from facerender.comparison.limits_file import NAMES, read_limits, text_of
+from facerender.comparison.result import HIGHEST, LIMITS, Limits
 from facerender.errors import InputError
 from facerender.images.exr import save_exr
 from facerender.images.srgb import encode_srgb8
@@ -28,19 +27,6 @@ OPEN = dict.fromkeys(NAMES, HIGHEST)
 NOTED = {name: (value, f"sees {name}") for name, value in asdict(LEAST["linear"]).items()}
 NOTED_8_BIT = {name: (value, f"sees {name}") for name, value in asdict(LEAST["srgb8"]).items()}
 LOOSE = dict.fromkeys(NAMES, (1e6, "sees nothing"))
-INI = """# of the project
-[pytest]
-addopts =
-    -q
-    # of an option
-    --strict-markers
-testpaths = tests  ; and no other
-
-# what checks the style
-[flake8]
-max-line-length = 100
-percent = 50%
-"""
 
 
 def picture(gain: float = 1.0, noise: float = 0.0) -> np.ndarray:
@@ -132,13 +118,13 @@ def test_no_limit_is_wider_than_by_default_for_the_margin_alone(runs):
     )
 
 
-@pytest.mark.parametrize("gate", ["point", "block", "trend", "grain", "texture"])
-def test_each_limit_sees_the_change_that_it_tells_and_no_half_of_it(runs, gate):
+@pytest.mark.parametrize("name", ["point", "block", "trend", "grain", "texture"])
+def test_each_limit_sees_the_change_that_it_tells_and_no_half_of_it(runs, name):
     b = picture()
     runs.add("one", b)
     runs.add("two", b)
     found = runs.calibration()
-    by = found.sees[gate]
+    by = found.sees[name]
     color = b[..., :3]
     lit = b[..., 3] > 0
     noise = np.random.default_rng(5).standard_normal((SIDE, SIDE, 1))
@@ -152,15 +138,15 @@ def test_each_limit_sees_the_change_that_it_tells_and_no_half_of_it(runs, gate):
         "trend": above,
         "grain": color * noise,
         "texture": fine,
-    }[gate]
+    }[name]
     for factor, same in ((1.5, False), (0.5, True)):
         changed = b.copy()
         changed[..., :3] += (factor * by * change).astype(np.float32)
-        given = OPEN | {"shift": found.limits.shift, gate: getattr(found.limits, gate)}
-        if gate == "trend":
+        given = OPEN | {"shift": found.limits.shift, name: getattr(found.limits, name)}
+        if name == "trend":
             given["block"] = found.limits.block
         result = compare(b, changed, **given)
-        assert (not changed_alike(result) if gate == "trend" else result.same) is same
+        assert (not result.changed_alike if name == "trend" else result.same) is same
 
 
 def test_wider_limits_see_less_and_say_so(runs, wide):
@@ -240,98 +226,45 @@ def test_folder_without_runs(runs):
 # --- the file ------------------------------------------------------------------------------------
 
 
-def kept(path: Path) -> RawConfigParser:
-    parser = RawConfigParser()
-    parser.read(path, encoding="utf-8")
-    return parser
+def written(path: Path, **noted: dict[str, tuple[float, str]]) -> Path:
+    path.write_text(text_of(path, noted))
+    return path
 
 
-def test_file_keeps_all_else(tmp_path):
-    path = tmp_path / "pytest.ini"
-    path.write_text(INI, encoding="utf-8")
-    write_limits(path, {"linear": NOTED, "srgb8": NOTED_8_BIT})
-    text = path.read_text(encoding="utf-8")
-    added = text_of(path, {"linear": NOTED}).splitlines()[1:]
-    own = text_of(path, {"srgb8": NOTED_8_BIT}).splitlines()
-    assert [line for line in text.splitlines() if line not in (*added, *own)] == [
-        *INI.splitlines(),
-        "",
-    ]
-    assert kept(path)["pytest"]["facerender_point"] == "0.001"
-    assert text.index("# facerender_point: sees point\nfacerender_point = 0.001") > 0
+@pytest.mark.parametrize("name", ["pytest.ini", "setup.cfg", "pyproject.toml"])
+@pytest.mark.parametrize("coding", ["utf-8", "utf-8-sig"])
+def test_file_of_limits_is_read_as_it_was_written(tmp_path, name, coding):
+    path = written(tmp_path / name, linear=NOTED, srgb8=NOTED_8_BIT)
+    path.write_text(path.read_text(), encoding=coding)
     assert read_limits(path) == {
         "linear": asdict(LEAST["linear"]),
         "srgb8": asdict(LEAST["srgb8"]),
     }
 
 
-def test_limits_are_replaced_in_their_place(tmp_path):
-    path = tmp_path / "pytest.ini"
-    path.write_text(
-        "[pytest]\naddopts = -q\n# mine\nfacerender_block: 0.5\nfacerender_report = out\n"
-    )
-    write_limits(path, {"linear": NOTED})
-    once = path.read_text()
-    assert once.startswith("[pytest]\naddopts = -q\n# mine\n# facerender_point: sees")
-    assert once.endswith("facerender_report = out\n")
-    write_limits(path, {"linear": NOTED})
-    assert path.read_text() == once
-    write_limits(path, {"linear": {**NOTED, "block": (0.25, "other")}})
-    assert read_limits(path)["linear"]["block"] == 0.25
-    assert len(path.read_text().splitlines()) == len(once.splitlines())
-
-
 @pytest.mark.parametrize(
-    ("name", "before", "section"),
+    ("name", "before"),
     [
-        ("pytest.ini", "", "[pytest]"),
-        ("tox.ini", "[tox]\nenvlist = py\n", "[pytest]"),
-        ("setup.cfg", "[metadata]\nname = x\n", "[tool:pytest]"),
-        ("pyproject.toml", '[project]\nname = "x"\n', "[tool.pytest.ini_options]"),
-        ("pyproject.toml", '[tool.pytest]\naddopts = ["-q"]\n', "[tool.pytest]"),
+        ("pytest.ini", "[pytest]\n"),
+        ("tox.ini", "[tox]\nenvlist = py  ; one\n[pytest]\n"),
+        ("setup.cfg", "[metadata]\nname = x\n[tool:pytest]\n"),
+        ("pyproject.toml", '[project]\nname = "x"\n[tool.pytest.ini_options]\n'),
+        ("pyproject.toml", '[tool.pytest]\naddopts = ["-q"]\n'),
     ],
 )
-def test_pytest_reads_what_was_written(suites, name, before, section):
+def test_pytest_and_compare_read_the_section_where_it_was_pasted(suites, name, before):
     path = suites.path / name
-    path.write_text(before)
-    write_limits(path, {"linear": {**LOOSE, "block": (0.03, "")}})
-    assert section in path.read_text().splitlines()
+    _, *rows = text_of(path, {"linear": {**LOOSE, "block": (0.03, "")}}).splitlines()
+    path.write_text(before + "\n".join(rows))
+    assert read_limits(path)["linear"]["block"] == 0.03
     suites.record(0.5)
-    suites.run(f"-c{path}").assert_outcomes(passed=1)
-    suites.give(0.51)  # by 2 %
-    suites.run(f"-c{path}").assert_outcomes(passed=1)
-    suites.give(0.52)
-    suites.run(f"-c{path}").assert_outcomes(failed=1)
+    for value, passes in ((0.5, True), (0.51, True), (0.52, False)):  # 0.51 differs by 2 %
+        suites.give(value)
+        outcome = {"passed" if passes else "failed": 1}
+        suites.run(f"-c{path}").assert_outcomes(**outcome)
 
 
-def test_line_ends_stay_as_they_are(tmp_path):
-    path = tmp_path / "tox.ini"
-    path.write_bytes(INI.replace("\n", "\r\n").encode())
-    write_limits(path, {"linear": NOTED})
-    content = path.read_bytes()
-    assert content.count(b"\r\n") == content.count(b"\n")
-    assert read_limits(path)["linear"] == asdict(LEAST["linear"])
-
-
-@pytest.mark.parametrize(
-    ("name", "content"),
-    [
-        ("pytest.ini", "[pytest]\naddopts = -q\nfacerender_point =\n    0.5\n"),
-        ("pytest.ini", "[pytest]\nenv =\n    facerender_point = 0.5\n"),
-        ("pytest.ini", "[pytest]\naddopts = -q\n[pytest]\nx = 1\n"),
-        ("pytest.ini", "no section\n"),
-        ("pyproject.toml", 'tool = {pytest = {ini_options = {addopts = "-q"}}}\n'),
-        ("pyproject.toml", "text = '''\n[tool.pytest.ini_options]\n'''\n"),
-        ("pyproject.toml", "text = "),
-    ],
-)
-def test_file_that_cannot_be_kept_is_left_alone(tmp_path, name, content):
-    path = tmp_path / name
-    path.write_text(content)
-    with pytest.raises(InputError, match=rf"{name} (is laid out so|cannot be read|is not TOML)"):
-        write_limits(path, {"linear": NOTED})
-    assert path.read_text() == content
-    assert [each.name for each in tmp_path.iterdir()] == [name]
+TOML = "[tool.pytest.ini_options]\n"
 
 
 @pytest.mark.parametrize(
@@ -340,44 +273,23 @@ def test_file_that_cannot_be_kept_is_left_alone(tmp_path, name, content):
         ("[pytest]\nfacerender_point = much\n", "facerender_point = 'much': give a number"),
         ("[pytest]\nfacerender_point = -1\n", r"facerender_point = -1.0 is outside \[0, 1e"),
         ("[pytest]\naddopts = -q\n", "gives no limit, such as facerender_point"),
+        ("[pytest]\naddopts = -q\n[pytest]\nx = 1\n", "cannot be read: .*; repair it"),
         ("[pytest\n", "cannot be read"),
         ("[pytest]\nx = \xff\n", "is not UTF-8"),
         (None, "cannot read .*missing"),
+        (f"{TOML}facerender_point = [1]", "facerender_point = .1.: give a number"),
+        (f"{TOML}facerender_point = 1{'0' * 400}", "facerender_point = 10.*0: give a number"),
+        (f"{TOML}facerender_point = 1{'0' * 5000}", "is not TOML: Exceeds the limit"),
+        (f"{TOML}{'a.' * 5000}b = 1", "is not TOML: nested too deep; mend it"),
     ],
 )
 def test_file_without_limits(tmp_path, content, message):
     path = tmp_path / ("missing.ini" if content is None else "pytest.ini")
     if content is not None:
+        path = path.with_name("pyproject.toml") if TOML in content else path
         path.write_text(content, encoding="latin-1")
     with pytest.raises(InputError, match=message):
         read_limits(path)
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("facerender_point = [1]", "facerender_point = .1.: give a number"),
-        (f"facerender_point = 1{'0' * 400}", "facerender_point = 10.*0: give a number"),
-        (f"facerender_point = 1{'0' * 5000}", "is not TOML: Exceeds the limit"),
-        (f"{'a.' * 5000}b = 1", "is not TOML: nested too deep; mend it"),
-    ],
-)
-def test_tables_without_limits(tmp_path, content, message):
-    path = tmp_path / "pyproject.toml"
-    path.write_text(f"[tool.pytest.ini_options]\n{content}\n")
-    with pytest.raises(InputError, match=message):
-        read_limits(path)
-
-
-@pytest.mark.parametrize("name", ["pytest.ini", "pyproject.toml"])
-def test_a_byte_order_mark_before_limits(tmp_path, name):
-    path = tmp_path / name
-    write_limits(path, {"linear": NOTED})
-    kept = read_limits(path)
-    path.write_text(path.read_text(), encoding="utf-8-sig")
-    assert read_limits(path) == kept
-    write_limits(path, {"linear": NOTED})
-    assert read_limits(path) == kept
 
 
 # --- the command ---------------------------------------------------------------------------------
@@ -390,50 +302,40 @@ def run(capsys, *arguments: object) -> tuple[int, str, str]:
 
 
 def test_command_writes_limits_that_it_reads(wide, tmp_path, capsys):
-    path = tmp_path / "pytest.ini"
-    path.write_text(INI)
-    status, out, err = run(capsys, "--calibrate", wide, "--limits", path)
-    assert status == 0
+    path = tmp_path / "limits.ini"
+    status, out, err = run(capsys, "--calibrate", wide, "-o", path)
+    assert (status, path.read_text()) == (0, out)
     assert "lets another exposure by 1 % pass; wider than 0.005, as two/head.exr needs" in err
     limits = read_limits(path)["linear"]
+    assert out.startswith("[pytest]\n# facerender_point: sees 2 brighter pixels from ")
     assert f"facerender_block = {limits['block']:g}\n" in out
-    assert all(line in path.read_text().splitlines() for line in out.splitlines())
     one, two = (wide.folder / run for run in ("one", "two"))
     assert run(capsys, one, two)[0] == 1
     assert run(capsys, one, two, "--limits", path)[0] == 0
     assert run(capsys, one, two, "--limits", path, "--block", 0.001)[0] == 1
-
-
-def test_limits_that_cannot_be_written_are_printed(wide, tmp_path, capsys):
-    path = tmp_path / "pytest.ini"
-    path.write_text("[pytest\n")
-    status, out, err = run(capsys, "--calibrate", wide, "--limits", path)
-    assert (status, path.read_text()) == (2, "[pytest\n")
-    assert f"{path} cannot be read" in err
-    assert "facerender_block = " in out
+    status, _, err = run(capsys, "--calibrate", wide, "-o", path)
+    assert status == 2
+    assert f"{path} exists: give a new file, and paste its sections there" in err
+    assert path.read_text() == out
 
 
 def test_limits_of_a_file_are_for_the_images_of_their_encoding(runs, tmp_path, capsys):
     one, two = (runs.add(name, picture(gain), "head.png") for name, gain in (("a", 1), ("b", 1.02)))
-    path = tmp_path / "pytest.ini"
-    write_limits(path, {"linear": LOOSE})
-    assert run(capsys, one, two, "--limits", path)[0] == 1
-    write_limits(path, {"srgb8": LOOSE})
-    assert run(capsys, one, two, "--limits", path)[0] == 0
+    for encoding, status in (("linear", 1), ("srgb8", 0)):
+        path = written(tmp_path / "pytest.ini", **{encoding: LOOSE})
+        assert run(capsys, one, two, "--limits", path)[0] == status
 
 
 def test_command_without_a_file_prints_alone(wide, capsys, tmp_path):
-    status, out, _ = run(capsys, "--calibrate", wide)
-    assert status == 0
-    assert out.startswith("[pytest]\n# facerender_point: sees 2 brighter pixels from ")
-    assert [each.name for each in tmp_path.iterdir()] == ["runs"]
     status, out, _ = run(capsys, "--calibrate", wide, "--json")
+    assert status == 0
+    assert [each.name for each in tmp_path.iterdir()] == ["runs"]
     (found,) = json.loads(out)
     assert found["limits"]["block"] > found["least"]["block"] > 0.005
     assert set(found["sees"]) == set(NAMES)
 
 
-def test_limits_of_every_gate_are_options(wide, capsys):
+def test_every_limit_is_an_option(wide, capsys):
     one, two = (wide.folder / run / "head.exr" for run in ("one", "two"))
     given = [part for name in NAMES for part in (f"--{name}", "1e6")]
     assert run(capsys, one, two, *given)[0] == 0
@@ -451,14 +353,17 @@ def test_limits_of_every_gate_are_options(wide, capsys):
     ("arguments", "message"),
     [
         (("--calibrate", "runs", "a.exr", "b.exr"), "leave out A"),
-        (("--calibrate", "runs", "--block", "1"), "leave out --block"),
-        (("--calibrate", "runs", "--report", "x.html"), "leave out --report"),
+        *(
+            (("--calibrate", "runs", option, value), f"leave out {option}")
+            for option, value in (("--block", "1"), ("--report", "x.html"), ("--limits", "x.ini"))
+        ),
         (("a.exr",), "one image alone: give A and B"),
         ((), "give A and B"),
-        (("--calibrate", "runs", "--limits", "nowhere/pytest.ini"), "cannot write nowhere"),
+        (("a.exr", "b.exr", "-o", "x.ini"), "-o writes the limits of --calibrate"),
+        (("--calibrate", "runs", "-o", "nowhere/pytest.ini"), "cannot write nowhere"),
     ],
 )
-def test_what_does_not_go_together(wide, capsys, monkeypatch, arguments, message):
+def test_options_that_exclude_each_other(wide, capsys, monkeypatch, arguments, message):
     monkeypatch.chdir(wide.folder.parent)
     status, out, err = run(capsys, *arguments)
     assert (status, out) == (2, "")
@@ -467,8 +372,8 @@ def test_what_does_not_go_together(wide, capsys, monkeypatch, arguments, message
 
 def test_document_has_the_defaults():
     text = (Path(__file__).parents[1] / "docs/command-line.md").read_text(encoding="utf-8")
-    for name, said in LIMITED.items():
-        assert f"| `--{name} LIMIT` | {said} ({default_of(name)}) |" in text
+    for name, help in LIMITED.items():
+        assert f"| `--{name} LIMIT` | {help} ({default_of(name)}) |" in text
 
 
 # --- the plugin ----------------------------------------------------------------------------------

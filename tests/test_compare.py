@@ -20,8 +20,9 @@ import pytest
 from PIL import Image, PngImagePlugin
 
 import facerender as fr
-from facerender.comparison.compare import LIMITS, compare
+from facerender.comparison.compare import compare
 from facerender.comparison.pairs import Pair, pairs_of
+from facerender.comparison.result import LIMITS
 from facerender.images.exr import save_exr
 from facerender.images.image import ImageData
 from facerender.images.read import read_image
@@ -53,7 +54,7 @@ LOBE = "a lobe or weight change"
 SHAPE = "another shape, texture or light"
 EXPOSURE = "exposure, light or colour space"
 
-# mutation: the gate that must see it, and what may be guessed
+# mutation: the metric that must see it, and what may be guessed
 CAUGHT = {
     "ks -3 %": ("blocks", {LOBE}),
     "m 0.300 to 0.306": ("blocks", {LOBE}),
@@ -96,10 +97,10 @@ def guesses(result) -> set[str]:
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_broken_renders_differ_for_the_reason_named(room, setting, name):
-    gate, likely = CAUGHT[name]
+    metric, likely = CAUGHT[name]
     strict = (*setting[:2], name) in NEEDS_STRICT
     result = compare(*BROKEN[name](room), block=STRICT if strict else None)
-    assert getattr(result, gate) > 0
+    assert getattr(result, metric) > 0
     assert guesses(result) <= likely, str(result)
     assert not result.same
 
@@ -146,7 +147,7 @@ def test_llvmpipe_and_softpipe_are_the_same(mesh, egl, request):
         assert result.largest > 0.0
 
 
-# --- the gates, each alone -----------------------------------------------------------------------
+# --- the checks, each alone ----------------------------------------------------------------------
 
 
 def plain(radiance: float = 0.2, side: int = 64) -> np.ndarray:
@@ -165,7 +166,7 @@ def test_an_image_is_the_same_as_itself():
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("either", [0, 1], ids=["in the image", "in the reference"])
-def test_point_gate_is_signed_and_sees_both_ways(sign, either):
+def test_point_check_is_signed_and_sees_both_ways(sign, either):
     images = [plain(), plain()]
     images[either][30, 40, 1] += 0.06 * sign
     result = compare(*images)
@@ -176,13 +177,13 @@ def test_point_gate_is_signed_and_sees_both_ways(sign, either):
     assert compare(*images, point=0.061).same
 
 
-def test_point_gate_looks_at_the_worst_channel():
+def test_point_check_looks_at_the_worst_channel():
     image = plain()
     image[30, 40, :3] += np.float32([0.0, 0.051, 0.07])
     assert compare(plain(), image).point == pytest.approx(0.07 - 0.01 * 0.2)
 
 
-def test_point_gate_lets_an_edge_move_by_a_pixel():
+def test_point_check_lets_an_edge_move_by_a_pixel():
     image = plain()
     image[:, 32:, :3] *= 3.0
     moved = plain()
@@ -203,7 +204,7 @@ def test_point_gate_lets_an_edge_move_by_a_pixel():
         ([(8, 30), (8, 40)], -0.2, False),  # black: no background lies within the mesh
     ],
 )
-def test_point_gate_lets_few_slivers_of_light_come_and_go_at_edges(places, by, same):
+def test_point_check_lets_few_slivers_of_light_come_and_go_at_edges(places, by, same):
     image = plain()
     for place in places:
         image[(*place, slice(0, 3))] += by
@@ -264,7 +265,7 @@ def test_limits_are_wider_where_another_driver_drew():
         assert same or re.match(r"grain .*, limit 0\.54 %", str(result))
 
 
-def test_black_pixels_that_are_no_darker_than_the_point_gate_allows():
+def test_black_pixels_that_are_no_darker_than_the_point_check_allows():
     image = plain(0.004)
     image[(20, 30, 40), (30, 20, 40), :3] = 0.0
     reason = "3 pixels with less than a quarter of the light around them, limit 2: looks like miss"
@@ -285,7 +286,7 @@ def test_black_pixels_are_seen_in_the_dark_and_in_texture(radiance):
     assert "missing pixels" in str(result)
 
 
-def test_block_gate_is_relative_to_the_reference_and_signed():
+def test_block_check_is_relative_to_the_reference_and_signed():
     image = plain()
     image[..., :3] *= 0.99
     result = compare(plain(), image)
@@ -296,18 +297,18 @@ def test_block_gate_is_relative_to_the_reference_and_signed():
     assert compare(plain(), image, block=0.05).same  # what blocks may do is no trend
 
 
-def test_block_gate_does_not_divide_by_darkness():
+def test_block_check_does_not_divide_by_darkness():
     a, b = plain(1e-4), plain(1.1e-4)
     assert compare(a, b).block == pytest.approx(1e-5 / 0.01, rel=1e-2)
 
 
-def test_block_gate_looks_at_the_worst_channel():
+def test_block_check_looks_at_the_worst_channel():
     image = plain()
     image[..., :3] *= np.float32([0.99, 1.02, 1.0])
     assert compare(plain(), image).block == pytest.approx(0.02, rel=1e-3)
 
 
-def test_block_gate_keeps_off_the_silhouette():
+def test_block_check_keeps_off_the_silhouette():
     reference = plain()
     reference[..., :3] = 0.2
     image = reference.copy()
@@ -320,7 +321,7 @@ def test_block_gate_keeps_off_the_silhouette():
     assert compare(reference, image).blocks > 0
 
 
-def test_block_gate_looks_at_dark_texture():
+def test_block_check_looks_at_dark_texture():
     reference = plain(0.01)
     reference[:, ::2, :3] *= 1.8
     image = reference.copy()
@@ -346,7 +347,7 @@ def test_small_images_have_no_block_to_judge():
     assert compare(image[:1, :1], image[:1, :1]).same
 
 
-def test_coverage_gate_counts_pixels():
+def test_coverage_check_counts_pixels():
     image = plain()
     image[8, 8:-8, 3] = 0.4
     assert compare(plain(), image).coverage == 48 / 64**2

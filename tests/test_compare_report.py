@@ -152,11 +152,11 @@ def test_figures_stand_beside_their_limits(parsed: Page, pairs: list[Pair]) -> N
     (figures,) = (pair.comparison for pair in pairs if pair.name == NAME)
     assert f"{NAME}differs{figures.point:.3g} > 0.005" in summary
     assert "coverage.exrdiffers000 %00 %0 %016.7 % > 0.5 %" in summary
-    assert f"missing.exrerror{'–' * len(report.GATES)}" in summary
+    assert f"missing.exrerror{'–' * len(report.CHECKS)}" in summary
     text = parsed.text[at("coverage.exr")].replace("\N{NO-BREAK SPACE}", " ")
     assert "trend0 ≤ 0.15grain0 % ≤ 0.09 %texture0 % ≤ 1 %shift0 ≤ 0.25" in text
     text = parsed.text[at("eight.png")].replace("\N{NO-BREAK SPACE}", " ")
-    assert "Figures, in steps of 255" in text
+    assert "Metrics, in steps of 255" in text
     assert "darker at (30, 12); 1 over" in text
 
 
@@ -164,7 +164,7 @@ def test_rows_of_the_summary_have_its_columns(parsed: Page, pairs: list[Pair]) -
     head = sum(tag == "th" and a.get("scope") == "col" and not at for tag, a, at in parsed.tags)
     cells = sum(tag == "td" and not at for tag, _, at in parsed.tags)
     assert cells == len(pairs) * (head - 1)
-    assert re.search("[0-9].*".join(report.GATES), parsed.text[at("eight.png")])
+    assert re.search("[0-9].*".join(report.CHECKS), parsed.text[at("eight.png")])
 
 
 def test_reasons_and_errors_in_words(parsed: Page, pairs: list[Pair]) -> None:

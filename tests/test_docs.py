@@ -8,7 +8,7 @@ from pkgutil import iter_modules
 import numpy as np
 import pytest
 
-from benchmarks.comparison import gates
+from benchmarks.comparison import failed_checks
 from facerender.comparison.compare import compare
 from tools.docs import tables
 from tools.docs.__main__ import main
@@ -104,11 +104,11 @@ def test_a_mark_without_a_block_or_an_end_is_refused(tmp_path, capsys, page, fau
     assert capsys.readouterr().err.startswith(f"README.md: {fault}")
 
 
-def test_the_comparison_names_the_gates_that_failed():
+def test_the_comparison_names_the_checks_that_failed():
     a = np.ones((64, 64, 4), dtype=np.float32)
     less = a.copy()
     less[:32, :, 3] = 0.2
-    assert gates(compare(a, less)) == ["coverage"]
-    assert gates(compare(a, 1.003 * a)) == ["trend"]
-    assert gates(compare(a, 1.01 * a)) == ["block"]
-    assert gates(compare(a, a)) == []
+    assert failed_checks(compare(a, less)) == ["coverage"]
+    assert failed_checks(compare(a, 1.003 * a)) == ["trend"]
+    assert failed_checks(compare(a, 1.01 * a)) == ["block"]
+    assert failed_checks(compare(a, a)) == []

@@ -18,7 +18,7 @@ from facerender import InputError, brdf
 from facerender.commands import main
 from facerender.drawing import reference
 from facerender.drawing.passes.shade import shade_pass
-from facerender.drawing.prepare import simplify
+from facerender.drawing.resolve import resolve
 from facerender.images.exr import save_exr
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import Prices
@@ -79,7 +79,7 @@ def test_every_pixel_agrees_with_float64(small, head, shading, deferred, two_lob
 
 def test_off_is_the_program_without(small, head):
     def programs(scene, shading=fr.Shading()):
-        drawn = shade_pass(simplify(scene, shading), view_of(scene, 1.0), shading, 1)
+        drawn = shade_pass(resolve(scene, shading), view_of(scene, 1.0), 1)
         return [draw.program.sources("330 core") for draw in drawn.draws]
 
     plain, lit = fr.Scene(head), fr.Scene(head, environment=fr.Environment(studio()))

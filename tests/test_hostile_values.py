@@ -233,7 +233,7 @@ def test_strips_give_the_figures_of_the_whole(rows, monkeypatch):
     strips = fr.compare(a, b).as_dict()
     monkeypatch.setattr(compare, "_STRIP", 1)
     whole = fr.compare(a, b).as_dict()
-    for name in ("mean", "shift", "trend", "surety", "gain", "block", "grain", "texture"):
+    for name in ("mean", "shift", "trend", "z_score", "gain", "block", "grain", "texture"):
         assert strips.pop(name) == pytest.approx(whole.pop(name), rel=1e-4, abs=1e-6)
     assert strips == whole
 

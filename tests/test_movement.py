@@ -12,9 +12,10 @@ import OpenEXR
 import pytest
 
 import facerender as fr
-from facerender.comparison.compare import HIGHEST, compare
+from facerender.comparison.compare import compare
 from facerender.comparison.goldens import Updates, check
-from facerender.comparison.shift_range import FARTHEST, MOVES, explained, range_of
+from facerender.comparison.result import HIGHEST
+from facerender.comparison.shift_range import FARTHEST, SHIFTS, explained, range_of
 from facerender.errors import InputError
 from facerender.images.image import ImageData
 from facerender.images.read import read_image
@@ -70,7 +71,7 @@ def goldens(studio, tmp_path_factory) -> tuple[Path, Path]:
 
 
 def test_movements_lie_around(goldens):
-    places = np.array(MOVES)
+    places = np.array(SHIFTS)
     assert np.hypot(*places.T).max() == pytest.approx(FARTHEST, rel=1e-4)
     np.testing.assert_allclose(places.mean(axis=0), 0.0, atol=1e-6)
 
@@ -85,7 +86,7 @@ def test_movement_passes_where_the_golden_knows_it(studio, goldens, move):
 
 
 def test_movement_that_was_drawn_changes_no_coverage(studio, goldens):
-    image = studio.draw(*MOVES[1])
+    image = studio.draw(*SHIFTS[1])
     assert compare(goldens[0], image).coverage > 0.0
     assert compare(goldens[1], image).coverage == 0.0
 
@@ -128,7 +129,7 @@ def test_range_is_in_layers_that_others_read(goldens, studio):
     np.testing.assert_array_equal(a.pixels, b.pixels)
     assert a.shift_range is None
     assert kept.stat().st_size < 2.5 * plain.stat().st_size
-    for x, y in ((0.0, 0.0), MOVES[3]):
+    for x, y in ((0.0, 0.0), SHIFTS[3]):
         linear = studio.draw(x, y).linear
         covered = linear[..., 3] >= 0.5
         assert (b.shift_range.low <= linear)[covered].all()
@@ -152,13 +153,13 @@ def test_draw_is_called_for_a_golden_that_is_written_alone(studio, goldens, tmp_
     check("a", image, tmp_path / "none.exr", draw=studio.draw)
     assert studio.calls == before + 1
     check("a", image, tmp_path / "none.exr", MISSING, draw=studio.draw)
-    assert studio.calls == before + 1 + len(MOVES)
+    assert studio.calls == before + 1 + len(SHIFTS)
 
 
 @pytest.mark.parametrize(
     ("factor", "size", "message"),
     [
-        (10.0, SIZE, "draw moves the image by .* times what it is given: take that as pixels"),
+        (10.0, SIZE, "draw moves the image by .* times its arguments: take them as pixels"),
         (1.0, (80, 80), r"what draw\(0.1, 0\) gives is 80 x 80 pixels: render both at one size"),
     ],
 )

@@ -13,6 +13,7 @@ from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import Program, scene_uniforms
+from facerender.drawing.resolve import resolve
 from facerender.scenes.view import view_of
 
 SHADERS = {
@@ -56,7 +57,7 @@ def test_a_filter_reads_what_was_shaded_and_a_depth(renderer, head, samples, def
         uniforms=scene_uniforms(scene, above),
     )
     visibility = Visibility.of(scene, view, SIZE, samples) if deferred else None
-    shaded = shade_pass(scene, view, fr.Shading(), samples, visibility=visibility)
+    shaded = shade_pass(resolve(scene, fr.Shading()), view, samples, visibility=visibility)
     shaded = replace(shaded, target=replace(shaded.target, sampled=True))
     before = [visibility.drawn()] if visibility else []
     join = Pass("join", Target(), (Draw(Program("join.frag", "screen.vert"), {}),))

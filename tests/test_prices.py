@@ -16,7 +16,7 @@ from benchmarks.prices import amd
 from benchmarks.prices import table as written
 from benchmarks.prices.__main__ import main
 from benchmarks.prices.table import all_seconds, all_terms, compiled, cycles
-from facerender.drawing.program import Lighting
+from facerender.drawing.resolve import Lighting, resolve
 from facerender.errors import NotMeasured
 from facerender.glsl.code import term_macros
 from facerender.lobes import GPower
@@ -25,7 +25,6 @@ from facerender.pricing import fragment, scatter
 from facerender.pricing import table as prices
 from facerender.pricing.table import Prices, load_prices, variants
 from facerender.scenes.light import LIGHTS
-from facerender.scenes.scene import slope_ranges
 from facerender.shading import Shading
 from tests.conftest import missing
 
@@ -206,7 +205,7 @@ def test_measured_prices_serve_a_whole_plan(egl, bare, tmp_path, monkeypatch):
     Image.fromarray(np.repeat(np.uint8([[20, 250]]), 4, axis=0)).save(tmp_path / "rough.png")
     rough = fr.Texture.open(tmp_path / "rough.png")
     scene = fr.Scene(bare.with_material(roughness_map=rough, ks=0.05), lights=KEY)
-    assert slope_ranges(scene, Shading())[0][1] > 0.9
+    assert resolve(scene, Shading()).slopes[0][1] > 0.9
     with fr.Renderer((32, 32), samples=1, backend=egl) as renderer:
         for budget in ("2/255", "10/255", "20/255", "40/255"):
             plan = fr.plan(scene, budget, renderer=renderer, cost="here")

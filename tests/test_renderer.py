@@ -28,14 +28,14 @@ from facerender.drawing.context import Backend, create_context
 from facerender.drawing.gl_state import CAPABILITIES, STATE
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.prepare import simplify
-from facerender.drawing.program import LightGroup, Program
+from facerender.drawing.program import Program
+from facerender.drawing.resolve import LightGroup, resolve
 from facerender.glsl.code import prelude
 from facerender.images.image import ImageData
 from facerender.images.read import read_image
 from facerender.lobes import GPower
 from facerender.measure.error import block_error, point_error
 from facerender.scenes import mips
-from facerender.scenes.scene import slope_ranges
 from facerender.scenes.view import view_of
 from facerender.terms import MODELS, Model
 from tests.awkward_files import MINI_HEAD
@@ -141,8 +141,8 @@ def test_layers_are_the_specular_terms_of_the_lights(renderer, head, light):
 
 def programs_of(scene: fr.Scene, shading: fr.Shading) -> list[Program]:
     """What the renderer would compile."""
-    scene = simplify(scene, shading)
-    return [draw.program for draw in shade_pass(scene, view_of(scene, 1.0), shading, 1).draws]
+    drawn = shade_pass(resolve(scene, shading), view_of(scene, 1.0), 1)
+    return [draw.program for draw in drawn.draws]
 
 
 def test_what_a_shading_leaves_out_is_not_compiled(head):
@@ -901,7 +901,7 @@ def test_each_part_gets_the_lobe_that_its_slopes_allow(transparent, pair):
 
 
 def test_slope_range_chooses_the_form_of_the_half_vector(pair):
-    ranges = slope_ranges(fr.Scene(pair), fr.Shading())
+    ranges = resolve(fr.Scene(pair), fr.Shading()).slopes
     assert ranges[0] == (0.75, 0.75)
     texts = [prelude([fr.Term().for_slopes(*ends)], ends[0]) for ends in ranges]
     assert ["FR_SMALL_SLOPE 0" in text for text in texts] == [True, False]

@@ -14,9 +14,9 @@ import facerender as fr
 from facerender.commands import main
 from facerender.drawing import reference
 from facerender.drawing.program import surface_features
+from facerender.drawing.resolve import resolve
 from facerender.images.read import read_image
 from facerender.scenes.light import parse_light
-from facerender.scenes.scene import slope_ranges
 from tests.conftest import require_module
 from tests.verification.slope_filter import disc, filtered, flicker, relief, slopes_of
 
@@ -88,7 +88,7 @@ def test_pixels_agree_with_float64(egl, head, monkeypatch, curvature, deferred):
     covered = gbuffer.part >= 0
     assert error[covered].max() < 1e-4
     m = gbuffer.m[covered]
-    ((low, high),) = slope_ranges(scene, shading)
+    ((low, high),) = resolve(scene, shading).slopes
     assert low * (1.0 - 1e-6) <= m.min()
     assert 0.21 < m.max() <= high
 
@@ -117,7 +117,7 @@ def test_off_is_off(renderer, head):
     covered = renderer.gbuffer(fr.Scene(mesh), off).part >= 0
     assert np.ptp(renderer.gbuffer(fr.Scene(mesh), off).m[covered]) == 0.0
     assert np.ptp(renderer.gbuffer(fr.Scene(mesh), fr.Shading()).m[covered]) > 0.01
-    assert slope_ranges(fr.Scene(mesh), off) == [(0.3, 0.3)]
+    assert resolve(fr.Scene(mesh), off).slopes == [(0.3, 0.3)]
     light = fr.Light(irradiance=2.0)
     assert light.kind.name == "directional"
     assert replace(light, radius=0.1).kind.name == "disc"

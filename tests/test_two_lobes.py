@@ -14,9 +14,9 @@ from benchmarks.prices import amd
 from facerender import InputError, brdf
 from facerender.drawing import reference
 from facerender.drawing.passes.shade import shade_pass
+from facerender.drawing.resolve import resolve
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import load_prices
-from facerender.scenes.scene import slope_ranges
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import view_of
 from tests.conftest import missing
@@ -65,7 +65,7 @@ def test_every_pixel_agrees_with_float64(renderer, head, shading, deferred, monk
 def test_off_is_the_program_of_one_lobe(renderer, head, off):
     def programs(mesh):
         scene = fr.Scene(mesh)
-        drawn = shade_pass(scene, view_of(scene, 1.0), fr.Shading(), 1)
+        drawn = shade_pass(resolve(scene, fr.Shading()), view_of(scene, 1.0), 1)
         return [draw.program.sources("330 core") for draw in drawn.draws]
 
     plain = programs(head)
@@ -93,14 +93,14 @@ def test_the_mask_is_white_where_the_second_lobe_is(renderer, head):
 def test_both_slopes_lie_in_the_domain_of_the_lobe(renderer, head):
     as_they_are = fr.Shading(lobe="d8", slope_filter=False)
     mesh = head.with_material(m=0.3, second_slope=3.0, lobe_weight=0.5)
-    assert slope_ranges(fr.Scene(mesh), as_they_are)[0] == pytest.approx((0.3, 0.9))
+    assert resolve(fr.Scene(mesh), as_they_are).slopes[0] == pytest.approx((0.3, 0.9))
     with pytest.raises(InputError, match=r"m = 0.9 is outside the domain of lobe d8"):
         renderer.render(fr.Scene(mesh), as_they_are)
     frame = renderer.render(fr.Scene(mesh), fr.Shading(lobe="d8", outside="exact"))
     assert frame.metadata["lobe of each part"].startswith("exact")
     sharp = head.with_material(second_slope=0.3, lobe_weight=0.5)
-    low, high = slope_ranges(fr.Scene(head), as_they_are)[0]
-    assert slope_ranges(fr.Scene(sharp), as_they_are)[0] == pytest.approx((0.3 * low, high))
+    low, high = resolve(fr.Scene(head), as_they_are).slopes[0]
+    assert resolve(fr.Scene(sharp), as_they_are).slopes[0] == pytest.approx((0.3 * low, high))
 
 
 @pytest.mark.parametrize(

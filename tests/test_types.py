@@ -78,7 +78,7 @@ def objects(egl: Any) -> Iterator[dict[str, Any]]:
             **{"load_environment file": fr.EnvironmentFile("studio"), "file": "studio"},
             **{"path": "a.png", "reference": frame, "image": frame, "budget": "1/255"},
             **{"context": renderer.context.gl, "renderer": renderer, "text": "void main() {}"},
-            **{"pictures": [], "x": 0.1, "y": 0.0, "size": (8, 8), "triangles": 300, "aspect": 1.0},
+            **{"images": [], "x": 0.1, "y": 0.0, "size": (8, 8), "triangles": 300, "aspect": 1.0},
             **{"samples": 1, "table": {}, "tables": {}, "positions": np.eye(3), "backend": egl},
             **{"faces": [[0, 1, 2]], "texels": np.eye(3), "shader_source name": "ward"},
             **{"Texture.from_image image": Image.new("RGB", (2, 2)), "only": None},

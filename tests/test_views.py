@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 import weakref
@@ -254,31 +253,55 @@ def test_a_movie(tmp_path: Path):
     }
 
 
+# imageio-ffmpeg leaves the pipe to an encoder that has ended to the garbage collector.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(
     ("script", "message"),
-    [  # it ends before it has read what is sent to it, or says first more than a pipe holds
+    [  # it ends before it has read its input, or writes more than a pipe holds, or says nothing
         ("/bin/sh\necho 'Unknown encoder' >&2\nexit 1", r"made no .mp4 \(Unknown encoder\):"),
         ("/bin/sh\nyes odd | head -c 300000 >&2\ncat >/dev/null\nexit 1", r"made no .mp4 \(odd\):"),
-        ("/no/such/shell", "cannot start .*ffmpeg: no such file .*;"),
+        ("/bin/sh\nexit 1", r"made no .mp4 \(it ended early\):"),
+        ("/bin/sh\ncat >/dev/null", r"made no .mp4 \(the file is not complete\):"),
+        ("/no/such/shell", "cannot start ffmpeg: no such file .*;"),
     ],
 )
-def test_an_ffmpeg_that_fails_is_told_of(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, message: str
+def test_an_ffmpeg_that_fails(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    script: str,
+    message: str,
 ):
+    require_module("imageio_ffmpeg")
     encoder = tmp_path / "ffmpeg"
     encoder.write_text(f"#!{script}\n")
     encoder.chmod(0o700)
-    monkeypatch.setattr(shutil, "which", lambda name: str(encoder))
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(encoder))
     many = (np.zeros((512, 512, 3), dtype=np.uint8) for _ in range(8))
     with pytest.raises(fr.InputError, match=f"{message} give .gif or .webp"):
         fr.save_animation(tmp_path / "a.mp4", many)
     assert [each.name for each in tmp_path.iterdir()] == ["ffmpeg"]
+    assert capfd.readouterr() == ("", "")
 
 
-def test_without_an_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(shutil, "which", lambda name: None)
+def test_a_broken_pipe_to_ffmpeg_does_not_end_the_command(run: Run, monkeypatch, tmp_path: Path):
+    """The command line has SIGPIPE end the process."""
+    encoder = tmp_path / "ffmpeg"
+    encoder.write_text("#!/bin/sh\nexit 1\n")
+    encoder.chmod(0o700)
+    command = [sys.executable, "-m", "facerender", "render", str(MINI_HEAD), "--size", "256"]
+    command += ["--camera", "turntable:3", "-o", "a.mp4"]
+    environment = {**os.environ, "IMAGEIO_FFMPEG_EXE": str(encoder)}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert done.returncode == 2
+    assert "ffmpeg made no .mp4 (it ended early): give .gif or .webp" in done.stderr
+
+
+def test_without_imageio_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(fr.InputError, match="no ffmpeg for an .mp4 .*: apt-get install ffmpeg, or"):
+    with pytest.raises(
+        fr.InputError, match=r"no ffmpeg for an .mp4 .*: pip install 'facerender\[mp"
+    ):
         fr.save_animation(tmp_path / "a.mp4", [np.zeros((4, 4, 3), dtype=np.uint8)])
 
 
@@ -290,7 +313,7 @@ def test_an_animation_that_stops_leaves_nothing(tmp_path: Path):
     for suffix in animation.MOVING[:2]:
         with pytest.raises(fr.InputError, match="no more"):
             fr.save_animation(tmp_path / f"a{suffix}", pictures())
-    with pytest.raises(fr.InputError, match="would have no picture"):
+    with pytest.raises(fr.InputError, match="would have no image"):
         fr.save_animation(tmp_path / "a.gif", [])
     assert list(tmp_path.iterdir()) == []
 

@@ -9,8 +9,7 @@ import argparse
 import os
 from pathlib import Path
 
-from benchmarks.pairs.suite import draw_suite
-from tests.verification.pairs.changes import CHANGES
+from benchmarks.pairs.suite import SUITE, draw_suite
 from tests.verification.pairs.scenes import SETTINGS
 
 
@@ -18,7 +17,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.pairs", description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--scenes", nargs="+", choices=SETTINGS, default=[*SETTINGS])
-    parser.add_argument("--changes", nargs="+", choices=CHANGES, default=[*CHANGES])
+    parser.add_argument("--changes", nargs="+", choices=SUITE, default=[*SUITE])
     given = parser.parse_args()
     os.environ.setdefault("LP_NUM_THREADS", "1")
     for scene in draw_suite(given.out, given.scenes, given.changes):

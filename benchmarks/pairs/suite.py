@@ -10,8 +10,10 @@ from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
 
+from benchmarks.pairs.webgl import draw_webgl
 from facerender.system.atomic import write_text
-from tests.verification.pairs.changes import CHANGES, Change
+from tests.verification import chromium
+from tests.verification.pairs.changes import CHANGES, Against, Change, with_one_sample
 from tests.verification.pairs.draw import Pair, draw
 from tests.verification.pairs.room import Room
 from tests.verification.pairs.scenes import SETTINGS, Setting
@@ -19,6 +21,18 @@ from tests.verification.pairs.scenes import SETTINGS, Setting
 INDEX = "index.json"
 WORKERS = 2
 _PAIRS = "pairs.json"
+
+
+def swiftshader(room: Room) -> Against:
+    """WebGL 2 on SwiftShader, with one sample."""
+    from playwright.sync_api import sync_playwright
+
+    scene = room.scene, room.setting.shading, room.size, room.setting.float_albedo
+    with sync_playwright() as playwright, chromium.launch(playwright) as browser:
+        return with_one_sample(room, draw_webgl(browser, *scene), "SwiftShader")
+
+
+SUITE = CHANGES | {"SwiftShader": Change("SwiftShader", "pass", swiftshader)}
 
 
 def draw_missing(setting: Setting, out: Path, names: Sequence[str]) -> None:
@@ -31,11 +45,11 @@ def draw_missing(setting: Setting, out: Path, names: Sequence[str]) -> None:
     there = {key for key, pair in known.items() if (out / pair.image).exists()}
     room = Room(setting)
     for name in names:
-        change = CHANGES[name]
+        change = SUITE[name]
         formats = change.formats if isinstance(change, Change) else ("png",)
         if name in absent or all((name, each) in there for each in formats):
             continue
-        pairs = [*draw(room, name, out)]
+        pairs = [*draw(room, change, out)]
         known |= {(pair.change, pair.format): pair for pair in pairs}
         if not pairs:
             absent.add(name)
@@ -52,7 +66,7 @@ def draw_scene(name: str, out: Path, changes: Sequence[str]) -> str:
 def draw_suite(
     out: Path,
     scenes: Sequence[str] = (*SETTINGS,),
-    changes: Sequence[str] = (*CHANGES,),
+    changes: Sequence[str] = (*SUITE,),
 ) -> Iterator[str]:
     """Draw the pairs that a folder lacks, and keep the index there; yields the scenes as they are
     done."""

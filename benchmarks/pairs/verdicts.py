@@ -25,12 +25,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.pairs.peers import PEERS, present
-from benchmarks.pairs.suite import INDEX, WORKERS, read_pairs
+from benchmarks.pairs.suite import INDEX, SUITE, WORKERS, read_pairs
 from facerender import __version__
 from facerender.comparison.compare import compare
 from facerender.errors import InputError
 from facerender.system.atomic import write_text
-from tests.verification.pairs.changes import CHANGES, Format, Must
+from tests.verification.pairs.changes import Format, Must
 from tests.verification.pairs.draw import Pair
 from tests.verification.pairs.scenes import Half
 
@@ -149,9 +149,7 @@ def summed(judged: Sequence[Judged], change: str, half: Half, kind: Format) -> T
         for each in judged
         if (each.pair.change, each.pair.half, each.pair.format) == (change, half, kind)
     ]
-    return (
-        Tally(change, CHANGES[change].must, half, kind, sum(found), len(found)) if found else None
-    )
+    return Tally(change, SUITE[change].must, half, kind, sum(found), len(found)) if found else None
 
 
 def scores(judged: Sequence[Judged]) -> Iterator[Score]:
@@ -198,7 +196,7 @@ def main() -> None:
         for each in judged:
             if (each.differences[FACERENDER] > 0.0) != (each.pair.must == "fail"):
                 print("missed" if each.pair.must == "fail" else "alarm", each.pair.image)
-        counts = (summed(judged, *each) for each in product(CHANGES, HALVES, FORMATS))
+        counts = (summed(judged, *each) for each in product(SUITE, HALVES, FORMATS))
         tallies = tuple(each for each in counts if each)
     write_summary(given.output, Summary(versions, tuple(scores(judged)), tallies))
 

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.batch.jobs import OUTPUTS, check_outputs, file_name
-from facerender.drawing.frame import Frame
-from facerender.drawing.reference import data_view
+from facerender.drawing.frame import Frame, data_view
 from facerender.errors import InputError
 from facerender.images.exr import exr_bytes, openexr
 from facerender.images.write import png_bytes
@@ -199,7 +198,7 @@ def _depth_scale(view: View, mesh: Mesh) -> float:
     """Units of a mesh in a step of 16 bits: the farthest depth that it can have, which is that of
     its bounding sphere, is the last step. Cameras as far away as each other share it, whatever they
     see, on every driver."""
-    farthest = 1.0 - float(view.eye @ view.forward)
+    farthest = 1.0 - float(view.position @ view.forward)
     return max(farthest, 0.0) * mesh.radius / _MOST or 1.0  # where all is behind the camera
 
 

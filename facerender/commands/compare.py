@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from typing import Any
 
 from numpy.typing import NDArray
 
 from facerender.commands.common import add_verbose, check_outputs, steps
 from facerender.commands.streams import say, tell
-from facerender.comparison.compare import LIMITS
+from facerender.comparison.result import LIMITS
 from facerender.errors import InputError, warn
 from facerender.images.read import read_image
+from facerender.system.atomic import write_text
 
 LIMITED = {
     "point": "excess of a pixel over what its neighbours explain",
-    "block": "change of the mean of a block, as a share",
+    "block": "change of the mean of a block, as a fraction",
     "trend": "how far neighbouring blocks change alike",
-    "grain": "noise that the image has more, as a share",
-    "texture": "fine detail that the image has more, or less, as a share",
-    "coverage": "share of the pixels whose coverage changed",
+    "grain": "noise that the image has more, as a fraction",
+    "texture": "fine detail that the image has more, or less, as a fraction",
+    "coverage": "fraction of the pixels whose coverage changed",
     "shift": "pixels by which the image is moved",
 }
 
@@ -39,29 +41,31 @@ def add(compare: argparse.ArgumentParser) -> None:
     compare.add_argument(
         "--limits",
         metavar="FILE",
-        help="take limits that are not given from an ini file, pytest's, or pyproject.toml",
+        help="file with limits that no option sets: pytest's ini file, or pyproject.toml",
     )
     compare.add_argument(
         "--calibrate",
         metavar="DIR",
         help="find limits that pairs of images pass, those of one name in two folders of DIR, one "
-        "for each run or driver; tell what they still see; write them into the file of --limits",
+        "for each run or driver, and print them as a section of pytest's ini file",
+    )
+    compare.add_argument(
+        "-o", "--output", metavar="FILE", help="with --calibrate: a new .ini, .cfg or .toml file"
     )
     compare.add_argument("--mask", metavar="FILE", help="image, not 0 where pixels count")
     compare.add_argument("--heatmap", metavar="OUT.png", help="map of FLIP, for two images")
     compare.add_argument("--report", metavar="OUT.html", help="a page to look at the images")
-    compare.add_argument("--json", action="store_true", help="every figure")
+    compare.add_argument("--json", action="store_true", help="every metric")
     add_verbose(compare)
 
 
 def default_of(name: str) -> str:
-    """Return a limit's default, as help tells it."""
+    """Return a limit's default, for the help text."""
     linear, encoded = (getattr(LIMITS[encoding], name) for encoding in ("linear", "srgb8"))
     return f"{linear:g}" + (f"; 8-bit: {encoded:g} of 255" if encoded != linear else "")
 
 
 def run(options: argparse.Namespace) -> int:
-    from facerender.comparison.limits_file import read_limits
     from facerender.comparison.pairs import Pair, pairs_of
     from facerender.comparison.report import entry, write_report
     from facerender.comparison.visualization import save_heat_map
@@ -69,11 +73,12 @@ def run(options: argparse.Namespace) -> int:
     mask = read_image(options.mask).color.max(axis=-1) if options.mask else None
     if options.calibrate:
         return calibrate(options, mask)
+    if options.output:
+        raise InputError("-o writes the limits of --calibrate: leave it out")
     if options.b is None:
         raise InputError("one image alone: give A and B, or --calibrate and a folder")
-    limits = {name: getattr(options, name) for name in LIMITED}
-    kept = read_limits(options.limits) if options.limits else {}
     names = pairs_of(options.a, options.b)
+    limits = limits_of(options)
     if options.heatmap and len(names) > 1:
         raise InputError(f"--heatmap takes two images, not the {len(names)} of two folders")
     read = [path for _, *paths in names for path in paths]
@@ -83,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
     with steps(options) as progress:
         for number, name in enumerate(names):
             progress(all_pairs, number / len(names))
-            pair = Pair.of(*name, kept, mask=mask, **limits)
+            pair = Pair.of(*name, mask=mask, **limits)
             status = max(status, pair.status)
             results.append(pair.as_dict())
             if options.report:
@@ -104,28 +109,34 @@ def run(options: argparse.Namespace) -> int:
     return status
 
 
+def limits_of(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the limits of the options, and those of the file by encoding."""
+    from facerender.comparison.limits_file import read_limits
+
+    limits: dict[str, Any] = {name: getattr(options, name) for name in LIMITED}
+    return {"limits": read_limits(options.limits) if options.limits else {}, **limits}
+
+
 def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     """Find limits in place of comparing."""
     from facerender.comparison.calibration import calibration_of, runs_of
-    from facerender.comparison.limits_file import text_of, write_limits
+    from facerender.comparison.limits_file import text_of
 
-    given = ("a", *LIMITED, "heatmap", "report")
-    for name in given:
+    for name in ("a", *LIMITED, "limits", "heatmap", "report"):
         if getattr(options, name) is not None:
-            shown = name.upper() if name == "a" else f"--{name}"
-            raise InputError(f"--calibrate finds limits and compares nothing: leave out {shown}")
+            option = name.upper() if name == "a" else f"--{name}"
+            raise InputError(f"--calibrate finds limits and compares nothing: leave out {option}")
     pairs = runs_of(options.calibrate)
-    check_outputs([options.limits], [options.mask])
+    check_outputs([options.output], [options.mask])
+    if options.output and os.path.exists(options.output):
+        raise InputError(f"{options.output} exists: give a new file, and paste its sections there")
     with steps(options) as progress:
         found = calibration_of(pairs, mask, progress)
-    limits = {each.encoding: each.noted for each in found}
     for each in found:
-        for told in each.blind:
-            warn(told)
-    if options.json:
-        tell(json.dumps([each.as_dict() for each in found], indent=2))
-    else:
-        tell(text_of(options.limits or "pytest.ini", limits))
-    if options.limits:
-        write_limits(options.limits, limits)
+        for text in each.blind:
+            warn(text)
+    text = text_of(options.output or "pytest.ini", {each.encoding: each.noted for each in found})
+    tell(json.dumps([each.as_dict() for each in found], indent=2) if options.json else text)
+    if options.output:
+        write_text(options.output, f"{text}\n")
     return 0

@@ -1,7 +1,7 @@
 """What many small changes say together: a lobe, a weight or an exposure that changed.
 
 Blocks of 16 x 16 pixels hold the mean change, smooth pixels weighing more than those at edges and
-in texture, less what a displacement of the whole picture explains; and its standard error, from
+in texture, less what a displacement of the whole image explains; and its standard error, from
 how cells of 4 x 4 pixels scatter within the block, and from the grain of the difference. Changes
 of drivers, cameras and codecs scatter, and neighbouring blocks do not agree on them; a lobe or a
 weight that changed is smooth over the face. The trend is the mean product of neighbouring blocks'
@@ -22,7 +22,7 @@ from facerender.comparison.neighbourhoods import Float, Mask, filtered
 BLOCK, _CELL = 16, 4  # pixels a side
 LEAST = 48  # pixels that a block needs to be judged
 FLOOR = 0.01  # radiance below which relative differences are taken of this
-MOVED = 0.25  # pixels by which the whole picture may lie elsewhere
+MOVED = 0.25  # pixels by which the whole image may lie elsewhere
 _WILD = 1e3  # levels beyond which steps are cut off, since their squares would overflow
 _SPREAD = 4.0  # cells that a judged block's weight has to be spread over, and more
 _FEW = 4  # changed blocks, fewer of which have no grain or texture
@@ -40,7 +40,7 @@ class Scale:
     edge : step to a neighbour from which on a pixel does not count
     flat : likewise for the grain
     error : standard error that a block has at least
-    grain : share of the grain that a block's mean may be off by
+    grain : fraction of the grain that a block's mean may be off by
     drift : by which another driver's filter of 8-bit textures moves means: 0.3 steps of 255
     """
 
@@ -57,7 +57,7 @@ LINEAR = Scale(5e-4, 0.1, 0.5, 0.015, 1e-4, 2.0, 2.8e-3)
 STEPS = Scale(0.3, 0.1, 50.0, 10.0, 0.01, 0.8, 0.3)
 
 
-def cells(values: Float | Mask) -> NDArray[np.float32]:
+def cell_sums(values: Float | Mask) -> NDArray[np.float32]:
     """Return the sums over cells of 4 x 4 pixels, those beyond the border being 0."""
     padding = [(0, -side % _CELL) for side in values.shape]
     padded: NDArray[Any] = np.pad(values, padding) if np.any(padding) else values
@@ -67,7 +67,7 @@ def cells(values: Float | Mask) -> NDArray[np.float32]:
     return np.asarray(sum(rows[:, column::_CELL] for column in range(_CELL)))
 
 
-def blocks(of_cells: NDArray[np.floating]) -> NDArray[np.float64]:
+def block_sums(of_cells: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return the sums over blocks, of sums (H, W) over cells."""
     side = BLOCK // _CELL
     padded = np.pad(of_cells, [(0, -each % side) for each in of_cells.shape])
@@ -76,7 +76,7 @@ def blocks(of_cells: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
-class Sums:
+class BlockSums:
     """What a strip of the images comes to: (H, W) over cells of 4 x 4 pixels, the mean of the
     channels, and over blocks. A pixel's change and level are divided by its level, the largest of
     its channels; in steps of 8 bits by 1.
@@ -105,7 +105,7 @@ class Sums:
     normal: NDArray[np.float64]
 
     @classmethod
-    def of(cls, a: Float, b: Float, inside: Mask, rows: slice, scale: Scale) -> Sums:
+    def of(cls, a: Float, b: Float, inside: Mask, rows: slice, scale: Scale) -> BlockSums:
         """Return the sums over some rows of two images (H, W, C); the others lie around them.
 
         inside : (H, W), where an edge of the coverage is not near
@@ -136,8 +136,8 @@ class Sums:
             normal += [[np.vdot(each, other) for other in (*slopes, change)] for each in weighted]
             least = np.float32(FLOOR if scale is LINEAR else 0.0)
             parts = (change, *slopes, np.maximum(np.abs(x[rows]), least))
-            of_cells.append([cells(weight * part) for part in parts])
-            of_blocks.append([blocks(each) for each in of_cells[-1]])
+            of_cells.append([cell_sums(weight * part) for part in parts])
+            of_blocks.append([block_sums(each) for each in of_cells[-1]])
         change, across, down, _ = np.mean(of_cells, axis=0)
         wild = np.float32(_WILD)
         fine = [
@@ -147,19 +147,19 @@ class Sums:
         squares = [_common(each) for each in (apart, *fine)]
         own = sum(np.square(each) for each in apart) / np.float32(count) - squares[0]
         return cls(
-            cells(weight * level),
+            cell_sums(weight * level),
             change,
             across,
             down,
             np.stack(of_blocks),
-            np.stack([blocks(cells(each)) for each in (counted, flat)]),
-            np.stack([blocks(cells(flat * each)) for each in (*squares, own)]),
-            np.stack([blocks(cells(counted * each)) for each in squares[1:]]),
+            np.stack([block_sums(cell_sums(each)) for each in (counted, flat)]),
+            np.stack([block_sums(cell_sums(flat * each)) for each in (*squares, own)]),
+            np.stack([block_sums(cell_sums(counted * each)) for each in squares[1:]]),
             normal,
         )
 
     @classmethod
-    def joined(cls, strips: list[Sums]) -> Sums:
+    def joined(cls, strips: list[BlockSums]) -> BlockSums:
         """Return the sums of strips that lie below each other."""
         *parts, normals = zip(*(vars(strip).values() for strip in strips), strict=True)
         joined = [np.concatenate(part, axis=-2) for part in parts]
@@ -167,19 +167,19 @@ class Sums:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class BlockStatistics:
     """What the sums over two whole images say.
 
     Attributes
     ----------
     sums, scale : that it is drawn from
     foreign : whether another driver drew the image
-    moved : pixels by which the whole picture may lie elsewhere
+    moved : pixels by which the whole image may lie elsewhere
     allowed : standard error that blocks have besides
     looser : standard error that they have besides for the trend alone
     """
 
-    sums: Sums
+    sums: BlockSums
     scale: Scale
     foreign: bool = False
     moved: float = MOVED
@@ -220,17 +220,17 @@ class Evidence:
 
     @cached_property
     def _weight(self) -> NDArray[np.float64]:
-        return np.asarray(np.maximum(blocks(self.sums.weight), 1e-12))
+        return np.asarray(np.maximum(block_sums(self.sums.weight), 1e-12))
 
     @cached_property
     def _cells(self) -> NDArray[np.float64]:
         """How many cells a block has, by their weight."""
-        return np.asarray(self._weight**2 / np.maximum(blocks(self.sums.weight**2), 1e-12))
+        return np.asarray(self._weight**2 / np.maximum(block_sums(self.sums.weight**2), 1e-12))
 
     @cached_property
     def change(self) -> NDArray[np.float64]:
         """Of each block's mean, of all channels."""
-        return blocks(self._changes) / self._weight
+        return block_sums(self._changes) / self._weight
 
     @cached_property
     def error(self) -> NDArray[np.float64]:
@@ -238,7 +238,7 @@ class Evidence:
         weight, side = self.sums.weight, BLOCK // _CELL
         mean = np.repeat(np.repeat(self.change, side, axis=0), side, axis=1)
         apart = self._changes - weight * mean[: weight.shape[0], : weight.shape[1]]
-        scatter = blocks(np.square(apart)) / self._weight**2
+        scatter = block_sums(np.square(apart)) / self._weight**2
         scatter *= self._cells / np.maximum(self._cells - 1.0, 1.0)
         least = self.scale.error**2 + self.allowed**2 + self.scale.grain**2 * self._grains[0]
         if self.foreign:
@@ -280,7 +280,7 @@ class Evidence:
 
     @cached_property
     def texture(self) -> float:
-        """By which share the image has more variance from pixel to pixel than the reference, of
+        """By which fraction the image has more variance from pixel to pixel than the reference, of
         both together: the median over blocks."""
         if self.changed.sum() < _FEW:
             return 0.0
@@ -302,7 +302,7 @@ class Evidence:
         return float(self._products.mean()) if self._products.size else 0.0
 
     @property
-    def surety(self) -> float:
+    def z_score(self) -> float:
         """The trend over its own standard error, were there none."""
         return self.trend * float(np.sqrt(self._products.size))
 

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.comparison.compare import FULL, HIGHEST, LIMITS, Limits, compare
+from facerender.comparison.compare import FULL, compare
 from facerender.comparison.limits_file import NAMES
 from facerender.comparison.neighbourhoods import filtered
 from facerender.comparison.pairs import pairs_of
-from facerender.comparison.verdict import changed_alike
+from facerender.comparison.result import HIGHEST, LIMITS, Limits
 from facerender.errors import InputError, reason
 from facerender.images.image import Encoding, ImageData
 from facerender.images.read import read_image
@@ -280,7 +280,7 @@ def _seen(
         if gate == "trend":
             given["block"] = limits.block
         result = compare(a, replace(b, pixels=pixels), mask=mask, **given)
-        return changed_alike(result) if gate == "trend" else not result.same
+        return result.changed_alike if gate == "trend" else not result.same
 
     def brighter(by: float) -> NDArray[Any]:
         changed = color.astype(np.float32)

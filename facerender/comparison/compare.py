@@ -1,7 +1,7 @@
-"""Whether two renders are the same: gates that fail on a broken highlight and pass on what drivers
+"""Whether two renders are the same: checks that fail on a broken highlight and pass on what drivers
 do differently. Images come from arrays, frames or files; nothing here needs OpenGL.
 
-The point gate sees a few wrong pixels, beyond what their neighbourhood explains; the block gate a
+The point check sees a few wrong pixels, beyond what their neighbourhood explains; the block check a
 mean of 16 x 16 pixels that changed; the trend many blocks that changed by little, alike; the grain
 noise from pixel to pixel; coverage and shift another mesh or camera.
 """
@@ -10,140 +10,31 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.comparison import neighbourhoods as nearby
-from facerender.comparison.blocks import BLOCK, LINEAR, MOVED, STEPS, Evidence, Sums
+from facerender.comparison.blocks import BLOCK, LINEAR, STEPS, BlockStatistics, BlockSums
 from facerender.comparison.neighbourhoods import Float, Mask, excess, filtered, holes
+from facerender.comparison.result import HIGHEST, LIMITS, Comparison, Limits
 from facerender.comparison.shift_range import explained
 from facerender.comparison.verdict import reasons_of
 from facerender.drawing.frame import Frame
-from facerender.errors import InputError, check_range
+from facerender.errors import InputError, warn
 from facerender.images.image import Encoding, ImageData, PixelRange, image_from_array
 from facerender.images.read import read_image
 
 MARGIN = 2  # pixels from the edge of the coverage, where a block does not look
 FADED = 0.2  # excess of coverage that counts as changed
 FULL = 0.99  # coverage from which a pixel is inside: half floats and filters miss 1
-HIGHEST = 1e30  # of values, whose differences and sums are finite then
 _STRIP = 1 << 18  # pixels that are compared at once: what lies in caches, in whole blocks
 _LOOSER = 3.0  # standard errors of a block, that a looser limit for blocks adds
 _HALO = 8  # rows beyond a strip that its pixels are compared with
 
 Comparable = ImageData | Frame | NDArray[Any] | str | os.PathLike[str]
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What two images that count as the same may differ by.
-
-    Attributes
-    ----------
-    point : excess of a pixel beyond what its neighbourhood explains; radiance, or steps of 8 bits
-    block : change of a block's mean, less what a shift explains; relative to that mean, 0.01 at
-        least, or steps
-    trend : mean product of neighbouring blocks' changes, each over its standard error; without a
-        change it is 0. A looser limit for blocks makes it smaller, so that it passes likewise
-    grain : RMS from one pixel to the next that the image may have more than the reference, and half
-        of what it may have less; relative to the level, or steps
-    texture : share of the variance from one pixel to the next that was added or lost, in [0, 1]
-    coverage : share of all pixels whose coverage changed, in [0, 1]
-    shift : pixels by which the whole image may be displaced
-    """
-
-    point: float
-    block: float
-    trend: float = 0.15
-    grain: float = 9e-4
-    texture: float = 0.01
-    coverage: float = 0.005
-    shift: float = MOVED
-
-    def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            check_range(f"limit {name}", value, 0.0, HIGHEST)
-
-
-LIMITS: dict[Encoding, Limits] = {
-    "linear": Limits(0.005, 5e-3),
-    "srgb8": Limits(3.0, 1.0, grain=0.35),
-}
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """The figures of every gate, and what they say. Positions are (x, y) from the top left.
-    ``bool(comparison)`` is ``comparison.same``.
-
-    Attributes
-    ----------
-    reasons : why the images differ, in words; empty where they are the same
-    encoding : "linear" or "srgb8"; it gives the unit of point and block, as in :class:`Limits`
-    limits : that the figures were held against
-    foreign : whether another driver drew the image, by the files' metadata: it may filter 8-bit
-        textures differently, so that trend and grain say less
-    point, point_at : excess of the worst pixel, negative where the image is darker, and where;
-        without pixels over the limit, less what may be a sliver
-    points : pixels over the limit, by more than a sliver at an edge
-    slight : pixels over the limit, all of them
-    holes : pixels with less than a quarter of their neighbours' light in the other image
-    block, block_at : change of the worst block's mean, and its top left pixel
-    blocks, blocks_judged : blocks over the limit, and all that have enough pixels
-    trend, surety : of the blocks' changes, and the trend over its standard error
-    grain : RMS from one pixel to the next that the image has more, or less, than the reference,
-        where they are flat
-    texture : the same of variances, where they need not be, as a share of both
-    gain : by how much blocks that changed are brighter, mostly where they are smooth: relative, or
-        steps
-    shift : pixels by which the image lies to the right of the reference, and below it
-    coverage : share of the pixels whose coverage changed; 0 without an alpha channel
-    largest, mean : largest and mean absolute difference of any channel, for information
-    """
-
-    reasons: tuple[str, ...]
-    encoding: Encoding
-    size: tuple[int, int]
-    limits: Limits
-    foreign: bool
-    point: float
-    point_at: tuple[int, int]
-    points: int
-    slight: int
-    holes: int
-    block: float
-    block_at: tuple[int, int]
-    blocks: int
-    blocks_judged: int
-    trend: float
-    surety: float
-    grain: float
-    texture: float
-    gain: float
-    shift: tuple[float, float]
-    coverage: float
-    largest: float
-    mean: float
-
-    @property
-    def same(self) -> bool:
-        """Whether every gate was passed."""
-        return not self.reasons
-
-    def __bool__(self) -> bool:
-        return self.same
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return every figure, for JSON."""
-        return {"same": self.same, **asdict(self)}
-
-    def __str__(self) -> str:
-        foreign = ", as far as another driver tells" * self.foreign
-        unjudged = "" if self.blocks_judged else ", but no block could be judged"
-        return "; ".join(self.reasons) or f"same{foreign}{unjudged}"
 
 
 def compare(
@@ -165,7 +56,7 @@ def compare(
     ----------
     reference, image : a :class:`Frame`; an array (H, W, 3 or 4), linear float or 8-bit sRGB, its
         fourth channel being coverage; or the path of a .exr, .npz, .npy, .png or .jpg file
-    point, block, trend, grain, texture, coverage, shift : limits of the gates, see
+    point, block, trend, grain, texture, coverage, shift : limits of the checks, see
         :class:`Limits`; without, those of :data:`LIMITS` for the images' encoding. On one driver
         and with float textures a block limit of 1e-3 holds
     mask : (H, W), not 0 where the images count; without, everywhere
@@ -176,53 +67,68 @@ def compare(
         differ; a value anywhere that is not finite, with its place; a mask of another size, or 0
         everywhere; a limit that is none
     """
-    a, b = (as_picture(given, name) for given, name in ((reference, "A"), (image, "B")))
+    a, b = as_image(reference, "A"), as_image(image, "B")
     _check_alike(a, b)
     _check_finite(a)
     _check_finite(b)
+    if jpegs := [each.name for each in (a, b) if each.jpeg]:
+        warn(f"{' and '.join(jpegs)}: the losses of JPEG count as differences; save as PNG")
     counts = None if mask is None else _counting(mask, a)
-    given = {"point": point, "block": block, "trend": trend, "grain": grain}
-    given |= {"texture": texture, "coverage": coverage, "shift": shift}
-    said = {name: value for name, value in given.items() if value is not None}
-    limits = replace(LIMITS[a.encoding], **said)
-    foreign = _foreign((reference, image), (a, b))
-    if a.encoding == "srgb8":
-        a, b = a.encoded_as(b), b.encoded_as(a)
+    overrides = {"point": point, "block": block, "trend": trend, "grain": grain}
+    overrides |= {"texture": texture, "coverage": coverage, "shift": shift}
+    given = {name: limit for name, limit in overrides.items() if limit is not None}
+    limits = replace(LIMITS[a.encoding], **given)
+    strip = _Strip.of_all(a, b, counts, limits)
+    statistics = BlockStatistics(
+        sums=strip.sums,
+        scale=LINEAR if a.encoding == "linear" else STEPS,
+        foreign=_foreign((reference, image), (a, b)),
+        moved=limits.shift,
+        allowed=max(a.noise, b.noise) if a.noise != b.noise else 0.0,
+        looser=_LOOSER * max(limits.block - LIMITS[a.encoding].block, 0.0),
+    )
+    size = a.pixels.shape[1], a.pixels.shape[0]
+    counted = size[0] * size[1] if counts is None else int(counts.sum())
+    result = _result(a.encoding, size, counted, limits, strip, statistics)
+    return replace(result, reasons=reasons_of(result, strip.over, statistics))
 
-    found = _Strip.of_all(a, b, counts, limits)
-    scale = LINEAR if a.encoding == "linear" else STEPS
-    allowed = max(a.noise, b.noise) if a.noise != b.noise else 0.0
-    looser = _LOOSER * max(limits.block - LIMITS[a.encoding].block, 0.0)
-    evidence = Evidence(found.sums, scale, foreign, limits.shift, allowed, looser)
-    blocks = np.nan_to_num(evidence.channels)
+
+def _result(
+    encoding: Encoding,
+    size: tuple[int, int],
+    counted: int,
+    limits: Limits,
+    strip: _Strip,
+    statistics: BlockStatistics,
+) -> Comparison:
+    """Return every metric, without reasons; counted is the number of pixels that are compared."""
+    blocks = np.nan_to_num(statistics.channels)
     down, across = np.unravel_index(np.abs(blocks).argmax(), blocks.shape)
-    height, width = a.pixels.shape[:2]
-    result = Comparison(
+    return Comparison(
         reasons=(),
-        encoding=a.encoding,
-        size=(width, height),
+        encoding=encoding,
+        size=size,
         limits=limits,
-        foreign=foreign,
-        point=found.excess,
-        point_at=found.at,
-        points=int(np.count_nonzero(np.abs(found.over) > 1)),
-        slight=int(np.count_nonzero(found.over)),
-        holes=found.holes,
+        foreign=statistics.foreign,
+        point=strip.excess,
+        point_at=strip.at,
+        points=int(np.count_nonzero(np.abs(strip.over) > 1)),
+        slight=int(np.count_nonzero(strip.over)),
+        holes=strip.holes,
         block=float(blocks[down, across]),
         block_at=(int(across) * BLOCK, int(down) * BLOCK),
         blocks=int((np.abs(blocks) > limits.block).sum()),
-        blocks_judged=int(evidence.judged.sum()),
-        trend=evidence.trend,
-        surety=evidence.surety,
-        grain=evidence.grain,
-        texture=evidence.texture,
-        gain=evidence.gain,
-        shift=evidence.shift,
-        coverage=found.faded / (height * width),
-        largest=found.largest,
-        mean=found.total / int(height * width if counts is None else counts.sum()),
+        blocks_judged=int(statistics.judged.sum()),
+        trend=statistics.trend,
+        z_score=statistics.z_score,
+        grain=statistics.grain,
+        texture=statistics.texture,
+        gain=statistics.gain,
+        shift=statistics.shift,
+        coverage=strip.faded / (size[0] * size[1]),
+        largest=strip.largest,
+        mean=strip.total / counted,
     )
-    return replace(result, reasons=reasons_of(result, found.over, evidence))
 
 
 @dataclass(frozen=True)
@@ -239,7 +145,7 @@ class _Strip:
     largest, total : of the pixels' absolute differences, in the worst channel
     """
 
-    sums: Sums
+    sums: BlockSums
     over: NDArray[np.int8]
     worst: float
     excess: float
@@ -262,7 +168,7 @@ class _Strip:
             strips = list(pool.map(strip, range(0, height, tall)))
         return replace(
             max(strips, key=lambda each: each.worst),
-            sums=Sums.joined([each.sums for each in strips]),
+            sums=BlockSums.joined([each.sums for each in strips]),
             over=np.concatenate([each.over for each in strips]),
             holes=sum(each.holes for each in strips),
             faded=sum(each.faded for each in strips),
@@ -306,7 +212,7 @@ class _Strip:
         faded = 0 if whole else _faded(alpha_a, alpha_b, uncovered, own)
         apart = nearby.difference(color_a[own], color_b[own])[counted[own]]
         return cls(
-            Sums.of(color_a, color_b, inside, own, LINEAR if relative else STEPS),
+            BlockSums.of(color_a, color_b, inside, own, LINEAR if relative else STEPS),
             over.astype(np.int8),
             float(beyond[row, column]),
             float(np.copysign(worst, value[row, column])),
@@ -328,38 +234,37 @@ def _faded(a: Float, b: Float, counted: Mask, rows: slice) -> int:
     return int((changed & counted)[rows].sum())
 
 
-def _counting(mask: NDArray[Any], picture: ImageData) -> Mask:
+def _counting(mask: NDArray[Any], image: ImageData) -> Mask:
     """Return where a mask says that pixels of an image count."""
     counts: Mask = np.asarray(mask) != 0
-    if counts.shape != picture.pixels.shape[:2]:
+    if counts.shape != image.pixels.shape[:2]:
         size = _size(counts) if counts.ndim == 2 else f"of shape {counts.shape}"
-        raise InputError(f"the mask is {size}, the images are {_size(picture.pixels)} pixels")
+        raise InputError(f"the mask is {size}, the images are {_size(image.pixels)} pixels")
     if not counts.any():
         raise InputError("the mask is 0 everywhere: nothing would be compared")
     return counts
 
 
-def _foreign(given: tuple[Comparable, Comparable], pictures: tuple[ImageData, ImageData]) -> bool:
-    """Return whether another driver drew the image. Files that do not say so are of nobody known,
-    arrays of whoever drew what they are compared with."""
-    if any(isinstance(each, np.ndarray) for each in given):
+def _foreign(sources: tuple[Comparable, Comparable], images: tuple[ImageData, ImageData]) -> bool:
+    """Return whether another driver drew the image. An array counts as drawn by the driver of the
+    image that it is compared with."""
+    if any(isinstance(each, np.ndarray) for each in sources):
         return False
     one, other = (
-        [picture.metadata.get(name) for name in ("GL_RENDERER", "GL_VERSION")]
-        for picture in pictures
+        [image.metadata.get(name) for name in ("GL_RENDERER", "GL_VERSION")] for image in images
     )
     return one != other
 
 
-def as_picture(given: Comparable, name: str) -> ImageData:
-    """Return the image as pixels, whatever it was given as; name serves for errors."""
-    if isinstance(given, ImageData):
-        return given
-    if isinstance(given, Frame):
-        return ImageData(given.linear, "linear", name, given.metadata)
-    if isinstance(given, (str, os.PathLike)):
-        return read_image(given)
-    return image_from_array(np.asarray(given), name)
+def as_image(source: Comparable, name: str) -> ImageData:
+    """Return an image's pixels from any source; name is for messages."""
+    if isinstance(source, ImageData):
+        return source
+    if isinstance(source, Frame):
+        return ImageData(source.linear, "linear", name, source.metadata)
+    if isinstance(source, (str, os.PathLike)):
+        return read_image(source)
+    return image_from_array(np.asarray(source), name)
 
 
 def _check_alike(a: ImageData, b: ImageData) -> None:
@@ -381,20 +286,20 @@ def _check_alike(a: ImageData, b: ImageData) -> None:
         raise InputError(f"{', '.join(spaces)}: convert one")
 
 
-def _check_finite(picture: ImageData) -> None:
-    if picture.encoding == "srgb8":
+def _check_finite(image: ImageData) -> None:
+    if image.encoding == "srgb8":
         return
-    good = np.abs(picture.pixels) <= np.float32(HIGHEST)  # which half floats would not hold
+    good = np.abs(image.pixels) <= np.float32(HIGHEST)  # which half floats would not hold
     if good.all():
         return
     row, column, channel = np.unravel_index(int(good.argmin()), good.shape)
-    nans, infinite = (int(test(picture.pixels).sum()) for test in (np.isnan, np.isinf))
+    nans, infinite = (int(test(image.pixels).sum()) for test in (np.isnan, np.isinf))
     what = f"{nans} NaN and {infinite} infinite values"
     if not nans + infinite:
         what = f"values beyond {HIGHEST:g}"
     raise InputError(
-        f"{picture.name} holds {what}, the first at pixel ({column}, {row}), channel {channel}: "
-        "mend what drew it"
+        f"{image.name} holds {what}, the first at pixel ({column}, {row}), channel {channel}: "
+        "repair its renderer"
     )
 
 

@@ -1,5 +1,5 @@
-"""Goldens: images kept beside tests, which later ones must equal. What becomes of one image is
-here; the pytest plugin is facerender/pytest_plugin.py."""
+"""Goldens: reference images beside tests. This module compares one image with its golden and writes
+the golden; the pytest plugin is facerender/pytest_plugin.py."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from facerender import __version__
-from facerender.comparison.compare import Comparable, as_picture, compare
+from facerender.comparison.compare import Comparable, as_image, compare
 from facerender.comparison.pairs import Pair
-from facerender.comparison.shift_range import MOVES, range_of
+from facerender.comparison.shift_range import SHIFTS, range_of
 from facerender.errors import InputError, reason
 from facerender.images.exr import save_exr
 from facerender.images.image import ImageData
@@ -44,14 +44,14 @@ class Updates:
 
 
 @dataclass(frozen=True, eq=False)
-class Verdict:
-    """What became of an image.
+class GoldenResult:
+    """The result of checking an image against its golden.
 
     Attributes
     ----------
     image : with the metadata that a golden carries
     pair : it and its golden, as they were before one was written
-    golden : that it was compared with, or its place
+    golden : path of the golden, which need not exist
     written : the golden that was written, or None
     failure : why the image does not pass, with the remedy; "" where it does
     """
@@ -71,7 +71,7 @@ def renderer_name(gl_renderer: str) -> str:
 
 def check(
     name: str,
-    image: Comparable,
+    source: Comparable,
     golden: Path,
     updates: Updates = Updates(),
     written: Container[Path] = (),
@@ -79,7 +79,7 @@ def check(
     metadata: Mapping[str, str] | None = None,
     draw: Draw | None = None,
     **options: Any,
-) -> Verdict:
+) -> GoldenResult:
     """Compare an image with its golden, and write the golden where that is allowed.
 
     Parameters
@@ -89,45 +89,29 @@ def check(
         renderer that the image's metadata names
     written : goldens that another image has become meanwhile: they are not written again
     metadata : to add to the image's own
-    draw : gives the image moved by so many pixels to the right and down, of which a golden that is
-        written keeps the range; without, none
+    draw : returns the image shifted by N pixels to the right and M down; a golden that is written
+        keeps the range of each pixel over such shifts. None: no range
     options : limits and mask, see :func:`facerender.compare`
 
     Raises
     ------
     InputError : the image is not linear float, cannot be read, or the golden cannot be written
     """
-    picture = as_picture(image, "the image")
-    if picture.encoding != "linear":
-        raise InputError(
-            f"{picture.name} is 8-bit, which hides what a golden is to show: give a Frame, floats "
-            "or an EXR file"
-        )
-    if picture.pixels.shape[2] < 3:
-        raise InputError(f"{picture.name} is grey: give RGB")
-    merged = {"facerender": __version__, **picture.metadata, **(metadata or {})}
-    picture = replace(picture, metadata=merged)
-    renderer = merged.get("GL_RENDERER", "")
+    image = _linear_rgb(source, metadata or {})
+    renderer = image.metadata.get("GL_RENDERER", "")
     own = golden.with_name(f"{golden.stem}@{renderer_name(renderer)}.exr")
-    if os.path.isfile(own):
-        golden = own
-    pair = Pair.of(name, golden, picture, **options)
+    golden = own if os.path.isfile(own) else golden
+    pair = Pair.of(name, golden, image, **options)
     if pair.status == 0:
-        return Verdict(picture, pair, golden)
-
-    missing = not os.path.isfile(golden)
-    if missing and not (updates.missing or updates.differing):
-        failure = f"{golden.stem} has no golden: --facerender-update-missing writes it"
-        return Verdict(picture, pair, golden, failure=failure)
-    if not missing and not updates.differing:
-        failure = pair.error or f"{golden.stem} differs from its golden: {pair.comparison}"
-        return Verdict(picture, pair, golden, failure=failure)
-    try:
-        compare(picture, picture, **options)  # what is wrong with the image itself or its limits
-    except InputError as error:
-        return Verdict(picture, pair, golden, failure=str(error))
+        return GoldenResult(image, pair, golden)
+    failure = _why_not_written(pair, golden, updates)
+    if not failure:
+        try:
+            compare(image, image, **options)  # the image itself or its limits may be invalid
+        except InputError as error:
+            failure = str(error)
     place = golden
-    if not missing:
+    if not failure and os.path.isfile(golden):
         recorded = pair.reference.metadata.get("GL_RENDERER", "") if pair.reference else None
         if recorded != renderer and updates.alternative and renderer:
             place = own
@@ -137,32 +121,59 @@ def check(
                 f"{renderer or UNKNOWN}: --facerender-force overwrites it, "
                 "--facerender-alternative writes one for this renderer beside it"
             )
-            return Verdict(picture, pair, golden, failure=failure)
-    if place in written:
+    if not failure and place in written:
         failure = f"{place.name} was written for another image just now: give each a name"
-        return Verdict(picture, pair, golden, failure=failure)
+    if failure:
+        return GoldenResult(image, pair, golden, failure=failure)
+    _write(place, image, draw)
+    return GoldenResult(image, pair, golden, written=place)
+
+
+def _linear_rgb(source: Comparable, metadata: Mapping[str, str]) -> ImageData:
+    image = as_image(source, "the image")
+    if image.encoding != "linear":
+        raise InputError(
+            f"{image.name} is 8-bit, which hides what a golden is to show: give a Frame, floats or "
+            "an EXR file"
+        )
+    if image.pixels.shape[2] < 3:
+        raise InputError(f"{image.name} is grey: give RGB")
+    return replace(image, metadata={"facerender": __version__, **image.metadata, **metadata})
+
+
+def _why_not_written(pair: Pair, golden: Path, updates: Updates) -> str:
+    """Return why no golden may be written for a pair that differs; "" where one may."""
+    if updates.differing:
+        return ""
+    if os.path.isfile(golden):
+        return pair.error or f"{golden.stem} differs from its golden: {pair.comparison}"
+    if updates.missing:
+        return ""
+    return f"{golden.stem} has no golden: --facerender-update-missing writes it"
+
+
+def _write(path: Path, image: ImageData, draw: Draw | None) -> None:
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"cannot make {place.parent}: {reason(error)}") from None
-    moved = None if draw is None else range_of([picture, *_moved(picture, draw)])
-    save_exr(place, picture.pixels, picture.metadata, moved)
-    return Verdict(picture, pair, golden, written=place)
+        raise InputError(f"cannot make {path.parent}: {reason(error)}") from None
+    shift_range = None if draw is None else range_of([image, *_shifted(image, draw)])
+    save_exr(path, image.pixels, image.metadata, shift_range)
 
 
-def _moved(picture: ImageData, draw: Draw) -> list[ImageData]:
-    """Draw an image moved by a hair.
+def _shifted(image: ImageData, draw: Draw) -> list[ImageData]:
+    """Draw an image at every one of :data:`SHIFTS`.
 
     Raises
     ------
-    InputError : what is drawn cannot be compared with the image, or is moved by more
+    InputError : what is drawn cannot be compared with the image, or is shifted by more
     """
-    drawn = [as_picture(draw(x, y), f"what draw({x:g}, {y:g}) gives") for x, y in MOVES]
-    shifts = np.array([compare(picture, each).shift for each in drawn])
-    times = float(np.vdot(shifts, MOVES) / np.vdot(MOVES, MOVES))
+    drawn = [as_image(draw(x, y), f"what draw({x:g}, {y:g}) gives") for x, y in SHIFTS]
+    shifts = np.array([compare(image, each).shift for each in drawn])
+    times = float(np.vdot(shifts, SHIFTS) / np.vdot(SHIFTS, SHIFTS))
     if times > _FURTHER:
         raise InputError(
-            f"draw moves the image by {times:.2g} times what it is given: take that as pixels to "
-            "the right and down"
+            f"draw moves the image by {times:.2g} times its arguments: take them as pixels to the "
+            "right and down"
         )
     return drawn

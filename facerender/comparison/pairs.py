@@ -9,7 +9,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from facerender.comparison.compare import Comparable, Comparison, as_picture, compare
+from facerender.comparison.compare import Comparable, as_image, compare
+from facerender.comparison.result import Comparison
 from facerender.errors import InputError
 from facerender.images.image import Encoding, ImageData
 from facerender.images.read import SUFFIXES
@@ -17,7 +18,7 @@ from facerender.images.read import SUFFIXES
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two images and what comparing them gave: figures, or the error that made it impossible.
+    """Two images and what comparing them gave: metrics, or the error that made it impossible.
 
     Attributes
     ----------
@@ -43,15 +44,15 @@ class Pair:
     ) -> Pair:
         """Compare two images; the options are those of :func:`compare`, and the limits take the
         place of those that are None, by the images' encoding."""
-        pictures: list[ImageData | None] = []
+        images: list[ImageData | None] = []
         errors = []
-        for given, letter in ((reference, "A"), (image, "B")):
+        for source, letter in ((reference, "A"), (image, "B")):
             try:
-                pictures.append(as_picture(given, letter))
+                images.append(as_image(source, letter))
             except InputError as error:
-                pictures.append(None)
+                images.append(None)
                 errors.append(str(error))
-        a, b = pictures
+        a, b = images
         if a is None or b is None:
             return cls(name, a, b, None, errors[0])
         try:
@@ -68,8 +69,8 @@ class Pair:
 
     def as_dict(self) -> dict[str, Any]:
         """Return name, error and every figure, for JSON."""
-        figures = {} if self.comparison is None else self.comparison.as_dict()
-        return {"name": self.name, "error": self.error, **figures}
+        metrics = {} if self.comparison is None else self.comparison.as_dict()
+        return {"name": self.name, "error": self.error, **metrics}
 
 
 def pairs_of(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:

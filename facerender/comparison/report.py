@@ -1,4 +1,4 @@
-"""The page of a comparison: its pairs, their figures beside the limits, and pictures to look at."""
+"""The page of a comparison: its pairs, their metrics beside the limits, and the images."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ import numpy as np
 
 from facerender.comparison import visualization
 from facerender.comparison.blocks import BLOCK
-from facerender.comparison.compare import Comparison
 from facerender.comparison.pairs import Pair
-from facerender.comparison.verdict import BLUR, SURE, factor_of, most_slight
+from facerender.comparison.result import BLUR, SURE, Comparison
 from facerender.errors import InputError
 from facerender.images.image import Encoding, ImageData
 from facerender.page.document import document, image_source, row, table
@@ -23,11 +22,11 @@ from facerender.system.atomic import write_bytes
 
 VERDICTS = {1: "differs", 2: "error", 0: "same"}  # by status, in the page's order
 INDEX = "\N{SYMBOL FOR UNIT SEPARATOR}"  # in no name
-PICTURE = "\N{SYMBOL FOR RECORD SEPARATOR}"  # nor this
+IMAGE = "\N{SYMBOL FOR RECORD SEPARATOR}"  # nor this
 THUMBNAIL = 160  # pixels a side
 EXACT = 25_000_000  # characters of a page up to which A and B are exact
-SEEN = 64  # pixels a side of what is exact around a place in a page that would be longer
-GATES = ("point", "slivers", "block", "trend", "grain", "texture", "shift", "coverage")
+EXACT_SIDE = 64  # pixels a side of what is exact around a place in a page that would be longer
+CHECKS = ("point", "slivers", "block", "trend", "grain", "texture", "shift", "coverage")
 MODES = ("side by side", "blink", "slider", "difference")
 
 
@@ -38,9 +37,9 @@ class Entry:
     Attributes
     ----------
     name, status : of the pair
-    row, section : of the page; INDEX in them stands for the entry's number, PICTURE and a letter
-        for a picture, PICTURE alone for how they are held
-    pictures : A and B as URLs of themselves, by their letters
+    row, section : of the page; INDEX in them stands for the entry's number, IMAGE and a letter
+        for an image, IMAGE alone for how they are held
+    images : A and B as data URLs, by their letters
     places : x and y of what is exact in them in any page
     """
 
@@ -48,7 +47,7 @@ class Entry:
     status: int
     row: str
     section: str
-    pictures: Mapping[str, str] = field(default_factory=dict)
+    images: Mapping[str, str] = field(default_factory=dict)
     places: Sequence[Sequence[int]] = ()
 
 
@@ -56,16 +55,18 @@ def entry(pair: Pair) -> Entry:
     """Return what the page says of a pair."""
     images = {"a": pair.reference, "b": pair.image} if pair.status else {}
     large = any(
-        image.pixels[..., 0].size > visualization.MOST_SHOWN for image in images.values() if image
+        image.pixels[..., 0].size > visualization.MAX_PIXELS for image in images.values() if image
     )
-    seen = {key: visualization.shown(image) for key, image in images.items() if image and not large}
+    displayed = {
+        key: visualization.displayed(image) for key, image in images.items() if image and not large
+    }
     return Entry(
         name=pair.name,
         status=pair.status,
         row=_row(pair),
-        section=_section(pair, seen, large),
-        pictures={key: _source(pixels) for key, pixels in seen.items()},
-        places=[_centre(place) for place in _places(pair).values()] if seen else [],
+        section=_section(pair, displayed, large),
+        images={key: _source(pixels) for key, pixels in displayed.items()},
+        places=[_centre(place) for place in _places(pair).values()] if displayed else [],
     )
 
 
@@ -102,13 +103,13 @@ chance.</dd>
 <dt>shift</dt>
 <dd>Pixels by which B lies to the right of A, and below it.</dd>
 <dt>coverage</dt>
-<dd>The share of the pixels whose coverage, the alpha channel, changed.</dd>
+<dd>The fraction of the pixels whose coverage, the alpha channel, changed.</dd>
 <dt>heat map</dt>
-<dd>FLIP: what the eye sees when the images alternate, from black for nothing to pale yellow. Of
-several pixels of a large image it sees the one that differs most.</dd>
-<dt>pictures</dt>
-<dd>Linear radiance 1 is white; black lies behind transparency; magenta is not finite. A click on a
-picture enlarges a place, the arrow keys move it, another click shows the whole. In a page of very
+<dd>FLIP: the difference that an observer sees when the images alternate, from black for nothing to
+pale yellow. Of several pixels of a large image it sees the one that differs most.</dd>
+<dt>images</dt>
+<dd>Linear radiance 1 is white; black lies behind transparency; magenta is not finite. A click on an
+image enlarges a place, the arrow keys move it, another click shows the whole. In a page of very
 many pairs, A and B are compressed where that is written above them, and exact around the marks
 alone; the difference is exact.</dd>
 </dl>
@@ -128,18 +129,18 @@ def _page(entries: Sequence[Entry]) -> str:
     rows = (entry.row.replace(INDEX, str(number)) for number, entry in enumerate(ranked))
     compressed = _to_compress(ranked)
     sections = (
-        _with_pictures(entry, number in compressed).replace(INDEX, str(number))
+        _with_images(entry, number in compressed).replace(INDEX, str(number))
         for number, entry in enumerate(ranked)
     )
-    summary = table("names", ("pair", "verdict", *GATES), rows)
+    summary = table("names", ("pair", "verdict", *CHECKS), rows)
     body = f"{summary}{''.join(sections)}{_NOTES}"
     return document(f"Comparison: {title}", body, "viewer.js")
 
 
 def _to_compress(entries: Sequence[Entry]) -> set[int]:
-    """Return numbers of entries, those of the largest pictures, without which the page is no longer
+    """Return numbers of entries, those of the largest images, without which the page is no longer
     than EXACT."""
-    sizes = [sum(map(len, entry.pictures.values())) for entry in entries]
+    sizes = [sum(map(len, entry.images.values())) for entry in entries]
     left = sum(sizes) + sum(len(entry.section) for entry in entries)
     chosen = set()
     for number in sorted(range(len(entries)), key=lambda number: -sizes[number]):
@@ -150,23 +151,23 @@ def _to_compress(entries: Sequence[Entry]) -> set[int]:
     return chosen
 
 
-def _with_pictures(entry: Entry, compressed: bool) -> str:
+def _with_images(entry: Entry, compressed: bool) -> str:
     """Return an entry's section with A and B in it."""
     section = entry.section
-    for letter, source in entry.pictures.items():
+    for letter, source in entry.images.items():
         images = _compressed(source, letter, entry.places) if compressed else _image(source, letter)
-        section = section.replace(PICTURE + letter, images)
-    return section.replace(PICTURE, "compressed" if compressed else "exact")
+        section = section.replace(IMAGE + letter, images)
+    return section.replace(IMAGE, "compressed" if compressed else "exact")
 
 
 def _compressed(source: str, letter: str, places: Iterable[Sequence[int]]) -> str:
-    """Return a picture compressed with loss, and what lies around some places over it."""
+    """Return an image compressed with loss, and what lies around some places over it."""
     pixels = visualization.decoded(b64decode(source.partition(",")[2]))
     height, width = pixels.shape[:2]
     images = _image(image_source(visualization.lossy(pixels), "webp"), letter)
     for x, y in places:
-        left, top = max(x - SEEN // 2, 0), max(y - SEEN // 2, 0)
-        crop = pixels[top : top + SEEN, left : left + SEEN]
+        left, top = max(x - EXACT_SIDE // 2, 0), max(y - EXACT_SIDE // 2, 0)
+        crop = pixels[top : top + EXACT_SIDE, left : left + EXACT_SIDE]
         down, across = crop.shape[:2]
         style = _box(left / width, top / height, across / width, down / height)
         images += f'<img class="near" style="{style}" src="{_source(crop)}" alt="">'
@@ -174,16 +175,18 @@ def _compressed(source: str, letter: str, places: Iterable[Sequence[int]]) -> st
 
 
 def _row(pair: Pair) -> str:
-    gates = () if pair.comparison is None else _gates(pair.comparison)
-    figures = [gate.relation if gate.over else gate.figure for gate in gates] or ["–"] * len(GATES)
+    checks = () if pair.comparison is None else _checks(pair.comparison)
+    figures = [check.relation if check.failed else check.metric for check in checks] or ["–"] * len(
+        CHECKS
+    )
     name = f'<a href="#pair-{INDEX}">{escape(pair.name)}</a>'
     return row(name, [_verdict(pair), *figures], VERDICTS[pair.status])
 
 
-def _section(pair: Pair, seen: Mapping[str, visualization.Bytes], large: bool) -> str:
+def _section(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: bool) -> str:
     title = f"{escape(pair.name)} {_verdict(pair)}"
-    gates = "" if pair.comparison is None else _gate_table(pair.comparison)
-    tables = f'<div class="tables">{gates}{_facts(pair)}</div>'
+    checks = "" if pair.comparison is None else _check_table(pair.comparison)
+    tables = f'<div class="tables">{checks}{_facts(pair)}</div>'
     if pair.status == 0 and pair.reference:
         source = _source(visualization.thumbnail(pair.reference, THUMBNAIL))
         return (
@@ -194,7 +197,7 @@ def _section(pair: Pair, seen: Mapping[str, visualization.Bytes], large: bool) -
     said = "".join(f"<li>{escape(reason)}</li>" for reason in reasons)
     return (
         f'<section id="pair-{INDEX}" class="{VERDICTS[pair.status]}"><h2>{title}</h2>'
-        f'<ul class="reasons">{said}</ul>{_viewer(pair, seen, large)}{tables}</section>'
+        f'<ul class="reasons">{said}</ul>{_viewer(pair, displayed, large)}{tables}</section>'
     )
 
 
@@ -203,51 +206,51 @@ def _verdict(pair: Pair) -> str:
 
 
 @dataclass(frozen=True)
-class _Gate:
+class _Check:
     name: str
-    figure: str
+    metric: str
     limit: str
-    over: bool
+    failed: bool
     where: str = ""
 
     @classmethod
     def of(
         cls, name: str, value: float, limit: float, shown: Callable[[float], str], where: str = ""
-    ) -> _Gate:
-        """Return a gate whose figure is below 0 where the image has less."""
+    ) -> _Check:
+        """Return a check whose figure is below 0 where the image has less."""
         if value < 0.0:
             limit, where = BLUR * limit, "less"
         return cls(name, shown(abs(value)), shown(limit), abs(value) > limit, where)
 
     @property
     def relation(self) -> str:
-        if self.over:
-            return f'<span class="over">{self.figure} &gt;&nbsp;{self.limit}</span>'
-        return f"{self.figure} ≤&nbsp;{self.limit}"
+        if self.failed:
+            return f'<span class="over">{self.metric} &gt;&nbsp;{self.limit}</span>'
+        return f"{self.metric} ≤&nbsp;{self.limit}"
 
 
-def _gates(result: Comparison) -> tuple[_Gate, ...]:
+def _checks(result: Comparison) -> tuple[_Check, ...]:
     limits = result.limits
     amount = _percent if result.encoding == "linear" else _number
     point_at, block_at = ("({}, {})".format(*at) for at in (result.point_at, result.block_at))
-    factor = factor_of(result)
-    trend = result.trend if result.surety > SURE else 0.0
+    factor = result.limit_factor
+    trend = result.trend if result.z_score > SURE else 0.0
     x, y = result.shift
     return (
-        _Gate(
+        _Check(
             "point",
             _number(abs(result.point)),
             _number(limits.point),
             result.points > 0,
             f"{_side(result.point)} at {point_at}; {result.points} over" if result.point else "",
         ),
-        _Gate(
+        _Check(
             "slivers",
             str(result.slight),
-            _number(most_slight(result)),
-            result.slight > most_slight(result),
+            _number(result.sliver_limit),
+            result.slight > result.sliver_limit,
         ),
-        _Gate(
+        _Check(
             "block",
             amount(abs(result.block)),
             amount(limits.block),
@@ -256,20 +259,20 @@ def _gates(result: Comparison) -> tuple[_Gate, ...]:
             if result.block
             else "",
         ),
-        _Gate.of("trend", max(trend, 0.0), factor * limits.trend, _number),
-        _Gate.of("grain", result.grain, factor * limits.grain, amount),
-        _Gate.of("texture", result.texture, factor * limits.texture, _percent),
-        _Gate.of("shift", max(abs(x), abs(y)), limits.shift, _number, f"at ({x:.2f}, {y:.2f})"),
-        _Gate.of("coverage", result.coverage, limits.coverage, _percent),
+        _Check.of("trend", max(trend, 0.0), factor * limits.trend, _number),
+        _Check.of("grain", result.grain, factor * limits.grain, amount),
+        _Check.of("texture", result.texture, factor * limits.texture, _percent),
+        _Check.of("shift", max(abs(x), abs(y)), limits.shift, _number, f"at ({x:.2f}, {y:.2f})"),
+        _Check.of("coverage", result.coverage, limits.coverage, _percent),
     )
 
 
-def _gate_table(result: Comparison) -> str:
-    rows = [row(gate.name, [gate.relation, gate.where]) for gate in _gates(result)]
+def _check_table(result: Comparison) -> str:
+    rows = [row(check.name, [check.relation, check.where]) for check in _checks(result)]
     for name, value in (("largest difference", result.largest), ("mean difference", result.mean)):
         rows.append(row(name, [_number(value), ""]))
     unit = "radiance" if result.encoding == "linear" else "steps of 255"
-    return table("gates", ("gate", "figure and limit", "B is"), rows, f"Figures, in {unit}")
+    return table("checks", ("check", "metric and limit", "B is"), rows, f"Metrics, in {unit}")
 
 
 def _facts(pair: Pair) -> str:
@@ -284,34 +287,36 @@ def _facts(pair: Pair) -> str:
     return table("facts", ("", *facts), rows, "Images, and what drew them") if facts else ""
 
 
-def _fact(picture: ImageData) -> dict[str, str]:
-    height, width, channels = picture.pixels.shape
-    kind = "linear" if picture.encoding == "linear" else "8-bit sRGB"
-    space = {"colour space": picture.color_space} if picture.color_space else {}
+def _fact(image: ImageData) -> dict[str, str]:
+    height, width, channels = image.pixels.shape
+    kind = "linear" if image.encoding == "linear" else "8-bit sRGB"
+    space = {"colour space": image.color_space} if image.color_space else {}
     pixels = f"{width} × {height}, {channels} channel{'s' * (channels > 1)}, {kind}"
-    converted = {"converted from": picture.profile} if picture.profile else {}
-    return {"image": picture.name, "pixels": pixels, **space, **converted, **picture.metadata}
+    converted = {"converted from": image.profile} if image.profile else {}
+    return {"image": image.name, "pixels": pixels, **space, **converted, **image.metadata}
 
 
-def _viewer(pair: Pair, seen: Mapping[str, visualization.Bytes], large: bool) -> str:
+def _viewer(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: bool) -> str:
     """Show the images there are, and how they differ if they could be compared."""
     if large:
-        most = visualization.MOST_SHOWN
+        most = visualization.MAX_PIXELS
         return f'<p class="note">Images of more than {most} pixels are not shown.</p>'
     places = _places(pair)
     captions = {"a": "<b>A</b> reference", "b": "<b>B</b> image"}
     figures = [
-        _figure(kind, captions[kind], pixels.shape, PICTURE + kind, places)
-        for kind, pixels in seen.items()
+        _figure(kind, captions[kind], pixels.shape, IMAGE + kind, places)
+        for kind, pixels in displayed.items()
     ]
     if not figures:
         return ""
     controls = ""
     if pair.reference and pair.image and pair.comparison is not None:
         controls = _choices("view", {mode: mode for mode in MODES})
-        shape = seen["a"].shape
+        shape = displayed["a"].shape
         try:
-            heat = _image(_source(visualization.small_heat_map(seen["a"], seen["b"])), "heat")
+            heat = _image(
+                _source(visualization.small_heat_map(displayed["a"], displayed["b"])), "heat"
+            )
             figures.append(_figure("heat", "<b>heat map</b> of FLIP", shape, heat, places))
         except InputError as error:
             figures.append(f'<p class="heat note">{escape(str(error))}</p>')
@@ -328,7 +333,7 @@ def _viewer(pair: Pair, seen: Mapping[str, visualization.Bytes], large: bool) ->
     if controls:
         controls = f'<div class="controls">{controls}</div>'
     return (
-        f'<div class="viewer {PICTURE}">{controls}'
+        f'<div class="viewer {IMAGE}">{controls}'
         '<div class="stage" tabindex="0" role="group" aria-label="images; arrow keys move what is'
         f' enlarged">{"".join(figures)}</div></div>'
     )
@@ -343,9 +348,9 @@ def _places(pair: Pair) -> dict[str, tuple[int, int, int]]:
         if result.block:
             places["worst block"] = (*result.block_at, BLOCK)
         return places
-    for letter, picture in (("A", pair.reference), ("B", pair.image)):
-        if picture is not None and not np.isfinite(picture.pixels).all():
-            y, x, _ = np.argwhere(~np.isfinite(picture.pixels))[0].tolist()
+    for letter, image in (("A", pair.reference), ("B", pair.image)):
+        if image is not None and not np.isfinite(image.pixels).all():
+            y, x, _ = np.argwhere(~np.isfinite(image.pixels))[0].tolist()
             places[f"not finite in {letter}"] = (x, y, 1)
     return places
 
@@ -377,10 +382,12 @@ def _figure(
     )
 
 
-def _box(*shares: float) -> str:
-    """Return the style of what lies at left and top, with width and height if any, in shares."""
+def _box(*fractions: float) -> str:
+    """Return the style of what lies at left and top, with width and height if any, as fractions."""
     names = ("left", "top", "width", "height")
-    return ";".join(f"{name}:{100 * each:.4f}%" for name, each in zip(names, shares, strict=False))
+    return ";".join(
+        f"{name}:{100 * each:.4f}%" for name, each in zip(names, fractions, strict=False)
+    )
 
 
 def _image(source: str, alt: str) -> str:
@@ -418,8 +425,8 @@ def _number(value: float) -> str:
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 
-def _percent(share: float) -> str:
-    return f"{_number(100.0 * share)}&nbsp;%"
+def _percent(fraction: float) -> str:
+    return f"{_number(100.0 * fraction)}&nbsp;%"
 
 
 def _side(value: float) -> str:

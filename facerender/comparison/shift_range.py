@@ -1,6 +1,6 @@
-"""What a movement of the camera by a hair makes of each pixel: the range that a golden may keep. It
-explains in detail finer than a pixel what no neighbourhood does. Its colours are of what is
-covered: a black pixel is none that uncovers the background.
+"""The range of each pixel's value over 24 shifts of the image by at most 0.1 pixel, which a golden
+may keep. It explains detail finer than a pixel, which no neighbourhood does. It holds colours of
+covered pixels only: a black pixel is no uncovered background.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from facerender.comparison.neighbourhoods import Float, Mask, filtered
 from facerender.images.image import ImageData, PixelRange
 
 FARTHEST = 0.1  # pixels
-# Pixels to the right and down by which an image is moved: circles, as what is fine comes and goes.
-MOVES = tuple(
+# Pixels to the right and down: circles of several radii, since fine detail comes and goes.
+SHIFTS = tuple(
     (round(by * math.cos(0.25 * i * math.pi), 6), round(by * math.sin(0.25 * i * math.pi), 6))
     for by in (FARTHEST, FARTHEST * 2.0 / 3.0, FARTHEST / 3.0)
     for i in range(8)
@@ -26,13 +26,13 @@ _RELATIVE = 0.01  # of the level that a value may leave the range by
 _ALPHA = 0.01  # likewise of coverage
 
 
-def range_of(pictures: Sequence[ImageData]) -> PixelRange:
-    """Return what linear images of one size lie between: their colours where they are covered."""
+def range_of(images: Sequence[ImageData]) -> PixelRange:
+    """Return the range of linear images of one size: of colours where they are covered."""
     each = []
-    for picture in pictures:
-        color, alpha = picture.rows(slice(None))
+    for image in images:
+        color, alpha = image.rows(slice(None))
         values = np.where(alpha[..., None] >= COVERED, color, np.float32(np.nan))
-        if picture.pixels.shape[2] > color.shape[2]:
+        if image.pixels.shape[2] > color.shape[2]:
             values = np.concatenate([values, alpha[..., None]], axis=2)
         each.append(values)
     ends = []
@@ -43,7 +43,9 @@ def range_of(pictures: Sequence[ImageData]) -> PixelRange:
     return PixelRange(*ends)
 
 
-def explained(moved: PixelRange, color: Float, alpha: Float, least: float) -> tuple[Mask, Mask]:
+def explained(
+    shift_range: PixelRange, color: Float, alpha: Float, least: float
+) -> tuple[Mask, Mask]:
     """Return where the range explains colour, and where coverage: (H, W) each. Colours may lie in
     that of 3 x 3 pixels, darker ones too where the background is uncovered.
 
@@ -52,7 +54,7 @@ def explained(moved: PixelRange, color: Float, alpha: Float, least: float) -> tu
     color, alpha : (H, W, C) and (H, W)
     least : that a colour may leave the range by, beside a hundredth of its level
     """
-    low, high = (end.astype(np.float32) for end in moved)
+    low, high = (end.astype(np.float32) for end in shift_range)
     channels = color.shape[2]
     coverage = np.ones(alpha.shape, dtype=bool)
     if low.shape[2] > channels:

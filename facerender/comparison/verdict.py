@@ -1,37 +1,31 @@
-"""Why two images differ, in words: which gate failed, by how much, and what that looks like."""
+"""Why two images differ, in words: which check failed, by how much, and what that looks like."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.comparison.blocks import BLOCK, Evidence, blocks, cells
+from facerender.comparison.blocks import BLOCK, BlockStatistics, block_sums, cell_sums
 from facerender.comparison.neighbourhoods import Mask
-
-if TYPE_CHECKING:
-    from facerender.comparison.compare import Comparison
+from facerender.comparison.result import BLUR, Comparison
 
 SHAPE = "another shape, texture or light"
 LOBE = "a lobe or weight change"
 EXPOSURE = "exposure, light or colour space"
 
-SURE = 6.0  # standard errors of its own that a trend needs
-FOREIGN = 6.0  # times the limits of trend, grain and texture, where another driver drew the image
 # What a single pixel may be over by: where it is smooth, in texture, and at an edge.
 _LONE = {"linear": (0.0, 0.1, 0.5), "srgb8": (0.0, 53.0, 90.0)}
-_SLIGHT = 50  # pixels that may be slivers, and
-_SHARE = 1e-4  # of all pixels
-BLUR = 1.5  # times the limits of grain and texture, that the image may have less
-_WIDELY = 0.1  # share of wrong pixels from which on they are not called few
-_BRIGHTER = 5e-5  # gain below which it is not told, and
-_SEEN = 0.01  # pixels of a shift, below which it is not told
+_WIDELY = 0.1  # fraction of wrong pixels from which on they are not called few
+_BRIGHTER = 5e-5  # gain below which it is not stated, and
+_SHIFTED = 0.01  # pixels of a shift, below which it is not stated
 _HOLES = 2  # that cracks and hairs may leave
 
 
-def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -> tuple[str, ...]:
+def reasons_of(
+    result: Comparison, over: NDArray[np.int8], statistics: BlockStatistics
+) -> tuple[str, ...]:
     """Say why the images differ, and what that looks like.
 
     over : (H, W), 2 where a pixel is too bright, 3 in texture, 4 at an edge, and 1 where that may
@@ -39,7 +33,7 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
     """
     reasons = []
     wrong = _wrong(result, over)
-    like = _likeness(result, over, wrong, evidence) if wrong.any() else ""
+    like = _likeness(result, over, wrong, statistics) if wrong.any() else ""
     if like:
         reasons.append(f"{_pixels(result, over[wrong])}: looks like {like}")
     elif result.holes > _HOLES:
@@ -48,14 +42,14 @@ def reasons_of(result: Comparison, over: NDArray[np.int8], evidence: Evidence) -
             f"{_HOLES}: looks like missing pixels"
         )
     if result.blocks:
-        guess = _guess(evidence)
-        if like and guess != EXPOSURE and (like == SHAPE or _explained(result, wrong, evidence)):
+        guess = _guess(statistics)
+        if like and guess != EXPOSURE and (like == SHAPE or _explained(result, wrong, statistics)):
             guess = like
         reasons.append(f"{_blocks(result)}: looks like {guess}{_estimate(result)}")
-    elif changed_alike(result):
+    elif result.changed_alike:
         reasons.append(
             f"neighbouring blocks changed alike: trend {result.trend:.2g}, limit "
-            f"{factor_of(result) * result.limits.trend:g}: looks like {_guess(evidence)}"
+            f"{result.limit_factor * result.limits.trend:g}: looks like {_guess(statistics)}"
             f"{_estimate(result)}"
         )
     if not reasons:
@@ -75,14 +69,14 @@ def _wrong(result: Comparison, over: NDArray[np.int8]) -> Mask:
         return place > 1
     if result.points and abs(result.point) > _LONE[result.encoding][int(place.max()) - 2]:
         return place > 1
-    return (place > 0) & (result.slight > most_slight(result))
+    return (place > 0) & (result.slight > result.sliver_limit)
 
 
 def _pixels(result: Comparison, over: NDArray[np.int8]) -> str:
-    """Tell of the pixels that are not forgiven; over is that of :func:`reasons_of`, of them."""
+    """Describe the pixels that are not forgiven; over is that of :func:`reasons_of`, of them."""
     pixels = f"{len(over)} pixel{'' if len(over) == 1 else 's'}"
     if (np.abs(over) == 1).any():
-        return f"{pixels} changed as slivers may change them, limit {most_slight(result):.0f}"
+        return f"{pixels} changed as slivers may change them, limit {result.sliver_limit:.0f}"
     point = abs(result.point)
     by = f"{point:.2g}" if result.encoding == "linear" else f"{point:.0f} of 255"
     at_edge = " at edges" if _at_edge(over) else ""
@@ -93,7 +87,7 @@ def _pixels(result: Comparison, over: NDArray[np.int8]) -> str:
 
 
 def _blocks(result: Comparison) -> str:
-    """Tell of the blocks over their limit."""
+    """Describe the blocks over their limit."""
     limit = result.limits.block
     mean, most = f"{_signed(result.block)} of 255", f"{limit:g}"
     if result.encoding == "linear":
@@ -104,15 +98,15 @@ def _blocks(result: Comparison) -> str:
     )
 
 
-def _explained(result: Comparison, wrong: Mask, evidence: Evidence) -> bool:
+def _explained(result: Comparison, wrong: Mask, statistics: BlockStatistics) -> bool:
     """Return whether every block over its limit has a wrong pixel."""
-    over = np.abs(np.nan_to_num(evidence.channels)) > result.limits.block
-    return bool(blocks(cells(wrong.astype(np.float32)))[over].all())
+    over = np.abs(np.nan_to_num(statistics.channels)) > result.limits.block
+    return bool(block_sums(cell_sums(wrong.astype(np.float32)))[over].all())
 
 
 def _subtle(result: Comparison) -> Iterator[str]:
-    """Tell what stands for itself alone: other changes have it as well."""
-    limits, factor = result.limits, factor_of(result)
+    """Describe what stands for itself alone: other changes have it as well."""
+    limits, factor = result.limits, result.limit_factor
     grain, texture = factor * limits.grain, factor * limits.texture
     if not BLUR * -grain <= result.grain <= grain:
         amount, most = f"{result.grain:+.2g} of 255", f"{grain:g}"
@@ -129,27 +123,13 @@ def _subtle(result: Comparison) -> Iterator[str]:
         yield f"shift ({x:.2f}, {y:.2f}) pixels, limit {limits.shift:g}: looks like another camera"
 
 
-def most_slight(result: Comparison) -> float:
-    """Return how many pixels of an image may be slivers."""
-    width, height = result.size
-    return _SLIGHT + _SHARE * width * height
-
-
-def changed_alike(result: Comparison) -> bool:
-    """Return whether the trend is over its limit, and no chance."""
-    return result.trend > factor_of(result) * result.limits.trend and result.surety > SURE
-
-
-def factor_of(result: Comparison) -> float:
-    """Return by what the limits of trend, grain and texture are multiplied."""
-    return FOREIGN if result.foreign else 1.0
-
-
-def _likeness(result: Comparison, over: NDArray[np.int8], wrong: Mask, evidence: Evidence) -> str:
+def _likeness(
+    result: Comparison, over: NDArray[np.int8], wrong: Mask, statistics: BlockStatistics
+) -> str:
     """Say what wrong pixels look like."""
     count, judged = wrong.sum(), result.blocks_judged * BLOCK**2
     if count > _WIDELY * judged > 0:
-        guess = _guess(evidence)
+        guess = _guess(statistics)
         return SHAPE if guess == LOBE else guess
     bright = (over[wrong] > 0).mean()
     touching = (wrong[1:] & wrong[:-1]).sum() + (wrong[:, 1:] & wrong[:, :-1]).sum()
@@ -166,9 +146,9 @@ def _at_edge(over: NDArray[np.int8]) -> bool:
     return bool((np.abs(over) == 4).mean() > 0.5)
 
 
-def _guess(evidence: Evidence) -> str:
+def _guess(statistics: BlockStatistics) -> str:
     """Say what blocks that changed look like."""
-    changes = evidence.change[evidence.changed]
+    changes = statistics.change[statistics.changed]
     if not changes.size:
         return SHAPE
     low, middle, high = np.percentile(changes, (10, 50, 90))
@@ -180,7 +160,7 @@ def _estimate(result: Comparison) -> str:
     brighter = result.encoding == "linear" and abs(result.gain) > _BRIGHTER
     gain = f"gain {round(1.0 + result.gain, 4):g}" if brighter else ""
     x, y = result.shift
-    moved = f"shift ({x:.2g}, {y:.2g})" if max(abs(x), abs(y)) > _SEEN else ""
+    moved = f"shift ({x:.2g}, {y:.2g})" if max(abs(x), abs(y)) > _SHIFTED else ""
     said = ", ".join(filter(None, (gain, moved)))
     return f" ({said})" if said else ""
 

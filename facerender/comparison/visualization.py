@@ -1,5 +1,5 @@
-"""Images to look at: what an image shows, how two of them differ, a heat map. The page that shows
-them is in ``report.py``.
+"""Images for the eye: an image as 8-bit sRGB, the difference of two in false colours, a heat map.
+``report.py`` makes a page of them.
 
 Each is (H, W, 3) of 8-bit sRGB, linear radiance 1 being white, over black where the coverage ends;
 values that are not finite are magenta.
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -25,7 +25,7 @@ from facerender.images.image import Encoding, ImageData
 from facerender.images.srgb import encode_srgb8
 from facerender.images.write import save_png
 
-MOST_SHOWN = 1 << 24  # pixels: what shows more is no page to look at
+MAX_PIXELS = 1 << 24  # that are displayed
 HEAT = 1 << 17  # pixels of a page's heat map: FLIP takes 1.3 s for 1024 x 1024
 LEVELS = 32  # of the difference, either way
 DARKER, BRIGHTER, UNCOVERED = (74, 163, 255), (255, 148, 41), (190, 70, 255)
@@ -38,27 +38,27 @@ _LONGEST_WEBP = 16383  # pixels a side
 Bytes = NDArray[np.uint8]
 
 
-def shown(picture: ImageData) -> Bytes:
-    """Return what an image shows."""
-    pixels = np.empty((*picture.pixels.shape[:2], 3), dtype=np.uint8)
-    for rows in _strips(picture):
-        color, _ = picture.rows(rows)
-        linear = picture.encoding == "linear"
+def displayed(image: ImageData) -> Bytes:
+    """Return an image as 8-bit sRGB."""
+    pixels = np.empty((*image.pixels.shape[:2], 3), dtype=np.uint8)
+    for rows in _strips(image):
+        color, _ = image.rows(rows)
+        linear = image.encoding == "linear"
         pixels[rows] = encode_srgb8(color) if linear else np.round(color)
         if linear:
-            pixels[rows][~np.isfinite(picture.pixels[rows]).all(axis=-1)] = NOT_FINITE
+            pixels[rows][~np.isfinite(image.pixels[rows]).all(axis=-1)] = NOT_FINITE
     return pixels
 
 
-def thumbnail(picture: ImageData, side: int) -> Bytes:
-    """Return what an image shows, no side longer than so many pixels."""
+def thumbnail(image: ImageData, side: int) -> Bytes:
+    """Return an image as 8-bit sRGB, no side longer than N pixels."""
     from PIL import Image
 
-    height, width = picture.pixels.shape[:2]
-    step = max(math.isqrt(height * width // MOST_SHOWN), 1)
-    image = Image.fromarray(shown(replace(picture, pixels=picture.pixels[::step, ::step])))
-    image.thumbnail((side, side))
-    return np.asarray(image)
+    height, width = image.pixels.shape[:2]
+    step = max(math.isqrt(height * width // MAX_PIXELS), 1)
+    small = Image.fromarray(displayed(replace(image, pixels=image.pixels[::step, ::step])))
+    small.thumbnail((side, side))
+    return np.asarray(small)
 
 
 def difference(a: ImageData, b: ImageData) -> tuple[Bytes, float]:
@@ -74,7 +74,7 @@ def difference(a: ImageData, b: ImageData) -> tuple[Bytes, float]:
         level = np.log1p(np.abs(signed[rows]) / floor) / np.log1p(largest / floor)
         level = np.round(level * LEVELS).astype(int)
         pixels[rows] = colors[(signed[rows] > 0.0).astype(int), level]
-        alpha_a, alpha_b = (picture.rows(rows)[1] for picture in (a, b))
+        alpha_a, alpha_b = (image.rows(rows)[1] for image in (a, b))
         pixels[rows][((alpha_a >= 0.5) != (alpha_b >= 0.5)) & (level == 0)] = UNCOVERED
     return pixels, largest
 
@@ -86,14 +86,14 @@ def _signed(a: ImageData, b: ImageData, rows: slice) -> NDArray[np.float32]:
     return np.asarray(np.take_along_axis(signed, worst, axis=-1)[..., 0])
 
 
-def _strips(picture: ImageData) -> Iterator[slice]:
-    for top in range(0, len(picture.pixels), _STRIP):
+def _strips(image: ImageData) -> Iterator[slice]:
+    for top in range(0, len(image.pixels), _STRIP):
         yield slice(top, top + _STRIP)
 
 
 def small_heat_map(a: Bytes, b: Bytes) -> Bytes:
-    """Return FLIP of what two images of one size show, at HEAT pixels at most: of several pixels it
-    sees the one that differs most, so that no firefly is lost.
+    """Return FLIP of two displayed images at HEAT pixels at most: of the pixels of a cell it sees
+    the one that differs most, so that no firefly is lost.
 
     Raises
     ------
@@ -112,43 +112,33 @@ def small_heat_map(a: Bytes, b: Bytes) -> Bytes:
         return split.reshape(height, width, step * step, *pixels.shape[2:])
 
     most = cells(total).argmax(axis=-1)[..., None, None]
-    seen_a, seen_b = (np.take_along_axis(cells(each), most, axis=2)[:, :, 0] for each in (a, b))
-    return flip.heat_map(seen_a / 255.0, seen_b / 255.0, step)
-
-
-def heat_map(a: ImageData, b: ImageData) -> Bytes:
-    """Return FLIP of two images of one size.
-
-    Raises
-    ------
-    InputError : flip-evaluator is missing, or the images have more than MOST_SHOWN pixels
-    """
-    height, width = a.pixels.shape[:2]
-    if height * width > MOST_SHOWN:
-        raise InputError(
-            f"no heat map of {width} x {height} pixels: at most {MOST_SHOWN}; give smaller images"
-        )
-    return flip.heat_map(shown(a) / 255.0, shown(b) / 255.0)
+    worst_a, worst_b = (np.take_along_axis(cells(each), most, axis=2)[:, :, 0] for each in (a, b))
+    return flip.heat_map(worst_a / 255.0, worst_b / 255.0, step)
 
 
 def save_heat_map(path: str | os.PathLike[str], pair: Pair) -> None:
-    """Write the heat map of a pair as PNG.
+    """Write FLIP of a pair as PNG.
 
     Raises
     ------
-    InputError : flip-evaluator is missing, an image could not be read, the sizes differ, or the
-        file is no .png or cannot be written
+    InputError : flip-evaluator is missing, an image could not be read, the sizes differ or are more
+        than MAX_PIXELS, or the file is no .png or cannot be written
     """
     if Path(path).suffix.lower() != ".png":
         raise InputError(f"the heat map {path}: give a .png")
     a, b = pair.reference, pair.image
     if a is None or b is None or a.pixels.shape[:2] != b.pixels.shape[:2]:
         raise InputError(f"no heat map: {pair.error}")
-    save_png(path, heat_map(a, b), {})
+    height, width = a.pixels.shape[:2]
+    if height * width > MAX_PIXELS:
+        raise InputError(
+            f"no heat map of {width} x {height} pixels: at most {MAX_PIXELS}; give smaller images"
+        )
+    save_png(path, flip.heat_map(displayed(a) / 255.0, displayed(b) / 255.0), {})
 
 
 def decoded(content: bytes) -> Bytes:
-    """Return the pixels of a file that one of the following returned."""
+    """Return the pixels of a file of :func:`lossless`."""
     from PIL import Image
 
     return np.asarray(Image.open(BytesIO(content)))
@@ -156,17 +146,17 @@ def decoded(content: bytes) -> Bytes:
 
 def lossless(pixels: Bytes) -> tuple[bytes, str]:
     """Return pixels as WebP, or as PNG where a side is too long for that, and which of them."""
-    kind = "webp" if max(pixels.shape) <= _LONGEST_WEBP else "png"
-    options = {"lossless": True, "method": 1, "quality": 0} if kind == "webp" else {}
-    return _encoded(pixels, kind, options), kind
+    if max(pixels.shape) > _LONGEST_WEBP:
+        return _encoded(pixels, "png"), "png"
+    return _encoded(pixels, "webp", lossless=True, method=1, quality=0), "webp"
 
 
 def lossy(pixels: Bytes) -> bytes:
     """Return pixels as a WebP of about a seventh of the bytes."""
-    return _encoded(pixels, "webp", {"method": 1, "quality": 90})
+    return _encoded(pixels, "webp", method=1, quality=90)
 
 
-def _encoded(pixels: Bytes, kind: str, options: Mapping[str, Any]) -> bytes:
+def _encoded(pixels: Bytes, kind: str, **options: Any) -> bytes:
     from PIL import Image
 
     buffer = BytesIO()

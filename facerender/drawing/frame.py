@@ -14,7 +14,7 @@ from facerender.errors import InputError, check_switch, check_type, shown
 from facerender.images.exr import exr_bytes, save_exr
 from facerender.images.srgb import encode_srgb8
 from facerender.images.write import Format, format_of, lossy_bytes, png_bytes
-from facerender.scenes.scene import ONLY, Only
+from facerender.scenes.scene import ONLY, Only, Scene
 from facerender.scenes.view import View
 from facerender.system.atomic import write_bytes
 from facerender.terms.ranges import EXPOSURES
@@ -237,3 +237,43 @@ def in_order(layers: Sequence[GBuffer], numbers: NDArray[np.float32]) -> list[GB
         for own, value in zip(found, values, strict=True):
             own[name] = value
     return [GBuffer(**own) for own in found]
+
+
+def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]:
+    """Return a view of the G-buffer, (H, W, 4) float32 with coverage; see ``Frame.linear``."""
+    covered = gbuffer.part >= 0
+    view = np.zeros((*covered.shape, 4), dtype=np.float32)
+    view[..., 3] = covered
+    position = gbuffer.position[covered].astype(np.float64)
+    normal = gbuffer.normal[covered].astype(np.float64)
+    to_eye = gbuffer.view.position - position
+    if only == "albedo":
+        values = gbuffer.albedo[covered]
+    elif only == "normal":
+        values = gbuffer.normal[covered]
+    elif only == "depth":
+        depth = -(to_eye @ gbuffer.view.forward) * scene.mesh.radius
+        values = np.repeat(depth[:, None], 3, axis=1)
+    elif only == "visibility":
+        dark = next((i for i, light in enumerate(scene.lights) if light.shadow), None)
+        seen = np.ones(len(to_eye)) if dark is None else gbuffer.visibility[covered][:, dark]
+        values = np.repeat(seen[:, None], 3, axis=1)
+    elif only in ("mask", "parts"):
+        number = gbuffer.part[covered] + 1
+        values = np.repeat(np.minimum(number, 1 if only == "mask" else number)[:, None], 3, axis=1)
+    else:
+        v = unit(to_eye)
+        l = v
+        if scene.lights:
+            key = scene.lights[0]
+            l, _ = key.kind.lighting(key, scene.mesh, position)
+        h = unit(l + v)
+        values = np.stack([(normal * direction).sum(axis=-1) for direction in (l, v, h)], axis=-1)
+    view[covered, :3] = values
+    return view
+
+
+def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return vectors (..., 3) with a length of 1; zero vectors stay."""
+    length = np.sqrt(np.einsum("...i,...i", vectors, vectors))[..., None]
+    return np.asarray(vectors / np.maximum(length, 1e-300))

@@ -34,8 +34,8 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
     """
     shading.check_lights(len(scene.lights))
     changes: dict[str, Any] = {}
-    if (m := shading.constant_slope) is not None:
-        changes["m"] = m
+    if shading.term.m is not None:
+        changes["m"] = shading.term.m
     if shading.ks is not None:
         changes |= {"ks": shading.ks, "specular_map": None}
     if not shading.two_lobes and any(each.two_lobes for each in scene.mesh.materials):

@@ -4,22 +4,21 @@ its uniforms. The renderer draws with it and ``pricing`` prices it. No OpenGL he
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from facerender.drawing.prepare import part_maps
+from facerender.drawing.resolve import LightGroup, Lighting, ResolvedPart, ResolvedScene
 from facerender.glsl.code import call, environment_call, prelude
 from facerender.glsl.library import resolve_includes
-from facerender.scenes.light import LIGHT_KINDS, Light
 from facerender.scenes.material import PROPERTY_MAPS, Material
-from facerender.scenes.mesh import Mesh, Part, coordinates, drawn_alpha
+from facerender.scenes.mesh import Mesh, Part, base_slope, drawn_alpha
 from facerender.scenes.scene import Scene
-from facerender.scenes.shadow import LightSpace, light_space
 from facerender.scenes.view import View
-from facerender.shading import Shading, Term
+from facerender.shading import Shading
 
 ATTRIBUTES = {
     **{"in_position": 3, "in_normal": 3, "in_uv": 2, "in_occlusion": 1, "in_color": 3},
@@ -31,88 +30,6 @@ ENVIRONMENT_MAP = "environment_map"
 _COMMENT = re.compile(r"^ *//[^\n]*", re.MULTILINE)
 
 Uniforms = Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class LightGroup:
-    """Lights of one kind that have one term.
-
-    Attributes
-    ----------
-    kind : see ``scenes.light.LIGHT_KINDS``
-    term : number of their specular term, -1 for none
-    count : how many there are, at least one
-    shadows : number of the first one's shadow map; None where they cast none
-    """
-
-    kind: str
-    term: int
-    count: int
-    shadows: int | None = None
-
-
-@dataclass(frozen=True)
-class Lighting:
-    """The lights of a scene in the order of programs: by kind and then by term, those without one
-    last, and by whether they cast shadows.
-
-    Attributes
-    ----------
-    order : of the scene's lights, their indices
-    lights, groups : in that order
-    terms : that the groups number
-    """
-
-    order: tuple[int, ...]
-    lights: tuple[Light, ...]
-    groups: tuple[LightGroup, ...]
-    terms: tuple[Term, ...]
-
-    @classmethod
-    def of(cls, scene: Scene, shading: Shading) -> Lighting:
-        """Sort the lights of a scene. If a light has the shading's own term, that is number 0."""
-        own = [shading.of(light) for light in range(len(scene.lights))]
-        first = [shading.term] if shading.term in own else []
-        terms = tuple(dict.fromkeys([*first, *(term for term in own if term is not None)]))
-        sorted_: dict[tuple[str, int, bool], list[int]] = {
-            (kind, number, shadow): []
-            for kind in sorted(LIGHT_KINDS)
-            for number in (*range(len(terms)), -1)
-            for shadow in (False, True)
-        }
-        for index, (light, term) in enumerate(zip(scene.lights, own, strict=True)):
-            number = -1 if term is None else terms.index(term)
-            sorted_[light.kind.name, number, light.shadow].append(index)
-        groups, maps = [], 0
-        for (kind, number, shadow), indices in sorted_.items():
-            if indices:
-                groups.append(LightGroup(kind, number, len(indices), maps if shadow else None))
-                maps += len(indices) * shadow
-        order = tuple(index for indices in sorted_.values() for index in indices)
-        return cls(order, tuple(scene.lights[index] for index in order), tuple(groups), terms)
-
-    @property
-    def shadowed(self) -> tuple[int, ...]:
-        """Indices of the scene's lights that cast shadows, in the order of their maps."""
-        lights = zip(self.order, self.lights, strict=True)
-        return tuple(index for index, light in lights if light.shadow)
-
-    def spaces(self, mesh: Mesh) -> list[LightSpace]:
-        """Return the spaces of the lights that cast shadows, in the order of their maps; errors as
-        of :func:`light_space`."""
-        return [light_space(light, mesh) for light in self.lights if light.shadow]
-
-    def uniforms(self, mesh: Mesh) -> dict[str, Any]:
-        """Return the arrays of every kind of light there is."""
-        arrays: dict[str, Any] = {}
-        for name in dict.fromkeys(group.kind for group in self.groups):
-            kind = LIGHT_KINDS[name]
-            lights = [light for light in self.lights if light.kind is kind]
-            arrays |= kind.uniforms(lights, mesh)
-        if spaces := self.spaces(mesh):
-            arrays["shadow_view"] = np.array([space.matrix for space in spaces])
-            arrays["shadow_size"] = np.array([(space.tan_radius, space.top) for space in spaces])
-        return arrays
 
 
 @dataclass(frozen=True)
@@ -195,7 +112,7 @@ def surface_features(part: Part, material: Material, shading: Shading) -> tuple[
     second = [name for name in names if material.by_second(name.lower())]
     names += ["SLOPE_FILTER"] * any(kind == "normal" for _, _, kind in maps)
     names += ["CURVATURE"] * shading.curvature
-    names += ["CONSTANT_SLOPE"] * (shading.constant_slope is not None)
+    names += ["CONSTANT_SLOPE"] * (shading.term.m is not None)
     if part.uv is not None:
         names.append("UV")
     if "PROPERTY_MAP" in names:
@@ -222,25 +139,17 @@ def surface_features(part: Part, material: Material, shading: Shading) -> tuple[
 
 
 def shade_program(
-    part: Part,
-    material: Material,
-    scene: Scene,
-    shading: Shading,
-    lighting: Lighting,
-    terms: Sequence[Term],
-    smallest_m: float,
-    diffuse: bool = True,
-    emits: bool = True,
+    resolved: ResolvedScene, own: ResolvedPart, diffuse: bool = True, emits: bool = True
 ) -> Program:
-    """Return the program that shades a part of a simplified scene.
+    """Return the program that shades a part of a scene.
 
     Parameters
     ----------
-    terms : of the lighting, as this part's slopes let them be; none for a program without
-    smallest_m : of the part
     diffuse : whether diffuse light counts
     emits : whether what the part gives off itself counts
     """
+    scene, shading, lighting = resolved.scene, resolved.shading, resolved.lighting
+    part, material, terms = own.part, own.material, own.terms
     features = surface_features(part, material, shading)
     features += shadow_features(lighting)
     features += ("AMBIENT",) * any(scene.ambient)  # type: ignore[arg-type]
@@ -260,7 +169,7 @@ def shade_program(
         "shade.frag",
         features=features,
         lights=lighting.groups,
-        prelude=prelude(terms, smallest_m, material.two_lobes) if shines else "",
+        prelude=prelude(terms, own.smallest_m, material.two_lobes) if shines else "",
         calls=tuple(call(term, second) for term in terms) if shines else (),
         environment=environment,
     )
@@ -294,7 +203,7 @@ def scene_uniforms(scene: Scene, view: View, lighting: Lighting | None = None) -
     return {
         **around,
         "view_projection": view.matrix,
-        "eye": view.eye,
+        "eye": view.position,
         "ambient": np.asarray(scene.ambient),
         **({} if lighting is None else lighting.uniforms(scene.mesh)),
     }
@@ -302,11 +211,9 @@ def scene_uniforms(scene: Scene, view: View, lighting: Lighting | None = None) -
 
 def part_uniforms(part: Part, material: Material) -> Uniforms:
     """Return the uniforms of a part."""
-    mapped = coordinates(part, material, "roughness_map") is not None
-    mapped = mapped and material.roughness_map is not None
     return {
         "albedo_factor": np.asarray(material.albedo),
-        "slope": material.roughness_factor**2 if mapped else material.m,
+        "slope": base_slope(part, material),
         "specular_weight": material.ks,
         "second_slope": material.second_slope,
         "lobe_weight": material.lobe_weight,

@@ -1,5 +1,4 @@
-"""Float64 shading of a G-buffer: the reference for whole images, and the views that are data. No
-OpenGL here."""
+"""Float64 shading of a G-buffer: the reference for whole images. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -9,13 +8,19 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender import brdf
-from facerender.drawing.frame import GBuffer
+from facerender.drawing.frame import GBuffer, unit
 from facerender.drawing.prepare import simplify
-from facerender.scenes.light import half_sum
+from facerender.drawing.resolve import resolve
+from facerender.scenes.light import Light, half_sum
 from facerender.scenes.material import Material
-from facerender.scenes.scene import Only, Scene, slope_ranges
+from facerender.scenes.scene import Scene
 from facerender.shading import Shading, Term
+from facerender.terms.albedo import (
+    cook_torrance_albedo,
+    cook_torrance_albedo_mean,
+    diffuse_coupled,
+)
+from facerender.terms.model import dot
 from facerender.terms.slope_variance import cosine_disc, slope_filtered, slope_variance_disc
 
 Float = NDArray[np.float64]
@@ -103,12 +108,83 @@ def scattered(
     place, area = gbuffer.position.astype(np.float64), scatter_area(gbuffer.facing)
     for index, gaussians in enumerate(found.profiles, 1):
         own = number == index
-        depth = (place[own] - gbuffer.view.eye) @ gbuffer.view.forward
+        depth = (place[own] - gbuffer.view.position) @ gbuffer.view.forward
         scale = found.pixels / (depth * found.millimetres)
-        size = scale, found.millimetres, gaussians, shading.scatter_samples
-        light = scatter(terms.light, place, number, area, *size, own)
+        light = scatter(
+            *(terms.light, place, number, area, own),
+            scale=scale,
+            unit=found.millimetres,
+            gaussians=gaussians,
+            samples=shading.scatter_samples,
+        )
         change[own] = terms.albedo[own] * (light - terms.light[own])
     return change
+
+
+@dataclass(frozen=True, eq=False)
+class _Pixels:
+    """What is shaded of a part: the pixels of a G-buffer that it covers, N of them.
+
+    Attributes
+    ----------
+    position, n, v : (N, 3), the last two unit vectors: normal, and towards the camera
+    m, second_m : (N,), slopes of the lobes, where a light's term has none of its own; the second is
+        None where there is one lobe
+    lobe_weight : (N,), fraction of the first lobe; None likewise
+    weight, occlusion : (N,), specular weight, and occlusion
+    albedo : (N, 3), what makes diffuse radiance of irradiance
+    """
+
+    position: Float
+    n: Float
+    v: Float
+    m: Float
+    second_m: Float | None
+    lobe_weight: Float | None
+    weight: Float
+    occlusion: Float
+    albedo: Float
+
+    @classmethod
+    def of(
+        cls, gbuffer: GBuffer, covered: NDArray[np.bool_], material: Material, term: Term
+    ) -> _Pixels:
+        """term : of the shading, whose m takes the place of the G-buffer's"""
+
+        def values(image: NDArray[np.float32]) -> Float:
+            return image[covered].astype(np.float64)
+
+        position, m, second_m, lobe_weight = values(gbuffer.position), values(gbuffer.m), None, None
+        m = np.broadcast_to(term.slope(m), m.shape)
+        if material.two_lobes:
+            assert gbuffer.second_m is not None
+            assert gbuffer.lobe_weight is not None
+            own = term.second(material.second_slope)
+            second_m = np.broadcast_to(own.slope(values(gbuffer.second_m)), m.shape)
+            lobe_weight = values(gbuffer.lobe_weight)
+        return cls(
+            position,
+            values(gbuffer.normal),
+            unit(gbuffer.view.position - position),
+            m,
+            second_m,
+            lobe_weight,
+            values(gbuffer.specular_weight),
+            values(gbuffer.occlusion),
+            material.kd / np.pi * values(gbuffer.albedo),
+        )
+
+    def coupling(self, material: Material, shading: Shading) -> _Coupling | None:
+        """Return what couples the diffuse terms with the specular ones; None where nothing does."""
+        if shading.diffuse != "coupled" or material.ks <= 0.0:
+            return None
+        lobes = [(self.m, self.weight)]
+        if self.second_m is not None and self.lobe_weight is not None:
+            first = self.lobe_weight * self.weight
+            lobes = [(self.m, first), (self.second_m, (1.0 - self.lobe_weight) * self.weight)]
+        means = (w * cook_torrance_albedo_mean(m, material.f0) for m, w in lobes)
+        bare = _Coupling(lobes, material.f0, self.weight, np.sum([*means], axis=0))
+        return replace(bare, camera=bare.towards(dot(self.n, self.v)))
 
 
 def layers(
@@ -124,63 +200,68 @@ def layers(
     """
     if environment is None:
         environment = environment_layer(gbuffer, scene, shading)
-    scene = simplify(scene, shading)
-    pinned = shading.constant_slope
+    resolved = resolve(scene, shading)
+    scene = resolved.scene
     ambient, diffuse = np.zeros((2, *gbuffer.position.shape))
     specular = np.zeros((len(scene.lights), *gbuffer.position.shape))
     scatters = any(material.scattering for material in scene.mesh.materials)
     light_of, albedo_of = np.zeros((2, *gbuffer.position.shape)) if scatters else (None, None)
-    terms = [shading.of(light) or shading.term for light in range(len(scene.lights))]
-    for index, (material, slopes) in enumerate(
-        zip(scene.mesh.materials, slope_ranges(scene, shading), strict=True)
-    ):
-        own = [term.for_slopes(*slopes, shading.outside) for term in terms]
+    own = [shading.of(light) or shading.term for light in range(len(scene.lights))]
+    terms = [resolved.allowed(term) for term in own]
+    for index, material in enumerate(scene.mesh.materials):
         covered = gbuffer.part == index
         if not covered.any():
             continue
-        position = gbuffer.position[covered].astype(np.float64)
-        n = gbuffer.normal[covered].astype(np.float64)
-        m = gbuffer.m[covered].astype(np.float64)
-        albedo = material.kd / np.pi * gbuffer.albedo[covered].astype(np.float64)
-        weight = gbuffer.specular_weight[covered].astype(np.float64)
-        v = _normalised(gbuffer.view.eye - position)
-
-        occlusion = gbuffer.occlusion[covered].astype(np.float64)
-        coupling = None
-        if shading.diffuse == "coupled" and material.ks > 0.0:
-            n_dot_v = np.einsum("...i,...i", n, v)
-            coupling = _Coupling.at(gbuffer, covered, material, n_dot_v, pinned)
+        pixels = _Pixels.of(gbuffer, covered, material, shading.term)
+        coupling = pixels.coupling(material, shading)
         left = coupling.left(coupling.mean) if coupling else 1.0
-        entered = occlusion[:, None] * np.asarray(scene.ambient) * left
-        ambient[covered] = albedo * entered
-        for light, (source, term) in enumerate(zip(scene.lights, own, strict=True)):
-            l, irradiance = source.kind.lighting(source, scene.mesh, position)
-            if source.shadow:
-                irradiance = irradiance * gbuffer.visibility[covered][:, light, None]
-            cosine = np.einsum("...i,...i", n, l)
-            received = irradiance * np.maximum(cosine, 0.0)[:, None]
-            spread, variance = received, np.zeros(len(m))
-            if source.kind.sine is not None:
-                s = source.kind.sine(source, scene.mesh, position)[..., 0]
-                k = half_sum(s)
-                spread = irradiance * cosine_disc(cosine, s, k)[:, None]
-                variance = slope_variance_disc(s, k, 0.5 * np.linalg.norm(l + v, axis=-1))
-            left = coupling.left(coupling.towards(cosine)) if coupling else 1.0
-            diffuse[covered] += albedo * spread * left
+        entered = pixels.occlusion[:, None] * np.asarray(scene.ambient) * left
+        ambient[covered] = pixels.albedo * entered
+        for light, (source, by_part) in enumerate(zip(scene.lights, terms, strict=True)):
+            visible = gbuffer.visibility[covered][:, light, None] if source.shadow else None
+            l, spread, specular[light][covered] = _lit(
+                pixels, material, by_part[index], source, scene, visible
+            )
+            left = coupling.left(coupling.towards(dot(pixels.n, l))) if coupling else 1.0
+            diffuse[covered] += pixels.albedo * spread * left
             entered = entered + spread * left
-            value = term.brdf(n, l, v, slope_filtered(m, variance), material.f0)
-            if material.two_lobes:
-                assert gbuffer.second_m is not None
-                assert gbuffer.lobe_weight is not None
-                second = term.second(material.second_slope)
-                second_m = slope_filtered(gbuffer.second_m[covered], variance)
-                share = gbuffer.lobe_weight[covered].astype(np.float64)
-                value = share * value + (1.0 - share) * second.brdf(n, l, v, second_m, material.f0)
-            specular[light][covered] = received * (weight * value)[:, None]
         if light_of is not None and albedo_of is not None:
-            light_of[covered], albedo_of[covered] = entered, albedo
+            light_of[covered], albedo_of[covered] = entered, pixels.albedo
     more = light_of, albedo_of, gbuffer.emission
     return Layers(ambient, diffuse, specular, environment, *more)
+
+
+def _lit(
+    pixels: _Pixels,
+    material: Material,
+    term: Term,
+    source: Light,
+    scene: Scene,
+    visible: NDArray[np.float32] | None,
+) -> tuple[Float, Float, Float]:
+    """Return the direction towards a light, the irradiance of the diffuse term and the specular
+    radiance, (N, 3) each.
+
+    visible : (N, 1), the fraction of the light that is not in shadow; None where it casts none
+    """
+    n, v, m = pixels.n, pixels.v, pixels.m
+    l, irradiance = source.kind.lighting(source, scene.mesh, pixels.position)
+    if visible is not None:
+        irradiance = irradiance * visible
+    cosine = dot(n, l)
+    received = irradiance * np.maximum(cosine, 0.0)[:, None]
+    spread, variance = received, np.zeros(len(m))
+    if source.kind.sine is not None:
+        s = source.kind.sine(source, scene.mesh, pixels.position)[..., 0]
+        k = half_sum(s)
+        spread = irradiance * cosine_disc(cosine, s, k)[:, None]
+        variance = slope_variance_disc(s, k, 0.5 * np.linalg.norm(l + v, axis=-1))
+    value = term.brdf(n, l, v, slope_filtered(m, variance), material.f0)
+    if pixels.second_m is not None and pixels.lobe_weight is not None:
+        second = term.second(material.second_slope)
+        other = second.brdf(n, l, v, slope_filtered(pixels.second_m, variance), material.f0)
+        value = pixels.lobe_weight * value + (1.0 - pixels.lobe_weight) * other
+    return l, spread, received * (pixels.weight * value)[:, None]
 
 
 def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float64]:
@@ -193,34 +274,25 @@ def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArr
     from facerender.terms.environment import environment_irradiance, reflected
 
     panorama, turn = scene.environment.panorama, scene.environment.turn
-    map_ = panorama.map
-    term, samples = replace(shading.term, lobe="exact"), shading.environment_samples
+    samples = shading.environment_samples
     for index, material in enumerate(scene.mesh.materials):
         covered = gbuffer.part == index
         if not covered.any():
             continue
-        n = gbuffer.normal[covered].astype(np.float64)
-        v = _normalised(gbuffer.view.eye - gbuffer.position[covered].astype(np.float64))
-        albedo = material.kd / np.pi * gbuffer.albedo[covered].astype(np.float64)
-        occlusion = gbuffer.occlusion[covered].astype(np.float64)[:, None]
-        total = albedo * occlusion * environment_irradiance(panorama.coefficients, n @ turn.T)
-        if shading.diffuse == "coupled" and material.ks > 0.0:
-            n_dot_v = np.einsum("...i,...i", n, v)
-            coupling = _Coupling.at(gbuffer, covered, material, n_dot_v, shading.constant_slope)
+        pixels = _Pixels.of(gbuffer, covered, material, shading.term)
+        n, v = pixels.n @ turn.T, pixels.v @ turn.T
+        irradiance = environment_irradiance(panorama.coefficients, n)
+        total = pixels.albedo * pixels.occlusion[:, None] * irradiance
+        if coupling := pixels.coupling(material, shading):
             total *= coupling.left(coupling.mean)
-        weight = gbuffer.specular_weight[covered].astype(np.float64)
-        lobes = [(gbuffer.m, weight, term)]
-        if material.two_lobes:
-            assert gbuffer.second_m is not None
-            assert gbuffer.lobe_weight is not None
-            first = gbuffer.lobe_weight[covered] * weight
-            second = gbuffer.second_m, weight - first, term.second(material.second_slope)
-            lobes = [(gbuffer.m, first, term), second]
-        for slopes, share, own in lobes * bool(samples and material.ks > 0.0):
-            m = slopes[covered].astype(np.float64) if own.m is None else own.m
-            brdf = partial(_brdf, replace(own, m=None), material.f0)
-            seen = reflected(map_, len(map_) - 2, n @ turn.T, v @ turn.T, m, brdf, samples)
-            total += share[:, None] * seen
+        lobes = [(pixels.m, pixels.weight)]
+        if pixels.second_m is not None and pixels.lobe_weight is not None:
+            first = pixels.lobe_weight * pixels.weight
+            lobes = [(pixels.m, first), (pixels.second_m, pixels.weight - first)]
+        brdf = partial(_brdf, replace(shading.term, lobe="exact", m=None), material.f0)
+        for m, weight in lobes * bool(samples and material.ks > 0.0):
+            size = len(panorama.map) - 2
+            total += weight[:, None] * reflected(panorama.map, size, n, v, m, brdf, samples)
         image[covered] = scene.environment.scale * total
     return image
 
@@ -237,82 +309,19 @@ class _Coupling:
     ----------
     lobes : slope and weight of each lobe, (N,)
     f0 : of the material
-    eye, mean : albedo towards the eye, and over the hemisphere, (N,)
+    camera, mean : albedo towards the camera, and over the hemisphere, (N,)
     """
 
     lobes: list[tuple[Float, Float]]
     f0: float
-    eye: Float
+    camera: Float
     mean: Float
-
-    @classmethod
-    def at(
-        cls,
-        gbuffer: GBuffer,
-        covered: NDArray[np.bool_],
-        material: Material,
-        n_dot_v: Float,
-        m: float | None,
-    ) -> _Coupling:
-        """m : in place of the G-buffer's"""
-        weight = gbuffer.specular_weight[covered].astype(np.float64)
-        slope = gbuffer.m[covered].astype(np.float64) if m is None else np.full_like(weight, m)
-        lobes = [(slope, weight)]
-        if material.two_lobes:
-            assert gbuffer.second_m is not None
-            assert gbuffer.lobe_weight is not None
-            second = gbuffer.second_m[covered].astype(np.float64)
-            second = second if m is None else slope * material.second_slope
-            share = gbuffer.lobe_weight[covered].astype(np.float64)
-            lobes = [(slope, share * weight), (second, (1.0 - share) * weight)]
-        means = (w * brdf.cook_torrance_albedo_mean(each, material.f0) for each, w in lobes)
-        bare = cls(lobes, material.f0, weight, np.sum([*means], axis=0))
-        return replace(bare, eye=bare.towards(n_dot_v))
 
     def towards(self, cosine: Float) -> Float:
         """Return the albedo towards directions."""
-        each = (w * brdf.cook_torrance_albedo(cosine, m, self.f0) for m, w in self.lobes)
+        each = (w * cook_torrance_albedo(cosine, m, self.f0) for m, w in self.lobes)
         return np.asarray(np.sum([*each], axis=0))
 
     def left(self, albedo: Float) -> Float:
-        """Return the share that is left to light of this albedo, (N, 1)."""
-        return brdf.diffuse_coupled(albedo, self.eye, self.mean)[:, None]
-
-
-def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]:
-    """Return a view of the G-buffer, (H, W, 4) float32 with coverage; see ``Frame.linear``."""
-    covered = gbuffer.part >= 0
-    view = np.zeros((*covered.shape, 4), dtype=np.float32)
-    view[..., 3] = covered
-    position = gbuffer.position[covered].astype(np.float64)
-    normal = gbuffer.normal[covered].astype(np.float64)
-    to_eye = gbuffer.view.eye - position
-    if only == "albedo":
-        values = gbuffer.albedo[covered]
-    elif only == "normal":
-        values = gbuffer.normal[covered]
-    elif only == "depth":
-        depth = -(to_eye @ gbuffer.view.forward) * scene.mesh.radius
-        values = np.repeat(depth[:, None], 3, axis=1)
-    elif only == "visibility":
-        dark = next((i for i, light in enumerate(scene.lights) if light.shadow), None)
-        seen = np.ones(len(to_eye)) if dark is None else gbuffer.visibility[covered][:, dark]
-        values = np.repeat(seen[:, None], 3, axis=1)
-    elif only in ("mask", "parts"):
-        number = gbuffer.part[covered] + 1
-        values = np.repeat(np.minimum(number, 1 if only == "mask" else number)[:, None], 3, axis=1)
-    else:
-        v = _normalised(to_eye)
-        l = v
-        if scene.lights:
-            key = scene.lights[0]
-            l, _ = key.kind.lighting(key, scene.mesh, position)
-        h = _normalised(l + v)
-        values = np.stack([(normal * direction).sum(axis=-1) for direction in (l, v, h)], axis=-1)
-    view[covered, :3] = values
-    return view
-
-
-def _normalised(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    length = np.sqrt(np.einsum("...i,...i", vectors, vectors))[..., None]
-    return np.asarray(vectors / np.maximum(length, 1e-300))
+        """Return the fraction that is left to light of this albedo, (N, 1)."""
+        return diffuse_coupled(albedo, self.camera, self.mean)[:, None]

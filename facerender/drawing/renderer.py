@@ -7,7 +7,7 @@ import warnings
 import weakref
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from facerender import __version__
 from facerender.drawing.context import Backend, Context, create_context
-from facerender.drawing.frame import Frame, GBuffer, in_order
+from facerender.drawing.frame import Frame, GBuffer, data_view, in_order
 from facerender.drawing.memory import check_memory
 from facerender.drawing.passes import Pass
 from facerender.drawing.passes.shade import shade_pass
@@ -31,8 +31,8 @@ from facerender.drawing.passes.transparency import (
 )
 from facerender.drawing.passes.visibility import Visibility, can_defer, deferred_is_cheaper
 from facerender.drawing.prepare import reduced, simplify, start_maps
-from facerender.drawing.program import ENVIRONMENT_MAP, Lighting
-from facerender.drawing.reference import data_view
+from facerender.drawing.program import ENVIRONMENT_MAP
+from facerender.drawing.resolve import Lighting, ResolvedScene
 from facerender.drawing.resources import Resources, read
 from facerender.errors import (
     ContextError,
@@ -55,7 +55,6 @@ from facerender.scenes.scene import (
     Scene,
     ShadingRate,
     check_shading_rate,
-    slope_ranges,
 )
 from facerender.scenes.sources import MeshSource
 from facerender.scenes.view import View, hidden, sample_grid, view_of
@@ -67,6 +66,16 @@ if TYPE_CHECKING:
     from facerender.scenes.scattering import Scattering
 
 _LIMITS = ranges_of(ImageSettings)
+
+
+@dataclass(frozen=True)
+class _Image:
+    """How an image is drawn; values as of :meth:`Renderer.render`."""
+
+    samples: int
+    only: Only | None = None
+    cull_back_faces: bool = False
+    shading_rate: ShadingRate = "sample"
 
 
 class Renderer:
@@ -209,43 +218,38 @@ class Renderer:
         check_switch("cull_back_faces", cull_back_faces)
         check_shading_rate("shading_rate", shading_rate)
         check_type("only", only, str | None, f"one of {', '.join(ONLY)}")
+        samples = self.samples if samples is None else samples
         if only in DATA:
-            linear = data_view(self.gbuffer(scene, shading, blended=False), scene, only)
-            _check(linear, scene)
-            metadata = {**self.metadata, "samples": "1"}
-            if only == "parts":
-                metadata["parts"] = ", ".join(part.name for part in scene.mesh.parts)
-            return Frame(linear, only, scene.background is None, metadata)
+            return self._data_frame(scene, shading, only)
         if only not in (None, "specular", "diffuse"):
             raise InputError(f"unknown term {only!r}; known: {', '.join(ONLY)}")
-        samples = self.samples if samples is None else samples
         _LIMITS["samples"].check("samples", samples)
         view = view_of(scene, self.size[0] / self.size[1])
-        scene = self._simplified(scene, shading, view, samples)
-        if shading_rate == "pixel" and not self.can_shade_per_pixel(scene, samples):
+        resolved = self._resolved(scene, shading, view, samples)
+        if shading_rate == "pixel" and not self.can_shade_per_pixel(resolved.scene, samples):
             shading_rate = "sample"
+        image = _Image(samples, only, cull_back_faces, shading_rate)
         if samples <= self.context.most_samples:
-            linear = self._shaded(
-                scene, view, shading, samples, only, cull_back_faces, shading_rate
-            )
+            linear = self._shaded(resolved, view, image)
         else:
             linear = np.zeros((*self.size[::-1], 4), dtype=np.float32)
+            single = replace(image, samples=1, shading_rate="sample")
             for shift in sample_grid(samples):
-                shifted = view.shifted(shift, self.size)
-                linear += self._shaded(scene, shifted, shading, 1, only, cull_back_faces)
+                linear += self._shaded(resolved, view.shifted(shift, self.size), single)
             linear /= samples
         _check(linear, scene)
-        metadata = {key: str(value) for key, value in shading.as_dict().items()}
-        metadata |= {**self.metadata, "samples": str(samples)}
+        metadata = {**self.metadata, "samples": str(samples)}
         metadata |= {"shading_rate": shading_rate} if shading_rate == "pixel" else {}
-        for name in ("model", "lobe", "fresnel", "masking"):
-            metadata[name] = str(getattr(shading.term, name))
-        terms = Lighting.of(scene, shading).terms
-        ranges = [] if only == "diffuse" else slope_ranges(scene, shading)
-        drawn = [[term.for_slopes(*ends, shading.outside) for term in terms] for ends in ranges]
-        if any(own != [*terms] for own in drawn):
-            lobes = [dict.fromkeys(str(term.lobe) for term in own) for own in drawn]
-            metadata["lobe of each part"] = ", ".join(map(" and ".join, lobes))
+        metadata = _shading_metadata(resolved, only, metadata)
+        return Frame(linear, only, scene.background is None, metadata)
+
+    def _data_frame(self, scene: Scene, shading: Shading, only: Only) -> Frame:
+        """Return a view that is data, of one sample a pixel."""
+        linear = data_view(self.gbuffer(scene, shading, blended=False), scene, only)
+        _check(linear, scene)
+        metadata = {**self.metadata, "samples": "1"}
+        if only == "parts":
+            metadata["parts"] = ", ".join(part.name for part in scene.mesh.parts)
         return Frame(linear, only, scene.background is None, metadata)
 
     def can_shade_per_pixel(self, scene: Scene, samples: int) -> bool:
@@ -264,38 +268,38 @@ class Renderer:
         _check_scene(scene, shading)
         check_switch("blended", blended)
         view = view_of(scene, self.size[0] / self.size[1])
-        scene = self._simplified(scene, shading, view, 4)
+        resolved = self._resolved(scene, shading, view, 4)
         with self._layer_lock:
             over = [
                 layer
-                for blended_part in (blended_parts(scene, view) if blended else ())
-                for layer in self._layers(scene, view, shading, blended_part)
+                for blended_part in (blended_parts(resolved.scene, view) if blended else ())
+                for layer in self._layers(resolved, view, blended_part)
             ]
-        return replace(self._gbuffer(scene, view, shading)[0], transparent_layers=tuple(over))
+        return replace(self._gbuffer(resolved, view)[0], transparent_layers=tuple(over))
 
     def _layers(
-        self, scene: Scene, view: View, shading: Shading, blended_part: BlendedPart
+        self, resolved: ResolvedScene, view: View, blended_part: BlendedPart
     ) -> list[GBuffer]:
         """Return all layers of a part by depth peeling, at each pixel in drawing order."""
         layers: list[GBuffer] = []
         numbers: list[NDArray[np.float32]] = []
         while True:
-            layer, number = self._gbuffer(
-                scene, view, shading, replace(blended_part, layer=len(layers))
-            )
+            part = replace(blended_part, layer=len(layers))
+            layer, number = self._gbuffer(resolved, view, part)
             if not (layer.part >= 0).any():
                 return in_order(layers, np.array(numbers))
             layers.append(layer)
             numbers.append(number)
 
     def _gbuffer(
-        self, scene: Scene, view: View, shading: Shading, blended_part: BlendedPart | None = None
+        self, resolved: ResolvedScene, view: View, blended_part: BlendedPart | None = None
     ) -> tuple[GBuffer, NDArray[np.float32]]:
-        """Return the G-buffer of all opaque parts of a simplified scene, or of one layer of a
-        blended part, with the numbers of its triangles as they are drawn."""
+        """Return the G-buffer of all opaque parts of a scene, or of one layer of a blended part,
+        with the numbers of its triangles as they are drawn."""
+        scene, lighting = resolved.scene, resolved.lighting
         visibility = self._visibility(scene, view, 1)
         scatters = blended_part is None and _scattering(scene, self.size) is not None
-        surface = surface_pass(scene, view, shading, visibility, scatters, blended_part)
+        surface = surface_pass(resolved, view, visibility, scatters, blended_part)
         passes = [visibility.drawn(), surface] if visibility else [surface]
         known: dict[str, moderngl.Texture] = {}
         if blended_part is not None and blended_part.layer:
@@ -306,9 +310,8 @@ class Renderer:
         shines = any(any(material.emissive) for material in scene.mesh.materials)
         lobes = others.pop(0) if two else None
         seen = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
-        lighting = Lighting.of(scene, shading)
-        if shadows := shadow_passes(scene, lighting):
-            look = light_visibility_pass(scene, view, shading, visibility, blended_part)
+        if shadows := shadow_passes(resolved):
+            look = light_visibility_pass(resolved, view, visibility, blended_part)
             images = self._draw([*shadows, *passes[:-1], look], scene, known)
             number = len(lighting.shadowed)
             seen[..., lighting.shadowed] = np.concatenate(images, axis=-1)[..., :number]
@@ -331,7 +334,7 @@ class Renderer:
         )
         return gbuffer, others[-1][..., 1] if blended_part else np.empty((0, 0), np.float32)
 
-    def _simplified(self, scene: Scene, shading: Shading, view: View, samples: int) -> Scene:
+    def _resolved(self, scene: Scene, shading: Shading, view: View, samples: int) -> ResolvedScene:
         """Return what is drawn of a scene, whose maps are being decoded."""
         scene = simplify(scene, shading)
         if not (self.full_maps or self.albedo_kind == "linear-color"):
@@ -341,27 +344,20 @@ class Renderer:
         with self.context.drawing():
             self._resources.take_coarse(scene.mesh, shading.slope_filter)
         start_maps(scene.mesh, self.albedo_kind, shading.slope_filter)
-        return scene
+        return ResolvedScene(scene, shading, Lighting.of(scene, shading))
 
-    def _shaded(
-        self,
-        scene: Scene,
-        view: View,
-        shading: Shading,
-        samples: int,
-        only: Only | None,
-        cull_back_faces: bool,
-        shading_rate: ShadingRate = "sample",
-    ) -> NDArray[np.float32]:
-        visibility = self._visibility(scene, view, samples, shading_rate)
+    def _shaded(self, resolved: ResolvedScene, view: View, image: _Image) -> NDArray[np.float32]:
+        """Draw an image of a view, with as many samples as the driver has."""
+        scene, samples, only = resolved.scene, image.samples, image.only
+        visibility = self._visibility(scene, view, samples, image.shading_rate)
         scattering = None if only == "specular" else _scattering(scene, self.size)
         beside = scattering if samples == 1 else None
-        shaded = shade_pass(scene, view, shading, samples, only, visibility, beside)
+        shaded = shade_pass(resolved, view, samples, only, visibility, beside)
         if scattering and not beside:
             draws = tuple(draw for draw in shaded.draws if draw.depth != "blend")
             target = replace(shaded.target, sampled=True)
             shaded = replace(shaded, name="image", target=target, draws=draws)
-        passes = _from_visibility(shaded, visibility, cull_back_faces)
+        passes = _from_visibility(shaded, visibility, image.cull_back_faces)
         if scattering:
             from facerender.drawing.passes.scatter import scatter_pass
 
@@ -370,27 +366,27 @@ class Renderer:
                 background = scene.background if only is None else None
                 area = visibility.area if visibility else None
             else:
-                passes += self._apart(scene, view, shading, scattering, cull_back_faces)
-            how = scattering, shading.scatter_samples, background, not beside, area
-            last = [scatter_pass(view, *how)]
+                passes += self._scattering_apart(resolved, view, scattering, image.cull_back_faces)
+            how = resolved.shading.scatter_samples, background, not beside, area
+            last = [scatter_pass(view, scattering, *how)]
             if blended_parts(scene, view):
-                whole = shade_pass(scene, view, shading, samples, only)
-                last = with_blended(replace(whole, cull_back_faces=cull_back_faces), *last)
+                whole = shade_pass(resolved, view, samples, only)
+                whole = replace(whole, cull_back_faces=image.cull_back_faces)
+                last = with_blended(whole, *last)
             passes += last
-        return self._draw([*shadow_passes(scene, Lighting.of(scene, shading)), *passes], scene)[0]
+        return self._draw([*shadow_passes(resolved), *passes], scene)[0]
 
-    def _apart(
+    def _scattering_apart(
         self,
-        scene: Scene,
+        resolved: ResolvedScene,
         view: View,
-        shading: Shading,
         scattering: Scattering,
         cull_back_faces: bool,
     ) -> list[Pass]:
-        """What draws the light that scatters apart from an image whose pixels have several samples,
-        and see several places: the centre stands for all."""
-        visibility = self._visibility(scene, view, 1)
-        shaded = shade_pass(scene, view, shading, 1, "diffuse", visibility, scattering, apart=True)
+        """Return passes that draw the light that scatters apart from an image with several samples
+        a pixel, which may see several places: the centre stands for all."""
+        visibility = self._visibility(resolved.scene, view, 1)
+        shaded = shade_pass(resolved, view, 1, "diffuse", visibility, scattering, apart=True)
         return _from_visibility(shaded, visibility, cull_back_faces)
 
     def _visibility(
@@ -461,6 +457,21 @@ def _free_dropped(context: Context, resources: Resources) -> None:
     )
     with suppress(ContextError):
         _free(context, resources)
+
+
+def _shading_metadata(
+    resolved: ResolvedScene, only: Only | None, own: Mapping[str, str]
+) -> dict[str, str]:
+    """Return what an image was shaded with, and its own metadata among that."""
+    shading, terms = resolved.shading, resolved.lighting.terms
+    metadata = {key: str(value) for key, value in shading.as_dict().items()} | dict(own)
+    for name in ("model", "lobe", "fresnel", "masking"):
+        metadata[name] = str(getattr(shading.term, name))
+    parts = [part.terms for part in resolved.parts()] if only != "diffuse" else []
+    if any(own != terms for own in parts):
+        lobes = [dict.fromkeys(str(term.lobe) for term in own) for own in parts]
+        metadata["lobe of each part"] = ", ".join(map(" and ".join, lobes))
+    return metadata
 
 
 def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:

@@ -58,15 +58,10 @@ def call(term: Term, second_slope: float | None = None) -> str:
         "fresnel": FRESNEL[term.fresnel].macro,
         "masking": MASKING[term.masking].macro,
     }
-    m = "m" if term.m is None else repr(float(term.m))
-    first = term.entry.call.format(m=m, **macros)
-    if second_slope is None:
-        return first
-    second = "second_m" if term.m is None else repr(float(term.m * second_slope))
-    if term.entry.two:
+    m, second = _slopes(term, second_slope)
+    if second_slope is not None and term.entry.two:
         return term.entry.two.call.format(m=m, second=second, **macros)
-    other = term.entry.call.format(m=second, **macros)
-    return f"lobe_weight * {first} + (1.0 - lobe_weight) * {other}"
+    return _lobes(term.entry.call, m, second, macros)
 
 
 def environment_call(term: Term, second_slope: float | None = None) -> str:
@@ -84,12 +79,24 @@ def environment_call(term: Term, second_slope: float | None = None) -> str:
         )
     code = term.entry.environment.call
     macros = {"fresnel": FRESNEL[term.fresnel].macro, "masking": MASKING[term.masking].macro}
-    first = code.format(m="m" if term.m is None else repr(float(term.m)), **macros)
-    if second_slope is None:
-        return first
-    second = "second_m" if term.m is None else repr(float(term.m * second_slope))
-    other = code.format(m=second, **macros)
-    return f"lobe_weight * {first} + (1.0 - lobe_weight) * {other}"
+    return _lobes(code, *_slopes(term, second_slope), macros)
+
+
+def _slopes(term: Term, second_slope: float | None) -> tuple[str, str]:
+    """Return the slopes of both lobes as GLSL, constants where the term has its own m; "" for a
+    second lobe that is not there."""
+    second = None if second_slope is None else term.second(second_slope).slope("second_m")
+    first, other = (
+        each if isinstance(each, str) else repr(float(each))
+        for each in (term.slope("m"), second or "")
+    )
+    return first, other
+
+
+def _lobes(code: str, m: str, second: str, macros: Mapping[str, str]) -> str:
+    """Return the call of one lobe, or the mean of the calls of two."""
+    first, other = (code.format(m=each, **macros) for each in (m, second))
+    return f"lobe_weight * {first} + (1.0 - lobe_weight) * {other}" if second else first
 
 
 def _shared_macros(terms: Sequence[Term], smallest_m: float) -> dict[str, str]:

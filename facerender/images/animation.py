@@ -1,12 +1,14 @@
-"""Several pictures as one that moves: GIF and WebP by Pillow, MP4 by an installed ffmpeg."""
+"""Animations: GIF and WebP by Pillow, MP4 by imageio-ffmpeg (the extra ``mp4``)."""
 
 from __future__ import annotations
 
+import logging
 import os
-import shutil
-import socket
-import subprocess
+import signal
+import struct
+import threading
 from collections.abc import Iterable, Iterator
+from contextlib import closing, contextmanager, suppress
 from itertools import chain
 from tempfile import TemporaryFile
 from typing import Any
@@ -25,6 +27,7 @@ from facerender.errors import (
 )
 from facerender.images.write import QUALITY, check_opaque
 from facerender.system.atomic import write_whole
+from facerender.system.standard_error import redirected_stderr
 
 MOVING = (".gif", ".webp", ".mp4")
 MOST_FPS = 100.0  # a GIF counts in hundredths of a second
@@ -33,44 +36,36 @@ _CRF = "16"  # quality of the MP4
 
 
 def save_animation(
-    path: str | os.PathLike[str], pictures: Iterable[NDArray[np.uint8]], fps: float = 12.0
+    path: str | os.PathLike[str], images: Iterable[NDArray[np.uint8]], fps: float = 12.0
 ) -> None:
-    """Write pictures as .gif, .webp or .mp4 (H.264), whole or not at all; they repeat without end.
+    """Write images as .gif, .webp or .mp4 (H.264), whole or not at all; they repeat without end.
 
     Parameters
     ----------
-    pictures : 8-bit sRGB, (H, W, 3) each, as of :meth:`facerender.Frame.srgb8`; they may be made
-        one by one. Of a .webp also (H, W, 4). A side of an .mp4 is made even by black pixels
-    fps : pictures a second, in [0.1, 100]; a GIF takes the nearest hundredth of a second for each
+    images : 8-bit sRGB, (H, W, 3) each, as of :meth:`facerender.Frame.srgb8`; they may be made
+        one by one. Of a .webp also (H, W, 4). A black row or column makes an .mp4's sides even
+    fps : images per second, in [0.1, 100]; a GIF takes the nearest hundredth of a second for each
 
     Raises
     ------
-    InputError : another suffix, no picture, transparent ones in a .gif or .mp4, a place that cannot
-        be written; no ffmpeg is found for an .mp4, or it fails
+    InputError : another suffix, no image, transparent ones in a .gif or .mp4, a place that cannot
+        be written; an .mp4 without imageio-ffmpeg, or whose encoder fails
     """
     suffix = check_animation(path, fps)
-    check_type("pictures", pictures, Iterable, "several arrays (H, W, 3) of uint8")
-    every = map(_checked, pictures)
-    first = next(every, None)
+    check_type("images", images, Iterable, "several arrays (H, W, 3) of uint8")
+    checked = _checked(images, os.fspath(path))
+    first = next(checked, None)
     if first is None:
-        raise InputError(f"{path} would have no picture: give at least one")
+        raise InputError(f"{path} would have no image: give at least one")
     if suffix != ".webp":
         check_opaque(suffix, first.shape[-1] == 4)
     elif max(first.shape[:2]) > _HIGHEST:
         raise InputError(f"a WebP has at most {_HIGHEST} pixels a side: give a smaller size")
-
-    def alike(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        if picture.shape != first.shape:
-            raise InputError(
-                f"pictures of {first.shape} and {picture.shape} for {path}: give them one size"
-            )
-        return picture
-
-    images = chain([first], map(alike, every))
+    frames = chain([first], checked)
     if suffix == ".mp4":
-        write_whole(path, lambda name: _mp4(name, images, first.shape[:2], fps))
+        write_whole(path, lambda name: _mp4(name, frames, first.shape[:2], fps))
     else:
-        write_whole(path, lambda name: _pillow(name, suffix[1:], images, fps))
+        write_whole(path, lambda name: _pillow(name, suffix[1:], frames, fps))
 
 
 def check_animation(path: str | os.PathLike[str], fps: float) -> str:
@@ -81,21 +76,26 @@ def check_animation(path: str | os.PathLike[str], fps: float) -> str:
         raise InputError(f"{shown(os.fspath(path))}: give {', '.join(MOVING)}")
     check_range("fps", fps, 0.1, MOST_FPS)
     if suffix == ".mp4":
-        _ffmpeg()
+        _imageio_ffmpeg()
     return suffix
 
 
-def _checked(picture: Any) -> NDArray[np.uint8]:
-    good = isinstance(picture, np.ndarray) and picture.dtype == np.uint8 and picture.size > 0
-    if not (good and picture.ndim == 3 and picture.shape[2] in (3, 4)):
-        raise InputError(f"picture = {shown(picture)}: give an array (H, W, 3) of uint8")
-    return np.asarray(picture)
+def _checked(images: Iterable[Any], path: str) -> Iterator[NDArray[np.uint8]]:
+    shape = None
+    for image in images:
+        good = isinstance(image, np.ndarray) and image.dtype == np.uint8 and image.size > 0
+        if not (good and image.ndim == 3 and image.shape[2] in (3, 4)):
+            raise InputError(f"image = {shown(image)}: give an array (H, W, 3) of uint8")
+        if shape not in (None, image.shape):
+            raise InputError(f"images of {shape} and {image.shape} for {path}: give them one size")
+        shape = image.shape
+        yield image
 
 
-def _pillow(name: str, kind: str, pictures: Iterator[NDArray[np.uint8]], fps: float) -> None:
+def _pillow(name: str, kind: str, frames: Iterator[NDArray[np.uint8]], fps: float) -> None:
     from PIL import Image
 
-    images = map(Image.fromarray, pictures)
+    images = map(Image.fromarray, frames)
     step = max(10, round(100.0 / fps) * 10) if kind == "gif" else round(1000.0 / fps)
     more = {"disposal": 1} if kind == "gif" else {"quality": QUALITY, "method": 3}
     next(images).save(
@@ -103,65 +103,83 @@ def _pillow(name: str, kind: str, pictures: Iterator[NDArray[np.uint8]], fps: fl
     )
 
 
-def _mp4(
-    name: str, pictures: Iterator[NDArray[np.uint8]], size: tuple[int, ...], fps: float
-) -> None:
-    """Have ffmpeg read the pictures from a socket: a pipe would end this process by SIGPIPE where
-    ffmpeg ends early."""
-    colors = ("-color_primaries", "bt709", "-color_trc", "iec61966-2-1", "-colorspace", "bt709")
-    command = [
-        *(_ffmpeg(), "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24"),
-        *("-video_size", f"{size[1]}x{size[0]}", "-framerate", f"{fps:g}", "-i", "pipe:0"),
+def _mp4(name: str, frames: Iterator[NDArray[np.uint8]], size: tuple[int, ...], fps: float) -> None:
+    ffmpeg = _imageio_ffmpeg()
+    logging.getLogger(ffmpeg.__name__).addHandler(logging.NullHandler())
+    output = [
         *("-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv"),
-        *("-c:v", "libx264", "-crf", _CRF, "-pix_fmt", "yuv420p", *colors),
-        *("-f", "mp4", name),
+        *("-color_primaries", "bt709", "-color_trc", "iec61966-2-1", "-colorspace", "bt709"),
+        *("-crf", _CRF, "-f", "mp4"),
     ]
-    here, there = socket.socketpair()
-    with here, TemporaryFile() as told:  # a pipe that nobody reads meanwhile may be full
-        with there:
-            try:
-                encoder = subprocess.Popen(
-                    command, stdin=there.fileno(), stdout=subprocess.DEVNULL, stderr=told
-                )
-            except OSError as error:
-                raise InputError(
-                    f"cannot start {clipped(command[0])}: {reason(error)}; give .gif or .webp"
-                ) from None
-        with encoder:
-            try:
-                for picture in pictures:
-                    here.sendall(np.ascontiguousarray(picture).data.cast("B"), _SILENT)
-            except (BrokenPipeError, ConnectionResetError):
-                pass  # it says why
-            except BaseException:
-                encoder.kill()
-                raise
-            here.close()
-        told.seek(0)
-        said = told.read().decode(errors="replace").strip().splitlines()
-    if encoder.returncode:
-        why = clipped(said[-1] if said else f"status {encoder.returncode}")
-        raise InputError(f"ffmpeg made no .mp4 ({why}): give .gif or .webp")
+    encoder = ffmpeg.write_frames(
+        name,
+        (size[1], size[0]),
+        fps=fps,
+        codec="libx264",
+        quality=None,
+        macro_block_size=1,
+        ffmpeg_log_level="error",
+        output_params=output,
+    )
+    with TemporaryFile() as log, _sigpipe_ignored():
+        try:
+            with redirected_stderr(log):
+                encoder.send(None)  # starts ffmpeg
+        except OSError as error:
+            raise InputError(f"cannot start ffmpeg: {reason(error)}; give .gif or .webp") from None
+        failed = ""
+        with closing(encoder):
+            for frame in frames:
+                try:
+                    encoder.send(np.ascontiguousarray(frame))
+                except OSError:  # ffmpeg has ended
+                    failed = "it ended early"
+                    break
+        log.seek(0)
+        if lines := log.read().decode(errors="replace").strip().splitlines():
+            failed = lines[-1]
+    if failed or not _has_index(name):
+        failed = failed or "the file is not complete"
+        raise InputError(f"ffmpeg made no .mp4 ({clipped(failed)}): give .gif or .webp")
 
 
-_SILENT = getattr(socket, "MSG_NOSIGNAL", 0)
+def _has_index(name: str) -> bool:
+    """Return whether an MP4 has its last box, "moov": write_frames ignores ffmpeg's exit status."""
+    with suppress(OSError), open(name, "rb") as file:
+        while len(head := file.read(16)) >= 8:
+            size, kind = struct.unpack_from(">I4s", head)
+            if kind == b"moov":
+                return True
+            size = struct.unpack_from(">8xQ", head)[0] if size == 1 else size  # 1: 64 bits
+            if size < 8:
+                return False
+            file.seek(size - len(head), os.SEEK_CUR)
+    return False
 
 
-def _ffmpeg() -> str:
-    """Return the path of ffmpeg.
-
-    Raises
-    ------
-    InputError : there is none
-    """
-    if found := shutil.which("ffmpeg"):
-        return found
+@contextmanager
+def _sigpipe_ignored() -> Iterator[None]:
+    """Have a write to a pipe that nobody reads raise BrokenPipeError: the command line has SIGPIPE
+    end the process, for standard output."""
+    if not hasattr(signal, "SIGPIPE") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     try:
-        from imageio_ffmpeg import get_ffmpeg_exe
+        yield
+    finally:
+        signal.signal(signal.SIGPIPE, before)
 
-        return str(get_ffmpeg_exe())
+
+def _imageio_ffmpeg() -> Any:
+    """Return the package imageio_ffmpeg; raise InputError where it or its ffmpeg is missing."""
+    try:
+        import imageio_ffmpeg
+
+        imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError) as error:
         raise InputError(
-            f"no ffmpeg for an .mp4 ({reason(error)}): apt-get install ffmpeg, or pip install "
-            "imageio-ffmpeg, or give .gif or .webp"
+            f"no ffmpeg for an .mp4 ({reason(error)}): pip install 'facerender[mp4]', or give .gif "
+            "or .webp"
         ) from None
+    return imageio_ffmpeg

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 import struct
-import threading
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Mapping, Sequence
+from contextlib import redirect_stdout
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from facerender.errors import InputError, clipped, reason
 from facerender.images.decode import check_pixels
 from facerender.images.image import HALVED, ImageData, PixelRange
 from facerender.system.atomic import write_bytes
+from facerender.system.standard_error import redirected_stderr
 
 REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # what an EXR has that says nothing
 _MAGIC = b"v/1\x01"
@@ -28,7 +28,6 @@ _B44_LOSS, _DWA_LOSS = 0.012, 0.015  # at most, of the built-in head at 256 to 1
 _MOVED = ("moved_least", "moved_most")  # layers of a golden
 _DWA_LEVEL = 45.0  # where the file names none
 _HIGHEST_DWA_LEVEL = 1000.0  # what says more would explain any difference as its loss
-_SILENT = threading.Lock()
 
 
 def save_exr(
@@ -83,7 +82,8 @@ def read_exr(path: Path, start: bytes, size: int) -> ImageData:
             channels = clipped(", ".join(kinds))
             raise InputError(f"{path} has channels {channels}: give R, G, B, and A if any")
         whole = len(names) > 2 and len({kinds[name] for name in names}) == 1
-        with _silence():
+        # OpenEXR prints what it thinks of a damaged file.
+        with open(os.devnull, "w") as nothing, redirected_stderr(nothing), redirect_stdout(nothing):
             file = OpenEXR.File(str(path), separate_channels=not whole)
             header, found = file.header(), file.channels()
         if whole:
@@ -203,24 +203,6 @@ def _in_window(pixels: NDArray[Any], header: Mapping[str, Any]) -> NDArray[Any]:
     seen = pixels[max(-y, 0) :, max(-x, 0) :]
     place[:] = seen[: place.shape[0], : place.shape[1]]
     return shown
-
-
-@contextmanager
-def _silence() -> Iterator[None]:
-    """Keep off standard output and error what OpenEXR says there, from C as well, about a damaged
-    file."""
-    with _SILENT, open(os.devnull, "w") as nothing, redirect_stdout(nothing):
-        try:
-            kept = os.dup(2)
-        except OSError:  # closed
-            yield
-            return
-        try:
-            os.dup2(nothing.fileno(), 2)
-            yield
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
 
 
 def openexr(path: str | os.PathLike[str]) -> Any:

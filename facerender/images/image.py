@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
@@ -11,11 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError
-from facerender.jpeg import Jpeg
 
 Encoding = Literal["linear", "srgb8"]
-ROUNDED = 12.0**-0.5  # RMS of what rounding to whole steps adds
-HALVED = 2.0**-11 / 3.0**0.5  # and rounding to half floats, relative
+HALVED = 2.0**-11 / 3.0**0.5  # relative RMS error of rounding to half floats
 
 
 class PixelRange(NamedTuple):
@@ -38,9 +36,9 @@ class ImageData:
     metadata : that the file carries
     color_space : as the file says it, "" where it says nothing or sRGB
     profile : the ICC profile that its colours were converted from to sRGB, "" where they were not
-    noise : RMS error that the encoding leaves in a pixel: in steps of 255, or relative to radiance,
-        or to 0.01
-    jpeg : how a JPEG holds its pixels, None in another file
+    jpeg : whether it was read from a JPEG, whose compression changed its pixels
+    noise : RMS error that half floats or a lossy compression of EXR leave in a pixel, relative to
+        the larger of its radiance and 0.01
     shift_range : range of each pixel over 24 shifts of the image by at most 0.1 pixel; None where
         the file holds none
     """
@@ -51,8 +49,8 @@ class ImageData:
     metadata: Mapping[str, str] = field(default_factory=dict)
     color_space: str = ""
     profile: str = ""
+    jpeg: bool = False
     noise: float = 0.0
-    jpeg: Jpeg | None = None
     shift_range: PixelRange | None = None
 
     @property
@@ -78,13 +76,6 @@ class ImageData:
         coverage = pixels[..., -1].astype(np.float32) / np.float32(255.0)
         return color * coverage[..., None], coverage
 
-    def encoded_as(self, other: ImageData) -> ImageData:
-        """Return these pixels as the file of another image would hold them: where that is a JPEG,
-        after its losses. Both are 8-bit, with the same channels."""
-        if other.jpeg is None or other.jpeg == self.jpeg:
-            return self
-        return replace(self, pixels=other.jpeg.applied(self.pixels))
-
     @cached_property
     def _opaque(self) -> bool:
         # Not any(), which warns of signalling NaN.
@@ -103,7 +94,7 @@ def image_from_array(values: NDArray[Any], name: str) -> ImageData:
     if pixels.ndim != 3 or not 1 <= pixels.shape[2] <= 4 or 0 in pixels.shape:
         raise InputError(f"{name} has shape {values.shape}: give (H, W, 3) or (H, W, 4)")
     if pixels.dtype == np.uint8:
-        return ImageData(pixels, "srgb8", name, noise=ROUNDED)
+        return ImageData(pixels, "srgb8", name)
     if not np.issubdtype(pixels.dtype, np.floating):
         raise InputError(f"{name} holds {pixels.dtype}: give linear float, or uint8")
     noise = HALVED if pixels.dtype == np.float16 else 0.0

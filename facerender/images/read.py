@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, clipped, reason
 from facerender.images.decode import MAX_BYTES, check_pixels, open_image, texels
 from facerender.images.exr import read_exr
-from facerender.images.icc import profile_of
-from facerender.images.image import ROUNDED, ImageData, image_from_array
-from facerender.jpeg import Jpeg
+from facerender.images.icc import to_srgb
+from facerender.images.image import ImageData, image_from_array
 from facerender.system.files import check_downloaded, open_file
 
 SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
@@ -110,34 +109,19 @@ def _read_8_bit(path: Path, content: bytes) -> ImageData:
         raise InputError(f"{path} has one transparent colour: save it as RGBA")
     try:
         pixels = texels(image, image.mode)
-        jpeg = None if image.format == "PNG" else Jpeg.of(image)
     except Exception as error:  # each decoder of Pillow fails in its own way
         raise InputError(f"{path} is damaged ({reason(error)}); write it anew") from None
     metadata = {str(key): value for key, value in image.info.items() if isinstance(value, str)}
-    noise = jpeg.noise if jpeg else ROUNDED
-    picture = ImageData(pixels, "srgb8", str(path), metadata, noise=noise, jpeg=jpeg)
+    data = ImageData(pixels, "srgb8", str(path), metadata, jpeg=image.format != "PNG")
     if "icc_profile" in image.info:
-        return _in_srgb(picture, image.info["icc_profile"])
+        try:
+            pixels, profile = to_srgb(pixels, image.info["icc_profile"] or b"")
+        except Exception as error:  # LittleCMS fails in its own ways
+            raise InputError(
+                f"{path} has an ICC profile that cannot be used ({reason(error)}): save it as sRGB"
+            ) from None
+        return replace(data, pixels=pixels, profile=profile)
     gamma = image.info.get("gamma", SRGB_GAMMA)
-    if abs(gamma - SRGB_GAMMA) > 1e-4:
-        return replace(picture, color_space=f"gamma {gamma:.4g}")
-    return picture
-
-
-def _in_srgb(picture: ImageData, content: bytes | None) -> ImageData:
-    """Return an 8-bit image, whose pixels are its own, with its colours in sRGB.
-
-    content : of its ICC profile, None of one that Pillow could not unpack
-    """
-    try:
-        profile = profile_of(content or b"", "L" if picture.pixels.shape[2] < 3 else "RGB")
-    except Exception as error:  # LittleCMS fails in its own ways
-        raise InputError(
-            f"{picture.name} has an ICC profile that cannot be used ({reason(error)}): save it as "
-            "sRGB"
-        ) from None
-    if profile.srgb:
-        return picture
-    profile.convert(picture.pixels)
-    noise = math.hypot(profile.gain * picture.noise, ROUNDED)
-    return replace(picture, profile=clipped(profile.name), noise=noise, jpeg=None)
+    return (
+        data if abs(gamma - SRGB_GAMMA) <= 1e-4 else replace(data, color_space=f"gamma {gamma:.4g}")
+    )

@@ -10,7 +10,8 @@ from operator import attrgetter
 from typing import Any
 
 from facerender.drawing.prepare import simplify
-from facerender.scenes.scene import Scene, slope_ranges
+from facerender.drawing.resolve import resolve
+from facerender.scenes.scene import Scene
 from facerender.shading import SCATTER_SAMPLES, SMALL_SLOPE, Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe
 from facerender.terms.fitting import G_POWERS, fit_g_power
@@ -150,7 +151,7 @@ def with_lights(
 
 
 def _terms(scene: Scene, full: Shading) -> Iterator[Shading]:
-    ranges = slope_ranges(simplify(scene, full), full)
+    ranges = resolve(scene, full).slopes
     smallest, largest = min(low for low, _ in ranges), max(high for _, high in ranges)
     family = full.term.entry.family
     for model in [model for model in MODELS.values() if model.family == family]:

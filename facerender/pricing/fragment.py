@@ -18,12 +18,12 @@ from facerender.drawing.passes import Draw, Target
 from facerender.drawing.passes.shadow import shadow_passes
 from facerender.drawing.program import (
     ENVIRONMENT_MAP,
-    Lighting,
     Program,
     part_uniforms,
     scene_uniforms,
     shade_program,
 )
+from facerender.drawing.resolve import Lighting, ResolvedPart, ResolvedScene
 from facerender.drawing.resources import Resources, set_uniforms
 from facerender.pricing.cost import clock_of, slopes
 from facerender.pricing.interval import Interval
@@ -98,12 +98,12 @@ def program_of(
     """
     chosen = shading or Shading()
     lighting = Lighting.of(scene, chosen)
-    terms = lighting.terms if shading else ()
     (part, *_), (material, *_) = scene.mesh.parts, scene.mesh.materials
     if coupled:
         chosen = chosen.replace(diffuse="coupled")
     chosen = chosen.replace(environment_samples=environment_samples)
-    program = shade_program(part, material, scene, chosen, lighting, terms, SLOPE)
+    own = ResolvedPart(part, material, SLOPE, lighting.terms if shading else ())
+    program = shade_program(ResolvedScene(scene, chosen, lighting), own)
     return replace(program, calls=(stub,)) if stub else program
 
 
@@ -214,7 +214,7 @@ def by_slope(
     Parameters
     ----------
     repeats : of every measurement
-    progress : called with the share that is done, in [0, 1]
+    progress : called with the fraction that is done
     shading : see :func:`samples`
 
     Returns
@@ -257,7 +257,7 @@ def _timed(
     draw = Draw(source, {}, part, material)
     textures: Any = {
         step.name: resources.draw(step, scene.mesh, {}).color_attachments[0]
-        for step in shadow_passes(scene, lighting)
+        for step in shadow_passes(ResolvedScene(scene, Shading(), lighting))
     }
     if scene.environment is not None:
         textures[ENVIRONMENT_MAP] = resources.environment(scene.environment.panorama)

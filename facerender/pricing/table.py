@@ -12,15 +12,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from facerender.drawing.prepare import simplify
-from facerender.drawing.program import Lighting
+from facerender.drawing.resolve import Lighting, resolve
 from facerender.errors import InputError
 from facerender.glsl.code import call, prelude
 from facerender.pricing.variants import SLOPE
 from facerender.scenes.light import LIGHT_KINDS
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
-from facerender.scenes.scene import Scene, slope_ranges
+from facerender.scenes.scene import Scene
 from facerender.shading import Shading, Term
 from facerender.terms import lobe_entry
 
@@ -64,8 +63,8 @@ class Prices:
         ------
         NoPrice : a term that is not priced
         """
-        simple = simplify(scene, shading)
-        lighting = Lighting.of(simple, shading)
+        resolved = resolve(scene, shading)
+        simple, lighting = resolved.scene, resolved.lighting
         terms = [
             lighting.terms[group.term]
             for group in sorted(lighting.groups, key=lambda group: group.term)
@@ -74,7 +73,7 @@ class Prices:
         lights = self._lights(lighting)
         total = specular = faces = 0.0
         for part, material, (smallest, _) in zip(
-            simple.mesh.parts, simple.mesh.materials, slope_ranges(simple, shading), strict=True
+            simple.mesh.parts, simple.mesh.materials, resolved.slopes, strict=True
         ):
             whole, shine = self._part(simple, shading, part, material, lights, terms, smallest)
             faces += len(part.faces)

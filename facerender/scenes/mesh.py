@@ -304,6 +304,13 @@ def drawn_alpha(part: Part, material: Material) -> Alpha:
     return "opaque" if material.solid else material.alpha
 
 
+def base_slope(part: Part, material: Material) -> float:
+    """Return the m of a part's first lobe, or the factor on its squared roughness map where that
+    counts."""
+    mapped = material.roughness_map and coordinates(part, material, "roughness_map") is not None
+    return material.roughness_factor**2 if mapped else material.m
+
+
 def slope_range(part: Part, material: Material) -> tuple[float, float]:
     """Return the smallest and the largest m of all lobes; without texture coordinates no map
     counts."""

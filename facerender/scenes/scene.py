@@ -8,17 +8,10 @@ from typing import TYPE_CHECKING, Literal, get_args
 from facerender.errors import InputError, check_type, each_of, shown
 from facerender.scenes import sources
 from facerender.scenes.camera import Camera
-from facerender.scenes.light import LIGHTS, Light, disc_of
-from facerender.scenes.mesh import Mesh, slope_range
+from facerender.scenes.light import LIGHTS, Light
+from facerender.scenes.mesh import Mesh
 from facerender.scenes.vectors import COLORS, Vector
-from facerender.shading import Shading
 from facerender.terms.ranges import check_fields, ranged
-from facerender.terms.slope_variance import (
-    MAX_PIXEL_VARIANCE,
-    slope_filtered,
-    slope_variance_disc,
-    slope_variance_map,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -98,27 +91,3 @@ class Scene:
 
             remedy = "an Environment, as facerender.load_environment returns it"
             check_type("environment", self.environment, Environment, remedy)
-
-
-def slope_ranges(scene: Scene, shading: Shading) -> list[tuple[float, float]]:
-    """Return the smallest and the largest m of each part: what the slope filter, curvature and
-    discs of lights may add counts.
-
-    Raises
-    ------
-    InputError : a light that is too near for its radius
-    """
-    discs = [disc for light in scene.lights if (disc := disc_of(light, scene.mesh))]
-    shared = max((float(slope_variance_disc(*disc, 0.0)) for disc in discs), default=0.0)
-    shared += MAX_PIXEL_VARIANCE * shading.curvature
-    ranges = []
-    for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
-        smallest, largest = slope_range(part, material)
-        variance = shared
-        if part.uv is not None and material.normal_map and shading.normal_map:
-            strength = material.normal_strength**2
-            variance += strength * float(slope_variance_map(1.0)) * shading.slope_filter
-        if variance:
-            largest = float(slope_filtered(largest, variance))
-        ranges.append((smallest, largest))
-    return ranges

@@ -10,26 +10,25 @@ import numpy as np
 from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.passes.transparency import blended_draws, unblended
 from facerender.drawing.passes.visibility import Visibility
-from facerender.drawing.program import Lighting, part_uniforms, scene_uniforms, shade_program
-from facerender.scenes.scene import Only, Scene, slope_ranges
+from facerender.drawing.program import part_uniforms, scene_uniforms, shade_program
+from facerender.drawing.resolve import ResolvedScene
+from facerender.scenes.scene import Only
 from facerender.scenes.view import View
-from facerender.shading import Shading
 
 if TYPE_CHECKING:
     from facerender.scenes.scattering import Scattering
 
 
 def shade_pass(
-    scene: Scene,
+    resolved: ResolvedScene,
     view: View,
-    shading: Shading,
     samples: int,
     only: Only | None = None,
     visibility: Visibility | None = None,
     scattering: Scattering | None = None,
     apart: bool = False,
 ) -> Pass:
-    """Return the pass that shades a simplified scene.
+    """Return the pass that shades a scene.
 
     Parameters
     ----------
@@ -45,23 +44,19 @@ def shade_pass(
     InputError : m lies outside a lobe's domain, and the shading asks for an error then; a light
         is too near for its radius
     """
-    lighting = Lighting.of(scene, shading)
-    draws = []
+    scene, draws = resolved.scene, []
     specular = only != "diffuse"
-    counted = shading if specular else shading.replace(environment_samples=0)
-    ranges = slope_ranges(scene, shading) if specular else [(0.0, 0.0)] * len(scene.mesh.parts)
-    for part, material, ends in zip(scene.mesh.parts, scene.mesh.materials, ranges, strict=True):
-        terms = [term.for_slopes(*ends, shading.outside) for term in lighting.terms * specular]
-        program = shade_program(
-            *(part, material, scene, counted, lighting, terms, ends[0]),
-            diffuse=only != "specular",
-            emits=only is None,
-        )
+    parts = resolved.parts(specular)
+    if not specular:
+        resolved = replace(resolved, shading=resolved.shading.replace(environment_samples=0))
+    for own in parts:
+        program = shade_program(resolved, own, diffuse=only != "specular", emits=only is None)
         if samples > 1 and "ALPHA_MASK" in program.features:
             program = replace(program, features=(*program.features, f"TO_COVERAGE {samples}"))
-        draws.append(Draw(program, part_uniforms(part, material), part, material))
+        uniforms = part_uniforms(own.part, own.material)
+        draws.append(Draw(program, uniforms, own.part, own.material))
     background = scene.background if scene.background and only is None else (0.0, 0.0, 0.0)
-    uniforms = scene_uniforms(scene, view, lighting)
+    uniforms = scene_uniforms(scene, view, resolved.lighting)
     if scattering:
         background = (0.0, 0.0, 0.0)
     drawn = Pass("shade", Target(samples=samples), tuple(draws), (*background, 0.0), uniforms)

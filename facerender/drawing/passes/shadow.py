@@ -11,13 +11,13 @@ from facerender.drawing.passes.transparency import BlendedPart, mask_features, u
 from facerender.drawing.passes.visibility import Visibility
 from facerender.drawing.program import (
     SHADOW_MAP,
-    Lighting,
     Program,
     light_visibility_program,
     part_uniforms,
     scene_uniforms,
     surface_features,
 )
+from facerender.drawing.resolve import ResolvedScene
 from facerender.drawing.triangle_setup import triangle_setup_of
 from facerender.errors import InputError
 from facerender.scenes.material import Material
@@ -32,7 +32,7 @@ MOST = 16  # lights that cast shadows: their maps lie side by side in one textur
 _EMPTY = -1e30
 
 
-def shadow_passes(scene: Scene, lighting: Lighting) -> list[Pass]:
+def shadow_passes(resolved: ResolvedScene) -> list[Pass]:
     """Return the pass that draws the maps of all lights that cast shadows, if there are any. It is
     drawn again only when a mesh or a light has moved. What a mask cuts away of a part casts no
     shadow, nor does a part that is blended.
@@ -41,7 +41,8 @@ def shadow_passes(scene: Scene, lighting: Lighting) -> list[Pass]:
     ------
     InputError : too many lights cast shadows, or one from within the mesh
     """
-    spaces = lighting.spaces(scene.mesh)
+    scene = resolved.scene
+    spaces = resolved.lighting.spaces(scene.mesh)
     if not spaces:
         return []
     if len(spaces) > MOST:
@@ -88,18 +89,17 @@ def _cut(material: Material) -> Hashable:
 
 
 def light_visibility_pass(
-    scene: Scene,
+    resolved: ResolvedScene,
     view: View,
-    shading: Shading,
     visibility: Visibility | None = None,
     blended_part: BlendedPart | None = None,
 ) -> Pass:
     """Return the pass that draws how much of each light that casts shadows a point sees, in the
     order of programs; visibility as of the pass that shades, blended_part as of the surface's."""
-    lighting = Lighting.of(scene, shading)
+    scene, lighting = resolved.scene, resolved.lighting
     draws = [
         Draw(
-            light_visibility_program(part, material, shading, lighting),
+            light_visibility_program(part, material, resolved.shading, lighting),
             part_uniforms(part, material),
             part,
             material,

@@ -11,29 +11,29 @@ from facerender.drawing.program import (
     scene_uniforms,
     surface_features,
 )
+from facerender.drawing.resolve import ResolvedScene
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Part
-from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
 from facerender.shading import Shading
 
 
 def surface_pass(
-    scene: Scene,
+    resolved: ResolvedScene,
     view: View,
-    shading: Shading,
     visibility: Visibility | None = None,
     scatters: bool = False,
     blended_part: BlendedPart | None = None,
 ) -> Pass:
     """Return the pass that draws position and part, normal and m, albedo and specular weight,
-    texture coordinates and occlusion of a simplified scene, where a part has two lobes second m and
+    texture coordinates and occlusion of a scene, where a part has two lobes second m and
     lobe weight, where one shines what it gives off, and where it scatters how the mesh faces the
     eye; visibility as of the pass that shades.
 
     blended_part : draw one layer of this part, with its opacity, in place of all that is not
         blended, and in a last image depth and number of the triangle as it is drawn
     """
+    scene, shading = resolved.scene, resolved.shading
     two = any(material.two_lobes for material in scene.mesh.materials)
     shines = any(any(material.emissive) for material in scene.mesh.materials)
     parts = zip(scene.mesh.parts, scene.mesh.materials, strict=True)

@@ -16,7 +16,7 @@ import facerender as fr
 from facerender.images.srgb import linear_to_srgb
 from facerender.images.write import save_png
 from facerender.system.atomic import write_bytes
-from tests.verification.pairs.changes import CHANGES, Against, Encode, Encoded, Format, Must
+from tests.verification.pairs.changes import Against, Change, Encode, Encoded, Format, Must
 from tests.verification.pairs.room import Linear, Room
 from tests.verification.pairs.scenes import Half
 
@@ -82,10 +82,10 @@ def slug(name: str) -> str:
     return re.sub(r"[^a-z0-9.+-]+", "-", name.lower().replace(" %", "")).strip("-")
 
 
-def draw(room: Room, name: str, out: Path) -> Iterator[Pair]:
+def draw(room: Room, change: Change | Encoded, out: Path) -> Iterator[Pair]:
     """Draw the pairs of a change into the folder of the room's scene; a golden that is there stays.
     Yields none where the scene lacks what the change changes."""
-    change, setting = CHANGES[name], room.setting
+    name, setting = change.name, room.setting
     folder = out / setting.name
     folder.mkdir(parents=True, exist_ok=True)
 
@@ -98,7 +98,7 @@ def draw(room: Room, name: str, out: Path) -> Iterator[Pair]:
 
     if isinstance(change, Encoded):
         a, golden = room.frame(room.golden), folder / "golden.png"
-        image = folder / f"{slug(name)}.{change.suffix}"
+        image = folder / f"{slug(name)}.png"
         if (content := change.make(a.srgb8())) is not None:
             if not golden.exists():
                 a.save(golden)

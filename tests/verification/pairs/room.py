@@ -20,6 +20,7 @@ import facerender as fr
 from facerender.drawing.context import Backend
 from facerender.drawing.passes import Draw, Pass
 from facerender.drawing.program import Program
+from facerender.drawing.renderer import _Image
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import View, view_of
 from tests.verification.pairs.scenes import Setting
@@ -97,8 +98,8 @@ class Room:
         samples = samples or self.renderer.samples
         seen = view or view_of(own, 1.0)
         self.renderer.patch = patch
-        simplified = self.renderer._simplified(own, how, seen, samples)
-        return self.renderer._shaded(simplified, seen, how, samples, None, False)
+        resolved = self.renderer._resolved(own, how, seen, samples)
+        return self.renderer._shaded(resolved, seen, _Image(samples))
 
     @cached_property
     def golden(self) -> Linear:
@@ -124,7 +125,9 @@ class Room:
             offset += by * 2.0 / self.size[axis] * deep * column / (column @ column)
         move = np.eye(4)
         move[3, :3] = -offset
-        return replace(self.view, eye=self.view.eye + offset, matrix=move @ self.view.matrix)
+        return replace(
+            self.view, position=self.view.position + offset, matrix=move @ self.view.matrix
+        )
 
     def mean(self, pattern: Sequence[tuple[float, float]]) -> Linear:
         """Return the mean of images of one sample each, at places of the pixel."""

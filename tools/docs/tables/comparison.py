@@ -6,17 +6,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchmarks.pairs.verdicts import FACERENDER, Summary, read_summary
-from facerender.comparison.compare import LIMITS
-from facerender.comparison.verdict import FOREIGN
-from facerender.measure.tables import markdown_table
-from tools.docs.tables import MEASUREMENTS, Columns, load, machine, table
+from facerender.comparison.result import FOREIGN, LIMITS
+from tools.docs.tables import MEASUREMENTS, Columns, load, machine, markdown_table, table
 
 _RESULT = (
     ("point, pixels", "{point:+.2g}, {points}"),
     ("block, blocks", "{block}, {blocks} of {judged}"),
     ("trend", "{trend:.2g}"),
     ("texture", "{texture:+.1f%}"),
-    ("gates", "{gates}"),
+    ("checks", "{checks}"),
     ("looks like", "{guess}"),
 )
 THRESHOLDS = (
@@ -24,7 +22,7 @@ THRESHOLDS = (
     ("change", "{change}"),
     *((name, f"{{{name}}}") for name in ("point", "block", "trend", "EXR", "PNG")),
 )
-GATES = ("point", "block", "trend", "grain", "texture", "shift", "coverage")
+CHECKS = ("point", "block", "trend", "grain", "texture", "shift", "coverage")
 JUDGES_HEAD = (
     *("judge", "PNG: threshold", "caught", "false alarms", "balanced accuracy"),
     *("EXR: threshold", "caught", "false alarms", "balanced accuracy"),
@@ -54,7 +52,7 @@ def limits() -> dict[str, str]:
     """Return the limits of each check, and how much wider they are for another driver."""
     rows = [
         [f"**{name}**", *(f"{getattr(LIMITS[kind], name):g}" for kind in ("linear", "srgb8"))]
-        for name in GATES
+        for name in CHECKS
     ]
     return {"limits": markdown_table(["", "linear", "8 bits"], rows), "foreign": f"{FOREIGN:g}"}
 
@@ -65,7 +63,7 @@ def _results(name: str, rows: Sequence[Mapping[str, Any]]) -> str:
         {
             **row,
             "block": f"{100.0 * row['block']:+.2g} %" if row["linear"] else f"{row['block']:+.2g}",
-            "gates": ", ".join(row["gates"]) or "none",
+            "checks": ", ".join(row["checks"]) or "none",
             "guess": "; ".join(row["looks_like"]) or "same",
         }
         for row in rows

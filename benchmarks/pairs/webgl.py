@@ -16,7 +16,8 @@ from facerender.drawing.passes import Draw, Pass
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.shadow import shadow_passes
 from facerender.drawing.prepare import part_maps, reduced, simplify
-from facerender.drawing.program import ENVIRONMENT_MAP, Lighting, part_columns
+from facerender.drawing.program import ENVIRONMENT_MAP, part_columns
+from facerender.drawing.resolve import Lighting, ResolvedScene
 from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import view_of
@@ -49,10 +50,8 @@ def draw_webgl(
     if not float_albedo:
         scene = reduced(scene, view, size, 1.0)
     albedo: Kind = "linear-color" if float_albedo else "color"
-    steps = [
-        *shadow_passes(scene, Lighting.of(scene, shading)),
-        shade_pass(scene, view, shading, 1),
-    ]
+    resolved = ResolvedScene(scene, shading, Lighting.of(scene, shading))
+    steps = [*shadow_passes(resolved), shade_pass(resolved, view, 1)]
     blob = _Blob()
     passes = [
         {

@@ -1,0 +1,200 @@
+"""A simplified scene with its shading resolved, once for all that draws, prices or shades it: its
+lights in the order of programs, and the specular terms of each part at the slopes m that it has.
+
+One rule says which m counts: a light's term has its own (``Term.m``), or else the part has
+(roughness factor times map)^2, or else ``Material.m``. ``prepare.simplify`` replaces the material's
+where every term has its own; ``Term.slope`` decides for one term, ``scenes.mesh.base_slope`` for a
+part. No OpenGL here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from facerender.drawing.prepare import simplify
+from facerender.scenes.light import LIGHT_KINDS, Light, disc_of
+from facerender.scenes.material import Material
+from facerender.scenes.mesh import Mesh, Part, slope_range
+from facerender.scenes.scene import Scene
+from facerender.scenes.shadow import LightSpace, light_space
+from facerender.shading import Shading, Term
+from facerender.terms.slope_variance import (
+    MAX_PIXEL_VARIANCE,
+    slope_filtered,
+    slope_variance_disc,
+    slope_variance_map,
+)
+
+
+@dataclass(frozen=True)
+class LightGroup:
+    """Lights of one kind that have one term.
+
+    Attributes
+    ----------
+    kind : see ``scenes.light.LIGHT_KINDS``
+    term : number of their specular term, -1 for none
+    count : how many there are, at least one
+    shadows : number of the first one's shadow map; None where they cast none
+    """
+
+    kind: str
+    term: int
+    count: int
+    shadows: int | None = None
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """The lights of a scene in the order of programs: by kind and then by term, those without one
+    last, and by whether they cast shadows.
+
+    Attributes
+    ----------
+    order : of the scene's lights, their indices
+    lights, groups : in that order
+    terms : that the groups number
+    """
+
+    order: tuple[int, ...]
+    lights: tuple[Light, ...]
+    groups: tuple[LightGroup, ...]
+    terms: tuple[Term, ...]
+
+    @classmethod
+    def of(cls, scene: Scene, shading: Shading) -> Lighting:
+        """Sort the lights of a scene. If a light has the shading's own term, that is number 0."""
+        own = [shading.of(light) for light in range(len(scene.lights))]
+        first = [shading.term] if shading.term in own else []
+        terms = tuple(dict.fromkeys([*first, *(term for term in own if term is not None)]))
+        sorted_: dict[tuple[str, int, bool], list[int]] = {
+            (kind, number, shadow): []
+            for kind in sorted(LIGHT_KINDS)
+            for number in (*range(len(terms)), -1)
+            for shadow in (False, True)
+        }
+        for index, (light, term) in enumerate(zip(scene.lights, own, strict=True)):
+            number = -1 if term is None else terms.index(term)
+            sorted_[light.kind.name, number, light.shadow].append(index)
+        groups, maps = [], 0
+        for (kind, number, shadow), indices in sorted_.items():
+            if indices:
+                groups.append(LightGroup(kind, number, len(indices), maps if shadow else None))
+                maps += len(indices) * shadow
+        order = tuple(index for indices in sorted_.values() for index in indices)
+        return cls(order, tuple(scene.lights[index] for index in order), tuple(groups), terms)
+
+    @property
+    def shadowed(self) -> tuple[int, ...]:
+        """Indices of the scene's lights that cast shadows, in the order of their maps."""
+        lights = zip(self.order, self.lights, strict=True)
+        return tuple(index for index, light in lights if light.shadow)
+
+    def spaces(self, mesh: Mesh) -> list[LightSpace]:
+        """Return the spaces of the lights that cast shadows, in the order of their maps; errors as
+        of :func:`light_space`."""
+        return [light_space(light, mesh) for light in self.lights if light.shadow]
+
+    def uniforms(self, mesh: Mesh) -> dict[str, Any]:
+        """Return the arrays of every kind of light there is."""
+        arrays: dict[str, Any] = {}
+        for name in dict.fromkeys(group.kind for group in self.groups):
+            kind = LIGHT_KINDS[name]
+            lights = [light for light in self.lights if light.kind is kind]
+            arrays |= kind.uniforms(lights, mesh)
+        if spaces := self.spaces(mesh):
+            arrays["shadow_view"] = np.array([space.matrix for space in spaces])
+            arrays["shadow_size"] = np.array([(space.tan_radius, space.top) for space in spaces])
+        return arrays
+
+
+@dataclass(frozen=True, eq=False)
+class ResolvedPart:
+    """A part of a mesh with its specular terms.
+
+    Attributes
+    ----------
+    part, material : of the mesh
+    smallest_m : of its lobes, where a term has no m of its own
+    terms : those of the lighting, as the part's slopes allow; none for a part without
+    """
+
+    part: Part
+    material: Material
+    smallest_m: float
+    terms: tuple[Term, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ResolvedScene:
+    """A simplified scene with its shading.
+
+    Attributes
+    ----------
+    scene, shading : see :func:`resolve`
+    lighting : of these
+    """
+
+    scene: Scene
+    shading: Shading
+    lighting: Lighting
+
+    @cached_property
+    def slopes(self) -> list[tuple[float, float]]:
+        """The smallest and the largest m of each part, where a term has none of its own: what the
+        slope filter, curvature and discs of lights may add counts.
+
+        Raises
+        ------
+        InputError : a light that is too near for its radius
+        """
+        scene, shading = self.scene, self.shading
+        discs = [disc for light in scene.lights if (disc := disc_of(light, scene.mesh))]
+        shared = max((float(slope_variance_disc(*disc, 0.0)) for disc in discs), default=0.0)
+        shared += MAX_PIXEL_VARIANCE * shading.curvature
+        ranges = []
+        for part, material in zip(scene.mesh.parts, scene.mesh.materials, strict=True):
+            smallest, largest = slope_range(part, material)
+            variance = shared
+            if part.uv is not None and material.normal_map and shading.normal_map:
+                strength = material.normal_strength**2
+                variance += strength * float(slope_variance_map(1.0)) * shading.slope_filter
+            if variance:
+                largest = float(slope_filtered(largest, variance))
+            ranges.append((smallest, largest))
+        return ranges
+
+    def allowed(self, term: Term) -> list[Term]:
+        """Return a term as the slopes of each part let it be.
+
+        Raises
+        ------
+        InputError : m lies outside the lobe's domain, and the shading asks for an error then
+        """
+        return [term.for_slopes(*ends, self.shading.outside) for ends in self.slopes]
+
+    def parts(self, specular: bool = True) -> list[ResolvedPart]:
+        """Return the parts; errors as of :meth:`allowed`, unless their terms are left out."""
+        mesh = self.scene.mesh
+        smallest = [low for low, _ in self.slopes] if specular else [0.0] * len(mesh.parts)
+        by_term = [self.allowed(term) for term in self.lighting.terms * specular]
+        return [
+            ResolvedPart(part, material, low, tuple(terms[number] for terms in by_term))
+            for number, (part, material, low) in enumerate(
+                zip(mesh.parts, mesh.materials, smallest, strict=True)
+            )
+        ]
+
+
+def resolve(scene: Scene, shading: Shading) -> ResolvedScene:
+    """Simplify a scene, and resolve it; errors as of :func:`facerender.drawing.prepare.simplify`.
+
+    Parameters
+    ----------
+    shading : what it leaves out is not in the resolved scene
+    """
+    simple = simplify(scene, shading)
+    return ResolvedScene(simple, shading, Lighting.of(simple, shading))
