@@ -608,7 +608,8 @@ def scattered() -> tuple[dict[str, Singles], Floats, Floats]:
     place, light = (singles(each).astype(float) for each in (place, light))
     one, every = np.ones(shape), np.ones(shape, dtype=bool)
     scale = 4.0 * one.ravel()
-    expected = scattering.scatter(light, place, one, one, scale, 1.0, GAUSSIANS, 16, every)
+    images = light, place, one, one, every
+    expected = scattering.scatter(*images, scale=scale, unit=1.0, gaussians=GAUSSIANS, samples=16)
     spiral = 4.0 * (SIXTEEN[:, 0] + 1j * SIXTEEN[:, 1])
     turned = spiral * np.exp(1j * scattering.scatter_turn(x, y))[..., None]
     borders = np.stack([turned.real, turned.imag]) + 0.5
