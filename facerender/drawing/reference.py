@@ -108,10 +108,15 @@ def scattered(
     place, area = gbuffer.position.astype(np.float64), scatter_area(gbuffer.facing)
     for index, gaussians in enumerate(found.profiles, 1):
         own = number == index
-        depth = (place[own] - gbuffer.view.eye) @ gbuffer.view.forward
+        depth = (place[own] - gbuffer.view.position) @ gbuffer.view.forward
         scale = found.pixels / (depth * found.millimetres)
-        size = scale, found.millimetres, gaussians, shading.scatter_samples
-        light = scatter(terms.light, place, number, area, *size, own)
+        light = scatter(
+            *(terms.light, place, number, area, own),
+            scale=scale,
+            unit=found.millimetres,
+            gaussians=gaussians,
+            samples=shading.scatter_samples,
+        )
         change[own] = terms.albedo[own] * (light - terms.light[own])
     return change
 
@@ -160,7 +165,7 @@ class _Pixels:
         return cls(
             position,
             values(gbuffer.normal),
-            unit(gbuffer.view.eye - position),
+            unit(gbuffer.view.position - position),
             m,
             second_m,
             lobe_weight,

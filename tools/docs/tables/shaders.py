@@ -5,14 +5,15 @@ from __future__ import annotations
 from itertools import groupby
 
 from facerender.glsl.catalogue import Function, functions
-from facerender.measure.tables import markdown_table
 from facerender.terms import FRESNEL, LOBES, MASKING
+from tools.docs.tables import markdown_table
 
 
 def blocks() -> dict[str, str]:
-    kinds = {"lobes": LOBES, "fresnel": FRESNEL, "masking": MASKING}
     return {
-        **{name: _macros([entry.macro for entry in kind.values()]) for name, kind in kinds.items()},
+        "lobes": _macros([entry.macro for entry in LOBES.values()]),
+        "fresnel": _macros([entry.macro for entry in FRESNEL.values()]),
+        "masking": _macros([entry.macro for entry in MASKING.values()]),
         "functions": "\n".join(map(section, functions())).rstrip("\n"),
     }
 
