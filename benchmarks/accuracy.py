@@ -5,6 +5,7 @@ python -m benchmarks.accuracy        into docs/measurements/accuracy.json; needs
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -45,7 +46,7 @@ WARD = (
     *("fr_printed_ward(n, l, v, m)", "printed/ward"),
     *("fr_ward_printed(n, l, v, m)", "facerender/ward_printed"),
 )
-EXTREMES = (
+EXTREMES: tuple[tuple[str, tuple[str, ...], Mapping[str, object]], ...] = (
     ("lobe, c = 0", LOBE, {"c": 0.0}),
     ("lobe, c one ulp above 1, m = 1e-4", LOBE, {"c": ABOVE_1, "m": 1e-4}),
     ("angle of c one ulp above 1, for the lobe", ANGLE, {"c": ABOVE_1}),
@@ -71,6 +72,12 @@ def include(name: str, *defines: str) -> str:
     return resolve_includes("\n".join(lines))
 
 
+MODELS: tuple[tuple[str, str, Callable[..., Any], int], ...] = (
+    ("cook_torrance", COOK_TORRANCE, partial(brdf.cook_torrance, f0=0.028), 4),
+    ("ward", "fr_ward(n, l, v, m)", brdf.ward, 0),
+)
+
+
 def float32(evaluate: Evaluator) -> list[dict[str, float]]:
     """Return the largest relative error of whole exact terms where the lobe is above 1e-3 of its
     peak: against float64 of the same vectors, with FR_SMALL_SLOPE 0, and of true directions."""
@@ -83,10 +90,7 @@ def float32(evaluate: Evaluator) -> list[dict[str, float]]:
         n, l, v = same
         c = (n * (l + v)).sum(axis=-1) / np.linalg.norm(l + v, axis=-1)
         row = {"m": m}
-        for name, call, model, k in (
-            ("cook_torrance", COOK_TORRANCE, partial(brdf.cook_torrance, f0=0.028), 4),
-            ("ward", "fr_ward(n, l, v, m)", brdf.ward, 0),
-        ):
+        for name, call, model, k in MODELS:
             shown = lobes.exact(c.clip(0.0, 1.0), m, k) > 1e-3
             for suffix, vectors, small in (
                 ("", same, 1),
@@ -105,9 +109,7 @@ def extremes(evaluate: Evaluator) -> list[dict[str, str]]:
     """Return what the formulas as printed give, and what the library gives; as text, for NaN."""
     rows = []
     for what, (naive, naive_file, ours, file), values in EXTREMES:
-        inputs: dict[str, Any] = {
-            name: np.float32([value]) for name, value in ({"m": 0.3} | values).items()
-        }
+        inputs = {name: np.array([at], np.float32) for name, at in {"m": 0.3, **values}.items()}
         printed = evaluate(include(naive_file), naive, inputs)[0]
         own = evaluate(include(file), ours, inputs)[0]
         rows.append({"input": what, "printed": f"{printed:.4g}", "facerender": f"{own:.4g}"})

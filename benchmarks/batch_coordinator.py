@@ -50,7 +50,7 @@ class Nothing(Executor):
 
     def answer(self, settings: Settings, chunk: Chunk) -> Outcome:
         """What became of a chunk."""
-        return Outcome(chunk.number, len(chunk.rows), 0, (), 0, 0.0, 0, "", "none")
+        return Outcome(chunk.number, len(chunk.rows), 0, (), 0.0, 0, "", "none")
 
 
 class Small(Nothing):

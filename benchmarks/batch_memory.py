@@ -23,7 +23,7 @@ import numpy as np
 import psutil
 
 from facerender.batch.chunk import Settings, chunks, code_version
-from facerender.batch.jobs import read_jobs
+from facerender.batch.jobs import JobTable
 from facerender.batch.supervisor import Supervisor
 from facerender.system.data import data_dir
 
@@ -109,7 +109,7 @@ def measure(sweep: str, jobs: int, size: int, folder: Path) -> list[float]:
             print(f" {seen[-1]:6.0f}", end="", flush=True)
 
     print(f"{sweep:>16}", end="", flush=True)
-    for chunk in chunks(read_jobs(table), _SIDE_BY_SIDE):
+    for chunk in chunks(JobTable(table), _SIDE_BY_SIDE):
         supervisor.run(settings, chunk, heard)
     supervisor.stop()
     print(f"   {seen[-1] - seen[1]:+.0f} MiB after warm-up")

@@ -98,7 +98,9 @@ def differ(images: Images) -> bool:
 
 
 def png(images: Images) -> bool:
-    return not compare(*(encode_srgb8(image[..., :3]) for image in images)).same
+    return not compare(
+        *(encode_srgb8(np.asarray(image, np.float32)[..., :3]) for image in images)
+    ).same
 
 
 def one_pixel(linear: np.ndarray, place: tuple[int, int], sign: float) -> Change:
@@ -140,7 +142,8 @@ def thresholds(name: str, room: Room) -> Iterator[dict[str, Any]]:
 
 
 def main() -> None:
-    changes, least = {}, []
+    changes: dict[str, object] = {}
+    least: list[dict[str, Any]] = []
     for name, camera in product(dict(meshes()), CAMERAS):
         room = Room(setting_of(name, camera))
         changes[f"{name}-{camera}"] = [

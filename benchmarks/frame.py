@@ -16,18 +16,17 @@ import numpy as np
 import facerender as fr
 from benchmarks.data import meshes, save, scenes
 from facerender.images.srgb import linear_to_srgb
-from facerender.measure.antialiasing import antialiasing
+from facerender.measure.rendering import antialiasing
 from facerender.planning.decisions import Decision
 from facerender.pricing.frame import ratio
 from tests.verification.subjects import Subject
 
 SIZES = (512, 1024)
-# name, cameras, size, budget, fraction of the pixels
-PLANS = (
-    ("one-camera", 1, 512, "1/255", "99.9%"),
-    ("eight-cameras", 8, 128, "1/255", "99.9%"),
-    ("wide-budget", 1, 256, "8/255", "95%"),
-)
+PLANS = {  # cameras, size, budget, fraction of the pixels
+    "one-camera": (1, 512, "1/255", "99.9%"),
+    "eight-cameras": (8, 128, "1/255", "99.9%"),
+    "wide-budget": (1, 256, "8/255", "95%"),
+}
 
 
 def main() -> None:
@@ -40,7 +39,7 @@ def main() -> None:
         samples={str(size): sampled(head, size) for size in SIZES},
         deferred=deferred(),
         sizes={str(size): deferred_against_drawn(head, 4, size) for size in (256, 512, 1024, 2048)},
-        plans={name: plans(*settings) for name, *settings in PLANS},
+        plans={name: plans(*settings) for name, settings in PLANS.items()},
     )
 
 
@@ -106,11 +105,10 @@ def plan_of(
     assert found.measured is not None
     assert found.error.drawn is not None
     assert found.error.drawn_within is not None
-    scene = found.detail.of(subject.scene)
+    scene, values = found.detail.of(subject.scene), found.detail.values
 
     def planned() -> object:
-        fine = found.detail.values
-        return renderer.render(scene, found.shading, **fine)
+        return renderer.render(scene, found.shading, **values)
 
     def drawn() -> object:
         with patch("facerender.drawing.renderer.pays", lambda *_: False):

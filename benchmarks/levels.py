@@ -74,7 +74,8 @@ def changes(meshes: Sequence[fr.Mesh], size: int) -> list[dict[str, object]]:
 
 
 def main() -> None:
-    levels, seconds = {}, []
+    levels: dict[str, object] = {}
+    seconds = []
     for name, whole in meshes():
         each = [whole]
         for triangles in LEVELS[name]:

@@ -201,7 +201,7 @@ def plans_of(
     around = fr.turntable(subject.scene.camera, TURNTABLE)
     planned = Views(renderer, subject, around)  # the first is the scene's own
     for (mode, results), budget, kind in product(modes.items(), BUDGETS, KINDS):
-        own = {"cameras": around} if mode == "around" else {}
+        own: dict[str, Any] = {"cameras": around} if mode == "around" else {}
         start = time.perf_counter()
         found = plan(subject.scene, budget, full=subject.full, cost=kind, renderer=renderer, **own)
         seconds = time.perf_counter() - start

@@ -362,11 +362,11 @@ def tables(base: Cluster) -> dict[str, Runs]:
     sized = [(f"{n} jobs", replace(base, chunk=n)) for n in (1, 10, 30, 100, 300, 1000)]
     workers = [base.workers * factor for factor in (1, 2, 4, 8, 16)]
     grown = [(f"{n} workers", replace(base, workers=n)) for n in workers]
-    many, wide = workers[-1], {"link": 10.0 * base.link}
+    wide = replace(base, workers=workers[-1], link=10.0 * base.link)
     split: Runs = [
-        (f"{many} workers, 1 coordinator, 10 times the link", replace(base, workers=many, **wide)),
-        (f"the same, {4} coordinators", replace(base, workers=many, parts=4, **wide)),
-        (f"the same, {16} coordinators", replace(base, workers=many, parts=16, **wide)),
+        (f"{wide.workers} workers, 1 coordinator, 10 times the link", wide),
+        ("the same, 4 coordinators", replace(wide, parts=4)),
+        ("the same, 16 coordinators", replace(wide, parts=16)),
     ]
     files = replace(base, layout="files")
     layouts: Runs = [
@@ -398,17 +398,11 @@ def tables(base: Cluster) -> dict[str, Runs]:
 
 def sleepers(run: Mapping[str, Any]) -> Cluster:
     """Return the cluster of a run of benchmarks/scale_measure.py, whose tasks only sleep."""
-    return Cluster(
-        workers=run["slots"],
-        **{"chunk": 1, "draw": run["nap_s"], "draw_spread": 0.0, "chunk_start": 0.0},
-        **{"slow_share": 0.0, "crashes": 0.0, "losses": 0.0, "put": 0.0, "image_bytes": 1.0},
-        **{
-            "coordinator_row": 0.0,
-            "coordinator_chunk": run["coordinator_s"],
-            "scheduler": run["scheduler_s"],
-        },
-        request_limit=1e9,
-    )
+    none = ("draw_spread", "chunk_start", "slow_share", "crashes", "losses", "put")
+    values: dict[str, Any] = dict.fromkeys((*none, "coordinator_row"), 0.0)
+    values |= {"workers": run["slots"], "chunk": 1, "image_bytes": 1.0, "request_limit": 1e9}
+    values |= {"draw": run["nap_s"], "scheduler": run["scheduler_s"]}
+    return Cluster(**values, coordinator_chunk=run["coordinator_s"])
 
 
 def simulated(path: Path) -> dict[str, Any]:
@@ -442,7 +436,9 @@ def main() -> None:
         for name in ("workers", "chunk", "layout", "parts")
         if (value := getattr(options, name)) is not None
     }
-    numbers = {each.name: type(each.default) for each in fields(Cluster) if each.name != "layout"}
+    numbers: dict[str, Any] = {
+        each.name: type(each.default) for each in fields(Cluster) if each.name != "layout"
+    }
     for name, _, value in (text.partition("=") for text in options.others):
         if name not in numbers:
             parser.error(f"no parameter {name}; there are {', '.join(numbers)}")

@@ -6,6 +6,7 @@ python -m benchmarks.skin_scattering     into docs/measurements/skin_scattering.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import facerender as fr
@@ -43,7 +44,7 @@ def costs() -> list[dict[str, Any]]:
                 return by.render(scene, fr.Shading(scatter_samples=count))
 
             for row in rows:
-                time = ratio(lambda n=row["samples"]: draw(n), lambda: draw(0), 7)
+                time = ratio(partial(draw, row["samples"]), partial(draw, 0), 7)
                 row["time"].append(time.value)
     return rows
 

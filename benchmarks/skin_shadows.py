@@ -81,9 +81,9 @@ def occlusion(renderer: fr.Renderer) -> list[dict[str, Any]]:
 
 def _time(scenes: list[fr.Scene], samples: int, repeats: int) -> float:
     """Return the time of the first scene's frame over that of the second one's."""
+    own, other = scenes
     with fr.Renderer(samples=samples) as renderer:
-        draws = [lambda at=each: renderer.render(at) for each in scenes]
-        return ratio(*draws, repeats=repeats).value
+        return ratio(lambda: renderer.render(own), lambda: renderer.render(other), repeats).value
 
 
 if __name__ == "__main__":

@@ -75,7 +75,7 @@ def _frames(plain: fr.Scene) -> Mapping[str, tuple[fr.Scene, fr.Shading]]:
     def key_light(**changes: object) -> fr.Scene:
         return replace(plain, lights=(replace(key, **changes), *plain.lights[1:]))  # type: ignore[arg-type]
 
-    lobes = {"second_slope": 1.6, "lobe_weight": 0.8}
+    lobes: dict[str, Any] = {"second_slope": 1.6, "lobe_weight": 0.8}
     return {
         "plain": (plain, every),
         "without the slope filter": (plain, fr.Shading(slope_filter=False)),

@@ -27,7 +27,7 @@ import pytest
 import facerender as fr
 from facerender.batch import engine
 from facerender.batch.chunk import Settings, chunks, code_version
-from facerender.batch.jobs import Row, read_jobs
+from facerender.batch.jobs import JobTable, Row
 from facerender.batch.storage import Storage
 from facerender.batch.supervisor import CannotDraw, draw_chunk
 from facerender.commands import main
@@ -389,14 +389,14 @@ def test_a_run_that_another_has_followed_writes_nothing(table, draw, small, tmp_
     jobs = rows(2, mesh=str(small))
     draw(table(jobs), "out", "--chunk", "2")
     before = tree(tmp_path / "out")
-    (chunk,) = chunks(read_jobs(table([{**job, "material.m": 0.5} for job in jobs])), 2)
+    (chunk,) = chunks(JobTable(table([{**job, "material.m": 0.5} for job in jobs])), 2)
     with pytest.raises(CannotDraw, match="another run of the batch has begun there"):
         draw_chunk(Settings(str(tmp_path / "out"), code_version=code_version()), chunk)
     assert tree(tmp_path / "out") == before
 
 
 def test_a_file_that_is_another_where_it_is_drawn(table, draw, small, tmp_path):
-    (chunk,) = chunks(read_jobs(table(rows(2, mesh=str(small)))), 2)
+    (chunk,) = chunks(JobTable(table(rows(2, mesh=str(small)))), 2)
     small.write_text(small.read_text() + "# changed\n")
     outcome = draw_chunk(Settings(str(tmp_path / "out"), code_version=code_version()), chunk)
     assert [record["id"] for record in outcome.failed] == ["job000", "job001"]

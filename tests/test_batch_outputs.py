@@ -271,7 +271,7 @@ def test_what_a_pixel_sees_projects_to_its_centre(head, drawing, name, place):
     np.testing.assert_allclose(pose[:, :3] @ pose[:, :3].T, np.eye(3), atol=1e-12)
     flipped = np.diag([1.0, -1.0, -1.0]) @ np.linalg.inv(to_world)[:3]
     np.testing.assert_allclose(flipped, pose, atol=1e-9 * np.abs(pose).max())
-    np.testing.assert_allclose(eye_of(facts), mesh.to_mesh_space(seen.view.eye), rtol=1e-12)
+    np.testing.assert_allclose(eye_of(facts), mesh.to_mesh_space(seen.view.position), rtol=1e-12)
     assert (facts["K"][0][2], facts["K"][1][2]) == (SIZE[0] / 2, SIZE[1] / 2)
     assert facts["K"][0][0] == facts["K"][1][1]  # square pixels
 
@@ -313,7 +313,7 @@ def test_the_page_reads_what_is_written(head, egl, tmp_path, monkeypatch):
     exact = head.to_mesh_space(seen.position[covered])
     assert np.abs(told["points"] - exact).max() < drawn.facts["depth_scale"]
     np.testing.assert_allclose(told["project"](exact), told["rays"] @ told["K"].T[:, :2], atol=1e-3)
-    to_eye = head.to_mesh_space(seen.view.eye) - exact
+    to_eye = head.to_mesh_space(seen.view.position) - exact
     assert (told["in_camera"][:, 2] < 0.0).mean() > 0.9  # normals look back at the camera
     cosine = (told["exact"][covered] * to_eye).sum(axis=1) / np.linalg.norm(to_eye, axis=1)
     shown = cv2.imread("cosines.png")[..., 1][covered]  # N.V

@@ -43,11 +43,11 @@ def test_forms(given, limit, unit):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        *((given, f"budget {given!r} has no unit that is known: give a share") for given in (
+        *((given, f"budget {given!r} has no unit that is known: give a fraction") for given in (
             "1 dB", "5 %%", "", " ", "%", "flip", "/255", "1/255 flip", "1/two", "--1/255", "e%",
             "1,5%", "1/255\n2/255",
         )),
-        *((given, f"budget {given!r} has no unit: give a share") for given in ("1", "0.004")),
+        *((given, f"budget {given!r} has no unit: give a fraction") for given in ("1", "0.004")),
         *((given, f"budget {given} is negative or not finite") for given in (
             "-1/255", "-0.5%", "-0.02 flip", "nan%", "inf%", "nan flip", "inf/255", "1e400/255",
             -1, -0.5, math.nan, math.inf,
@@ -87,7 +87,7 @@ def test_share_of_the_pixels(given, within):
 
 @pytest.mark.parametrize("given", ["99.9", 0, "0%", -0.5, "101%", "nan", "inf", "most", "", True])
 def test_no_share_of_the_pixels(given):
-    with pytest.raises(InputError, match=rf"^within {given}: give a share .* 99.9% or 0.999$"):
+    with pytest.raises(InputError, match=rf"^within {given}: give a fraction .* 99.9% or 0.999$"):
         Budget.parse("1/255", within=given)
 
 

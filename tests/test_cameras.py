@@ -254,7 +254,7 @@ def test_cameras_of_a_gltf_file(mini: fr.Mesh, tmp_path: Path):
     assert sorted(found) == ["front", "side"]
     view = view_of(fr.Scene(mini, found["side"]), 1.0)
     np.testing.assert_allclose(view.forward, [-1.0, 0.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(view.eye, [4.0, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(view.position, [4.0, 0.0, 0.0], atol=1e-9)
     wanted = fr.Camera(
         position=tuple(mini.to_mesh_space([4.0, 0.0, 0.0])), target=tuple(mini.center), fov=30.0
     )

@@ -16,14 +16,14 @@ from PIL import Image
 import facerender as fr
 from facerender.drawing.prepare import simplify
 from facerender.images.srgb import linear_to_srgb
-from facerender.measure.antialiasing import antialiasing
+from facerender.measure.rendering import antialiasing
 from facerender.planning import cache as plan_cache
-from facerender.planning import frames
+from facerender.planning import frame_times
 from facerender.planning.budget import Budget
 from facerender.planning.candidates import Constants
 from facerender.planning.decisions import details
-from facerender.planning.drawn import Drawn, Place
 from facerender.planning.search import Choice
+from facerender.planning.views import DrawnViews, Viewpoint
 from facerender.pricing.frame import Line, ratio
 from facerender.scenes.file import load_scene
 from facerender.scenes.light import LIGHTS
@@ -336,14 +336,14 @@ def coarse(drawing, scene):
     full, budget = fr.Shading(), Budget.parse(WIDE)
     slim = simplify(scene, full)
     choice = Choice(slim, full, budget, Constants(0.3, 1.0, (0,), (0,)), "frame", software=True)
-    drawn = Drawn([Place(scene, drawing)], full, budget)
+    drawn = DrawnViews([Viewpoint(scene, drawing)], full, budget)
     drawn.coarsen()
     return choice, drawn
 
 
 def test_what_details_save_and_what_is_left_add_up(coarse):
     choice, drawn = coarse
-    choice.frames = frames.measured_frames(choice, drawn)
+    choice.frames = frame_times.measured_frames(choice, drawn)
     told = list(details(choice, drawn))
     assert [each.name for each in told] == ["cull_back_faces", "samples", "triangles"]
     cost = choice.cost(choice.full)
@@ -375,9 +375,9 @@ def test_frames_lie_on_lines_through_what_was_measured(coarse, monkeypatch):
         (drawn.detail, True): 5.0,
     }
     medians |= {(drawn.finest, False): 18.0, (drawn.detail, False): 4.0}
-    monkeypatch.setattr(frames, "seconds", seconds)
-    monkeypatch.setattr(frames, "_frame", take)
-    choice.frames = frames.measured_frames(choice, drawn)
+    monkeypatch.setattr(frame_times, "seconds", seconds)
+    monkeypatch.setattr(frame_times, "_frame", take)
+    choice.frames = frame_times.measured_frames(choice, drawn)
     taken = {
         "full": 20.0,
         "cull_back_faces": 19.0,
@@ -395,7 +395,7 @@ def test_frames_lie_on_lines_through_what_was_measured(coarse, monkeypatch):
     assert told["samples"].text.endswith(", saves 35.0 % of the frame")
     assert told["triangles"].text.endswith(", saves 35.0 % of the frame")
     medians[fewer, True] = 21.0
-    choice.frames = frames.measured_frames(choice, drawn)
+    choice.frames = frame_times.measured_frames(choice, drawn)
     told = {each.name: each for each in details(choice, drawn)}
     assert told["samples"].text.endswith(", costs 10.0 % of the frame")
 

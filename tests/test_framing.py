@@ -109,10 +109,14 @@ def test_a_target_and_a_zoom_override_the_guess(head: Mesh):
     own = view_of(fr.Scene(head, fr.Camera(frame="face")), 1.0)
     near = view_of(fr.Scene(head, fr.Camera(frame="face", zoom=2.0)), 1.0)
     middle = find_region(head, "face").center
-    assert np.linalg.norm(near.eye - middle) == pytest.approx(np.linalg.norm(own.eye - middle) / 2)
+    assert np.linalg.norm(near.position - middle) == pytest.approx(
+        np.linalg.norm(own.position - middle) / 2
+    )
     place = (0.01, 0.02, 0.03)
     moved = view_of(fr.Scene(head, fr.Camera(frame="face", target=place)), 1.0)
-    np.testing.assert_allclose(moved.eye - own.eye, head.normalised(place) - middle, atol=1e-12)
+    np.testing.assert_allclose(
+        moved.position - own.position, head.normalised(place) - middle, atol=1e-12
+    )
 
 
 def test_a_simplified_mesh_is_framed_as_the_whole(head: Mesh):

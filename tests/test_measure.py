@@ -16,7 +16,7 @@ from facerender.drawing.context import is_software
 from facerender.errors import InputError
 from facerender.measure import error, run
 from facerender.measure.measurement import MODELS, SCHEMA, ImageError, Measurement
-from facerender.measure.skin import skin_parts
+from facerender.measure.rendering import skin_parts
 from facerender.measure.tables import sample_table, skin_table
 from facerender.pricing import cost
 from facerender.pricing.interval import Interval, bootstrap
@@ -155,10 +155,10 @@ def test_parts_of_skin_cost_and_lose(head, egl):
     assert len(parts) == 5
     for settings in parts.values():
         assert settings[0].time.value == 1.0
-        assert settings[0].lost.percentile > 1 / 255
-        assert settings[-1].lost.mean == 0.0
+        assert settings[0].error.percentile > 1 / 255
+        assert settings[-1].error.mean == 0.0
     for name in ("samples of scattering", "samples of an environment"):
-        lost = [row.lost.mean for row in parts[name]]
+        lost = [row.error.mean for row in parts[name]]
         assert lost == sorted(lost, reverse=True)
     assert "samples of scattering" not in {row.part for row in unknown}
     content = json.loads(MEASUREMENT.read_text(encoding="utf-8"))

@@ -19,7 +19,7 @@ from facerender import lobes
 from facerender.drawing import reference
 from facerender.glsl.library import LANGUAGES
 from facerender.lobes import GPower
-from facerender.planning import drawn, search
+from facerender.planning import search, views
 from facerender.planning.budget import ROUNDING, Budget
 from facerender.planning.candidates import (
     DECISIONS,
@@ -315,7 +315,7 @@ def test_of_the_same_cost_what_changes_least_is_chosen(small, bare):
 
 def test_what_is_drawn_with_several_samples_counts(egl, subject, monkeypatch):
     """A change that shows between the pixels' centres alone is ruled out by what is drawn."""
-    draw = drawn.draw
+    draw = views.draw
 
     def with_a_flaw(place, shading, detail):
         image = draw(place, shading, detail)
@@ -325,7 +325,7 @@ def test_what_is_drawn_with_several_samples_counts(egl, subject, monkeypatch):
     at = subject("constant m")
     with fr.Renderer((64, 64), samples=4, backend=egl) as renderer:
         sound = fr.plan(at.scene, "2/255", cost="navi21", renderer=renderer)
-        monkeypatch.setattr(drawn, "draw", with_a_flaw)
+        monkeypatch.setattr(views, "draw", with_a_flaw)
         flawed = fr.plan(at.scene, "2/255", cost="navi21", renderer=renderer)
         images = [renderer.render(at.scene, each).linear[..., :3].astype(float)
                   for each in (sound.shading, sound.full)]  # fmt: skip
@@ -340,7 +340,7 @@ def test_what_is_drawn_with_several_samples_counts(egl, subject, monkeypatch):
 @pytest.mark.parametrize("more", [0, 1])
 def test_of_what_is_drawn_the_same_share_counts(more, egl, subject, monkeypatch):
     """As many pixels may be over the budget as are spared of those that the frame covers."""
-    draw = drawn.draw
+    draw = views.draw
     at, options = subject("constant m"), {"cost": "navi21", "within": 0.95}
     with fr.Renderer((64, 64), samples=4, backend=egl) as renderer:
         sound = fr.plan(at.scene, "1/255", renderer=renderer, **options)
@@ -363,7 +363,7 @@ def test_of_what_is_drawn_the_same_share_counts(more, egl, subject, monkeypatch)
                 image.reshape(-1, 4)[flawed] += 0.5
             return image
 
-        monkeypatch.setattr(drawn, "draw", with_flaws)
+        monkeypatch.setattr(views, "draw", with_flaws)
         found = fr.plan(at.scene, "1/255", renderer=renderer, **options)
     assert (found.shading == sound.shading) == (more == 0)
 
@@ -435,7 +435,11 @@ def test_errors_are_those_of_the_reference_and_rendered_within_the_budget(
             "the cameras see nothing of head.glb",
         ),
         ({}, {"full": Shading(specular_lights=(0, 7))}, "specular_lights names light 7"),
-        ({}, {"within": "99.9"}, "within 99.9: give a share of the pixels such as 99.9% or 0.999"),
+        (
+            {},
+            {"within": "99.9"},
+            "within 99.9: give a fraction of the pixels such as 99.9%",
+        ),
         ({}, {"sizes": [(0, 8)]}, "size 0 x 8: give 1 to 16384 pixels a side"),
     ],
 )

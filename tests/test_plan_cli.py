@@ -277,7 +277,10 @@ def test_exposure_counts(plan):
     ("options", "message"),
     [
         ((), r"arguments are required: --budget; see facerender plan --help"),
-        (("--budget", "1"), r"budget '1' has no unit: give a share .* 1/255, 0\.5%, or 0\.02 flip"),
+        (
+            ("--budget", "1"),
+            r"budget '1' has no unit: give a fr.* 1/255, 0\.5%, or 0\.02 flip",
+        ),
         (("--budget", "2 dB"), r"budget '2 dB' has no unit that is known"),
         (("--budget", "-1/255"), r"budget -1/255 is negative"),
         (("--budget", "nan%"), r"budget nan% is negative or not finite"),
@@ -295,7 +298,7 @@ def test_exposure_counts(plan):
         (("--budget", "1/255", "--size", "24x48..48x24"), r"give a smaller and a larger one"),
         (("--budget", "1/255", "--size", "0..4"), r"give a smaller and a larger one"),
         (("--budget", "1/255", "--size", "8..99999"), r"99999 x 99999: give 1 to 16384 pixels"),
-        (("--budget", "1/255", "--within", "99.9"), r"within 99\.9: give a share of the pixels"),
+        (("--budget", "1/255", "--within", "99.9"), r"within 99\.9: give a fraction of the pixels"),
         (("--budget", "1/255", "--exposure", "nan"), r"exposure = nan is outside"),
         (("--budget", "1/255", "--lobe", "d8"), r"unrecognized arguments: --lobe d8"),
         (("--budget", "1/255", "--model", "ward", "--fresnel", "dielectric"), r"ward has no Fres"),
@@ -586,5 +589,5 @@ def test_help_names_the_units(capsys):
         main(["plan", "--help"])
     out = " ".join(capsys.readouterr().out.split())
     words = ("1/255, 0.5% or '0.02 flip'", "turntable", "OUT.toml")
-    for word in (*words, "--within SHARE", "512..1024"):
+    for word in (*words, "--within FRACTION", "512..1024"):
         assert word in out

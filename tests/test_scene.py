@@ -44,7 +44,7 @@ def test_zoom_and_target(head):
 def test_explicit_eye_in_the_units_of_the_mesh(head):
     eye = tuple(head.center + [0.0, 0.0, 1.0])
     view = view_of(fr.Scene(head, fr.Camera(position=eye)), 1.0)
-    assert view.eye * head.radius == pytest.approx([0.0, 0.0, 1.0])
+    assert view.position * head.radius == pytest.approx([0.0, 0.0, 1.0])
     # a point 10 cm to the side at a distance of 1 m, seen through 25 degrees
     side = project(fr.Scene(head, fr.Camera(position=eye)), head.center + [0.1, 0, 0])
     assert side[0] == pytest.approx(0.1 / math.tan(math.radians(12.5)))
@@ -66,10 +66,10 @@ def test_the_frustum_of_a_camera_fills_the_clip_space(head):
         half = math.tan(math.radians(camera.fov) / 2.0)
         for x, y in ((0, 0), (1, 1), (-1, 0.5), (0.3, -1)):
             ray = view.forward + half * (x * aspect * right + y * up)
-            far = max(1.0 - view.eye @ view.forward, 0.02)  # of the unit sphere
+            far = max(1.0 - view.position @ view.forward, 0.02)  # of the unit sphere
             near = max(far - 2.0, 1e-3 * far)
             for depth, z in ((near, -1.0), (far, 1.0)):
-                clip = np.array([*(view.eye + depth * ray), 1.0]) @ view.matrix
+                clip = np.array([*(view.position + depth * ray), 1.0]) @ view.matrix
                 assert clip == pytest.approx(depth * np.array([x, -y, z, 1.0]), abs=1e-9)
 
 

@@ -223,10 +223,10 @@ def glsl_cost(
     costs = {}
     for number, contest in enumerate(contests):
 
-        def told(done: float, before: int = number) -> None:
+        def step(done: float, before: int = number) -> None:
             progress((before + done) / len(contests))
 
-        costs[contest] = by_slope(contest.forms, empty[contest.whole], repeats, backend, told)
+        costs[contest] = by_slope(contest.forms, empty[contest.whole], repeats, backend, step)
     return costs
 
 

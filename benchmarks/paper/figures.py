@@ -108,9 +108,13 @@ def _errors(name: str) -> bytes:
     axes.set(xlabel="γ in degrees", ylabel="relative error in %")
     for index, m in enumerate(SLOPES):
         exact = exact_lobe(m)
-        shown = exact > 1e-300
-        error = 100.0 * np.abs(lobe_error(name, m, K_COOK_TORRANCE, DEGREES)[shown]) / exact[shown]
-        axes.plot(DEGREES[shown], error, color=f"C{index}", label=f"m = {m:g}")
+        positive = exact > 1e-300
+        error = (
+            100.0
+            * np.abs(lobe_error(name, m, K_COOK_TORRANCE, DEGREES)[positive])
+            / exact[positive]
+        )
+        axes.plot(DEGREES[positive], error, color=f"C{index}", label=f"m = {m:g}")
         tenth = np.flatnonzero(exact >= 0.1)[-1]
         axes.plot(DEGREES[tenth], error[tenth], "o", color=f"C{index}")
     axes.axhline(D16_ERROR, color="black", linewidth=0.8, linestyle="--")

@@ -218,8 +218,8 @@ def compile_programs(
         text=True,
     )
     if run.returncode:
-        said = run.stderr.strip().splitlines() or [f"exit status {run.returncode}"]
-        raise _not_measured(f"RADV did not compile for {family} ({said[-1]})", _DRIVER_PACKAGES)
+        lines = run.stderr.strip().splitlines() or [f"exit status {run.returncode}"]
+        raise _not_measured(f"RADV did not compile for {family} ({lines[-1]})", _DRIVER_PACKAGES)
     name, rows = json.loads(run.stdout)
     return name, rows
 

@@ -8,7 +8,6 @@ import json
 from array import array
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,15 +32,6 @@ from facerender.system.signals import if_ended
 
 TABLES = ("jobs.jsonl", "jobs.parquet", "failed.jsonl", "transforms.json")
 Table = Literal["jsonl", "parquet"]
-
-
-@dataclass(frozen=True)
-class Status:
-    """Number of jobs of a batch: all, drawn, failed."""
-
-    jobs: int
-    done: int
-    failed: int
 
 
 @contextmanager
@@ -74,21 +64,21 @@ def locked(settings: Settings, about: Mapping[str, Any]) -> Iterator[Storage]:
         yield storage
 
 
-def status(output: str) -> Status:
-    """Read the status of a batch.
+def status(output: str) -> dict[str, int]:
+    """Return the number of "jobs" of a batch, and of those that are "done", "failed" and "left".
 
     Raises
     ------
-    InputError : there is none
+    InputError : there is no batch
     """
     storage = Storage(output)
     try:
-        about = json.loads(storage.get(ABOUT))
+        jobs = int(json.loads(storage.get(ABOUT))["jobs"])
         heads = [read_head(storage, name) for name in record_names(storage)]
-        jobs = int(about["jobs"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{output} holds no batch ({ABOUT}: {error!r}); give its folder") from None
-    return Status(jobs, sum(h.done for h in heads), sum(h.failed for h in heads))
+    done, failed = (sum(head[name] for head in heads) for name in ("done", "failed"))
+    return {"jobs": jobs, "done": done, "failed": failed, "left": jobs - done - failed}
 
 
 def set_aside(storage: Storage, work: Work) -> None:

@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, DecimalException
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -42,11 +43,12 @@ def grid_rows(tables: Table) -> Iterator[Table]:
     chance = dict(chance)
     count = _whole("random.count", chance.pop("count", 1), 1)
     seed = _whole("random.seed", chance.pop("seed", 0), 0)
+    random = [*_leaves(chance, "random", _is_random)]
     axes = [_axis(key, value) for key, value in _leaves(grid, "grid", _is_range)]
-    draws = [_Draw(key, how, seed) for key, how in _leaves(chance, "random", _is_draw)]
-    if len(axes) > _MOST_AXES or len(draws) > _MOST_AXES:
+    draws = {key: _random(key, how, seed) for key, how in random}
+    if len(axes) > _MOST_AXES or len(random) > _MOST_AXES:
         raise InputError(f"more than {_MOST_AXES} axes in grid or random: give fewer")
-    keys = [*(axis.key for axis in axes), *(draw.key for draw in draws)]
+    keys = [*(axis.key for axis in axes), *(key for key, _ in random)]
     keys = ["mesh.path" if key == "mesh" else key for key in keys]
     if twice := [key for key in keys if keys.count(key) > 1]:
         raise InputError(f"{twice[0]} is given twice in grid and random: leave one out")
@@ -64,7 +66,7 @@ def grid_rows(tables: Table) -> Iterator[Table]:
         for base in bases:
             for row in _spread(merged(base, mesh), others):
                 for _ in range(count):
-                    for draw in draws:
+                    for draw in draws.values():
                         row = merged(row, draw(number))
                     yield row
                     number += 1
@@ -103,8 +105,8 @@ def _is_range(value: Mapping[str, Any]) -> bool:
     return bool({"from", "to", "step"} & set(value))
 
 
-def _is_draw(value: Mapping[str, Any]) -> bool:
-    return not set(value).isdisjoint(_DRAWS)
+def _is_random(value: Mapping[str, Any]) -> bool:
+    return not set(value).isdisjoint({*_DISTRIBUTIONS, "choice"})
 
 
 def _axis(key: str, value: Any) -> _Axis:
@@ -147,8 +149,9 @@ def _axis(key: str, value: Any) -> _Axis:
     return _Axis(key, count, row)
 
 
-class _Draw:
-    """Random values of a key, a function of the seed, the key and the row's number alone.
+def _random(key: str, how: Any, seed: int) -> Callable[[int], Table]:
+    """Return a function from a row's number to a random value, as a row that has nothing else: a
+    function of the seed, the key and the row's number alone.
 
     The numbers are those of Philox, a generator of which every block of four words is a function
     of its key and a counter: the counter is the row's number, the key the seed and a digest of the
@@ -156,67 +159,52 @@ class _Draw:
 
     References: Salmon et al. (2011), "Parallel random numbers: as easy as 1, 2, 3".
     """
+    name, keys = f"random.{key}", key.split(".")
+    if not isinstance(how, Mapping) or len(how) != 1 or not _is_random(how):
+        raise InputError(f"{name} = {shown(how)}: give one of {_REMEDY}")
+    ((kind, values),) = how.items()
+    if not isinstance(values, list) or not values:
+        raise InputError(f"{name}.{kind} = {shown(values)}: give one of {_REMEDY}")
+    digest = hashlib.blake2b(key.encode(), digest_size=8).digest()
+    stream = np.array([seed, int.from_bytes(digest, "little")], dtype=np.uint64)
 
-    def __init__(self, key: str, how: Any, seed: int) -> None:
-        self.key, self._keys = key, key.split(".")
-        name = f"random.{key}"
-        if not isinstance(how, Mapping) or len(how) != 1 or set(how) - set(_DRAWS):
-            raise InputError(f"{name} = {shown(how)}: give one of {_REMEDY}")
-        ((kind, given),) = how.items()
-        if not isinstance(given, list) or not given:
-            raise InputError(f"{name}.{kind} = {shown(given)}: give one of {_REMEDY}")
-        if kind == "choice":
-            self._rows = [nested({key: each}) for each in given]
-        elif len(given) != 2:
-            raise InputError(f"{name}.{kind} = {shown(given)}: give two numbers")
-        else:
-            self._ends = [float(_number(f"{name}.{kind}", each)) for each in given]
-            _check_ends(name, kind, *self._ends)
-        self._value = _DRAWS[kind]
-        digest = hashlib.blake2b(key.encode(), digest_size=8).digest()
-        self._stream = np.array([seed, int.from_bytes(digest, "little")], dtype=np.uint64)
-        self._first, self._words = -_BLOCK, [[0]]
+    @lru_cache(1)
+    def words(block: int) -> list[list[int]]:
+        generator = np.random.Philox(key=stream, counter=[block * _BLOCK, 0, 0, 0])
+        several = generator.random_raw(4 * _BLOCK).reshape(_BLOCK, 4)[:, :2]
+        pairs: list[list[int]] = several.tolist()
+        return pairs
 
-    def __call__(self, number: int) -> Table:
-        """Return the value of the row of a number, as a row that has nothing else."""
-        if not 0 <= number - self._first < _BLOCK:
-            self._first = number
-            generator = np.random.Philox(key=self._stream, counter=[self._first, 0, 0, 0])
-            self._words = generator.random_raw(4 * _BLOCK).reshape(_BLOCK, 4)[:, :2].tolist()
-        return self._value(self, *self._words[number - self._first])
+    if kind == "choice":
+        rows = [nested({key: each}) for each in values]
+        return lambda number: rows[words(number // _BLOCK)[number % _BLOCK][0] * len(rows) >> 64]
+    if len(values) != 2:
+        raise InputError(f"{name}.{kind} = {shown(values)}: give two numbers")
+    ends = [float(_number(f"{name}.{kind}", each)) for each in values]
+    _check_ends(name, kind, *ends)
+    low, high = (-math.inf, math.inf) if kind == "normal" else ends
 
-    def _uniform(self, word: int, _: int) -> Table:
-        low, high = self._ends
-        share = _share(word)
-        return self._row((1.0 - share) * low + share * high, low, high)
-
-    def _log_uniform(self, word: int, _: int) -> Table:
-        low, high = self._ends
-        share = _share(word)
-        value = math.exp((1.0 - share) * math.log(low) + share * math.log(high))
-        return self._row(value, low, high)
-
-    def _normal(self, word: int, other: int) -> Table:
-        """By Box and Muller (1958)."""
-        mean, sigma = self._ends
-        radius = math.sqrt(-2.0 * math.log(1.0 - _share(word)))
-        value = mean + sigma * radius * math.cos(2.0 * math.pi * _share(other))
-        return self._row(value, -math.inf, math.inf)
-
-    def _choice(self, word: int, _: int) -> Table:
-        return self._rows[word * len(self._rows) >> 64]
-
-    def _row(self, value: float, low: float, high: float) -> Table:
-        """With 12 digits, which two machines' exp and log agree on."""
-        row: Table = placed(self._keys, min(max(float(f"{value:.12g}"), low), high))
+    def draw(number: int) -> Table:
+        first, second = words(number // _BLOCK)[number % _BLOCK]
+        u, v = (first >> 11) * 2.0**-53, (second >> 11) * 2.0**-53
+        value = _DISTRIBUTIONS[kind](ends[0], ends[1], u, v)
+        # 12 digits, on which the exp and log of two machines agree.
+        row: Table = placed(keys, min(max(float(f"{value:.12g}"), low), high))
         return row
 
+    return draw
 
-_DRAWS: dict[str, Callable[[_Draw, int, int], Table]] = {
-    "uniform": _Draw._uniform,
-    "log_uniform": _Draw._log_uniform,
-    "normal": _Draw._normal,
-    "choice": _Draw._choice,
+
+def _normal(mean: float, sigma: float, u: float, v: float) -> float:
+    """Return a normally distributed number by Box and Muller (1958)."""
+    return mean + sigma * math.sqrt(-2.0 * math.log(1.0 - u)) * math.cos(2.0 * math.pi * v)
+
+
+# From two ends, or mean and deviation, and two uniform numbers in [0, 1).
+_DISTRIBUTIONS: dict[str, Callable[[float, float, float, float], float]] = {
+    "uniform": lambda low, high, u, _: (1.0 - u) * low + u * high,
+    "log_uniform": lambda low, high, u, _: math.exp((1.0 - u) * math.log(low) + u * math.log(high)),
+    "normal": _normal,
 }
 _REMEDY = (
     "{ uniform = [LOW, HIGH] }, { log_uniform = [LOW, HIGH] }, { normal = [MEAN, SIGMA] }, "
@@ -225,19 +213,12 @@ _REMEDY = (
 
 
 def _check_ends(name: str, kind: str, low: float, high: float) -> None:
-    if kind == "normal":
-        if high < 0.0:
-            raise InputError(f"{name}.normal: sigma = {high:g} is negative; give at least 0")
-        return
-    if low > high:
+    if kind == "normal" and high < 0.0:
+        raise InputError(f"{name}.normal: sigma = {high:g} is negative; give at least 0")
+    if kind != "normal" and low > high:
         raise InputError(f"{name}.{kind} = [{low:g}, {high:g}]: give the lower end first")
     if kind == "log_uniform" and low <= 0.0:
         raise InputError(f"{name}.log_uniform = [{low:g}, {high:g}]: give ends above 0")
-
-
-def _share(word: int) -> float:
-    """Of 64 bits, a number in [0, 1)."""
-    return (word >> 11) * 2.0**-53
 
 
 def _number(name: str, value: Any) -> int | float:

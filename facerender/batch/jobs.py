@@ -7,8 +7,7 @@ import os
 import re
 import string
 from array import array
-from collections.abc import Generator, Iterator, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePath
@@ -155,24 +154,9 @@ def check_jobs(
     return table
 
 
-def read_jobs(path: str | os.PathLike[str], common: Mapping[str, Any] = {}) -> Iterator[Row]:
-    """Yield the rows of a table, one after the other; parameters as of :class:`JobTable`.
-
-    Raises
-    ------
-    InputError : a file that cannot be read or has no rows, or a row with an invalid key, id,
-        output or exposure. Values of tables are not checked
-    """
-    with closing(_rows(path, common)) as rows:
-        for _, row in rows:
-            if isinstance(row, InputError):
-                raise row
-            yield row
-
-
 def _rows(
     path: str | os.PathLike[str], common: Mapping[str, Any]
-) -> Generator[tuple[str, Row | InputError], None, None]:
+) -> Iterator[tuple[str, Row | InputError]]:
     """Yield rows, or the errors of bad ones, each with its position for messages."""
     name = PurePath(path).name
     own, folder = nested(common), os.getcwd()

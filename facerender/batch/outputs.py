@@ -198,7 +198,7 @@ def _depth_scale(view: View, mesh: Mesh) -> float:
     """Units of a mesh in a step of 16 bits: the farthest depth that it can have, which is that of
     its bounding sphere, is the last step. Cameras as far away as each other share it, whatever they
     see, on every driver."""
-    farthest = 1.0 - float(view.eye @ view.forward)
+    farthest = 1.0 - float(view.position @ view.forward)
     return max(farthest, 0.0) * mesh.radius / _MOST or 1.0  # where all is behind the camera
 
 

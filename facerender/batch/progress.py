@@ -6,7 +6,6 @@ import json
 import threading
 import time
 from contextlib import ExitStack
-from types import TracebackType
 from typing import Any
 
 from tqdm import tqdm
@@ -19,7 +18,7 @@ from facerender.system.signals import if_ended
 _FRAME = 0.2  # seconds between those that are drawn
 
 
-class Progress:
+class Progress(ExitStack):
     """Bars on a terminal: jobs done, rate, time left and failures, and the step of each worker.
     When a signal ends the process, the number of jobs done is printed.
 
@@ -32,6 +31,7 @@ class Progress:
     """
 
     def __init__(self, work: Work, workers: int, lines: bool, quiet: bool = False) -> None:
+        super().__init__()
         terminal = shows_bars(quiet)
         self._bar = tqdm(
             total=work.jobs,
@@ -41,26 +41,14 @@ class Progress:
             disable=not terminal,
             smoothing=0.05,
         )
-        places = range(1, 1 + workers) if terminal else ()
-        self._free = [tqdm(bar_format="{desc}", position=place, leave=False) for place in places]
+        positions = range(1, 1 + workers) if terminal else ()
+        self._free = [tqdm(bar_format="{desc}", position=each, leave=False) for each in positions]
+        for bar in (self._bar, *self._free):
+            self.callback(bar.close)
         self._of: dict[int, tqdm[Any]] = {}  # by the supervisor's thread
         self._workers, self._lines, self._failed = workers, lines, 0
         self._jobs, self._done = work.jobs, work.jobs - work.left
-        self._held = ExitStack()
-
-    def __enter__(self) -> Progress:
-        self._held.enter_context(if_ended(self._ended))
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._held.close()
-        for bar in (*self._of.values(), *self._free, self._bar):
-            bar.close()
+        self.enter_context(if_ended(self._ended))
 
     def report(self, worker: str, step: str, job: str) -> None:
         """Show a step of a worker of this process; called in its supervisor's thread."""

@@ -8,7 +8,6 @@ import json
 import os
 import tarfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
@@ -22,15 +21,6 @@ BEGUN = "begun"  # of chunks that may have no record yet: the files that they wi
 RECORDS = "records"
 STALE = "stale"  # records of jobs that are no longer asked for as they were
 _BLOCK = 512  # of a tar
-
-
-@dataclass(frozen=True)
-class Head:
-    """The first line of a chunk's record."""
-
-    chunk: int
-    done: int
-    failed: int
 
 
 class Writer:
@@ -116,7 +106,7 @@ def begin(settings: Settings, chunk: Chunk) -> None:
         names = map(file_name, row.outputs)
         files = {n: {"path": _path(chunk, row, n, settings.layout == "shards")} for n in names}
         named.append({"id": row.id, "key": "", "files": files})
-    _put_records(storage, f"{BEGUN}/{chunk.name}.jsonl", Head(chunk.number, 0, 0), named)
+    _put_records(storage, f"{BEGUN}/{chunk.name}.jsonl", chunk, named, 0)
 
 
 def commit(settings: Settings, chunk: Chunk, tar: Path | None, records: Sequence[Record]) -> None:
@@ -127,14 +117,18 @@ def commit(settings: Settings, chunk: Chunk, tar: Path | None, records: Sequence
     if tar is not None:
         _append(tar, [bytes(2 * _BLOCK)])
         storage.move(tar, _shard(chunk))
-    failed = sum("error" in record for record in records)
-    head = Head(chunk.number, len(records) - failed, failed)
-    _put_records(storage, f"{RECORDS}/{chunk.name}.jsonl", head, records)
+    done = sum("error" not in record for record in records)
+    _put_records(
+        storage, f"{RECORDS}/{chunk.name}.jsonl", chunk, records, done, len(records) - done
+    )
     storage.drop(f"{BEGUN}/{chunk.name}.jsonl")
 
 
-def _put_records(storage: Storage, name: str, head: Head, records: Iterable[Record]) -> None:
-    lines = "".join(json.dumps(each) + "\n" for each in (asdict(head), *records))
+def _put_records(
+    storage: Storage, name: str, chunk: Chunk, records: Sequence[Record], done: int, failed: int = 0
+) -> None:
+    head = {"chunk": chunk.number, "done": done, "failed": failed}
+    lines = "".join(json.dumps(each) + "\n" for each in (head, *records))
     storage.put(name, lines.encode())
 
 
@@ -173,9 +167,12 @@ def _member(name: str, content: bytes) -> bytes:
     return entry.tobuf(tarfile.GNU_FORMAT) + content + bytes(-len(content) % _BLOCK)
 
 
-def read_head(storage: Storage, name: str) -> Head:
-    """Return what the record of a chunk counts."""
-    return Head(**json.loads(storage.get(f"{RECORDS}/{name}.jsonl", 200).partition(b"\n")[0]))
+def read_head(storage: Storage, name: str) -> dict[str, int]:
+    """Return the first line of a chunk's record: "chunk", "done" and "failed"."""
+    head: dict[str, int] = json.loads(
+        storage.get(f"{RECORDS}/{name}.jsonl", 200).partition(b"\n")[0]
+    )
+    return head
 
 
 def records_of(storage: Storage, name: str, folder: str = RECORDS) -> Iterator[Record]:

@@ -48,7 +48,6 @@ class Outcome:
     chunk : its number
     drawn, kept : number of jobs drawn now, and drawn by an earlier run
     failed : records of the jobs that failed
-    size : bytes of all files
     seconds : duration
     deaths : number of workers that ended or hung
     renderer : GL_RENDERER and GL_VERSION; "" if nothing was drawn
@@ -59,7 +58,6 @@ class Outcome:
     drawn: int
     kept: int
     failed: tuple[Record, ...]
-    size: int
     seconds: float
     deaths: int
     renderer: str
@@ -125,13 +123,11 @@ class Supervisor:
         finally:
             if tar is not None:
                 tar.unlink(missing_ok=True)
-        files = [about for each in records for about in each.get("files", {}).values()]
         return Outcome(
             chunk.number,
             drawn=steps["done"],
             kept=steps["kept"],
             failed=tuple(each for each in records if "error" in each),
-            size=sum(about["bytes"] for about in files),
             seconds=time.perf_counter() - began,
             deaths=deaths,
             renderer=next((_renderer(each) for each in records if "GL_RENDERER" in each), ""),

@@ -122,7 +122,7 @@ def work_of(spool: Spool, storage: Storage, retry_failed: bool) -> Work:
     todo = tuple(
         name
         for name in spool.names
-        if name not in found or (retry_failed and read_head(storage, name).failed)
+        if name not in found or (retry_failed and read_head(storage, name)["failed"])
     )
     stale = (found | record_names(storage, BEGUN)).difference(spool.names)
     return Work(spool, todo, spool.jobs(spool.names), spool.jobs(todo), frozenset(stale))

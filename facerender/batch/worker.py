@@ -8,14 +8,13 @@ import os
 import signal
 import sys
 import warnings
-from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from facerender.batch.chunk import Record, Settings, code_version, forget_files, key_of
+from facerender.batch.chunk import Record, code_version, forget_files, key_of
 from facerender.batch.outputs import draw
 from facerender.batch.protocol import Message, Order, failure
 from facerender.batch.records import Writer
@@ -39,7 +38,7 @@ def main(handle: int) -> None:
     heed_the_coordinator()
     warnings.simplefilter("ignore", FacerenderWarning)  # records have them
     connection = Connection(handle)
-    renderers, run = _Renderers(), ""
+    run = ""
     while True:
         try:
             order: Order = connection.recv()
@@ -53,35 +52,11 @@ def main(handle: int) -> None:
             forget_files()
             _mesh.cache_clear()
             run = order.settings.run
-        for message in _draw(order, renderers):
+        for message in _draw(order):
             connection.send(message)
 
 
-class _Renderers:
-    """The renderers that were used last."""
-
-    def __init__(self) -> None:
-        self._kept: OrderedDict[tuple[ImageSettings, Backend], Renderer] = OrderedDict()
-        self.can_draw = False
-
-    def of(self, job: Job, backend: Backend) -> Renderer:
-        key = job.image, backend
-        if key not in self._kept:
-            while len(self._kept) >= _RENDERERS:
-                self._kept.popitem(last=False)[1].release()
-            self._kept[key] = Renderer.of(job, backend)
-            self.can_draw = True
-        self._kept.move_to_end(key)
-        return self._kept[key]
-
-    def check(self, backend: Backend) -> None:
-        """Raise ContextError where nothing can be drawn at all."""
-        if not self.can_draw:
-            Renderer((1, 1), samples=1, backend=backend).release()
-            self.can_draw = True
-
-
-def _draw(order: Order, renderers: _Renderers) -> Iterator[Message]:
+def _draw(order: Order) -> Iterator[Message]:
     chunk, settings = order.chunk, order.settings
     writer = Writer(settings, chunk, order.tar, order.size)
     for position in order.left:
@@ -102,7 +77,7 @@ def _draw(order: Order, renderers: _Renderers) -> Iterator[Message]:
                 )
             yield Message("draws", position)
             with noting() as warned:
-                renderer = renderers.of(job, settings.backend)
+                renderer = _renderer(job.image, settings.backend)
                 drawn = draw(job, mesh, renderer, row.outputs, row.exposure)
             facts: Record = {"job": row.tables, **drawn.facts}
             if texts := [*dict.fromkeys([*warnings_of_mesh, *warned])]:
@@ -115,7 +90,7 @@ def _draw(order: Order, renderers: _Renderers) -> Iterator[Message]:
         except MemoryError:
             os._exit(_NO_MEMORY)  # another process may have enough
         except Exception as error:
-            if isinstance(error, ContextError) and (why := _no_context(renderers, settings)):
+            if isinstance(error, ContextError) and (why := _no_context(settings.backend)):
                 yield Message("cannot", text=why)
                 return
             text = " ".join(str(error).split()) or type(error).__name__
@@ -126,12 +101,18 @@ def _draw(order: Order, renderers: _Renderers) -> Iterator[Message]:
     yield Message("end")
 
 
-def _no_context(renderers: _Renderers, settings: Settings) -> str:
+@lru_cache(_RENDERERS)
+def _renderer(image: ImageSettings, backend: Backend) -> Renderer:
+    return Renderer.of(Job(image=image), backend)
+
+
+def _no_context(backend: Backend) -> str:
     """Return why nothing can be drawn here, or ""."""
-    try:
-        renderers.check(settings.backend)
-    except ContextError as error:
-        return str(error)
+    if not _renderer.cache_info().currsize:
+        try:
+            Renderer((1, 1), samples=1, backend=backend).release()
+        except ContextError as error:
+            return str(error)
     return ""
 
 

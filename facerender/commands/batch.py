@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from facerender.commands.common import add_parts, add_quiet, check_outputs
 from facerender.commands.streams import say, tell
@@ -184,15 +184,12 @@ def _print_status(
     """Print the status of a batch, and return the exit status."""
     from facerender.batch.folder import status
 
-    found = status(output)
-    left = found.jobs - found.done - found.failed
-    facts = {"output": output, "jobs": found.jobs, "done": found.done, "failed": found.failed}
-    facts |= {"left": left}
-    text = f"{output}: {found.done} of {found.jobs} jobs are done, {found.failed} have failed"
-    if left:
-        text += f", {left} are left"
+    counts = status(output)
+    facts: dict[str, Any] = {"output": output, **counts}
+    text = f"{output}: {counts['done']} of {counts['jobs']} jobs are done, {counts['failed']} have"
+    text += f" failed, {counts['left']} are left" if counts["left"] else " failed"
     if drawn is not None:
         facts |= {"drawn": drawn, "seconds": round(seconds, 3)}
         text += f"; {drawn} drawn now, {drawn / seconds:.1f} a second"
     tell(json.dumps({"event": "end", **facts}) if as_json else text)
-    return _FAILED if found.failed else 0
+    return _FAILED if counts["failed"] else 0

@@ -23,7 +23,7 @@ def add(plan: argparse.ArgumentParser) -> None:
     plan.set_defaults(command=run)
     plan.description = (
         "A cheaper frame of a scene (samples, triangles, shading) whose error at every pixel, "
-        "or at a share of them, stays within a budget, against the exact lobe with all terms, "
+        "or at a fraction of them, stays within a budget, against the exact lobe with all terms, "
         "maps, samples and triangles."
     )
     plan.add_argument(
@@ -32,7 +32,7 @@ def add(plan: argparse.ArgumentParser) -> None:
     plan.add_argument(
         "--within",
         default="100%",
-        metavar="SHARE",
+        metavar="FRACTION",
         help="of the pixels that each image covers: where the budget must hold (100%%)",
     )
     plan.add_argument(

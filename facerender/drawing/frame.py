@@ -246,7 +246,7 @@ def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]
     view[..., 3] = covered
     position = gbuffer.position[covered].astype(np.float64)
     normal = gbuffer.normal[covered].astype(np.float64)
-    to_eye = gbuffer.view.eye - position
+    to_eye = gbuffer.view.position - position
     if only == "albedo":
         values = gbuffer.albedo[covered]
     elif only == "normal":

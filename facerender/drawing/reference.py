@@ -108,7 +108,7 @@ def scattered(
     place, area = gbuffer.position.astype(np.float64), scatter_area(gbuffer.facing)
     for index, gaussians in enumerate(found.profiles, 1):
         own = number == index
-        depth = (place[own] - gbuffer.view.eye) @ gbuffer.view.forward
+        depth = (place[own] - gbuffer.view.position) @ gbuffer.view.forward
         scale = found.pixels / (depth * found.millimetres)
         size = scale, found.millimetres, gaussians, shading.scatter_samples
         light = scatter(terms.light, place, number, area, *size, own)
@@ -160,7 +160,7 @@ class _Pixels:
         return cls(
             position,
             values(gbuffer.normal),
-            unit(gbuffer.view.eye - position),
+            unit(gbuffer.view.position - position),
             m,
             second_m,
             lobe_weight,

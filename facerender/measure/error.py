@@ -60,7 +60,7 @@ def printed_error(m: float, k: int, g: int) -> Array:
 
 def brdf_error(shading: Shading, m: float, f0: float = 0.028, count: int = 24) -> float:
     """Return the largest error of the reflected radiance f N.L over all directions, relative to the
-    largest exact one; light and eye lie at count angles to 89 degrees, and 2 count azimuths.
+    largest exact one; light and camera lie at count angles to 89 degrees, and 2 count azimuths.
 
     Raises
     ------
@@ -120,8 +120,8 @@ def image_error(
 ) -> ImageError:
     """Compare a linear image (H, W, 3) with its reference over the covered pixels (H, W)."""
     relative = np.abs(image - reference)[covered] / np.maximum(reference[covered], 0.01)
-    shown, expected = encode_srgb8(image), encode_srgb8(reference.astype(np.float32))
-    steps = np.abs(shown.astype(int) - expected)[covered].max(axis=-1)
+    displayed, expected = encode_srgb8(image), encode_srgb8(reference.astype(np.float32))
+    steps = np.abs(displayed.astype(int) - expected)[covered].max(axis=-1)
     return ImageError(
         point=point_error(image, reference),
         block=block_error(image, reference, covered.astype(np.float64)),
@@ -129,7 +129,7 @@ def image_error(
         percentile=float(np.quantile(relative.max(axis=-1), 0.999)),
         steps=int(steps.max()),
         steps_percentile=float(np.quantile(steps, 0.999)),
-        flip=_flip(shown, expected),
+        flip=_flip(displayed, expected),
     )
 
 
@@ -169,8 +169,8 @@ def block_error(
     return worst
 
 
-def _flip(shown: NDArray[np.uint8], expected: NDArray[np.uint8]) -> float | None:
+def _flip(displayed: NDArray[np.uint8], expected: NDArray[np.uint8]) -> float | None:
     try:
-        return float(flip.errors(expected / 255.0, shown / 255.0).mean())
+        return float(flip.errors(expected / 255.0, displayed / 255.0).mean())
     except InputError:
         return None

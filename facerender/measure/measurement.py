@@ -107,13 +107,13 @@ class MeasuredVariant:
 
 
 @dataclass(frozen=True)
-class Lost:
-    """Errors of the displayed image, as shares of its range, of the worst channel.
+class DisplayError:
+    """Errors of the displayed image, as fractions of its range, of the worst channel.
 
     Attributes
     ----------
     mean, percentile : of the pixels; the percentile is exceeded by one in 100
-    over : share of the pixels that err by more than 1/255
+    over : fraction of the pixels that err by more than 1/255
     """
 
     mean: float
@@ -122,8 +122,8 @@ class Lost:
 
 
 @dataclass(frozen=True)
-class Sampled:
-    """What a number of samples costs and loses.
+class SampleSetting:
+    """Cost and error of a number of samples.
 
     Attributes
     ----------
@@ -136,26 +136,26 @@ class Sampled:
 
     samples: int
     time: Interval
-    silhouette: Lost
-    inside: Lost
+    silhouette: DisplayError
+    inside: DisplayError
     shading_rate: ShadingRate = "sample"
 
 
 @dataclass(frozen=True)
 class PartSetting:
-    """What a setting of a part of skin costs and loses.
+    """Cost and error of a setting of a part of skin.
 
     Attributes
     ----------
     part, setting : names, such as "samples of scattering" and "16"
     time : of a frame with readback, over that of the part's first setting
-    lost : against its last setting, at pixels that the mesh covers
+    error : against its last setting, at pixels that the mesh covers
     """
 
     part: str
     setting: str
     time: Interval
-    lost: Lost
+    error: DisplayError
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +187,7 @@ class Measurement:
     environment: Environment
     settings: Settings
     variants: Sequence[MeasuredVariant]
-    samples: Sequence[Sampled]
+    samples: Sequence[SampleSetting]
     degrees: Sequence[float]
     curves: Mapping[str, Curves]
     not_measured: Sequence[str]
@@ -236,7 +236,7 @@ class Measurement:
             environment=Environment(**content["environment"]),
             settings=Settings(**content["settings"] | {"size": tuple(content["settings"]["size"])}),
             variants=[_measured_variant(row) for row in content["variants"]],
-            samples=[_sampled(row) for row in content.get("samples", [])],
+            samples=[_sample_setting(row) for row in content.get("samples", [])],
             degrees=curves.pop("degrees"),
             curves=curves,
             not_measured=content["not_measured"],
@@ -257,13 +257,14 @@ def _measured_variant(row: Mapping[str, Any]) -> MeasuredVariant:
     )
 
 
-def _sampled(row: Mapping[str, Any]) -> Sampled:
-    lost = Lost(**row["silhouette"]), Lost(**row["inside"])
-    return Sampled(row["samples"], Interval(**row["time"]), *lost, row["shading_rate"])
+def _sample_setting(row: Mapping[str, Any]) -> SampleSetting:
+    errors = DisplayError(**row["silhouette"]), DisplayError(**row["inside"])
+    return SampleSetting(row["samples"], Interval(**row["time"]), *errors, row["shading_rate"])
 
 
 def _part_setting(row: Mapping[str, Any]) -> PartSetting:
-    return PartSetting(row["part"], row["setting"], Interval(**row["time"]), Lost(**row["lost"]))
+    error = DisplayError(**row["error"])
+    return PartSetting(row["part"], row["setting"], Interval(**row["time"]), error)
 
 
 def _variant(model: str, name: str) -> Variant:

@@ -79,8 +79,8 @@ def angles(degrees: Sequence[float], curves: Curves, title: str) -> bytes:
                 if m in errors:
                     axes.plot(degrees, errors[m], color=COLOURS[lobe], lw=1.3)
             axes.set_yscale("asinh", linear_width=0.03)
-            shown = [np.abs(errors[m]).max() for errors in curves.values() if m in errors]
-            largest = max(0.1, *shown)
+            peaks = [np.abs(errors[m]).max() for errors in curves.values() if m in errors]
+            largest = max(0.1, *peaks)
             decades = 10.0 ** np.arange(-1, max(1, int(np.ceil(np.log10(largest)))))
             ticks = [*-decades[::-1], 0.0, *decades]
             axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])

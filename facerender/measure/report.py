@@ -42,7 +42,7 @@ METHODS = {
     "error of the lobe": "Percent of the lobe's peak: the largest difference from the exact lobe,"
     " both in float64, over 0 to 90 degrees of the half vector's angle γ.",
     "error of the BRDF": "Percent of the largest exact f N.L: the largest difference, in float64,"
-    " over directions of light and eye.",
+    " over directions of light and camera.",
     "error of the image": "The image that OpenGL draws against float64 shading of the same G-buffer"
     " with the exact lobe. Percent of max(reference, 0.01), linear radiance, over covered pixels;"
     " steps are those of the displayed 8-bit image.",
@@ -60,7 +60,7 @@ JSON, PAGE = "measure.json", "index.html"
 
 @dataclass(frozen=True)
 class Figure:
-    """A PNG file, and what is said under it."""
+    """A PNG file with its caption."""
 
     file: str
     png: bytes
@@ -83,7 +83,7 @@ def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Pa
     strips = [_strip(triptych, measurement.settings.slope) for triptych in triptychs]
     files = {
         JSON: content.encode(),
-        **{drawn.file: drawn.png for drawn in (*trades, *curves, *strips)},
+        **{plot.file: plot.png for plot in (*trades, *curves, *strips)},
         PAGE: _page(measurement, trades, curves, strips).encode(),
     }
     return write_files(directory, files)
@@ -196,7 +196,7 @@ def _fact(value: object) -> str:
 
 
 def _figures(figures: Iterable[Figure]) -> str:
-    return "\n".join(figure(drawn.png, drawn.caption) for drawn in figures)
+    return "\n".join(figure(each.png, each.caption) for each in figures)
 
 
 def _html(table: Table, kind: str) -> str:

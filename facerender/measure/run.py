@@ -19,7 +19,6 @@ from facerender.drawing.prepare import start_maps
 from facerender.drawing.renderer import Renderer
 from facerender.images.srgb import encode_srgb8
 from facerender.measure import error
-from facerender.measure.antialiasing import antialiasing
 from facerender.measure.measurement import (
     MAGNIFIED,
     MODELS,
@@ -33,7 +32,7 @@ from facerender.measure.measurement import (
     Settings,
     Triptych,
 )
-from facerender.measure.skin import skin_parts
+from facerender.measure.rendering import antialiasing, skin_parts
 from facerender.pricing import cost
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import Variant, lobe_terms, of_model, terms
@@ -55,15 +54,15 @@ def measure(
     backend: Backend = "auto",
     progress: Progress = no_progress,
 ) -> tuple[Measurement, list[Triptych]]:
-    """Measure what every form and lobe of both models, and numbers of samples, cost and lose, on
-    this machine.
+    """Measure cost and error of every form and lobe of both models, of numbers of samples, and of
+    the parts of skin, on this machine.
 
     Parameters
     ----------
     mesh : rendered for the cost of a frame and the error of an image
     m : rms slope of the whole mesh
     quick : smaller images, fewer repeats, no lobes alone
-    progress : called with what is measured and the share of it that is done
+    progress : called with the current step and the fraction of it that is done
 
     Raises
     ------

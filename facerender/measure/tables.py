@@ -6,7 +6,13 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from facerender.measure.measurement import MODELS, BySlope, ImageError, Lost, Measurement, Sampled
+from facerender.measure.measurement import (
+    MODELS,
+    BySlope,
+    DisplayError,
+    ImageError,
+    Measurement,
+)
 from facerender.measure.pareto import KINDS, CostKind, Row, measure_of, pareto
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import Variant
@@ -137,39 +143,38 @@ def error_tables(measurement: Measurement) -> list[Table]:
 
 
 def sample_table(measurement: Measurement) -> Table:
-    """Return what numbers of samples a pixel cost and lose; without rows where they were not
-    measured."""
+    """Return cost and error of numbers of samples a pixel; without rows if not measured."""
+    rows = []
+    for each in measurement.samples:
+        name = f"{each.samples}{', per-pixel shading' * (each.shading_rate == 'pixel')}"
+        errors = [*_levels(each.silhouette), *_levels(each.inside)]
+        values = (each.time.value, *errors, 100.0 * each.inside.over)
+        rows.append([name, *map(_number, values)])
     return Table(
         "Samples a pixel: {} x {}".format(*measurement.settings.size),
         "Errors of the displayed image against 64 samples, each shaded by itself.",
         SAMPLES_HEAD,
-        [sample_cells(each) for each in measurement.samples],
+        rows,
     )
 
 
-def sample_cells(sampled: Sampled) -> list[str]:
-    """Return the row of a number of samples, under ``SAMPLES_HEAD``."""
-    lost: list[Lost] = [sampled.silhouette, sampled.inside]
-    steps = [255.0 * share for each in lost for share in (each.mean, each.percentile)]
-    figures = (sampled.time.value, *steps, 100.0 * sampled.inside.over)
-    name = f"{sampled.samples}, per-pixel shading"
-    name = name if sampled.shading_rate == "pixel" else str(sampled.samples)
-    return [name, *(_number(figure) for figure in figures)]
-
-
 def skin_table(measurement: Measurement) -> Table:
-    """Return what parts of skin cost and lose; without rows where they were not measured."""
+    """Return cost and error of the settings of skin's parts; without rows if not measured."""
     rows = []
     for each in measurement.skin:
-        lost = each.lost
-        figures = (each.time.value, 255.0 * lost.mean, 255.0 * lost.percentile, 100.0 * lost.over)
-        rows.append([each.part, each.setting, *(_number(figure) for figure in figures)])
+        values = (each.time.value, *_levels(each.error), 100.0 * each.error.over)
+        rows.append([each.part, each.setting, *map(_number, values)])
     return Table(
         "Parts of skin: {} x {}".format(*measurement.settings.size),
         "Frames over the part's first setting; errors of the displayed image against its last.",
         SKIN_HEAD,
         rows,
     )
+
+
+def _levels(error: DisplayError) -> tuple[float, float]:
+    """Return mean and percentile in 8-bit levels."""
+    return 255.0 * error.mean, 255.0 * error.percentile
 
 
 def _slope_table(title: str, note: str, errors: Mapping[str, BySlope]) -> Table:
@@ -184,7 +189,7 @@ def _slope_table(title: str, note: str, errors: Mapping[str, BySlope]) -> Table:
 def _image_cells(error: ImageError | None) -> list[str]:
     if error is None:
         return [NOT_MEASURED] * (len(_IMAGE_HEAD) - 1)
-    percent = [100.0 * share for share in (error.largest, error.percentile, error.block)]
+    percent = [100.0 * each for each in (error.largest, error.percentile, error.block)]
     others = (error.point, error.steps, error.steps_percentile, error.flip)
     return [_number(value) for value in (*percent, *others)]
 

@@ -1,4 +1,4 @@
-"""The shell of every page, and what pages have in common: pictures, figures, tables. A page is one
+"""The shell of every page, and what pages have in common: images, figures, tables. A page is one
 file of HTML that fetches nothing; its style and its script are files beside this one."""
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ def image_source(content: bytes, kind: str = "png") -> str:
 
 
 def figure(png: bytes, caption: str) -> str:
-    """Return a picture, and under it what it shows, as text."""
-    said = escape(caption)
+    """Return an image with its caption, as text."""
+    text = escape(caption)
     return (
-        f'<figure><img src="{image_source(png)}" alt="{said}"><figcaption>{said}</figcaption>'
+        f'<figure><img src="{image_source(png)}" alt="{text}"><figcaption>{text}</figcaption>'
         "</figure>"
     )
 

@@ -29,16 +29,16 @@ _GIVEN = re.compile(r"([-+.\deE]+|nan|inf)\s*(?:/\s*([.\deE+]+)|(%)|(flip))?", r
 
 @dataclass(frozen=True)
 class Budget:
-    """The largest error of a pixel, or of a stated share of the pixels.
+    """The largest error of a pixel, or of a stated fraction of the pixels.
 
     Attributes
     ----------
-    limit : >= 0; of "display" a share of the range from black to white as sRGB encodes it, before
-        rounding to steps; of "relative" a share of the linear radiance, or of 0.01 where that is
-        more; of "flip" FLIP (Andersson et al. 2020) of the displayed image
+    limit : >= 0; of "display" a fraction of the range from black to white as sRGB encodes it,
+        before rounding to steps; of "relative" a fraction of the linear radiance, or of 0.01 where
+        that is more; of "flip" FLIP (Andersson et al. 2020) of the displayed image
     unit : "display", "relative" or "flip"
     exposure : of the displayed image, in stops
-    within : share of the pixels that each image covers which err by the limit at most, in (0, 1]
+    within : fraction of the pixels that each image covers which err by the limit at most, in (0, 1]
     """
 
     limit: float
@@ -48,22 +48,24 @@ class Budget:
 
     @classmethod
     def parse(cls, given: str | float, exposure: float = 0.0, within: str | float = 1.0) -> Budget:
-        """Read "1/255", "0.5%" or "0.02 flip"; a number is a share of the display's range. within
-        is "99.9%" or 0.999.
+        """Read "1/255", "0.5%" or "0.02 flip"; a number is a fraction of the display's range.
+        within is "99.9%" or 0.999.
 
         Raises
         ------
-        InputError : no such unit, a negative or infinite budget, no share of the pixels
+        InputError : no such unit, a negative or infinite budget, no fraction of the pixels
         """
         number = str(within).strip()
         try:
-            share = float(Decimal(number.removesuffix("%")) / (100 if "%" in number else 1))
+            fraction = float(Decimal(number.removesuffix("%")) / (100 if "%" in number else 1))
         except ArithmeticError:
-            share = 0.0
-        if not 0.0 < share <= 1.0:
-            raise InputError(f"within {within}: give a share of the pixels such as 99.9% or 0.999")
+            fraction = 0.0
+        if not 0.0 < fraction <= 1.0:
+            raise InputError(
+                f"within {within}: give a fraction of the pixels such as 99.9% or 0.999"
+            )
         EXPOSURES.check("exposure", exposure)
-        remedy = "give a share of the display's range such as 1/255, 0.5%, or 0.02 flip"
+        remedy = "give a fraction of the display's range such as 1/255, 0.5%, or 0.02 flip"
         match = _GIVEN.fullmatch(str(given).strip())
         try:
             if match is None:
@@ -77,8 +79,8 @@ class Budget:
         if not 0.0 <= limit < math.inf:
             raise InputError(f"budget {given} is negative or not finite: {remedy}")
         if match[3]:
-            return cls(limit / 100.0, "relative", exposure, share)
-        return cls(limit, "flip" if match[4] else "display", exposure, share)
+            return cls(limit / 100.0, "relative", exposure, fraction)
+        return cls(limit, "flip" if match[4] else "display", exposure, fraction)
 
     def errors(self, image: Float, reference: Float) -> Float:
         """Return the error of each pixel (H, W) of a linear image (H, W, 3), of its worst channel.
@@ -101,8 +103,8 @@ class Budget:
         return covered - math.ceil(Fraction(str(self.within)) * covered)
 
     @property
-    def share(self) -> str:
-        """The share of the pixels in words, such as "99.9 %"."""
+    def fraction(self) -> str:
+        """The fraction of the pixels in words, such as "99.9 %"."""
         return f"{100.0 * self.within:.6g} %"
 
     def text(self, error: float) -> str:

@@ -17,13 +17,13 @@ from facerender.planning.candidates import (
     values,
     with_decisions,
 )
-from facerender.planning.drawn import Drawn
 from facerender.planning.search import Choice
+from facerender.planning.views import DrawnViews
 from facerender.scenes.light import LIGHTS
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
-# What they save is no share of the specular terms.
+# What they save is no fraction of the specular terms.
 _OF_THE_WHOLE = ("normal map", "ambient", "diffuse", "shadows", "scattering")
 
 
@@ -38,7 +38,7 @@ class Decision:
     chosen : in words
     other : what the full shading has; where nothing was changed, the cheaper one that errs least
     error : what the change adds, alone; where nothing was changed, the error with the other
-    saving : share of the full program's cost that the change saves, or the other would save
+    saving : fraction of the full program's cost that the change saves, or the other would save
     text : a line that says it
     values : what the cheaper of the two has, by where a shading has it, such as "term.lobe"; empty
         for what is no part of a shading
@@ -69,14 +69,14 @@ def decisions(
     made = groups(shading, choice.full)
     for name in DECISIONS:
         if name in made:
-            yield _made(choice, shading, name, made[name], error)
+            yield _changed(choice, shading, name, made[name], error)
         elif any(name in names for names in made.values()):
             continue  # told with another
-        elif (kept := _kept(choice, shading, name, otherwise)) is not None:
+        elif (kept := _unchanged(choice, shading, name, otherwise)) is not None:
             yield kept
 
 
-def details(choice: Choice, drawn: Drawn) -> Iterator[Decision]:
+def details(choice: Choice, drawn: DrawnViews) -> Iterator[Decision]:
     """Yield the decisions on back faces, samples, shading rate and triangles."""
     if choice.frames is None:
         return
@@ -104,13 +104,13 @@ def details(choice: Choice, drawn: Drawn) -> Iterator[Decision]:
             yield Decision(name, False, chosen, other, error, 0.0, text)
 
 
-def _detail(name: str, value: int | str | None, drawn: Drawn) -> str:
+def _detail(name: str, value: int | str | None, drawn: DrawnViews) -> str:
     if name == "cull_back_faces":
         return "culled" if value else "drawn"
     return str(value or drawn.triangles)
 
 
-def _made(
+def _changed(
     choice: Choice,
     shading: Shading,
     name: str,
@@ -123,11 +123,11 @@ def _made(
     saved = choice.saved(shading, reverted)
     instead = f" instead of {other}" if other != "none" else ""
     text = f"{chosen}{instead}: alone adds {choice.budget.text(added)}, "
-    text += f"{'saves' if saved >= 0.0 else 'costs'} {_share(choice, name, abs(saved))}"
+    text += f"{'saves' if saved >= 0.0 else 'costs'} {_fraction(choice, name, abs(saved))}"
     return Decision(name, True, chosen, other, added, saved, text, values(shading, names))
 
 
-def _kept(
+def _unchanged(
     choice: Choice,
     shading: Shading,
     name: str,
@@ -155,11 +155,11 @@ def _kept(
     chosen, other = (_words(choice.scene, each, names) for each in (shading, nearest))
     saved = choice.saved(nearest, shading)
     text = f"{chosen}: {other} would err by at least {choice.budget.text(min(errors))}, and save "
-    text += _share(choice, name, saved)
+    text += _fraction(choice, name, saved)
     return Decision(name, False, chosen, other, min(errors), saved, text, values(nearest, names))
 
 
-def _share(choice: Choice, name: str, saved: float) -> str:
+def _fraction(choice: Choice, name: str, saved: float) -> str:
     if choice.frames is not None:
         return f"{100.0 * saved:.1f} % of the frame"
     cost = choice.cost(choice.full)

@@ -1,6 +1,6 @@
 """The frame that a scene's error budget allows, samples, triangles and shading, and what that is
 based on. Which shadings there are, how they err and how they are searched is told beside this file;
-what they cost in ``pricing/table.py``, what frames cost in ``frames.py``."""
+what they cost in ``pricing/table.py``, what frames cost in ``frame_times.py``."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from facerender.images.write import save_png
 from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import Constants
 from facerender.planning.decisions import Decision, decisions, details
-from facerender.planning.drawn import Drawn, Place
-from facerender.planning.frames import measured_frames, verified
-from facerender.planning.search import Choice, Cost, Region, Witnesses, constants_seen
+from facerender.planning.frame_times import measured_frames, relative_time
+from facerender.planning.search import Choice, Cost, Region, Witnesses, constants_of
+from facerender.planning.views import DrawnViews, Viewpoint
 from facerender.pricing.interval import Interval
 from facerender.pricing.table import FRAME
 from facerender.scenes.camera import Camera
@@ -49,8 +49,8 @@ class Error:
     Attributes
     ----------
     maximum : the largest error of a pixel
-    within : the largest error of the budget's share of the pixels, of the worst image; the maximum
-        where that is all of them
+    within : the largest error of the budget's fraction of the pixels, of the worst image; the
+        maximum where that is all of them
     percentile : exceeded by one covered pixel in 1000
     camera, size, pixel : where the largest is: index of the camera, width and height of the image,
         x and y
@@ -121,10 +121,10 @@ class Plan:
         """What :meth:`explain` says, by the names of its lines."""
         limit, rounding = self.budget.limit, ROUNDING[self.budget.unit]
         part = "of it kept for" if limit > rounding else "may come from"
-        share = f" at {self.budget.share} of the pixels" if self.budget.within < 1.0 else ""
+        fraction = f" at {self.budget.fraction} of the pixels" if self.budget.within < 1.0 else ""
         kept = f"{self.budget.text(rounding)} {part} rounding"
         lines = {
-            "budget": f"{self.budget.text(limit)}{share}, {kept}",
+            "budget": f"{self.budget.text(limit)}{fraction}, {kept}",
             "basis": self._basis(),
             **({d.name: d.text for d in self.decisions} if limit > rounding else {}),
             **({} if self.shading != self.full else {"shading": "nothing cheaper fits: exact"}),
@@ -223,14 +223,14 @@ class Plan:
         return f"{count} of {sizes} pixels{shown}; no guarantee for others"
 
     def _error(self) -> str:
-        error, text, share = self.error, self.budget.text, self.budget.share
+        error, text, fraction = self.error, self.budget.text, self.budget.fraction
         if self._is_full:
             return f"{text(0.0)}: the full shading"
         every = self.budget.within == 1.0
         drawn = ""
         if error.drawn is not None and error.drawn_within is not None:
             drawn = f"; {text(error.drawn)} as drawn"
-            drawn += "" if every else f", {share} within {text(error.drawn_within)}"
+            drawn += "" if every else f", {fraction} within {text(error.drawn_within)}"
         if self.shading == self.full:
             return drawn.removeprefix("; ")
         if error.maximum == 0.0:
@@ -238,7 +238,7 @@ class Plan:
         at = "at pixel ({}, {})".format(*error.pixel)
         at += f" of camera {error.camera}" if len(self.cameras) > 1 else ""
         at += " of {} x {}".format(*error.size) if len(self.sizes) > 1 else ""
-        most = ("99.9 %", error.percentile) if every else (share, error.within)
+        most = ("99.9 %", error.percentile) if every else (fraction, error.within)
         return f"{text(error.maximum)}, {at}; {most[0]} of the pixels within {text(most[1])}{drawn}"
 
 
@@ -367,28 +367,30 @@ def _renderers(
 
 def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
     scene, progress, sizes = task.scene, task.progress, [each.size for each in renderers]
-    places = [
-        Place(replace(scene, camera=camera), each) for each in renderers for camera in task.cameras
+    viewpoints = [
+        Viewpoint(replace(scene, camera=camera), each)
+        for each in renderers
+        for camera in task.cameras
     ]
     views = []
-    for number, place in enumerate(places):
-        progress("views", number / len(places))
-        views.append(Region.seen(place, task.full, task.budget))
+    for number, viewpoint in enumerate(viewpoints):
+        progress("views", number / len(viewpoints))
+        views.append(Region.of_viewpoint(viewpoint, task.full, task.budget))
     if not any(view.counted.any() for view in views):
         raise InputError(f"the cameras see nothing of {scene.mesh.name}")
-    constants = constants_seen(scene, task.full, views)
+    constants = constants_of(scene, task.full, views)
     progress("prices", 0.0)
     software = renderers[0].context.software
     choice = Choice(scene, task.full, task.budget, constants, task.cost, software, views)
     samples, drawn = renderers[0].samples, None
     if samples > 1 or task.cost == FRAME or task.verify_cost:
-        drawn = Drawn(places, choice.full, choice.budget)
+        drawn = DrawnViews(viewpoints, choice.full, choice.budget)
     framed = drawn if task.cost == FRAME else None  # whose level of detail is chosen
     if framed and choice.limit >= 0.0:
         progress("samples and triangles", 0.0)
         framed.coarsen()
     witnesses = Witnesses(views, choice, drawn)
-    shading = choice.first(witnesses.let_pass, progress)
+    shading = choice.first(witnesses.accepts, progress)
     if framed:
         progress("frames", 0.0)
         choice.frames = measured_frames(choice, framed)
@@ -412,7 +414,7 @@ def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
         sizes=tuple(dict.fromkeys(sizes)),
         samples=samples,
         detail=framed.detail if framed else None,
-        measured=verified(choice.full, shading, drawn) if drawn and task.verify_cost else None,
+        measured=relative_time(choice.full, shading, drawn) if drawn and task.verify_cost else None,
         constants=choice.constants,
         candidates=choice.count,
         tried=witnesses.tried,

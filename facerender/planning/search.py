@@ -29,7 +29,7 @@ from facerender.planning.candidates import (
     shadowed,
     with_lights,
 )
-from facerender.planning.drawn import Drawn, Place, Scattered
+from facerender.planning.views import DrawnViews, ScatteredLight, Viewpoint
 from facerender.pricing.frame import Frames
 from facerender.pricing.table import NoPrice, load_prices
 from facerender.scenes.scene import Scene
@@ -143,7 +143,7 @@ class Choice:
         return Cost(*priced[0], *priced[1], "ms a frame", self.frames.source)
 
     def saved(self, shading: Shading, other: Shading) -> float:
-        """Return what a shading costs less than another, as a share of the full cost."""
+        """Return what a shading costs less than another, as a fraction of the full cost."""
         less = self.total(other) - self.total(shading)
         if self.frames is not None:
             less *= self.frames.own.slope
@@ -167,16 +167,16 @@ class Witnesses:
     tried : how many shadings were evaluated at every pixel
     """
 
-    def __init__(self, views: Sequence[Region], choice: Choice, drawn: Drawn | None) -> None:
+    def __init__(self, views: Sequence[Region], choice: Choice, drawn: DrawnViews | None) -> None:
         self.views, self.limit, self.drawn, self.tried = views, choice.limit, drawn, 0
         self.regions = [view.spread() for view in views if view.counted.any()]
         if choice.budget.unit == "flip":
             choice.ordered = self._best(choice.ordered)
             self.regions = []
 
-    def let_pass(self, shading: Shading) -> bool:
+    def accepts(self, shading: Shading) -> bool:
         """Tell whether a shading is within the limit, at every pixel."""
-        if self.drawn is not None and self.drawn.ruled_out(shading):
+        if self.drawn is not None and self.drawn.rejects(shading):
             return False
         for index, region in enumerate(self.regions):
             if not region.error(shading) <= self.limit:
@@ -189,7 +189,7 @@ class Witnesses:
                 if self.regions:
                     self.regions.insert(0, view.around(errors))
                 return False
-        return self.drawn is None or self.drawn.let_pass(shading)
+        return self.drawn is None or self.drawn.accepts(shading)
 
     def error(self, shading: Shading) -> float:
         """Return the error that the budget counts, at least; with FLIP, just as much."""
@@ -233,9 +233,9 @@ class Region:
         self.exact = self.image(full)
 
     @classmethod
-    def seen(cls, place: Place, full: Shading, budget: Budget) -> Region:
-        """Return all pixels of a place."""
-        renderer, scene = place.renderer, place.scene
+    def of_viewpoint(cls, viewpoint: Viewpoint, full: Shading, budget: Budget) -> Region:
+        """Return all pixels of a viewpoint."""
+        renderer, scene = viewpoint.renderer, viewpoint.scene
         mapped = renderer.gbuffer(scene, full, blended=False)
         plain = mapped
         if any(each.normal_map is not None for each in simplify(scene, full).mesh.materials):
@@ -243,7 +243,7 @@ class Region:
         counted = mapped.part >= 0
         spared = budget.spared(int(np.count_nonzero(counted)))
         scatters = mapped.facing is not None
-        scattered = Scattered(place) if scatters else None
+        scattered = ScatteredLight(viewpoint) if scatters else None
         return cls(scene, mapped, plain, counted, full, budget, spared, scattered=scattered)
 
     def layers(self, shading: Shading) -> Layers:
@@ -329,7 +329,7 @@ def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:
     return replace(gbuffer, **{name: value[index] for name, value in arrays.items()})
 
 
-def constants_seen(scene: Scene, full: Shading, views: Sequence[Region]) -> Constants:
+def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Constants:
     """Return what stands for the maps, their means weighted by the highlights, and how bright those
     of each light are."""
     single = resolve(scene, replace(full, two_lobes=False))
@@ -365,12 +365,12 @@ def _single(views: Sequence[Region], weights: Float) -> tuple[float, ...]:
     the same variance of slopes, of means so weighted."""
     if any(view.mapped.second_m is None for view in views):
         return ()
-    share, first, second = (
+    fraction, first, second = (
         np.concatenate([getattr(view.mapped, name)[view.counted] for view in views]).astype(float)
         for name in ("lobe_weight", "m", "second_m")
     )
     peak, variance = (
-        float(np.average(share * first**power + (1 - share) * second**power, weights=weights))
+        float(np.average(fraction * first**power + (1 - fraction) * second**power, weights=weights))
         ** (1 / power)
         for power in (-2, 2)
     )

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.renderer import Renderer
 from facerender.glsl.library import resolve_includes
+from facerender.pricing.frame import seconds
 from facerender.pricing.interval import Interval, bootstrap
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
@@ -80,7 +81,7 @@ def by_slope(
         c (cosine of the half vector's angle), m, f0
     empty : expression whose cost is taken off: OF_VECTORS for whole terms, OF_COSINE for lobes
     repeats : of every measurement
-    progress : called with the share that is done, in [0, 1]
+    progress : called with the fraction that is done
 
     Returns
     -------
@@ -132,11 +133,11 @@ def slopes(
 
     Parameters
     ----------
-    runs : each draws as often as it is told, and returns the seconds that this took
+    runs : each draws a number of times and returns the seconds
     first : the smallest count; as much more as the clock needs
     weights : of each run's slope (N, runs)
     repeats : of every measurement
-    progress : called with the share that is done, in [0, 1]
+    progress : called with the fraction that is done
     """
     for run in runs:
         run(1)  # compiles
@@ -169,16 +170,9 @@ def frames(
     ContextError : no OpenGL context
     InputError : the scene cannot be drawn with a shading
     """
-    times = np.empty((repeats, len(shadings)))
     with Renderer(size, samples=1, backend=backend) as renderer:
-        for shading in shadings:
-            renderer.render(scene, shading)
-        for turn in range(repeats):
-            for index, shading in enumerate(shadings):
-                start = time.perf_counter()
-                renderer.render(scene, shading)
-                times[turn, index] = time.perf_counter() - start
-            progress((turn + 1) / repeats)
+        draws = [partial(renderer.render, scene, shading) for shading in shadings]
+        times = seconds(draws, repeats, progress)
     return bootstrap(lambda turns: 1e3 * np.quantile(times[turns], QUANTILE, axis=0), repeats)
 
 

@@ -214,7 +214,7 @@ def by_slope(
     Parameters
     ----------
     repeats : of every measurement
-    progress : called with the share that is done, in [0, 1]
+    progress : called with the fraction that is done
     shading : see :func:`samples`
 
     Returns

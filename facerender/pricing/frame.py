@@ -15,9 +15,11 @@ from facerender.pricing.interval import Interval, bootstrap
 Draw = Callable[[], object]
 
 
-def seconds(draws: Sequence[Draw], repeats: int) -> NDArray[np.float64]:
-    """Return how long each draw takes, (repeats, draws) in seconds; they take turns, after one that
-    compiles and uploads."""
+def seconds(
+    draws: Sequence[Draw], repeats: int, progress: Callable[[float], object] = lambda done: None
+) -> NDArray[np.float64]:
+    """Return the duration of each draw, (repeats, draws) in seconds; they take turns, after one
+    that compiles and uploads. progress is called with the fraction that is done."""
     for draw in draws:
         draw()
     times = np.empty((repeats, len(draws)))
@@ -26,6 +28,7 @@ def seconds(draws: Sequence[Draw], repeats: int) -> NDArray[np.float64]:
             start = time.perf_counter()
             draw()
             times[turn, index] = time.perf_counter() - start
+        progress((turn + 1) / repeats)
     return times
 
 

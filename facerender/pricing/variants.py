@@ -1,5 +1,5 @@
 """The specular terms and lobes whose cost is measured, as GLSL: the forms that Romanyuk et al.
-(2020) print, and the library's. How they are measured is not told here."""
+(2020) print, and the library's. Nothing is measured here."""
 
 from __future__ import annotations
 

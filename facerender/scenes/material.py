@@ -47,7 +47,7 @@ class Material:
         of the first lobe, in [0, 1]; with 1 for either there is one lobe
     albedo_map, normal_map, roughness_map, specular_map, occlusion_map : textures or None; only the
         albedo is sRGB-encoded; green of the normal map points up; occlusion dims ambient light
-    lobe_map : texture or None; its red multiplies the share of the second lobe, 1 - lobe_weight:
+    lobe_map : texture or None; its red multiplies the fraction of the second lobe, 1 - lobe_weight:
         white where sweat or oil is, black where there is none
     scattering : how light enters and leaves beside: "skin", or Gaussians, each as its variance in
         mm^2 and its weights of red, green and blue, which add up to 1 at most; what they lack to 1

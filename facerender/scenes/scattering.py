@@ -61,7 +61,7 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
             "mm, and scatters as such: give --millimetres if it is not"
         )
     camera, view = scene.camera, view_of(scene, size[0] / size[1])
-    distance = float(np.linalg.norm(view.eye - target_of(mesh, camera)))
+    distance = float(np.linalg.norm(view.position - target_of(mesh, camera)))
     pixels = 0.5 * size[1] / math.tan(math.radians(camera.fov) / 2.0)
     if camera.intrinsics is not None:
         pixels = float(view.intrinsics(size)[1, 1])

@@ -28,13 +28,13 @@ class View:
 
     Attributes
     ----------
-    eye : (3,) float64
+    position : (3,) float64
     forward : (3,) float64, unit vector of the viewing direction
     matrix : (4, 4) float64, view times projection for row vectors; image row 0 is on top, that is
         at clip y = -1, so that a framebuffer is read in the order of image rows
     """
 
-    eye: NDArray[np.float64]
+    position: NDArray[np.float64]
     forward: NDArray[np.float64]
     matrix: NDArray[np.float64]
 

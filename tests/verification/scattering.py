@@ -99,7 +99,7 @@ def scatter_errors(
     pixels.flat[chosen] = True
     gaussians, unit = found.profiles[0], found.millimetres
     truth = by_points(scene.mesh, gaussians, unit, lit, place[pixels], entered[pixels])
-    scale = found.pixels / (((place[pixels] - gbuffer.view.eye) @ gbuffer.view.forward) * unit)
+    scale = found.pixels / (((place[pixels] - gbuffer.view.position) @ gbuffer.view.forward) * unit)
     assert gbuffer.facing is not None
     number, area = covered.astype(int), scatter_area(gbuffer.facing)
     errors = []

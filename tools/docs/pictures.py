@@ -15,6 +15,7 @@ import io
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,9 +101,8 @@ def slope_filter(size: int = 192) -> None:
         with fr.Renderer((size, size)) as renderer:
             shadings = fr.Shading(slope_filter=False), fr.Shading()
             images = [bench.image(renderer, shading) for shading in shadings]
-        rows.append(
-            [encode_srgb8(each[..., :3].astype(np.float32)) for each in (*images, expected)]
-        )
+        shown = [np.asarray(each, np.float32)[..., :3] for each in (*images, expected)]
+        rows.append(map(encode_srgb8, shown))
     save("slope-filter", rows, 88, scale=2)
 
 
@@ -122,8 +122,8 @@ def environment(size: int = 420) -> None:
 
 def lobes(size: int = 420) -> None:
     """Draw one lobe, two lobes and sweat; and both terms summed, coupled, and the difference."""
-    skin = {"second_slope": 1.7, "lobe_weight": 0.85}
-    sweat = {"second_slope": 0.35, "lobe_weight": 0.5, "lobe_map": _film()}
+    skin: dict[str, Any] = {"second_slope": 1.7, "lobe_weight": 0.85}
+    sweat: dict[str, Any] = {"second_slope": 0.35, "lobe_weight": 0.5, "lobe_map": _film()}
     mesh, camera = fr.load_mesh(), fr.Camera(azimuth=-35.0, zoom=1.35)
     with fr.Renderer((size, size)) as renderer:
 
@@ -177,10 +177,11 @@ def occlusion(size: int = 440) -> None:
     bare = load_scan(folder).with_material(occlusion_map=None)
     baked, images = fr.with_occlusion(bare), []
     with fr.Renderer((size, size)) as renderer:
-        for lit in ({"lights": (), "ambient": 3.0}, {}):
+        for ambient in (True, False):
             for mesh in (bare, baked):
                 scene = fr.Scene(mesh, fr.Camera(-20.0, zoom=1.6))
-                images.append(renderer.render(replace(scene, **lit)).srgb8())
+                scene = replace(scene, lights=(), ambient=3.0) if ambient else scene
+                images.append(renderer.render(scene).srgb8())
     save("occlusion", [images], 88)
 
 

@@ -168,7 +168,7 @@ def _rays(view: View, size: tuple[int, int]) -> Uniforms:
 
     def to_far_plane(x: float, y: float) -> NDArray[np.float64]:
         at = np.array([x, y, 1.0, 1.0]) @ back
-        return np.asarray(at[:3] / at[3] - view.eye)
+        return np.asarray(at[:3] / at[3] - view.position)
 
     corner = to_far_plane(-1.0, -1.0)
     right, up = (to_far_plane(*each) - corner for each in ((1.0, -1.0), (-1.0, 1.0)))

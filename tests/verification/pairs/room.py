@@ -125,7 +125,9 @@ class Room:
             offset += by * 2.0 / self.size[axis] * deep * column / (column @ column)
         move = np.eye(4)
         move[3, :3] = -offset
-        return replace(self.view, eye=self.view.eye + offset, matrix=move @ self.view.matrix)
+        return replace(
+            self.view, position=self.view.position + offset, matrix=move @ self.view.matrix
+        )
 
     def mean(self, pattern: Sequence[tuple[float, float]]) -> Linear:
         """Return the mean of images of one sample each, at places of the pixel."""

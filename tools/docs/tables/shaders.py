@@ -10,9 +10,10 @@ from facerender.terms import FRESNEL, LOBES, MASKING
 
 
 def blocks() -> dict[str, str]:
-    kinds = {"lobes": LOBES, "fresnel": FRESNEL, "masking": MASKING}
     return {
-        **{name: _macros([entry.macro for entry in kind.values()]) for name, kind in kinds.items()},
+        "lobes": _macros([entry.macro for entry in LOBES.values()]),
+        "fresnel": _macros([entry.macro for entry in FRESNEL.values()]),
+        "masking": _macros([entry.macro for entry in MASKING.values()]),
         "functions": "\n".join(map(section, functions())).rstrip("\n"),
     }
 

@@ -7,17 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from facerender.planning.drawn import Drawn, draw
 from facerender.planning.search import Choice
+from facerender.planning.views import DrawnViews, draw
 from facerender.pricing.frame import Frames, Line, ratio, seconds
 from facerender.pricing.interval import Interval
 from facerender.scenes.planned import LevelOfDetail
 from facerender.shading import Shading
 
-_PLACES, _REPEATS, _VERIFY = 3, 5, 15
+_VIEWPOINTS, _REPEATS, _VERIFY = 3, 5, 15
 
 
-def measured_frames(choice: Choice, drawn: Drawn) -> Frames:
+def measured_frames(choice: Choice, drawn: DrawnViews) -> Frames:
     """Measure the full frame, that of each change of detail, and of the first and the last one with
     the cheapest shading; what others cost lies on lines through these, by the prices of their
     fragments."""
@@ -41,20 +41,20 @@ def measured_frames(choice: Choice, drawn: Drawn) -> Frames:
         own = times[detail, full], times[detail, cheap]
         return Line.through((prices[0], own[0]), (prices[1], own[1]))
 
-    driver = drawn.places[0].renderer.context.renderer
+    driver = drawn.viewpoints[0].renderer.context.renderer
     source = f"by {len(frames)} frames measured on {driver}"
     taken = {name: times[detail, full] for name, detail in steps.items()}
     return Frames(line(drawn.finest), line(drawn.detail), taken, source)
 
 
-def verified(full: Shading, shading: Shading, drawn: Drawn) -> Interval:
+def relative_time(full: Shading, shading: Shading, drawn: DrawnViews) -> Interval:
     """Measure a shading's frame and the full one in turns, and return the median of the ratios."""
     own = _frame(drawn, drawn.detail, shading)
     return ratio(own, _frame(drawn, drawn.finest, full), _VERIFY)
 
 
-def _frame(drawn: Drawn, detail: LevelOfDetail, shading: Shading) -> Callable[[], object]:
-    """What draws a frame at some of the places, one after the other."""
-    step = max(len(drawn.places) // _PLACES, 1)
-    seen = drawn.places[::step][:_PLACES]
-    return lambda: [draw(place, shading, detail) for place in seen]
+def _frame(drawn: DrawnViews, detail: LevelOfDetail, shading: Shading) -> Callable[[], object]:
+    """What draws a frame at some of the viewpoints, one after the other."""
+    step = max(len(drawn.viewpoints) // _VIEWPOINTS, 1)
+    few = drawn.viewpoints[::step][:_VIEWPOINTS]
+    return lambda: [draw(viewpoint, shading, detail) for viewpoint in few]

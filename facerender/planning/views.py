@@ -22,36 +22,36 @@ from facerender.shading import Shading
 Float = NDArray[np.float64]
 
 _FEWEST = 500  # triangles of a level of detail
-_MOST_SCATTERED = 8  # images of a place that are kept
+_MOST_SCATTERED = 8  # images of a viewpoint that are kept
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class Viewpoint:
     """Where errors are measured: a scene with its camera, and what draws it, at its size."""
 
     scene: Scene
     renderer: Renderer
 
 
-def draw(place: Place, shading: Shading, detail: LevelOfDetail) -> NDArray[np.float32]:
-    """Return the linear image (H, W, 4) of a place."""
-    scene, values = detail.of(place.scene), detail.values
-    return place.renderer.render(scene, shading, **values).linear
+def draw(viewpoint: Viewpoint, shading: Shading, detail: LevelOfDetail) -> NDArray[np.float32]:
+    """Return the linear image (H, W, 4) of a viewpoint."""
+    scene, values = detail.of(viewpoint.scene), detail.values
+    return viewpoint.renderer.render(scene, shading, **values).linear
 
 
-def _saves_shading(place: Place, samples: int) -> bool:
+def _saves_shading(viewpoint: Viewpoint, samples: int) -> bool:
     """Tell whether per-pixel shading is possible, and known to be cheaper."""
-    scene, renderer = place.scene, place.renderer
+    scene, renderer = viewpoint.scene, viewpoint.renderer
     known = deferred_is_cheaper(scene, renderer.size, samples, renderer.context.renderer)
     return known and renderer.can_shade_per_pixel(scene, samples)
 
 
-class Scattered:
-    """How scattering changes the pixels of a place, drawn: a pixel's light depends on others, and
-    float64 would take seconds for them."""
+class ScatteredLight:
+    """How scattering changes the pixels of a viewpoint, drawn: a pixel's light depends on others,
+    and float64 would take seconds for them."""
 
-    def __init__(self, place: Place) -> None:
-        self.place = place
+    def __init__(self, viewpoint: Viewpoint) -> None:
+        self.viewpoint = viewpoint
         self.known: dict[Shading, Float] = {}
 
     def __call__(self, shading: Shading) -> Float:
@@ -69,11 +69,11 @@ class Scattered:
         return self.known[light]
 
     def _drawn(self, shading: Shading) -> NDArray[np.float32]:
-        renderer, scene = self.place.renderer, self.place.scene
+        renderer, scene = self.viewpoint.renderer, self.viewpoint.scene
         return renderer.render(scene, shading, "diffuse", samples=1).linear[..., :3]
 
 
-class Drawn:
+class DrawnViews:
     """The views as OpenGL draws them: with several samples a pixel it shades at silhouettes what no
     pixel's centre sees. A change that fails there by itself is not tried again with others.
 
@@ -84,11 +84,13 @@ class Drawn:
     coarser : details that were over the budget, each with its error
     """
 
-    def __init__(self, places: Sequence[Place], full: Shading, budget: Budget) -> None:
-        self.places, self.full, self.budget = places, full, budget
-        self.triangles = sum(len(part.faces) for part in places[0].scene.mesh.parts)
-        self.finest = self.detail = LevelOfDetail(places[0].renderer.samples, None)
-        self.exact = [draw(place, full, self.finest).astype(np.float64) for place in places]
+    def __init__(self, viewpoints: Sequence[Viewpoint], full: Shading, budget: Budget) -> None:
+        self.viewpoints, self.full, self.budget = viewpoints, full, budget
+        self.triangles = sum(len(part.faces) for part in viewpoints[0].scene.mesh.parts)
+        self.finest = self.detail = LevelOfDetail(viewpoints[0].renderer.samples, None)
+        self.exact = [
+            draw(viewpoint, full, self.finest).astype(np.float64) for viewpoint in viewpoints
+        ]
         self.coarser: list[tuple[LevelOfDetail, float]] = []
         self.failed: list[tuple[Sequence[str], dict[str, Any]]] = []
 
@@ -98,7 +100,7 @@ class Drawn:
         self._first([replace(self.detail, cull_back_faces=True)])
         samples = [count for count in (4, 1) if count < self.finest.samples]
         self._first(replace(self.detail, samples=count) for count in reversed(samples))
-        if all(_saves_shading(place, self.detail.samples) for place in self.places):
+        if all(_saves_shading(viewpoint, self.detail.samples) for viewpoint in self.viewpoints):
             self._first([replace(self.detail, shading_rate="pixel")])
         count = self.triangles // 2
         with suppress(InputError):  # without their package there are no levels of detail
@@ -114,7 +116,7 @@ class Drawn:
             self.coarser.append((detail, error))
         return False
 
-    def let_pass(self, shading: Shading) -> bool:
+    def accepts(self, shading: Shading) -> bool:
         """Tell whether a shading is within the budget."""
         if self._within(shading):
             return True
@@ -123,7 +125,7 @@ class Drawn:
                 self.failed.append((names, values(shading, names)))
         return False
 
-    def ruled_out(self, shading: Shading) -> bool:
+    def rejects(self, shading: Shading) -> bool:
         """Tell whether a shading has a change that failed."""
         return any(values(shading, names) == failed for names, failed in self.failed)
 
@@ -144,6 +146,6 @@ class Drawn:
 
     def maps(self, shading: Shading, detail: LevelOfDetail | None = None) -> Iterator[Float]:
         """Yield the error of every pixel (H, W) of each image; detail as of :meth:`errors`."""
-        for place, exact in zip(self.places, self.exact, strict=True):
-            image = draw(place, shading, detail or self.detail)[..., :3].astype(np.float64)
+        for viewpoint, exact in zip(self.viewpoints, self.exact, strict=True):
+            image = draw(viewpoint, shading, detail or self.detail)[..., :3].astype(np.float64)
             yield self.budget.errors(image, exact[..., :3])
