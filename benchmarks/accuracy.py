@@ -14,8 +14,8 @@ import numpy as np
 from benchmarks.data import save
 from facerender import brdf, lobes, resolve_includes
 from facerender.drawing.context import create_context
-from facerender.drawing.evaluate import Evaluator
 from tests.verification.cases import true_directions
+from tests.verification.evaluate import Evaluator
 
 SLOPES = (1e-4, 1e-3, 0.01, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0)
 COUNT = 200_000  # random directions of each slope

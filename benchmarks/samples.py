@@ -22,10 +22,10 @@ from threading import Lock
 
 import numpy as np
 
-from facerender.drawing.evaluate import Inputs
 from facerender.shading import Term
 from tests.verification.cases import Case, Each, brdf_case, singles
 from tests.verification.climb import VARIANTS, slopes_of
+from tests.verification.evaluate import Inputs
 from tests.verification.many import GROUPS, MANY, Random, cases_of, faults
 from tests.verification.targets import LAVAPIPE, TARGETS, Remote, groups_of
 

@@ -1,6 +1,6 @@
 """A batch on a cluster, simulated: which part of it is full first, and at how many images a second.
 
-    python benchmarks/scale.py [--workers N] [--chunk N] [--layout shards|files] [--parts N]
+    python -m benchmarks.scale [--workers N] [--chunk N] [--layout shards|files] [--parts N]
         [--set NAME=VALUE ...] [--measured docs/measurements/scale.json] [-o FILE.json]
 
 Without options: the tables of docs/measurements/scale.md; with -o, their data for `python -m
@@ -419,7 +419,7 @@ def simulated(path: Path) -> dict[str, Any]:
 
 
 def main() -> None:
-    from facerender.measure.tables import markdown_table
+    from tools.docs.tables import markdown_table
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--measured", type=Path, default=MEASURED, help="of another machine")

@@ -3,9 +3,17 @@ GLSL, with the same arguments in the same order; see ``terms/``."""
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
+from facerender.terms.albedo import (
+    cook_torrance_albedo,
+    cook_torrance_albedo_mean,
+    diffuse_coupled,
+)
+from facerender.terms.environment import (
+    environment_cook_torrance,
+    environment_irradiance,
+    environment_radiance,
+    environment_ward,
+)
 from facerender.terms.fresnel import (
     fresnel,
     fresnel_dielectric,
@@ -20,6 +28,13 @@ from facerender.terms.model import (
     ward,
     ward_printed,
 )
+from facerender.terms.sampling import (
+    cook_torrance_pdf,
+    cook_torrance_sample,
+    slope_sample,
+    ward_pdf,
+    ward_sample,
+)
 from facerender.terms.slope_variance import (
     cosine_disc,
     slope_filtered,
@@ -27,26 +42,6 @@ from facerender.terms.slope_variance import (
     slope_variance_map,
     slope_variance_pixel,
 )
-
-if TYPE_CHECKING:
-    from facerender.terms.albedo import (
-        cook_torrance_albedo,
-        cook_torrance_albedo_mean,
-        diffuse_coupled,
-    )
-    from facerender.terms.environment import (
-        environment_cook_torrance,
-        environment_irradiance,
-        environment_radiance,
-        environment_ward,
-    )
-    from facerender.terms.sampling import (
-        cook_torrance_pdf,
-        cook_torrance_sample,
-        slope_sample,
-        ward_pdf,
-        ward_sample,
-    )
 
 __all__ = [
     "K_COOK_TORRANCE",
@@ -79,29 +74,3 @@ __all__ = [
     "ward_printed",
     "ward_sample",
 ]
-
-# What an image needs only where it is asked for, by its module.
-_LATER = {
-    **dict.fromkeys(
-        (
-            "environment_cook_torrance",
-            "environment_irradiance",
-            "environment_radiance",
-            "environment_ward",
-        ),
-        "environment",
-    ),
-    **dict.fromkeys(
-        ("cook_torrance_albedo", "cook_torrance_albedo_mean", "diffuse_coupled"), "albedo"
-    ),
-    **dict.fromkeys(
-        ("cook_torrance_pdf", "cook_torrance_sample", "slope_sample", "ward_pdf", "ward_sample"),
-        "sampling",
-    ),
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _LATER:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"facerender.terms.{_LATER[name]}"), name)

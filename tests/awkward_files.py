@@ -103,6 +103,27 @@ def mini_head() -> Head:
     )
 
 
+def assert_equal(a: Any, b: Any, where: str) -> None:
+    """Compare values of the package to the bit, textures by their texels and their sampling."""
+    assert type(a) is type(b), where
+    if isinstance(a, np.ndarray):
+        assert a.dtype == b.dtype, where
+        np.testing.assert_array_equal(a, b, where)
+    elif isinstance(a, fr.Texture):
+        assert (a.name, a.sampling) == (b.name, b.sampling), where
+        np.testing.assert_array_equal(np.asarray(a.rgb()), np.asarray(b.rgb()), where)
+    elif isinstance(a, Exception):
+        assert str(a) == str(b)
+    elif isinstance(a, list | tuple):
+        for i, pair in enumerate(zip(a, b, strict=True)):
+            assert_equal(*pair, f"{where}[{i}]")
+    elif hasattr(a, "__dataclass_fields__"):
+        for name in a.__dataclass_fields__:
+            assert_equal(getattr(a, name), getattr(b, name), f"{where}.{name}")
+    elif not callable(a):
+        assert a == b or "object at" in repr(a), where
+
+
 # --- OBJ -----------------------------------------------------------------------------------------
 
 

@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -124,6 +125,21 @@ def awkward() -> Path:
 @pytest.fixture(scope="session")
 def scan_mesh(scan: Path) -> fr.Mesh:
     return load_scan(scan)
+
+
+@pytest.fixture
+def cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a cache of the test's own, of the usual size."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.delenv("FACERENDER_CACHE_MIB", raising=False)
+    return tmp_path / "cache" / "facerender"
+
+
+def wait_for_cache() -> None:
+    """Wait until the meshes that were loaded are in the cache."""
+    for thread in threading.enumerate():
+        if thread.name == "facerender-cache":
+            thread.join()
 
 
 @pytest.fixture

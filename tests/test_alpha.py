@@ -3,7 +3,7 @@
 import copy
 import json
 import pickle
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,6 +26,8 @@ from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Part
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import view_of
+from tests.awkward_files import assert_equal
+from tests.conftest import wait_for_cache
 from tests.test_lod import grid
 from tests.test_lod import mesh_of as shaped
 from tests.verification.parts_head import NAMES, hairs, parts_head
@@ -146,42 +148,19 @@ def full_material():
     return Material(**FACTORS, **maps)
 
 
-def same(a, b):
-    """Whether two values are equal, textures by their texels and sampling."""
-    if isinstance(a, Texture):
-        return a.sampling == b.sampling and np.array_equal(a.rgb(), b.rgb())
-    if isinstance(a, np.ndarray):
-        return np.array_equal(a, b)
-    return a == b
-
-
-def test_meshes_survive_pickles_and_the_store(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setenv("FACERENDER_CACHE_MIB", "64")
+def test_meshes_survive_pickles_and_the_cache(tmp_path, cache_folder):
     part = quad()
     mesh = mesh_of([replace(part, uv2=part.uv[::-1].copy())], [full_material()])
     file = tmp_path / "head.obj"
     file.write_text("v 0 0 0\n")
     files = MeshFiles(source_of(file), {}, Orientation(), False)
     files.store(files.digest(), mesh, {}, [])
-    wait_for_store()
+    wait_for_cache()
     kept = files.find()
     for found in (kept, pickle.loads(pickle.dumps(mesh)), copy.deepcopy(mesh)):
-        for kind in (Part, Material):
-            got, want = (
-                each.parts[0] if kind is Part else each.materials[0] for each in (found, mesh)
-            )
-            for each in fields(kind):
-                assert same(getattr(want, each.name), getattr(got, each.name)), each.name
+        assert_equal(found.parts, mesh.parts, "parts")
+        assert_equal(found.materials, mesh.materials, "materials")
     assert kept.materials[0].property_map is None  # the occlusion has other coordinates
-
-
-def wait_for_store():
-    import threading
-
-    for thread in threading.enumerate():
-        if thread.name == "facerender-cache":
-            thread.join()
 
 
 def test_factors_survive_scene_files_and_jobs(tmp_path):

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,17 +20,16 @@ from facerender import loading
 from facerender.commands import main
 from facerender.system import cache
 from tests import awkward_files as files
-from tests.awkward_files import MINI_HEAD, mini_head
+from tests.awkward_files import MINI_HEAD, assert_equal, mini_head
+from tests.conftest import wait_for_cache
 from tests.test_cli import assert_error
 
 SMALL = ("--size", "48", "--samples", "1")
 
 
 @pytest.fixture(autouse=True)
-def place(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.delenv("FACERENDER_CACHE_MIB", raising=False)
-    return tmp_path / "cache" / "facerender"
+def place(cache_folder):
+    return cache_folder
 
 
 @pytest.fixture
@@ -48,15 +46,9 @@ def reads(monkeypatch):
     return seen
 
 
-def wait():
-    for thread in threading.enumerate():
-        if thread.name == "facerender-cache":
-            thread.join()
-
-
 def load(*args, **options):
     mesh = fr.load_mesh(*args, cache=True, **options)
-    wait()
+    wait_for_cache()
     return mesh
 
 
@@ -64,39 +56,22 @@ def entries(place):
     return sorted(place.glob("meshes/*"))
 
 
-def textured(folder: Path) -> Path:
+def textured(folder):
     folder.mkdir(exist_ok=True)
     return files.write_textured_obj(folder / "head.obj", mini_head())
 
 
-def arrays_of(mesh):
-    yield from (mesh.bounds, mesh.profile, np.array(mesh.radius))
-    for part in mesh.parts:
-        yield from (part.positions, part.normals, part.faces)
-        yield from (each for each in (part.uv, part.colors) if each is not None)
-    for material in mesh.materials:
-        yield np.array([material.albedo, (material.m, material.roughness_factor, material.f0)])
-        for texture in (material.albedo_map, material.normal_map, material.property_map):
-            if texture is not None:
-                yield np.asarray(texture.rgb())
-                for kind in ("color", "normal", "data"):
-                    yield from texture.levels(kind).result()
-
-
 def assert_same(mesh, other):
-    assert mesh.name == other.name
-    for a, b in zip(arrays_of(mesh), arrays_of(other), strict=True):
-        assert a.dtype == b.dtype
-        np.testing.assert_array_equal(a, b)
-    for a, b in zip(mesh.materials, other.materials, strict=True):
-        for name in ("albedo_map", "normal_map", "roughness_map", "specular_map", "occlusion_map"):
-            assert (getattr(a, name) is None) == (getattr(b, name) is None)
-            if getattr(a, name) is not None:
-                assert getattr(a, name).name == getattr(b, name).name
-                np.testing.assert_array_equal(getattr(a, name).rgb(), getattr(b, name).rgb())
+    """The same to the bit, with the mip chains of the maps."""
+    assert_equal(mesh, other, "mesh")
+    for materials in zip(mesh.materials, other.materials, strict=True):
+        for name in ("albedo_map", "normal_map", "property_map"):
+            maps = [getattr(material, name) for material in materials]
+            for kind in ("color", "normal", "data"):
+                assert_equal(*([each and each.levels(kind).result() for each in maps]), name)
 
 
-def textures_of_files(folder: Path) -> dict[str, Path]:
+def textures_of_files(folder):
     """Maps of three sizes, one of them in colour."""
     rng = np.random.default_rng(5)
     made = {}
@@ -170,7 +145,7 @@ def test_options_change_a_kept_mesh_as_any(options, tmp_path, egl, reads):
     images = []
     for uncached in (["--no-cache"], [], []):
         assert main(["render", "-o", str(tmp_path / "o.exr"), *SMALL, *options, *uncached]) == 0
-        wait()
+        wait_for_cache()
         images.append((tmp_path / "o.exr").read_bytes())
     assert len(reads) == 2
     assert images[0] == images[1] == images[2]
@@ -281,30 +256,25 @@ def test_a_damaged_map_is_not_kept(tmp_path, place, capsys):
     assert capsys.readouterr() == ("", "")
 
 
-def damage(content: bytes, how: str) -> bytes:
-    middle = len(content) // 2
-    return {
-        "empty": b"",
-        "head only": content[:20],
-        "cut off": content[:middle],
-        "last byte gone": content[:-1],
-        "longer": content + b"\0",
-        "a bit": content[:middle] + bytes([content[middle] ^ 4]) + content[middle + 1 :],
-        "zeros": content[:-4096] + bytes(4096),
-        "other magic": b"facerender 0" + content[12:],
-    }[how]
+DAMAGE = {
+    "empty": lambda content: b"",
+    "head only": lambda content: content[:20],
+    "cut off": lambda content: content[: len(content) // 2],
+    "last byte gone": lambda content: content[:-1],
+    "longer": lambda content: content + b"\0",
+    "a bit": lambda content: content[:5000] + bytes([content[5000] ^ 4]) + content[5001:],
+    "zeros": lambda content: content[:-4096] + bytes(4096),
+    "other magic": lambda content: b"facerender 0" + content[12:],
+}
 
 
-@pytest.mark.parametrize(
-    "how",
-    ["empty", "head only", "cut off", "last byte gone", "longer", "a bit", "zeros", "other magic"],
-)
+@pytest.mark.parametrize("how", DAMAGE)
 def test_a_damaged_entry_is_absent_and_made_anew(how, reads, place):
     plain = fr.load_mesh(MINI_HEAD)
     load(MINI_HEAD)
     (entry,) = entries(place)
     good = entry.read_bytes()
-    entry.write_bytes(damage(good, how))
+    entry.write_bytes(DAMAGE[how](good))
     assert_same(load(MINI_HEAD), plain)
     assert len(reads) == 3
     assert entry.read_bytes() == good
@@ -392,7 +362,7 @@ def test_render_without_a_store(option, tmp_path, egl, monkeypatch, place, capsy
     png = tmp_path / "o.png"
     budget = ["--budget", "2/255", "--light", "key"]
     assert main(["render", str(MINI_HEAD), "-o", str(png), *SMALL, *budget, *options]) == 0
-    wait()
+    wait_for_cache()
     printed = capsys.readouterr()
     assert printed.out == f"{png}\n"
     assert "warning" not in printed.err

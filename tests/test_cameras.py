@@ -5,12 +5,9 @@ from __future__ import annotations
 
 import json
 import math
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import facerender as fr
 from facerender.scenes.view import view_of
@@ -20,7 +17,7 @@ SIZE = (120, 90)
 K = [[310.0, 0.0, 71.25], [0.0, 255.0, 38.5], [0.0, 0.0, 1.0]]
 
 
-def pose_of(mesh: fr.Mesh, azimuth: float, tilt: float, distance: float) -> NDArray[np.float64]:
+def pose_of(mesh, azimuth, tilt, distance):
     """[R|t] of a camera before a mesh, which is turned, and tilted about its own axis."""
     a, b = np.radians([azimuth, tilt])
     turn = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
@@ -29,17 +26,17 @@ def pose_of(mesh: fr.Mesh, azimuth: float, tilt: float, distance: float) -> NDAr
     return np.column_stack([r, [0.0, 0.0, distance * mesh.radius] - r @ mesh.center])
 
 
-def seen(mesh: fr.Mesh, camera: fr.Camera, size: tuple[int, int] = SIZE) -> Any:
+def seen(mesh, camera, size=SIZE):
     with fr.Renderer(size, samples=1) as renderer:
         return renderer.gbuffer(fr.Scene(mesh, camera))
 
 
-def projected(k: Any, pose: Any, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def projected(k, pose, points):
     x, y, z = np.asarray(k) @ (np.asarray(pose) @ np.column_stack([points, np.ones(len(points))]).T)
     return np.stack([x / z, y / z], axis=-1)
 
 
-def glb(tmp_path: Path, nodes: list[Any], cameras: list[Any]) -> Path:
+def glb(tmp_path, nodes, cameras):
     """The small head, with nodes that are roots of its scene."""
     document, binary = split_glb(MINI_HEAD.read_bytes())
     document["cameras"] = cameras
@@ -53,12 +50,12 @@ def glb(tmp_path: Path, nodes: list[Any], cameras: list[Any]) -> Path:
 
 
 @pytest.fixture(scope="module")
-def mini() -> fr.Mesh:
+def mini():
     return fr.load_mesh(MINI_HEAD)
 
 
 @pytest.mark.parametrize(("azimuth", "tilt"), [(0.0, 0.0), (35.0, -20.0), (160.0, 90.0)])
-def test_pixels_are_where_the_matrices_say(mini: fr.Mesh, azimuth: float, tilt: float):
+def test_pixels_are_where_the_matrices_say(mini, azimuth, tilt):
     """fx is not fy, and the principal point is off the centre."""
     pose = pose_of(mini, azimuth, tilt, 5.0)
     camera = fr.Camera(extrinsics=pose, intrinsics=K, size=SIZE)
@@ -71,7 +68,7 @@ def test_pixels_are_where_the_matrices_say(mini: fr.Mesh, azimuth: float, tilt: 
     np.testing.assert_allclose(buffer.view.extrinsics(mini), pose, atol=1e-12 + 1e-9 * mini.radius)
 
 
-def test_every_camera_comes_back_by_its_matrices(mini: fr.Mesh):
+def test_every_camera_comes_back_by_its_matrices(mini):
     for camera in (fr.Camera(), fr.Camera(130.0, 40.0, zoom=2.0), fr.Camera(elevation=90.0)):
         view = view_of(fr.Scene(mini, camera), SIZE[0] / SIZE[1])
         pose, k = view.extrinsics(mini), view.intrinsics(SIZE)
@@ -80,7 +77,7 @@ def test_every_camera_comes_back_by_its_matrices(mini: fr.Mesh):
         np.testing.assert_allclose(other.matrix, view.matrix, atol=1e-7)
 
 
-def test_an_image_of_another_size_is_of_the_same_shape(mini: fr.Mesh):
+def test_an_image_of_another_size_is_of_the_same_shape(mini):
     camera = fr.Camera(extrinsics=pose_of(mini, 0, 0, 5), intrinsics=K, size=SIZE)
     twice = view_of(fr.Scene(mini, camera), 4 / 3).intrinsics((240, 180))
     np.testing.assert_allclose(twice[:2], 2.0 * np.array(K)[:2], atol=1e-9)
@@ -112,12 +109,12 @@ GOOD = {"extrinsics": np.eye(3, 4), "intrinsics": K, "size": SIZE}
         ({"intrinsics": [[300, 0, 60]]}, "give 3 rows of 3 numbers"),
     ],
 )
-def test_matrices_that_are_none(changes: dict[str, Any], message: str):
+def test_matrices_that_are_none(changes, message):
     with pytest.raises(fr.InputError, match=message):
         fr.Camera(**{**GOOD, **changes})
 
 
-def test_a_camera_with_matrices_is_a_job(mini: fr.Mesh, tmp_path: Path):
+def test_a_camera_with_matrices_is_a_job(mini, tmp_path):
     camera = fr.Camera(extrinsics=pose_of(mini, 20, 5, 5), intrinsics=K, size=SIZE)
     job = fr.Job(camera=camera)
     assert fr.Job.from_dict(json.loads(json.dumps(job.as_dict()))) == job
@@ -126,12 +123,12 @@ def test_a_camera_with_matrices_is_a_job(mini: fr.Mesh, tmp_path: Path):
     assert fr.load_scene(path)["camera"] == camera
 
 
-def test_a_turntable_of_a_placed_camera_orbits(mini: fr.Mesh):
+def test_a_turntable_of_a_placed_camera_orbits(mini):
     placed = fr.Camera(extrinsics=pose_of(mini, 20, 5, 5), intrinsics=K, size=SIZE)
     assert fr.turntable(placed, 2) == (fr.Camera(0.0), fr.Camera(180.0))
 
 
-def test_an_image_is_the_same_by_the_matrices_of_its_camera(mini: fr.Mesh):
+def test_an_image_is_the_same_by_the_matrices_of_its_camera(mini):
     """That of light which scatters by pixels as well."""
     mesh = fr.Mesh(**{**vars(mini), "millimetres": 1000.0 * 0.15 / mini.radius}).with_material(
         scattering="skin"
@@ -151,7 +148,7 @@ def test_an_image_is_the_same_by_the_matrices_of_its_camera(mini: fr.Mesh):
 # --- files ---------------------------------------------------------------------------------------
 
 
-def test_cameras_of_a_json_file(mini: fr.Mesh, tmp_path: Path):
+def test_cameras_of_a_json_file(mini, tmp_path):
     pose = pose_of(mini, 20, 5, 5)
     camera = fr.Camera(extrinsics=pose, intrinsics=K, size=SIZE)
     whole = {"K": K, "Rt": pose.tolist(), "width": 120, "height": 90}
@@ -168,7 +165,7 @@ def test_cameras_of_a_json_file(mini: fr.Mesh, tmp_path: Path):
     assert [*fr.load_cameras(path).values()] == [fr.Camera(30.0, frame="face")]
 
 
-def test_cameras_of_a_numpy_file(mini: fr.Mesh, tmp_path: Path):
+def test_cameras_of_a_numpy_file(mini, tmp_path):
     poses = np.stack([pose_of(mini, azimuth, 5, 5) for azimuth in (0, 90)])
     path = tmp_path / "rig.npz"
     wanted = [fr.Camera(extrinsics=pose, intrinsics=K, size=SIZE) for pose in poses]
@@ -204,13 +201,13 @@ BAD = {
 @pytest.mark.parametrize(
     ("name", "content", "message"), [(name, *each) for name, all_ in BAD.items() for each in all_]
 )
-def test_files_without_cameras(name: str, content: str, message: str, tmp_path: Path):
+def test_files_without_cameras(name, content, message, tmp_path):
     (tmp_path / name).write_text(content)
     with pytest.raises(fr.InputError, match=message):
         fr.load_cameras(tmp_path / name)
 
 
-def test_arrays_of_other_shapes(tmp_path: Path):
+def test_arrays_of_other_shapes(tmp_path):
     path = tmp_path / "rig.npz"
     for arrays, message in (
         ({"K": np.eye(3)}, "it holds K: give K, R and t"),
@@ -233,7 +230,7 @@ def test_arrays_of_other_shapes(tmp_path: Path):
 # --- glTF ----------------------------------------------------------------------------------------
 
 
-def test_cameras_of_a_gltf_file(mini: fr.Mesh, tmp_path: Path):
+def test_cameras_of_a_gltf_file(mini, tmp_path):
     """A camera below a node that turns it by 90 degrees stands at +x, looks to -x, and is scaled,
     which does not matter."""
     quarter = [0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5)]
@@ -275,6 +272,6 @@ def test_cameras_of_a_gltf_file(mini: fr.Mesh, tmp_path: Path):
         ({}, {"perspective": {"yfov": 1}}, "head.glb has no camera"),
     ],
 )
-def test_cameras_that_are_not_drawn(node: Any, camera: Any, message: str, tmp_path: Path):
+def test_cameras_that_are_not_drawn(node, camera, message, tmp_path):
     with pytest.raises(fr.InputError, match=message):
         fr.load_cameras(glb(tmp_path, [node], [camera]))

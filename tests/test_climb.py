@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from facerender.drawing.context import Backend, create_context
-from facerender.drawing.evaluate import Evaluator, Inputs
 from facerender.shading import Term
 from facerender.terms import lobe_entry
 from facerender.terms.lobe import MIN_SLOPE
 from tests.test_targets import opened
 from tests.verification.cases import Case, Each, brdf_case, directions_and_extremes
 from tests.verification.climb import VARIANTS, climb, slopes_of
+from tests.verification.evaluate import Evaluator, Inputs
 from tests.verification.targets import LAVAPIPE, TARGETS, Remote
 
 FEW, MANY = (50, 8), (1000, 60)  # starts and steps

@@ -11,7 +11,7 @@ import facerender as fr
 from facerender import InputError, brdf
 from facerender.drawing import reference
 from facerender.pricing.table import load_prices
-from facerender.terms.albedo import albedo_integral
+from tools.fits.albedo import albedo_integral
 
 COUPLED = fr.Shading(diffuse="coupled")
 TWO = {"second_slope": 0.5, "lobe_weight": 0.6}

@@ -17,16 +17,16 @@ from facerender.errors import clipped, reason
 from facerender.system.files import read_file, tables_of
 
 
-def bind(path: Path) -> None:
+def bind(path):
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(os.path.relpath(path))
 
 
-def loop(path: Path) -> None:
+def loop(path):
     path.symlink_to(path)
 
 
-def sparse(path: Path) -> None:
+def sparse(path):
     with path.open("wb") as file:
         file.truncate(1 << 40)
 
@@ -43,7 +43,7 @@ REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_is_no_file(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_no_file(case, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # the name of a socket is short
     make, message = REFUSED[case]
     make(tmp_path / "x")
@@ -52,7 +52,7 @@ def test_what_is_no_file(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize("name", ["a\0b", "\ud800", "n" * 300, "d/" * 3000])
-def test_names_that_no_file_has(name: str) -> None:
+def test_names_that_no_file_has(name):
     with pytest.raises(fr.InputError, match="cannot read ") as caught:
         read_file(name, "an image file")
     assert str(caught.value).isprintable()
@@ -83,16 +83,14 @@ LONG = "x" * 300
     ],
     ids=lambda each: " ".join(each)[:40],
 )
-def test_names_that_are_too_long(
-    arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_names_that_are_too_long(arguments, capsys, tmp_path):
     with contextlib.chdir(tmp_path):
         assert main([*arguments]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("facerender: error: ")
 
 
-def test_whole_file(tmp_path: Path) -> None:
+def test_whole_file(tmp_path):
     (tmp_path / "x").write_bytes(b"12345")
     (tmp_path / "link").symlink_to("x")
     assert read_file(tmp_path / "link", "x", most=5) == b"12345"
@@ -100,7 +98,7 @@ def test_whole_file(tmp_path: Path) -> None:
         read_file(tmp_path / "link", "x", most=4)
 
 
-def test_what_libraries_say_is_one_line() -> None:
+def test_what_libraries_say_is_one_line():
     assert reason(KeyError()) == "KeyError"
     assert reason(ValueError("a\nb\x1b[31m\ud800")) == "a b?[31m?"
     assert len(reason(ValueError("x" * 10_000))) < 200
@@ -121,7 +119,7 @@ NO_TOML: dict[str, tuple[str, str]] = {
 
 
 @pytest.mark.parametrize("case", NO_TOML)
-def test_what_is_no_toml(case: str) -> None:
+def test_what_is_no_toml(case):
     text, why = NO_TOML[case]
     began = time.monotonic()
     with pytest.raises(fr.InputError, match=f"^x.toml is not TOML: {why}.*; mend it$"):
@@ -129,7 +127,7 @@ def test_what_is_no_toml(case: str) -> None:
     assert time.monotonic() - began < 5.0
 
 
-def test_toml_with_a_byte_order_mark_and_dots() -> None:
+def test_toml_with_a_byte_order_mark_and_dots():
     text = f"a.'b c'.\"d\" = [{'0.5, ' * 100}]\n'{'x.' * 100}' = 1\n"
     tables = tables_of(text.encode("utf-8-sig"), "x.toml")
     assert tables == {"a": {"b c": {"d": [0.5] * 100}}, "x." * 100: 1}

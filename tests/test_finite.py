@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from facerender.drawing.context import Backend, create_context
-from facerender.drawing.evaluate import Evaluator, Inputs
 from tests.test_shaders import FILES, functions
 from tests.verification import cases
 from tests.verification.cases import Case
+from tests.verification.evaluate import Evaluator, Inputs
 from tests.verification.many import GROUPS, MANY, Random, cases_of, faults
 
 FEW = 2**18  # samples of a draw

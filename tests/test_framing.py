@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import pickle
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ import trimesh
 
 import facerender as fr
 from facerender.scenes.framing import find_region
-from facerender.scenes.mesh import Mesh, Region
 from facerender.scenes.view import view_of
 from tests.people import PEOPLE, ball, person
 
@@ -23,14 +21,14 @@ CHIN, CROWN, BROW = -0.105, 0.116, 0.01
 known = cache(person)
 
 
-def ends(mesh: Mesh, region: Region) -> tuple[float, float]:
+def ends(mesh, region):
     """The lowest and the highest place, in the mesh's units."""
     middle = mesh.to_mesh_space(region.center)[1]
     return middle - region.height * mesh.radius, middle + region.height * mesh.radius
 
 
 @pytest.mark.parametrize("name", PEOPLE)
-def test_the_face_of_a_person(name: str):
+def test_the_face_of_a_person(name):
     mesh = known(name)
     low, high = ends(mesh, region := find_region(mesh, "face"))
     assert CHIN - 0.025 < low < CHIN + 0.01
@@ -40,7 +38,7 @@ def test_the_face_of_a_person(name: str):
 
 
 @pytest.mark.parametrize("name", sorted(PEOPLE.keys() - {"mask"}))
-def test_the_head_of_a_person(name: str):
+def test_the_head_of_a_person(name):
     mesh = known(name)
     low, high = ends(mesh, region := find_region(mesh, "head"))
     assert CHIN - 0.06 < low < CHIN + 0.005
@@ -50,7 +48,7 @@ def test_the_head_of_a_person(name: str):
 
 
 @pytest.mark.parametrize(("scale", "move"), [(1000.0, (0, 0, 0)), (0.01, (5, -9, 2)), (39.37, 0)])
-def test_units_and_places_do_not_matter(scale: float, move: object):
+def test_units_and_places_do_not_matter(scale, move):
     shift = np.broadcast_to(np.asarray(move, float) * scale, 3)
     own = person("arms down")
     other = person("arms down", scale, shift)
@@ -61,7 +59,7 @@ def test_units_and_places_do_not_matter(scale: float, move: object):
         assert b.radius == pytest.approx(a.radius, rel=0.02)
 
 
-def test_the_face_of_a_scan(scan_mesh: Mesh):
+def test_the_face_of_a_scan(scan_mesh):
     """The eyes of the scan are at a height of 1.9, its chin at -0.45, its crown at 4."""
     low, high = ends(scan_mesh, find_region(scan_mesh, "face"))
     assert -1.3 < low < -0.3
@@ -69,7 +67,7 @@ def test_the_face_of_a_scan(scan_mesh: Mesh):
     assert ends(scan_mesh, find_region(scan_mesh, "head"))[1] == pytest.approx(3.97, abs=0.05)
 
 
-def test_what_has_no_face_is_framed_as_it_is(tmp_path: Path):
+def test_what_has_no_face_is_framed_as_it_is(tmp_path):
     path = tmp_path / "shape.ply"
     for shape in (ball((3, 3, 3), (1, 1, 1)), trimesh.creation.box((2, 1e-9, 3))):
         shape.export(path)
@@ -80,7 +78,7 @@ def test_what_has_no_face_is_framed_as_it_is(tmp_path: Path):
             assert 0.1 < region.radius < 2.5
 
 
-def test_a_triangle_has_regions(tmp_path: Path):
+def test_a_triangle_has_regions(tmp_path):
     path = tmp_path / "one.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     mesh = fr.load_mesh(path)
@@ -90,7 +88,7 @@ def test_a_triangle_has_regions(tmp_path: Path):
 
 @pytest.mark.parametrize("frame", ["head", "face"])
 @pytest.mark.parametrize("azimuth", [0.0, 70.0, 200.0])
-def test_a_camera_holds_what_it_frames(head: Mesh, frame: str, azimuth: float):
+def test_a_camera_holds_what_it_frames(head, frame, azimuth):
     region = find_region(head, frame)
     camera = fr.Camera(azimuth, 10.0, frame=frame)  # type: ignore[arg-type]
     view = view_of(fr.Scene(head, camera), 0.8)
@@ -105,7 +103,7 @@ def test_a_camera_holds_what_it_frames(head: Mesh, frame: str, azimuth: float):
     np.testing.assert_allclose(center[:2] / center[3], 0.0, atol=1e-12)
 
 
-def test_a_target_and_a_zoom_override_the_guess(head: Mesh):
+def test_a_target_and_a_zoom_override_the_guess(head):
     own = view_of(fr.Scene(head, fr.Camera(frame="face")), 1.0)
     near = view_of(fr.Scene(head, fr.Camera(frame="face", zoom=2.0)), 1.0)
     middle = find_region(head, "face").center
@@ -119,7 +117,7 @@ def test_a_target_and_a_zoom_override_the_guess(head: Mesh):
     )
 
 
-def test_a_simplified_mesh_is_framed_as_the_whole(head: Mesh):
+def test_a_simplified_mesh_is_framed_as_the_whole(head):
     fewer = fr.simplified(head, 3000).with_material(m=0.2)
     for name in ("head", "face"):
         assert find_region(fewer, name) is find_region(head, name)

@@ -15,7 +15,6 @@ import pytest
 import facerender as fr
 from facerender import InputError, brdf, lobes
 from facerender.drawing.context import Backend, create_context
-from facerender.drawing.evaluate import Evaluator
 from facerender.glsl import library as glsl
 from facerender.glsl.catalogue import functions
 from facerender.glsl.includes import Includes
@@ -23,6 +22,7 @@ from facerender.glsl.preprocessor import Preprocessor
 from facerender.lobes import GPower
 from tests.conftest import missing
 from tests.verification.cases import directions
+from tests.verification.evaluate import Evaluator
 
 WITH_A_LOBE = ("cook_torrance", "lobe", "ward", "ward_printed")
 COOK_TORRANCE = {"name": "cook_torrance", "lobe": "d16"}

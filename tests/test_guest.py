@@ -25,7 +25,6 @@ from trimesh.caching import TrackedArray
 import facerender as fr
 from facerender.drawing import context as contexts
 from facerender.drawing.context import Backend, create_context
-from facerender.drawing.evaluate import Evaluator
 from tests.awkward_files import (
     MINI_HEAD,
     Head,
@@ -35,6 +34,7 @@ from tests.awkward_files import (
     write_stl,
     write_textured_obj,
 )
+from tests.verification.evaluate import Evaluator
 
 ROOT = Path(__file__).parents[1]
 

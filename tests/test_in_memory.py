@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
 from facerender.images.srgb import srgb_to_linear
 from tests.awkward_files import (
     MINI_HEAD,
+    assert_equal,
     mini_head,
     repeated,
     write_gltf,
@@ -30,11 +30,12 @@ from tests.awkward_files import (
     write_stl,
     write_textured_obj,
 )
+from tests.conftest import wait_for_cache
 
 HEAD = mini_head()
 
 
-def assert_same(a: fr.Mesh, b: fr.Mesh) -> None:
+def assert_same(a, b):
     """The same parts, but for their names, the same factors and the same texels of every map."""
     assert len(a.parts) == len(b.parts)
     for part, other in zip(a.parts, b.parts, strict=True):
@@ -52,7 +53,7 @@ def assert_same(a: fr.Mesh, b: fr.Mesh) -> None:
                 assert one == pytest.approx(two, abs=1e-6) if isinstance(one, float) else True
 
 
-def scene_of(path: Path) -> Any:
+def scene_of(path):
     return trimesh.load_scene(path, process=False)
 
 
@@ -90,14 +91,10 @@ def test_an_open_file_finds_what_lies_beside_it_and_bytes_do_not(tmp_path):
     assert mesh.materials[0].albedo_map is None
 
 
-def test_bytes_are_kept_in_the_store(tmp_path, monkeypatch):
-    monkeypatch.setenv("FACERENDER_CACHE_MIB", "64")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+def test_bytes_are_cached(cache_folder, monkeypatch):
     content = MINI_HEAD.read_bytes()
     first = fr.load_mesh(content, cache=True)
-    for thread in __import__("threading").enumerate():
-        if thread.name == "facerender-cache":
-            thread.join()
+    wait_for_cache()
     monkeypatch.setattr("facerender.loading.read", lambda *_: pytest.fail("it was read anew"))
     assert_same(fr.load_mesh(content, cache=True), first)
 
@@ -251,7 +248,7 @@ def test_maps_are_given_as_arrays_images_and_textures():
         fr.load_mesh,
     ],
 )
-def test_a_picture_is_the_same_of_whatever_a_mesh_is_given_as(make: Callable[[Path], Any]):
+def test_a_picture_is_the_same_of_whatever_a_mesh_is_given_as(make):
     size = (64, 64)
     known = fr.load_mesh(MINI_HEAD)
     if make is scene_of:  # trimesh does not tell how maps are sampled
@@ -355,7 +352,7 @@ def test_arrays_are_mended_as_files_are():
     np.testing.assert_allclose(np.linalg.norm(mesh.parts[0].normals, axis=1), 1.0)
 
 
-def changed(values: NDArray[Any], value: float) -> NDArray[Any]:
+def changed(values, value):
     copied = values.astype(float)
     copied[5, 1] = value
     return copied
@@ -485,7 +482,7 @@ def test_images_that_are_none_are_told(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def everything() -> dict[str, Any]:
+def everything():
     """One of every public class."""
     mesh = fr.load_mesh(MINI_HEAD)
     scene = fr.Scene(mesh, environment=fr.Environment(fr.Panorama("even", np.ones((2, 4, 3)))))
@@ -519,24 +516,6 @@ def everything() -> dict[str, Any]:
         "compare": fr.compare(frame.linear, frame.linear),
         "Part": mesh.parts[0],
     }
-
-
-def assert_equal(a: Any, b: Any, where: str) -> None:
-    assert type(a) is type(b), where
-    if isinstance(a, np.ndarray):
-        np.testing.assert_array_equal(a, b, where)
-    elif isinstance(a, fr.Texture):
-        np.testing.assert_array_equal(np.asarray(a.rgb()), np.asarray(b.rgb()), where)
-    elif isinstance(a, Exception):
-        assert str(a) == str(b)
-    elif isinstance(a, list | tuple):
-        for i, pair in enumerate(zip(a, b, strict=True)):
-            assert_equal(*pair, f"{where}[{i}]")
-    elif hasattr(a, "__dataclass_fields__"):
-        for name in a.__dataclass_fields__:
-            assert_equal(getattr(a, name), getattr(b, name), f"{where}.{name}")
-    elif not callable(a):
-        assert a == b or "object at" in repr(a), where
 
 
 def test_every_public_class_is_among_them(everything):

@@ -11,12 +11,12 @@ import pytest
 import facerender as fr
 from facerender import InputError
 from facerender.drawing.context import Backend, create_context
-from facerender.drawing.evaluate import Evaluator
 from facerender.glsl import library as glsl
 from tests.conftest import missing, require_module
 from tests.test_glsl import CHOICES
 from tests.verification import metal
 from tests.verification.cases import cases_of, evaluated
+from tests.verification.evaluate import Evaluator
 from tests.verification.hosts import CHOICES as SCENES
 from tests.verification.hosts import SCENE, SIZE, desktop
 from tests.verification.targets import (

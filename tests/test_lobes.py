@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from facerender import InputError, lobes
 from facerender.lobes import GPower
-from facerender.terms import fitting
+from facerender.terms.fitting import fit_g_power
+from tools.fits.lobes import fit
 
 REFERENCE = np.genfromtxt(Path(__file__).parent / "data/beckmann_reference.csv", delimiter=",")
 C, M, D, W, LOG_D = REFERENCE.T
@@ -101,7 +102,7 @@ def test_fit_finds_the_optimum_of_a_single_slope():
         (4, 4, 3, 0.3, 0.1571), (4, 4, 3, 0.5, 0.1342), (0, 4, 3, 0.4, 0.1634),
         (4, 8, 3, 0.6, 0.102), (0, 8, 4, 0.4, 0.008),
     ):  # fmt: skip
-        found, error = fitting.fit(k, power, degree, m)
+        found, error = fit(k, power, degree, m)
         assert 100.0 * error == pytest.approx(optimum, rel=0.02, abs=0.0006)
         c = np.cos(np.linspace(0.0, np.pi / 2, 5001)).clip(0.0)
         dense = np.abs(found(1.0 - c, m) - lobes.exact(c, m, k)).max()
@@ -112,7 +113,7 @@ def test_fit_finds_the_optimum_of_a_single_slope():
 def test_constants_are_as_good_as_a_new_fit(name, k):
     lobe = lobes.FITTED[name, k]
     slopes = np.linspace(0.01, lobe.max_slope, 12)
-    _, error = fitting.fit(k, lobe.power, len(lobe.table[0]), slopes, len(lobe.table) - 1)
+    _, error = fit(k, lobe.power, len(lobe.table[0]), slopes, len(lobe.table) - 1)
     c = np.cos(np.linspace(0.0, np.pi / 2, 2001)).clip(0.0)
     ours = np.abs(lobe(1.0 - c, slopes[:, None]) - lobes.exact(c, slopes[:, None], k)).max()
     assert 0.97 * error < ours < 1.15 * error
@@ -120,7 +121,7 @@ def test_constants_are_as_good_as_a_new_fit(name, k):
 
 def test_fit_says_where_there_is_none():
     with pytest.raises(InputError, match="no monotone fit of power 5 for m up to 1.5, k = 4"):
-        fitting.fit(4, 5, 3, [0.5, 1.5])
+        fit(4, 5, 3, [0.5, 1.5])
 
 
 def test_clamp_keeps_the_power_from_rising_again():
@@ -214,14 +215,14 @@ def farthest(lobe, m, k):
 
 
 def test_a_good_g_power():
-    assert farthest(fitting.fit_g_power(4, 6, 0.3, 0.3), 0.3, 4) < 0.002
+    assert farthest(fit_g_power(4, 6, 0.3, 0.3), 0.3, 4) < 0.002
 
 
 @pytest.mark.parametrize("k", [0, 4])
 @pytest.mark.parametrize("g", [4, 8, 16])
 def test_a_fitted_g_power_is_no_worse_than_the_papers(g, k):
     for m in (1e-4, 1e-3, 0.02, 0.1, 0.2, 0.3, 0.45, 0.6, 0.7):
-        found = fitting.fit_g_power(k, g, m, m)
+        found = fit_g_power(k, g, m, m)
         assert found.g == g
         assert found.offset == 0.0
         assert farthest(found, m, k) <= farthest(f"d{g}", m, k) * (1 + 1e-6)
@@ -230,7 +231,7 @@ def test_a_fitted_g_power_is_no_worse_than_the_papers(g, k):
 @pytest.mark.parametrize("k", [0, 4])
 def test_no_other_steepness_is_better(k):
     for g, m in ((1, 0.4), (3, 0.2), (6, 0.3), (24, 0.5)):
-        found = fitting.fit_g_power(k, g, m, m)
+        found = fit_g_power(k, g, m, m)
         best = farthest(found, m, k)
         for factor in (0.9, 0.97, 0.99, 1.01, 1.03, 1.1):
             other = farthest(replace(found, factor=found.factor * factor), m, k)
@@ -239,7 +240,7 @@ def test_no_other_steepness_is_better(k):
 
 @pytest.mark.parametrize("k", [0, 4])
 def test_a_g_power_for_a_range_of_slopes(k):
-    found = fitting.fit_g_power(k, 8, 0.2, 0.45)
+    found = fit_g_power(k, 8, 0.2, 0.45)
     for m in np.linspace(0.2, 0.45, 6):
-        single = fitting.fit_g_power(k, 8, float(m), float(m))
+        single = fit_g_power(k, 8, float(m), float(m))
         assert farthest(found, m, k) <= farthest(single, m, k) + 0.02

@@ -18,7 +18,7 @@ from tests.awkward_files import MINI_HEAD
 Ints = NDArray[np.int64]
 
 
-def mesh_of(*parts: Part) -> fr.Mesh:
+def mesh_of(*parts):
     points = np.concatenate([part.positions for part in parts])
     bounds = np.array([points.min(axis=0), points.max(axis=0)])
     radius = float(np.linalg.norm(points - bounds.mean(axis=0), axis=1).max())
@@ -26,7 +26,7 @@ def mesh_of(*parts: Part) -> fr.Mesh:
     return fr.Mesh("made.glb", parts, materials, bounds, radius, np.array([[1.0, 0.0]]))
 
 
-def grid(rows: int, columns: int) -> NDArray[np.uint32]:
+def grid(rows, columns):
     """Faces of a grid of (rows + 1) x (columns + 1) vertices."""
     at = np.arange((rows + 1) * (columns + 1)).reshape(rows + 1, columns + 1)
     a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
@@ -37,7 +37,7 @@ def grid(rows: int, columns: int) -> NDArray[np.uint32]:
 RING, TUBE = 96, 32
 
 
-def on_torus(uv: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def on_torus(uv):
     """Positions and normals at (u around the ring, v around the tube)."""
     around, over = 2.0 * np.pi * (uv % 1.0).T
     outwards = np.stack([np.cos(around), np.zeros_like(around), -np.sin(around)], axis=1)
@@ -45,14 +45,14 @@ def on_torus(uv: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.f
     return outwards + 0.4 * normals, normals
 
 
-def torus() -> Part:
+def torus():
     """Closed, with a seam of texture coordinates both ways."""
     u, v = np.meshgrid(np.linspace(0, 1, RING + 1), np.linspace(0, 1, TUBE + 1), indexing="ij")
     uv = np.stack([u.ravel(), v.ravel()], axis=1)
     return Part(*on_torus(uv), grid(RING, TUBE), uv)
 
 
-def welded(mesh: fr.Mesh) -> tuple[NDArray[np.float64], Ints]:
+def welded(mesh):
     """Places and faces of all parts, by place."""
     points = np.concatenate([part.positions for part in mesh.parts])
     starts = np.cumsum([0, *(len(part.positions) for part in mesh.parts)])
@@ -61,7 +61,7 @@ def welded(mesh: fr.Mesh) -> tuple[NDArray[np.float64], Ints]:
     return places, numbers.reshape(-1)[np.concatenate(faces)]
 
 
-def open_edges(mesh: fr.Mesh) -> NDArray[np.float64]:
+def open_edges(mesh):
     """Ends of the edges of one face alone, (E, 2, 3)."""
     places, faces = welded(mesh)
     pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
@@ -69,11 +69,11 @@ def open_edges(mesh: fr.Mesh) -> NDArray[np.float64]:
     return places[edges[counts == 1]]
 
 
-def count(mesh: fr.Mesh) -> int:
+def count(mesh):
     return sum(len(part.faces) for part in mesh.parts)
 
 
-def in_two(mesh: fr.Mesh, height: float) -> fr.Mesh:
+def in_two(mesh, height):
     """The faces below a height and those above, each with vertices and a material of its own."""
     (part,) = mesh.parts
     below = part.positions[part.faces][:, :, 1].mean(axis=1) < height
@@ -183,7 +183,7 @@ def test_a_part_that_would_vanish_keeps_its_largest_face(monkeypatch):
     assert [len(part.faces) for part in level.parts] == [2, 1]
 
 
-def awkward_parts() -> dict[str, tuple[Part, ...]]:
+def awkward_parts():
     whole = torus()
     colors = 0.5 + 0.5 * np.cos(7.0 * whole.positions)
     folded = np.concatenate([whole.faces, whole.faces[:50, [0, 0, 1]], whole.faces[:50]])

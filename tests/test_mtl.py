@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from tests.awkward_files import mini_head
 from tests.test_hostile_mesh import loaded
 
 
-def load(folder: Path, mtl: str, **images: Image.Image) -> tuple[fr.Mesh, list[str]]:
+def load(folder, mtl, **images):
     """Load the head with an MTL file of the material skin; images lie beside it as PNG."""
     for name, image in images.items():
         image.save(folder / f"{name}.png")
@@ -27,19 +26,19 @@ def load(folder: Path, mtl: str, **images: Image.Image) -> tuple[fr.Mesh, list[s
     return loaded(files.write_obj(folder / "a.obj", mini_head(), mtl="a.mtl"))
 
 
-def material(folder: Path, mtl: str, **images: Image.Image) -> fr.Material:
+def material(folder, mtl, **images):
     """Load it without a warning."""
     mesh, told = load(folder, mtl, **images)
     assert told == []
     return mesh.materials[0]
 
 
-def texels(texture: fr.Texture | None) -> np.ndarray:
+def texels(texture):
     assert texture is not None
     return np.asarray(texture.rgb()).astype(int)
 
 
-def flat(*color: int) -> Image.Image:
+def flat(*color):
     return Image.new(
         {1: "L", 3: "RGB", 4: "RGBA"}[len(color)], (4, 4), color[0] if len(color) == 1 else color
     )
@@ -114,7 +113,7 @@ def test_grey_is_what_is_left_without_alpha(tmp_path):
     assert (texels(material(tmp_path, "map_d cut.png", cut=flat(60)).opacity_map) == 60).all()
 
 
-def waves(mode: str) -> Image.Image:
+def waves(mode):
     """Heights: a sine of eight periods along u, from 0 to the most."""
     u = (np.arange(256) + 0.5) / 256
     heights = np.tile(0.5 + 0.5 * np.sin(2 * np.pi * 8 * u), (64, 1))
@@ -166,7 +165,7 @@ def test_relief_of_a_bump_map_is_seen(tmp_path, renderer):
     assert told == []
     assert plain.normal_map is None
 
-    def roughness(mesh: fr.Mesh) -> float:
+    def roughness(mesh):
         picture = renderer.render(fr.Scene(mesh, background=(0, 0, 0))).linear[..., 1]
         return float(np.abs(np.diff(picture, axis=1)).mean())
 

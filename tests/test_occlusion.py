@@ -21,15 +21,8 @@ from tests.test_lod import grid, mesh_of, torus
 from tests.verification.occlusion import occlusion_error
 
 
-@pytest.fixture
-def place(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.delenv("FACERENDER_CACHE_MIB")
-    return tmp_path / "facerender" / "occlusion"
-
-
 @pytest.fixture(scope="module")
-def bare() -> fr.Mesh:
+def bare():
     """A small head whose file has no occlusion map."""
     mesh = fr.load_mesh(MINI_HEAD)
     assert mesh.materials[0].occlusion_map is None
@@ -37,11 +30,11 @@ def bare() -> fr.Mesh:
 
 
 @pytest.fixture(scope="module")
-def baked(bare) -> fr.Mesh:
+def baked(bare):
     return fr.with_occlusion(bare)
 
 
-def strip(across, up, normal) -> Part:
+def strip(across, up, normal):
     """A band along z, which runs through places (x, y)."""
     places = [(x, y, z) for x, y in zip(across, up, strict=True) for z in np.linspace(-60, 60, 41)]
     normals = np.tile(np.array(normal, dtype=float), (len(places), 1))
@@ -192,7 +185,8 @@ def test_simplified_meshes_and_plans_keep_it(baked, bare, egl):
     assert np.count_nonzero(lost > 9) <= 0.2 * np.count_nonzero(frames[0].linear[..., 3])
 
 
-def test_it_is_kept_by_what_it_depends_on(bare, baked, place, monkeypatch):
+def test_it_is_kept_by_what_it_depends_on(bare, baked, cache_folder, monkeypatch):
+    place = cache_folder / "occlusion"
     first = fr.with_occlusion(bare, cache=True)
     np.testing.assert_array_equal(first.parts[0].occlusion, baked.parts[0].occlusion)
     (entry,) = place.iterdir()
@@ -237,7 +231,8 @@ def test_vertices_that_no_face_uses_do_no_harm(bare, baked):
     np.testing.assert_array_equal(own.occlusion[-3:], 1.0)
 
 
-def test_render_draws_it(tmp_path, capsys, egl, baked, place, monkeypatch):
+def test_render_draws_it(tmp_path, capsys, egl, baked, cache_folder, monkeypatch):
+    place = cache_folder / "occlusion"
     (tmp_path / "out").mkdir()
     cli = Cli(tmp_path / "out", capsys)
     options = ("--ambient", "2", "--occlusion")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,23 +23,23 @@ from tests.awkward_files import (
     write_ply,
     write_stl,
 )
-from tests.conftest import require_module
+from tests.conftest import require_module, wait_for_cache
 
 VERTICES = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
 FACES = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
-def names(mesh: fr.Mesh) -> list[str]:
+def names(mesh):
     return [part.name for part in mesh.parts]
 
 
-def obj(path: Path, *heads: str) -> fr.Mesh:
+def obj(path, *heads):
     """Load an OBJ file with a tetrahedron behind each of these lines."""
     path.write_text(VERTICES + "".join(f"{head}\n{FACES}" for head in heads))
     return fr.load_mesh(path)
 
 
-def row(*parts: str) -> fr.Mesh:
+def row(*parts):
     """Return squares side by side, 1 wide, 2 apart, each another colour."""
     places = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=float)
     up, faces = np.tile((0.0, 0.0, 1.0), (4, 1)), np.array([(0, 1, 2), (0, 2, 3)], dtype=np.uint32)
@@ -199,14 +198,10 @@ def test_names_that_no_part_has_are_told(chosen, message):
         row("").select("x")
 
 
-def test_names_survive_levels_occlusion_and_the_store(tmp_path, monkeypatch):
-    monkeypatch.setenv("FACERENDER_CACHE_MIB", "64")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+def test_names_survive_simplification_occlusion_and_the_cache(tmp_path, cache_folder):
     path = write_glb(tmp_path / "a.glb", mini_head(), [{"name": "Head"}])
     assert names(fr.load_mesh(path, cache=True)) == ["Head"]
-    for thread in __import__("threading").enumerate():
-        if thread.name == "facerender-cache":
-            thread.join()
+    wait_for_cache()
     kept = fr.MeshFile(str(path)).cached()
     assert kept is not None
     assert names(kept) == ["Head"]
@@ -260,7 +255,7 @@ def test_colours_of_parts_differ():
     assert steps.max(axis=1).min() > 80  # none is nearly black
 
 
-def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+def run(capsys, *words):
     status = main([*map(str, words)])
     told = capsys.readouterr()
     return status, told.out, told.err

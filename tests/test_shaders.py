@@ -13,11 +13,11 @@ import pytest
 
 from facerender import InputError, brdf, lobes, resolve_includes, shader_dir, shader_source
 from facerender.drawing.context import Backend, create_context
-from facerender.drawing.evaluate import Evaluator
 from facerender.glsl.code import defines, lobe_macros
 from facerender.shading import Term
 from facerender.terms import FRESNEL, LOBES, MASKING, Fresnel, Lobe, Masking, lobe_entry
 from tests.verification.cases import brdf_case, directions, flat, include
+from tests.verification.evaluate import Evaluator
 
 COOK_TORRANCE = "fr_cook_torrance(n, l, v, m, 0.028)"
 FILES = sorted((shader_dir() / "facerender").rglob("*.glsl"))

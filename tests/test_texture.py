@@ -15,7 +15,7 @@ from facerender.images.srgb import srgb_to_linear
 from facerender.scenes.texture import Texture, pack
 
 
-def texture(pixels: np.ndarray, name: str = "map.png") -> Texture:
+def texture(pixels, name="map.png"):
     return Texture(lambda: Image.fromarray(pixels), name)
 
 

@@ -110,8 +110,13 @@ def scattered(
         own = number == index
         depth = (place[own] - gbuffer.view.position) @ gbuffer.view.forward
         scale = found.pixels / (depth * found.millimetres)
-        size = scale, found.millimetres, gaussians, shading.scatter_samples
-        light = scatter(terms.light, place, number, area, *size, own)
+        light = scatter(
+            *(terms.light, place, number, area, own),
+            scale=scale,
+            unit=found.millimetres,
+            gaussians=gaussians,
+            samples=shading.scatter_samples,
+        )
         change[own] = terms.albedo[own] * (light - terms.light[own])
     return change
 

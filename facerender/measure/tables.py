@@ -68,14 +68,6 @@ class Table:
         return "\n".join([self.title, self.note, *(row.format(*line).rstrip() for line in lines)])
 
 
-def markdown_table(
-    head: Sequence[str], rows: Sequence[Sequence[str]], marks: Sequence[str] = ()
-) -> str:
-    """Return a table in Markdown; marks align its columns, to the left where none are given."""
-    lines = (head, marks or ["---"] * len(head), *rows)
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
-
-
 def cost_tables(measurement: Measurement) -> list[Table]:
     """Return one for each kind of cost and each model, cheapest first; one without rows for a kind
     that was not measured at all."""

@@ -358,7 +358,8 @@ def fitted(c: ArrayLike, m: ArrayLike, k: int) -> Float:
     ------
     InputError : c or m outside its domain
 
-    References: Lyon (1993) for the clamped power; the constants are ``fitting.py``'s.
+    References: Lyon (1993) for the clamped power; the constants are from
+    ``tools/fits/lobes.py``.
     """
     slope = LOBES["fitted"].check(m, k)
     return FITTED["fitted", k](1.0 - _check_cosine(c), slope)

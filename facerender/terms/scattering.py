@@ -127,8 +127,8 @@ def scatter_turn(x: ArrayLike, y: ArrayLike) -> Float:
 
 
 def scatter(
-    light: Float, place: Float, number: NDArray[Any], area: Float, scale: Float, unit: float,
-    gaussians: Gaussians, samples: int, pixels: NDArray[np.bool_],
+    light: Float, place: Float, number: NDArray[Any], area: Float, pixels: NDArray[np.bool_],
+    *, scale: Float, unit: float, gaussians: Gaussians, samples: int,
 ) -> Float:  # fmt: skip
     """Return the irradiance of some pixels after scattering, (N, 3).
 
@@ -138,10 +138,10 @@ def scatter(
     place : positions (H, W, 3)
     number : (H, W), the same for surfaces that scatter into each other
     area : (H, W), how much more surface a pixel shows than if it faced the eye
+    pixels : (H, W), N of them
     scale : pixels of a millimetre (N,)
     unit : millimetres of a unit of the positions
-    gaussians, samples : of the profile; how many pixels are looked at
-    pixels : (H, W), N of them
+    gaussians, samples : of the profile; number of pixels that are sampled
     """
     height, width = number.shape
     y, x = np.nonzero(pixels)

@@ -12,7 +12,7 @@
 //   unit      none, in [0, 1.02]
 //   error     0 to 0.0125 too much, never too little, so that what is coupled with it gains no
 //             light; for f0 > 0.1 up to 0.008 f0 more either way; too little for m < 0.05 at N.V < 0.1
-//   source    Kelemen and Szirmay-Kalos (2001), who tabulate it; written by terms/albedo.py
+//   source    Kelemen and Szirmay-Kalos (2001), who tabulate it; written by tools/fits/albedo.py
 #ifndef FR_ALBEDO_GLSL
 #define FR_ALBEDO_GLSL
 

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender import brdf, lobes, resolve_includes
-from facerender.drawing.evaluate import WIDTH, Inputs
 from facerender.glsl import code
 from facerender.lobes import AnyLobe, GPower
 from facerender.shading import Term
@@ -34,6 +33,7 @@ from facerender.terms import (
 )
 from facerender.terms.entry import ULP
 from facerender.terms.lobe import TINY, power_error
+from tests.verification.evaluate import WIDTH, Inputs
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -569,7 +569,8 @@ def scattered() -> tuple[dict[str, Singles], Floats, Floats]:
     place, light = (singles(each).astype(float) for each in (place, light))
     one, every = np.ones(shape), np.ones(shape, dtype=bool)
     scale = 4.0 * one.ravel()
-    expected = scattering.scatter(light, place, one, one, scale, 1.0, GAUSSIANS, 16, every)
+    images = light, place, one, one, every
+    expected = scattering.scatter(*images, scale=scale, unit=1.0, gaussians=GAUSSIANS, samples=16)
     spiral = 4.0 * (SIXTEEN[:, 0] + 1j * SIXTEEN[:, 1])
     turned = spiral * np.exp(1j * scattering.scatter_turn(x, y))[..., None]
     borders = np.stack([turned.real, turned.imag]) + 0.5

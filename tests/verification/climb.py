@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.evaluate import Inputs
 from facerender.shading import Term
 from facerender.terms import FRESNEL, MASKING, MODELS, lobe_entry
 from facerender.terms.lobe import MIN_SLOPE
 from tests.verification.cases import ALL_LOBES, F0, Case, Each
+from tests.verification.evaluate import Inputs
 
 Make = Callable[[Inputs], Case]
 Bounds = tuple[float, float]

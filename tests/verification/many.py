@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.evaluate import Inputs
 from facerender.terms import MASKING
 from tests.verification import cases
 from tests.verification.cases import Case, Each, Singles, singles
+from tests.verification.evaluate import Inputs
 from tests.verification.targets import UNTRANSLATED
 
 MANY = 2**20  # samples of one draw

@@ -106,8 +106,8 @@ def scatter_errors(
     for each in samples:
         own = entered[pixels]
         if each:
-            how = scale, unit, gaussians, each
-            own = scatter(entered, place, number, area, *how, pixels)
+            images = entered, place, number, area, pixels
+            own = scatter(*images, scale=scale, unit=unit, gaussians=gaussians, samples=each)
         shown, expected = (linear_to_srgb(_LIT * np.array(SKIN_ALBEDO) * v) for v in (own, truth))
         p99 = 255.0 * float(np.quantile(np.abs(shown - expected).max(axis=-1), 0.99))
         mean = float(np.abs(own - truth).sum() / truth.sum())

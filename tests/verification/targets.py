@@ -23,7 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.context import Backend, ForeignContext, create_context
-from facerender.drawing.evaluate import (
+from facerender.errors import ContextError
+from facerender.glsl.library import Language, translated
+from tests.verification import chromium
+from tests.verification.cases import GROUPS
+from tests.verification.evaluate import (
     EACH,
     WIDTH,
     Evaluator,
@@ -32,10 +36,6 @@ from facerender.drawing.evaluate import (
     texels,
     vertex_shader,
 )
-from facerender.errors import ContextError
-from facerender.glsl.library import Language, translated
-from tests.verification import chromium
-from tests.verification.cases import GROUPS
 from tests.verification.webgpu import Device
 
 

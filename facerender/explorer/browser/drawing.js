@@ -91,12 +91,11 @@ class Drawing {
     Object.values(this.targets ?? {}).forEach(target => release(gl, target));
     Object.assign(this.canvas, {width, height});
     this.size = [width, height];
-    const plain = {depth: this.samples === 1};
+    const {samples} = this;
+    const single = () => floatTarget(gl, this.size, {depth: samples === 1});
     this.targets = {
-      a: floatTarget(gl, width, height, plain),
-      b: floatTarget(gl, width, height, plain),
-      error: floatTarget(gl, width, height, plain),
-      ...this.samples > 1 && {sampled: sampledTarget(gl, width, height, this.samples)},
+      a: single(), b: single(), error: single(),
+      ...samples > 1 && {sampled: floatTarget(gl, this.size, {depth: true, samples})},
     };
   }
 
@@ -141,7 +140,7 @@ class Drawing {
     this.resolve(target);
   }
 
-  // Binds the target with samples, or else the given one, and clears it.
+  // Binds the target with samples, or else the one passed, and clears it.
   begin(target) {
     const {gl} = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, (this.targets.sampled ?? target).buffer);
@@ -235,7 +234,7 @@ class Drawing {
       const term = state[which];
       // Reads a pixel of each attachment at each place.
       const drawn = (attachments, background, fragmentOf) => {
-        const target = floatTarget(gl, ...this.size, {attachments, depth: true});
+        const target = floatTarget(gl, this.size, {attachments, depth: true});
         gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
         gl.clearColor(...background, 0);
         gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);

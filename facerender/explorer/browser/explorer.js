@@ -3,15 +3,16 @@ const SETTLED = 180;  // milliseconds without a change after which errors, code 
 
 let state = firstState();
 let drawing = null;  // until there is one, and where there can be none
-let pixels = null;   // errors of the picture on screen
+let pixels = null;   // errors of the image on screen
 let statisticsNow = null;
 let awaited = [];    // who waits for the errors of what is on screen
 let [frame, timer, version] = [0, 0, 0];
 const canvas = byId("canvas");
-const picture = byId("picture");
+const viewport = byId("viewport");
 const still = () => state;
+const isDrawing = () => drawing && !drawing.gl.isContextLost();
 
-function tell(text) {
+function showMessage(text) {
   byId("message").textContent = text;
   byId("message").hidden = !text;
 }
@@ -28,9 +29,9 @@ function changed() {
 
 function paint() {
   frame = 0;
-  if (!drawing || drawing.gl.isContextLost()) return;
+  if (!isDrawing()) return;
   const scale = Math.min(devicePixelRatio, 2);
-  const [width, height] = [picture.clientWidth, picture.clientHeight]
+  const [width, height] = [viewport.clientWidth, viewport.clientHeight]
     .map(side => Math.max(Math.round(side * scale), 1));
   try {
     drawing.resize(width, height);
@@ -46,7 +47,7 @@ function paint() {
 async function settle() {
   history.replaceState(null, "", `#${fragmentOf(state)}`);
   writeCode();
-  if (!drawing || drawing.gl.isContextLost()) return;
+  if (!isDrawing()) return;
   if (frame) {
     cancelAnimationFrame(frame);
     paint();
@@ -61,9 +62,9 @@ async function settle() {
   awaited.splice(0).forEach(({resolve}) => resolve(statisticsNow));
 }
 
-// Puts what lies over the picture in its place.
+// Puts what lies over the image in its place.
 function place() {
-  const [width, height] = [picture.clientWidth, picture.clientHeight];
+  const [width, height] = [viewport.clientWidth, viewport.clientHeight];
   const view = viewOf(state.camera, width / height);
   [...byId("handles").children].forEach((handle, i) => {
     const light = state.lights[i];
@@ -107,7 +108,7 @@ function readout() {
   byId("where").textContent = (some ? `Largest at ${at[0]}, ${at[1]} (ring). ` : "A and B are the same. ")
     + `${many(statisticsNow.covered)} pixels of ${many(width)} × ${many(height)}, ${samples}.`;
   byId("over").textContent = state.budget === null ? ""
-    : `Over ${short(state.budget)}/255: ${figure(100 * shareOver(pixels, state.budget))} % of them.`;
+    : `Over ${short(state.budget)}/255: ${figure(100 * fractionOver(pixels, state.budget))} % of them.`;
 }
 
 // The pixel whose slope the lobes are drawn at: under the pointer, or else that of the largest error.
@@ -139,22 +140,22 @@ let cost = null;  // the last measurement
 let costOf = "";  // the image that was measured
 const imageKey = ({a, b, camera, lights, ambient, only}) =>
   JSON.stringify([a, b, camera, lights, ambient, only, drawing?.size]);
-const tellCost = text => { byId("price-told").textContent = text; };
+const showCostMessage = text => { byId("cost-message").textContent = text; };
 
 async function measureCost() {
-  if (!drawing || drawing.gl.isContextLost()) return;
+  if (!isDrawing()) return;
   const began = version;
-  byId("price").disabled = true;
+  byId("cost").disabled = true;
   byId("save").hidden = true;
-  tellCost("warming up");
+  showCostMessage("warming up");
   try {
     costOf = imageKey(state);
-    cost = await measuredCost(drawing, state, tellCost,
-      () => version !== began || drawing.gl.isContextLost());
-    if (!cost) tellCost("Stopped: the picture changed.");
+    cost = await measuredCost(drawing, state, showCostMessage,
+      () => version !== began || !isDrawing());
+    if (!cost) showCostMessage("Stopped: the image changed.");
     byId("save").hidden = !cost;
   } finally {
-    byId("price").disabled = false;
+    byId("cost").disabled = false;
   }
   refresh();
   if (began === version) drawing.show(state);
@@ -164,11 +165,11 @@ async function measureCost() {
 function writeCosts({write}) {
   const same = cost !== null && costOf === imageKey(state);
   write(same ? cost : null);
-  if (!cost || byId("price").disabled) return;
+  if (!cost || byId("cost").disabled) return;
   const passes = cost.passes === 1 ? "1 pass" : `${cost.passes} passes`;
-  tellCost(same ? `${cost.gpu}: ${passes} of ${cost.size.join(" × ")} pixels a round, by its `
+  showCostMessage(same ? `${cost.gpu}: ${passes} of ${cost.size.join(" × ")} pixels a round, by its `
     + `${cost.method === "fence" ? "fence" : "own clock"}.`
-    : "Measured was another picture, which can still be saved.");
+    : "This is the cost of another image; it can still be saved.");
 }
 
 function saveCost() {
@@ -178,17 +179,22 @@ function saveCost() {
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
 
-// A pointer that rests on the picture chooses the pixel.
+// Where an event lies in the image, in fractions of its width and height.
+function placeOf(event) {
+  const box = viewport.getBoundingClientRect();
+  return [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
+}
+
+// A pointer that rests on the image chooses the pixel.
 function watchPointer() {
   let rest = 0;
   canvas.addEventListener("pointermove", event => {
     clearTimeout(rest);
     if (event.buttons) return;
-    const box = canvas.getBoundingClientRect();
-    const share = [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
     rest = setTimeout(() => {
-      if (!drawing || drawing.gl.isContextLost()) return;
-      pointed = share.map((each, i) => clamp(Math.floor(each * drawing.size[i]), 0, drawing.size[i] - 1));
+      if (!isDrawing()) return;
+      pointed = placeOf(event).map((each, i) =>
+        clamp(Math.floor(each * drawing.size[i]), 0, drawing.size[i] - 1));
       plotHere();
     }, 120);
   });
@@ -270,32 +276,39 @@ function buildControls() {
   });
 }
 
-// What can be dragged in place of a light.
+// A handle that stands for a light.
 function handleOf(i) {
   const label = `Light ${i + 1}: drag it, or use the arrow keys`;
-  const handle = element("button", {type: "button", className: "handle", title: label, "aria-label": label}, String(i + 1));
-  const turn = (across, up) => {
-    const light = state.lights[i];
-    light.azimuth = (light.azimuth + across + 540) % 360 - 180;
-    light.elevation = clamp(light.elevation + up, -90, 90);
-    changed();
-  };
+  const handle = button(String(i + 1), label, () => {});
+  handle.className = "handle";
   dragged(handle, (dx, dy) => {
     const behind = handle.classList.contains("behind") ? -1 : 1;
-    turn(0.45 * behind * dx, -0.45 * dy);
+    turn(state.lights[i], 0.45 * behind * dx, -0.45 * dy);
   });
-  handle.addEventListener("keydown", event => {
-    const step = STEPS[event.key];
-    if (!step) return;
-    event.preventDefault();
-    turn(5 * step[0], -5 * step[1]);
-  });
+  onKeys(handle, (right, down) => turn(state.lights[i], 5 * right, -5 * down));
   return handle;
+}
+
+// Turns a light or the camera, by degrees.
+function turn(direction, right, up) {
+  direction.azimuth = (direction.azimuth + right + 540) % 360 - 180;
+  direction.elevation = clamp(direction.elevation + up, -90, 90);
+  changed();
 }
 
 const STEPS = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1]};
 
-// Calls with what a pointer, or two, move; with the ratio of two pointers' distances.
+// Calls with the step of an arrow key, or the function of another key.
+function onKeys(target, move, others = {}) {
+  target.addEventListener("keydown", event => {
+    const action = others[event.key] ?? (STEPS[event.key] && (() => move(...STEPS[event.key])));
+    if (event.ctrlKey || event.metaKey || !action) return;
+    event.preventDefault();
+    action();
+  });
+}
+
+// Calls with the movement of a pointer, or the ratio of two pointers' distances.
 function dragged(target, move, pinch) {
   const held = new Map();
   const apart = () => {
@@ -321,64 +334,46 @@ function dragged(target, move, pinch) {
   }
 }
 
-function orbit(dx, dy) {
-  const {camera} = state;
-  camera.azimuth = (camera.azimuth - dx + 540) % 360 - 180;
-  camera.elevation = clamp(camera.elevation + dy, -90, 90);
-  changed();
-}
-
 function zoom(factor) {
   state.camera.zoom = clamp(state.camera.zoom * factor, 0.2, 50);
   changed();
 }
 
-function cutAt(share) {
-  state.cut = clamp(share, 0, 1);
+function cutAt(fraction) {
+  state.cut = clamp(fraction, 0, 1);
   changed();
 }
 
 function listen() {
-  dragged(canvas, (dx, dy) => orbit(0.4 * dx / Math.sqrt(state.camera.zoom), 0.4 * dy / Math.sqrt(state.camera.zoom)), zoom);
+  dragged(canvas, (dx, dy) => {
+    const degrees = 0.4 / Math.sqrt(state.camera.zoom);
+    turn(state.camera, -degrees * dx, degrees * dy);
+  }, zoom);
   canvas.addEventListener("wheel", event => {
     event.preventDefault();
     zoom(Math.exp(-0.0015 * event.deltaY * (event.deltaMode ? 30 : 1)));
   }, {passive: false});
-  canvas.addEventListener("keydown", event => {
-    const step = STEPS[event.key];
-    const keys = {"+": () => zoom(1.1), "=": () => zoom(1.1), "-": () => zoom(1 / 1.1), "0": () => {
+  onKeys(canvas, (right, down) => turn(state.camera, -5 * right, 5 * down), {
+    "+": () => zoom(1.1), "=": () => zoom(1.1), "-": () => zoom(1 / 1.1), "0": () => {
       state.camera = {...facts.camera};
       changed();
-    }};
-    if (event.ctrlKey || event.metaKey || !(step || keys[event.key])) return;
-    event.preventDefault();
-    if (step) orbit(5 * step[0], 5 * step[1]);
-    else keys[event.key]();
-  });
-  dragged(byId("cut"), (dx, dy, event) => {
-    const box = picture.getBoundingClientRect();
-    cutAt((event.clientX - box.left) / box.width);
-  });
-  byId("cut").addEventListener("keydown", event => {
-    const step = {...STEPS, Home: [-100, 0], End: [100, 0]}[event.key];
-    if (!step?.[0]) return;
-    event.preventDefault();
-    cutAt(state.cut + 0.02 * step[0]);
-  });
+    }});
+  dragged(byId("cut"), (dx, dy, event) => cutAt(placeOf(event)[0]));
+  onKeys(byId("cut"), right => cutAt(state.cut + 0.02 * right), {Home: () => cutAt(0), End: () => cutAt(1)});
   canvas.addEventListener("webglcontextlost", event => {
     event.preventDefault();  // so that it may come back
-    tell("The graphics driver lost the picture. It is drawn again as soon as the driver is back.");
+    showMessage("The graphics driver lost the image. It is drawn again as soon as the driver is back.");
   });
   canvas.addEventListener("webglcontextrestored", () => attempt(() => {
     drawing.start();
-    tell("");
+    showMessage("");
     changed();
   }));
   watchPointer();
-  byId("price").addEventListener("click", () => attempt(measureCost));
+  byId("cost").addEventListener("click", () => attempt(measureCost));
   byId("save").addEventListener("click", saveCost);
   addEventListener("hashchange", () => restore(location.hash));
-  new ResizeObserver(changed).observe(picture);
+  new ResizeObserver(changed).observe(viewport);
 }
 
 function restore(fragment) {
@@ -392,7 +387,7 @@ function restore(fragment) {
 function fail(error) {
   drawing = null;
   awaited.splice(0).forEach(({reject}) => reject(error));
-  tell(error instanceof Unable ? error.message : `The page failed: ${error.message}`);
+  showMessage(error instanceof Unable ? error.message : `The page failed: ${error.message}`);
   if (!(error instanceof Unable)) throw error;
 }
 
@@ -432,6 +427,6 @@ attempt(async () => {
   sources = texts;
   drawing = new Drawing(canvas, parts, images);
   listen();
-  tell("");
+  showMessage("");
   changed();
 });

@@ -73,42 +73,37 @@ function mapTexture(gl, {kind, image}, halve) {
   return texture;
 }
 
-// A target of float32 RGBA: a texture for each attachment, with depth where wanted.
-function floatTarget(gl, width, height, {attachments = 1, depth = false} = {}) {
+function nearestTexture(gl, format, width, height) {
+  const texture = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, texture);
+  gl.texStorage2D(gl.TEXTURE_2D, 1, format, width, height);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+  return texture;
+}
+
+// A target of float32 RGBA: textures, or with samples a renderbuffer to resolve into another target.
+function floatTarget(gl, [width, height], {attachments = 1, depth = false, samples = 0} = {}) {
   const buffer = gl.createFramebuffer();
   gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
-  const textures = Array.from({length: attachments}, (_, i) => {
-    const texture = gl.createTexture();
-    gl.bindTexture(gl.TEXTURE_2D, texture);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32F, width, height);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
-    gl.framebufferTexture2D(
-      gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + i, gl.TEXTURE_2D, texture, 0);
+  const renderbuffer = (attachment, format) => {
+    const made = gl.createRenderbuffer();
+    gl.bindRenderbuffer(gl.RENDERBUFFER, made);
+    gl.renderbufferStorageMultisample(gl.RENDERBUFFER, samples, format, width, height);
+    gl.framebufferRenderbuffer(gl.FRAMEBUFFER, attachment, gl.RENDERBUFFER, made);
+    return made;
+  };
+  const textures = Array.from({length: samples ? 0 : attachments}, (_, i) => {
+    const texture = nearestTexture(gl, gl.RGBA32F, width, height);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + i, gl.TEXTURE_2D, texture, 0);
     return texture;
   });
-  gl.drawBuffers(textures.map((_, i) => gl.COLOR_ATTACHMENT0 + i));
-  const renderbuffers = depth ? [attach(gl, gl.DEPTH_ATTACHMENT, gl.DEPTH_COMPONENT24, 0, width, height)] : [];
-  return {buffer, textures, renderbuffers};
-}
-
-// The same with several samples a pixel, to resolve into another.
-function sampledTarget(gl, width, height, samples) {
-  const buffer = gl.createFramebuffer();
-  gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
+  if (textures.length) gl.drawBuffers(textures.map((_, i) => gl.COLOR_ATTACHMENT0 + i));
   const renderbuffers = [
-    attach(gl, gl.COLOR_ATTACHMENT0, gl.RGBA32F, samples, width, height),
-    attach(gl, gl.DEPTH_ATTACHMENT, gl.DEPTH_COMPONENT24, samples, width, height),
+    ...samples ? [renderbuffer(gl.COLOR_ATTACHMENT0, gl.RGBA32F)] : [],
+    ...depth ? [renderbuffer(gl.DEPTH_ATTACHMENT, gl.DEPTH_COMPONENT24)] : [],
   ];
-  return {buffer, textures: [], renderbuffers};
-}
-
-function attach(gl, attachment, format, samples, width, height) {
-  const renderbuffer = gl.createRenderbuffer();
-  gl.bindRenderbuffer(gl.RENDERBUFFER, renderbuffer);
-  gl.renderbufferStorageMultisample(gl.RENDERBUFFER, samples, format, width, height);
-  gl.framebufferRenderbuffer(gl.FRAMEBUFFER, attachment, gl.RENDERBUFFER, renderbuffer);
-  return renderbuffer;
+  return {buffer, textures, renderbuffers};
 }
 
 function release(gl, {buffer, textures, renderbuffers}) {

@@ -8,14 +8,10 @@ const [PLOT, BELOW] = [{width: 360, height: 190}, {width: 360, height: 90}];
 // Values of a term's lobe at the angles.
 function lobeValues(drawing, term, m) {
   const {gl} = drawing;
-  const target = floatTarget(gl, ANGLES, 1);
+  const target = floatTarget(gl, [ANGLES, 1]);
   const program = drawing.onScreen(
     termSource(term, m).text, `#define K ${modelOf(term).k}\n`, sources.page["lobe.frag"]);
-  const cosines = gl.createTexture();
-  gl.bindTexture(gl.TEXTURE_2D, cosines);
-  gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R32F, ANGLES, 1);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+  const cosines = nearestTexture(gl, gl.R32F, ANGLES, 1);
   gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ANGLES, 1, gl.RED, gl.FLOAT, COSINES);
   setUniforms(gl, program, {m, cosines: 0});
   gl.disable(gl.DEPTH_TEST);
@@ -67,7 +63,6 @@ function axes({width, height}, across, up, grid) {
 function plotLobes(box, {a, b}, scale) {
   const {width, height} = PLOT;
   const [left, right, top, bottom] = [42, width - 4, 16, height - 14];
-  const each = [["a", a], ["b", b]];
   const highest = Math.max(1, ...a.values, ...b.values);
   const curves = svg("svg", {viewBox: `0 0 ${width} ${height}`, role: "img",
     "aria-label": `Lobes of A at m ${figure(a.m)} and of B at m ${figure(b.m)} against the angle`});
@@ -79,36 +74,32 @@ function plotLobes(box, {a, b}, scale) {
   const step = [2, 5, 10, 15, 20].find(each => degrees(dark) / each < 6.5);
   const ticks = Array.from({length: 1 + Math.floor((degrees(dark) - 2) / step)},
     (_, i) => [x(i * step / 90 * (ANGLES - 1)), `${i * step}°`]);
+  let point;  // on the plot, of an angle's number and a value
+  let numbers = [...Array(dark + 1).keys()];
   if (scale === "polar") {
-    const [middle, radius] = [width / 2, (height - 18) / highest];
-    for (const r of [0.5, 1]) {
-      const d = `M${middle - r * radius * highest} ${height - 6}a1 1 0 0 1 ${2 * r * radius * highest} 0`;
+    const radius = height - 18;
+    numbers = Array.from({length: 2 * ANGLES - 1}, (_, i) => i - ANGLES + 1);
+    point = (i, v) => {
+      const angle = radians(degrees(i));
+      return [width / 2 + v / highest * radius * Math.sin(angle), height - 6 - v / highest * radius * Math.cos(angle)];
+    };
+    for (const r of [0.5 * radius, radius]) {
+      const d = `M${width / 2 - r} ${height - 6}a1 1 0 0 1 ${2 * r} 0`;
       curves.append(svg("path", {class: "grid", d}));
-    }
-    for (const [which, {values}] of each) {
-      const points = [];
-      for (let i = -ANGLES + 1; i < ANGLES; ++i) {
-        const angle = radians(degrees(i));
-        const value = values[Math.abs(i)] * radius;
-        points.push([middle + value * Math.sin(angle), height - 6 - value * Math.cos(angle)]);
-      }
-      curves.append(svg("path", {class: `curve ${which}`, d: pathOf(points)}));
     }
   } else {
     const y = scale === "log"
       ? v => bottom - (bottom - top) * Math.log(Math.max(v, LOWEST) / LOWEST) / Math.log(highest / LOWEST)
       : v => bottom - (bottom - top) * Math.max(v, 0) / highest;
+    point = (i, v) => [x(i), y(v)];
     const grid = (scale === "log" ? [1, 0.1, 0.01, 0.001, 1e-4] : [0, 0.25, 0.5, 0.75, 1])
       .map(v => [y(v), v === 1e-4 ? "1e-4" : String(v)]);
-    curves.append(...axes(PLOT, ticks, "E/c^k", grid));
-    for (const angle of a.angles) {
-      const i = angle / 90 * (ANGLES - 1);
-      if (i <= dark) curves.append(svg("path", {class: "light", d: `M${x(i)} ${top}V${bottom}`}));
-    }
-    for (const [which, {values}] of each) {
-      const points = [...values.slice(0, dark + 1)].map((v, i) => [x(i), y(v)]);
-      curves.append(svg("path", {class: `curve ${which}`, d: pathOf(points)}));
-    }
+    curves.append(...axes(PLOT, ticks, "E/c^k", grid), ...a.angles.map(angle => angle / 90 * (ANGLES - 1))
+      .filter(i => i <= dark).map(i => svg("path", {class: "light", d: `M${x(i)} ${top}V${bottom}`})));
+  }
+  for (const [which, {values}] of [["a", a], ["b", b]]) {
+    const d = pathOf(numbers.map(i => point(i, values[Math.abs(i)])));
+    curves.append(svg("path", {class: `curve ${which}`, d}));
   }
 
   const apart = [...b.values].map((v, i) => 100 * (v - a.values[i]));

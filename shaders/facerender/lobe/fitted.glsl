@@ -10,7 +10,7 @@
 //   k       FR_K_COOK_TORRANCE or FR_K_WARD
 //   unit    none: peak 1 at c = 1; the caller multiplies by the model's scale
 //   error   in % of the peak (tests/test_lobes.py), at most, over all angles and the domain of m
-//   source  constants: facerender/terms/fitting.py; the clamped power: Lyon (1993)
+//   source  constants: tools/fits/lobes.py; the clamped power: Lyon (1993)
 //
 // Where all fragments share one m, a host may give the coefficients (facerender.lobes and facerender
 // shaders flatten --m compute them): #define FR_FITTED_COEFFICIENTS(m, k) vec3(...), and

@@ -11,8 +11,6 @@ from pathlib import Path
 from string import Formatter
 from typing import Any
 
-from facerender.measure.tables import markdown_table
-
 MEASUREMENTS = Path(__file__).parents[3] / "docs" / "measurements"
 
 Columns = Sequence[tuple[str, str]]
@@ -40,6 +38,14 @@ def load(name: str) -> dict[str, Any]:
     """Return what docs/measurements/NAME.json holds."""
     data: dict[str, Any] = json.loads((MEASUREMENTS / f"{name}.json").read_text(encoding="utf-8"))
     return data
+
+
+def markdown_table(
+    head: Sequence[str], rows: Sequence[Sequence[str]], marks: Sequence[str] = ()
+) -> str:
+    """Return a table in Markdown; marks align its columns, to the left by default."""
+    lines = (head, marks or ["---"] * len(head), *rows)
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def row(formats: Iterable[str], record: Mapping[str, Any]) -> list[str]:

@@ -10,9 +10,8 @@ import numpy as np
 from facerender import lobes
 from facerender.lobes import AnyLobe
 from facerender.measure import error
-from facerender.measure.tables import markdown_table
 from facerender.terms.fitting import G_POWERS, fit_g_power
-from tools.docs.tables import load, machine, table
+from tools.docs.tables import load, machine, markdown_table, table
 
 MODELS = {4: "Cook-Torrance", 0: "Ward"}
 SLOPES = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7, 0.85, 1.0)

@@ -7,8 +7,7 @@ from typing import Any
 
 from benchmarks.pairs.verdicts import FACERENDER, Summary, read_summary
 from facerender.comparison.result import FOREIGN, LIMITS
-from facerender.measure.tables import markdown_table
-from tools.docs.tables import MEASUREMENTS, Columns, load, machine, table
+from tools.docs.tables import MEASUREMENTS, Columns, load, machine, markdown_table, table
 
 _RESULT = (
     ("point, pixels", "{point:+.2g}, {points}"),

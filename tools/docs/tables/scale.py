@@ -7,8 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from benchmarks import scale
-from facerender.measure.tables import markdown_table
-from tools.docs.tables import load, row, table
+from tools.docs.tables import load, markdown_table, row, table
 
 SCHEDULER = (
     ("slots", "{slots} of {nap_s:g} s"),

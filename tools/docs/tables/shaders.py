@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import groupby
 
 from facerender.glsl.catalogue import Function, functions
-from facerender.measure.tables import markdown_table
 from facerender.terms import FRESNEL, LOBES, MASKING
+from tools.docs.tables import markdown_table
 
 
 def blocks() -> dict[str, str]:

@@ -13,14 +13,13 @@ from facerender.measure.tables import (
     Table,
     cost_tables,
     error_tables,
-    markdown_table,
     tables_of,
 )
 from facerender.pricing.interval import Interval
 from facerender.pricing.table import FAMILY_NAMES, shipped, term_name
 from facerender.pricing.variants import SLOPE, Variant
 from facerender.shading import Term
-from tools.docs.tables import load
+from tools.docs.tables import load, markdown_table
 
 _WORDS = ("variant", "lobe", "remark", "shading")  # columns that are aligned to the left
 

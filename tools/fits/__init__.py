@@ -1,0 +1,1 @@
+"""Fits of constants in the package and in the shader library; needs SciPy."""
