@@ -177,23 +177,18 @@ def lobe_case(file: str, macros: Mapping[str, str], call: str, lobe: AnyLobe, k:
 EVERY = {"FR_LOBE": "FR_LOBE_EVERY"}
 for _lobe in ALL_LOBES:
     _entry, _own = lobe_entry(_lobe), code.lobe_macros(_lobe)
-    _alone = _entry.call.split("(")[0]
+    _alone, _within = _entry.call.split("(")[0], "(c, m, 1.0 / (m * m)"
     for _k in _entry.ends:
         for _group, _file, _macros, _call in (
             # as a BRDF calls it, which has 1/m^2; alone; by the host's choice; as an argument
-            (
-                "fr_lobe_within",
-                "lobe",
-                _own | EVERY,
-                f"(c, m, 1.0 / (m * m), {_k}, {_entry.macro})",
-            ),
+            ("fr_lobe_within", "lobe", _own | EVERY, f"{_within}, {_k}, {_entry.macro})"),
             (_alone, _entry.file, {}, re.sub(r"\bk\b", str(_k), _entry.call[len(_alone) :])),
             ("fr_lobe", "lobe", _own, f"(c, m, {_k})"),
             ("fr_lobe_of", "lobe", _own | EVERY, f"(c, m, {_k}, {_entry.macro})"),
         ):
             if _group != _alone or _lobe in LOBES:
-                _values = _file, _macros, _group + _call, _lobe, _k
-                add(f"{_group} {_lobe} {_k}", lobe_case, *_values)
+                _all = _file, _macros, _group + _call, _lobe, _k
+                add(f"{_group} {_lobe} {_k}", lobe_case, *_all)
 
 # Of the macros of a g-power, one or none: D8, or its steepness with another power.
 for _k in (0, 4):
@@ -284,8 +279,8 @@ for _name, _k in lobes.FITTED:
             ("coefficients", _scaled, (3.0, 16.0)),
             ("numerators", f"{_function}_numerators(m, {_k})[{_i}]", (9.0, 8.0)),
         ):
-            _values = _name, _k, _i, _call, *_bounds
-            add(f"fr_lobe_fitted_{_what} {_name} {_k} {_i}", coefficient, *_values)
+            _place = _name, _k, _i, _call, *_bounds
+            add(f"fr_lobe_fitted_{_what} {_name} {_k} {_i}", coefficient, *_place)
 
 
 @case((4, 0.49), (0, 1.0))
@@ -335,11 +330,11 @@ for _name, _fresnel in FRESNEL.items():
     for _chosen, _other in FRESNEL.items():
         _macros = {"FR_FRESNEL": _other.macro}
         if _chosen == _name:
-            _values = "fresnel", _macros, "fr_fresnel(f0, c)"
-            add(f"fr_fresnel {_name}", fresnel_case, _name, *_values)
+            _term = "fresnel", _macros, "fr_fresnel(f0, c)"
+            add(f"fr_fresnel {_name}", fresnel_case, _name, *_term)
         else:  # whatever the host chose for fr_fresnel
-            _values = "fresnel", _macros, f"fr_fresnel_of(f0, c, {_fresnel.macro})"
-            add(f"fr_fresnel_of {_name} {_chosen}", fresnel_case, _name, *_values)
+            _term = "fresnel", _macros, f"fr_fresnel_of(f0, c, {_fresnel.macro})"
+            add(f"fr_fresnel_of {_name} {_chosen}", fresnel_case, _name, *_term)
 
 
 SCALE = 0.0551589
@@ -916,22 +911,22 @@ FACTORS = dict.fromkeys(
     ]
 )
 
-for _model, _entry in MODELS.items():
+for _model, _brdf in MODELS.items():
     _one, _two = partial(among_all, False), partial(among_all, True)
-    _terms = f"fr_{_entry.file}_terms"
-    _both = f"fr_{_entry.two.file}_terms" if _entry.two else "two-calls"
-    for _factors in FACTORS if _entry.factors else [DEFAULT]:
+    _terms = f"fr_{_brdf.file}_terms"
+    _both = f"fr_{_brdf.two.file}_terms" if _brdf.two else "two-calls"
+    for _factors in FACTORS if _brdf.factors else [DEFAULT]:
         for _lobe in ALL_LOBES:
-            _values = _model, _lobe, *_factors
-            add_of(_terms, _one, *_values)
+            _words = _model, _lobe, *_factors
+            add_of(_terms, _one, *_words)
             if _factors == DEFAULT or _lobe == Term.lobe:
-                add_of("models-by-macros", model_by_macros, *_values)
-            if _factors == DEFAULT or (_entry.two and _lobe == Term.lobe):
-                add_of(_both, _two, *_values)
-            if _factors == DEFAULT and _entry.two:
-                add_of(f"fr_{_entry.two.file}", two_lobes_by_macros, *_values)
+                add_of("models-by-macros", model_by_macros, *_words)
+            if _factors == DEFAULT or (_brdf.two and _lobe == Term.lobe):
+                add_of(_both, _two, *_words)
+            if _factors == DEFAULT and _brdf.two:
+                add_of(f"fr_{_brdf.two.file}", two_lobes_by_macros, *_words)
         add_of(_terms, _one, _model, Term.lobe, *_factors, False)
-    if _entry.two:
+    if _brdf.two:
         add_of(_both, _two, _model, Term.lobe, *DEFAULT, False)
 
 
