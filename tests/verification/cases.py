@@ -917,14 +917,14 @@ for _model, _brdf in MODELS.items():
     _both = f"fr_{_brdf.two.file}_terms" if _brdf.two else "two-calls"
     for _factors in FACTORS if _brdf.factors else [DEFAULT]:
         for _lobe in ALL_LOBES:
-            _words = _model, _lobe, *_factors
-            add_of(_terms, _one, *_words)
+            _names = _model, _lobe, *_factors
+            add_of(_terms, _one, *_names)
             if _factors == DEFAULT or _lobe == Term.lobe:
-                add_of("models-by-macros", model_by_macros, *_words)
+                add_of("models-by-macros", model_by_macros, *_names)
             if _factors == DEFAULT or (_brdf.two and _lobe == Term.lobe):
-                add_of(_both, _two, *_words)
+                add_of(_both, _two, *_names)
             if _factors == DEFAULT and _brdf.two:
-                add_of(f"fr_{_brdf.two.file}", two_lobes_by_macros, *_words)
+                add_of(f"fr_{_brdf.two.file}", two_lobes_by_macros, *_names)
         add_of(_terms, _one, _model, Term.lobe, *_factors, False)
     if _brdf.two:
         add_of(_both, _two, _model, Term.lobe, *DEFAULT, False)
