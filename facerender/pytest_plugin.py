@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from facerender.comparison.compare import Comparable
-    from facerender.comparison.goldens import Draw
+    from facerender.comparison.goldens import Draw, GoldenResult
 
 LONGEST = 180  # characters of a file's name; most systems take 255 bytes
 UNUSED = ("ignore", "list", "fail")
@@ -109,16 +109,10 @@ class Snapshot:
         image: Comparable,
         name: str | None = None,
         *,
-        point: float | None = None,
-        block: float | None = None,
-        trend: float | None = None,
-        grain: float | None = None,
-        texture: float | None = None,
-        coverage: float | None = None,
-        shift: float | None = None,
         mask: NDArray[Any] | None = None,
         metadata: Mapping[str, str] | None = None,
         draw: Draw | None = None,
+        **limits: float | None,
     ) -> None:
         """Compare an image with goldens/MODULE/NAME.exr beside the test's file; fail where they
         differ, or there is none.
@@ -126,13 +120,11 @@ class Snapshot:
         Parameters
         ----------
         image : a Frame, an array (H, W, 3 or 4) of linear float, or the path of an EXR file
-        name : of the golden; without, the test's, with its class and parameters
-        point, block, trend, grain, texture, coverage, shift : limits, see
-            :func:`facerender.compare`; without, those of the ini file
-        mask : see there
+        name : of the golden; default: the test's, with its class and parameters
+        mask, limits : see :func:`facerender.compare`; default limits: those of the ini file
         metadata : for the golden, beside the frame's own: GL_RENDERER, where an array has none
-        draw : draw(x, y) gives the image moved by so many pixels to the right and down. A golden
-            that is written keeps what 0.1 pixels make of it, and lets them pass
+        draw : draw(x, y) returns the image shifted by x pixels to the right and y down. A golden
+            that is written keeps the range over shifts of 0.1 pixels, and lets them pass
 
         Raises
         ------
@@ -142,61 +134,68 @@ class Snapshot:
         __tracebackhide__ = True
         from facerender import InputError
         from facerender.comparison.goldens import Updates, check
-        from facerender.images.exr import save_exr
 
         node, config = self._request.node, self._request.config
+        if unknown := sorted(limits.keys() - {*LIMITS}):
+            raise TypeError(f"{unknown[0]} is no limit: give {', '.join(LIMITS)}")
         safe = _file_name(name or _name_of(node))
         if safe in self._names:
             raise InputError(f"{safe} was checked before in this test: give each image a name")
         self._names.add(safe)
-        updates = Updates(
-            missing=_setting(config, "update_missing"),
-            differing=_setting(config, "update"),
-            force=_setting(config, "force"),
-            alternative=_setting(config, "alternative"),
-        )
-        golden = _goldens(self._request.path) / f"{safe}.exr"
         written = config.stash.setdefault(_WRITTEN, set())
-        given = {"point": point, "block": block, "trend": trend, "grain": grain}
-        given |= {"texture": texture, "coverage": coverage, "shift": shift}
-        limits = {
-            key: _limit(config, key) if value is None else value for key, value in given.items()
-        }
-        verdict = check(
+        result = check(
             f"{node.nodeid} {name}" if name else node.nodeid,
             image,
-            golden,
-            updates,
+            _goldens(self._request.path) / f"{safe}.exr",
+            Updates(
+                missing=_setting(config, "update_missing"),
+                differing=_setting(config, "update"),
+                force=_setting(config, "force"),
+                alternative=_setting(config, "alternative"),
+            ),
             written,
             metadata=metadata,
             draw=draw,
             mask=mask,
-            **limits,
+            **{each: _limit(config, each) for each in LIMITS}
+            | {each: limit for each, limit in limits.items() if limit is not None},
         )
-        if verdict.written:
-            written.add(verdict.written)
-        record = {"golden": str(golden), "written": str(verdict.written or ""), "entry": ""}
+        if result.written:
+            written.add(result.written)
+        self._record(result, f"{safe}.exr")
+        if result.failure:
+            actual = self._save_actual(result)
+            raise AssertionError(f"{result.failure}\n  golden {result.golden}\n  actual {actual}")
+
+    def _record(self, result: GoldenResult, file: str) -> None:
+        """Note a check for the session, and its entry of the report in a file."""
+        node, report = self._request.node, _setting(self._request.config, "report")
+        golden = _goldens(self._request.path) / file
+        record = {"golden": str(golden), "written": str(result.written or ""), "entry": ""}
         node.stash.setdefault(_CHECKS, []).append(record)
-        report = _setting(config, "report")
         if report:
             from facerender.comparison.report import entry
 
             handle, record["entry"] = tempfile.mkstemp(".json", dir=report)
-            with open(handle, "w", encoding="utf-8") as file:
-                json.dump(asdict(entry(verdict.pair)), file)
-        if verdict.failure:
-            if report:
-                folder = Path(report) / "actual"
-            else:
-                folder = self._request.getfixturevalue("tmp_path_factory").mktemp("facerender")
-            actual = folder / f"{_file_name(verdict.pair.name.replace('::', '-'))}.exr"
-            try:
-                folder.mkdir(exist_ok=True)
-                save_exr(actual, verdict.image.pixels, verdict.image.metadata)
-                said = str(actual)
-            except (OSError, InputError) as error:
-                said = f"not written: {error}"
-            raise AssertionError(f"{verdict.failure}\n  golden {verdict.golden}\n  actual {said}")
+            with open(handle, "w", encoding="utf-8") as file_object:
+                json.dump(asdict(entry(result.pair)), file_object)
+
+    def _save_actual(self, result: GoldenResult) -> str:
+        """Write an image that failed; return its path, or why it is not written."""
+        from facerender import InputError
+        from facerender.images.exr import save_exr
+
+        if report := _setting(self._request.config, "report"):
+            folder = Path(report) / "actual"
+        else:
+            folder = self._request.getfixturevalue("tmp_path_factory").mktemp("facerender")
+        actual = folder / f"{_file_name(result.pair.name.replace('::', '-'))}.exr"
+        try:
+            folder.mkdir(exist_ok=True)
+            save_exr(actual, result.image.pixels, result.image.metadata)
+        except (OSError, InputError) as error:
+            return f"not written: {error}"
+        return str(actual)
 
 
 def _name_of(node: pytest.Item) -> str:

@@ -47,11 +47,11 @@ CHANGES = {
     "coverage": "another coverage",
     "shift": "a shift",
 }
-# How much of it a limit should not let pass; in units of Calibration.sees.
-_SHARES = {"block": 0.01, "trend": 0.03, "grain": 0.02, "texture": 0.03}
+# Changes that a limit should not let pass; in units of Calibration.sees.
+_FRACTIONS = {"block": 0.01, "trend": 0.03, "grain": 0.02, "texture": 0.03}
 STATED: dict[Encoding, dict[str, float]] = {
-    "linear": {"point": 0.1, **_SHARES},
-    "srgb8": {"point": 32.0, **_SHARES},
+    "linear": {"point": 0.1, **_FRACTIONS},
+    "srgb8": {"point": 32.0, **_FRACTIONS},
 }
 ALTERED = 3  # pairs at most that changes are made to
 _EXACT = 1.05  # what a bisection ends within
@@ -70,7 +70,7 @@ class Calibration:
     least : that all of them pass, without the margin
     needed : by limit, the pair that needs it; without, rounding does
     sees : by limit, the smallest of its :data:`CHANGES` that fails by it in every pair that was
-        altered, infinite where none does: of pixels in radiance or steps, else as a share. Of
+        altered, infinite where none does: of pixels in radiance or steps, else as a fraction. Of
         coverage and shift the limits themselves
     """
 
@@ -104,7 +104,7 @@ class Calibration:
         ]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return every figure, for JSON: null where no change is seen."""
+        """Return every number, for JSON: null where no change is seen."""
         sees = {name: by if math.isfinite(by) else None for name, by in self.sees.items()}
         return {**asdict(self), "sees": sees, "blind": self.blind}
 
@@ -162,64 +162,63 @@ def calibration_of(
     ------
     InputError : a pair that cannot be compared, or that no limits let pass
     """
-    known: dict[Encoding, _Known] = {}
+    by_encoding: dict[Encoding, _Pairs] = {}
     for number, (name, *paths) in enumerate(pairs):
         progress("limits", number / len(pairs))
-        a, b = (read_image(path) for path in paths)
+        a, b = map(read_image, paths)
         result = compare(a, b, mask=mask, **_OPEN)
         if not result.same:
             raise InputError(f"{name} differs, whatever the limits: {result}")
-        of = known.setdefault(result.encoding, _Known(LEAST[result.encoding]))
-        of.pairs.append(paths)
-        for gate, limit in _needed(a, b, of.least, mask).items():
-            of.least = replace(of.least, **{gate: limit})
-            of.needed[gate] = name
-    return [_calibration(*each, mask, progress) for each in known.items()]
+        same = by_encoding.setdefault(result.encoding, _Pairs(LEAST[result.encoding]))
+        same.paths.append(paths)
+        needed = _needed(a, b, same.least, mask)
+        same.least = replace(same.least, **needed)
+        same.needed |= dict.fromkeys(needed, name)
+    return [_calibration(*each, mask, progress) for each in by_encoding.items()]
 
 
 @dataclass
-class _Known:
-    """What pairs of one encoding have told: the least limits that they pass, and by limit the pair
-    that needs it."""
+class _Pairs:
+    """Pairs of one encoding, the least limits that they pass, and the pair that needs each."""
 
     least: Limits
     needed: dict[str, str] = field(default_factory=dict)
-    pairs: list[list[Path]] = field(default_factory=list)
+    paths: list[list[Path]] = field(default_factory=list)
 
 
 def _calibration(
-    encoding: Encoding, known: _Known, mask: NDArray[Any] | None, progress: Progress
+    encoding: Encoding, pairs: _Pairs, mask: NDArray[Any] | None, progress: Progress
 ) -> Calibration:
-    limits = _with_margin(known.least, known.needed, LIMITS[encoding])
+    limits = _with_margin(pairs.least, pairs.needed, LIMITS[encoding])
     sees = {"coverage": limits.coverage, "shift": limits.shift}
-    altered = known.pairs[:ALTERED]
-    for number, (a, b) in enumerate(altered):
+    altered = pairs.paths[:ALTERED]
+    for number, paths in enumerate(altered):
         progress("smallest changes", number / len(altered))
-        for gate, by in _seen(read_image(a), read_image(b), limits, mask).items():
-            sees[gate] = max(by, sees.get(gate, 0.0))
-    return Calibration(encoding, len(known.pairs), limits, known.least, known.needed, sees)
+        a, b = map(read_image, paths)
+        for name, by in _smallest_changes(a, b, limits, mask).items():
+            sees[name] = max(by, sees.get(name, 0.0))
+    return Calibration(encoding, len(pairs.paths), limits, pairs.least, pairs.needed, sees)
 
 
 def _needed(
     a: ImageData, b: ImageData, limits: Limits, mask: NDArray[Any] | None
 ) -> dict[str, float]:
-    """Return the limits that have to be wider for a pair to pass, as narrow as it does."""
-
-    def passes(gate: str, others: Mapping[str, float], value: float) -> bool:
-        return compare(a, b, mask=mask, **{**others, gate: value}).same
-
+    """Return the limits that have to be wider for a pair to pass, as narrow as possible."""
     needed: dict[str, float] = {}
     if compare(a, b, mask=mask, **asdict(limits)).same:
         return needed
-    # What a shift explains is no change of a block, and what blocks may do is no trend.
     others = dict(_OPEN)
-    for gate in ("shift", "block", *(name for name in NAMES if name not in ("shift", "block"))):
-        least = getattr(limits, gate)
-        limit = _least(partial(passes, gate, others), least)
-        if limit > least:
-            needed[gate] = limit
-        if gate in ("shift", "block"):
-            others[gate] = limit
+
+    def passes(name: str, limit: float) -> bool:
+        return compare(a, b, mask=mask, **{**others, name: limit}).same
+
+    # What a shift explains is no change of a block, and what blocks may do is no trend.
+    for name in ("shift", "block", *(name for name in NAMES if name not in ("shift", "block"))):
+        limit = _least(partial(passes, name), getattr(limits, name))
+        if limit > getattr(limits, name):
+            needed[name] = limit
+        if name in ("shift", "block"):
+            others[name] = limit
     return needed
 
 
@@ -243,10 +242,10 @@ def _with_margin(least: Limits, needed: Iterable[str], defaults: Limits) -> Limi
     """Return limits with the margin, those that pairs need; wider than by default only where that
     is too narrow."""
     limits = {}
-    for gate in needed:
-        limit, default = getattr(least, gate), getattr(defaults, gate)
+    for name in needed:
+        limit, default = getattr(least, name), getattr(defaults, name)
         wide = _rounded(MARGIN * limit)
-        limits[gate] = min(wide, default) if limit <= default else wide
+        limits[name] = min(wide, default) if limit <= default else wide
     return replace(least, **limits)
 
 
@@ -259,28 +258,17 @@ def _rounded(limit: float) -> float:
 # --- changes -------------------------------------------------------------------------------------
 
 
-def _seen(
+def _smallest_changes(
     a: ImageData, b: ImageData, limits: Limits, mask: NDArray[Any] | None
 ) -> dict[str, float]:
     """Return by limit the smallest change of the image B that fails by it."""
     encoded = b.encoding == "srgb8"
     color = b.pixels[..., : 3 if b.pixels.shape[2] > 2 else 1]
     radiance = srgb_to_linear(color / 255.0) if encoded else color
-    lit, place = _skin(a, mask)
+    lit, place = _flattest(a, mask)
     middle = np.median(radiance[lit], axis=0) if lit.any() else 0.0
     detail = radiance - 0.5 * (np.roll(radiance, 1, axis=1) + np.roll(radiance, -1, axis=1))
     noise = np.random.default_rng(1).standard_normal((*lit.shape, 1))
-
-    def fails(gate: str, changed: NDArray[Any]) -> bool:
-        if encoded and gate != "point":
-            changed = encode_srgb8(changed.astype(np.float32))
-        pixels = b.pixels.copy()
-        pixels[..., : color.shape[2]] = changed
-        given = _OPEN | {"shift": limits.shift, gate: getattr(limits, gate)}
-        if gate == "trend":
-            given["block"] = limits.block
-        result = compare(a, replace(b, pixels=pixels), mask=mask, **given)
-        return result.changed_alike if gate == "trend" else not result.same
 
     def brighter(by: float) -> NDArray[Any]:
         changed = color.astype(np.float32)
@@ -295,24 +283,36 @@ def _seen(
         "texture": lambda by: radiance + np.float32(by) * detail,
     }
 
-    def sees(gate: str, by: float) -> bool:
-        signs = (1.0, -1.0) if gate in ("block", "trend", "texture") else (1.0,)
-        return all(fails(gate, changes[gate](sign * by)) for sign in signs)
+    def fails(name: str, by: float) -> bool:
+        changed = changes[name](by)
+        if encoded and name != "point":
+            changed = encode_srgb8(changed.astype(np.float32))
+        pixels = b.pixels.copy()
+        pixels[..., : color.shape[2]] = changed
+        alone = ("shift", name, *(["block"] if name == "trend" else []))
+        narrow = _OPEN | {each: getattr(limits, each) for each in alone}
+        result = compare(a, replace(b, pixels=pixels), mask=mask, **narrow)
+        return result.changed_alike if name == "trend" else not result.same
 
-    seen = {}
-    for gate in changes:
-        low, most = (1.0, 255.0) if gate == "point" and encoded else (1e-4, 1.0)
-        seen[gate] = _least(partial(sees, gate), low, most)
-    return seen
+    def sees(name: str, by: float) -> bool:
+        signs = (1.0, -1.0) if name in ("block", "trend", "texture") else (1.0,)
+        return all(fails(name, sign * by) for sign in signs)
+
+    return {
+        name: _least(
+            partial(sees, name), *((1.0, 255.0) if encoded and name == "point" else (1e-4, 1.0))
+        )
+        for name in changes
+    }
 
 
-def _skin(
-    picture: ImageData, mask: NDArray[Any] | None
+def _flattest(
+    image: ImageData, mask: NDArray[Any] | None
 ) -> tuple[NDArray[np.bool_], tuple[slice, slice]]:
-    """Return where something is to be seen; and two pixels, neither dark nor a highlight, whose
+    """Return where the image is lit; and two pixels, neither dark nor a highlight, whose
     surroundings are flattest."""
-    level = picture.color.mean(axis=-1)
-    lit = (picture.coverage >= FULL) & (level > 0.0)
+    level = image.color.mean(axis=-1)
+    lit = (image.coverage >= FULL) & (level > 0.0)
     if mask is not None:
         lit &= mask != 0
     low, high = np.percentile(level[lit], (40.0, 80.0)) if lit.any() else (0.0, 0.0)

@@ -135,7 +135,8 @@ def _exr_noise(header: Mapping[bytes, bytes], half: bool) -> float:
 
 
 def _exr_headers(content: bytes) -> list[dict[bytes, bytes]]:
-    """Return the attributes of each part of an EXR file.
+    """Return the attributes of each part of an EXR file. OpenEXR itself reads some damaged headers
+    with defaults in place of what is missing, as an image of 64 x 64 pixels.
 
     Raises
     ------
@@ -196,13 +197,12 @@ def _in_window(pixels: NDArray[Any], header: Mapping[str, Any]) -> NDArray[Any]:
     height, width, channels = pixels.shape
     if (x, y, height, width) == (0, 0, *size):
         return pixels
-    shown = np.zeros((*size, channels), dtype=pixels.dtype)
-    rows = slice(max(y, 0), max(min(y + height, shown.shape[0]), 0))
-    columns = slice(max(x, 0), max(min(x + width, shown.shape[1]), 0))
-    place = shown[rows, columns]
-    seen = pixels[max(-y, 0) :, max(-x, 0) :]
-    place[:] = seen[: place.shape[0], : place.shape[1]]
-    return shown
+    placed = np.zeros((*size, channels), dtype=pixels.dtype)
+    rows = slice(max(y, 0), max(min(y + height, size[0]), 0))
+    columns = slice(max(x, 0), max(min(x + width, size[1]), 0))
+    window = placed[rows, columns]
+    window[:] = pixels[max(-y, 0) :, max(-x, 0) :][: window.shape[0], : window.shape[1]]
+    return placed
 
 
 def openexr(path: str | os.PathLike[str]) -> Any:

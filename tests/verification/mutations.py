@@ -1,5 +1,6 @@
 """Changes that each check of the comparison is held against: broken renders whose cause it names,
-and harmless ones. The table of docs/comparison.md and the tests walk the same entries."""
+and harmless ones. The tests and the table of docs/measurements/comparison.md walk the
+same entries."""
 
 from __future__ import annotations
 
