@@ -37,7 +37,7 @@ from facerender.terms.lobe import Lobe
 
 MINI = Path(__file__).parent / "data" / "mini_head.glb"
 VIEW = {"viewport": {"width": 1000, "height": 620}}
-# Shares of the picture's width and height, on the face in the first view.
+# Fractions of the image's width and height, on the face in the first view.
 PLACES = [
     *((0.50, 0.30), (0.45, 0.35), (0.55, 0.35), (0.50, 0.42), (0.42, 0.42), (0.58, 0.42)),
     *((0.50, 0.55), (0.44, 0.55), (0.56, 0.55), (0.50, 0.66), (0.47, 0.72), (0.53, 0.72)),
@@ -132,7 +132,7 @@ def follow(page, fragment):
     return page.evaluate("explorer.errors()")
 
 
-def pictures(page):
+def images(page):
     """A and B as they are on the float targets, (H, W, 4)."""
     width, height = page.evaluate("explorer.size")
     code = "async which => new Uint8Array((await explorer.pixels(which)).buffer).toBase64()"
@@ -191,7 +191,7 @@ def test_pixels_are_the_float64_reference(page, mesh, words, term, changes):
 
 def test_errors_are_those_of_compare(page):
     shown = look(page, "b=lobe:d8&a=m:0.35&only=specular")
-    a, b = pictures(page)
+    a, b = images(page)
     covered = a[..., 3] > 0
     told = compare(a, b, mask=covered)
     assert shown["covered"] == covered.sum() > 10_000
@@ -210,15 +210,15 @@ def test_errors_are_those_of_compare(page):
     assert float(cells[0]) == pytest.approx(shown["display"]["largest"], rel=0.01)
 
 
-def test_pictures_are_the_renderers(page, mesh, egl):
+def test_images_are_the_renderers(page, mesh, egl):
     """With maps that are JPEGs and positions in 16 bits."""
     shown = look(page, "b=lobe:d8;m:0.4&a=m:0.4&camera=azimuth:-35;elevation:4")
-    drawn = pictures(page)
+    drawn = images(page)
     scene = scene_of(page, mesh, {"m": 0.4})
     with fr.Renderer(tuple(page.evaluate("explorer.size")), backend=egl) as renderer:
         frames = [renderer.render(scene, fr.Shading(lobe=lobe)) for lobe in ("exact", "d8")]
-    for picture, frame in zip(drawn, frames, strict=True):
-        assert np.abs(picture - frame.linear).mean() < 1e-3
+    for image, frame in zip(drawn, frames, strict=True):
+        assert np.abs(image - frame.linear).mean() < 1e-3
     told = compare(frames[0], frames[1], mask=frames[0].linear[..., 3] > 0)
     assert shown["linear"]["mean"] == pytest.approx(told.mean, rel=0.02)
     assert shown["linear"]["largest"] == pytest.approx(told.largest, rel=0.02)
@@ -233,7 +233,7 @@ def shot(page):
     return pixels[: height - 1, :width]  # its last row may be a part of one
 
 
-def test_the_cut_divides_the_pictures(page):
+def test_the_cut_divides_the_images(page):
     link = "b=lobe:cosine;m:0.5"
     views = []
     for show in ("a", "b", "wipe&cut=0.25", "difference&gain=4"):
@@ -519,7 +519,7 @@ def test_a_term_of_the_registry_appears_by_itself(browser, tmp_path, monkeypatch
 
 def test_cost_is_measured_and_saved(page):
     look(page, "b=lobe:d4&camera=zoom:0.3")
-    page.click("#price")
+    page.click("#cost")
     with page.expect_download() as download:
         page.click("#save", timeout=60_000)
     saved = json.loads(Path(download.value.path()).read_text())
@@ -538,29 +538,29 @@ def test_cost_is_measured_and_saved(page):
         for which, name in {"a": "exact", "b": "d4"}.items()
     }
     assert saved["base"]["median"] > 0.0
-    assert saved["gpu"] in page.inner_text("#price-told")
+    assert saved["gpu"] in page.inner_text("#cost-message")
 
 
-def test_the_table_of_costs_is_of_one_picture_and_keeps_its_size(page):
+def test_the_table_of_costs_is_of_one_image_and_keeps_its_size(page):
     look(page)
     place = "[...document.querySelectorAll('.costs')].map(e => [e.offsetWidth, e.offsetHeight])"
     sizes = [page.evaluate(place)]
-    page.click("#price")
+    page.click("#cost")
     page.locator("#save").wait_for(timeout=60_000)
     cells = page.locator(".costs td")
     assert "–" not in cells.all_inner_texts()
     sizes.append(page.evaluate(place))
-    look(page, "b=lobe:d4")  # another picture than the one that was measured
+    look(page, "b=lobe:d4")  # another image than the one that was measured
     assert cells.all_inner_texts() == ["–"] * 4
-    assert "another picture" in page.inner_text("#price-told")
+    assert "another image" in page.inner_text("#cost-message")
     assert sizes == [page.evaluate(place)] * 2
 
 
-def test_a_cost_of_two_pictures_is_not_told(page):
+def test_a_cost_of_two_images_is_not_told(page):
     look(page)
-    page.click("#price")
+    page.click("#cost")
     page.get_by_label("lobe of B").select_option("d4")
-    page.locator("#price-told", has_text="Stopped").wait_for()
+    page.locator("#cost-message", has_text="Stopped").wait_for()
     assert page.locator("#save").is_hidden()
 
 
@@ -594,7 +594,7 @@ def test_a_lost_context_is_told_and_comes_back(browser, address):
             "() => { window.loss = document.getElementById('canvas').getContext('webgl2')"
             ".getExtension('WEBGL_lose_context'); loss.loseContext(); }"
         )
-        page.get_by_role("alert").filter(has_text="lost the picture").wait_for()
+        page.get_by_role("alert").filter(has_text="lost the image").wait_for()
         page.evaluate("loss.restoreContext()")
         page.get_by_role("alert").wait_for(state="hidden")
         assert page.evaluate("explorer.errors()") == shown

@@ -146,14 +146,6 @@ def test_a_table_of_jobs_in_the_folder_of_its_batch(inputs, capsys):
     assert os.listdir(inputs / "out") == ["jobs.jsonl"]
 
 
-def test_a_measurement_does_not_replace_what_it_imports(inputs, capsys):
-    (inputs / "measure.json").write_text("{}")
-    status = main(["measure", "-o", ".", "--import", "measure.json"])
-    printed = capsys.readouterr()
-    assert_error(status, printed.out, printed.err, "measure.json")
-    assert (inputs / "measure.json").read_text() == "{}"
-
-
 # --- places --------------------------------------------------------------------------------------
 
 
@@ -162,6 +154,7 @@ def test_a_measurement_does_not_replace_what_it_imports(inputs, capsys):
     [
         ("gone/a.png", "no such file or directory; give a file in a writable folder"),
         ("folder.png", "it is a directory; give a file name"),
+        ("folder.exr", "it is a directory; give a file name"),
         ("pipe.png", "it is no regular file; give a file name"),
         ("full.png", "it is no regular file; give a file name"),
         ("loop.png", "too many levels of symbolic links"),
@@ -174,6 +167,7 @@ def test_places_that_cannot_be_written(name, message, tmp_path, monkeypatch, cap
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Renderer, "of", None)
     (tmp_path / "folder.png").mkdir()
+    (tmp_path / "folder.exr").mkdir()
     (tmp_path / "file").touch()
     os.mkfifo("pipe.png")
     os.symlink("/dev/full", "full.png")
@@ -400,14 +394,15 @@ def kill(*arguments):
     return subprocess.run(command, env=environment, capture_output=True, text=True)
 
 
-def test_killed_at_random():
-    done = kill("--kills", "3", "--seed", "2", "render")
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
-@pytest.mark.slow
-def test_killed_at_random_two_hundred_times():
-    done = kill("--kills", "200")
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--kills", "3", "--seed", "2", "render"),
+        pytest.param(("--kills", "200"), marks=pytest.mark.slow),
+    ],
+)
+def test_killed_at_random(arguments):
+    done = kill(*arguments)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -476,16 +471,3 @@ def test_a_batch_says_what_informs_unless_it_is_told_not_to(tmp_path, capsys, eg
     assert capsys.readouterr().err.startswith("facerender: ")
     assert main(["batch", str(jobs), "-o", str(tmp_path / "b"), "--quiet"]) == 0
     assert capsys.readouterr().err == ""
-
-
-def test_a_render_imports_no_bars_and_the_package_nothing_at_all(tmp_path, egl):
-    code = (
-        "import sys, facerender\n"
-        "print(*{'numpy', 'argparse', 'moderngl'} & set(sys.modules))\n"
-        "from facerender.commands import main\n"
-        f"main(['render', {str(MINI_HEAD)!r}, '--size', '32', '-o', 'a.png'])\n"
-        "print('tqdm' in sys.modules)\n"
-    )
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert done.stdout == "\na.png\nFalse\n"

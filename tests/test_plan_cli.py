@@ -23,7 +23,6 @@ from facerender.scenes.planned import Planned
 from facerender.shading import Shading
 from tests.awkward_files import MINI_HEAD
 from tests.test_cli import Capture, Cli
-from tests.test_glsl import OUTPUT, run
 
 SMALL = ("--size", "48", "--samples", "1", "--light", "key")
 FACE = (MINI_HEAD, *SMALL)
@@ -109,25 +108,13 @@ def test_json(plan):
     assert "GCN5 (vega10)" in found["cost"]["source"]
 
 
-@pytest.mark.parametrize("target", ["330", "es300", "vulkan"])
+@pytest.mark.parametrize("target", [None, "330", "es300", "vulkan"])
 def test_emit(target, plan, cli, found):
+    """That it compiles: test_its_shader_compiles of tests/test_plan.py."""
     path = cli.folder / "lean.glsl"
-    plan("--budget", "2/255", "--emit", path, "--target", target)
-    text = path.read_bytes()
-    assert text.decode("ascii") == found.shader(target)
+    plan("--budget", "2/255", "--emit", path, *(["--target", target] if target else []))
+    assert path.read_text("ascii") == found.shader(target)
     assert cli.written == ["lean.glsl"]
-    call = "fr_cook_torrance(vec3(0.0), vec3(1.0), vec3(1.0), 0.3, 0.028)"
-    assert found.shading.term.model == "cook-torrance"
-    shader = path.with_suffix(".frag")
-    main = f"{OUTPUT[target]}out vec4 result;\nvoid main() {{ result = vec4({call}); }}\n"
-    shader.write_bytes(text + main.encode())
-    options = ["-V", "-o", path.with_suffix(".spv")] if target == "vulkan" else []
-    run(["glslangValidator", *options, shader])
-
-
-def test_emit_without_a_target(plan, cli, found):
-    plan("--budget", "2/255", "--emit", cli.folder / "lean.glsl")
-    assert (cli.folder / "lean.glsl").read_text() == found.shader()
 
 
 @pytest.mark.parametrize("budget", ["1/255", "40/255", "0"])
@@ -281,17 +268,10 @@ def test_exposure_counts(plan):
             ("--budget", "1"),
             r"budget '1' has no unit: give a fr.* 1/255, 0\.5%, or 0\.02 flip",
         ),
-        (("--budget", "2 dB"), r"budget '2 dB' has no unit that is known"),
-        (("--budget", "-1/255"), r"budget -1/255 is negative"),
-        (("--budget", "nan%"), r"budget nan% is negative or not finite"),
-        (("--budget", "1/0"), r"budget '1/0'"),
         (("--budget", "1/255", "--target", "330"), r"--target 330 .* say --emit OUT\.glsl"),
         (("--budget", "1/255", "--emit", "x", "--target", "metal"), r"invalid choice: 'metal'"),
-        (("--budget", "1/255", "--cost", "voodoo"), r"unknown cost 'voodoo'; known: frame, auto, "),
-        (("--budget", "1/255", "--camera", "top"), r"--camera 'top': give .*, or front"),
         (("--budget", "1/255", "--camera", "gone.toml"), r"cannot read gone\.toml: no such file"),
         (("--budget", "1/255", "--from", "gone.toml"), r"cannot read gone\.toml: no such file"),
-        (("--budget", "1/255", "--size", "big"), r"size 'big': give N or WxH"),
         (("--budget", "1/255", "--size", "512.."), r"size '': give N or WxH"),
         (("--budget", "1/255", "--size", "8..16..32"), r"size '16\.\.32': give N or WxH"),
         (("--budget", "1/255", "--size", "48..24"), r"'48\.\.24': give a smaller and a larger"),
@@ -299,9 +279,7 @@ def test_exposure_counts(plan):
         (("--budget", "1/255", "--size", "0..4"), r"give a smaller and a larger one"),
         (("--budget", "1/255", "--size", "8..99999"), r"99999 x 99999: give 1 to 16384 pixels"),
         (("--budget", "1/255", "--within", "99.9"), r"within 99\.9: give a fraction of the pixels"),
-        (("--budget", "1/255", "--exposure", "nan"), r"exposure = nan is outside"),
         (("--budget", "1/255", "--lobe", "d8"), r"unrecognized arguments: --lobe d8"),
-        (("--budget", "1/255", "--model", "ward", "--fresnel", "dielectric"), r"ward has no Fres"),
     ],
 )
 def test_bad_option(options, message, cli):
@@ -313,27 +291,9 @@ def test_bad_option(options, message, cli):
     [
         ("lights = []", r"the scene has no lights: there is no shading to plan"),
         ("cameras = []", r"scene\.toml: cameras = \[\]: give a list of tables"),
-        ("cameras = 3", r"scene\.toml: cameras = 3: give a list of tables"),
         ("[[cameras]]\nroll = 3", r"scene\.toml: unknown key 'roll' in cameras"),
         ("[shading]\nlobe = 'd8'", r"a plan chooses the lobe: leave d8 out"),
-        ("[shading]\nlobe = 'd5'", r"scene\.toml: unknown lobe 'd5'"),
-        ("[shading]\ngloss = 1", r"scene\.toml: unknown key 'gloss' in shading; known: model"),
-        ("[shading]\nlobe = {g = 4}", r"scene\.toml: lobe = .*: give a name, or g, factor, offset"),
-        ("[shading]\nlobe = {g = 4, factor = 'x'}", r"scene\.toml: .*factor"),
-        ("[shading]\nlobe = {g = 4, factor = -1}", r"scene\.toml: g-power factor = -1"),
-        ("[shading]\nlobe = 3", r"scene\.toml: unknown lobe 3"),
-        ("shading = 'exact'", r"scene\.toml: shading = 'exact': give a table"),
-        ("shading = 3", r"scene\.toml: shading = 3: give a table"),
-        ("[shading]\nspecular_lights = 3", r"scene\.toml: specular_lights = 3: give a list"),
-        ("[shading]\nfrontal_lights = 3", r"scene\.toml: frontal_lights = 3: give a list"),
-        ("[shading]\nfrontal_lights = [true]", r"frontal_lights = \[True\]: give a list"),
-        ("[shading]\nspecular_lights = [0, 0]", r"specular_lights = \[0, 0\]: .* each once"),
-        ("[shading]\nsmall_slope = 'no'", r"small_slope = 'no': give true or false"),
-        ("[shading]\nm = -1", r"scene\.toml: m = -1 is outside"),
-        ("[shading]\nspecular_lights = ['key']", r"scene\.toml: specular_lights = \['key'\]: "),
         ("[shading]\nspecular_lights = [9]", r"specular_lights names light 9: the scene has 3"),
-        ("[shading]\nm = 'rough'", r"m = 'rough' is outside"),
-        ("[shading]\nks = -1", r"ks = -1 is outside"),
         ("[camera]\nposition = [0, 0, 5]\ntarget = [0, 0, 9]", r"cameras see nothing of mini_head"),
     ],
 )
@@ -412,11 +372,8 @@ def test_a_pinned_scene_is_planned_again(plan, cli):
 @pytest.mark.parametrize(
     "options",
     [
-        ("--budget", "2 dB"),
         ("--budget", "-1/255"),
         ("--budget", "1/255", "--lobe", "d8"),
-        ("--budget", "1/255", "--exposure", "nan"),
-        ("--budget", "1/255", "--camera", "turntable", "--camera", "top"),
         ("--budget", "1/255", "--camera", "top"),
         ("--budget", "1/255", "--only", "specular"),
         ("--budget", "1/255", "--within", "0%"),
@@ -527,17 +484,11 @@ def test_what_does_not_change_the_plan_does_not_plan(cli, planned):
     "content",
     [
         b"",
-        b"\xff\x00",
         b"{",
-        b"[]",
-        b"null",
         b"3",
         b"{}",
         b'{"shading": null, "text": "x"}',
-        b'{"shading": {}}',
         b'{"shading": {"lobe": "d5"}, "text": "x"}',
-        b'{"shading": {"lobe": {"g": 3}}, "text": "x"}',
-        b'{"shading": {"specular_lights": 3}, "text": "x"}',
         b'{"shading": {"gloss": 3}, "text": "x"}',
     ],
 )

@@ -14,23 +14,36 @@ from PIL import Image
 import facerender as fr
 from benchmarks.prices import amd
 from benchmarks.prices import table as written
-from benchmarks.prices.__main__ import main
+from benchmarks.prices.__main__ import main, print_parts
 from benchmarks.prices.table import all_seconds, all_terms, compiled, cycles
+from benchmarks.prices.table import parts as compiled_parts
 from facerender.drawing.resolve import Lighting, resolve
-from facerender.errors import NotMeasured
+from facerender.errors import InputError, NotMeasured
 from facerender.glsl.code import term_macros
 from facerender.lobes import GPower
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing import fragment, scatter
 from facerender.pricing import table as prices
+from facerender.pricing.fragment import PARTS, parts_of, program_of, samples, scene_with
+from facerender.pricing.interval import Interval
 from facerender.pricing.table import Prices, load_prices, variants
+from facerender.pricing.variants import INPUTS, of_model
 from facerender.scenes.light import LIGHTS
+from facerender.scenes.material import PROPERTY_MAPS
 from facerender.shading import Shading
 from tests.conftest import missing
 
 KEY = (LIGHTS["key"],)
-PARTS = {part for part in (*fragment.PARTS, *scatter.PARTS) if "specular" not in part}
+PRICED = {part for part in (*fragment.PARTS, *scatter.PARTS) if "specular" not in part}
 POINT = fr.Light(irradiance=3.0, position=(0.2, 0.3, 0.5))
+MAPS = ("albedo_map", "normal_map", *PROPERTY_MAPS)
+WHOLE = (  # scenes, and whether their lights are specular
+    (scene_with(directional=3), False),
+    (scene_with(directional=3), True),
+    (scene_with(MAPS, True, directional=3), True),
+    (scene_with(MAPS, True, directional=2, point=1), True),
+    (scene_with(MAPS, True, point=3), True),
+)
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +125,7 @@ def test_the_table_is_what_the_command_writes(monkeypatch, tmp_path):
     assert set(table) == {*amd.FAMILIES, "llvmpipe"}
     for rows in table.values():
         assert set(rows) == {"source", "unit", "parts", "terms"}
-        assert set(rows["parts"]) == PARTS
+        assert set(rows["parts"]) == PRICED
         assert min(rows["parts"].values()) >= 0.0  # constant ambient light is an addend of an fma
         assert set(rows["terms"]) == {*all_terms(), *all_seconds()}
         # 0: the second lobe of the cosine power, in a further light on RDNA2
@@ -131,13 +144,19 @@ def test_auto_is_of_who_draws(bare):
     assert load_prices("auto", scene, [], software=False) == load_prices("navi21", scene, [])
 
 
-@pytest.fixture
-def radv():
+@pytest.fixture(scope="module", params=amd.FAMILIES)
+def family(request):
     try:
         amd.spirv(comp="#version 450\nvoid main() {}\n")
-        return amd.driver()
+        amd.driver()
     except NotMeasured as error:
         missing(str(error))
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def parts(family):
+    return compiled_parts(family)
 
 
 def compiled_for(scene, family, shadings):
@@ -146,7 +165,7 @@ def compiled_for(scene, family, shadings):
     return compiled(family, {k: v for term in terms for k, v in variants(term).items()}, {})
 
 
-def test_the_compiler_agrees_with_the_table(radv, bare):
+def test_the_compiler_agrees_with_the_table(family, bare):
     scene = fr.Scene(bare.with_material(m=0.3), lights=(*KEY, LIGHTS["rim"]))
     wanted = [
         Shading(),
@@ -154,17 +173,16 @@ def test_the_compiler_agrees_with_the_table(radv, bare):
         Shading("ward", "d8"),
         Shading(fresnel="dielectric", lobe="fitted", frontal_lights=(1,)),
     ]
-    table = load_prices("navi21", scene, wanted)
-    same = table.source.startswith(radv)  # another Mesa's compiler counts otherwise
-    here = compiled_for(scene, "navi21", wanted)
+    table = load_prices(family, scene, wanted)
+    same = table.source.startswith(amd.driver())  # another Mesa's compiler counts otherwise
+    here = compiled_for(scene, family, wanted)
     for shading in wanted:
         cost = here.cost(scene, shading)
         assert all(0.0 <= each < np.inf for each in cost)
         assert not same or cost == pytest.approx(table.cost(scene, shading), rel=0.05)
 
 
-@pytest.mark.parametrize("family", amd.FAMILIES)
-def test_prices_of_frontal_lights_add_up_to_a_program(radv, family, bare):
+def test_prices_of_frontal_lights_add_up_to_a_program(family, bare):
     mesh = bare.with_material(m=0.3, occlusion_map=None)
     scene = fr.Scene(mesh, lights=(LIGHTS["rim"], *KEY, LIGHTS["fill"]), ambient=0.0)
     other = Shading(fresnel="dielectric", lobe="d8")
@@ -187,7 +205,7 @@ def test_prices_of_this_machine(egl, bare, monkeypatch):
     here = load_prices("here", scene, wanted)
     assert here.unit == "ns"
     assert here.source.startswith("measured on ")
-    assert set(here.parts) == PARTS
+    assert set(here.parts) == PRICED
     for shading in wanted:
         assert np.isfinite(here.cost(scene, shading)).all()  # on a busy machine even negative
 
@@ -230,3 +248,77 @@ def test_requested_terms_are_priced_as_they_are_compiled(monkeypatch, bare):
         "cook-torrance d16 schlick v-cavity": False,
         "cook-torrance d16 schlick v-cavity constant": False,
     }
+
+
+def test_every_part_costs_something(parts):
+    assert tuple(parts) == PARTS
+    free = {name for name, cost in parts.items() if cost <= 0.0}
+    assert free <= {"ambient term"}  # an addend of what the lights multiply and add anyway
+    assert min(parts.values()) >= 0.0
+    assert parts["normal map"] > parts["albedo map"] > parts["ambient term"]
+    assert parts["point light"] > parts["directional light"]
+
+
+@pytest.mark.parametrize(
+    ("shading", "error"),
+    [
+        (None, 0.03),  # with a sum of a term's inputs in its place
+        (Shading(), 0.02),
+        (Shading(lobe="fitted"), 0.02),
+        (Shading("ward", "d16"), 0.02),
+    ],
+)
+def test_parts_add_up_to_a_program(family, parts, shading, error):
+    stub = "" if shading else INPUTS
+    programs = [
+        program_of(scene, shading, stub) if lit else program_of(scene) for scene, lit in WHOLE
+    ]
+    costs = compiled_parts(family, shading) if shading else parts
+    estimates = [fragment.estimate(program, costs) for program in programs]
+    assert estimates == pytest.approx(cycles(programs, family), rel=error)
+
+
+@pytest.mark.parametrize("model", ["cook-torrance", "ward"])
+def test_a_term_adds_to_the_parts(family, parts, model):
+    (plain,) = (variant for variant in of_model(model) if variant.plain)
+    term = amd.statistics({"term": plain.term}, family)["term"].inverse_throughput
+    scenes = [scene_with(directional=n) for n in (1, 3)]
+    compiled = cycles([program_of(each, Shading(model)) for each in scenes], family)
+    one, three = (program_of(scene, stub=INPUTS) for scene in scenes)
+    assert fragment.estimate(one, parts) + term == pytest.approx(compiled[0], rel=0.05)
+    # The terms of a fragment share what depends on the normal, the eye and m alone.
+    assert compiled[1] < fragment.estimate(three, parts) + 3 * term < 1.2 * compiled[1]
+
+
+def test_programs_tell_the_parts_apart():
+    matrix = np.array([list(parts_of(program).values()) for _, program in samples()])
+    assert abs(np.linalg.det(matrix)) == pytest.approx(fragment.FEW)
+
+
+def test_parts_are_timed(egl):
+    done: list[float] = []
+    measured = fragment.by_slope(egl, repeats=2, progress=done.append)
+    assert tuple(measured) == PARTS
+    assert done == [0.5, 1.0]
+    for each in measured.values():
+        assert all(map(math.isfinite, (each.low, each.value, each.high)))
+    whole = {name: each.value for name, each in measured.items()}
+    full = program_of(scene_with(MAPS, True, directional=3), stub=INPUTS)
+    assert fragment.estimate(full, whole) > fragment.estimate(program_of(scene_with()), whole) > 0.0
+
+
+def test_bad_input_is_named(family):
+    with pytest.raises(InputError, match="unknown family 'tesla'; known: navi21, vega10"):
+        compiled_parts("tesla")
+    with pytest.raises(InputError, match="^ERROR: .*nonsense"):
+        cycles([program_of(scene_with(), stub="nonsense(m)")], family)
+
+
+def test_command_prints_what_can_be_measured(monkeypatch, capsys, egl):
+    monkeypatch.setattr(amd, "ICD_FOLDERS", ())
+    monkeypatch.setattr(fragment, "by_slope", lambda: fragment_times)
+    fragment_times = {name: Interval(2.5, 2.0, 3.0) for name in PARTS}
+    print_parts()
+    printed = capsys.readouterr().out
+    assert "here, ns\n  base program                2.50\n" in printed
+    assert printed.count("not measured: ") == len(amd.FAMILIES)

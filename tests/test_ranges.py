@@ -12,6 +12,7 @@ import facerender as fr
 from facerender.commands import main
 from facerender.lobes import GPower
 from facerender.scenes.environment import studio
+from facerender.scenes.planned import Planned
 from facerender.terms.ranges import (
     IntegerRange,
     Range,
@@ -34,6 +35,7 @@ BASES = {
     fr.Output: {"path": "a.png"},
     fr.Job: {},
     GPower: {"g": 4, "factor": 1.0},
+    Planned: {"sizes": ((8, 8),), "samples": 4},
 }
 FIELDS = [(kind, name) for kind in BASES for name in ranges_of(kind)]
 

@@ -3,14 +3,17 @@ scene file says of that."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from operator import index
 from typing import Any
 
-from facerender.errors import InputError, check_switch, shown
+from facerender.errors import InputError, shown
 from facerender.images.decode import MAX_SIDE
 from facerender.scenes.lod import simplified
+from facerender.scenes.mesh import TRIANGLES
 from facerender.scenes.scene import Scene, ShadingRate, check_shading_rate
+from facerender.terms.ranges import IntegerRange, check_fields, ranged
 
 _SAME_SHAPE = 1.01  # width over height, of rounded sizes
 
@@ -66,8 +69,8 @@ class Planned:
 
     sizes: tuple[tuple[int, int], ...]
     samples: int
-    drawn_samples: int | None = None
-    triangles: int | None = None
+    drawn_samples: int | None = ranged(IntegerRange(1, math.inf), None)
+    triangles: int | None = ranged(TRIANGLES, None)
     cull_back_faces: bool = False
     shading_rate: ShadingRate = "sample"
 
@@ -83,13 +86,7 @@ class Planned:
                 f"widths and heights up to {MAX_SIDE}, such as [[512, 512], [1024, 1024]], and a "
                 "number"
             )
-        for name in ("drawn_samples", "triangles"):
-            value = getattr(self, name)
-            if value is not None and (type(value) is not int or not 1 <= value < 2**63):
-                raise InputError(
-                    f"planned {name} = {shown(value)}: give a whole number of at least 1"
-                )
-        check_switch("planned cull_back_faces", self.cull_back_faces)
+        check_fields(self, "planned ")
         check_shading_rate("planned shading_rate", self.shading_rate)
         object.__setattr__(self, "sizes", sizes)
 

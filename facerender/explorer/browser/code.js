@@ -134,13 +134,10 @@ const CONTEXT = 3;  // lines around a change
 function hunks(lines) {
   const near = lines.map((_, i) =>
     lines.slice(Math.max(i - CONTEXT, 0), i + CONTEXT + 1).some(([sign]) => sign !== " "));
-  const shown = [];
-  for (let i = 0; i < lines.length;) {
-    let end = i;
-    while (end < lines.length && !near[end]) ++end;
-    if (end > i) shown.push(["@", `${end - i} lines the same`]);
-    else shown.push(lines[end++]);
-    i = end;
-  }
-  return shown;
+  return lines.flatMap((line, i) => {
+    if (near[i]) return [line];
+    const end = near.indexOf(true, i);
+    const count = (end < 0 ? lines.length : end) - i;
+    return i && !near[i - 1] ? [] : [["@", `${count} lines the same`]];
+  });
 }

@@ -51,9 +51,9 @@ async function timed(drawing, clock, work) {
   return gl.getParameter(clock.GPU_DISJOINT_EXT) ? null : time;
 }
 
-// Measures the images, in turns. tell: progress as text; stop: whether to end without a result, null.
+// Measures the images, in turns. report: progress as text; stop: whether to end without a result, null.
 async function measuredCost(
-  drawing, state, tell, stop, clock = drawing.gl.getExtension("EXT_disjoint_timer_query_webgl2"),
+  drawing, state, report, stop, clock = drawing.gl.getExtension("EXT_disjoint_timer_query_webgl2"),
 ) {
   const {gl} = drawing;
   let disturbed = 0;
@@ -69,7 +69,7 @@ async function measuredCost(
   }
   const slopes = {base: [], a: [], b: []};
   for (let round = 0; round < ROUNDS;) {
-    tell(`round ${round + 1} of ${ROUNDS}`);
+    report(`round ${round + 1} of ${ROUNDS}`);
     const found = {};
     for (const which of Object.keys(TIMED)) {
       await new Promise(resolve => setTimeout(resolve));
@@ -79,7 +79,7 @@ async function measuredCost(
     }
     if (Object.values(found).includes(null)) {
       if (++disturbed < ROUNDS) continue;
-      return measuredCost(drawing, state, tell, stop, null);  // this clock is always disturbed
+      return measuredCost(drawing, state, report, stop, null);  // this clock is always disturbed
     }
     for (const which of Object.keys(TIMED)) slopes[which].push(found[which]);
     ++round;

@@ -140,7 +140,7 @@ class Drawing {
     this.resolve(target);
   }
 
-  // Binds the target with samples, or else the given one, and clears it.
+  // Binds the target with samples, or else the one passed, and clears it.
   begin(target) {
     const {gl} = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, (this.targets.sampled ?? target).buffer);

@@ -1,5 +1,5 @@
-// The error of the picture on screen in numbers, over the pixels that the mesh covers.
-const WITHIN = 0.999;  // share of them
+// The error of the image on screen in numbers, over the pixels that the mesh covers.
+const WITHIN = 0.999;  // fraction of them
 
 // Of errors as error.glsl draws them, (N, 4): largest, highest but for 1 in 1,000, mean of each
 // measure, and where the largest one of the display is.
@@ -27,8 +27,8 @@ function statistics(pixels, width) {
   return {covered: covered.length, ...Object.fromEntries(measures)};
 }
 
-// The share of the covered pixels that are over a budget in steps of 1/255.
-function shareOver(pixels, budget) {
+// The fraction of the covered pixels that are over a budget in 8-bit levels.
+function fractionOver(pixels, budget) {
   let [covered, over] = [0, 0];
   for (let i = 0; i < pixels.length; i += 4) {
     if (!(pixels[i + 3] > 0)) continue;

@@ -3,16 +3,16 @@ const SETTLED = 180;  // milliseconds without a change after which errors, code 
 
 let state = firstState();
 let drawing = null;  // until there is one, and where there can be none
-let pixels = null;   // errors of the picture on screen
+let pixels = null;   // errors of the image on screen
 let statisticsNow = null;
 let awaited = [];    // who waits for the errors of what is on screen
 let [frame, timer, version] = [0, 0, 0];
 const canvas = byId("canvas");
-const picture = byId("picture");
+const viewport = byId("viewport");
 const still = () => state;
 const isDrawing = () => drawing && !drawing.gl.isContextLost();
 
-function tell(text) {
+function showMessage(text) {
   byId("message").textContent = text;
   byId("message").hidden = !text;
 }
@@ -31,7 +31,7 @@ function paint() {
   frame = 0;
   if (!isDrawing()) return;
   const scale = Math.min(devicePixelRatio, 2);
-  const [width, height] = [picture.clientWidth, picture.clientHeight]
+  const [width, height] = [viewport.clientWidth, viewport.clientHeight]
     .map(side => Math.max(Math.round(side * scale), 1));
   try {
     drawing.resize(width, height);
@@ -62,9 +62,9 @@ async function settle() {
   awaited.splice(0).forEach(({resolve}) => resolve(statisticsNow));
 }
 
-// Puts what lies over the picture in its place.
+// Puts what lies over the image in its place.
 function place() {
-  const [width, height] = [picture.clientWidth, picture.clientHeight];
+  const [width, height] = [viewport.clientWidth, viewport.clientHeight];
   const view = viewOf(state.camera, width / height);
   [...byId("handles").children].forEach((handle, i) => {
     const light = state.lights[i];
@@ -108,7 +108,7 @@ function readout() {
   byId("where").textContent = (some ? `Largest at ${at[0]}, ${at[1]} (ring). ` : "A and B are the same. ")
     + `${many(statisticsNow.covered)} pixels of ${many(width)} × ${many(height)}, ${samples}.`;
   byId("over").textContent = state.budget === null ? ""
-    : `Over ${short(state.budget)}/255: ${figure(100 * shareOver(pixels, state.budget))} % of them.`;
+    : `Over ${short(state.budget)}/255: ${figure(100 * fractionOver(pixels, state.budget))} % of them.`;
 }
 
 // The pixel whose slope the lobes are drawn at: under the pointer, or else that of the largest error.
@@ -140,22 +140,22 @@ let cost = null;  // the last measurement
 let costOf = "";  // the image that was measured
 const imageKey = ({a, b, camera, lights, ambient, only}) =>
   JSON.stringify([a, b, camera, lights, ambient, only, drawing?.size]);
-const tellCost = text => { byId("price-told").textContent = text; };
+const showCostMessage = text => { byId("cost-message").textContent = text; };
 
 async function measureCost() {
   if (!isDrawing()) return;
   const began = version;
-  byId("price").disabled = true;
+  byId("cost").disabled = true;
   byId("save").hidden = true;
-  tellCost("warming up");
+  showCostMessage("warming up");
   try {
     costOf = imageKey(state);
-    cost = await measuredCost(drawing, state, tellCost,
+    cost = await measuredCost(drawing, state, showCostMessage,
       () => version !== began || !isDrawing());
-    if (!cost) tellCost("Stopped: the picture changed.");
+    if (!cost) showCostMessage("Stopped: the image changed.");
     byId("save").hidden = !cost;
   } finally {
-    byId("price").disabled = false;
+    byId("cost").disabled = false;
   }
   refresh();
   if (began === version) drawing.show(state);
@@ -165,11 +165,11 @@ async function measureCost() {
 function writeCosts({write}) {
   const same = cost !== null && costOf === imageKey(state);
   write(same ? cost : null);
-  if (!cost || byId("price").disabled) return;
+  if (!cost || byId("cost").disabled) return;
   const passes = cost.passes === 1 ? "1 pass" : `${cost.passes} passes`;
-  tellCost(same ? `${cost.gpu}: ${passes} of ${cost.size.join(" × ")} pixels a round, by its `
+  showCostMessage(same ? `${cost.gpu}: ${passes} of ${cost.size.join(" × ")} pixels a round, by its `
     + `${cost.method === "fence" ? "fence" : "own clock"}.`
-    : "Measured was another picture, which can still be saved.");
+    : "This is the cost of another image; it can still be saved.");
 }
 
 function saveCost() {
@@ -179,13 +179,13 @@ function saveCost() {
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
 
-// Where an event lies in the picture, in fractions of its width and height.
+// Where an event lies in the image, in fractions of its width and height.
 function placeOf(event) {
-  const box = picture.getBoundingClientRect();
+  const box = viewport.getBoundingClientRect();
   return [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
 }
 
-// A pointer that rests on the picture chooses the pixel.
+// A pointer that rests on the image chooses the pixel.
 function watchPointer() {
   let rest = 0;
   canvas.addEventListener("pointermove", event => {
@@ -362,18 +362,18 @@ function listen() {
   onKeys(byId("cut"), right => cutAt(state.cut + 0.02 * right), {Home: () => cutAt(0), End: () => cutAt(1)});
   canvas.addEventListener("webglcontextlost", event => {
     event.preventDefault();  // so that it may come back
-    tell("The graphics driver lost the picture. It is drawn again as soon as the driver is back.");
+    showMessage("The graphics driver lost the image. It is drawn again as soon as the driver is back.");
   });
   canvas.addEventListener("webglcontextrestored", () => attempt(() => {
     drawing.start();
-    tell("");
+    showMessage("");
     changed();
   }));
   watchPointer();
-  byId("price").addEventListener("click", () => attempt(measureCost));
+  byId("cost").addEventListener("click", () => attempt(measureCost));
   byId("save").addEventListener("click", saveCost);
   addEventListener("hashchange", () => restore(location.hash));
-  new ResizeObserver(changed).observe(picture);
+  new ResizeObserver(changed).observe(viewport);
 }
 
 function restore(fragment) {
@@ -387,7 +387,7 @@ function restore(fragment) {
 function fail(error) {
   drawing = null;
   awaited.splice(0).forEach(({reject}) => reject(error));
-  tell(error instanceof Unable ? error.message : `The page failed: ${error.message}`);
+  showMessage(error instanceof Unable ? error.message : `The page failed: ${error.message}`);
   if (!(error instanceof Unable)) throw error;
 }
 
@@ -427,6 +427,6 @@ attempt(async () => {
   sources = texts;
   drawing = new Drawing(canvas, parts, images);
   listen();
-  tell("");
+  showMessage("");
   changed();
 });

@@ -1,5 +1,5 @@
-// The pictures on the canvas: A left of the cut and B right of it, or their difference; what is over
-// the budget is red. Row 0 of a picture is on top.
+// The images on the canvas: A left of the cut and B right of it, or their difference; what is over
+// the budget is red. Row 0 of an image is on top.
 uniform int height;
 uniform int cut;           // pixels from the left
 uniform bool difference;
@@ -19,7 +19,7 @@ vec3 heat(float x) {
 void main() {
     ivec2 at = ivec2(int(gl_FragCoord.x), height - 1 - int(gl_FragCoord.y));
     vec4 error = error_at(at);
-    vec4 picture = at.x < cut ? texelFetch(a, at, 0) : texelFetch(b, at, 0);
-    color = vec4(difference ? heat(gain * error.y / 255.0) : displayed(picture.rgb), 1.0);
+    vec4 image = at.x < cut ? texelFetch(a, at, 0) : texelFetch(b, at, 0);
+    color = vec4(difference ? heat(gain * error.y / 255.0) : displayed(image.rgb), 1.0);
     if (budget >= 0.0 && error.y > budget) color.rgb = mix(color.rgb, vec3(1.0, 0.0, 0.05), 0.85);
 }
