@@ -31,10 +31,9 @@ from facerender.batch.jobs import (
 )
 from facerender.batch.schema import schema
 from facerender.errors import InputError
-from facerender.job import ImageSettings, Job, MeshFile
+from facerender.job import Job
 from facerender.scenes.camera import Camera
-from facerender.scenes.file import EnvironmentFile
-from facerender.scenes.light import Light, parse_light
+from facerender.scenes.light import parse_light
 from facerender.scenes.material import MAPS, Material
 from facerender.shading import Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS
@@ -44,20 +43,14 @@ from tests.conftest import require_module
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.fixture
-def table(tmp_path, monkeypatch):
-    """Write a file of a table in the current folder, and return its name."""
+@pytest.fixture(autouse=True)
+def _in_a_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
-    def write(name, content):
-        path = tmp_path / name
-        if isinstance(content, bytes):
-            path.write_bytes(content)
-        else:
-            path.write_text(content, encoding="utf-8")
-        return name
 
-    return write
+def write(name, content):
+    Path(name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    return name
 
 
 def read_jobs(path, common=MappingProxyType({})):
@@ -69,15 +62,15 @@ def read_jobs(path, common=MappingProxyType({})):
 
 
 def write_rows(*rows):
-    return write_text("rows.jsonl", "".join(f"{json.dumps(row)}\n" for row in rows))
+    return write("rows.jsonl", "".join(f"{json.dumps(row)}\n" for row in rows))
 
 
 def rows_of(*rows, common=MappingProxyType({})):
     return read_jobs(write_rows(*rows), common)
 
 
-def toml_rows(table, text):
-    return read_jobs(table("rows.toml", text))
+def toml_rows(text):
+    return read_jobs(write("rows.toml", text))
 
 
 # --- forms ---------------------------------------------------------------------------------------
@@ -90,82 +83,55 @@ ROWS = [
 
 
 def write_csv(rows):
-    names = list(dict.fromkeys(name for row in rows for name in row))
     with open("rows.csv", "w", encoding="utf-8-sig", newline="") as file:
-        writer = csv.DictWriter(file, names)
+        writer = csv.DictWriter(file, columns(rows))
         writer.writeheader()
         writer.writerows(rows)
     return "rows.csv"
 
 
 def write_parquet(rows):
-    pa = require_module("pyarrow")
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    table = pa.table({name: [row.get(name) for row in rows] for name in names})
+    table = {name: [row.get(name) for row in rows] for name in columns(rows)}
+    table = require_module("pyarrow").table(table)
     require_module("pyarrow.parquet").write_table(table, "rows.parquet", row_group_size=2)
     return "rows.parquet"
 
 
-def write_text(name, text):
-    Path(name).write_text(text, encoding="utf-8")
-    return name
+def columns(rows):
+    return list(dict.fromkeys(name for row in rows for name in row))
+
+
+def toml_job(row):
+    return "[[jobs]]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in row.items())
 
 
 WRITERS = {
-    "jsonl": lambda rows: write_text("rows.jsonl", "\n\n".join(map(json.dumps, rows))),
+    "jsonl": lambda rows: write("rows.jsonl", "\n\n".join(map(json.dumps, rows))),
     "csv": write_csv,
     "parquet": write_parquet,
-    "toml": lambda rows: write_text(
-        "rows.toml",
-        "\n".join(
-            "[[jobs]]\n" + "".join(f"{key} = {json.dumps(row[key])}\n" for key in row)
-            for row in rows
-        ),
-    ),
-    "py": lambda rows: write_text("rows.py", f"def jobs():\n    yield from {rows!r}\n"),
+    "toml": lambda rows: write("rows.toml", "\n".join(map(toml_job, rows))),
+    "py": lambda rows: write("rows.py", f"def jobs():\n    yield from {rows!r}\n"),
 }
 
 
 @pytest.mark.parametrize("form", WRITERS)
-def test_every_form_gives_the_same_rows(form, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_every_form_gives_the_same_rows(form):
     found = read_jobs(WRITERS[form](ROWS), {"image": {"size": "64x32"}, "exposure": 1})
-    a, b = str(tmp_path / "a.glb"), str(tmp_path / "b.glb")
-    image = {"size": [64, 32]}
+    a, b = ({"path": str(Path.cwd() / name)} for name in ("a.glb", "b.glb"))
+    lit = {"mesh": a, "camera": {"azimuth": 30}, "lights": [{"azimuth": -40.5}]}
+    image = {"image": {"size": [64, 32]}}
     assert found == [
-        Row(
-            0,
-            "a",
-            {
-                "mesh": {"path": a},
-                "camera": {"azimuth": 30},
-                "lights": [{"azimuth": -40.5}],
-                "image": image,
-            },
-            exposure=1.0,
-        ),
-        Row(
-            1,
-            "b",
-            {"mesh": {"path": a, "flip_v": True}, "material": {"m": 0.25}, "image": image},
-            exposure=1.0,
-        ),
-        Row(
-            2,
-            "1e5",
-            {"mesh": {"path": b}, "shading": {"lobe": "d16"}, "image": image},
-            ("image", "mask"),
-            1.0,
-        ),
+        Row(0, "a", lit | image, exposure=1.0),
+        Row(1, "b", {"mesh": a | {"flip_v": True}, "material": {"m": 0.25}} | image, exposure=1.0),
+        Row(2, "1e5", {"mesh": b, "shading": {"lobe": "d16"}} | image, ("image", "mask"), 1.0),
     ]
     for row in found:
         assert json.loads(json.dumps(row.tables)) == row.tables
         Job.from_dict(row.tables)
 
 
-def test_rows_of_parquet_may_be_nested(tmp_path, monkeypatch):
+def test_rows_of_parquet_may_be_nested():
     pa, pq = require_module("pyarrow"), require_module("pyarrow.parquet")
-    monkeypatch.chdir(tmp_path)
     lights = [{"azimuth": 1.0, "position": None}, {"azimuth": None, "position": [0.0, 1.0, 2.0]}]
     rows = {"camera": [{"azimuth": 1, "zoom": None}, None], "lights": [lights, None]}
     pq.write_table(pa.table(rows | {"environment": [{"file": None}] * 2}), "rows.parquet")
@@ -178,8 +144,8 @@ def test_rows_of_parquet_may_be_nested(tmp_path, monkeypatch):
     ]
 
 
-def test_rows_of_a_program_may_hold_arrays_and_paths(table):
-    name = table(
+def test_rows_of_a_program_may_hold_arrays_and_paths():
+    name = write(
         "rows.py",
         "import numpy as np\nfrom pathlib import Path\n"
         "def jobs():\n"
@@ -194,14 +160,14 @@ def test_rows_of_a_program_may_hold_arrays_and_paths(table):
     }
 
 
-def test_cells_of_csv(table):
+def test_cells_of_csv():
     text = (
         "\ufeffid,camera.azimuth,mesh.flip_v,camera.zoom,lights,shading.lobe,ambient,outputs\r\n"
         '007,+1.5,TRUE,.5,"[""key""]",d4,"[1, 2, 3]",mask\r\n'
         "\r\n"
         ' 1e3 ,1e1, false ,2.,"\n",,0.5,\r\n'
     )
-    first, second = read_jobs(table("rows.csv", text))
+    first, second = read_jobs(write("rows.csv", text))
     assert (first.id, second.id) == ("007", "1e3")
     assert first.tables["camera"] == {"azimuth": 1.5, "zoom": 0.5}
     assert first.tables["mesh"] == {"flip_v": True}
@@ -214,7 +180,7 @@ def test_cells_of_csv(table):
     }
 
 
-def test_a_row_lies_over_what_is_common(table):
+def test_a_row_lies_over_what_is_common():
     common = {
         "mesh": "a.glb",
         "camera.fov": 30,
@@ -244,7 +210,25 @@ def test_a_row_lies_over_what_is_common(table):
     assert common["lights"] == ["key", "rim"]
 
 
-def test_paths_are_absolute_or_addresses(table):
+def test_a_row_lies_over_its_scene(tmp_path):
+    """And over options; a row's own scene takes the place of the command's."""
+    text = "[camera]\nfov = 20\nzoom = 2\n[planned]\nsizes = [[48, 48]]\nsamples = 4"
+    write("a.toml", f"ambient = 0.5\n{text}")
+    write("b.toml", "background = 'none'\n[material]\nm = 0.2")
+    common = {"scene": "a.toml", "camera.fov": 30}
+    first, second = rows_of({"camera.azimuth": 5}, {"scene": "b.toml", "ambient": 1}, common=common)
+    planned = {"sizes": [[48, 48]], "samples": 4}
+    camera = {"fov": 30, "zoom": 2, "azimuth": 5}
+    assert first.tables == {"ambient": 0.5, "camera": camera, "planned": planned}
+    assert second.tables == {
+        "ambient": 1,
+        "background": "none",
+        "material": {"m": 0.2},
+        "camera": {"fov": 30},
+    }
+
+
+def test_paths_are_absolute_or_addresses():
     mesh = {"path": "../m/a.glb", "albedo": "s3://b/a.png", "normal_map": "/n.png"}
     (row,) = rows_of({"mesh": mesh, "environment": "studio"})
     assert row.tables["mesh"] == {
@@ -255,7 +239,7 @@ def test_paths_are_absolute_or_addresses(table):
     assert row.tables["environment"] == {"file": "studio"}
 
 
-def test_an_environment_takes_the_place_of_other_light(table):
+def test_an_environment_takes_the_place_of_other_light():
     first, second = rows_of(
         {"environment": "studio"}, {"environment": "studio", "ambient": 0.1, "lights": "key"}
     )
@@ -267,7 +251,7 @@ def test_an_environment_takes_the_place_of_other_light(table):
         rows_of({"environment.file": "studio", "shading.specular_lights": [0]})
 
 
-def test_places_of_lists_and_terms_of_lights(table):
+def test_places_of_lists_and_terms_of_lights():
     (row,) = rows_of(
         {
             "shading": {"lights": {"1": {"lobe": "d16"}}, "specular_lights.0": 1},
@@ -286,9 +270,8 @@ def test_places_of_lists_and_terms_of_lights(table):
 # --- grids and chance ----------------------------------------------------------------------------
 
 
-def test_a_grid_has_every_combination_of_a_mesh_side_by_side(table):
+def test_a_grid_has_every_combination_of_a_mesh_side_by_side():
     rows = toml_rows(
-        table,
         """
         camera.fov = 30
         [[jobs]]
@@ -316,9 +299,8 @@ def test_a_grid_has_every_combination_of_a_mesh_side_by_side(table):
     assert [row.number for row in rows] == [*range(16)]
 
 
-def test_values_of_axes_may_be_tables_and_lists(table):
+def test_values_of_axes_may_be_tables_and_lists():
     rows = toml_rows(
-        table,
         """
         [grid]
         mesh = ["a.glb", { path = "b.glb", flip_v = true }]
@@ -349,8 +331,8 @@ def test_values_of_axes_may_be_tables_and_lists(table):
         ("[1, 2.5]", [1, 2.5]),
     ],
 )
-def test_values_of_an_axis(table, axis, values):
-    rows = toml_rows(table, f"[grid]\ncamera.azimuth = {axis}")
+def test_values_of_an_axis(axis, values):
+    rows = toml_rows(f"[grid]\ncamera.azimuth = {axis}")
     found = [row.tables["camera"]["azimuth"] for row in rows]
     assert found == values
     assert [*map(type, found)] == [*map(type, values)]
@@ -381,23 +363,23 @@ def drawn(rows):
     ]
 
 
-def test_what_is_random_stays(table):
+def test_what_is_random_stays():
     """With a seed, a row's values depend on its number and their key alone."""
-    some = drawn(toml_rows(table, RANDOM.format(count=600, seed=3)))
-    more = drawn(toml_rows(table, RANDOM.format(count=1100, seed=3)))
+    some = drawn(toml_rows(RANDOM.format(count=600, seed=3)))
+    more = drawn(toml_rows(RANDOM.format(count=1100, seed=3)))
     assert more[:1200] == some
     assert some[:600] != some[600:]
     other = RANDOM.format(count=600, seed=3).replace(
         "[random]", "[random]\ncamera.fov.uniform = [1, 9]"
     )
-    assert drawn(toml_rows(table, other)) == some
+    assert drawn(toml_rows(other)) == some
     quoted = RANDOM.format(count=600, seed=3).replace("camera.azimuth", '"camera.azimuth"')
-    assert drawn(toml_rows(table, quoted)) == some
-    assert drawn(toml_rows(table, RANDOM.format(count=600, seed=4)))[0] != some[0]
+    assert drawn(toml_rows(quoted)) == some
+    assert drawn(toml_rows(RANDOM.format(count=600, seed=4)))[0] != some[0]
 
 
-def test_what_is_random_is_distributed_as_it_says(table):
-    rows = drawn(toml_rows(table, RANDOM.format(count=2000, seed=0)))
+def test_what_is_random_is_distributed_as_it_says():
+    rows = drawn(toml_rows(RANDOM.format(count=2000, seed=0)))
     azimuth, irradiance, elevation = (np.array(column) for column in [*zip(*rows, strict=True)][:3])
     deciles = np.arange(0.1, 1.0, 0.1)
     np.testing.assert_allclose(np.quantile(azimuth, deciles), -30 + 90 * deciles, atol=3)
@@ -416,14 +398,14 @@ def test_what_is_random_is_distributed_as_it_says(table):
     assert all(float(f"{value:.12g}") == value for row in rows for value in row[:3])
 
 
-def test_rows_are_made_as_they_are_asked_for(table):
+def test_rows_are_made_as_they_are_asked_for():
     text = "[grid]\ncamera.azimuth = { from = 0, to = 9, count = 100000000 }\nimage.size = [8, 9]"
-    rows = itertools.islice(JobTable(table("rows.toml", text)), 3)
+    rows = itertools.islice(JobTable(write("rows.toml", text)), 3)
     assert [row.tables["image"]["size"][0] for row in rows] == [8, 9, 8]
 
 
 @pytest.mark.parametrize("form", ["jsonl", "csv", "toml", "py"])
-def test_a_long_table_takes_no_more_memory(form, table):
+def test_a_long_table_takes_no_more_memory(form):
     count = 6_000
     texts = {
         "jsonl": '{"mesh": "a.glb", "camera.azimuth": 1.5}\n' * count,
@@ -431,7 +413,7 @@ def test_a_long_table_takes_no_more_memory(form, table):
         "toml": f"[random]\ncount = {count}\ncamera.azimuth.uniform = [0, 1]",
         "py": f"def jobs():\n    for _ in range({count}):\n        yield {{}}",
     }
-    name = table(f"rows.{form}", texts[form])
+    name = write(f"rows.{form}", texts[form])
     next(iter(JobTable(name)))
     tracemalloc.start()
     assert check_jobs(name).rows == count
@@ -455,7 +437,7 @@ def test_a_long_table_takes_no_more_memory(form, table):
         ("{mesh.flip_v}", "true"),
     ],
 )
-def test_templates_of_ids(table, template, name):
+def test_templates_of_ids(template, name):
     row = {"id": template, "mesh.path": "/tmp/my head.glb", "camera.azimuth": 30}
     row |= {"lights.0.azimuth": -5.5, "mesh.flip_v": True}
     if name is None:
@@ -489,7 +471,7 @@ def test_templates_of_ids(table, template, name):
         ("../{number}", "id = '../0': give 1 to 128"),
     ],
 )
-def test_ids_that_are_none(table, given, message):
+def test_ids_that_are_none(given, message):
     with pytest.raises(InputError, match=f"rows.jsonl, row 1 \\(line 1\\): .*{message}"):
         rows_of({"id": given})
 
@@ -497,7 +479,7 @@ def test_ids_that_are_none(table, given, message):
 # --- what is checked -----------------------------------------------------------------------------
 
 
-def test_check_counts_and_names_what_is_bad(table):
+def test_check_counts_and_names_what_is_bad():
     lines = [
         {"mesh": "a.glb", "id": "same"},
         {"camera.elevation": 99, "mesh": "c.glb"},
@@ -509,7 +491,7 @@ def test_check_counts_and_names_what_is_bad(table):
         {"image.size": 20000},
         {"material": {"m": 1.5, "second_slope": 1.5, "lobe_weight": 0.5}},
     ]
-    name = table("rows.jsonl", "\n".join(map(json.dumps, lines)))
+    name = write("rows.jsonl", "\n".join(map(json.dumps, lines)))
     checked = check_jobs(name)
     assert (checked.rows, checked.meshes, checked.more) == (9, 2, 0)
     assert checked.faults == [
@@ -528,27 +510,21 @@ def test_check_counts_and_names_what_is_bad(table):
     assert check_jobs(name, most=6).more == 1
 
 
-def test_values_that_no_check_expects_are_one_line_too(table):
-    row = {"shading": {"frontal_lights": [0], "lights": {"0": {"fresnel": [[]]}}}}
-    (fault,) = check_jobs(table("rows.jsonl", json.dumps(row))).faults
-    assert fault.startswith("rows.jsonl, row 1 (line 1): ")
-
-
-def test_what_was_good_once_is_not_good_with_other_values(table):
+def test_what_was_good_once_is_not_good_with_other_values():
     """Tables that repeat are checked once: a number outside its domain must not pass for one of
     another row, nor a whole one for a switch."""
     rows = [{"camera.azimuth": 1.0}, {"camera.azimuth": 4000.0}, {"mesh.flip_v": True}]
     rows += [{"mesh.flip_v": 1}, {"lights": ["key", {"radius": 1}]}, {"lights": [{"radius": 21}]}]
     rows += [{"image.samples": 4}, {"image.samples": 4.0}, {"image.samples": 65}]
     rows += [{"material": {"m": m, "second_slope": 1.5, "lobe_weight": 0.5}} for m in (0.5, 1.5)]
-    checked = check_jobs(table("rows.jsonl", "\n".join(map(json.dumps, rows * 2))), most=20)
+    checked = check_jobs(write("rows.jsonl", "\n".join(map(json.dumps, rows * 2))), most=20)
     assert [fault.split(":")[0] for fault in checked.faults] == [
         f"rows.jsonl, row {row} (line {row})" for row in (2, 4, 6, 8, 9, 11, 13, 15, 17, 19, 20, 22)
     ]
 
 
 @pytest.mark.parametrize("key", TABLES)
-def test_check_refuses_what_a_job_refuses(table, key):
+def test_check_refuses_what_a_job_refuses(key):
     values = [3, -1.0, "x", [], [1, 2], [[]], {"x": 1}, {}, True, ["x"], [{"x": 1}], "none"]
     for value in values:
         ((_, row),) = _rows(write_rows({key: value}), {})
@@ -603,6 +579,13 @@ BAD_FILES = [
     ("rows.jsonl", '{"outputs": [["image"]]}', r"unknown output \['image'\]"),
     ("rows.jsonl", '{"outputs": "mask,mask"}', "output mask is given twice"),
     ("rows.jsonl", '{"exposure": "1"}', "exposure = '1' is outside"),
+    (  # values that no check expects
+        "rows.jsonl",
+        '{"shading": {"frontal_lights": [0], "lights": {"0": {"fresnel": [[]]}}}}',
+        r"rows.jsonl, row 1 \(line 1\): ",
+    ),
+    ("rows.jsonl", '{"scene": 3}', "scene = 3: give a path as text"),
+    ("rows.jsonl", '{"scene": "no.toml"}', "row 1 .*cannot read no.toml: no such file"),
     ("rows.csv", "", "rows.csv has no rows"),
     ("rows.csv", "mesh,camera.azimuth\n", "rows.csv has no rows"),
     ("rows.csv", "mesh,mesh\na,b\n", "rows.csv has two columns 'mesh': leave one out"),
@@ -684,11 +667,11 @@ BAD_FILES = [
 @pytest.mark.parametrize(
     ("name", "content", "message"), BAD_FILES, ids=[f"{n}-{c[:40]!r}" for n, c, _ in BAD_FILES]
 )
-def test_bad_files_are_one_line(table, name, content, message):
+def test_bad_files_are_one_line(name, content, message):
     if name.endswith(".parquet"):
         require_module("pyarrow")
     with pytest.raises(InputError, match=message) as caught:
-        read_jobs(table(name, content))
+        read_jobs(write(name, content))
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 500
     assert name.split(".")[0] in str(caught.value)
@@ -702,7 +685,7 @@ def test_files_that_are_not_there(tmp_path):
                 read_jobs(tmp_path / name)
 
 
-def test_parquet_without_its_package(table, monkeypatch):
+def test_parquet_without_its_package(monkeypatch):
     real = builtins.__import__
 
     def without(name, *rest):
@@ -712,12 +695,11 @@ def test_parquet_without_its_package(table, monkeypatch):
 
     monkeypatch.setattr("facerender.batch.formats.importlib.import_module", without)
     with pytest.raises(InputError, match=r"needs the package pyarrow; pip install 'facerender\[b"):
-        read_jobs(table("rows.parquet", ""))
+        read_jobs(write("rows.parquet", ""))
 
 
-def test_columns_of_parquet_that_are_twice_or_no_data(tmp_path, monkeypatch):
+def test_columns_of_parquet_that_are_twice_or_no_data():
     pa, pq = require_module("pyarrow"), require_module("pyarrow.parquet")
-    monkeypatch.chdir(tmp_path)
     pq.write_table(pa.table([[1], [2]], names=["ambient", "ambient"]), "twice.parquet")
     with pytest.raises(InputError, match="two columns 'ambient'"):
         read_jobs("twice.parquet")
@@ -817,46 +799,37 @@ def validator():
 
 
 @pytest.mark.parametrize("row", VALID, ids=str)
-def test_the_schema_admits_what_the_reader_admits(row, validator, table):
+def test_the_schema_admits_what_the_reader_admits(row, validator):
     validator.validate(row)
-    assert check_jobs(table("rows.jsonl", json.dumps(row))).faults == []
+    assert check_jobs(write("rows.jsonl", json.dumps(row))).faults == []
 
 
 @pytest.mark.parametrize("row", INVALID, ids=str)
-def test_the_schema_refuses_what_the_reader_refuses(row, validator, table):
+def test_the_schema_refuses_what_the_reader_refuses(row, validator):
     assert not validator.is_valid(row)
-    assert len(check_jobs(table("rows.jsonl", json.dumps(row))).faults) == 1
+    assert len(check_jobs(write("rows.jsonl", json.dumps(row))).faults) == 1
 
 
 def test_the_schema_has_every_field():
     told = schema()
     tables = told["properties"]
     assert set(tables) == {*OWN, *TABLES}
-    light = tables["lights"]["anyOf"][1]["items"]["anyOf"][1]
     shading = tables["shading"]["properties"]
-    names = {
-        "mesh": (MeshFile, tables["mesh"]["anyOf"][1], ()),
-        "material": (Material, tables["material"], MAPS),
-        "camera": (Camera, tables["camera"], ()),
-        r"lights\.[0-9]+": (Light, light, ()),
-        "environment": (EnvironmentFile, tables["environment"]["anyOf"][1], ()),
-        "image": (ImageSettings, tables["image"], ()),
-        r"shading\.lights\.[0-9]+": (
-            Term,
-            shading["lights"]["patternProperties"]["^[0-9]+$"],
-            (),
-        ),
-    }
-    for key, (kind, table, without) in names.items():
-        wanted = {each.name for each in fields(kind)} - set(without)
+    found = {name: tables[name] for name in ("material", "camera", "planned", "image")}
+    found |= {name: tables[name]["anyOf"][1] for name in ("mesh", "environment")}
+    found["lights"] = tables["lights"]["anyOf"][1]["items"]["anyOf"][1]
+    terms = shading["lights"]["patternProperties"]["^[0-9]+$"]
+    kinds = [(*each, found[each[0]]) for each in TABLE_KINDS.items()]
+    for key, kind, table in (*kinds, ("shading.lights", Term, terms)):
+        wanted = {each.name for each in fields(kind)} - set(MAPS if kind is Material else ())
         assert set(table["properties"]) == wanted
+        pattern = key.replace(".", r"\.") + (r"\.[0-9]+" if "lights" in key else "")
         for name in wanted:
-            assert rf"^{key}\.{name}$" in told["patternProperties"]
+            assert rf"^{pattern}\.{name}$" in told["patternProperties"]
     assert set(shading) == set(inspect.signature(Shading).parameters) - {"term"}
-    assert shading["model"]["enum"] == [*MODELS]
+    for name, names in (("model", MODELS), ("fresnel", FRESNEL), ("masking", MASKING)):
+        assert shading[name]["enum"] == [*names]
     assert shading["lobe"]["anyOf"][0]["enum"] == [*LOBES]
-    assert shading["fresnel"]["enum"] == [*FRESNEL]
-    assert shading["masking"]["enum"] == [*MASKING]
     assert tables["outputs"]["anyOf"][0]["items"]["enum"] == [*OUTPUTS]
     assert tables["camera"]["properties"]["fov"]["default"] == Camera().fov
     assert json.loads(json.dumps(told)) == told
@@ -876,7 +849,7 @@ def test_a_new_type_cannot_be_forgotten(monkeypatch):
         for name, limits in ranges_of(kind).items()
     ],
 )
-def test_a_number_in_its_range_is_valid(table, key, limits):
+def test_a_number_in_its_range_is_valid(key, limits):
     """Ends are good, what is beyond is not: numbers between are not checked otherwise."""
     whole = isinstance(limits, IntegerRange)
     name = key.replace("lights", "lights.0")
@@ -917,11 +890,11 @@ def test_every_form_has_an_example():
 
 
 @pytest.mark.parametrize(("name", "content", "between", "told"), EXAMPLES, ids=lambda x: x[:20])
-def test_examples_of_the_document(table, name, content, between, told):
+def test_examples_of_the_document(name, content, between, told):
     path = ROOT / "examples" / name
     if path.exists():
         assert path.read_text(encoding="utf-8") == content
-    table(name, content)
+    write(name, content)
     if name == "write_parquet.py":
         require_module("pyarrow")
         runpy.run_path(name)
@@ -937,11 +910,11 @@ def test_examples_of_the_document(table, name, content, between, told):
     assert check_jobs(name).faults == []
 
 
-def test_bad_rows_of_the_document(table):
+def test_bad_rows_of_the_document():
     content, told = re.search(
         r"^## What bad rows get.*?^```csv\n(.*?)^```\n\n```\n(.*?)^```", DOCUMENT, re.M | re.S
     ).groups()
-    assert check_jobs(table("bad.csv", content)).faults == told.splitlines()
+    assert check_jobs(write("bad.csv", content)).faults == told.splitlines()
 
 
 def test_the_document_names_every_key():

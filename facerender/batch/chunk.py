@@ -104,6 +104,7 @@ def chunks(rows: Iterable[Row], size: int | None = None) -> Iterator[Chunk]:
         first = [*islice(rows, _CHUNKS * _LARGEST)]
         size = chunk_size(len(first))
         rows = chain(first, rows)
+        del first
     waiting: dict[str, list[Row]] = {}
     number = held = 0
 

@@ -26,7 +26,7 @@ from facerender.batch.records import BEGUN, STALE, read_head, record_names, reco
 from facerender.batch.storage import Storage
 from facerender.errors import FacerenderError, InputError, reason
 
-_IN_MEMORY = 1 << 24  # bytes of chunks before they go to the disk
+_IN_MEMORY = 1 << 20  # bytes of chunks before they go to the disk
 
 
 class Spool:
