@@ -9,12 +9,10 @@ import pytest
 
 import facerender as fr
 from facerender import InputError, brdf
-from facerender.drawing import reference
 from facerender.pricing.table import load_prices
 from tools.fits.albedo import albedo_integral
 
 COUPLED = fr.Shading(diffuse="coupled")
-TWO = {"second_slope": 0.5, "lobe_weight": 0.6}
 
 
 def test_the_fit_is_near_the_integral_and_never_below():
@@ -59,32 +57,6 @@ def test_both_terms_reflect_at_most_all_light(m, second):
         specular = sum(w * albedo_integral(n_dot_v, each, f0, 64) for each, w in lobes)
         assert 0.98 < diffuse + specular <= 1.0 + 1e-3
         assert 1.0 + specular > 1.0 + 1e-3  # so much would be a sum without coupling
-
-
-@pytest.mark.parametrize(
-    ("material", "changes", "deferred"),
-    [
-        ({}, {}, True),
-        ({**TWO, "ks": 0.7}, {}, False),
-        ({**TWO, "ks": 0.7}, {"lobe": "d8", "m": 0.25}, True),
-        (TWO, {"model": "ward", "ambient": False, "ks": 0.5}, True),
-    ],
-    ids=str,
-)
-def test_every_pixel_agrees_with_float64(renderer, head, material, changes, deferred, monkeypatch):
-    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
-    scene = fr.Scene(head.with_material(**material), fr.Camera(35.0), background=None)
-    shading = COUPLED.replace(**changes)
-    gbuffer = renderer.gbuffer(scene, shading)
-    image = renderer.render(scene, shading).linear
-    covered = gbuffer.part >= 0
-    expected = reference.shade(gbuffer, scene, shading)[covered]
-    error = np.abs(image[covered][:, :3] - expected) / np.maximum(expected, 0.01)
-    assert error.max() < 1e-4
-    plain = renderer.render(scene, shading.replace(diffuse="lambert")).linear[covered][:, :3]
-    taken = plain - image[covered][:, :3]
-    assert taken.mean() > 0.002
-    assert taken.min() > -0.02
 
 
 def test_without_a_specular_weight_it_is_lambert(renderer, head):

@@ -7,7 +7,6 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,6 @@ import pytest
 import facerender as fr
 from facerender import InputError, brdf
 from facerender.commands import main
-from facerender.drawing import reference
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.resolve import resolve
 from facerender.images.exr import save_exr
@@ -28,13 +26,6 @@ from facerender.scenes.view import view_of
 from tests.conftest import require_module
 
 CAMERA = fr.Camera(azimuth=-35.0)
-SHADINGS = [
-    fr.Shading(),
-    fr.Shading(
-        lobe="d8", outside="exact", fresnel="dielectric", masking="kelemen", diffuse="coupled"
-    ),
-    fr.Shading("ward", environment_samples=8, ambient=False),
-]
 
 
 @pytest.fixture(scope="module")
@@ -58,23 +49,6 @@ def around(mesh: fr.Mesh, environment: fr.Environment | None, **others) -> fr.Sc
     return fr.Scene(
         mesh, CAMERA, **{"lights": (), "ambient": 0.0, **others}, environment=environment
     )
-
-
-@pytest.mark.parametrize("shading", SHADINGS, ids=str)
-@pytest.mark.parametrize(("deferred", "two_lobes"), [(True, False), (False, True)])
-def test_every_pixel_agrees_with_float64(small, head, shading, deferred, two_lobes, monkeypatch):
-    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
-    mesh = head.with_material(second_slope=1.7, lobe_weight=0.8) if two_lobes else head
-    environment = fr.Environment(studio(), 70.0, 0.8)
-    scene = around(mesh, environment, lights=fr.Scene.lights[:1], background=None)
-    gbuffer = small.gbuffer(scene, shading)
-    covered = gbuffer.part >= 0
-    expected = reference.shade(gbuffer, scene, shading)[covered]
-    image = small.render(scene, shading).linear[covered][:, :3]
-    error = np.abs(image - expected) / np.maximum(expected, 0.01)
-    assert error.max() < 1e-4
-    bare = reference.shade(gbuffer, replace(scene, environment=None), shading)[covered]
-    assert (expected - bare).mean() > 0.1
 
 
 def test_off_is_the_program_without(small, head):

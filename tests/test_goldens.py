@@ -22,7 +22,7 @@ from facerender.scenes.light import LIGHTS
 from facerender.scenes.scene import ONLY, Only
 from tests import awkward_files as files
 from tests.conftest import missing, require_backend
-from tests.test_renderer import SHADINGS, told
+from tests.test_reference import SHADINGS, told
 
 SIZE = (128, 128)
 CLOSE = fr.Camera(azimuth=-30.0, elevation=5.0, zoom=1.25)

@@ -61,16 +61,10 @@ def head() -> Head:
     return read_head(HEAD)
 
 
-def test_file_is_small_enough_for_a_repository():
+def test_file_is_small_and_says_what_strict_readers_ask_for(head: Head):
     assert HEAD.stat().st_size < 3_000_000
-
-
-def test_file_says_what_strict_readers_ask_for(head: Head):
     description = head.description
-    assert description["asset"] == {
-        "version": "2.0",
-        "generator": "facerender tools/head",
-    }
+    assert description["asset"] == {"version": "2.0", "generator": "facerender tools/head"}
     assert all(view["byteOffset"] % 4 == 0 for view in description["bufferViews"])
     (mesh,) = description["meshes"]
     (primitive,) = mesh["primitives"]
@@ -86,48 +80,29 @@ def test_file_says_what_strict_readers_ask_for(head: Head):
     assert all("sampler" in texture for texture in description["textures"])
 
 
-def test_there_is_one_dielectric_material(head: Head):
+def test_there_is_one_dielectric_material_with_maps(head: Head):
     (material,) = head.description["materials"]
-    assert material["pbrMetallicRoughness"]["metallicFactor"] == 0
-    assert material["pbrMetallicRoughness"]["roughnessFactor"] == 1
-    combined = material["pbrMetallicRoughness"]["metallicRoughnessTexture"]
-    assert material["occlusionTexture"] == combined
+    factors = material["pbrMetallicRoughness"]
+    assert (factors["metallicFactor"], factors["roughnessFactor"]) == (0, 1)
+    assert material["occlusionTexture"] == factors["metallicRoughnessTexture"]
+    maps = head.albedo, head.normal_map, head.occlusion_roughness
+    assert [each.size[0] for each in maps] == [2048, 2048, 1024]
+    assert all(each.size[0] == each.size[1] for each in maps)
 
 
-def test_sizes_of_the_maps(head: Head):
-    assert head.albedo.size == (2048, 2048)
-    assert head.normal_map.size == (2048, 2048)
-    assert head.occlusion_roughness.size == (1024, 1024)
-
-
-def test_everything_is_finite(head: Head):
-    assert np.isfinite(head.mesh.vertices).all()
-    assert np.isfinite(head.mesh.vertex_normals).all()
-    assert np.isfinite(head.mesh.visual.uv).all()
-
-
-def test_stored_normals_are_unit(head: Head):
-    lengths = np.linalg.norm(head.mesh.vertex_normals, axis=1)
-    assert np.abs(lengths - 1).max() < 1e-5
-
-
-def test_faces_are_wound_as_their_normals_say(head: Head):
-    stored = head.mesh.vertex_normals[head.mesh.faces].mean(1)
-    assert ((head.face_normals * stored).sum(1) > 0).all()
-
-
-def test_normals_point_outward(head: Head):
+def test_vertices_are_finite_and_faces_look_outwards(head: Head):
+    mesh = head.mesh
+    for values in (mesh.vertices, mesh.vertex_normals, mesh.visual.uv):
+        assert np.isfinite(values).all()
+    assert np.abs(np.linalg.norm(mesh.vertex_normals, axis=1) - 1).max() < 1e-5
+    assert ((head.face_normals * mesh.vertex_normals[mesh.faces].mean(1)).sum(1) > 0).all()
+    a, b, c = mesh.faces.T
+    assert ((a != b) & (b != c) & (c != a)).all()
+    assert np.linalg.norm(head.face_normals, axis=1).min() > 1e-10, "m^2: no face is degenerate"
     # By the divergence theorem; the open cut of the neck is closed by the plane y = its height.
-    neck = head.mesh.vertices[:, 1].min()
-    centres = head.mesh.vertices[head.mesh.faces].mean(1) - (0, neck, 0)
+    centres = mesh.vertices[mesh.faces].mean(1) - (0, mesh.vertices[:, 1].min(), 0)
     volume = (centres * head.face_normals).sum() / 6
     assert 0.004 < volume < 0.009, "m^3; a head and neck hold 5 to 8 litres"
-
-
-def test_no_face_is_degenerate(head: Head):
-    a, b, c = head.mesh.faces.T
-    assert ((a != b) & (b != c) & (c != a)).all()
-    assert np.linalg.norm(head.face_normals, axis=1).min() > 1e-10  # m^2
 
 
 def test_rims_of_the_ears_are_round(head: Head):
@@ -140,36 +115,28 @@ def test_rims_of_the_ears_are_round(head: Head):
 
 
 def test_it_is_a_head_in_metres_that_looks_along_z(head: Head):
-    width, height, depth = np.ptp(head.mesh.vertices, axis=0)
-    assert 0.14 < width < 0.24
-    assert 0.25 < height < 0.32
-    assert 0.18 < depth < 0.24
+    lowest, highest = (0.14, 0.25, 0.18), (0.24, 0.32, 0.24)  # width, height, depth
+    size = np.ptp(head.mesh.vertices, axis=0)
+    assert (size > lowest).all()
+    assert (size < highest).all()
     x, y, _ = head.mesh.vertices[head.mesh.vertices[:, 2].argmax()]
     assert abs(x) < 0.01, "the tip of the nose is the foremost point"
     assert -0.05 < y < -0.02
 
 
-def test_texture_is_not_mirrored(head: Head):
-    """Where it is, a bitangent cross(N, T) points the wrong way and bumps become dents."""
+def test_maps_are_not_mirrored_and_hold_skin(head: Head):
+    # Where the texture is mirrored, a bitangent cross(N, T) points the wrong way: bumps are dents.
     a, b, c = np.moveaxis(head.mesh.visual.uv[head.mesh.faces], 1, 0)  # v up, as trimesh has it
     area = np.linalg.norm(head.face_normals, axis=1)
     turned = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] <= 0
     assert area[turned].sum() < 0.01 * area.sum()
-
-
-def test_normal_map_holds_unit_vectors_that_point_out(head: Head):
     vectors = np.asarray(head.normal_map, np.float32) / 127.5 - 1
     assert vectors[..., 2].min() > 0
     lengths = np.linalg.norm(vectors, axis=2)
     assert np.percentile(np.abs(lengths - 1), 99) < 0.1, "JPEG may bend a few texels"
     assert np.abs(vectors[..., :2].mean((0, 1))).max() < 0.03
-
-
-def test_roughness_map_keeps_the_rms_slope_of_skin(head: Head):
-    roughness = np.asarray(head.occlusion_roughness, np.float64)[..., 1] / 255
-    slope = roughness**2
-    assert slope.min() > 0.17
-    assert slope.max() < 0.56
+    slope = (np.asarray(head.occlusion_roughness, np.float64)[..., 1] / 255) ** 2
+    assert 0.17 < slope.min() < slope.max() < 0.56
     assert np.ptp(slope) > 0.1, "the slope differs between lips, nose and scalp"
 
 

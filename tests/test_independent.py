@@ -28,14 +28,14 @@ def eye(theta):
     return np.stack([np.sin(t), 0.0 * t, np.cos(t)], axis=-1)
 
 
-def triangle(p, q):
+def facet(p, q):
     """Unit normal of a microfacet with the slopes p and q."""
     h = np.stack(np.broadcast_arrays(p, q, 1.0), axis=-1)
     return h / np.linalg.norm(h, axis=-1, keepdims=True)
 
 
 def mirrored(v, h):
-    """The light that a triangle h mirrors into v, and V.H."""
+    """The light that a facet h mirrors into v, and V.H."""
     v_dot_h = (v * h).sum(axis=-1)
     return 2.0 * v_dot_h[..., None] * h - v, v_dot_h
 
@@ -50,7 +50,7 @@ def without_fresnel(n, l, v, m):
 def test_exact_lobe_is_mitsubas(mi, m):
     root = np.linspace(0.0, 6.0, 121)  # of the exponent tan² γ / m²; at 6, E = 2e-16
     beckmann = mi.MicrofacetDistribution(mi.MicrofacetType.Beckmann, m)
-    h = triangle(0.6 * m * root, 0.8 * m * root).astype(np.float32).astype(np.float64)
+    h = facet(0.6 * m * root, 0.8 * m * root).astype(np.float32).astype(np.float64)
     theirs = np.array([beckmann.eval(mi.Vector3f(*x)) for x in h.tolist()])
     ours = lobes.exact(h[:, 2] / np.linalg.norm(h, axis=-1), m, 4) / (np.pi * m**2)
     # Single precision: a few roundings of the exponent, and a few of the rest.
@@ -72,7 +72,7 @@ def test_cook_torrance_is_mitsubas_rough_conductor_but_for_masking(mi, m):
 
     slopes = m * np.linspace(-2.0, 2.0, 9)
     v, h = np.broadcast_arrays(
-        eye(np.array([0.0, 25.0, 50.0, 75.0]))[:, None, None], triangle(slopes[:, None], slopes)
+        eye(np.array([0.0, 25.0, 50.0, 75.0]))[:, None, None], facet(slopes[:, None], slopes)
     )
     l, v_dot_h = mirrored(v, h)
     above = (l[..., 2] > 0.05) & (v_dot_h > 0.0)
@@ -143,7 +143,7 @@ def albedo(model, theta, m):
     root = np.sqrt(1.0 - (cos * q) ** 2)
     low = np.maximum(cos * (q**2 - 1.0) / (sin + root), -5.0 * m)  # (sin - root)/cos
     high = np.minimum((sin + root) / cos, 5.0 * m)
-    h = triangle(low + (high - low) * x, q)
+    h = facet(low + (high - low) * x, q)
     l, v_dot_h = mirrored(v, h)
     # dω of the light is 4 V.H that of h, which is cos³ dp dq.
     values = model(N, l, v, m) * l[..., 2].clip(0.0) * 4.0 * v_dot_h * h[..., 2] ** 3

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import gc
-import json
 import os
 import resource
 import shutil
@@ -40,90 +39,13 @@ from facerender.scenes.view import view_of
 from facerender.terms import MODELS, Model
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing, require_backend
-
-
-def told(shading: fr.Shading) -> str:
-    term = shading.term
-    return f"{term.model}-{term.lobe}-{term.fresnel}"
-
-
-SIDE = fr.Camera(azimuth=35.0, elevation=8.0)
-SHADINGS = [
-    fr.Shading(model, lobe)
-    for model in ("cook-torrance", "ward", "ward-printed")
-    for lobe in fr.lobes.NAMES
-] + [fr.Shading(fresnel="dielectric")]
-REDUCED = [  # every choice that leaves something out of a scene of five lights
-    fr.Shading(lobe=GPower(11, 0.2, 0.4), masking="none"),
-    fr.Shading(fresnel="constant", masking="kelemen", m=0.25, small_slope=False),
-    fr.Shading(fresnel="constant", masking="none", m=0.1, small_slope=True, ks=0.6),
-    fr.Shading(lobe=GPower(8, 0.25, 0.5), m=0.3, ks=0.6, normal_map=False),
-    fr.Shading(lobe="fitted", masking="kelemen", ambient=False, specular_lights=(0, 2)),
-    fr.Shading(normal_map=False, ambient=False, specular_lights=[4, 1]),
-    fr.Shading("ward", GPower(4, 0.6), m=0.4, specular_lights=(3,)),
-    fr.Shading("ward", ks=0.5, specular_lights=()),
-    fr.Shading("ward-printed", "d8", normal_map=False, ambient=False, specular_lights=(0,)),
-    fr.Shading(frontal_lights=(3, 1)),
-    fr.Shading(fresnel="dielectric", lobe="d4", frontal_lights=[0, 1, 2, 3, 4]),
-    fr.Shading(masking="kelemen", m=0.3, specular_lights=(4, 0, 2), frontal_lights=(2, 3, 0)),
-]
-
-
-def lit(mesh: fr.Mesh, **changes) -> fr.Scene:
-    """A scene with every kind of light."""
-    scene = fr.Scene(mesh, SIDE)
-    point = tuple(mesh.center + mesh.radius * np.array([-1.0, 0.8, 1.5]))
-    lights = (*scene.lights, fr.Light(irradiance=(1.0, 0.5, 0.2), position=point))
-    return replace(scene, lights=lights, **changes)
-
-
-def mixed(mesh: fr.Mesh) -> fr.Scene:
-    """Point lights first and among the directional ones: 0 and 3 of five."""
-    key, rim, fill, point = lit(mesh).lights
-    other = replace(point, position=tuple(mesh.center + mesh.radius * np.array([1.5, 0.5, 1.0])))
-    return fr.Scene(mesh, SIDE, (point, key, rim, other, fill), background=None)
-
-
-def worst_error(renderer: fr.Renderer, scene: fr.Scene, shading: fr.Shading) -> float:
-    """Largest relative error of the GPU image over every covered pixel; the denominator is
-    max(reference, 0.01), where 1 is a white diffuse surface under an irradiance of pi."""
-    gbuffer = renderer.gbuffer(scene, shading)
-    frame = renderer.render(scene, shading)
-    covered = gbuffer.part >= 0
-    np.testing.assert_array_equal(covered, frame.linear[..., 3] > 0)
-    assert covered.mean() > 0.12
-    expected = reference.shade(gbuffer, scene, shading)[covered]
-    difference = np.abs(frame.linear[covered][:, :3] - expected)
-    assert np.isfinite(frame.linear).all()
-    return float((difference / np.maximum(expected, 0.01)).max())
+from tests.test_reference import SIDE, compared, lit, mixed
 
 
 @pytest.fixture(scope="module")
 def transparent(backend: Backend) -> Iterator[fr.Renderer]:
     with fr.Renderer((256, 192), samples=1, backend=backend) as renderer:
         yield renderer
-
-
-@pytest.mark.parametrize("shading", SHADINGS, ids=told)
-def test_every_pixel_of_the_head_agrees_with_float64(transparent, head, shading):
-    scene = lit(head, background=None)
-    assert worst_error(transparent, scene, shading) < 1e-4
-
-
-@pytest.mark.parametrize("shading", SHADINGS, ids=told)
-def test_every_pixel_of_the_scan_agrees_with_float64(transparent, scan_mesh, shading):
-    scene = lit(scan_mesh, background=None)
-    assert worst_error(transparent, scene, shading) < 1e-4
-
-
-@pytest.mark.parametrize("shading", REDUCED, ids=str)
-def test_every_pixel_of_a_reduced_scene_agrees_with_float64(transparent, head, shading):
-    assert worst_error(transparent, mixed(head), shading) < 1e-4
-
-
-@pytest.mark.parametrize("shading", REDUCED, ids=str)
-def test_every_pixel_of_the_reduced_scan_agrees_with_float64(transparent, scan_mesh, shading):
-    assert worst_error(transparent, mixed(scan_mesh), shading) < 1e-4
 
 
 @pytest.mark.parametrize("light", range(5))
@@ -235,13 +157,6 @@ def test_slopes_and_weights_of_a_shading_have_domains(renderer, head):
     assert frame.metadata["lobe"] == "g-power 8 (0.25/m^2 - 1)"
 
 
-@pytest.mark.parametrize("m", [1e-3, 0.05, 0.15, 0.25, 1.5])
-def test_the_exact_lobe_agrees_at_every_slope(transparent, head, m):
-    # Both forms of the half vector; below m = 0.1 the interpolated normal's own rounding shows.
-    scene = lit(head.with_material(m=m, roughness_map=None), background=None)
-    assert worst_error(transparent, scene, fr.Shading()) < (1e-4 if m > 0.01 else 1e-2)
-
-
 def test_outside_its_domain_a_lobe_gives_way_to_exact_where_asked(renderer, head):
     shiny = head.with_material(m=0.3, roughness_map=None)
     rough = head.with_material(m=0.75, roughness_map=None)
@@ -261,17 +176,6 @@ def test_outside_its_domain_a_lobe_gives_way_to_exact_where_asked(renderer, head
         reference.shade(gbuffer, fr.Scene(rough), chosen),
         reference.shade(gbuffer, fr.Scene(rough), fr.Shading()),
     )
-
-
-def test_the_comparison_sees_a_change_of_a_thousandth(transparent, head):
-    scene = lit(head, background=None)
-    gbuffer = transparent.gbuffer(scene)
-    frame = transparent.render(scene)
-    covered = gbuffer.part >= 0
-    changed = replace(gbuffer, m=gbuffer.m * np.float32(1.001))
-    expected = reference.shade(changed, scene, fr.Shading())[covered]
-    difference = np.abs(frame.linear[covered][:, :3] - expected) / np.maximum(expected, 0.01)
-    assert difference.max() > 1e-4
 
 
 @pytest.mark.parametrize("samples", [1, 4])
@@ -335,24 +239,6 @@ def test_a_program_does_not_depend_on_how_bright_a_light_is(head):
     )
 
 
-LIGHTS_OF_THEIR_OWN = [  # of five; several lobes and slopes in one program
-    fr.Shading(
-        lights={1: {"lobe": "d16"}, 3: {"lobe": "fitted", "masking": "kelemen"}},
-        specular_lights=(0, 1, 3),
-    ),
-    fr.Shading(lights={0: {"model": "ward", "m": 0.15}, 2: {"lobe": GPower(6, 0.3)}}),
-    fr.Shading("ward", lights={1: {"m": 0.45, "lobe": "cosine"}}, specular_lights=(1,)),
-    fr.Shading(m=0.3, lights={1: {"m": 0.1, "small_slope": True}, 3: {"model": "ward"}}),
-]
-
-
-@pytest.mark.parametrize("shading", LIGHTS_OF_THEIR_OWN, ids=str)
-def test_lights_with_terms_of_their_own_agree_with_float64(transparent, head, shading):
-    assert worst_error(transparent, mixed(head), shading) < 1e-4
-    again = fr.Shading.from_dict(json.loads(json.dumps(shading.as_dict())))
-    assert again == shading
-
-
 def test_two_g_powers_in_one_program_are_refused():
     with pytest.raises(fr.InputError, match="g-power . .* and g-power . .* in one shading"):
         fr.Shading(lobe=GPower(4, 0.5), lights={1: {"lobe": GPower(6, 0.3)}})
@@ -389,7 +275,7 @@ def test_a_model_may_call_a_term_twice(egl, head, monkeypatch, tmp_path):
     with fr.Renderer((256, 256), samples=1, backend=egl) as renderer:
         for chosen in ({}, {"lobe": "d16", "frontal_lights": (0,)}):
             shading = fr.Shading("two-lobes", small_slope=True, **chosen)
-            assert worst_error(renderer, mixed(head), shading) < 1e-4
+            assert compared(renderer, mixed(head), shading)[2].max() < 1e-4
 
 
 def test_specular_and_diffuse_add_up_to_the_image(renderer, head):

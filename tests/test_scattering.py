@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.drawing import reference
 from facerender.images.srgb import linear_to_srgb
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import load_prices
@@ -20,9 +19,9 @@ from facerender.scenes.file import scene_toml
 from facerender.scenes.mesh import Part
 from facerender.scenes.scattering import scattering_of
 from facerender.terms.scattering import PROFILES, scatter_profile, spiral
+from tests.test_reference import skin
 from tests.verification.scattering import SUBJECTS, scatter_errors
 
-KEY = fr.Light(-50.0, 42.0, 3.0, shadow=True)
 OFF = fr.Shading(scatter_samples=0)
 
 
@@ -34,10 +33,7 @@ def renderer(egl):
 
 @pytest.fixture(scope="module")
 def face(head) -> fr.Scene:
-    """The built-in head, near enough for four Gaussians."""
-    lights = (KEY, fr.Light(80.0, 20.0, (0.2, 0.4, 0.3)))
-    mesh = head.with_material(scattering="skin")
-    return fr.Scene(mesh, fr.Camera(-35.0, zoom=2.5), lights, background=None)
+    return skin(head)
 
 
 @pytest.mark.parametrize("name", ["head", pytest.param("scan_mesh", marks=pytest.mark.slow)])
@@ -52,24 +48,6 @@ def test_bounds_against_the_integral_over_the_mesh(egl, name, request):
     assert sixteen <= 13.0
     assert more <= 10.0
     assert none > 2.0 * sixteen
-
-
-@pytest.mark.parametrize(
-    ("deferred", "shading"),
-    [(False, fr.Shading()), (True, fr.Shading(scatter_samples=8, diffuse="coupled"))],
-)
-def test_pixels_are_those_of_float64(renderer, face, deferred, shading, monkeypatch):
-    """But where a place rounds into another pixel: one pixel in a thousand."""
-    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
-    gbuffer = renderer.gbuffer(face, shading)
-    image = renderer.render(face, shading).linear[..., :3]
-    expected = reference.shade(gbuffer, face, shading)
-    error = (np.abs(image - expected) / np.maximum(expected, 0.01)).max(axis=-1)
-    error = error[gbuffer.part >= 0]
-    assert np.quantile(error, 0.999) < 1e-4
-    assert error.max() < 0.5
-    plain = renderer.render(face, shading.replace(scatter_samples=0)).linear[..., :3]
-    assert np.abs(image - plain).max() > 0.1
 
 
 def test_views_are_parts_of_the_image(renderer, face):

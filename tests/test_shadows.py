@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.drawing import reference
 from facerender.drawing.passes.shadow import MOST
 from facerender.scenes.light import parse_light
 from facerender.scenes.mesh import Part
 from facerender.scenes.shadow import light_space
 from tests.conftest import require_backend
+from tests.test_reference import key, shadows
 from tests.verification.shadows import shadow_error
 
 
@@ -21,14 +21,6 @@ from tests.verification.shadows import shadow_error
 def renderer(egl):
     with fr.Renderer((256, 256), samples=1, backend=egl, float_albedo=True) as renderer:
         yield renderer
-
-
-def key(mesh: fr.Mesh, radius: float, distance: float | None) -> fr.Light:
-    """A light high on the left, distant or so many radii of the mesh away."""
-    light = fr.Light(-50.0, 42.0, 3.0, radius=radius, shadow=True)
-    if distance is None:
-        return light
-    return replace(light, position=tuple(mesh.center + distance * mesh.radius * light.direction))
 
 
 # Bounds of the mean error, of all light that arrives.
@@ -43,34 +35,6 @@ def test_shadows_are_those_of_rays(renderer, head, scan_mesh, radius, bound, dis
         assert found.mean <= bound
         assert found.wrong <= 0.003
         assert found.without > 4.0 * found.mean
-
-
-def all_of_them(mesh: fr.Mesh) -> fr.Scene:
-    """Lights of every kind, with shadows and without, in an order that is not the programs'."""
-    lights = (
-        key(mesh, 0.0, 2.0),
-        fr.Light(80.0, 20.0, 0.5),
-        key(mesh, 5.0, None),
-        fr.Light(40.0, -10.0, (0.2, 0.4, 0.3), shadow=True),
-        key(mesh, 3.0, 4.0),
-    )
-    return fr.Scene(mesh, fr.Camera(-20.0), lights, ambient=0.1, background=None)
-
-
-@pytest.mark.parametrize("deferred", [False, True])
-def test_every_pixel_is_float64_shading(egl, head, deferred, monkeypatch):
-    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
-    scene, shading = all_of_them(head), fr.Shading()
-    with fr.Renderer((320, 320), samples=1, backend=egl, float_albedo=True) as renderer:
-        gbuffer = renderer.gbuffer(scene, shading)
-        image = renderer.render(scene, shading).linear[..., :3]
-        unlit = renderer.render(fr.Scene(head, scene.camera, background=None)).linear
-    expected = reference.shade(gbuffer, scene, shading)
-    error = np.abs(image - expected) / np.maximum(expected, 0.01)
-    assert error[gbuffer.part >= 0].max() < 1e-4
-    shadowed = gbuffer.visibility.min(axis=(0, 1))
-    np.testing.assert_array_equal(shadowed == 1.0, [not light.shadow for light in scene.lights])
-    assert np.isfinite(unlit).all()
 
 
 def test_maps_are_drawn_again_when_something_moves(renderer, head, monkeypatch):
@@ -88,7 +52,7 @@ def test_maps_are_drawn_again_when_something_moves(renderer, head, monkeypatch):
         renderer.render(scene, shading)
         return drawn.count("shadow_map.frag")
 
-    scene = all_of_them(head)
+    scene = shadows(head)
     assert maps(scene) == 4
     assert maps(replace(scene, camera=fr.Camera(60.0))) == 0
     assert maps(replace(scene, lights=(key(head, 0.0, None), *scene.lights[1:]))) == 4
@@ -180,7 +144,7 @@ def test_lights_say_whether_they_cast_shadows():
 
 
 def test_views(renderer, head):
-    scene = all_of_them(head)
+    scene = shadows(head)
     frame = renderer.render(scene, only="visibility")
     gbuffer = renderer.gbuffer(scene)
     covered = gbuffer.part >= 0
@@ -193,5 +157,5 @@ def test_backends_agree(egl, head):
     images = []
     for backend in (egl, osmesa):
         with fr.Renderer((128, 128), backend=backend) as renderer:
-            images.append(renderer.render(all_of_them(head)).linear)
+            images.append(renderer.render(shadows(head)).linear)
     np.testing.assert_array_equal(*images)

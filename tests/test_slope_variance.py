@@ -12,15 +12,13 @@ from PIL import Image
 
 import facerender as fr
 from facerender.commands import main
-from facerender.drawing import reference
 from facerender.drawing.program import surface_features
 from facerender.drawing.resolve import resolve
 from facerender.images.read import read_image
 from facerender.scenes.light import parse_light
 from tests.conftest import require_module
+from tests.test_reference import SIDE, areas
 from tests.verification.slope_filter import disc, filtered, flicker, relief, slopes_of
-
-SIDE = fr.Camera(azimuth=35.0, elevation=8.0)
 
 
 def levels_of(texels: np.ndarray) -> list[np.ndarray]:
@@ -32,18 +30,6 @@ def tilted(angle: float) -> tuple[float, float, float]:
     """The texel of a normal at an angle in degrees from straight up."""
     radians = np.radians(angle)
     return (127.5 + 127.5 * np.sin(radians), 127.5, 127.5 + 127.5 * np.cos(radians))
-
-
-def lit(mesh: fr.Mesh) -> fr.Scene:
-    """Every kind of light with a size, and without."""
-    place = tuple(mesh.center + mesh.radius * np.array([-1.0, 1.2, 2.5]))
-    key, rim, fill = fr.Scene(mesh).lights
-    lights = (
-        *(replace(key, radius=8.0), rim, replace(fill, radius=20.0)),
-        fr.Light(irradiance=1.0, position=place, radius=10.0),
-        fr.Light(irradiance=0.3, position=place),
-    )
-    return fr.Scene(mesh, SIDE, lights, background=None)
 
 
 def test_levels_hold_the_mean_normal_and_the_deviation():
@@ -73,24 +59,6 @@ def test_steep_relief_is_cut_off():
     texels = np.empty((2, 2, 3))
     texels[0], texels[1] = tilted(89.0), tilted(-89.0)
     assert levels_of(texels)[1][0, 0, 3] == 255
-
-
-@pytest.mark.parametrize("curvature", [False, True])
-@pytest.mark.parametrize("deferred", [False, True])
-def test_pixels_agree_with_float64(egl, head, monkeypatch, curvature, deferred):
-    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
-    shading = fr.Shading(outside="exact", curvature=curvature, lights={1: {"lobe": "fitted"}})
-    scene = lit(head.with_material(m=0.2))
-    with fr.Renderer((200, 150), samples=1, backend=egl, float_albedo=True) as renderer:
-        frame, gbuffer = renderer.render(scene, shading), renderer.gbuffer(scene, shading)
-    expected = reference.shade(gbuffer, scene, shading)
-    error = np.abs(frame.linear[..., :3] - expected) / np.maximum(expected, 0.01)
-    covered = gbuffer.part >= 0
-    assert error[covered].max() < 1e-4
-    m = gbuffer.m[covered]
-    ((low, high),) = resolve(scene, shading).slopes
-    assert low * (1.0 - 1e-6) <= m.min()
-    assert 0.21 < m.max() <= high
 
 
 def test_deferred_curvature_is_that_of_triangles(egl, head, monkeypatch):
@@ -126,7 +94,7 @@ def test_off_is_off(renderer, head):
 def test_a_slope_of_a_term_is_not_widened(renderer, head):
     pinned = fr.Shading(m=0.25)
     images = [
-        renderer.render(lit(head), each, "specular").linear
+        renderer.render(areas(head), each, "specular").linear
         for each in (pinned, pinned.replace(slope_filter=False))
     ]
     assert np.abs(images[0] - images[1]).max() < 0.05 * images[0].max()

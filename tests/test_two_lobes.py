@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from PIL import Image
 import facerender as fr
 from benchmarks.prices import amd
 from facerender import InputError, brdf
-from facerender.drawing import reference
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.resolve import resolve
 from facerender.planning.candidates import Constants, candidates
@@ -20,45 +18,13 @@ from facerender.pricing.table import load_prices
 from facerender.scenes.texture import Texture
 from facerender.scenes.view import view_of
 from tests.conftest import missing
+from tests.test_reference import SWEAT, ramp
 
-SWEAT = {"second_slope": 0.4, "lobe_weight": 0.3}
 SKIN = {"second_slope": 1.7, "lobe_weight": 0.85}
-SIDE = fr.Camera(azimuth=35.0)
-SHADINGS = [
-    fr.Shading(),
-    fr.Shading(lobe="fitted", fresnel="dielectric", masking="kelemen"),
-    fr.Shading("ward", "d16"),
-    fr.Shading("ward-printed", m=0.1),
-    fr.Shading(lights={0: {"lobe": "d8"}, 1: {"m": 0.2}}, frontal_lights=[2]),
-]
-
-
-def ramp() -> Texture:
-    rows = np.add.outer(np.arange(64), np.arange(64)) * 2
-    return Texture(lambda: Image.fromarray(rows.astype(np.uint8)), "ramp")
 
 
 def grey(level: int) -> Texture:
     return Texture(lambda: Image.new("L", (4, 4), level), f"grey {level}")
-
-
-@pytest.mark.parametrize(
-    ("shading", "deferred"), [*((each, True) for each in SHADINGS), (SHADINGS[-1], False)], ids=str
-)
-def test_every_pixel_agrees_with_float64(renderer, head, shading, deferred, monkeypatch):
-    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
-    first, *others = head.with_material(**SWEAT, lobe_map=ramp()).materials
-    mesh = replace(head, materials=(first, *(replace(each, **SKIN) for each in others)))
-    scene = fr.Scene(mesh, SIDE, background=None)
-    gbuffer = renderer.gbuffer(scene, shading)
-    image = renderer.render(scene, shading).linear
-    covered = gbuffer.part >= 0
-    expected = reference.shade(gbuffer, scene, shading)[covered]
-    error = np.abs(image[covered][:, :3] - expected) / np.maximum(expected, 0.01)
-    assert error.max() < 1e-4
-    assert np.ptp(gbuffer.lobe_weight[covered]) > 0.3
-    one = reference.shade(gbuffer, scene, replace(shading, two_lobes=False))[covered]
-    assert np.abs(one - expected).max() > 0.05
 
 
 @pytest.mark.parametrize("off", [{"second_slope": 0.5}, {"lobe_weight": 0.5}])

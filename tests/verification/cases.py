@@ -92,9 +92,15 @@ class Case:
 CASES: dict[str, Callable[[], Case]] = {}
 
 
-def add(group: str, make: Callable[..., Case], *values: object) -> None:
-    """Add a case, which is named after its group and values."""
-    CASES[" ".join([group, *map(str, values)])] = partial(make, *values)
+def add(name: str, make: Callable[..., Case], *values: object) -> None:
+    """Add a case, whose name begins with its group."""
+    assert name not in CASES, name
+    CASES[name] = partial(make, *values)
+
+
+def add_of(group: str, make: Callable[..., Case], *values: object) -> None:
+    """Add a case that is named after its group and values."""
+    add(" ".join([group, *map(str, values)]), make, *values)
 
 
 def case(*parameters: tuple[object, ...]) -> Callable[[Callable[..., Case]], Callable[..., Case]]:
@@ -102,7 +108,7 @@ def case(*parameters: tuple[object, ...]) -> Callable[[Callable[..., Case]], Cal
 
     def register(make: Callable[..., Case]) -> Callable[..., Case]:
         for values in parameters or ((),):
-            add("fr_" + make.__name__, make, *values)
+            add_of("fr_" + make.__name__, make, *values)
         return make
 
     return register
@@ -159,52 +165,37 @@ STEEP = GPower(5, 1.2, 0.8)
 ALL_LOBES: tuple[AnyLobe, ...] = (*LOBES, OWN, STEEP)
 
 
-def lobe_case(prelude: str, call: str, lobe: AnyLobe, k: int) -> Case:
-    """A call that is a lobe of c and m, within its bound in the registry."""
+def lobe_case(file: str, macros: Mapping[str, str], call: str, lobe: AnyLobe, k: int) -> Case:
+    """A call of a file that is a lobe of c and m, within its bound in the registry."""
     entry = lobe_entry(lobe)
     inputs = cosines_and_slopes(entry.end(k))
     c, m = (values.astype(float) for values in inputs.values())
     expected = entry.evaluate(c, m, k)
-    return Case(prelude, call, inputs, expected, *entry.rounding(c, m, k))
+    return Case(include(file, **macros), call, inputs, expected, *entry.rounding(c, m, k))
 
 
-def lobe_alone(lobe: AnyLobe, k: int) -> Case:
-    entry = lobe_entry(lobe)
-    call = re.sub(r"\bk\b", str(k), entry.call)
-    return lobe_case(include(entry.file), call, lobe, k)
-
-
-def lobe_by_macro(lobe: AnyLobe, k: int) -> Case:
-    prelude = include("lobe", **code.lobe_macros(lobe))
-    return lobe_case(prelude, f"fr_lobe(c, m, {k})", lobe, k)
-
-
-def lobe_by_argument(lobe: AnyLobe, k: int) -> Case:
-    prelude = include("lobe", **code.lobe_macros(lobe) | {"FR_LOBE": "FR_LOBE_EVERY"})
-    return lobe_case(prelude, f"fr_lobe_of(c, m, {k}, {lobe_entry(lobe).macro})", lobe, k)
-
-
-def lobe_within(lobe: AnyLobe, k: int) -> Case:
-    """As a BRDF calls it, which has 1/m^2."""
-    prelude = include("lobe", **code.lobe_macros(lobe) | {"FR_LOBE": "FR_LOBE_EVERY"})
-    macro = lobe_entry(lobe).macro
-    return lobe_case(prelude, f"fr_lobe_within(c, m, 1.0 / (m * m), {k}, {macro})", lobe, k)
-
-
+EVERY = {"FR_LOBE": "FR_LOBE_EVERY"}
 for _lobe in ALL_LOBES:
-    for _k in lobe_entry(_lobe).ends:
-        add("fr_lobe_within", lobe_within, _lobe, _k)
-        if _lobe in LOBES:
-            add(lobe_entry(_lobe).call.split("(")[0], lobe_alone, _lobe, _k)
-        add("fr_lobe", lobe_by_macro, _lobe, _k)
-        add("fr_lobe_of", lobe_by_argument, _lobe, _k)
+    _entry, _own = lobe_entry(_lobe), code.lobe_macros(_lobe)
+    _alone, _within = _entry.call.split("(")[0], "(c, m, 1.0 / (m * m)"
+    for _k in _entry.ends:
+        for _group, _file, _macros, _call in (
+            # as a BRDF calls it, which has 1/m^2; alone; by the host's choice; as an argument
+            ("fr_lobe_within", "lobe", _own | EVERY, f"{_within}, {_k}, {_entry.macro})"),
+            (_alone, _entry.file, {}, re.sub(r"\bk\b", str(_k), _entry.call[len(_alone) :])),
+            ("fr_lobe", "lobe", _own, f"(c, m, {_k})"),
+            ("fr_lobe_of", "lobe", _own | EVERY, f"(c, m, {_k}, {_entry.macro})"),
+        ):
+            if _group != _alone or _lobe in LOBES:
+                _all = _file, _macros, _group + _call, _lobe, _k
+                add(f"{_group} {_lobe} {_k}", lobe_case, *_all)
 
-
-def lobe_default_g_power(k: int, g: int | None) -> Case:
-    """Of the macros of a g-power, one or none: D8, or its steepness with another power."""
-    macros = {"FR_LOBE": "FR_LOBE_G_POWER"} | ({"FR_G": str(g)} if g else {})
-    call = f"fr_lobe(c, m, {k})"
-    return lobe_case(include("lobe", **macros), call, GPower(g or 8, 2 / (g or 8), k / (g or 8)), k)
+# Of the macros of a g-power, one or none: D8, or its steepness with another power.
+for _k in (0, 4):
+    for _g in (None, 5):
+        _macros = {"FR_LOBE": "FR_LOBE_G_POWER"} | ({"FR_G": str(_g)} if _g else {})
+        _lobe = GPower(_g or 8, 2 / (_g or 8), _k / (_g or 8))
+        add(f"fr_lobe {_k} {_g}", lobe_case, "lobe", _macros, f"fr_lobe(c, m, {_k})", _lobe, _k)
 
 
 def lobe_of_the_host(chosen: str) -> Case:
@@ -217,11 +208,8 @@ def lobe_of_the_host(chosen: str) -> Case:
     return Case(own + include("lobe", **macros), call, inputs, c * m + 4.0, 2 * ULP)
 
 
-for _k in (0, 4):
-    for _g in (None, 5):
-        add("fr_lobe", lobe_default_g_power, _k, _g)
 for _chosen in ("", "FR_LOBE_OWN", "FR_LOBE_EVERY"):
-    add("fr_lobe", lobe_of_the_host, _chosen)
+    add_of("fr_lobe", lobe_of_the_host, _chosen)
 
 
 @case()
@@ -270,47 +258,29 @@ def lobe_clamped_power(g: int) -> Case:
     return Case(include("lobe/g_power"), call, inputs, expected, ULP * g, absolute)
 
 
-@cache
-def slopes_alone(end: float) -> dict[str, Singles]:
-    return {"m": slopes(end)}
-
-
-def scaled_coefficient(
-    name: str, k: int, i: int
-) -> tuple[dict[str, Singles], NDArray[np.float64], NDArray[np.float64]]:
-    """Slopes of a fitted lobe's domain, its coefficient times m^(2 i + 2), and its magnitude."""
+def coefficient(name: str, k: int, i: int, call: str, above: float, digits: float) -> Case:
+    """A fitted lobe's coefficient times m^(2 i + 2), and a number that keeps it from 0."""
     lobe = lobes.FITTED[name, k]
-    inputs = slopes_alone(lobe.max_slope)
+    inputs = {"m": slopes(lobe.max_slope)}
     m = inputs["m"].astype(float)
-    return inputs, lobe.coefficients(m)[:, i] * m ** (2 * (i + 1)), lobe.magnitudes(m)[:, i]
-
-
-def coefficient(name: str, k: int, i: int) -> Case:
-    inputs, expected, magnitude = scaled_coefficient(name, k, i)
-    function = f"fr_lobe_{name.replace('-', '_')}_coefficients"
-    # scaled back by the same powers of m^2, in an order that cannot overflow
-    call = f"3.0 + {function}(m, {k})[{i}]" + " * (m * m)" * (i + 1)
-    absolute = 16.0 * ULP * (3.0 + magnitude)
-    return Case(include("lobe/fitted"), call, inputs, 3.0 + expected, 0.0, absolute)
-
-
-def fitted_within(name: str, k: int) -> Case:
-    call = f"fr_lobe_{name.replace('-', '_')}_within(c, m, 1.0 / (m * m), {k})"
-    return lobe_case(include("lobe/fitted"), call, name, k)
-
-
-def numerator(name: str, k: int, i: int) -> Case:
-    inputs, expected, magnitude = scaled_coefficient(name, k, i)
-    call = f"9.0 + fr_lobe_{name.replace('-', '_')}_numerators(m, {k})[{i}]"
-    absolute = 8.0 * ULP * (9.0 + magnitude)
-    return Case(include("lobe/fitted"), call, inputs, 9.0 + expected, 0.0, absolute)
+    expected = above + lobe.coefficients(m)[:, i] * m ** (2 * (i + 1))
+    absolute = digits * ULP * (above + lobe.magnitudes(m)[:, i])
+    return Case(include("lobe/fitted"), f"{above} + {call}", inputs, expected, 0.0, absolute)
 
 
 for _name, _k in lobes.FITTED:
-    add("fr_lobe_fitted_within", fitted_within, _name, _k)
+    _function = f"fr_lobe_{_name.replace('-', '_')}"
+    _call = f"{_function}_within(c, m, 1.0 / (m * m), {_k})"
+    add(f"fr_lobe_fitted_within {_name} {_k}", lobe_case, "lobe/fitted", {}, _call, _name, _k)
     for _i in range(len(lobes.FITTED[_name, _k].table[0])):
-        add("fr_lobe_fitted_coefficients", coefficient, _name, _k, _i)
-        add("fr_lobe_fitted_numerators", numerator, _name, _k, _i)
+        # scaled back by the same powers of m^2, in an order that cannot overflow
+        _scaled = f"{_function}_coefficients(m, {_k})[{_i}]" + " * (m * m)" * (_i + 1)
+        for _what, _call, _bounds in (
+            ("coefficients", _scaled, (3.0, 16.0)),
+            ("numerators", f"{_function}_numerators(m, {_k})[{_i}]", (9.0, 8.0)),
+        ):
+            _place = _name, _k, _i, _call, *_bounds
+            add(f"fr_lobe_fitted_{_what} {_name} {_k} {_i}", coefficient, *_place)
 
 
 @case((4, 0.49), (0, 1.0))
@@ -344,29 +314,27 @@ def reflectances_and_cosines() -> dict[str, Singles]:
     return dict(zip(("f0", "c"), grid(f0, [*np.linspace(0, 1, 501), 1e-9, 1e-20]), strict=True))
 
 
-def fresnel_case(name: str, prelude: str, call: str) -> Case:
-    """A call that is a Fresnel term of f0 and c, within its bound in the registry."""
+def fresnel_case(name: str, file: str, macros: Mapping[str, str], call: str) -> Case:
+    """A call of a file that is a Fresnel term of f0 and c, within its bound in the registry."""
     inputs, entry = reflectances_and_cosines(), FRESNEL[name]
     f0, c = (values.astype(float) for values in inputs.values())
-    return Case(prelude, call, inputs, entry.evaluate(f0, c), *entry.rounding(f0, c))
+    bounds = entry.rounding(f0, c)
+    return Case(include(file, **macros), call, inputs, entry.evaluate(f0, c), *bounds)
 
 
-def fresnel_alone(name: str) -> Case:
-    call = FRESNEL[name].call.replace("v_dot_h", "c")
-    return fresnel_case(name, include(FRESNEL[name].file), call)
-
-
-@case(*((name,) for name in FRESNEL))
-def fresnel(name: str) -> Case:
-    prelude = include("fresnel", FR_FRESNEL=FRESNEL[name].macro)
-    return fresnel_case(name, prelude, "fr_fresnel(f0, c)")
-
-
-@case(*((name, chosen) for name in FRESNEL for chosen in FRESNEL if chosen != name))
-def fresnel_of(name: str, chosen: str) -> Case:
-    """Whatever the host chose for fr_fresnel."""
-    prelude = include("fresnel", FR_FRESNEL=FRESNEL[chosen].macro)
-    return fresnel_case(name, prelude, f"fr_fresnel_of(f0, c, {FRESNEL[name].macro})")
+for _name, _fresnel in FRESNEL.items():
+    _alone = _fresnel.call.split("(")[0]
+    if _alone.startswith("fr_"):
+        _call = _fresnel.call.replace("v_dot_h", "c")
+        add(f"{_alone} {_name}", fresnel_case, _name, _fresnel.file, {}, _call)
+    for _chosen, _other in FRESNEL.items():
+        _macros = {"FR_FRESNEL": _other.macro}
+        if _chosen == _name:
+            _term = "fresnel", _macros, "fr_fresnel(f0, c)"
+            add(f"fr_fresnel {_name}", fresnel_case, _name, *_term)
+        else:  # whatever the host chose for fr_fresnel
+            _term = "fresnel", _macros, f"fr_fresnel_of(f0, c, {_fresnel.macro})"
+            add(f"fr_fresnel_of {_name} {_chosen}", fresnel_case, _name, *_term)
 
 
 SCALE = 0.0551589
@@ -374,9 +342,8 @@ SCALE = 0.0551589
 
 @case(*((name,) for name in FRESNEL))
 def fresnel_times(name: str) -> Case:
-    prelude = include("fresnel")
     call = f"fr_fresnel_times({SCALE}, f0, c, {FRESNEL[name].macro}) / {SCALE}"
-    return replace(fresnel_case(name, prelude, call), absolute=2e-6)
+    return replace(fresnel_case(name, "fresnel", {}, call), absolute=2e-6)
 
 
 @case(("grazing", ""), ("times", "f0, "), ("rgb", "vec3(f0), vec3(0.7), "))
@@ -391,29 +358,21 @@ def fresnel_schlick_scaled(name: str, arguments: str) -> Case:
     return Case(include("fresnel/schlick"), call, inputs, expected, 0.0, 2e-6 * SCALE)
 
 
-for _name, _fresnel in FRESNEL.items():
-    if _fresnel.call.startswith("fr_"):
-        add(_fresnel.call.split("(")[0], fresnel_alone, _name)
+def masking_case(name: str, count: int, words: str, ulps: float) -> Case:
+    """A masking term of cosines that are given one by one."""
+    axis = [1e-6, 1e-3, *np.linspace(0.01, 1.0, count)]
+    names = words.split()
+    inputs = dict(zip(names, grid(*[axis] * len(names)), strict=True))
+    expected = getattr(brdf, f"masking_{name}")(*inputs.values())
+    call = f"fr_masking_{name}({', '.join(names)})"
+    return Case(include("masking"), call, inputs, expected, ulps * ULP)
 
 
-@case()
-def masking_v_cavity() -> Case:
-    axis = [1e-6, 1e-3, *np.linspace(0.01, 1.0, 10)]
-    names = ("n_dot_h", "v_dot_h", "n_dot_l", "n_dot_v")
-    inputs = dict(zip(names, grid(axis, axis, axis, axis), strict=True))
-    expected = brdf.masking_v_cavity(*inputs.values())
-    call = f"fr_masking_v_cavity({', '.join(names)})"
-    return Case(include("masking"), call, inputs, expected, 4 * ULP)
-
-
-@case()
-def masking_kelemen() -> Case:
-    axis = [1e-6, 1e-3, *np.linspace(0.01, 1.0, 20)]
-    names = ("v_dot_h", "n_dot_l", "n_dot_v")
-    inputs = dict(zip(names, grid(axis, axis, axis), strict=True))
-    expected = brdf.masking_kelemen(*inputs.values())
-    call = f"fr_masking_kelemen({', '.join(names)})"
-    return Case(include("masking"), call, inputs, expected, 8 * ULP)
+for _name, _count, _words, _ulps in (
+    ("v_cavity", 10, "n_dot_h v_dot_h n_dot_l n_dot_v", 4),
+    ("kelemen", 20, "v_dot_h n_dot_l n_dot_v", 8),
+):
+    add(f"fr_masking_{_name}", masking_case, _name, _count, _words, _ulps)
 
 
 @cache
@@ -426,27 +385,24 @@ def cosines_with_a_long_half_vector() -> dict[str, Singles]:
     return {"n_dot_h": n_dot_h, "h_dot_h": h_dot_h, "n_dot_l": n_dot_l, "n_dot_v": n_dot_v}
 
 
-def masking_ratio(name: str, call: str = "") -> Case:
-    """G/((N.L)(N.V)) (h.h), the quotient of what the entry's call or another returns."""
+def masking_ratio(name: str, call: str) -> Case:
+    """G/((N.L)(N.V)) (h.h), the quotient of what a call returns."""
     inputs = cosines_with_a_long_half_vector()
     n_dot_h, h_dot_h, n_dot_l, n_dot_v = (values.astype(float) for values in inputs.values())
     length = np.sqrt(h_dot_h)
     masked = MASKING[name].evaluate(n_dot_h / length, 0.5 * length, n_dot_l, n_dot_v)
     prelude = include("masking") + "highp float quotient(highp vec2 x) { return x.x / x.y; }\n"
     expected = masked / (n_dot_l * n_dot_v) * h_dot_h
-    call = f"quotient({call or MASKING[name].call})"
-    return Case(prelude, call, inputs, expected, 8 * ULP + FLOOR / (n_dot_l * n_dot_v))
-
-
-def masking_of(name: str) -> Case:
-    call = f"fr_masking_of(n_dot_h, h_dot_h, n_dot_l, n_dot_v, {MASKING[name].macro})"
-    return masking_ratio(name, call)
+    return Case(
+        prelude, f"quotient({call})", inputs, expected, 8 * ULP + FLOOR / (n_dot_l * n_dot_v)
+    )
 
 
 for _name, _masking in MASKING.items():
-    add("fr_masking_of", masking_of, _name)
+    _call = f"fr_masking_of(n_dot_h, h_dot_h, n_dot_l, n_dot_v, {_masking.macro})"
+    add(f"fr_masking_of {_name}", masking_ratio, _name, _call)
     if _masking.call.startswith("fr_"):
-        add(_masking.call.split("(")[0], masking_ratio, _name)
+        add(f"{_masking.call.split('(')[0]} {_name}", masking_ratio, _name, _masking.call)
 
 
 # --- slope variance -----------------------------------------------------------------------------
@@ -876,13 +832,16 @@ def in_domain(term: Term, prelude: str, call: str) -> Case:
     return brdf_case(term, directions_and_extremes(end), prelude, call)
 
 
-def term_among_all(
-    model: str, lobe: AnyLobe, fresnel: str, masking: str, small_slope: bool = True
+def among_all(
+    two: bool, model: str, lobe: AnyLobe, fresnel: str, masking: str, small_slope: bool = True
 ) -> Case:
-    """A term of a program in which every lobe is."""
+    """A term, with one lobe or two, of a program in which every lobe is."""
     term = Term(model, lobe, fresnel, masking, small_slope=small_slope)
     terms = [term, *(replace(term, lobe=name) for name in LOBES)]
-    return in_domain(term, flat(code.prelude(terms, 0.0)), code.call(term))
+    prelude = flat(code.prelude(terms, 0.0, two))
+    if two:
+        return two_lobes(term, prelude, code.call(term, 1.0))
+    return in_domain(term, prelude, code.call(term))
 
 
 def model_by_macros(model: str, lobe: AnyLobe, fresnel: str, masking: str) -> Case:
@@ -913,14 +872,6 @@ def two_lobes(term: Term, prelude: str, call: str) -> Case:
     )
 
 
-def two_lobes_among_all(
-    model: str, lobe: AnyLobe, fresnel: str, masking: str, small_slope: bool = True
-) -> Case:
-    term = Term(model, lobe, fresnel, masking, small_slope=small_slope)
-    terms = [term, *(replace(term, lobe=name) for name in LOBES)]
-    return two_lobes(term, flat(code.prelude(terms, 0.0, True)), code.call(term, 1.0))
-
-
 def two_lobes_by_macros(model: str, lobe: AnyLobe, fresnel: str, masking: str) -> Case:
     term = Term(model, lobe, fresnel, masking)
     entry = term.entry.two
@@ -947,35 +898,36 @@ def of_parts(lobe: AnyLobe) -> Case:
 
 
 for _lobe in ("exact", "d8"):
-    add("fr_cook_torrance_rgb", in_colour, _lobe, 0.5)
-    add("fr_cook_torrance_parts", of_parts, _lobe)
-
-# 1 - V.H counts where f0 does not
-for _lobe in ("exact", "d8"):
-    for _f0 in (0.0, 1e-8):
-        add("fr_cook_torrance_rgb", in_colour, _lobe, _f0)
+    add_of("fr_cook_torrance_parts", of_parts, _lobe)
+    for _f0 in (0.5, 0.0, 1e-8):  # 1 - V.H counts where f0 does not
+        add_of("fr_cook_torrance_rgb", in_colour, _lobe, _f0)
 
 DEFAULT = (Term.fresnel, Term.masking)
-FACTORS = [(fresnel, Term.masking) for fresnel in FRESNEL]
-FACTORS += [(Term.fresnel, masking) for masking in MASKING]
-FACTORS += [("constant", "none"), ("dielectric", "kelemen")]
+FACTORS = dict.fromkeys(
+    [
+        *((fresnel, Term.masking) for fresnel in FRESNEL),
+        *((Term.fresnel, masking) for masking in MASKING),
+        *(("constant", "none"), ("dielectric", "kelemen")),
+    ]
+)
 
-for _model, _entry in MODELS.items():
-    for _factors in dict.fromkeys(FACTORS if _entry.factors else [DEFAULT]):
+for _model, _brdf in MODELS.items():
+    _one, _two = partial(among_all, False), partial(among_all, True)
+    _terms = f"fr_{_brdf.file}_terms"
+    _both = f"fr_{_brdf.two.file}_terms" if _brdf.two else "two-calls"
+    for _factors in FACTORS if _brdf.factors else [DEFAULT]:
         for _lobe in ALL_LOBES:
-            add(f"fr_{_entry.file}_terms", term_among_all, _model, _lobe, *_factors)
+            _names = _model, _lobe, *_factors
+            add_of(_terms, _one, *_names)
             if _factors == DEFAULT or _lobe == Term.lobe:
-                add("models-by-macros", model_by_macros, _model, _lobe, *_factors)
-        add(f"fr_{_entry.file}_terms", term_among_all, _model, Term.lobe, *_factors, False)
-    for _lobe in ALL_LOBES:
-        group = f"fr_{_entry.two.file}_terms" if _entry.two else "two-calls"
-        add(group, two_lobes_among_all, _model, _lobe, *DEFAULT)
-        if _entry.two:
-            add(f"fr_{_entry.two.file}", two_lobes_by_macros, _model, _lobe, *DEFAULT)
-    if _entry.two:
-        add(group, two_lobes_among_all, _model, Term.lobe, *DEFAULT, False)
-        for _factors in FACTORS[1:]:
-            add(group, two_lobes_among_all, _model, Term.lobe, *_factors)
+                add_of("models-by-macros", model_by_macros, *_names)
+            if _factors == DEFAULT or (_brdf.two and _lobe == Term.lobe):
+                add_of(_both, _two, *_names)
+            if _factors == DEFAULT and _brdf.two:
+                add_of(f"fr_{_brdf.two.file}", two_lobes_by_macros, *_names)
+        add_of(_terms, _one, _model, Term.lobe, *_factors, False)
+    if _brdf.two:
+        add_of(_both, _two, _model, Term.lobe, *DEFAULT, False)
 
 
 @case()
@@ -1026,34 +978,30 @@ def slope_sample(axis: str) -> Case:
     slopes_ = brdf.slope_sample(unit(n), m, u[:, :2])
     length = np.linalg.norm(slopes_, axis=-1)
     call = f"10.0 + fr_slope_sample(n, m, p.xy).{axis}"
+    expected = 10.0 + slopes_[:, "xyz".index(axis)]
     absolute = 2e-6 * (2.0 + length) + SINE * length
-    return Case(
-        include("slope_sample"), call, inputs, 10.0 + slopes_[:, "xyz".index(axis)], 0.0, absolute
-    )
+    return Case(include("slope_sample"), call, inputs, expected, 0.0, absolute)
 
 
-@case(*((axis,) for axis in "xyz"))
-def cook_torrance_sample(axis: str) -> Case:
+def model_sample(model: str, axis: str) -> Case:
+    """A direction that a model samples; where Ward's half vector is about to turn away, either is
+    right."""
     inputs = directions_and_numbers()
     n, v, u, m = (inputs[name].astype(float) for name in "nvpm")
-    l = brdf.cook_torrance_sample(unit(n), unit(v), m, u)
-    call = f"2.0 + fr_cook_torrance_sample(n, v, m, p).{axis}"
-    prelude = include("cook_torrance_sample")
-    return Case(prelude, call, inputs, 2.0 + l[:, "xyz".index(axis)], 0.0, 1e-5 + 2.0 * SINE)
-
-
-@case(*((axis,) for axis in "xyz"))
-def ward_sample(axis: str) -> Case:
-    inputs = directions_and_numbers()
-    n, v, u, m = (inputs[name].astype(float) for name in "nvpm")
-    l = brdf.ward_sample(unit(n), unit(v), m, u[:, :2])
-    # where the half vector is about to turn away, either is right
+    count, numbers = (3, "p") if model == "cook_torrance" else (2, "p.xy")
+    l = getattr(brdf, f"{model}_sample")(unit(n), unit(v), m, u[:, :count])
     across = brdf.slope_sample(unit(n), m, u[:, :2])
     turned = np.abs((unit(v) * (unit(n) + across)).sum(axis=-1))
     close = turned < 2.0 * SINE * (1.0 + np.linalg.norm(across, axis=-1))
-    call = f"2.0 + fr_ward_sample(n, v, m, p.xy).{axis}"
-    absolute = np.where(close, 4.0, 1e-5 + 2.0 * SINE)
-    return Case(include("ward_sample"), call, inputs, 2.0 + l[:, "xyz".index(axis)], 0.0, absolute)
+    absolute = np.where(close & (model == "ward"), 4.0, 1e-5 + 2.0 * SINE)
+    call = f"2.0 + fr_{model}_sample(n, v, m, {numbers}).{axis}"
+    expected = 2.0 + l[:, "xyz".index(axis)]
+    return Case(include(f"{model}_sample"), call, inputs, expected, 0.0, absolute)
+
+
+for _model in ("cook_torrance", "ward"):
+    for _axis in "xyz":
+        add(f"fr_{_model}_sample {_axis}", model_sample, _model, _axis)
 
 
 @case(("cook_torrance",), ("ward",))

@@ -1,0 +1,284 @@
+"""Every pixel of an image against float64 shading of its G-buffer, for each term that an image may
+have; and that each of them counts."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import facerender as fr
+from facerender.drawing import reference
+from facerender.drawing.context import Backend
+from facerender.drawing.resolve import resolve
+from facerender.lobes import GPower
+from facerender.scenes.environment import studio
+
+
+def told(shading: fr.Shading) -> str:
+    term = shading.term
+    return f"{term.model}-{term.lobe}-{term.fresnel}"
+
+
+SIDE = fr.Camera(azimuth=35.0, elevation=8.0)
+SHADINGS = [
+    fr.Shading(model, lobe)
+    for model in ("cook-torrance", "ward", "ward-printed")
+    for lobe in fr.lobes.NAMES
+] + [fr.Shading(fresnel="dielectric")]
+REDUCED = [  # every choice that leaves something out of a scene of five lights
+    fr.Shading(lobe=GPower(11, 0.2, 0.4), masking="none"),
+    fr.Shading(fresnel="constant", masking="kelemen", m=0.25, small_slope=False),
+    fr.Shading(fresnel="constant", masking="none", m=0.1, small_slope=True, ks=0.6),
+    fr.Shading(lobe=GPower(8, 0.25, 0.5), m=0.3, ks=0.6, normal_map=False),
+    fr.Shading(lobe="fitted", masking="kelemen", ambient=False, specular_lights=(0, 2)),
+    fr.Shading(normal_map=False, ambient=False, specular_lights=[4, 1]),
+    fr.Shading("ward", GPower(4, 0.6), m=0.4, specular_lights=(3,)),
+    fr.Shading("ward", ks=0.5, specular_lights=()),
+    fr.Shading("ward-printed", "d8", normal_map=False, ambient=False, specular_lights=(0,)),
+    fr.Shading(frontal_lights=(3, 1)),
+    fr.Shading(fresnel="dielectric", lobe="d4", frontal_lights=[0, 1, 2, 3, 4]),
+    fr.Shading(masking="kelemen", m=0.3, specular_lights=(4, 0, 2), frontal_lights=(2, 3, 0)),
+]
+LIGHTS_OF_THEIR_OWN = [  # of five; several lobes and slopes in one program
+    fr.Shading(
+        lights={1: {"lobe": "d16"}, 3: {"lobe": "fitted", "masking": "kelemen"}},
+        specular_lights=(0, 1, 3),
+    ),
+    fr.Shading(lights={0: {"model": "ward", "m": 0.15}, 2: {"lobe": GPower(6, 0.3)}}),
+    fr.Shading("ward", lights={1: {"m": 0.45, "lobe": "cosine"}}, specular_lights=(1,)),
+    fr.Shading(m=0.3, lights={1: {"m": 0.1, "small_slope": True}, 3: {"model": "ward"}}),
+]
+
+
+def lit(mesh: fr.Mesh, **changes) -> fr.Scene:
+    """A scene with every kind of light."""
+    scene = fr.Scene(mesh, SIDE, background=None)
+    point = tuple(mesh.center + mesh.radius * np.array([-1.0, 0.8, 1.5]))
+    lights = (*scene.lights, fr.Light(irradiance=(1.0, 0.5, 0.2), position=point))
+    return replace(scene, lights=lights, **changes)
+
+
+def mixed(mesh: fr.Mesh) -> fr.Scene:
+    """Point lights first and among the directional ones: 0 and 3 of five."""
+    key, rim, fill, point = lit(mesh).lights
+    other = replace(point, position=tuple(mesh.center + mesh.radius * np.array([1.5, 0.5, 1.0])))
+    return fr.Scene(mesh, SIDE, (point, key, rim, other, fill), background=None)
+
+
+def compared(
+    renderer: fr.Renderer, scene: fr.Scene, shading: fr.Shading = fr.Shading()
+) -> tuple[fr.GBuffer, np.ndarray, np.ndarray]:
+    """The G-buffer; of the covered pixels, (N, 3) each, float64 shading, and the relative error of
+    the GPU's over max(reference, 0.01), where 1 is a white diffuse surface under an irradiance of
+    pi."""
+    gbuffer = renderer.gbuffer(scene, shading)
+    linear = renderer.render(scene, shading).linear
+    covered = gbuffer.part >= 0
+    np.testing.assert_array_equal(covered, linear[..., 3] > 0)
+    assert covered.mean() > 0.12
+    assert np.isfinite(linear).all()
+    shadowed = gbuffer.visibility.min(axis=(0, 1))
+    np.testing.assert_array_equal(shadowed == 1.0, [not light.shadow for light in scene.lights])
+    expected = reference.shade(gbuffer, scene, shading)[covered]
+    return gbuffer, expected, np.abs(linear[covered][:, :3] - expected) / expected.clip(0.01)
+
+
+@pytest.fixture(scope="module")
+def transparent(backend: Backend) -> Iterator[fr.Renderer]:
+    with fr.Renderer((256, 192), samples=1, backend=backend) as renderer:
+        yield renderer
+
+
+@pytest.mark.parametrize("mesh", ["head", "scan_mesh"])
+@pytest.mark.parametrize(
+    ("scene_of", "shading"),
+    [*((lit, each) for each in SHADINGS), *((mixed, each) for each in REDUCED)],
+    ids=lambda each: told(each) if isinstance(each, fr.Shading) else each.__name__,
+)
+def test_every_term_of_a_light(transparent, mesh, scene_of, shading, request):
+    scene = scene_of(request.getfixturevalue(mesh))
+    assert compared(transparent, scene, shading)[2].max() < 1e-4
+
+
+@pytest.mark.parametrize("shading", LIGHTS_OF_THEIR_OWN, ids=str)
+def test_lights_with_terms_of_their_own(transparent, head, shading):
+    assert compared(transparent, mixed(head), shading)[2].max() < 1e-4
+    assert fr.Shading.from_dict(json.loads(json.dumps(shading.as_dict()))) == shading
+
+
+@pytest.mark.parametrize("m", [1e-3, 0.05, 0.15, 0.25, 1.5])
+def test_the_exact_lobe_at_every_slope(transparent, head, m):
+    # Both forms of the half vector; below m = 0.1 the interpolated normal's own rounding shows.
+    scene = lit(head.with_material(m=m, roughness_map=None))
+    assert compared(transparent, scene)[2].max() < (1e-4 if m > 0.01 else 1e-2)
+
+
+def test_a_change_of_a_thousandth_is_seen(transparent, head):
+    scene = lit(head)
+    gbuffer, expected, _ = compared(transparent, scene)
+    changed = replace(gbuffer, m=gbuffer.m * np.float32(1.001))
+    other = reference.shade(changed, scene, fr.Shading())[gbuffer.part >= 0]
+    assert (np.abs(other - expected) / expected.clip(0.01)).max() > 1e-4
+
+
+# --- terms of a whole image ----------------------------------------------------------------------
+
+SWEAT = {"second_slope": 0.4, "lobe_weight": 0.3}
+TWO = {"second_slope": 0.5, "lobe_weight": 0.6}
+ENVIRONMENT = fr.Environment(studio(), 70.0, 0.8)
+
+
+def ramp() -> fr.Texture:
+    rows = np.add.outer(np.arange(64), np.arange(64)) * 2
+    return fr.Texture(lambda: Image.fromarray(rows.astype(np.uint8)), "ramp")
+
+
+def around(mesh: fr.Mesh, **material) -> fr.Scene:
+    """In an environment, with one light."""
+    lights, camera = fr.Scene.lights[:1], fr.Camera(azimuth=-35.0)
+    mesh = mesh.with_material(**material)
+    return fr.Scene(mesh, camera, lights, 0.0, None, ENVIRONMENT)
+
+
+def plain(mesh: fr.Mesh, **material) -> fr.Scene:
+    return fr.Scene(mesh.with_material(**material), fr.Camera(35.0), background=None)
+
+
+def areas(mesh: fr.Mesh) -> fr.Scene:
+    """Every kind of light with a size, and without."""
+    place = tuple(mesh.center + mesh.radius * np.array([-1.0, 1.2, 2.5]))
+    key, rim, fill = fr.Scene(mesh).lights
+    lights = (
+        *(replace(key, radius=8.0), rim, replace(fill, radius=20.0)),
+        fr.Light(irradiance=1.0, position=place, radius=10.0),
+        fr.Light(irradiance=0.3, position=place),
+    )
+    return fr.Scene(mesh.with_material(m=0.2), SIDE, lights, background=None)
+
+
+def key(mesh: fr.Mesh, radius: float, distance: float | None) -> fr.Light:
+    """A light high on the left, distant or so many radii of the mesh away."""
+    light = fr.Light(-50.0, 42.0, 3.0, radius=radius, shadow=True)
+    if distance is None:
+        return light
+    return replace(light, position=tuple(mesh.center + distance * mesh.radius * light.direction))
+
+
+def shadows(mesh: fr.Mesh) -> fr.Scene:
+    """Lights of every kind, with shadows and without, in an order that is not the programs'."""
+    lights = (
+        key(mesh, 0.0, 2.0),
+        fr.Light(80.0, 20.0, 0.5),
+        key(mesh, 5.0, None),
+        fr.Light(40.0, -10.0, (0.2, 0.4, 0.3), shadow=True),
+        key(mesh, 3.0, 4.0),
+    )
+    return fr.Scene(mesh, fr.Camera(-20.0), lights, ambient=0.1, background=None)
+
+
+def skin(mesh: fr.Mesh) -> fr.Scene:
+    """Near enough for four Gaussians."""
+    lights = (fr.Light(-50.0, 42.0, 3.0, shadow=True), fr.Light(80.0, 20.0, (0.2, 0.4, 0.3)))
+    mesh = mesh.with_material(scattering="skin")
+    return fr.Scene(mesh, fr.Camera(-35.0, zoom=2.5), lights, background=None)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene of the head, and a shading.
+
+    without : changes of the shading that leave the term out
+    least, darkest, largest : bounds of what that adds to float64's radiance: its mean size, its
+        least, its largest size
+    rounded : fraction of pixels that may err by up to 0.5, as their samples round to others
+    """
+
+    scene: Callable[[fr.Mesh], fr.Scene]
+    shading: fr.Shading
+    without: dict[str, object]
+    least: float
+    darkest: float = -np.inf
+    largest: float = 0.05
+    rounded: float = 0.0
+
+
+def cases() -> Iterator[tuple[Case, bool]]:
+    """Every case, deferred or not."""
+    off, forward, deferred = {"environment": False}, (False,), (True,)
+    lobes = {"second_slope": 1.7, "lobe_weight": 0.8}
+    both = {"lobe": "d8", "outside": "exact", "fresnel": "dielectric", "masking": "kelemen"}
+    for shading in (
+        fr.Shading(),
+        fr.Shading(**both, diffuse="coupled"),
+        fr.Shading("ward", environment_samples=8, ambient=False),
+    ):
+        yield Case(around, shading, off, 0.1), True
+        yield Case(partial(around, **lobes), shading, off, 0.1), False
+    sweat = partial(plain, **SWEAT, lobe_map=ramp())
+    for shading, paths in (
+        (fr.Shading(), deferred),
+        (fr.Shading(lobe="fitted", fresnel="dielectric", masking="kelemen"), deferred),
+        (fr.Shading("ward", "d16"), deferred),
+        (fr.Shading("ward-printed", m=0.1), deferred),
+        (
+            fr.Shading(lights={0: {"lobe": "d8"}, 1: {"m": 0.2}}, frontal_lights=[2]),
+            deferred + forward,
+        ),
+    ):
+        yield from ((Case(sweat, shading, {"two_lobes": False}, 0.003), path) for path in paths)
+    for material, changes, path in (
+        ({}, {}, True),
+        ({**TWO, "ks": 0.7}, {}, False),
+        ({**TWO, "ks": 0.7}, {"lobe": "d8", "m": 0.25}, True),
+        (TWO, {"model": "ward", "ambient": False, "ks": 0.5}, True),
+    ):
+        shading = fr.Shading(diffuse="coupled", **changes)
+        yield Case(partial(plain, **material), shading, {"diffuse": "lambert"}, 0.002, -0.02), path
+    for path in (False, True):
+        own = {"lobe": "fitted"}
+        for curvature in (False, True):
+            shading = fr.Shading(outside="exact", curvature=curvature, lights={1: own})
+            yield Case(areas, shading, {"normal_map": False}, 0.001), path
+        yield Case(shadows, fr.Shading(), {"shadow_lights": []}, 0.01), path
+    wide = fr.Shading(scatter_samples=8, diffuse="coupled")
+    for shading, path in ((fr.Shading(), False), (wide, True)):
+        yield Case(skin, shading, {"scatter_samples": 0}, 0.002, -np.inf, 0.1, 1e-3), path
+
+
+@pytest.fixture(scope="module")
+def floats(egl: Backend) -> Iterator[fr.Renderer]:
+    with fr.Renderer((160, 160), samples=1, backend=egl, float_albedo=True) as renderer:
+        yield renderer
+
+
+CASES = [*cases()]
+NAMES = [getattr(case.scene, "func", case.scene).__name__ for case, _ in CASES]
+
+
+@pytest.mark.parametrize(
+    ("case", "deferred"), CASES, ids=[f"{name}-{i}" for i, name in enumerate(NAMES)]
+)
+def test_every_term_of_an_image(floats, head, case, deferred, monkeypatch):
+    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
+    scene = case.scene(head)
+    gbuffer, expected, error = compared(floats, scene, case.shading)
+    assert np.quantile(error, 1.0 - case.rounded) < 1e-4
+    assert error.max() < 0.5
+    covered = gbuffer.part >= 0
+    ((low, high),) = resolve(scene, case.shading).slopes
+    if scene.mesh.materials[0].second_slope == 1.0:
+        assert low * (1.0 - 1e-6) <= gbuffer.m[covered].min() <= gbuffer.m[covered].max() <= high
+    if scene.mesh.materials[0].lobe_map:
+        assert np.ptp(gbuffer.lobe_weight[covered]) > 0.3
+    shading = case.shading.replace(**case.without)
+    bare = floats.gbuffer(scene, shading)
+    other = reference.shade(bare, scene, shading)[covered]
+    assert np.abs(other - expected).mean() > case.least
+    assert np.abs(other - expected).max() > case.largest
+    assert (other - expected).min() > case.darkest
