@@ -13,10 +13,11 @@ from facerender.errors import InputError, clipped, reason
 from facerender.loading.gltf_buffers import Buffers, Doc
 from facerender.loading.gltf_document import chunks, damaged, document_of
 from facerender.loading.gltf_features import EXTENSIONS, not_understood
-from facerender.loading.gltf_material import Look, Materials
+from facerender.loading.gltf_material import Materials, TextureTransform
 from facerender.loading.gltf_nodes import scene_nodes, transform
 from facerender.loading.gltf_pose import morphed, skinned
 from facerender.loading.gltf_primitive import Primitive, has_triangles, unit_colors
+from facerender.loading.looks import Look
 from facerender.loading.references import References
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.repair import Piece, check_count, placed
@@ -251,7 +252,7 @@ class _File:
             uv2=None if uv is None else uv2,
         )
 
-    def _drawn_material(self, look: Look, first: bool, second: bool) -> Material:
+    def _drawn_material(self, look: Look[TextureTransform], first: bool, second: bool) -> Material:
         """Return a look's material without the maps whose texture coordinates are not there."""
         material = look.material
         if not first:
