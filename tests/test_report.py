@@ -201,31 +201,29 @@ def test_files(data, triptychs, tmp_path):
     assert ("tr", {"class": "dominated"}) in page.tags
 
 
-def test_nothing_is_written_when_a_plot_fails(data, triptychs, tmp_path, monkeypatch):
-    def fail(*arguments):
-        raise MemoryError
-
-    monkeypatch.setattr(plots, "strip", fail)
-    with pytest.raises(MemoryError):
-        report.write(Measurement.from_dict(data), triptychs, tmp_path / "report")
-    assert not list(tmp_path.iterdir())
-
-
-def test_what_is_no_number_in_json_is_refused(data, triptychs, tmp_path):
-    data["variants"][1]["cost"]["term_ns"]["high"] = float("nan")
-    with pytest.raises(ValueError, match="not JSON compliant"):
-        report.write(Measurement.from_dict(data), triptychs, tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
-def test_without_matplotlib(data, triptychs, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(InputError, match=r"the report needs matplotlib: pip install 'facerender\["):
-        report.write(Measurement.from_dict(data), triptychs, tmp_path)
-    assert "not measured" in report.table(Measurement.from_dict(data))
-
-
-def test_a_directory_that_cannot_be_made(data, triptychs, tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="cannot make .*file/report: not a directory"):
-        report.write(Measurement.from_dict(data), triptychs, tmp_path / "file" / "report")
+@pytest.mark.parametrize(
+    ("fault", "kind", "message"),
+    [
+        ("plot", MemoryError, None),
+        ("number", ValueError, "not JSON compliant"),
+        ("matplotlib", InputError, r"the report needs matplotlib: pip install 'facerender\["),
+        ("folder", InputError, "cannot make .*file/report: not a directory"),
+    ],
+)
+def test_after_a_fault_nothing_is_written(
+    data, triptychs, tmp_path, monkeypatch, fault, kind, message
+):
+    folder = tmp_path / "report"
+    if fault == "plot":
+        monkeypatch.setattr(plots, "strip", lambda images: (_ for _ in ()).throw(MemoryError))
+    elif fault == "number":
+        data["variants"][1]["cost"]["term_ns"]["high"] = float("nan")
+    elif fault == "matplotlib":
+        monkeypatch.setitem(sys.modules, "matplotlib", None)
+        assert "not measured" in report.table(Measurement.from_dict(data))
+    else:
+        (tmp_path / "file").touch()
+        folder = tmp_path / "file" / "report"
+    with pytest.raises(kind, match=message):
+        report.write(Measurement.from_dict(data), triptychs, folder)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"] * (fault == "folder")
