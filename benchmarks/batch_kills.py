@@ -5,10 +5,11 @@
 
 Draws a small mesh without kills, and once more while one process after the other is sent SIGKILL:
 the coordinator, its workers; with --dask the scheduler, its workers, their nannies and the
-processes below them that draw. What was killed is started again as a user would, with the same command. At last every file,
-table and record must be there, once, with the bytes of the run without kills: exit status 1 where
-one is not. With --edits the table of jobs is another one in between, so many times; with --stops
-some processes are stopped (SIGSTOP) until they are killed or their time is over.
+processes below them that draw. What was killed is started again as a user would, with the same
+command. At last every file, table and record must be there, once, with the bytes of the run without
+kills: exit status 1 where one is not. With --edits the table of jobs is another one in between, so
+many times; with --stops some processes are stopped (SIGSTOP) until they are killed or their time is
+over.
 """
 
 from __future__ import annotations
