@@ -419,11 +419,3 @@ def test_a_test_goes_before_the_file(suites):
     suites.run().assert_outcomes(failed=1)
     suites.give(0.5004, "block=0.01")
     suites.run().assert_outcomes(passed=1)
-
-
-def test_limit_that_is_none_is_told_before_any_test(suites):
-    suites.record(0.5)
-    suites.pytester.makeini("[pytest]\nfacerender_shift = far\n")
-    result = suites.run()
-    assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines(["*facerender_shift = far: give a number"])

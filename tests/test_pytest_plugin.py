@@ -48,8 +48,11 @@ class Suites:
     def write(self, tests: str, module: str = "test_suite") -> None:
         self.pytester.makepyfile(**{module: SUITE + tests})
 
-    def run(self, *options: str) -> pytest.RunResult:
-        return self.pytester.runpytest_inprocess(*PLUGIN, *options)
+    def run(self, *options: str, **outcomes: int) -> pytest.RunResult:
+        result = self.pytester.runpytest_inprocess(*PLUGIN, *options)
+        if outcomes:
+            result.assert_outcomes(**outcomes)
+        return result
 
     def run_apart(self, *options: str) -> pytest.RunResult:
         return self.pytester.runpytest_subprocess(*PLUGIN, *options)
@@ -75,7 +78,7 @@ def suites(pytester, monkeypatch) -> Suites:
 def recorded(suites) -> Suites:
     """One test with a golden of 0.5, recorded on llvmpipe."""
     suites.write(ONE.format(value=0.5))
-    suites.run("--facerender-update-missing").assert_outcomes(passed=1)
+    suites.run("--facerender-update-missing", passed=1)
     return suites
 
 
@@ -85,8 +88,7 @@ def recorded(suites) -> Suites:
 @pytest.mark.parametrize("options", [(), ("--facerender-unused=list",)])
 def test_missing_golden_fails_and_names_the_option(suites, options):
     suites.write(ONE.format(value=0.5))
-    result = suites.run(*options)
-    result.assert_outcomes(failed=1)
+    result = suites.run(*options, failed=1)
     result.stdout.fnmatch_lines(["*test_head has no golden: --facerender-update-missing writes it"])
     assert suites.goldens() == []
 
@@ -94,8 +96,7 @@ def test_missing_golden_fails_and_names_the_option(suites, options):
 def test_golden_lies_beside_the_test_with_its_metadata(suites):
     suites.pytester.mkpydir("inner")
     suites.pytester.path.joinpath("inner/test_deep.py").write_text(SUITE + ONE.format(value=2.5))
-    result = suites.run("--facerender-update-missing")
-    result.assert_outcomes(passed=1)
+    result = suites.run("--facerender-update-missing", passed=1)
     golden = suites.path / "inner/goldens/test_deep/test_head.exr"
     result.stdout.fnmatch_lines(["written: inner/goldens/test_deep/test_head.exr"])
     file = OpenEXR.File(str(golden))
@@ -110,22 +111,21 @@ def test_golden_of_a_frame_says_where_it_comes_from(suites, egl):
         "def test_frame(facerender_snapshot):\n"
         f"    facerender_snapshot.check(fr.render(size=(48, 32), samples=1, backend={egl!r}))\n"
     )
-    suites.run("--facerender-update-missing").assert_outcomes(passed=1)
+    suites.run("--facerender-update-missing", passed=1)
     metadata = read_image(suites.golden("test_frame")).metadata
     assert set(metadata) >= {"facerender", "GL_RENDERER", "GL_VERSION", "samples", "albedo"}
-    suites.run().assert_outcomes(passed=1)
+    suites.run(passed=1)
 
 
 def test_path_of_an_image(recorded):
     save_exr(recorded.path / "own.exr", np.full((32, 32, 3), 0.5, np.float32), {})
     recorded.write("def test_head(snapshot): snapshot('own.exr')")
-    recorded.run().assert_outcomes(passed=1)
+    recorded.run(passed=1)
 
 
 def test_difference_fails_with_reasons_and_both_images(recorded):
     recorded.write(ONE.format(value=0.6))
-    result = recorded.run("--basetemp=out")
-    result.assert_outcomes(failed=1)
+    result = recorded.run("--basetemp=out", failed=1)
     result.stdout.fnmatch_lines(
         [
             "*AssertionError: test_head differs from its golden: 1024 pixels over by up to 0.09*, "
@@ -154,18 +154,18 @@ def test_difference_fails_with_reasons_and_both_images(recorded):
 )
 def test_limits_are_options_of_check(recorded, value, options, passes):
     recorded.write(f"def test_head(snapshot): snapshot(image({value}), {options})")
-    recorded.run().assert_outcomes(passed=int(passes), failed=int(not passes))
+    recorded.run(passed=int(passes), failed=int(not passes))
 
 
 def test_coverage_limit(suites):
     alpha = "np.concatenate([image(), np.tri(32, k={k}, dtype=np.float32)[..., None]], axis=-1)"
     suites.write(f"def test_head(snapshot): snapshot({alpha.format(k=0)})")
-    suites.run("--facerender-update-missing").assert_outcomes(passed=1)
+    suites.run("--facerender-update-missing", passed=1)
     for limit, passes in (("0.005", False), ("0.05", True)):
         suites.write(
             f"def test_head(snapshot): snapshot({alpha.format(k=1)}, coverage={limit}, point=9)"
         )
-        suites.run().assert_outcomes(passed=int(passes), failed=int(not passes))
+        suites.run(passed=int(passes), failed=int(not passes))
 
 
 @pytest.mark.parametrize(
@@ -184,8 +184,7 @@ def test_image_that_is_none_becomes_no_golden(suites, image, message, golden):
     if golden:
         suites.run("--facerender-update-missing")
     suites.write(f"def test_head(snapshot): snapshot({image})")
-    result = suites.run("--facerender-update")
-    result.assert_outcomes(failed=1)
+    result = suites.run("--facerender-update", failed=1)
     result.stdout.fnmatch_lines([message])
     assert suites.goldens() == (["test_head.exr"] if golden else [])
     assert not golden or suites.value() == 0.5
@@ -206,8 +205,8 @@ def test_names_of_goldens(suites):
         "    snapshot(image(0.3), 'one')\n"
         "    snapshot(image(0.4), '../two')\n"
     )
-    suites.run("--facerender-update-missing").assert_outcomes(passed=10)
-    suites.run().assert_outcomes(passed=10)
+    suites.run("--facerender-update-missing", passed=10)
+    suites.run(passed=10)
     assert suites.goldens() == [
         *("..%2Ftwo.exr", "TestA.test_same.exr", "TestB.test_same.exr", "one.exr"),
         *("test_p-%5Cxfc.exr", "test_p-...exr", "test_p-0.5.exr", "test_p-a%2Fb.exr"),
@@ -220,37 +219,41 @@ def test_long_names_are_cut_and_stay_apart(suites):
         "@pytest.mark.parametrize('p', ['ж' * 300 + end for end in 'ab'], ids=str)\n"
         "def test_p(snapshot, p): snapshot(image(), 'ж' * 300 + p[-1])\n"
     )
-    suites.run("--facerender-update-missing").assert_outcomes(passed=2)
+    suites.run("--facerender-update-missing", passed=2)
     names = suites.goldens()
     assert len(names) == 2
     assert max(map(len, names)) < 200
 
 
-def test_two_tests_cannot_write_one_golden(suites):
-    suites.write(
-        "def test_a(snapshot): snapshot(image(0.1), 'one')\n"
-        "def test_b(snapshot): snapshot(image(0.2), 'one')\n"
-    )
-    result = suites.run("--facerender-update")
-    result.assert_outcomes(passed=1, failed=1)
-    result.stdout.fnmatch_lines(["*one.exr was written for another image just now: give*"])
-    assert suites.value("one") == pytest.approx(0.1)
+TWICE = {  # tests that would write one golden twice, the message, tests that pass
+    "two tests": (
+        "def test_a(snapshot): snapshot(image(0.1), 'test_head')\n"
+        "def test_b(snapshot): snapshot(image(0.2), 'test_head')\n",
+        "*test_head.exr was written for another image just now: give*",
+        1,
+    ),
+    "one test": (
+        "def test_head(snapshot):\n    snapshot(image(0.1))\n    snapshot(image(0.2))\n",
+        "*test_head was checked before in this test: give each image*",
+        0,
+    ),
+}
+
+
+@pytest.mark.parametrize("case", TWICE)
+def test_a_name_serves_one_image(suites, case):
+    tests, message, passed = TWICE[case]
+    suites.write(tests)
+    result = suites.run("--facerender-update", passed=passed, failed=1)
+    result.stdout.fnmatch_lines([message])
+    assert suites.value() == pytest.approx(0.1)
 
 
 def test_place_of_goldens_that_cannot_be_made(suites):
     suites.write(ONE.format(value=0.5))
     (suites.path / "goldens").touch()
-    result = suites.run("--facerender-update-missing")
-    result.assert_outcomes(failed=1)
+    result = suites.run("--facerender-update-missing", failed=1)
     result.stdout.fnmatch_lines(["*cannot make */goldens/test_suite: *"])
-
-
-def test_one_name_serves_one_image_of_a_test(suites):
-    suites.write("def test_head(snapshot):\n    snapshot(image(0.1))\n    snapshot(image(0.2))\n")
-    result = suites.run("--facerender-update")
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*test_head was checked before in this test: give each image*"])
-    assert suites.value() == pytest.approx(0.1)
 
 
 # --- updates -------------------------------------------------------------------------------------
@@ -263,64 +266,57 @@ def test_update_writes_what_differs_and_what_is_missing(recorded):
         ONE.format(value=0.50001)  # the same, within the limits
         + "def test_other(snapshot): snapshot(image(0.7))\n"
     )
-    result = recorded.run("--facerender-update")
-    result.assert_outcomes(passed=2)
+    result = recorded.run("--facerender-update", passed=2)
     result.stdout.no_fnmatch_line("written: *test_head.exr")
     result.stdout.fnmatch_lines(["written: goldens/test_suite/test_other.exr"])
     assert recorded.golden().read_bytes() == before
     assert recorded.golden().stat().st_mtime_ns == stat.st_mtime_ns
 
     recorded.write(ONE.format(value=0.6) + "def test_other(snapshot): snapshot(image(0.7))\n")
-    recorded.run().assert_outcomes(passed=1, failed=1)
-    recorded.run("--facerender-update").assert_outcomes(passed=2)
+    recorded.run(passed=1, failed=1)
+    recorded.run("--facerender-update", passed=2)
     assert recorded.value() == pytest.approx(0.6)
-    recorded.run().assert_outcomes(passed=2)
+    recorded.run(passed=2)
 
 
 def test_update_takes_another_size(recorded):
     recorded.write("def test_head(snapshot): snapshot(image()[:16])")
-    result = recorded.run()
-    result.assert_outcomes(failed=1)
+    result = recorded.run(failed=1)
     result.stdout.fnmatch_lines(["*test_head.exr is 32 x 32, the image is 32 x 16 pixels*"])
-    recorded.run("--facerender-update").assert_outcomes(passed=1)
-    recorded.run().assert_outcomes(passed=1)
+    recorded.run("--facerender-update", passed=1)
+    recorded.run(passed=1)
 
 
 def test_update_missing_leaves_what_differs(recorded):
     before = recorded.golden().read_bytes()
     recorded.write(ONE.format(value=0.6) + "def test_other(snapshot): snapshot(image(0.7))\n")
-    recorded.run("--facerender-update-missing").assert_outcomes(passed=1, failed=1)
+    recorded.run("--facerender-update-missing", passed=1, failed=1)
     assert recorded.golden().read_bytes() == before
     assert recorded.goldens() == ["test_head.exr", "test_other.exr"]
+    recorded.run("-o", "facerender_update=true", passed=2)  # as an ini file says it
+    assert recorded.value() == pytest.approx(0.6)
 
 
-def test_update_refuses_the_golden_of_another_renderer(recorded, monkeypatch):
+@pytest.mark.parametrize("readable", [True, False])
+def test_update_refuses_the_golden_of_another_renderer(recorded, monkeypatch, readable):
+    recorded_on, this = "llvmpipe (LLVM 15.0.6, 256 bits)", "softpipe"
+    monkeypatch.setenv("RENDERER", this)
+    if not readable:
+        recorded_on = "an unknown renderer"
+        recorded.golden().write_text("version https://git-lfs.github.com/spec/v1\n")
     before = recorded.golden().read_bytes()
     recorded.write(ONE.format(value=0.6))
-    monkeypatch.setenv("RENDERER", "softpipe")
-    result = recorded.run("--facerender-update")
-    result.assert_outcomes(failed=1)
+    result = recorded.run("--facerender-update", failed=1)
     result.stdout.fnmatch_lines(
         [
-            "*test_head.exr was recorded on llvmpipe (LLVM 15.0.6, 256 bits), this is softpipe: "
+            f"*test_head.exr was recorded on {recorded_on}, this is {this}: "
             "--facerender-force overwrites it, --facerender-alternative writes one*"
         ]
     )
     assert recorded.golden().read_bytes() == before
-
-    recorded.run("--facerender-update", "--facerender-force").assert_outcomes(passed=1)
+    recorded.run("--facerender-update", "--facerender-force", passed=1)
     assert recorded.value() == pytest.approx(0.6)
     assert recorded.goldens() == ["test_head.exr"]
-
-
-def test_update_refuses_a_golden_that_cannot_be_read(recorded):
-    recorded.golden().write_text("version https://git-lfs.github.com/spec/v1\n")
-    result = recorded.run("--facerender-update")
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*test_head.exr was recorded on an unknown renderer, this is*"])
-    assert recorded.golden().read_text().startswith("version")
-    recorded.run("--facerender-update", "--facerender-force").assert_outcomes(passed=1)
-    assert recorded.value() == 0.5
 
 
 def test_alternative_for_another_renderer(recorded, monkeypatch):
@@ -328,22 +324,22 @@ def test_alternative_for_another_renderer(recorded, monkeypatch):
     update = ("--facerender-update", "--facerender-alternative")
     recorded.write(ONE.format(value=0.6))
     monkeypatch.setenv("RENDERER", "NVIDIA H200/PCIe/SSE2")
-    recorded.run(*update).assert_outcomes(passed=1)
+    recorded.run(*update, passed=1)
     assert recorded.goldens() == ["test_head.exr", "test_head@NVIDIA-H200.exr"]
     assert recorded.run("--facerender-unused=fail").ret == pytest.ExitCode.OK
     recorded.write(ONE.format(value=0.5))  # as the other golden is, but this one counts
-    recorded.run().assert_outcomes(failed=1)
+    recorded.run(failed=1)
 
     monkeypatch.delenv("RENDERER")
-    recorded.run(*update).assert_outcomes(passed=1)
+    recorded.run(*update, passed=1)
     assert recorded.golden().read_bytes() == before
     recorded.write(ONE.format(value=0.7))  # its own golden is updated in its place
-    recorded.run(*update).assert_outcomes(passed=1)
+    recorded.run(*update, passed=1)
     assert recorded.value() == pytest.approx(0.7)
     assert recorded.value("test_head@NVIDIA-H200") == pytest.approx(0.6)
 
     monkeypatch.setenv("RENDERER", "NVIDIA H200 (another driver)")  # the same name
-    recorded.run(*update).assert_outcomes(failed=1)
+    recorded.run(*update, failed=1)
     assert recorded.value("test_head@NVIDIA-H200") == pytest.approx(0.6)
 
 
@@ -394,12 +390,23 @@ def test_interrupted_update_leaves_the_old_golden(recorded, end):
     assert recorded.run("--facerender-unused=fail").ret == pytest.ExitCode.OK
 
 
-@pytest.mark.parametrize("option", ["--facerender-force", "--facerender-alternative"])
-def test_options_that_need_update(suites, option):
+@pytest.mark.parametrize(
+    ("ini", "options", "message"),
+    [
+        ("", ["--facerender-force"], "--facerender-force goes with --facerender-update"),
+        ("", ["--facerender-alternative"], "--facerender-alternative goes with --facerender-up*"),
+        ("", ["--facerender-report=file/page"], "cannot make */file/page: Not a directory"),
+        ("facerender_unused = never", [], "facerender_unused: give one of ignore, list, fail"),
+        ("facerender_shift = far", [], "facerender_shift = far: give a number"),
+    ],
+)
+def test_settings_that_cannot_be(suites, ini, options, message):
+    (suites.path / "file").touch()
+    suites.pytester.makeini(f"[pytest]\n{ini}\n")
     suites.write(ONE.format(value=0.5))
-    result = suites.run(option)
+    result = suites.run(*options)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines([f"ERROR: {option} goes with --facerender-update"])
+    result.stderr.fnmatch_lines([f"ERROR: {message}"])
 
 
 # --- ini -----------------------------------------------------------------------------------------
@@ -420,21 +427,8 @@ def test_ini(suites):
     assert suites.run().ret == pytest.ExitCode.TESTS_FAILED
     assert suites.run("--facerender-unused=ignore").ret == pytest.ExitCode.OK
     suites.golden().unlink()
-    suites.run("-o", "facerender_update_missing=false").assert_outcomes(failed=1)
+    suites.run("-o", "facerender_update_missing=false", failed=1)
     assert list(inner.iterdir()) == []
-
-
-def test_ini_that_updates(recorded):
-    recorded.write(ONE.format(value=0.9))
-    recorded.run("-o", "facerender_update=true").assert_outcomes(passed=1)
-    assert recorded.value() == pytest.approx(0.9)
-
-
-def test_ini_that_is_none(suites):
-    suites.pytester.makeini("[pytest]\nfacerender_unused = never\n")
-    result = suites.run()
-    assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines(["ERROR: facerender_unused: give one of ignore, list, fail"])
 
 
 # --- goldens that no test uses -------------------------------------------------------------------
@@ -452,7 +446,7 @@ def unused(suites) -> Suites:
     """Two modules with goldens, and one golden more in each."""
     for module in ("test_one", "test_two"):
         suites.write(TWO, module)
-    suites.run("--facerender-update-missing").assert_outcomes(passed=6)
+    suites.run("--facerender-update-missing", passed=6)
     for module in ("test_one", "test_two"):
         suites.golden("old", module).write_bytes(b"")
     return suites
@@ -586,9 +580,9 @@ def test_report_has_the_last_of_several_runs_of_a_test(suites):
 
 def test_report_keeps_no_image_of_an_earlier_session(recorded):
     recorded.write(ONE.format(value=0.6))
-    recorded.run("--facerender-report=page").assert_outcomes(failed=1)
+    recorded.run("--facerender-report=page", failed=1)
     recorded.write(ONE.format(value=0.5))
-    recorded.run("--facerender-report=page").assert_outcomes(passed=1)
+    recorded.run("--facerender-report=page", passed=1)
     assert list((recorded.path / "page").rglob("*.exr")) == []
 
 
@@ -598,13 +592,6 @@ def test_image_that_cannot_be_kept_hides_no_reason(recorded):
     (recorded.path / "page/actual").touch()
     result = recorded.run("--facerender-report=page")
     result.stdout.fnmatch_lines(["*test_head differs from its golden*", "*actual not written: *"])
-
-
-def test_report_folder_that_cannot_be_made(suites):
-    (suites.path / "file").touch()
-    result = suites.run("--facerender-report=file/page")
-    assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines(["ERROR: cannot make */file/page: Not a directory"])
 
 
 # --- other sessions ------------------------------------------------------------------------------

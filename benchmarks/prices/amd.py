@@ -23,7 +23,7 @@ from facerender.pricing import variants
 from facerender.pricing.variants import INPUTS
 from facerender.system.signals import temporary_folder
 
-FAMILIES = ("navi21", "vega10")  # RDNA2, GCN5
+FAMILIES = {"navi21": "RDNA2 (navi21)", "vega10": "GCN5 (vega10)"}
 ICD_FOLDERS = (Path("/usr/share/vulkan/icd.d"), Path("/etc/vulkan/icd.d"))
 _DRIVER_PACKAGES = "mesa-vulkan-drivers libvulkan1"
 
@@ -99,7 +99,7 @@ def driver() -> str:
     ------
     NotMeasured : a tool is missing; the message says which, and how to get it
     """
-    return compile_programs([], FAMILIES[0])[0]
+    return compile_programs([], next(iter(FAMILIES)))[0]
 
 
 def table() -> dict[str, Any]:

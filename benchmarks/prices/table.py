@@ -17,7 +17,6 @@ from facerender.drawing.passes.scatter import scatter_pass
 from facerender.drawing.program import ATTRIBUTES, Program
 from facerender.pricing import fragment, scatter
 from facerender.pricing.table import (
-    FAMILY_NAMES,
     TABLE,
     Pair,
     Prices,
@@ -133,7 +132,7 @@ def compiled(family: str, terms: Mapping[str, Term], seconds: Mapping[str, Term]
 
     prices = specular(terms)
     prices |= second_lobes(specular(seconds, **_TWO_LOBES), prices, seconds)
-    source = f"{amd.driver()}'s estimate for {FAMILY_NAMES[family]}"
+    source = f"{amd.driver()}'s estimate for {amd.FAMILIES[family]}"
     return Prices(
         source, "cycles of a wave", without_specular(costs) | scattering_parts(family), prices
     )

@@ -78,9 +78,7 @@ def run(options: argparse.Namespace) -> int:
     _check_read(options)
     table = _table(options)
     if options.check:
-        for _ in table:
-            pass
-        _check_faults(table)
+        _check_faults(table.check())
         tell(f"{options.jobs}: {table.rows} jobs of {table.meshes} meshes")
         return 0
     if options.output is None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from facerender.commands.streams import say
-from facerender.errors import InputError, reason
+from facerender.errors import InputError
 from facerender.job import MESH_PATHS, MeshFile, parse_size
 from facerender.loading.references import named_files
 from facerender.loading.source import GLTF
@@ -180,15 +180,6 @@ def mesh_files(mesh: MeshFile) -> Iterator[str | Path | None]:
     if mesh.path is not None:
         for path in named_files(Path(mesh.path)):
             yield from (path, Path(mesh.path).with_name(path.name))
-
-
-def make_folder(text: str) -> Path:
-    """Make the folder of the results, so that nothing is measured for one that cannot be."""
-    try:
-        Path(text).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot make {text}: {reason(error)}; give a writable folder") from None
-    return Path(text)
 
 
 def import_trimesh(mesh: str | None) -> None:

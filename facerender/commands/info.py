@@ -19,14 +19,19 @@ from facerender.system.data import data_dir
 
 _HEAD = 230.0  # mm from chin to crown, roughly: to guess a unit by
 _SRGB = ("albedo_map", "emissive_map")
-_ALWAYS = ("albedo", "f0", "ks", "alpha")  # factors that are told though nothing has changed them
+_ALWAYS = (
+    "albedo",
+    "f0",
+    "ks",
+    "alpha",
+)  # listed even where they are the default
 
 
 def add(info: argparse.ArgumentParser) -> None:
     info.set_defaults(command=run)
     info.description = (
         "Tell what a mesh file holds, as it would be drawn: parts with their materials and maps, "
-        "size and unit, and what was mended or left out."
+        "size and unit, and what was repaired or left out."
     )
     info.add_argument(
         "mesh", nargs="?", help=".glb .gltf .obj .ply .stl; without it the built-in head"

@@ -11,7 +11,6 @@ from facerender.commands.common import (
     add_verbose,
     check_outputs,
     import_trimesh,
-    make_folder,
     mesh_files,
     steps,
 )
@@ -19,6 +18,7 @@ from facerender.commands.streams import say, tell
 from facerender.drawing.context import BACKENDS
 from facerender.job import MeshFile
 from facerender.loading import load_mesh
+from facerender.system.atomic import make_folder
 
 
 def add(measure: argparse.ArgumentParser) -> None:

@@ -16,7 +16,7 @@ from facerender.commands.common import (
 )
 from facerender.commands.scene import add_scene, files_read, job_of, load
 from facerender.commands.streams import say, tell
-from facerender.commands.views import STANDARD_OUTPUT, Target, check_sheet
+from facerender.commands.views import STANDARD_OUTPUT, Destination, check_sheet
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.frame import FORMATS
 from facerender.drawing.renderer import Renderer
@@ -90,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
         )
     EXPOSURES.check("exposure", options.exposure)
     transparent = job.background is None
-    target = Target.of(
+    target = Destination.of(
         *(options.output, [*cameras], options.sheet, options.format, options.fps, transparent)
     )
     written = [] if options.output == STANDARD_OUTPUT else target.files

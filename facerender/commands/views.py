@@ -26,7 +26,7 @@ _OF_PIXEL = 32  # bytes, of a sheet: linear, and as much at the most while it is
 
 
 @dataclass(frozen=True)
-class Target:
+class Destination:
     """What is written.
 
     Attributes
@@ -53,7 +53,7 @@ class Target:
         format: Format | None,
         fps: float | None,
         transparent: bool,
-    ) -> Target:
+    ) -> Destination:
         """Return where images go.
 
         Parameters
@@ -105,8 +105,7 @@ class Target:
         if self.kind == "moving":
             from facerender.images.animation import save_animation
 
-            pictures = (frame.srgb8(exposure) for frame in drawn())
-            save_animation(self.files[0], pictures, self.fps)
+            save_animation(self.files[0], (frame.srgb8(exposure) for frame in drawn()), self.fps)
             return last[0]
         images = drawn()
         if self.kind == "sheet":
@@ -162,8 +161,8 @@ def _has_fields(pattern: str) -> bool:
 
 def _plain(name: str) -> str:
     """A name, which others may have written, as part of a file's."""
-    kept = "".join(each if each.isalnum() or each in "._-+" else "_" for each in name)
-    return kept.lstrip(".")[:80] or "_"
+    plain = "".join(each if each.isalnum() or each in "._-+" else "_" for each in name)
+    return plain.lstrip(".")[:80] or "_"
 
 
 def check_sheet(count: int, size: tuple[int, int], memory: float | None) -> None:

@@ -101,17 +101,19 @@ def check(
     renderer = image.metadata.get("GL_RENDERER", "")
     own = golden.with_name(f"{golden.stem}@{renderer_name(renderer)}.exr")
     golden = own if os.path.isfile(own) else golden
+    exists = os.path.isfile(golden)  # before it is read: another process may write it meanwhile
     pair = Pair.of(name, golden, image, **options)
     if pair.status == 0:
         return GoldenResult(image, pair, golden)
-    failure = _why_not_written(pair, golden, updates)
+    exists = exists or pair.reference is not None
+    failure = _why_not_written(pair, golden, exists, updates)
     if not failure:
         try:
             compare(image, image, **options)  # the image itself or its limits may be invalid
         except InputError as error:
             failure = str(error)
     place = golden
-    if not failure and os.path.isfile(golden):
+    if not failure and exists:
         recorded = pair.reference.metadata.get("GL_RENDERER", "") if pair.reference else None
         if recorded != renderer and updates.alternative and renderer:
             place = own
@@ -141,11 +143,11 @@ def _linear_rgb(source: Comparable, metadata: Mapping[str, str]) -> ImageData:
     return replace(image, metadata={"facerender": __version__, **image.metadata, **metadata})
 
 
-def _why_not_written(pair: Pair, golden: Path, updates: Updates) -> str:
+def _why_not_written(pair: Pair, golden: Path, exists: bool, updates: Updates) -> str:
     """Return why no golden may be written for a pair that differs; "" where one may."""
     if updates.differing:
         return ""
-    if os.path.isfile(golden):
+    if exists:
         return pair.error or f"{golden.stem} differs from its golden: {pair.comparison}"
     if updates.missing:
         return ""

@@ -182,7 +182,7 @@ class GBuffer:
     view : the camera that saw it
     second_m, lobe_weight : (H, W) float32, slope of the second lobe and share of the first; None
         where no material has two lobes
-    facing : (H, W) float32, cosine between the mesh's normal, without its map, and the eye; None
+    facing : (H, W) float32, cosine between the mesh's normal, without its map, and the view; None
         where nothing scatters
     emission : (H, W, 3) float32, radiance that the surface gives off itself; None where no material
         does

@@ -203,7 +203,7 @@ def scene_uniforms(scene: Scene, view: View, lighting: Lighting | None = None) -
     return {
         **around,
         "view_projection": view.matrix,
-        "eye": view.position,
+        "camera_position": view.position,
         "ambient": np.asarray(scene.ambient),
         **({} if lighting is None else lighting.uniforms(scene.mesh)),
     }

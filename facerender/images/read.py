@@ -21,7 +21,7 @@ from facerender.images.image import ImageData, image_from_array
 from facerender.system.files import check_downloaded, open_file
 
 SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
-SRGB_GAMMA = 0.45455  # what a PNG says of itself for programs that know no sRGB
+SRGB_GAMMA = 0.45455  # of the gAMA chunk of an sRGB PNG
 _NPY = b"\x93NUMPY"
 _LONGEST_HEADER = 1 << 16  # of a NumPy array
 _LONGEST_EXR = 1 << 24  # bytes of the header of an EXR

@@ -1,4 +1,4 @@
-"""Mesh files: read, checked, mended where that is safe, and placed by their scene graph.
+"""Mesh files: read, checked, repaired where that is safe, and placed by their scene graph.
 Materials and maps come along. No OpenGL here."""
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def load_mesh(
 ) -> Mesh:
     """Read a mesh file, what another library has read of one, or the built-in head.
 
-    Missing textures, dropped faces and mended normals are reported as FacerenderWarning.
+    Missing textures, dropped faces and repaired normals are reported as FacerenderWarning.
 
     Parameters
     ----------
@@ -139,11 +139,11 @@ def _scaled(mesh: Mesh, millimetres: float | None) -> Mesh:
     return mesh if millimetres is None else replace(mesh, millimetres=millimetres)
 
 
-def _maps(**given: Map | None) -> tuple[dict[str, Path], dict[str, Texture]]:
+def _maps(**sources: Map | None) -> tuple[dict[str, Path], dict[str, Texture]]:
     """Return, by the field of :class:`Material`, maps that are files, and others."""
     paths: dict[str, Path] = {}
     textures: dict[str, Texture] = {}
-    for name, value in given.items():
+    for name, value in sources.items():
         if value is None:
             continue
         if isinstance(value, Texture):

@@ -128,8 +128,8 @@ def piece_of(
         look = library.look(getattr(own, "name", ""), colors is not None)
         material = look.material
         if uv is not None:
-            uv2 = None if look.second is None else look.second.moved(uv)
-            uv = look.first.moved(uv)
+            uv2 = None if look.second is None else look.second.applied(uv)
+            uv = look.first.applied(uv)
     if lost_images and material.albedo_map is None and min(material.albedo) > 0.99:
         material = replace(material, albedo=SKIN_ALBEDO)  # white was meant to multiply the image
     if uv is None and any(getattr(material, key) for key in MAPS):
@@ -195,7 +195,7 @@ def _of_gltf(source: Any, file: str, textures: dict[int, Texture]) -> Material:
         normal_map=texture("normalTexture", "normal"),
         roughness_map=properties and properties.channel(1, properties.name),
         occlusion_map=occlusion and occlusion.channel(0, occlusion.name),
-        alpha=alpha,  # type: ignore[arg-type]  # others are told
+        alpha=alpha,  # type: ignore[arg-type]  # others are refused
         opacity=float(factors[3]),
         alpha_cutoff=0.5 if cutoff is None else float(cutoff),
         opacity_map=opacity_map,

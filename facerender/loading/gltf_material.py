@@ -15,6 +15,7 @@ from facerender.errors import clipped, warn
 from facerender.loading.gltf_buffers import Buffers, Doc
 from facerender.loading.gltf_features import EXTENSIONS
 from facerender.loading.images import image_of, missing_image, unreadable
+from facerender.loading.looks import Look, WarnOnce, second_of
 from facerender.loading.references import inline
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Alpha, Material
 from facerender.scenes.texture import Texture, Wrap
@@ -61,16 +62,6 @@ class TextureTransform:
         return np.stack([u + self.offset[0], 1.0 - (v + self.offset[1])], axis=1)
 
 
-@dataclass(frozen=True)
-class Look:
-    """A material, and where its maps lie: those that it names as ``second_uv`` at the second place,
-    the others at the first."""
-
-    material: Material
-    first: TextureTransform
-    second: TextureTransform | None
-
-
 class Materials:
     """The materials of a checked document. Methods raise ValueError for what is damaged."""
 
@@ -81,32 +72,26 @@ class Materials:
         self.without_albedo = without_albedo
         self.images: dict[int, tuple[Image, Texture, Texture | None] | None] = {}
         self.sampled: dict[tuple[int, Any, Any], Texture] = {}
-        self.looks: dict[tuple[int | None, bool], Look] = {}
+        self.looks: dict[tuple[int | None, bool], Look[TextureTransform]] = {}
         self.lost_images = False
-        self.told: set[str] = set()
+        self.warn = WarnOnce()
 
-    def look(self, index: int | None, has_colors: bool) -> Look:
+    def look(self, index: int | None, has_colors: bool) -> Look[TextureTransform]:
         """Return the look of a primitive."""
         if (index, has_colors) not in self.looks:
             self.looks[index, has_colors] = self._look(index, has_colors)
         return self.looks[index, has_colors]
 
-    def warn(self, message: str) -> None:
-        """Warn, once."""
-        if message not in self.told:
-            self.told.add(message)
-            warn(message)
-
-    def _look(self, index: int | None, has_colors: bool) -> Look:
+    def _look(self, index: int | None, has_colors: bool) -> Look[TextureTransform]:
         if index is None:
             material = Material(albedo=(1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO)
-            return Look(material, TextureTransform(), None)
+            return Look(material, TextureTransform())
         source = self.document["materials"][index]
         extensions = source.get("extensions", {})
         metallic = source.get("pbrMetallicRoughness", {})
         glossy = extensions.get("KHR_materials_pbrSpecularGlossiness", {})
         specular = extensions.get("KHR_materials_specular", {})
-        self._tell_of(extensions)
+        self._warn_of(extensions)
         base = glossy.get("diffuseTexture", metallic.get("baseColorTexture"))
         alpha = _ALPHAS.get(source.get("alphaMode", "OPAQUE"), "opaque")
         emissive = self._emissive(source, extensions)
@@ -123,17 +108,8 @@ class Materials:
         first = (
             TextureTransform.of(base) if base else next(iter(places.values()), TextureTransform())
         )
-        second = next((each for each in places.values() if each != first), None)
-        maps: dict[str, Any] = {}
-        for key, place in places.items():
-            kind = _kind(key)
-            if place in (first, second):
-                maps[key] = self._map(uses[key], kind, _CHANNELS.get(key))
-            else:
-                self.warn(
-                    f"the {kind} map of {self.name} lies by texture coordinates of its own beside "
-                    "two others: left out"
-                )
+        second = second_of(places.values(), first)
+        maps = self._maps(uses, places, (first, second))
         if not glossy:
             self._look_for_metal(metallic)
         factor = glossy.get("diffuseFactor", metallic.get("baseColorFactor", [1.0] * 4))
@@ -159,9 +135,28 @@ class Materials:
         )
         return Look(material, first, second)
 
+    def _maps(
+        self,
+        uses: Mapping[str, Doc | None],
+        places: Mapping[str, TextureTransform],
+        drawn: tuple[TextureTransform | None, ...],
+    ) -> dict[str, Any]:
+        """Return the maps whose texture coordinates are drawn, by the fields of the material."""
+        maps: dict[str, Any] = {}
+        for key, place in places.items():
+            kind = _kind(key)
+            if place in drawn:
+                maps[key] = self._map(uses[key], kind, _CHANNELS.get(key))
+            else:
+                self.warn(
+                    f"the {kind} map of {self.name} lies by texture coordinates of its own beside "
+                    "two others: left out"
+                )
+        return maps
+
     # --- factors ---------------------------------------------------------------------------------
 
-    def _tell_of(self, extensions: Mapping[str, Doc]) -> None:
+    def _warn_of(self, extensions: Mapping[str, Doc]) -> None:
         """Warn of the layers that a material has and that are not drawn."""
         for key, own in extensions.items():
             feature = EXTENSIONS.get(key)

@@ -143,8 +143,8 @@ def _compact(
         faces = faces[known]
     if count <= 3 * len(faces):
         return faces, slice(None), out_of_range
-    kept, inverse = np.unique(faces, return_inverse=True)
-    return inverse.reshape(-1, 3), kept, out_of_range
+    vertices, inverse = np.unique(faces, return_inverse=True)
+    return inverse.reshape(-1, 3), vertices, out_of_range
 
 
 def unit_colors(colors: NDArray[Any]) -> NDArray[np.float64]:

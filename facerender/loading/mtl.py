@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, clipped, warn
+from facerender.errors import InputError, clipped
 from facerender.images.srgb import srgb_to_linear
 from facerender.loading.bump import Bump
 from facerender.loading.images import image_of, unreadable
+from facerender.loading.looks import Look, WarnOnce, second_of
 from facerender.loading.references import UDIM, References
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Material
 from facerender.scenes.repair import Piece
@@ -55,42 +56,32 @@ _READ = {"kd", "ks", "ns", "ke", "d", "tr", "tf", "pr", *_MAPS}
 _LAYERS = {"pm", "ps", "pc", "pcr", "aniso", "anisor"}  # which 0 leaves without effect
 
 
-class Spread(NamedTuple):
+class UvSpread(NamedTuple):
     """What the options -s and -o of a map do to texture coordinates, v upwards."""
 
     scale: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)
 
-    def moved(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
+    def applied(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return texture coordinates (N, 2) as they are then."""
         return uv if self == _PLAIN else uv * self.scale + self.offset
 
 
-_PLAIN = Spread()
+_PLAIN = UvSpread()
 
 
 @dataclass
 class _Map:
     """A statement of a map: its file, and what its options say.
 
-    spread : of its texture coordinates
+    uv : of its texture coordinates
     """
 
     name: str
-    spread: Spread = _PLAIN
+    uv: UvSpread = _PLAIN
     clamp: bool = False
     strength: float = 1.0
     channel: str = ""
-
-
-@dataclass(frozen=True)
-class Look:
-    """A material, and where its maps lie: those that it names as ``second_uv`` by the second spread
-    of the texture coordinates, the others by the first."""
-
-    material: Material
-    first: Spread = _PLAIN
-    second: Spread | None = None
 
 
 class Library:
@@ -112,9 +103,9 @@ class Library:
         self.name = name
         self.without_albedo = without_albedo
         self.materials: dict[str, dict[str, str]] = {}
-        self.looks: dict[tuple[str, bool, int], Look] = {}
+        self.looks: dict[tuple[str, bool, int], Look[UvSpread]] = {}
         self.textures: dict[tuple[Any, ...], Texture | None] = {}
-        self.told: set[str] = set()
+        self.warn = WarnOnce()
         for line in dict.fromkeys(_LIBRARIES.findall(data)):
             for content in self._contents(_decoded(line)):
                 self._parse(content)
@@ -147,20 +138,14 @@ class Library:
             elif rest.strip():
                 statements[key.lower()] = rest.strip()
 
-    def tell(self, message: str) -> None:
-        """Warn, once."""
-        if message not in self.told:
-            self.told.add(message)
-            warn(message)
-
-    def look(self, name: str, has_colors: bool, tile: int = 0) -> Look:
+    def look(self, name: str, has_colors: bool, tile: int = 0) -> Look[UvSpread]:
         """Return the look of a material; that of a part without one where there is none.
 
         tile : for maps of UDIM, which are left out where it is 0
         """
         statements = self.materials.get(name)
         if statements is None:
-            return Look(Material(albedo=(1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO))
+            return Look(Material(albedo=(1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO), _PLAIN)
         key = name, has_colors, tile
         if key not in self.looks:
             self.looks[key] = self._look(statements, has_colors, tile)
@@ -173,7 +158,7 @@ class Library:
         named = [statements[key] for key in _MAPS if key in statements]
         if piece.uv is None or not len(piece.faces):
             if any(UDIM in each for each in named):
-                self.tell(f"{self.name} has no texture coordinates: its texture is ignored")
+                self.warn(f"{self.name} has no texture coordinates: its texture is ignored")
             return {}
         middle = piece.uv[piece.faces].mean(axis=1)
         cells = np.floor(np.where(np.abs(middle) < 1e6, middle, 0.0)).astype(np.int64)
@@ -181,7 +166,7 @@ class Library:
         found = np.unique(tiles)
         if not any(UDIM in each for each in named):
             if len(found) > 1 and any(re.search(r"(?<!\d)1001(?!\d)", each) for each in named):
-                self.tell(
+                self.warn(
                     f"a map of {self.name} is tile 1001 of UDIM: drawn in all of {len(found)} "
                     f"tiles; write {UDIM} in place of 1001 for one each"
                 )
@@ -199,36 +184,36 @@ class Library:
         unit square."""
         assert piece.uv is not None
         for tile, chosen in tiles.items():
-            kept, inverse = np.unique(piece.faces[chosen], return_inverse=True)
+            vertices, inverse = np.unique(piece.faces[chosen], return_inverse=True)
             corner = (tile - 1001) % 10, (tile - 1001) // 10
             yield replace(
                 piece,
-                positions=piece.positions[kept],
+                positions=piece.positions[vertices],
                 faces=inverse.reshape(-1, 3),
-                normals=None if piece.normals is None else piece.normals[kept],
-                uv=piece.uv[kept] - corner,
-                uv2=None if piece.uv2 is None else piece.uv2[kept] - corner,
-                colors=None if piece.colors is None else piece.colors[kept],
+                normals=None if piece.normals is None else piece.normals[vertices],
+                uv=piece.uv[vertices] - corner,
+                uv2=None if piece.uv2 is None else piece.uv2[vertices] - corner,
+                colors=None if piece.colors is None else piece.colors[vertices],
                 material=self.look(name, piece.colors is not None, tile).material,
                 out_of_range=0,
             )
 
     # --- factors ---------------------------------------------------------------------------------
 
-    def _look(self, statements: Mapping[str, str], has_colors: bool, tile: int) -> Look:
+    def _look(self, statements: Mapping[str, str], has_colors: bool, tile: int) -> Look[UvSpread]:
         for key in statements.keys() - _READ - _PASSED_OVER:
             if key not in _LAYERS or any(self._numbers(statements, key)):
-                self.tell(f"{self.name} has {clipped(key, 40)} in its MTL: not drawn")
+                self.warn(f"{self.name} has {clipped(key, 40)} in its MTL: not drawn")
         uses = self._uses(statements)
-        places = {key: each.spread for key, each in uses.items()}
+        places = {key: each.uv for key, each in uses.items()}
         first = places.get("albedo_map", next(iter(places.values()), _PLAIN))
-        second = next((each for each in places.values() if each != first), None)
+        second = second_of(places.values(), first)
         maps: dict[str, Any] = {}
         for key, use in uses.items():
             if places[key] in (first, second):
                 maps[key] = self._map(key, use, tile)
             else:
-                self.tell(f"{clipped(use.name, 80)} lies as no two other maps do: left out")
+                self.warn(f"{clipped(use.name, 80)} lies as no two other maps do: left out")
         changes: dict[str, Any] = dict(maps)
         white = (1.0, 1.0, 1.0)
         has_map = "map_kd" in statements
@@ -255,13 +240,13 @@ class Library:
         except ValueError:
             found = []
         if key in statements and not (found and all(map(math.isfinite, found))):
-            self.tell(f"{self.name} has {key} {clipped(statements[key], 40)} in its MTL: left out")
+            self.warn(f"{self.name} has {key} {clipped(statements[key], 40)} in its MTL: left out")
             return []
         return found
 
     def _within(self, key: str, value: float, low: float, high: float) -> float:
         if not low <= value <= high:
-            self.tell(
+            self.warn(
                 f"{key} {value:.6g} in the MTL of {self.name} is outside [{low:g}, {high:g}]: "
                 "brought there"
             )
@@ -285,11 +270,11 @@ class Library:
         if "d" not in statements and (tr := self._numbers(statements, "tr")):
             opacity = 1.0 - self._within("Tr", tr[0], 0.0, 1.0)
             if not opacity:  # who writes 1 for all means d
-                self.tell(f"{self.name} has Tr 1 in its MTL, nothing to be seen: drawn as d 1")
+                self.warn(f"{self.name} has Tr 1 in its MTL, nothing to be seen: drawn as d 1")
                 opacity = 1.0
         tf = self._numbers(statements, "tf")
         if len({*tf, 1.0}) > 1 and any(tf):
-            self.tell(f"{self.name} has Tf, light that passes through, in its MTL: not drawn")
+            self.warn(f"{self.name} has Tf, light that passes through, in its MTL: not drawn")
         kind = "blend" if opacity < 1.0 else "mask" if has_map else "opaque"
         return {"alpha": kind, "opacity": opacity}
 
@@ -301,7 +286,7 @@ class Library:
         fields: dict[str, Any] = {}
         ks, ns, pr = (self._numbers(statements, key) for key in ("ks", "ns", "pr"))
         if ks and not any(ks) and "map_ks" not in statements:
-            self.tell(
+            self.warn(
                 f"{self.name} has no highlights in its MTL (Ks 0), as many write it: drawn with "
                 "those of skin; --ks 0 for none"
             )
@@ -358,9 +343,9 @@ class Library:
                 or (word == "-mm" and numbers != [0.0, 1.0])
                 or (word in _UNREAD and values[:1] != [_UNREAD[word]])
             ):
-                self.tell(f"the {kind} map of {self.name} has the option {word}: left out")
+                self.warn(f"the {kind} map of {self.name} has the option {word}: left out")
         use.name = text.strip().strip('"')
-        use.spread = Spread((scale[0], scale[1]), (offset[0], offset[1]))
+        use.uv = UvSpread((scale[0], scale[1]), (offset[0], offset[1]))
         return use
 
     def _map(self, key: str, use: _Map, tile: int) -> Texture | None:

@@ -33,7 +33,7 @@ def with_absolute(data: bytes) -> tuple[bytes, int]:
     counts = dict.fromkeys(_KINDS, 0)
     dropped = 0
 
-    def mend(line: re.Match[bytes]) -> bytes:
+    def repaired(line: re.Match[bytes]) -> bytes:
         nonlocal dropped
         if line[1] != b"f":
             counts[line[1]] += 1
@@ -45,7 +45,7 @@ def with_absolute(data: bytes) -> tuple[bytes, int]:
             return b""
         return b" ".join([b"f", *corners]) + hash_ + comment
 
-    return _LINE.sub(mend, data), dropped
+    return _LINE.sub(repaired, data), dropped
 
 
 def _absolute(corner: bytes, counts: Mapping[bytes, int], totals: Mapping[bytes, int]) -> bytes:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from facerender.errors import InputError, reason
 from facerender.measure import plots
 from facerender.measure.measurement import MAGNIFIED, MODELS, Measurement, Triptych
 from facerender.measure.pareto import EXACT, KINDS, measure_of, pareto
@@ -24,7 +23,7 @@ from facerender.measure.tables import (
 )
 from facerender.page.document import document, figure, row
 from facerender.page.document import table as page_table
-from facerender.system.atomic import write_bytes
+from facerender.system.atomic import make_folder, write_bytes
 
 METHODS = {
     "specular term": "Nanoseconds an evaluation of the whole term from N, L and V, all cores or"
@@ -90,18 +89,13 @@ def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Pa
 
 
 def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
-    """Write files by name, each whole or not at all, and return their paths; without files, only
-    make the directory.
+    """Write files by name, each whole or not at all, and return their paths; the directory is made.
 
     Raises
     ------
     InputError : the directory cannot be made or written
     """
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        why = reason(error)
-        raise InputError(f"cannot make {directory}: {why}; give a writable place") from None
+    make_folder(directory)
     for name, content in files.items():
         write_bytes(directory / name, content)
     return [directory / name for name in files]

@@ -24,7 +24,6 @@ from facerender.shading import Shading, Term
 from facerender.terms import lobe_entry
 
 TABLE = Path(__file__).with_name("prices.json")
-FAMILY_NAMES = {"navi21": "RDNA2 (navi21)", "vega10": "GCN5 (vega10)"}
 FRAME = "frame"  # of whole ones, as ``planning/frames.py`` prices them
 HERE = "here"
 

@@ -48,14 +48,14 @@ def piece_of(
 
 def _rows(
     name: str,
-    given: ArrayLike,
+    array: ArrayLike,
     widths: tuple[int, ...],
     hint: str = "",
     count: int | None = None,
 ) -> Float:
     """Return a copy of rows of finite numbers, as many as there are vertices if that is known."""
     try:
-        values = np.asarray(given)
+        values = np.asarray(array)
     except (ValueError, TypeError, RuntimeError) as error:
         raise InputError(f"{name} cannot be an array ({reason(error)}): give rows") from None
     if values.dtype.kind not in "fiu" or values.ndim != 2 or values.shape[1] not in widths:
@@ -77,9 +77,9 @@ def _rows(
     return rows
 
 
-def _linear_colors(given: ArrayLike, count: int) -> Float:
-    rows = _rows("colors", given, (3, 4), count=count)[:, :3]
-    dtype = np.asarray(given).dtype
+def _linear_colors(colors: ArrayLike, count: int) -> Float:
+    rows = _rows("colors", colors, (3, 4), count=count)[:, :3]
+    dtype = np.asarray(colors).dtype
     if dtype in (np.uint8, np.uint16):
         return srgb_to_linear(rows / np.iinfo(dtype).max)
     if rows.min() < 0.0 or rows.max() > 1.0:

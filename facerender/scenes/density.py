@@ -52,10 +52,10 @@ def levels_to_spare(
         by_x = (first * along[:, 1:] - second * across[:, 1:]) / double[:, None]
         by_y = (second * across[:, :1] - first * along[:, :1]) / double[:, None]
         read = np.sqrt(np.maximum((by_x**2).sum(axis=1), (by_y**2).sum(axis=1))) / anisotropy
-    seen = (area > 0.0) & np.isfinite(read)
-    if crossing.any() or not seen.any():
+    visible = (area > 0.0) & np.isfinite(read)
+    if crossing.any() or not visible.any():
         return 0
-    area, read = area[seen], read[seen]
+    area, read = area[visible], read[visible]
     order = np.argsort(read)
     finest = read[order][np.searchsorted(np.cumsum(area[order]), _UNSEEN * area.sum())]
     most = min(texels).bit_length() - 2  # two texels are left on a side

@@ -166,7 +166,7 @@ def _face(body: Float, neck: float, middle: float) -> tuple[Region, float, bool]
     wide = min(float(np.ptp(head[:, 0])), _BREADTH * _FACE_ROWS * step)
     side = _RIDGE * wide or step
     front, ridge = _front(body, middle, high, step, side)
-    first, last = (int(share * _FACE_ROWS) for share in _NOSE)
+    first, last = (int(fraction * _FACE_ROWS) for fraction in _NOSE)
     depth = front[first:last]
     out = np.minimum(ridge[first:last], _RIDGE_MOST) + (depth - depth.max()) / side
     nose = first + int(out.argmax())
@@ -206,7 +206,7 @@ def _chin(front: Float, nose: int, fall: float) -> int:
     """Return the row of the chin: the first, not too near the nose, below which the front falls
     back by so much within three rows."""
     usual, first, last = (
-        min(nose + round(share * nose), len(front) - 1) for share in (_USUAL_CHIN, *_CHIN)
+        min(nose + round(fraction * nose), len(front) - 1) for fraction in (_USUAL_CHIN, *_CHIN)
     )
     falls = front[first : last - 2] - front[first + 3 : last + 1]
     found = np.flatnonzero(falls >= fall)

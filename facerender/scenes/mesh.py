@@ -194,7 +194,7 @@ class Mesh:
         name: str = "arrays",
         millimetres: float | None = None,
     ) -> Mesh:
-        """Return a mesh of one part, of copies of arrays or of nested lists, mended as one of a
+        """Return a mesh of one part, of copies of arrays or of nested lists, repaired as one of a
         file is: what cannot be drawn is dropped and faces are turned outwards, with a warning.
 
         Parameters
@@ -319,14 +319,14 @@ def slope_range(part: Part, material: Material) -> tuple[float, float]:
     return material.slopes
 
 
-def names_of(option: str, given: Any) -> tuple[str, ...]:
+def names_of(option: str, names: Any) -> tuple[str, ...]:
     """Return names of parts, of a text with commas between them or of several.
 
     Raises
     ------
     InputError : something else than text
     """
-    names = given.split(",") if isinstance(given, str) else given
+    names = names.split(",") if isinstance(names, str) else names
     remedy = "names of parts"
     found = each_of(option, names, str, remedy)
     return tuple(name for each in found if (name := each.strip()))
@@ -334,14 +334,14 @@ def names_of(option: str, given: Any) -> tuple[str, ...]:
 
 def _unique(names: Iterable[str]) -> Iterator[str]:
     """Yield names on one line, a number behind those that were there before."""
-    seen = {""}
-    for given in names:
-        plain = name = clipped(given, 80)
+    used = {""}
+    for full in names:
+        plain = name = clipped(full, 80)
         number = 1
-        while name and name in seen:
+        while name and name in used:
             number += 1
             name = f"{plain}.{number}"
-        seen.add(name)
+        used.add(name)
         yield name
 
 

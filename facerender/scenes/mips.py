@@ -87,18 +87,14 @@ def _coarse_strips(rows: Rows, height: int, drop: int) -> Iterator[tuple[int, Im
         yield top, rows(top << drop, min(top + step, height) << drop)
 
 
-def _data_levels(image: Image) -> Levels:
-    levels = [texels(image, "RGB")]
+def _data_chain(finest: NDArray[np.uint8]) -> Levels:
+    from PIL import Image
+
+    levels, image = [finest], Image.fromarray(finest)
     while max(image.size) > 1:
         image = _halved(image, 1)
         levels.append(texels(image, "RGB"))
     return levels
-
-
-def _data_chain(finest: NDArray[np.uint8]) -> Levels:
-    from PIL import Image
-
-    return [finest, *_data_levels(_halved(Image.fromarray(finest), 1))]
 
 
 def _halved(image: Image, times: int) -> Image:
@@ -147,10 +143,6 @@ def _halved_srgb(image: Image, times: int) -> NDArray[np.uint8]:
     for _ in range(times):
         pixels = _halve_srgb(_even(pixels))
     return pixels
-
-
-def _color_levels(image: Image) -> Levels:
-    return _color_chain(texels(image, "RGBA"))
 
 
 def _color_chain(finest: NDArray[np.uint8]) -> Levels:
@@ -251,8 +243,8 @@ def _normal_chain(means: NDArray[np.float32]) -> Levels:
 
 
 _CHAINS: dict[Kind, Callable[[Image], Levels]] = {
-    "color": _color_levels,
+    "color": lambda image: _color_chain(texels(image, "RGBA")),
     "linear-color": _linear_color_levels,
     "normal": _normal_levels,
-    "data": _data_levels,
+    "data": lambda image: _data_chain(texels(image, "RGB")),
 }

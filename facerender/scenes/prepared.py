@@ -37,16 +37,16 @@ def prepare_normal_map(source: str | os.PathLike[str], path: str | os.PathLike[s
     levels = Texture.open(source).levels("normal").result()
     texels = [np.ascontiguousarray(level[::-1]).tobytes() for level in levels]
     height, width = levels[0].shape[:2]
-    described, told = _description(), _told()
+    described, metadata = _description(), _metadata()
     start = 80 + 24 * len(levels)
-    at = start + len(described) + len(told)
+    at = start + len(described) + len(metadata)
     places = []
     for each in reversed(texels):  # the smallest comes first
         places.append(struct.pack("<3Q", at, len(each), len(each)))
         at += len(each)
     head = struct.pack("<9I", _R8G8B8A8_UNORM, 1, width, height, 0, 0, 1, len(levels), 0)
-    index = struct.pack("<4I2Q", start, len(described), start + len(described), len(told), 0, 0)
-    content = [_IDENTIFIER, head, index, *reversed(places), described, told, *reversed(texels)]
+    index = struct.pack("<4I2Q", start, len(described), start + len(described), len(metadata), 0, 0)
+    content = [_IDENTIFIER, head, index, *reversed(places), described, metadata, *reversed(texels)]
     write_bytes(path, b"".join(content))
 
 
@@ -61,7 +61,7 @@ def _description() -> bytes:
     return struct.pack("<I", 92) + block + b"".join(samples)
 
 
-def _told() -> bytes:
+def _metadata() -> bytes:
     pieces = []
     for key, value in (("KTXorientation", "rd"), ("KTXwriter", f"facerender {__version__}")):
         pair = f"{key}\0{value}\0".encode()

@@ -1,4 +1,4 @@
-"""Mesh geometry mended where that is safe: bad faces, normals, winding."""
+"""Mesh geometry repaired where that is safe: bad faces, normals, winding."""
 
 from __future__ import annotations
 

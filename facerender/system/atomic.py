@@ -42,6 +42,20 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
     return target
 
 
+def make_folder(path: str | os.PathLike[str]) -> Path:
+    """Make a folder for results, with those above it, and return its path.
+
+    Raises
+    ------
+    InputError : it cannot be made
+    """
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make {path}: {reason(error)}; give a writable folder") from None
+    return Path(path)
+
+
 def write_whole(path: str | os.PathLike[str], write: Callable[[str], None]) -> None:
     """Call write with a temporary name beside path, and rename it to path when it succeeded.
 

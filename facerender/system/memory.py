@@ -27,9 +27,9 @@ def _malloc_trim() -> Callable[[int], object] | None:
 MIB = 1 << 20
 
 
-def limit(given: float | None) -> float:
-    """Return the MiB that this process may have: as given, or what it has and can still get."""
-    return available() + resident() if given is None else given
+def limit(mebibytes: float | None) -> float:
+    """Return the MiB that this process may have: the argument, or what it has and can still get."""
+    return available() + resident() if mebibytes is None else mebibytes
 
 
 def available() -> float:

@@ -1,5 +1,5 @@
-"""How long work tells of itself: it calls a function with what it does now and the share of that
-which is done. Without one nothing is said; a bar on a terminal is one."""
+"""Progress of long work: it calls a function with the name of the current step and the fraction of
+it that is done. Without such a function none is reported."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ def shows_bars(quiet: bool) -> bool:
 
 class Bar:
     """A bar of tqdm on standard error, of what is done now; it vanishes at the end. Where a signal
-    ends the process it is said how far it has come, on a terminal or not.
+    ends the process, a line says how far the work has come, on a terminal or not.
 
     quiet : no bar
-    told : is called with each step as it begins, in place of a bar
+    on_step : is called with each step as it begins, in place of a bar
     """
 
-    def __init__(self, quiet: bool = False, told: Callable[[str], object] | None = None) -> None:
-        self._told = told
-        self._shown = told is None and shows_bars(quiet)
+    def __init__(self, quiet: bool = False, on_step: Callable[[str], object] | None = None) -> None:
+        self._on_step = on_step
+        self._shown = on_step is None and shows_bars(quiet)
         self._bar: Any = None
         self._done: list[str] = []
-        self._what, self._share = "", 0.0
+        self._what, self._fraction = "", 0.0
         self._held = ExitStack()
 
     def __enter__(self) -> Bar:
@@ -55,7 +55,7 @@ class Bar:
     def __call__(self, what: str, done: float) -> None:
         if what != self._what:
             self._begin(what)
-        self._share = done
+        self._fraction = done
         if self._bar is not None:
             self._bar.update(done - self._bar.n)
 
@@ -64,8 +64,8 @@ class Bar:
             self._done.append(self._what)
         self._what = what
         self._close()
-        if self._told:
-            self._told(what)
+        if self._on_step:
+            self._on_step(what)
         if self._shown:
             from tqdm import tqdm
 
@@ -80,5 +80,5 @@ class Bar:
         self._close()
         if not self._what:
             return "before it began"
-        now = f"{100.0 * self._share:.0f} % of {self._what}"
+        now = f"{100.0 * self._fraction:.0f} % of {self._what}"
         return f"done: {', '.join([*self._done, now])}"

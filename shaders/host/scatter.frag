@@ -7,7 +7,7 @@
 uniform sampler2D light;  // as facerender/scatter.glsl has it
 uniform sampler2D albedo;
 uniform vec3 background;
-uniform vec3 eye;
+uniform vec3 camera_position;
 uniform vec3 forward;  // unit vector
 uniform float pixels;  // of a unit of length across the view, at a depth of 1
 uniform vec4[FR_SCATTER_GAUSSIANS] gaussians;
@@ -19,7 +19,7 @@ void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
     vec4 seen = texelFetch(image, pixel, 0);
     ivec2 at = stand_in(pixel);
-    float scale = pixels / dot(texelFetch(place, at, 0).xyz - eye, forward);
+    float scale = pixels / dot(texelFetch(place, at, 0).xyz - camera_position, forward);
     vec3 scattered = fr_scatter(light, place, at, scale, gaussians, rest, spiral);
     vec3 change = scattered - texelFetch(light, at, 0).rgb;
     vec3 color = seen.rgb + seen.a * texelFetch(albedo, at, 0).rgb * change;

@@ -54,7 +54,7 @@ vec3 diffuse;
 vec3 specular;
 #ifdef COUPLED
 mat2x4 specular_albedo;  // as fr_albedo_fit has it
-float eye_albedo;
+float camera_albedo;
 float mean_albedo;
 #endif
 
@@ -63,7 +63,7 @@ void add(Surface s, vec3 v, vec3 l, vec3 irradiance, float spread, int term) {
     float cosine = dot(s.normal, l);
 #ifdef COUPLED
     float towards = fr_albedo_of(specular_albedo, cosine);
-    spread *= fr_diffuse_coupled(towards, eye_albedo, mean_albedo);
+    spread *= fr_diffuse_coupled(towards, camera_albedo, mean_albedo);
 #endif
     diffuse += irradiance * spread;
 #ifdef SPECULAR
@@ -100,7 +100,7 @@ void add_light(Surface s, vec3 v, Disc light, int term) {
 void add_environment(Surface s, vec3 v) {
     vec3 received = s.occlusion * environment_irradiance(s.normal);
 #ifdef COUPLED
-    received *= fr_diffuse_coupled(mean_albedo, eye_albedo, mean_albedo);
+    received *= fr_diffuse_coupled(mean_albedo, camera_albedo, mean_albedo);
 #endif
     diffuse += received;
 #ifdef ENVIRONMENT_SAMPLES
@@ -126,11 +126,11 @@ vec3 shaded(Point p) {
 #endif
     specular_albedo *= s.specular_weight;
     mean_albedo = fr_albedo_mean(specular_albedo);
-    eye_albedo = fr_albedo_of(specular_albedo, dot(s.normal, v));
+    camera_albedo = fr_albedo_of(specular_albedo, dot(s.normal, v));
 #endif
 #ifdef AMBIENT
 #ifdef COUPLED
-    diffuse += ambient * s.occlusion * fr_diffuse_coupled(mean_albedo, eye_albedo, mean_albedo);
+    diffuse += ambient * s.occlusion * fr_diffuse_coupled(mean_albedo, camera_albedo, mean_albedo);
 #else
     diffuse += ambient * s.occlusion;
 #endif

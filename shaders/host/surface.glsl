@@ -1,7 +1,7 @@
 // What lies at a point: geometry and maps, without light. Shared by shade.frag and gbuffer.frag, so
 // that the NumPy reference reads exactly what is shaded.
 #include "host/texture_coordinates.glsl"
-uniform vec3 eye;
+uniform vec3 camera_position;
 #ifdef VISIBLE
 #include "host/point/visible.glsl"
 #else
@@ -52,7 +52,7 @@ uniform sampler2D lobe_map;  // in red the factor on the second lobe's share, 1 
 
 struct Surface {
     vec3 position;
-    vec3 view;  // towards the eye, a unit vector
+    vec3 view;  // towards the camera, a unit vector
     vec3 normal;
     vec3 albedo;
     float m;
@@ -88,7 +88,7 @@ vec3 mapped_normal(Point p, float square, float facing) {
 #endif
 
 Surface surface(Point p) {
-    vec3 v = normalize(eye - p.position);
+    vec3 v = normalize(camera_position - p.position);
     float square = dot(p.normal, p.normal);
     // The inside of an open mesh shows its back. A triangle that is only just turned away, whose
     // normal still lies near the silhouette's, peeks out by rounding of depth, and is no inside: the

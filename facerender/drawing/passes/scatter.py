@@ -39,7 +39,7 @@ def scatter_pass(
     """
     behind = background or (0.0, 0.0, 0.0)
     uniforms = {
-        "eye": view.position,
+        "camera_position": view.position,
         "forward": view.forward,
         "pixels": scattering.pixels,
         "background": np.asarray(behind),

@@ -28,7 +28,7 @@ def surface_pass(
     """Return the pass that draws position and part, normal and m, albedo and specular weight,
     texture coordinates and occlusion of a scene, where a part has two lobes second m and
     lobe weight, where one shines what it gives off, and where it scatters how the mesh faces the
-    eye; visibility as of the pass that shades.
+    camera; visibility as of the pass that shades.
 
     blended_part : draw one layer of this part, with its opacity, in place of all that is not
         blended, and in a last image depth and number of the triangle as it is drawn

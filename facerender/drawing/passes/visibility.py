@@ -162,8 +162,8 @@ class Visibility:
 
 
 def _rays(view: View, size: tuple[int, int]) -> Uniforms:
-    """The ray from the eye to the outer corner of pixel (0, 0), and what a pixel to the right and
-    one up add to it."""
+    """Return the ray from the camera to the outer corner of pixel (0, 0), and what a pixel to the
+    right and one up add to it."""
     back = np.linalg.inv(view.matrix)
 
     def to_far_plane(x: float, y: float) -> NDArray[np.float64]:

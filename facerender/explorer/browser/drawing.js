@@ -110,7 +110,7 @@ class Drawing {
       const program = this.program(vertexSource(part, term), fragmentOf(part));
       const values = {
         ...part.uniforms, ambient: state.ambient, part: i + 1,
-        view_projection: view.matrix, eye: view.position,
+        view_projection: view.matrix, camera_position: view.position,
       };
       for (const kind of Object.keys(sources.lights)) {
         const lights = state.lights.filter(light => lightKind(light) === kind);

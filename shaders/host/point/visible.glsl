@@ -6,7 +6,7 @@
 #include "host/visible.glsl"
 
 uniform sampler2D triangle_setup;
-uniform vec3 ray;  // from the eye to the first pixel's outer corner; any length
+uniform vec3 ray;  // from the camera to the first pixel's outer corner; any length
 uniform vec3 ray_x;  // what a pixel to the right adds
 uniform vec3 ray_y;
 
@@ -44,8 +44,8 @@ Point point(uint triangle) {
     // Seen edge on, a triangle may meet the ray anywhere. Nothing is drawn beyond the far plane, at
     // 1, nor nearer than a thousandth of that: scenes/view.py.
     if (abs(across) < 1e-7) across = 1e-7;
-    float distance = clamp((plane.w - dot(eye, plane.xyz)) / across, 1e-3, 1.0);
-    p.position = eye + distance * direction;
+    float distance = clamp((plane.w - dot(camera_position, plane.xyz)) / across, 1e-3, 1.0);
+    p.position = camera_position + distance * direction;
     p.normal = vec3(
         affine(triangle, 1, p.position), affine(triangle, 2, p.position), affine(triangle, 3, p.position)
     );

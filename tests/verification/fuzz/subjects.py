@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import facerender as fr
-from facerender.batch.jobs import check_jobs
+from facerender.batch.jobs import JobTable
 from facerender.commands import main
 from facerender.errors import FacerenderError, InputError
 from facerender.images.read import read_image
@@ -277,7 +277,6 @@ def _examine_render(folder: Path) -> None:
 
 
 def _examine_jobs(name: str, folder: Path) -> None:
-    checked = check_jobs(folder / name)
-    for fault in checked.faults:
+    for fault in JobTable(folder / name).check().faults:
         if why := _bad_message(fault):
             raise Unsound(f"fault {why}: {fault[:200]!r}")

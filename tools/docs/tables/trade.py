@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from benchmarks.prices.amd import Statistics
+from benchmarks.prices.amd import FAMILIES, Statistics
 from benchmarks.prices.offline import GPUS
 from facerender.measure.measurement import MODELS, MeasuredVariant, Measurement
 from facerender.measure.pareto import CostKind
@@ -16,16 +16,17 @@ from facerender.measure.tables import (
     tables_of,
 )
 from facerender.pricing.interval import Interval
-from facerender.pricing.table import FAMILY_NAMES, shipped, term_name
+from facerender.pricing.table import shipped, term_name
 from facerender.pricing.variants import SLOPE, Variant
 from facerender.shading import Term
+from tools.docs.measurement import measurement_of
 from tools.docs.tables import load, markdown_table
 
 _WORDS = ("variant", "lobe", "remark", "shading")  # columns that are aligned to the left
 
 
 def blocks() -> dict[str, str]:
-    measurement = Measurement.from_dict(load("llvmpipe"))
+    measurement = measurement_of(load("llvmpipe"))
     compiled = [load("offline"), load("mobile")]
     instructions = compiled[0]["instructions"] | compiled[1]["instructions"]
     facts = measurement.as_dict()["environment"]
@@ -102,7 +103,7 @@ def in_program(measurement: Measurement, model: str) -> str:
                 each: term_name(Term(model, each.lobe, m=m, small_slope=not each.plain), SLOPE)
                 for each in error
             }
-            title = f"{FAMILY_NAMES.get(kind, kind)}, m {words}"
+            title = f"{FAMILIES.get(kind, kind)}, m {words}"
             columns[title] = {each: prices.terms[name] for each, name in names.items()}
 
     def cell(each: Variant, costs: dict[Variant, tuple[float, float]]) -> str:

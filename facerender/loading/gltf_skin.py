@@ -1,5 +1,4 @@
-"""The shape that a glTF mesh has as its file stores it: morph targets by their weights, and skins
-by where their joints stand."""
+"""Skins of glTF meshes: vertices where the joints of the file put them."""
 
 from __future__ import annotations
 
@@ -13,11 +12,6 @@ _STRIP = 1 << 16  # vertices at a time, of which each has a matrix
 Float = NDArray[np.float64]
 
 
-def morphed(values: NDArray[Any], moves: NDArray[Any], weight: float) -> Float:
-    """Return positions or normals (N, 3) with a share of a target's moves (N, 3)."""
-    return values.astype(np.float64) + weight * moves.astype(np.float64)
-
-
 def skinned(
     positions: NDArray[Any],
     normals: NDArray[Any] | None,
@@ -29,7 +23,7 @@ def skinned(
 
     Parameters
     ----------
-    joints, weights : (N, K): of K joints the number, and the share
+    joints, weights : (N, K): of K joints the number, and the weight
     matrices : (J, 4, 4), for columns: from the mesh's space by the inverse bind matrix and the
         joint into the scene
 
@@ -39,16 +33,16 @@ def skinned(
     """
     if joints.size and joints.max() >= len(matrices):
         raise ValueError(f"joint {joints.max()} of {len(matrices)}")
-    shares = np.maximum(np.nan_to_num(weights.astype(np.float64)), 0.0)
-    total = shares.sum(axis=1, keepdims=True)
-    shares = np.where(total > 0.0, shares / np.where(total > 0.0, total, 1.0), 0.0)
-    shares[:, 0] += total[:, 0] <= 0.0  # of no joint: the first
+    fractions = np.maximum(np.nan_to_num(weights.astype(np.float64)), 0.0)
+    total = fractions.sum(axis=1, keepdims=True)
+    fractions = np.where(total > 0.0, fractions / np.where(total > 0.0, total, 1.0), 0.0)
+    fractions[:, 0] += total[:, 0] <= 0.0  # of no joint: the first
     moved = np.empty((len(positions), 3))
     turned = None if normals is None else np.empty((len(positions), 3))
     mirrored = 0
     for start in range(0, len(positions), _STRIP):
         rows = slice(start, start + _STRIP)
-        blend = np.einsum("nk,nkij->nij", shares[rows], matrices[joints[rows]])
+        blend = np.einsum("nk,nkij->nij", fractions[rows], matrices[joints[rows]])
         linear = blend[:, :3, :3]
         moved[rows] = np.einsum("nij,nj->ni", linear, positions[rows]) + blend[:, :3, 3]
         x, y, z = linear[:, 0], linear[:, 1], linear[:, 2]
