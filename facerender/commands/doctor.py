@@ -16,7 +16,7 @@ from facerender.system import cache
 
 # Python packages by what needs them: "" everything, others are extras.
 PACKAGES = {
-    "": ("moderngl", "glcontext", "numpy", "trimesh", "Pillow", "scipy"),
+    "": ("moderngl", "glcontext", "numpy", "trimesh", "pyrr", "Pillow", "scipy"),
     "exr": ("OpenEXR",),
     "hdr": ("OpenImageIO",),
     "draco": ("DracoPy",),
