@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facerender.commands.common import add_parts, add_quiet, check_outputs
-from facerender.commands.streams import say, tell
+from facerender.commands.streams import print_message, print_result
 from facerender.errors import InputError
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
     if options.schema:
         from facerender.batch.schema import schema
 
-        tell(json.dumps(schema(), indent=2))
+        print_result(json.dumps(schema(), indent=2))
         return 0
     if options.status:
         return _print_status(options.status, options.json)
@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
     table = _table(options)
     if options.check:
         _check_faults(table.check())
-        tell(f"{options.jobs}: {table.rows} jobs of {table.meshes} meshes")
+        print_result(f"{options.jobs}: {table.rows} jobs of {table.meshes} meshes")
         return 0
     if options.output is None:
         raise InputError("no output: say -o FOLDER")
@@ -128,7 +128,7 @@ def _check_faults(table: JobTable) -> None:
     """Raise InputError with the faults of the first bad rows."""
     if table.faults:
         for fault in table.faults[:-1]:
-            say(f"facerender: error: {fault}")
+            print_message(f"facerender: error: {fault}")
         more = f"; and {table.more} more rows" if table.more else ""
         raise InputError(f"{table.faults[-1]}{more}")
 
@@ -184,7 +184,7 @@ def _engine(options: argparse.Namespace) -> AbstractContextManager[Engine]:
         return engine.local(options.workers)
     workers, why = engine.default_workers()
     if not options.quiet:
-        say(f"facerender: {workers} worker{'s' if workers > 1 else ''}: {why}")
+        print_message(f"facerender: {workers} worker{'s' if workers > 1 else ''}: {why}")
     return engine.local(workers)
 
 
@@ -201,5 +201,5 @@ def _print_status(
     if drawn is not None:
         facts |= {"drawn": drawn, "seconds": round(seconds, 3)}
         text += f"; {drawn} drawn now, {drawn / seconds:.1f} a second"
-    tell(json.dumps({"event": "end", **facts}) if as_json else text)
+    print_result(json.dumps({"event": "end", **facts}) if as_json else text)
     return _FAILED if counts["failed"] else 0
