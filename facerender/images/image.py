@@ -37,8 +37,8 @@ class ImageData:
     color_space : as the file names it, "" where it names none or sRGB
     profile : the ICC profile that its colours were converted from to sRGB, "" where they were not
     jpeg : whether it was read from a JPEG, whose compression changed its pixels
-    noise : RMS error that half floats or a lossy compression of EXR leave in a pixel, relative to
-        the larger of its radiance and 0.01
+    noise : RMS error of a pixel by half floats or a lossy compression of EXR, relative to the
+        larger of its radiance and 0.01; by conversion of an 8-bit image, in steps of 255
     shift_range : range of each pixel over 24 shifts of the image by at most 0.1 pixel; None where
         the file holds none
     """
