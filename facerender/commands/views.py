@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from facerender.commands.streams import tell_bytes
+from facerender.commands.streams import print_bytes
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError
 from facerender.images.decode import MAX_BYTES, MAX_SIDE
@@ -112,7 +112,7 @@ class Destination:
             images = iter([sheet(images, self.count, background)])
         for file, frame in zip(self.files, images, strict=True):
             if self.format is not None:
-                tell_bytes(frame.encoded(self.format, exposure))
+                print_bytes(frame.encoded(self.format, exposure))
             else:
                 frame.save(file, exposure)
         return last[0]
