@@ -28,9 +28,7 @@ Changes = tuple[tuple[str, Any], ...]  # of a term's fields
 OUTSIDE = ("error", "exact")
 DIFFUSE = ("lambert", "coupled")
 SMALL_SLOPE = 0.2  # from here on the exact lobe is accurate without FR_SMALL_SLOPE
-MAX_WEIGHT = 1e6
-MAX_ENVIRONMENT_SAMPLES = 4096
-WEIGHTS = Range(0.0, MAX_WEIGHT)  # of specular and diffuse terms
+WEIGHTS = Range(0.0, 1e6)  # of specular and diffuse terms
 SCATTER_SAMPLES = (0, 8, 16, 32, 64)
 FRONTAL: Changes = (("fresnel", "constant"), ("masking", "none"))
 
@@ -189,7 +187,7 @@ class Shading:
     environment: bool = True
     diffuse: str = "lambert"
     scatter_samples: int = 16
-    environment_samples: int = ranged(IntegerRange(0, MAX_ENVIRONMENT_SAMPLES), 32)
+    environment_samples: int = ranged(IntegerRange(0, 4096), 32)
     specular_lights: tuple[int, ...] | None = None
     shadow_lights: tuple[int, ...] | None = None
     lights: tuple[tuple[int, Changes], ...] = ()

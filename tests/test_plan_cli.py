@@ -415,18 +415,15 @@ def test_render_within_a_budget(cli, framed):
     assert cli.written == ["head.png"]
 
 
-def test_render_within_a_budget_as_json(cli, framed):
-    options = ("--light", "key", "--budget", "2/255", "--samples", "1")
+@pytest.mark.parametrize(("budget", "within"), [("2/255", ()), ("1/255", ("--within", "95%"))])
+def test_render_within_a_budget_as_json(budget, within, cli):
+    """At every pixel, and at a fraction of the pixels."""
+    options = ("--light", "key", "--budget", budget, "--samples", "1", *within)
     facts = cli.describe(*options)
-    assert untimed(facts["plan"]) == untimed(framed.as_dict())
+    made = expected(budget, cost="frame", within=0.95 if within else 1.0)
+    assert untimed(facts["plan"]) == untimed(made.as_dict())
     assert facts["lobe"] == str(Shading.from_dict(facts["plan"]["shading"]).term.lobe)
     assert "plan" not in cli.describe("--light", "key")
-
-
-def test_render_within_a_budget_at_a_share_of_the_pixels(cli):
-    facts = cli.describe("--light", "key", "--budget", "1/255", "--within", "95%", "--samples", "1")
-    made = expected("1/255", cost="frame", within=0.95)
-    assert untimed(facts["plan"]) == untimed(made.as_dict())
 
 
 def shoot(cli, *options, mesh=MINI_HEAD):

@@ -27,7 +27,6 @@ MAPS = (
     *("albedo_map", "normal_map", "roughness_map", "specular_map", "occlusion_map"),
     *("lobe_map", "opacity_map", "emissive_map"),
 )
-MAX_SECOND_SLOPE = 100.0
 MAX_NORMAL_STRENGTH = 100.0
 
 
@@ -71,7 +70,7 @@ class Material:
     f0: float = ranged(Range(0.0, 0.999), 0.028)
     ks: float = ranged(WEIGHTS, 1.0)
     kd: float = ranged(WEIGHTS, 1.0)
-    second_slope: float = ranged(Range(1.0 / MAX_SECOND_SLOPE, MAX_SECOND_SLOPE), 1.0)
+    second_slope: float = ranged(Range(0.01, 100.0), 1.0)
     lobe_weight: float = ranged(FRACTION, 1.0)
     albedo_map: Texture | None = None
     normal_map: Texture | None = None
