@@ -35,7 +35,7 @@ slow: .venv/installed-dev | test-system
 	$(PYTEST) -m "slow or not slow"
 
 fuzz: .venv/installed-dev | test-system
-	$(VENV)/python -m tests.verification.fuzz --minutes $(MINUTES)
+	$(VENV)/python -m tools.fuzz --minutes $(MINUTES)
 
 docs: .venv/installed-dev | test-system
 	$(VENV)/python -m tools.docs

@@ -4,11 +4,12 @@
                                      [--seed 1] [--edits 0] [--stops 0]
 
 Draws a small mesh without kills, and once more while one process after the other is sent SIGKILL:
-the driver, its workers; with --dask the scheduler, its workers, their nannies and what draws below
-them. What was killed is started again as a user would, with the same command. At last every file,
-table and record must be there, once, with the bytes of the run without kills: exit status 1 where
-one is not. With --edits the table of jobs is another one in between, so many times; with --stops
-some processes are stopped (SIGSTOP) until they are killed or their time is over.
+the coordinator, its workers; with --dask the scheduler, its workers, their nannies and the
+processes below them that draw. What was killed is started again as a user would, with the same
+command. At last every file, table and record must be there, once, with the bytes of the run without
+kills: exit status 1 where one is not. With --edits the table of jobs is another one in between, so
+many times; with --stops some processes are stopped (SIGSTOP) until they are killed or their time is
+over.
 """
 
 from __future__ import annotations
@@ -115,19 +116,19 @@ class Cluster:
                 process.wait(10)
 
 
-def living(driver: psutil.Popen, cluster: Cluster) -> dict[str, list[psutil.Process]]:
+def living(coordinator: psutil.Popen, cluster: Cluster) -> dict[str, list[psutil.Process]]:
     """The processes of a batch by what they are."""
-    found: dict[str, list[psutil.Process]] = {"driver": [driver]}
+    found: dict[str, list[psutil.Process]] = {"coordinator": [coordinator]}
     for name, process in cluster.running.items():
         found.setdefault("scheduler" if name == "scheduler" else "nanny", []).append(process)
-    for parent in (driver, *cluster.running.values()):
+    for parent in (coordinator, *cluster.running.values()):
         with suppress(psutil.NoSuchProcess):
             for child in parent.children(recursive=True):
                 with suppress(psutil.NoSuchProcess):
                     words = " ".join(child.cmdline())
                     if _DRAWS in words:
                         found.setdefault("drawing", []).append(child)
-                    elif parent is not driver and "spawn_main" in words:
+                    elif parent is not coordinator and "spawn_main" in words:
                         found.setdefault("Dask worker", []).append(child)
     return found
 
@@ -135,18 +136,18 @@ def living(driver: psutil.Popen, cluster: Cluster) -> dict[str, list[psutil.Proc
 def killed(
     command: list[str], out: Path, cluster: Cluster, options: argparse.Namespace, edit: object
 ) -> tuple[Counter[str], Counter[str], float]:
-    """Run a batch to its end while its processes are killed; who was, how drivers ended, and in how
-    many seconds. ``edit`` is called so many times as --edits says."""
+    """Run a batch to its end while its processes are killed. Return how many of each kind were, how
+    coordinators ended, and the seconds. ``edit`` is called --edits times."""
     random = Random(options.seed)
     who, ends = Counter[str](), Counter[str]()
     began = moved = time.monotonic()
     log = (out.parent / f"{out.name}.log").open("ab")
     cluster.start()
-    driver = psutil.Popen(command, stdout=log, stderr=log)
+    coordinator = psutil.Popen(command, stdout=log, stderr=log)
     kills = edits = seen = 0
     stops = set(random.sample(range(options.kills), options.stops))
     chunks = -(-options.jobs // options.chunk)
-    kinds = ["driver", "drawing", "drawing"]
+    kinds = ["coordinator", "drawing", "drawing"]
     kinds += ["scheduler", "nanny", "Dask worker"] if options.dask else []
     wanted = random.choice(kinds)
     while True:
@@ -157,7 +158,7 @@ def killed(
         if time.monotonic() - moved > _PATIENCE:
             raise SystemExit(f"nothing was done for {_PATIENCE:g} s at {records} records")
         cluster.start()
-        if (code := driver.poll()) is not None:
+        if (code := coordinator.poll()) is not None:
             ends[str(code)] += 1
             if code == 0 and kills >= options.kills and edits >= options.edits:
                 return who, ends, time.monotonic() - began
@@ -168,12 +169,12 @@ def killed(
                 shutil.rmtree(out / "records")
                 (out / "jobs.jsonl").unlink()
                 ends["begun anew"] += 1
-            driver = psutil.Popen(command, stdout=log, stderr=log)
+            coordinator = psutil.Popen(command, stdout=log, stderr=log)
             continue
         # Kills are spread over the batch: at its start, at its end, and between.
         if kills >= options.kills or records < chunks * (kills - 3) / options.kills:
             continue
-        found = living(driver, cluster)
+        found = living(coordinator, cluster)
         if wanted not in found:
             continue  # until it has started
         time.sleep(random.choice((0.0, random.uniform(0.0, 0.3), random.uniform(0.0, 3.0))))
@@ -189,8 +190,8 @@ def killed(
                     kills += 1
                     continue
             victim.kill()
-            if victim is driver:
-                driver.wait()
+            if victim is coordinator:
+                coordinator.wait()
             kills += 1
             moved = time.monotonic()
             who[kind] += 1
@@ -246,7 +247,7 @@ def main() -> int:
           f"{options.seed}: {alone:.0f} s without kills, {seconds:.0f} s with")  # fmt: skip
     for name, count in who.most_common():
         print(f"  {count:4} of {name} killed")
-    print(f"  drivers ended: {dict(ends)}; {drawn} jobs drawn in chunks that were heard of")
+    print(f"  coordinators ended: {dict(ends)}; {drawn} jobs drawn in chunks that were heard of")
     print(f"  {len(got)} files, {len(expected)} expected: {len(wrong)} faults")
     for fault in wrong[:20]:
         print(f"  {fault}")

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-from facerender.errors import InputError, shown, warn
+from facerender.errors import InputError, check_path, check_type, each_of, shown, warn
 from facerender.images.decode import MAX_SIDE
 from facerender.images.write import format_of
 from facerender.loading import cached_mesh, load_mesh
@@ -61,12 +61,10 @@ class MeshFile:
         for name in ("parts", "hide"):
             if (names := getattr(self, name)) is not None:
                 object.__setattr__(self, name, names_of(f"mesh {name}", names) or None)
-        for each in fields(self):
-            value = getattr(self, each.name)
-            if isinstance(value, os.PathLike):
-                object.__setattr__(self, each.name, os.fspath(value))
-            elif each.name in MESH_PATHS and not isinstance(value, str | None):
-                raise InputError(f"mesh {each.name} = {shown(value)}: give a path as text")
+        for name in MESH_PATHS:
+            value = getattr(self, name)
+            check_type(f"mesh {name}", value, str | os.PathLike | None, "a path as text")
+            object.__setattr__(self, name, value if value is None else os.fspath(value))
         check_normal_map_y(self.normal_map_y)
         check_fields(self, "mesh ")
 
@@ -139,8 +137,7 @@ class Output:
     exposure: float = ranged(EXPOSURES, 0.0)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.path, str | os.PathLike):
-            raise InputError(f"output path = {shown(self.path)}: give a path as text")
+        check_path("output path", self.path)
         object.__setattr__(self, "path", os.fspath(self.path))
         format_of(self.path)
         if self.only is not None and not (isinstance(self.only, str) and self.only in ONLY):
@@ -181,27 +178,17 @@ class Job:
     environment: EnvironmentFile | None = None
 
     def __post_init__(self) -> None:
-        for name, kind in (
-            ("mesh", MeshFile),
-            ("camera", Camera),
-            ("shading", Shading),
-            ("image", ImageSettings),
-        ):
-            if not isinstance(getattr(self, name), kind):
-                raise InputError(f"{name} = {getattr(self, name)!r}: give a {kind.__name__}")
-        if not isinstance(self.planned, Planned | None):
-            raise InputError(
-                f"planned = {self.planned!r}: give a facerender.scenes.planned.Planned"
-            )
-        if not isinstance(self.environment, EnvironmentFile | None):
-            raise InputError(
-                f"environment = {self.environment!r}: give a facerender.EnvironmentFile"
-            )
+        check_type("mesh", self.mesh, MeshFile, "a MeshFile")
+        check_type("camera", self.camera, Camera, "a Camera")
+        check_type("shading", self.shading, Shading, "a Shading")
+        check_type("image", self.image, ImageSettings, "an ImageSettings")
+        check_type("planned", self.planned, Planned | None, "a facerender.scenes.planned.Planned")
+        remedy = "a facerender.EnvironmentFile"
+        check_type("environment", self.environment, EnvironmentFile | None, remedy)
         for name, each in (("lights", Light), ("outputs", Output)):
-            values = getattr(self, name)
-            if not (isinstance(values, list | tuple) and all(isinstance(v, each) for v in values)):
-                raise InputError(f"{name} = {values!r}: give a list of {each.__name__}")
-            object.__setattr__(self, name, tuple(values))
+            values, remedy = getattr(self, name), f"a list of {each.__name__}"
+            check_type(name, values, list | tuple, remedy)
+            object.__setattr__(self, name, each_of(name, values, each, remedy))
         from_table(Material, "material", self.material, without=MAPS)  # validates
         material = {
             name: tuple(value) if isinstance(value, list | tuple) else value
@@ -286,23 +273,21 @@ class Job:
         """
         if not isinstance(tables, Mapping):
             raise InputError(f"job = {tables!r}: give a table")
+        known = [*(each for each in KEYS if each != "cameras"), "mesh", "image", "outputs"]
         values: dict[str, Any] = {}
         for key, value in tables.items():
-            if key == "mesh":
-                values[key] = from_table(MeshFile, key, value)
+            if key not in known:
+                raise InputError(f"unknown key {shown(key)}; known: {', '.join(known)}")
+            if key in ("mesh", "image"):
+                kind = MeshFile if key == "mesh" else ImageSettings
+                values[key] = from_table(kind, key, value)
             elif key == "outputs":
-                if not isinstance(value, list):
-                    raise InputError(f"outputs = {value!r}: give a list of tables")
+                check_type(key, value, list, "a list of tables")
                 values[key] = tuple(from_table(Output, key, each) for each in value)
-            elif key == "image":
-                values[key] = from_table(ImageSettings, key, value)
-            elif key == "shading":
-                values[key] = Shading.from_dict(value)
-            elif key in KEYS and key != "cameras":
-                values[key] = scene_value(key, value)
             else:
-                known = [*(each for each in KEYS if each != "cameras"), "mesh", "image", "outputs"]
-                raise InputError(f"unknown key {key!r}; known: {', '.join(known)}")
+                values[key] = scene_value(key, value)
+        if "shading" in values:
+            values["shading"] = Shading.from_dict(values["shading"])
         return cls(**values)
 
     def toml(self) -> str:

@@ -78,9 +78,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def _setting(config: pytest.Config, name: str) -> Any:
-    """Return the option, or what the ini file says in its place."""
-    given = config.getoption(f"facerender_{name}")
-    return config.getini(f"facerender_{name}") if given is None else given
+    """Return the option, or the value of the ini file."""
+    value = config.getoption(f"facerender_{name}")
+    return config.getini(f"facerender_{name}") if value is None else value
 
 
 def _limit(config: pytest.Config, name: str) -> float | None:
@@ -230,7 +230,7 @@ def pytest_runtest_makereport(
 
 
 class _Session:
-    """What a session knows of its goldens. Under pytest-xdist the process that reports learns it
+    """State of a session: checks and goldens. Under pytest-xdist the reporting process learns it
     from the workers, through the reports and at their end."""
 
     def __init__(self, config: pytest.Config) -> None:

@@ -205,12 +205,16 @@ def write_ply(path: Path, head: Head, colors: NDArray[np.uint8] | None = None) -
     return path
 
 
-def write_stl(path: Path, head: Head) -> Path:
-    """Write a binary STL file: triangles that share nothing."""
+def stl(head: Head) -> bytes:
+    """Return a binary STL file: triangles that share nothing."""
     layout = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
     triangles = np.zeros(len(head.faces), dtype=layout)
     triangles["corners"] = head.positions[head.faces]
-    path.write_bytes(b"\0" * 80 + struct.pack("<I", len(triangles)) + triangles.tobytes())
+    return b"\0" * 80 + struct.pack("<I", len(triangles)) + triangles.tobytes()
+
+
+def write_stl(path: Path, head: Head) -> Path:
+    path.write_bytes(stl(head))
     return path
 
 

@@ -352,7 +352,7 @@ def test_what_was_cut_off_and_is_no_longer_asked_for_goes(
 
 
 @pytest.mark.parametrize("step", ["rename", "drop", "move", "put"])
-def test_a_driver_may_end_at_any_step(table, draw, small, tmp_path, monkeypatch, step):
+def test_a_coordinator_may_end_at_any_step(table, draw, small, tmp_path, monkeypatch, step):
     """Whichever file of the folder it was about to change."""
     options = ("--chunk", "2", "--transforms")
     jobs = rows(4, mesh=str(small))
@@ -428,7 +428,7 @@ def test_what_cannot_start_is_one_line(table, draw, options, message):
     assert found["err"].count("\n") == 1
 
 
-def test_a_folder_has_one_driver(table, draw, small, tmp_path):
+def test_a_folder_has_one_coordinator(table, draw, small, tmp_path):
     path = table(rows(400, mesh=str(small)))
     command = [*COMMAND, path, "-o", str(tmp_path / "out"), "--workers", "1"]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as first:
@@ -466,17 +466,17 @@ def test_killed_again_and_again(table, draw, small, tmp_path, layout):
     for _ in range(4):
         before = len([*records.glob("*")])
         command = [*COMMAND, path, "-o", str(tmp_path / "out"), *options]
-        driver = psutil.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        coordinator = psutil.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
         end = time.monotonic() + 60.0
-        while driver.poll() is None and len([*records.glob("*")]) == before:
+        while coordinator.poll() is None and len([*records.glob("*")]) == before:
             assert time.monotonic() < end
             time.sleep(0.02)
         with suppress(psutil.NoSuchProcess):  # it may just have come to its end
-            random.choice([driver, *driver.children()]).kill()
+            random.choice([coordinator, *coordinator.children()]).kill()
             kills += 1
             time.sleep(random.uniform(0.0, 0.5))
-            driver.kill()
-        driver.wait()
+            coordinator.kill()
+        coordinator.wait()
     assert kills > 1
     found = draw(path, "out", *options)
     assert (found["status"], found["done"]) == (0, 60)

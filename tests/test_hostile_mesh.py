@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import base64
 import copy
+import itertools
 import json
 import logging
 import os
+import re
 import struct
 import warnings
 from collections.abc import Callable
@@ -429,53 +431,59 @@ def test_texture_coordinates_of_no_use(value, tmp_path):
 
 # --- PLY, STL, OBJ -------------------------------------------------------------------------------
 
-VERTICES = "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\n"
-HEADERS: dict[str, tuple[str, str]] = {
-    "count": ("element vertex 99999999999\nproperty float x\n", "tells of 199999999998 bytes or m"),
-    "negative count": (
-        "element vertex -3\nproperty float x\n",
-        "its header says 'element vertex -",
+
+def ply(properties, end="0 0 0\n1 0 0\n0 1 0\n"):
+    return f"ply\nformat ascii 1.0\n{properties}end_header\n{end}"
+
+
+def binary_ply(kind, faces):
+    """Four vertices, and two lists with lengths of a type."""
+    head = PLY.replace("ascii", "binary_little_endian").replace("uchar", kind).format(count=2)
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], "<f4")
+    return head[: head.index("0 0 0\n")].encode() + vertices.tobytes() + faces
+
+
+VERTEX = "element vertex 3\nproperty float x\n"
+WITH_UV = re.sub(r"^([01] [01] [01])$", r"\1 0.5 0.5", PLY.format(count=2), flags=re.M).replace(
+    "float z\n", "float z\nproperty float s\nproperty float t\n"
+)
+STL = files.stl(mini_head())
+REFUSED = [
+    ("a.ply", ply(VERTEX.replace("3", "99999999999")), "tells of 199999999998 bytes or m"),
+    ("a.ply", ply(VERTEX.replace("3", "-3")), "its header says 'element vertex -"),
+    ("a.ply", ply(VERTEX.replace("float", "text")), "its header says 'property text x'"),
+    ("a.ply", ply(VERTEX + "x\n"), "its header says 'x'"),
+    ("a.ply", ply("property float x\n"), "Property defined before any element"),
+    ("a.ply", binary_ply("char", struct.pack("<b3ib3i", -1, 0, 1, 2, 3, 0, 1, 2)), "is damaged ("),
+    ("a.ply", binary_ply("uint", struct.pack("<I6i", 2**31, *range(6))), "is damaged ("),
+    (
+        "a.ply",
+        binary_ply("uchar", struct.pack("<B4iB4i", 4, 0, 1, 2, 3, 3, 0, 1, 2, 3)),
+        "its faces have different numbers of vertex_indices",
     ),
-    "unknown type": ("element vertex 3\nproperty text x\n", "its header says 'property text x'"),
-    "unknown line": ("element vertex 3\nproperty float x\nx\n", "its header says 'x'"),
-    "no element": ("property float x\n", "Property defined before any element"),
-}
+    ("a.ply", PLY.format(count=1) + "3 0 1 2\n" + "1\n" * 100, "its header tells of 5 lines, it "),
+    ("a.ply", WITH_UV + "3 0 1 2\n3 0 1 -1\n", "a face names vertex -1"),
+    ("a.stl", STL[:-50], "triangles need 336184 bytes, it has 336134"),
+    ("a.stl", STL[:80] + b"\xff" * 4 + STL[84:], "4294967295 triangles need"),
+    ("a.stl", b"solid facet\n" + b"endsolid\n" * 1025, "a.stl has over 1024 parts"),
+    (
+        "a.obj",
+        TRIANGLE + b"".join(b"usemtl m%d\nf 1 2 3\n" % i for i in range(1025)),
+        "a.obj has over 1024 parts",
+    ),
+    ("a.obj", MINI_HEAD.read_bytes(), "a.obj is not OBJ but glTF; name it .glb"),
+    ("a.stl", PLY, "is not STL but PLY; name it .ply"),
+    (
+        "a.ply",
+        '{"message": "no access"}',
+        'a.ply is not PLY but JSON ({"message": "no access"}); give a mesh',
+    ),
+]
 
 
-@pytest.mark.parametrize("case", HEADERS)
-def test_damaged_header_of_ply(case, tmp_path):
-    lines, message = HEADERS[case]
-    content = f"ply\nformat ascii 1.0\n{lines}end_header\n0 0 0\n1 0 0\n0 1 0\n"
-    assert message in refused(write(tmp_path / "a.ply", content))
-
-
-def test_lists_of_ply(tmp_path):
-    """Binary lists of a negative length, of a length beyond the file's, and of several lengths."""
-    head = PLY.replace("ascii", "binary_little_endian").replace("uchar", "{type}")
-    head = head[: head.index("0 0 0\n")]
-    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], "<f4").tobytes()
-    faces = struct.pack("<b3i", -1, 0, 1, 2) + struct.pack("<b3i", 3, 0, 1, 2)
-    for kind, content in (("char", faces), ("uint", struct.pack("<I6i", 2**31, *range(6)))):
-        path = write(
-            tmp_path / "a.ply", head.format(count=2, type=kind).encode() + vertices + content
-        )
-        assert refused(path).startswith("a.ply is damaged (")
-    mixed = struct.pack("<B4i", 4, 0, 1, 2, 3) + struct.pack("<B4i", 3, 0, 1, 2, 3)
-    path = write(tmp_path / "a.ply", head.format(count=2, type="uchar").encode() + vertices + mixed)
-    assert "its faces have different numbers of vertex_indices" in refused(path)
-
-
-def test_lines_that_no_header_tells_of(tmp_path):
-    path = write(tmp_path / "a.ply", PLY.format(count=1) + "3 0 1 2\n" + "1\n" * 100)
-    assert "its header tells of 5 lines, it has more" in refused(path)
-
-
-def test_negative_faces_of_a_ply_with_texture_coordinates(tmp_path):
-    text = PLY.format(count=2).replace("float z\n", "float z\nproperty float s\nproperty float t\n")
-    for corner in ("0 0 0", "1 0 0", "0 1 0", "0 0 1"):
-        text = text.replace(f"\n{corner}\n", f"\n{corner} 0.5 0.5\n")
-    path = write(tmp_path / "a.ply", text + "3 0 1 2\n3 0 1 -1\n")
-    assert "a face names vertex -1" in refused(path)
+@pytest.mark.parametrize(("name", "content", "message"), REFUSED, ids=itertools.count())
+def test_content_that_is_refused(name, content, message, tmp_path):
+    assert message in refused(write(tmp_path / name, content))
 
 
 def test_edges_of_a_ply_are_passed_over(tmp_path):
@@ -500,23 +508,10 @@ def test_texture_of_a_ply(content, tmp_path, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_stl_of_another_size(tmp_path):
-    data = files.write_stl(tmp_path / "a.stl", mini_head()).read_bytes()
-    assert "triangles need 336184 bytes, it has 336134" in refused(
-        write(tmp_path / "a.stl", data[:-50])
-    )
-    huge = data[:80] + struct.pack("<I", 2**32 - 1) + data[84:]
-    assert "4294967295 triangles need" in refused(write(tmp_path / "a.stl", huge))
-    mesh, told = loaded(write(tmp_path / "a.stl", data + b"xyz"))
+def test_bytes_behind_the_triangles_of_an_stl(tmp_path):
+    mesh, told = loaded(write(tmp_path / "a.stl", STL + b"xyz"))
     assert told == ["a.stl has 3 bytes behind its 6722 triangles: left out"]
     assert len(mesh.parts[0].faces) == 6722
-
-
-def test_more_parts_than_can_be_drawn(tmp_path):
-    lines = b"".join(b"usemtl m%d\nf 1 2 3\n" % i for i in range(1025))
-    assert "a.obj has over 1024 parts" in refused(write(tmp_path / "a.obj", TRIANGLE + lines))
-    solids = b"solid facet\n" + b"endsolid\n" * 1025
-    assert "a.stl has over 1024 parts" in refused(write(tmp_path / "a.stl", solids))
 
 
 @pytest.mark.parametrize("line", [b"f 1 2 " + b"9" * 400, b"v " + b"1" * 400 + b" x 0", b"\0" * 99])
@@ -548,15 +543,6 @@ def test_what_a_file_really_is(case, suffix, tmp_path):
     line = refused(write(tmp_path / f"a{suffix}", content))
     assert line.startswith(f"a{suffix} is not ")
     assert message in line
-
-
-def test_meshes_of_another_name_and_error_pages(tmp_path):
-    assert refused(write(tmp_path / "a.obj", MINI_HEAD.read_bytes())) == (
-        "a.obj is not OBJ but glTF; name it .glb"
-    )
-    assert "is not STL but PLY; name it .ply" in refused(write(tmp_path / "a.stl", PLY))
-    line = refused(write(tmp_path / "a.ply", '{"message": "no access"}'))
-    assert line == 'a.ply is not PLY but JSON ({"message": "no access"}); give a mesh'
 
 
 # --- files that are named ------------------------------------------------------------------------

@@ -125,6 +125,18 @@ def test_other_colours_become_srgb_and_alpha_stays(case, tmp_path):
     np.testing.assert_array_equal(image.pixels[..., count:], pixels[..., count:])
 
 
+def test_noise_of_a_conversion_covers_its_rounding(tmp_path):
+    exact = np.random.default_rng(1).uniform(70.0, 180.0, (300, 300, 3))
+    linear = srgb_to_linear(exact / 255.0) @ SRGB @ np.linalg.inv(DISPLAY_P3)
+    wide = np.round(255.0 * linear_to_srgb(linear)).astype(np.uint8)
+    path = saved(tmp_path / "wide.png", wide, P3)
+    image = read_image(path)
+    error = np.sqrt(np.square(image.pixels - exact).mean(axis=(0, 1))).max()
+    assert 0.5 * image.noise < error < 1.1 * image.noise
+    plain = saved(tmp_path / "plain.png", np.round(exact).astype(np.uint8), None)
+    assert compare(plain, path).trend < 0.01
+
+
 BUILD = r"\(cannot build transform\)"
 REFUSED = {
     "no profile": (b"wide gamut", (3,), r"\(cannot open profile from string\)"),

@@ -15,7 +15,7 @@ from facerender.commands import main
 from facerender.drawing.context import is_software
 from facerender.errors import InputError
 from facerender.measure import error, run
-from facerender.measure.measurement import MODELS, SCHEMA, ImageError, Measurement
+from facerender.measure.measurement import MODELS, SCHEMA, ImageError
 from facerender.measure.rendering import skin_parts
 from facerender.measure.tables import sample_table, skin_table
 from facerender.pricing import cost
@@ -23,6 +23,7 @@ from facerender.pricing.interval import Interval, bootstrap
 from facerender.pricing.variants import Variant, lobe_terms, of_model, terms
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing
+from tools.docs.measurement import measurement_of
 
 MEASUREMENT = Path(__file__).parents[1] / "docs" / "measurements" / "llvmpipe.json"
 
@@ -125,9 +126,9 @@ def test_every_lobe_is_measured(model):
 
 def test_json_of_a_measurement_is_read_and_written_unchanged():
     text = MEASUREMENT.read_text(encoding="utf-8")
-    measurement = Measurement.from_dict(json.loads(text))
+    measurement = measurement_of(json.loads(text))
     assert json.dumps(measurement.as_dict(), indent=1) + "\n" == text
-    assert Measurement.from_dict(measurement.as_dict()) == measurement
+    assert measurement_of(measurement.as_dict()) == measurement
     d16 = next(row for row in measurement.of_model("ward") if row.variant.name == "d16")
     assert d16.variant == Variant("ward", "d16")
     assert isinstance(d16.cost.term_ns, Interval)
@@ -140,7 +141,7 @@ def test_json_of_samples_says_how_often_pixels_are_shaded():
     row = {"samples": 4, "time": {"value": 2.0, "low": 1.9, "high": 2.1}}
     row |= {"silhouette": lost, "inside": lost}
     content["samples"] = [row | {"shading_rate": rate} for rate in ("sample", "pixel")]
-    measurement = Measurement.from_dict(content)
+    measurement = measurement_of(content)
     assert [each.shading_rate for each in measurement.samples] == ["sample", "pixel"]
     assert measurement.as_dict()["samples"][1] == row | {"shading_rate": "pixel"}
     assert [cells[0] for cells in sample_table(measurement).rows] == ["4", "4, per-pixel shading"]
@@ -162,8 +163,8 @@ def test_parts_of_skin_cost_and_lose(head, egl):
         assert lost == sorted(lost, reverse=True)
     assert "samples of scattering" not in {row.part for row in unknown}
     content = json.loads(MEASUREMENT.read_text(encoding="utf-8"))
-    measurement = replace(Measurement.from_dict(content), skin=rows)
-    assert Measurement.from_dict(measurement.as_dict()) == measurement
+    measurement = replace(measurement_of(content), skin=rows)
+    assert measurement_of(measurement.as_dict()) == measurement
     assert [row[:2] for row in skin_table(measurement).rows][:2] == [
         ["shadow of a light of 5 degrees", "none"],
         ["shadow of a light of 5 degrees", "hard"],
@@ -172,11 +173,11 @@ def test_parts_of_skin_cost_and_lose(head, egl):
 
 def test_json_that_is_no_measurement_of_this_version_is_refused():
     with pytest.raises(InputError, match=r"schema is 'facerender.measure/9', not .*; measure anew"):
-        Measurement.from_dict({"schema": "facerender.measure/9"})
+        measurement_of({"schema": "facerender.measure/9"})
     content = json.loads(MEASUREMENT.read_text(encoding="utf-8"))
     content["variants"][0]["name"] = "blinn"
     with pytest.raises(InputError, match=r"unknown variant, 'blinn' of 'cook-torrance'; measure"):
-        Measurement.from_dict(content)
+        measurement_of(content)
 
 
 @pytest.fixture

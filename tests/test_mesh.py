@@ -72,6 +72,17 @@ def angles(a, b):
     return np.degrees(2.0 * np.arcsin(np.clip(chord / 2.0, 0.0, 1.0)))
 
 
+def warned(path, message):
+    """Load a mesh, with a warning."""
+    with pytest.warns(fr.FacerenderWarning, match=message):
+        return fr.load_mesh(path)
+
+
+def refused(path, message):
+    with pytest.raises(fr.InputError, match=message):
+        fr.load_mesh(path)
+
+
 def assert_sound(mesh):
     assert np.isfinite(mesh.bounds).all()
     for part in mesh.parts:
@@ -139,18 +150,13 @@ def test_normalised_mesh_is_the_unit_sphere(control):
 def test_missing_texture(tmp_path, draw):
     path = files.write_obj(tmp_path / "mini.obj", mini_head(), mtl="mini.mtl")
     (tmp_path / "mini.mtl").write_text(files.SKIN_MTL.format(texture="not_here.jpg"))
-    with pytest.warns(
-        fr.FacerenderWarning,
-        match=r"not_here\.jpg \(named by mini\.obj\) not found in .*--albedo FILE",
-    ):
-        mesh = fr.load_mesh(path)
+    mesh = warned(path, r"not_here\.jpg \(named by mini\.obj\) not found in .*--albedo FILE")
     np.testing.assert_allclose(mean_albedo(draw(mesh, "albedo")), SKIN_ALBEDO, rtol=1e-5)
 
 
 def test_missing_texture_of_a_glb(tmp_path, draw):
     path = files.write_glb(tmp_path / "mini.glb", mini_head(), image={"uri": "missing.png"})
-    with pytest.warns(fr.FacerenderWarning, match=r"missing\.png \(named by mini\.glb\) not found"):
-        mesh = fr.load_mesh(path)
+    mesh = warned(path, r"missing\.png \(named by mini\.glb\) not found")
     assert mesh.materials[0].albedo_map is None
     assert np.isfinite(draw(mesh)).all()
 
@@ -158,10 +164,7 @@ def test_missing_texture_of_a_glb(tmp_path, draw):
 def test_missing_mtl_names_the_image_beside_it_and_takes_it(tmp_path, control, draw):
     path = files.write_textured_obj(tmp_path / "mini.obj", mini_head())
     (tmp_path / "mini.mtl").unlink()
-    with pytest.warns(
-        fr.FacerenderWarning, match=r"mini\.mtl .* not found in .*: .*; pass --albedo skin\.jpg"
-    ):
-        mesh = fr.load_mesh(path)
+    mesh = warned(path, r"mini\.mtl .* not found in .*: .*; pass --albedo skin\.jpg")
     # trimesh puts a grey image of 2 x 2 texels here.
     assert mesh.materials[0].albedo_map is None
     np.testing.assert_allclose(mean_albedo(draw(mesh, "albedo")), SKIN_ALBEDO, rtol=1e-5)
@@ -184,10 +187,7 @@ def test_no_texture_coordinates(tmp_path, draw):
 
 def test_texture_without_texture_coordinates(tmp_path):
     path = files.write_textured_obj(tmp_path / "mini.obj", mini_head(), uv=False)
-    with pytest.warns(
-        fr.FacerenderWarning, match=r"mini\.obj has no texture coordinates: its texture is ignored"
-    ):
-        fr.load_mesh(path)
+    warned(path, r"mini\.obj has no texture coordinates: its texture is ignored")
 
 
 def test_flip_v(tmp_path, control, draw):
@@ -212,10 +212,7 @@ def with_bad_vertices(head):
 def test_vertices_that_are_no_numbers(write, suffix, tmp_path, draw):
     path = write(tmp_path / f"mini{suffix}", with_bad_vertices(mini_head()))
     lost = int(np.isin(mini_head().faces, (10, 50)).any(axis=1).sum())
-    with pytest.warns(
-        fr.FacerenderWarning, match=rf"mini{suffix} has 2 non-finite vertices: {lost} faces dropped"
-    ):
-        mesh = fr.load_mesh(path)
+    mesh = warned(path, rf"mini{suffix} has 2 non-finite vertices: {lost} faces dropped")
     assert_sound(mesh)
     sound = fr.load_mesh(write(tmp_path / f"sound{suffix}", mini_head()))
     assert sum(len(part.faces) for part in mesh.parts) == len(mini_head().faces) - lost
@@ -227,8 +224,7 @@ def test_vertices_that_are_no_numbers(write, suffix, tmp_path, draw):
 def test_no_face_that_can_be_drawn(factor, tmp_path):
     head = mini_head().with_positions(mini_head().positions * factor)
     path = files.write_obj(tmp_path / "mini.obj", head)
-    with pytest.raises(fr.InputError, match=r"no face of mini\.obj has a finite, non-zero area"):
-        fr.load_mesh(path)
+    refused(path, r"no face of mini\.obj has a finite, non-zero area")
 
 
 def test_degenerate_and_duplicated_faces(tmp_path, control, draw):
@@ -236,8 +232,7 @@ def test_degenerate_and_duplicated_faces(tmp_path, control, draw):
     degenerate = [(5, 5, 9), (7, 9, 7), (3, 3, 3)]
     faces = np.concatenate([head.faces, head.faces[100:150], degenerate])
     path = files.write_textured_obj(tmp_path / "mini.obj", head.with_faces(faces))
-    with pytest.warns(fr.FacerenderWarning, match=r"mini\.obj has 3 degenerate faces: dropped"):
-        mesh = fr.load_mesh(path)
+    mesh = warned(path, r"mini\.obj has 3 degenerate faces: dropped")
     assert_sound(mesh)
     # A face that counts twice leans the normals at its rim a little.
     assert np.abs(draw(mesh) - draw(control)).mean() < 1e-3
@@ -282,8 +277,7 @@ def flipped(head, every):
 )
 def test_winding_without_normals(every, warning, tmp_path, control, draw):
     path = files.write_textured_obj(tmp_path / "mini.obj", flipped(mini_head(), every))
-    with pytest.warns(fr.FacerenderWarning, match=warning):
-        mesh = fr.load_mesh(path)
+    mesh = warned(path, warning)
     assert_same_picture(draw(mesh), draw(control))
 
 
@@ -296,18 +290,14 @@ def test_winding_against_good_normals(every, tmp_path, plain, draw):
 def test_faces_and_normals_both_inside_out(tmp_path, plain, draw):
     head = replace(flipped(mini_head(), 1), normals=-mini_head().normals)
     path = files.write_glb(tmp_path / "mini.glb", head)
-    with pytest.warns(fr.FacerenderWarning, match=r"faces of mini\.glb are inside out: turned"):
-        mesh = fr.load_mesh(path)
+    mesh = warned(path, r"faces of mini\.glb are inside out: turned")
     assert_same_picture(draw(mesh), draw(plain))
 
 
 def test_normals_of_zero_length(tmp_path, control, draw):
     zero = np.zeros_like(mini_head().normals)
     path = files.write_textured_obj(tmp_path / "mini.obj", mini_head(), normals=zero)
-    with pytest.warns(
-        fr.FacerenderWarning, match=r"mini\.obj has 3444 normals of zero length: all computed anew"
-    ):
-        mesh = fr.load_mesh(path)
+    mesh = warned(path, r"mini\.obj has 3444 normals of zero length: all computed anew")
     assert_same_picture(draw(mesh), draw(control))
 
 
@@ -377,8 +367,7 @@ def test_computed_normals_of_the_scan_are_its_own(scan, tmp_path):
 def test_computed_normals_of_the_scan_from_its_obj(scan):
     """The OBJ file has no normals, the GLB file has; scale and place differ, and so does the
     diagonal of every one of the quadrilaterals, which are not flat: hence the degrees."""
-    with pytest.warns(fr.FacerenderWarning, match=r"Infinite-Level_02\.mtl .*not found"):
-        obj = fr.load_mesh(scan / "LeePerrySmith.obj")
+    obj = warned(scan / "LeePerrySmith.obj", r"Infinite-Level_02\.mtl .*not found")
     glb = fr.load_mesh(scan / "LeePerrySmith.glb")
     (given,) = glb.parts
     assert [part.name for part in obj.parts][:2] == ["Group19", "Group5"]
@@ -446,8 +435,7 @@ def test_nested_nodes(tmp_path, plain):
 
 def test_node_of_scale_0_is_hidden(tmp_path, plain, draw):
     path = files.write_glb(tmp_path / "mini.glb", mini_head(), [{"scale": [0, 0, 0]}, {}])
-    with pytest.warns(fr.FacerenderWarning, match=r"mini\.glb has 6722 degenerate faces: dropped"):
-        mesh = fr.load_mesh(path)
+    mesh = warned(path, r"mini\.glb has 6722 degenerate faces: dropped")
     assert_same_picture(draw(mesh), draw(plain))
 
 
@@ -582,8 +570,7 @@ def test_texture_that_is_no_image(tmp_path):
 
 def test_embedded_texture_that_is_no_image(tmp_path):
     path = files.write_glb(tmp_path / "mini.glb", replace(mini_head(), skin=b"<html></html>"))
-    with pytest.raises(fr.InputError, match=r"mini\.glb.* not an image"):
-        fr.load_mesh(path)
+    refused(path, r"mini\.glb.* not an image")
 
 
 # --- colours and factors -------------------------------------------------------------------------
@@ -798,10 +785,7 @@ def test_draco(tmp_path, plain, draw):
 def test_draco_without_its_package(tmp_path, monkeypatch):
     path = files.write_draco(tmp_path / "mini.glb", mini_head())
     monkeypatch.setitem(sys.modules, "DracoPy", None)
-    with pytest.raises(
-        fr.InputError, match=r"mini\.glb is compressed with Draco: pip install DracoPy"
-    ):
-        fr.load_mesh(path)
+    refused(path, r"mini\.glb is compressed with Draco: pip install DracoPy")
 
 
 # --- the files that circulate --------------------------------------------------------------------

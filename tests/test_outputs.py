@@ -378,7 +378,7 @@ def test_a_worker_that_is_ended_undoes_what_is_half_done(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
-def test_workers_of_a_batch_heed_their_driver():
+def test_workers_of_a_batch_heed_their_coordinator():
     ours, theirs = socket.socketpair()
     command = [sys.executable, "-m", "facerender.batch.worker", str(theirs.fileno())]
     with ours, theirs, subprocess.Popen(command, pass_fds=[theirs.fileno()]) as running:

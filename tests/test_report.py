@@ -11,8 +11,9 @@ import pytest
 
 from facerender import InputError
 from facerender.measure import plots, report
-from facerender.measure.measurement import Measurement, Triptych
+from facerender.measure.measurement import Triptych
 from facerender.measure.pareto import FRAME, TERM, measure_of, pareto
+from tools.docs.measurement import measurement_of
 
 COSTS = {  # ns, and largest error of the image as a fraction
     "printed, exact": (0.4, None),
@@ -75,7 +76,7 @@ def triptychs():
 
 
 def rows(data, kind=TERM):
-    return pareto(Measurement.from_dict(data), "cook-torrance", kind)
+    return pareto(measurement_of(data), "cook-torrance", kind)
 
 
 def states(data):
@@ -83,7 +84,7 @@ def states(data):
 
 
 def compared(data):
-    return measure_of(Measurement.from_dict(data), "cook-torrance")
+    return measure_of(measurement_of(data), "cook-torrance")
 
 
 def test_dominated(data):
@@ -130,11 +131,11 @@ def test_outside_the_domain_nothing_is_compared(data):
     for variant in data["variants"]:
         variant["error"]["image"] = None
     assert not any(states(data).values())
-    assert "outside the domain" in report.table(Measurement.from_dict(data))
+    assert "outside the domain" in report.table(measurement_of(data))
 
 
 def test_tables_mark_rows_and_name_what_is_missing(data):
-    text = report.table(Measurement.from_dict(data))
+    text = report.table(measurement_of(data))
     lines = text.splitlines()
     d4 = next(line for line in lines if "d4" in line and "0.700" in line)
     assert "dominated" in d4
@@ -145,7 +146,7 @@ def test_tables_mark_rows_and_name_what_is_missing(data):
     assert "dominated" not in printed
     for row in data["variants"]:
         row["cost"]["frame_ms"] = None
-    text = report.table(Measurement.from_dict(data))
+    text = report.table(measurement_of(data))
     assert "not measured" in text.split("Whole frame")[1].lower()
 
 
@@ -177,7 +178,7 @@ class Page(HTMLParser):
 
 
 def test_files(data, triptychs, tmp_path):
-    paths = report.write(Measurement.from_dict(data), triptychs, tmp_path / "new" / "report")
+    paths = report.write(measurement_of(data), triptychs, tmp_path / "new" / "report")
     assert {path.name for path in paths} == {
         "measure.json",
         "trade-term.png",
@@ -220,10 +221,10 @@ def test_after_a_fault_nothing_is_written(
         data["variants"][1]["cost"]["term_ns"]["high"] = float("nan")
     elif fault == "matplotlib":
         monkeypatch.setitem(sys.modules, "matplotlib", None)
-        assert "not measured" in report.table(Measurement.from_dict(data))
+        assert "not measured" in report.table(measurement_of(data))
     else:
         (tmp_path / "file").touch()
         folder = tmp_path / "file" / "report"
     with pytest.raises(kind, match=message):
-        report.write(Measurement.from_dict(data), triptychs, folder)
+        report.write(measurement_of(data), triptychs, folder)
     assert [path.name for path in tmp_path.iterdir()] == ["file"] * (fault == "folder")

@@ -20,7 +20,7 @@ from PIL import Image
 import facerender as fr
 from facerender.commands import main
 from facerender.commands.views import sheet
-from facerender.images import animation
+from facerender.images.animation import MOVING
 from facerender.images.read import read_image
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
@@ -58,11 +58,44 @@ def pixels(name: str) -> Any:
 # --- several cameras -----------------------------------------------------------------------------
 
 
-def test_a_file_for_each_camera(run: Run):
-    status, out, err = run("--camera", "profile", "--camera", "20,10,1.5", "-o", "a.png")
-    assert (status, out, err) == (0, ["a_000.png", "a_001.png"], "")
-    assert np.array_equal(pixels("a_000.png"), drawn(fr.Camera(90.0)))
-    assert np.array_equal(pixels("a_001.png"), drawn(fr.Camera(20.0, 10.0, zoom=1.5)))
+PATHS = {"40.toml": "azimuth = 40\nfov = 60", "two.toml": "azimuth = 40\n[[cameras]]\nzoom = 2"}
+FACES = fr.turntable(fr.Camera(frame="face"), 3)
+CAMERAS: dict[str, tuple[str, dict[str, fr.Camera]]] = {  # options, and the camera of each file
+    "a file each": (
+        "--camera profile --camera 20,10,1.5 -o a.png",
+        {"a_000.png": fr.Camera(90.0), "a_001.png": fr.Camera(20.0, 10.0, zoom=1.5)},
+    ),
+    "turntable": (
+        "--camera turntable:3 --frame face -o t.png",
+        {f"t_00{number}.png": camera for number, camera in enumerate(FACES)},
+    ),
+    "scene file": (
+        "--scene two.toml -o {index:d}.png",
+        {"0.png": fr.Camera(40.0), "1.png": fr.Camera(zoom=2.0)},
+    ),
+    "option before a scene file": (
+        "--scene two.toml --camera profile -o p.png",
+        {"p.png": fr.Camera(90.0)},
+    ),
+    "options before a camera file": (
+        "--camera 40.toml --fov 30 --frame head -o p.png",
+        {"p.png": fr.Camera(40.0, fov=30.0, frame="head")},
+    ),
+    "target": (
+        "--target 0.01,0.02,0 --camera 5,0,3 -o t.png",
+        {"t.png": fr.Camera(5.0, zoom=3.0, target=(0.01, 0.02, 0.0))},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CAMERAS)
+def test_cameras(run: Run, case: str):
+    options, cameras = CAMERAS[case]
+    for name, text in PATHS.items():
+        Path(name).write_text(f"[[cameras]]\n{text}\n")
+    assert run(*options.split()) == (0, [*cameras], "")
+    for name, camera in cameras.items():
+        assert np.array_equal(pixels(name), drawn(camera))
 
 
 @pytest.mark.parametrize(
@@ -78,30 +111,6 @@ def test_names_of_files(run: Run, pattern: str, names: list[str]):
     status, out, err = run("--camera", "front", "--camera", "30,5", "-o", pattern)
     assert (status, out, err) == (0, names, "")
     assert sorted(os.listdir()) == sorted(names)
-
-
-def test_a_turntable(run: Run):
-    status, out, _ = run("--camera", "turntable:3", "--frame", "face", "-o", "t.png")
-    assert (status, out) == (0, ["t_000.png", "t_001.png", "t_002.png"])
-    for name, camera in zip(out, fr.turntable(fr.Camera(frame="face"), 3), strict=True):
-        assert np.array_equal(pixels(name), drawn(camera))
-
-
-def test_cameras_of_a_scene_file(run: Run):
-    Path("scene.toml").write_text("[[cameras]]\nazimuth = 40\n[[cameras]]\nzoom = 2\n")
-    status, out, _ = run("--scene", "scene.toml", "-o", "{index:d}.png")
-    assert (status, out) == (0, ["0.png", "1.png"])
-    assert np.array_equal(pixels("0.png"), drawn(fr.Camera(40.0)))
-    assert np.array_equal(pixels("1.png"), drawn(fr.Camera(zoom=2.0)))
-    status, out, _ = run("--scene", "scene.toml", "--camera", "profile", "-o", "p.png")
-    assert (status, out) == (0, ["p.png"])
-    assert np.array_equal(pixels("p.png"), drawn(fr.Camera(90.0)))
-
-
-def test_options_win_over_cameras_of_files(run: Run):
-    Path("path.toml").write_text("[[cameras]]\nazimuth = 40\nfov = 60\n")
-    assert run("--camera", "path.toml", "--fov", "30", "--frame", "head", "-o", "p.png")[0] == 0
-    assert np.array_equal(pixels("p.png"), drawn(fr.Camera(40.0, fov=30.0, frame="head")))
 
 
 def test_a_camera_file_has_a_size(run: Run, capsys: pytest.CaptureFixture[str]):
@@ -131,12 +140,6 @@ def test_a_camera_of_the_mesh_file(run: Run, tmp_path: Path):
         assert main(["render", path, *SMALL[2:], "--camera", where, "-o", "{name}.png"]) == 0
         assert np.abs(pixels("two.png").astype(int) - wanted).max() <= 1
     assert sorted(os.listdir()) == ["head.glb", "one.png", "two.png"]
-
-
-def test_a_target(run: Run):
-    assert run("--target", "0.01,0.02,0", "--camera", "5,0,3", "-o", "t.png")[0] == 0
-    wanted = drawn(fr.Camera(5.0, zoom=3.0, target=(0.01, 0.02, 0.0)))
-    assert np.array_equal(pixels("t.png"), wanted)
 
 
 def test_a_sheet(run: Run):
@@ -253,6 +256,13 @@ def test_a_movie(tmp_path: Path):
     }
 
 
+def encoder(folder: Path, script: str) -> str:
+    path = folder / "ffmpeg"
+    path.write_text(f"#!{script}\n")
+    path.chmod(0o700)
+    return str(path)
+
+
 # imageio-ffmpeg leaves the pipe to an encoder that has ended to the garbage collector.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(
@@ -273,10 +283,7 @@ def test_an_ffmpeg_that_fails(
     message: str,
 ):
     require_module("imageio_ffmpeg")
-    encoder = tmp_path / "ffmpeg"
-    encoder.write_text(f"#!{script}\n")
-    encoder.chmod(0o700)
-    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(encoder))
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", encoder(tmp_path, script))
     many = (np.zeros((512, 512, 3), dtype=np.uint8) for _ in range(8))
     with pytest.raises(fr.InputError, match=f"{message} give .gif or .webp"):
         fr.save_animation(tmp_path / "a.mp4", many)
@@ -284,14 +291,11 @@ def test_an_ffmpeg_that_fails(
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_broken_pipe_to_ffmpeg_does_not_end_the_command(run: Run, monkeypatch, tmp_path: Path):
+def test_a_broken_pipe_to_ffmpeg_does_not_end_the_command(run: Run, tmp_path: Path):
     """The command line has SIGPIPE end the process."""
-    encoder = tmp_path / "ffmpeg"
-    encoder.write_text("#!/bin/sh\nexit 1\n")
-    encoder.chmod(0o700)
     command = [sys.executable, "-m", "facerender", "render", str(MINI_HEAD), "--size", "256"]
     command += ["--camera", "turntable:3", "-o", "a.mp4"]
-    environment = {**os.environ, "IMAGEIO_FFMPEG_EXE": str(encoder)}
+    environment = {**os.environ, "IMAGEIO_FFMPEG_EXE": encoder(tmp_path, "/bin/sh\nexit 1")}
     done = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert done.returncode == 2
     assert "ffmpeg made no .mp4 (it ended early): give .gif or .webp" in done.stderr
@@ -305,16 +309,24 @@ def test_without_imageio_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         fr.save_animation(tmp_path / "a.mp4", [np.zeros((4, 4, 3), dtype=np.uint8)])
 
 
-def test_an_animation_that_stops_leaves_nothing(tmp_path: Path):
-    def pictures() -> Any:
-        yield np.zeros((4, 4, 3), dtype=np.uint8)
-        raise fr.InputError("no more")
+def stops() -> Iterator[Any]:
+    yield np.zeros((4, 4, 3), dtype=np.uint8)
+    raise fr.InputError("no more")
 
-    for suffix in animation.MOVING[:2]:
-        with pytest.raises(fr.InputError, match="no more"):
-            fr.save_animation(tmp_path / f"a{suffix}", pictures())
-    with pytest.raises(fr.InputError, match="would have no image"):
-        fr.save_animation(tmp_path / "a.gif", [])
+
+@pytest.mark.parametrize("suffix", MOVING)
+@pytest.mark.parametrize(
+    ("images", "message"),
+    [
+        (stops, "no more"),
+        (list, "would have no image"),
+        (lambda: [np.zeros((side, 4, 3), np.uint8) for side in (4, 6)], "one size"),
+        (lambda: [np.zeros((4, 4, 3))], "image = array.*: give an array"),
+    ],
+)
+def test_an_animation_that_stops_leaves_nothing(tmp_path: Path, suffix: str, images, message: str):
+    with pytest.raises(fr.InputError, match=message):
+        fr.save_animation(tmp_path / f"a{suffix}", images())
     assert list(tmp_path.iterdir()) == []
 
 
@@ -395,11 +407,3 @@ def test_a_frame_shows_itself(frame: fr.Frame):
         told = repr(renderer.gbuffer(fr.Scene(fr.load_mesh(MINI_HEAD))))
     assert told.startswith("<GBuffer 24 x 20, ")
     assert len(told) < 50
-
-
-@pytest.mark.parametrize("suffix", [".gif", ".webp"])
-def test_pictures_of_two_sizes_are_refused(tmp_path, suffix):
-    pictures = [np.zeros((side, 4, 3), np.uint8) for side in (4, 6)]
-    with pytest.raises(fr.InputError, match="one size"):
-        fr.save_animation(tmp_path / f"a{suffix}", pictures)
-    assert not [*tmp_path.iterdir()]

@@ -194,8 +194,3 @@ def _content(path: str) -> str:
     except (OSError, ValueError):
         pass  # the loader reports it
     return f"absent: {path}"
-
-
-def hash_of(text: str) -> int:
-    """Return 64 bits of a digest, for sets of texts that would not fit in memory."""
-    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest(), "little")

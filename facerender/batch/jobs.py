@@ -126,6 +126,12 @@ class JobTable:
             self.faults += self._duplicates({*twice[:_MOST_TWICE].tolist()})
         self.more = bad + len(twice) - len(self.faults)
 
+    def check(self) -> JobTable:
+        """Read all rows, and return the table."""
+        for _ in self:
+            pass
+        return self
+
     def _duplicates(self, hashes: set[int]) -> list[str]:
         """Describe rows whose id another row has. The table is read a second time for this, so that
         the ids of good tables need not be kept."""
@@ -142,16 +148,6 @@ class JobTable:
                         break
                 first.setdefault(row.id, row.number)
         return faults
-
-
-def check_jobs(
-    path: str | os.PathLike[str], common: Mapping[str, Any] = {}, most: int = 10
-) -> JobTable:
-    """Read a whole table, and return it with its faults."""
-    table = JobTable(path, common, most)
-    for _ in table:
-        pass
-    return table
 
 
 def _rows(

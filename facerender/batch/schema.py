@@ -196,7 +196,6 @@ def _dotted(key: str, own: Schema) -> Iterator[tuple[str, Schema]]:
 _NAMES_AS_TEXT: Schema = {"type": "string", "description": "names with commas between"}
 _NAMES: Schema = {"anyOf": [_array({"type": "string"}), _NAMES_AS_TEXT]}
 _INDICES: Schema = _array({"type": "integer", "minimum": 0}) | {"uniqueItems": True}
-_COUNT: Schema = {"type": "integer", "minimum": 1}
 _SIZE = _of_range(range_of(ImageSettings, "size"))
 _ROW_OF_3, _ROW_OF_4 = (_array({"type": "number"}, count) for count in (3, 4))
 _GAUSSIAN = _array({"type": "number", "minimum": 0}, 4)
@@ -230,9 +229,7 @@ _SPECIAL: dict[str, Schema] = {
     "shading.shadow_lights": _INDICES,
     "shading.frontal_lights": _INDICES,
     "planned.sizes": _array(_SIZE) | {"minItems": 1},
-    "planned.samples": _COUNT,
-    "planned.drawn_samples": _COUNT,
-    "planned.triangles": _COUNT,
+    "planned.samples": {"type": "integer", "minimum": 1},
     "image.size": {
         "anyOf": [_SIZE, _SIZE["items"], {"type": "string", "pattern": "^[0-9]+(x[0-9]+)?$"}]
     },

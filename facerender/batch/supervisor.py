@@ -73,7 +73,7 @@ def draw_chunk(settings: Settings, chunk: Chunk, report: Report | None = None) -
     """
     if not hasattr(_THREAD, "supervisor"):
         _THREAD.supervisor = Supervisor()
-    outcome: Outcome = _THREAD.supervisor.run(settings, chunk, report or _no_report)
+    outcome: Outcome = _THREAD.supervisor.run(settings, chunk, report or (lambda *_: None))
     return outcome
 
 
@@ -130,7 +130,7 @@ class Supervisor:
             failed=tuple(each for each in records if "error" in each),
             seconds=time.perf_counter() - began,
             deaths=deaths,
-            renderer=next((_renderer(each) for each in records if "GL_RENDERER" in each), ""),
+            renderer=next(filter(None, map(_renderer, records)), ""),
             worker=self.worker,
         )
 
@@ -150,7 +150,8 @@ class Supervisor:
                         records[last.position], size = last.record, last.size
                         steps[last.step] += 1
                         attempts[_NO_JOB] = 0
-                    report(self.worker, last.step, _id(chunk, last.position))
+                    job = chunk.rows[last.position].id if last.position >= 0 else ""
+                    report(self.worker, last.step, job)
                 return [records[position] for position in sorted(records)], steps, deaths
             except _WorkerEnded as ended:
                 how = str(ended)
@@ -229,11 +230,7 @@ class Supervisor:
 
 
 def _renderer(record: Record) -> str:
-    return f"{record['GL_RENDERER']}; {record['GL_VERSION']}"
-
-
-def _id(chunk: Chunk, position: int) -> str:
-    return chunk.rows[position].id if position >= 0 else ""
+    return f"{record['GL_RENDERER']}; {record['GL_VERSION']}" if "GL_RENDERER" in record else ""
 
 
 def _at_fault(chunk: Chunk, last: Message) -> set[int]:
@@ -242,7 +239,3 @@ def _at_fault(chunk: Chunk, last: Message) -> set[int]:
         return {last.position}
     mesh = chunk.rows[last.position].tables.get("mesh")
     return {i for i, row in enumerate(chunk.rows) if row.tables.get("mesh") == mesh}
-
-
-def _no_report(worker: str, step: str, job: str) -> None:
-    pass

@@ -13,14 +13,7 @@ from typing import IO
 
 import numpy as np
 
-from facerender.batch.chunk import (
-    Chunk,
-    Record,
-    Settings,
-    chunks,
-    forget_files,
-    hash_of,
-)
+from facerender.batch.chunk import Chunk, Record, Settings, chunks, forget_files
 from facerender.batch.jobs import Row
 from facerender.batch.records import BEGUN, STALE, read_head, record_names, records_of
 from facerender.batch.storage import Storage
@@ -148,11 +141,11 @@ class _DrawnBefore:
 
     def __init__(self, storage: Storage) -> None:
         self._names = sorted(record_names(storage, STALE))
-        hashes, numbers = array("Q"), array("L")
+        hashes, numbers = array("q"), array("L")
         for number, name in enumerate(self._names):
             for record in records_of(storage, name, STALE):
                 if "error" not in record:
-                    hashes.append(hash_of(record["key"]))
+                    hashes.append(hash(record["key"]))
                     numbers.append(number)
         order = np.argsort(np.asarray(hashes), kind="stable")
         self._hashes, self._numbers = np.asarray(hashes)[order], np.asarray(numbers)[order]
@@ -161,9 +154,8 @@ class _DrawnBefore:
         )
 
     def find(self, key: str) -> Record | None:
-        wanted = np.uint64(hash_of(key))
-        first, last = (np.searchsorted(self._hashes, wanted, side) for side in ("left", "right"))
-        for number in self._numbers[first:last]:
+        ends = (np.searchsorted(self._hashes, hash(key), side) for side in ("left", "right"))
+        for number in self._numbers[slice(*ends)]:
             record: Record | None = self._read(self._names[number]).get(key)
             if record is not None and "error" not in record:
                 return record

@@ -17,7 +17,7 @@ from typing import Any, NoReturn, TextIO
 
 from facerender import __version__
 from facerender.commands.examples import EXAMPLES
-from facerender.commands.streams import make_usable, say, tell
+from facerender.commands.streams import make_usable, print_message, print_result
 from facerender.errors import FacerenderError, FacerenderWarning, InputError, clipped
 
 _COMMANDS = {
@@ -76,9 +76,9 @@ def console() -> NoReturn:
     except SystemExit as asked:  # --help, --version
         status = asked.code
     try:
-        tell(end="")
+        print_result(end="")
     except FacerenderError as error:
-        say(f"facerender: error: {error}")
+        print_message(f"facerender: error: {error}")
         status = 2
     sys.exit(status)
 
@@ -97,18 +97,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             command: Callable[[argparse.Namespace], int] = options.command
             return command(options)
         except FacerenderError as error:
-            say(f"facerender: error: {' '.join(str(error).split())}")
+            print_message(f"facerender: error: {' '.join(str(error).split())}")
             return 2
         except KeyboardInterrupt:
             return 130
         except MemoryError:
-            say("facerender: error: out of memory: make maps or images smaller")
+            print_message("facerender: error: out of memory: make maps or images smaller")
             return 2
         except Exception as error:
             if os.environ.get("FACERENDER_DEBUG"):
                 traceback.print_exception(error)
             what = f"{type(error).__name__}: {clipped(str(error))}".removesuffix(": ")
-            say(
+            print_message(
                 f"facerender: error: this is a fault of facerender, please report it ({what}); "
                 "FACERENDER_DEBUG=1 shows where"
             )
@@ -126,7 +126,7 @@ def _warning_printer(caught: list[str]) -> Callable[..., None]:
     ) -> None:
         if issubclass(category, FacerenderWarning) and str(message) not in caught:
             caught.append(str(message))
-            say(f"facerender: warning: {message}")
+            print_message(f"facerender: warning: {message}")
 
     return show
 

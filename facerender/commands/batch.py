@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facerender.commands.common import add_parts, add_quiet, check_outputs
-from facerender.commands.streams import say, tell
+from facerender.commands.streams import print_message, print_result
 from facerender.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,8 +29,8 @@ def add(batch: argparse.ArgumentParser) -> None:
     batch.epilog = _EPILOG
     batch.add_argument("jobs", nargs="?", metavar="JOBS", help=".jsonl .csv .parquet .toml .py")
     batch.add_argument("-o", "--output", metavar="OUT", help="a folder, or a URL such as s3://...")
-    common = batch.add_argument_group("what jobs have that do not say otherwise")
-    common.add_argument("--scene", metavar="FILE.toml", help="tables of a job")
+    common = batch.add_argument_group("values of jobs that do not have their own")
+    common.add_argument("--scene", metavar="FILE.toml", help="a scene, also of facerender plan")
     common.add_argument("--mesh", metavar="FILE", help="(the built-in head)")
     add_parts(common)
     common.add_argument("--size", help="N or WxH in pixels (1024)")
@@ -38,30 +38,42 @@ def add(batch: argparse.ArgumentParser) -> None:
     common.add_argument("--outputs", metavar="LIST", help="image,mask,depth,layers,... (image)")
 
     drawing = batch.add_argument_group("workers")
-    drawing.add_argument("--workers", type=int, metavar="N", help="processes here (those that pay)")
-    drawing.add_argument("--scheduler", metavar="ADDRESS", help="of Dask, in place of workers here")
+    drawing.add_argument(
+        "--workers", type=int, metavar="N", help="processes here (by cores and memory)"
+    )
+    drawing.add_argument(
+        "--scheduler", metavar="ADDRESS", help="of a Dask scheduler, instead of workers here"
+    )
     drawing.add_argument("--backend", choices=("auto", "egl", "osmesa", "native"), default="auto")
     drawing.add_argument(
-        "--timeout", type=float, default=300.0, help="seconds of silence: a job hangs (300)"
+        "--timeout",
+        type=float,
+        default=300.0,
+        help="seconds without output before a job counts as hung (300)",
     )
     drawing.add_argument(
-        "--tries", type=int, default=3, help="of a job that ends or hangs its worker (3)"
+        "--tries", type=int, default=3, help="maximum attempts per crashing or hanging job (3)"
     )
-    drawing.add_argument("--chunk", type=int, metavar="N", help="jobs that are done together")
+    drawing.add_argument(
+        "--chunk", type=int, metavar="N", help="jobs of a chunk (1 to 128, by their number)"
+    )
 
     written = batch.add_argument_group("output")
     written.add_argument(
-        "--layout", choices=("files", "shards"), default="files", help="a folder a job, or tars"
+        "--layout",
+        choices=("files", "shards"),
+        default="files",
+        help="a folder per job, or a tar per chunk (files)",
     )
     written.add_argument("--table", choices=("jsonl", "parquet"), default="jsonl", help="(jsonl)")
     written.add_argument("--transforms", action="store_true", help="write transforms.json as well")
     written.add_argument("--retry-failed", action="store_true", help="draw failed jobs again")
-    written.add_argument("--json", action="store_true", help="tell each step as a line of JSON")
+    written.add_argument("--json", action="store_true", help="print each step as a line of JSON")
     add_quiet(written)
 
     ask = batch.add_argument_group("instead of drawing")
     ask.add_argument("--check", action="store_true", help="read and check all jobs")
-    ask.add_argument("--status", metavar="OUT", help="what became of a batch so far")
+    ask.add_argument("--status", metavar="OUT", help="count the jobs done, failed and left")
     ask.add_argument("--schema", action="store_true", help="JSON Schema of a job")
 
 
@@ -69,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
     if options.schema:
         from facerender.batch.schema import schema
 
-        tell(json.dumps(schema(), indent=2))
+        print_result(json.dumps(schema(), indent=2))
         return 0
     if options.status:
         return _print_status(options.status, options.json)
@@ -78,10 +90,8 @@ def run(options: argparse.Namespace) -> int:
     _check_read(options)
     table = _table(options)
     if options.check:
-        for _ in table:
-            pass
-        _check_faults(table)
-        tell(f"{options.jobs}: {table.rows} jobs of {table.meshes} meshes")
+        _check_faults(table.check())
+        print_result(f"{options.jobs}: {table.rows} jobs of {table.meshes} meshes")
         return 0
     if options.output is None:
         raise InputError("no output: say -o FOLDER")
@@ -118,7 +128,7 @@ def _check_faults(table: JobTable) -> None:
     """Raise InputError with the faults of the first bad rows."""
     if table.faults:
         for fault in table.faults[:-1]:
-            say(f"facerender: error: {fault}")
+            print_message(f"facerender: error: {fault}")
         more = f"; and {table.more} more rows" if table.more else ""
         raise InputError(f"{table.faults[-1]}{more}")
 
@@ -174,7 +184,7 @@ def _engine(options: argparse.Namespace) -> AbstractContextManager[Engine]:
         return engine.local(options.workers)
     workers, why = engine.default_workers()
     if not options.quiet:
-        say(f"facerender: {workers} worker{'s' if workers > 1 else ''}: {why}")
+        print_message(f"facerender: {workers} worker{'s' if workers > 1 else ''}: {why}")
     return engine.local(workers)
 
 
@@ -191,5 +201,5 @@ def _print_status(
     if drawn is not None:
         facts |= {"drawn": drawn, "seconds": round(seconds, 3)}
         text += f"; {drawn} drawn now, {drawn / seconds:.1f} a second"
-    tell(json.dumps({"event": "end", **facts}) if as_json else text)
+    print_result(json.dumps({"event": "end", **facts}) if as_json else text)
     return _FAILED if counts["failed"] else 0

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from facerender.commands.streams import say
+from facerender.commands.streams import print_message
 from facerender.errors import InputError
 from facerender.job import MESH_PATHS, MeshFile, parse_size
 from facerender.loading.references import named_files
@@ -107,23 +107,23 @@ def add_verbose(command: argparse._ActionsContainer) -> None:
     add_flag(command, "verbose", "every step and when it began, on standard error")
 
 
-def telling(options: argparse.Namespace) -> Callable[[str], None]:
-    """Return what is called with every step of a command that has :func:`add_verbose`."""
+def step_log(options: argparse.Namespace) -> Callable[[str], None]:
+    """Return a function that logs a step if --verbose is given; see :func:`add_verbose`."""
     if options.quiet and options.verbose:
         raise InputError("--quiet and --verbose exclude each other: leave one of them out")
     began = time.monotonic()
 
-    def tell(what: str) -> None:
+    def log(step: str) -> None:
         if options.verbose:
-            say(f"facerender: {time.monotonic() - began:.2f} s: {what}")
+            print_message(f"facerender: {time.monotonic() - began:.2f} s: {step}")
 
-    return tell
+    return log
 
 
-def steps(options: argparse.Namespace) -> Bar:
-    """Return a bar for such a command, or what tells its steps in place of it."""
-    tell = telling(options)
-    return Bar(options.quiet, tell if options.verbose else None)
+def progress_bar(options: argparse.Namespace) -> Bar:
+    """Return a progress bar, which logs its steps if --verbose is given."""
+    log = step_log(options)
+    return Bar(options.quiet, log if options.verbose else None)
 
 
 def add_allow_outside(command: argparse._ActionsContainer) -> None:

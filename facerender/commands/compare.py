@@ -9,8 +9,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from facerender.commands.common import add_verbose, check_outputs, steps
-from facerender.commands.streams import say, tell
+from facerender.commands.common import add_verbose, check_outputs, progress_bar
+from facerender.commands.streams import print_message, print_result
 from facerender.comparison.result import LIMITS
 from facerender.errors import InputError, warn
 from facerender.images.read import read_image
@@ -85,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
     check_outputs([options.heatmap, options.report], [*read, options.mask, options.limits])
     results, entries, status = [], [], 0
     all_pairs = f"{len(names)} pairs" if len(names) > 1 else "a pair"
-    with steps(options) as progress:
+    with progress_bar(options) as progress:
         for number, name in enumerate(names):
             progress(all_pairs, number / len(names))
             pair = Pair.of(*name, mask=mask, **limits)
@@ -94,9 +94,9 @@ def run(options: argparse.Namespace) -> int:
             if options.report:
                 entries.append(entry(pair))
             if pair.error:
-                say(f"facerender: error: {pair.error}")
+                print_message(f"facerender: error: {pair.error}")
             elif not options.json:
-                tell(f"{pair.name}: {pair.comparison}")
+                print_result(f"{pair.name}: {pair.comparison}")
             if not options.heatmap:
                 del pair  # before the next one is read
         if options.report:
@@ -105,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
         if options.heatmap:
             save_heat_map(options.heatmap, pair)
     if options.json:
-        tell(json.dumps({"same": status == 0, "pairs": results}, indent=2))
+        print_result(json.dumps({"same": status == 0, "pairs": results}, indent=2))
     return status
 
 
@@ -130,13 +130,13 @@ def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     check_outputs([options.output], [options.mask])
     if options.output and os.path.exists(options.output):
         raise InputError(f"{options.output} exists: give a new file, and paste its sections there")
-    with steps(options) as progress:
+    with progress_bar(options) as progress:
         found = calibration_of(pairs, mask, progress)
     for each in found:
         for text in each.blind:
             warn(text)
     text = text_of(options.output or "pytest.ini", {each.encoding: each.noted for each in found})
-    tell(json.dumps([each.as_dict() for each in found], indent=2) if options.json else text)
+    print_result(json.dumps([each.as_dict() for each in found], indent=2) if options.json else text)
     if options.output:
         write_text(options.output, f"{text}\n")
     return 0

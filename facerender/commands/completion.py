@@ -8,7 +8,7 @@ from importlib import import_module
 
 from facerender.commands import parser_of
 from facerender.commands.examples import EXAMPLES
-from facerender.commands.streams import tell
+from facerender.commands.streams import print_result
 from facerender.errors import InputError
 
 _FILES = ("FILE", "FILE.toml", "JOBS", "IN", "A", "B")  # and what begins with OUT
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
             action.complete = shtab.FILE  # type: ignore[attr-defined]
         elif words[0] == "DIR":
             action.complete = shtab.DIRECTORY  # type: ignore[attr-defined]
-    tell(shtab.complete(parser, shell=options.shell))
+    print_result(shtab.complete(parser, shell=options.shell))
     return 0
 
 

@@ -10,13 +10,13 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from facerender import __version__
-from facerender.commands.streams import tell
+from facerender.commands.streams import print_result
 from facerender.drawing.context import AUTO, Finding, probe
 from facerender.system import cache
 
 # Python packages by what needs them: "" everything, others are extras.
 PACKAGES = {
-    "": ("moderngl", "glcontext", "numpy", "trimesh", "Pillow", "scipy"),
+    "": ("moderngl", "glcontext", "numpy", "trimesh", "pyrr", "Pillow", "scipy"),
     "exr": ("OpenEXR",),
     "hdr": ("OpenImageIO",),
     "draco": ("DracoPy",),
@@ -47,9 +47,9 @@ def run(options: argparse.Namespace) -> int:
         },
     }
     if options.json:
-        tell(json.dumps(facts, indent=2))
+        print_result(json.dumps(facts, indent=2))
     else:
-        tell(*_lines(facts, findings))
+        print_result(*_lines(facts, findings))
     return 0 if usable else 2
 
 

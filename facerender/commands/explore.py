@@ -13,9 +13,9 @@ from facerender.commands.common import (
     check_outputs,
     import_trimesh,
     mesh_files,
-    steps,
+    progress_bar,
 )
-from facerender.commands.streams import tell
+from facerender.commands.streams import print_result
 from facerender.errors import InputError
 from facerender.explorer.page import explorer_page
 from facerender.job import Job, MeshFile
@@ -58,11 +58,11 @@ def run(options: argparse.Namespace) -> int:
     )
     check_outputs([options.output], mesh_files(file))
     import_trimesh(options.mesh)
-    with steps(options) as progress:
+    with progress_bar(options) as progress:
         progress("mesh", 0.0)
         mesh = file.load()
         progress("page", 0.0)
         page = explorer_page(Job(file), mesh)
     write_text(options.output, page)
-    tell(options.output)
+    print_result(options.output)
     return 0

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from facerender.commands.common import add_allow_outside, import_trimesh
-from facerender.commands.streams import tell
+from facerender.commands.streams import print_result
 from facerender.errors import FacerenderWarning
 from facerender.loading import load_mesh
 from facerender.scenes.material import MAPS, Material
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
         **facts_of(mesh),
         "warnings": list(dict.fromkeys(str(each.message) for each in caught)),
     }
-    tell(json.dumps(facts, indent=2) if options.json else "\n".join(_lines(facts)))
+    print_result(json.dumps(facts, indent=2) if options.json else "\n".join(_lines(facts)))
     return 0
 
 

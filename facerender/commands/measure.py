@@ -12,9 +12,9 @@ from facerender.commands.common import (
     check_outputs,
     import_trimesh,
     mesh_files,
-    steps,
+    progress_bar,
 )
-from facerender.commands.streams import say, tell
+from facerender.commands.streams import print_message, print_result
 from facerender.drawing.context import BACKENDS
 from facerender.job import MeshFile
 from facerender.loading import load_mesh
@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
     folder = make_folder(options.output)
     files = [folder / name for name in (report.JSON, report.PAGE)]
     check_outputs(files, mesh_files(MeshFile(options.mesh)))
-    with steps(options) as progress:
+    with progress_bar(options) as progress:
         import_trimesh(options.mesh)
         mesh = load_mesh(options.mesh, allow_outside=options.allow_outside)
         mesh = mesh.select(options.parts or (), options.hide or ())
@@ -58,9 +58,9 @@ def run(options: argparse.Namespace) -> int:
         progress("report", 0.0)
         paths = report.write(measurement, triptychs, folder)
     content = measurement.as_dict()
-    tell(json.dumps(content, indent=2) if options.json else report.table(measurement))
+    print_result(json.dumps(content, indent=2) if options.json else report.table(measurement))
     for line in measurement.not_measured:
-        say(f"facerender: not measured: {line}")
+        print_message(f"facerender: not measured: {line}")
     if not options.quiet:
-        say(*paths)
+        print_message(*paths)
     return 0

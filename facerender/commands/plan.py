@@ -6,11 +6,17 @@ import argparse
 import json
 import os
 from pathlib import Path
-from typing import Any
 
-from facerender.commands.common import add_field, add_verbose, check_outputs, parse_sizes, steps
+from facerender.commands.common import (
+    add_field,
+    add_flag,
+    add_verbose,
+    check_outputs,
+    parse_sizes,
+    progress_bar,
+)
 from facerender.commands.scene import add_scene, files_read, job_of, load
-from facerender.commands.streams import tell
+from facerender.commands.streams import print_result
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError, reason
@@ -26,15 +32,10 @@ def add(plan: argparse.ArgumentParser) -> None:
         "or at a fraction of them, stays within a budget, against the exact lobe with all terms, "
         "maps, samples and triangles."
     )
-    plan.add_argument(
-        "--budget", required=True, metavar="ERROR", help="1/255, 0.5%% or '0.02 flip'"
-    )
-    plan.add_argument(
-        "--within",
-        default="100%",
-        metavar="FRACTION",
-        help="of the pixels that each image covers: where the budget must hold (100%%)",
-    )
+    budget = "1/255, 0.5%% or '0.02 flip'"
+    plan.add_argument("--budget", required=True, metavar="ERROR", help=budget)
+    within = "fraction of the pixels that each image covers that must meet the budget (100%%)"
+    plan.add_argument("--within", default="100%", metavar="FRACTION", help=within)
     plan.add_argument(
         "--cost",
         default="frame",
@@ -43,39 +44,24 @@ def add(plan: argparse.ArgumentParser) -> None:
         "samples and triangles as they are: llvmpipe, navi21 (RDNA2) or vega10 (GCN5) from a "
         "table; auto, llvmpipe where the CPU draws, RDNA2 elsewhere; or here, to measure (frame)",
     )
-    plan.add_argument(
-        "--verify-cost",
-        action="store_true",
-        help="measure the chosen frame beside the full one, in turns",
-    )
+    add_flag(plan, "verify-cost", "measure the chosen frame beside the full one, in turns")
     _, scene = add_scene(plan)
-    scene.add_argument(
-        "--from", dest="scene", metavar="FILE.toml", help="camera, lights, material, reflectance"
-    )
+    file = "camera, lights, material, reflectance"
+    scene.add_argument("--from", dest="scene", metavar="FILE.toml", help=file)
     images = plan.add_argument_group("where the error is measured")
-    images.add_argument(
-        "--size",
-        default="1024",
-        help="N or WxH in pixels; 512..1024 for both and what is between (1024)",
-    )
+    sizes = "N or WxH in pixels; 512..1024 for both and what is between (1024)"
+    images.add_argument("--size", default="1024", help=sizes)
     add_field(images, ImageSettings, "samples", "samples per pixel")
     add_field(images, Output, "exposure", "of the display", default=Output.exposure)
     images.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
 
     output = plan.add_argument_group("results")
-    output.add_argument("--json", action="store_true", help="every figure")
+    add_flag(output, "json", "every figure")
     output.add_argument("--emit", metavar="OUT.glsl", help="the shader, with these choices made")
-    output.add_argument(
-        "--target",
-        choices=(*TARGETS, *LANGUAGES),
-        help="of the shader: begin with its #version, or another language",
-    )
-    output.add_argument(
-        "--scene",
-        dest="pinned",
-        metavar="OUT.toml",
-        help="the scene with this shading, for facerender render --scene",
-    )
+    target = "of the shader: begin with its #version, or another language"
+    output.add_argument("--target", choices=(*TARGETS, *LANGUAGES), help=target)
+    pinned = "the scene with this shading, for facerender render --scene"
+    output.add_argument("--scene", dest="pinned", metavar="OUT.toml", help=pinned)
     output.add_argument("--error-map", metavar="OUT.png", help="of the camera with the largest")
     add_verbose(output)
 
@@ -94,23 +80,27 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"--error-map {options.error_map}: give a .png")
     _check_pinned(options.pinned)
     scene = load(job)
-    choices: dict[str, Any] = {
-        "cost": options.cost,
-        "verify_cost": options.verify_cost,
-        "exposure": options.exposure,
-        "within": options.within,
-        "full": job.shading,
-    }
-    with steps(options) as choices["progress"], Renderer.of(job, options.backend) as renderer:
-        choices |= {"cameras": (*cameras.values(),), "sizes": sizes, "renderer": renderer}
-        planned = plan(scene, options.budget, **choices)
+    with progress_bar(options) as progress, Renderer.of(job, options.backend) as renderer:
+        planned = plan(
+            scene,
+            options.budget,
+            full=job.shading,
+            cameras=tuple(cameras.values()),
+            sizes=sizes,
+            within=options.within,
+            cost=options.cost,
+            verify_cost=options.verify_cost,
+            exposure=options.exposure,
+            renderer=renderer,
+            progress=progress,
+        )
     if options.emit:
         write_text(options.emit, planned.shader(options.target))
     if options.pinned:
         write_text(options.pinned, _PINNED + planned.scene_toml())
     if options.error_map:
         planned.save_error_map(options.error_map)
-    tell(json.dumps(planned.as_dict(), indent=2) if options.json else planned.explain())
+    print_result(json.dumps(planned.as_dict(), indent=2) if options.json else planned.explain())
     return 0
 
 

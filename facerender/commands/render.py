@@ -12,11 +12,11 @@ from facerender.commands.common import (
     add_flag,
     add_verbose,
     check_outputs,
-    telling,
+    step_log,
 )
 from facerender.commands.scene import add_scene, files_read, job_of, load
-from facerender.commands.streams import say, tell
-from facerender.commands.views import STANDARD_OUTPUT, Target, check_sheet
+from facerender.commands.streams import print_message, print_result
+from facerender.commands.views import STANDARD_OUTPUT, Destination, check_sheet
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.frame import FORMATS
 from facerender.drawing.renderer import Renderer
@@ -90,12 +90,12 @@ def run(options: argparse.Namespace) -> int:
         )
     EXPOSURES.check("exposure", options.exposure)
     transparent = job.background is None
-    target = Target.of(
+    target = Destination.of(
         *(options.output, [*cameras], options.sheet, options.format, options.fps, transparent)
     )
     written = [] if options.output == STANDARD_OUTPUT else target.files
     check_outputs(written, files_read(options, job))
-    step = telling(options)
+    step = step_log(options)
     step("mesh")
     scene = load(job, not options.no_cache, ahead=options.memory is None)
     step(f"OpenGL, for {scene.mesh!r}")
@@ -131,10 +131,10 @@ def run(options: argparse.Namespace) -> int:
             "warnings": options.warnings,
             **({"plan": plan} if plan else {}),
         }
-        tell(json.dumps(facts, indent=2))
+        print_result(json.dumps(facts, indent=2))
         return 0
     if written:
-        tell(*written)
+        print_result(*written)
     if plan and not options.quiet:
-        say(*plan["text"].splitlines()[-2:])
+        print_message(*plan["text"].splitlines()[-2:])
     return 0

@@ -8,7 +8,7 @@ import json
 import textwrap
 
 from facerender.commands.common import check_outputs
-from facerender.commands.streams import tell
+from facerender.commands.streams import print_result
 from facerender.glsl.library import LANGUAGES, TARGETS, shader_dir, shader_source
 from facerender.terms import LOBES
 
@@ -46,24 +46,28 @@ def run_list(options: argparse.Namespace) -> int:
     from facerender.glsl.catalogue import functions
 
     if options.json:
-        tell(json.dumps([dataclasses.asdict(function) for function in functions()], indent=2))
+        print_result(
+            json.dumps([dataclasses.asdict(function) for function in functions()], indent=2)
+        )
         return 0
     for function in functions():
-        tell(f"{function.signature}    {function.file}")
-        tell(f"    {function.summary}")
+        print_result(f"{function.signature}    {function.file}")
+        print_result(f"    {function.summary}")
         for name, text in (("unit", function.unit), ("error", function.error)):
             lines = textwrap.wrap(text, 86, break_on_hyphens=False)
-            tell(f"    {name:6}" + f"\n{'':10}".join(lines))
+            print_result(f"    {name:6}" + f"\n{'':10}".join(lines))
     return 0
 
 
 def run_path(options: argparse.Namespace) -> int:
-    tell(shader_dir())
+    print_result(shader_dir())
     return 0
 
 
 def run_flatten(options: argparse.Namespace) -> int:
-    tell(shader_source(options.name, options.target, lobe=options.lobe, m=options.m), end="")
+    print_result(
+        shader_source(options.name, options.target, lobe=options.lobe, m=options.m), end=""
+    )
     return 0
 
 
@@ -72,5 +76,5 @@ def run_prepare_normal_map(options: argparse.Namespace) -> int:
 
     check_outputs([options.output], [options.source])
     prepare_normal_map(options.source, options.output)
-    tell(options.output)
+    print_result(options.output)
     return 0

@@ -24,7 +24,7 @@ def make_usable() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def tell(*lines: object, end: str = "\n") -> None:
+def print_result(*lines: object, end: str = "\n") -> None:
     """Print results.
 
     Raises
@@ -40,8 +40,8 @@ def tell(*lines: object, end: str = "\n") -> None:
         ) from None
 
 
-def tell_bytes(content: bytes) -> None:
-    """Write a result that is no text; raises as :func:`tell`."""
+def print_bytes(content: bytes) -> None:
+    """Write a result that is no text; raises as :func:`print_result`."""
     try:
         sys.stdout.buffer.write(content)
         sys.stdout.buffer.flush()
@@ -52,7 +52,7 @@ def tell_bytes(content: bytes) -> None:
         ) from None
 
 
-def say(*lines: object) -> None:
+def print_message(*lines: object) -> None:
     """Print what is no result on standard error, if it can be."""
     try:
         _print("\n".join(map(str, lines)) + "\n", sys.stderr)

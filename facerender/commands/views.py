@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from facerender.commands.streams import tell_bytes
+from facerender.commands.streams import print_bytes
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError
 from facerender.images.decode import MAX_BYTES, MAX_SIDE
@@ -26,7 +26,7 @@ _OF_PIXEL = 32  # bytes, of a sheet: linear, and as much at the most while it is
 
 
 @dataclass(frozen=True)
-class Target:
+class Destination:
     """What is written.
 
     Attributes
@@ -53,7 +53,7 @@ class Target:
         format: Format | None,
         fps: float | None,
         transparent: bool,
-    ) -> Target:
+    ) -> Destination:
         """Return where images go.
 
         Parameters
@@ -105,15 +105,14 @@ class Target:
         if self.kind == "moving":
             from facerender.images.animation import save_animation
 
-            pictures = (frame.srgb8(exposure) for frame in drawn())
-            save_animation(self.files[0], pictures, self.fps)
+            save_animation(self.files[0], (frame.srgb8(exposure) for frame in drawn()), self.fps)
             return last[0]
         images = drawn()
         if self.kind == "sheet":
             images = iter([sheet(images, self.count, background)])
         for file, frame in zip(self.files, images, strict=True):
             if self.format is not None:
-                tell_bytes(frame.encoded(self.format, exposure))
+                print_bytes(frame.encoded(self.format, exposure))
             else:
                 frame.save(file, exposure)
         return last[0]
@@ -162,8 +161,8 @@ def _has_fields(pattern: str) -> bool:
 
 def _plain(name: str) -> str:
     """A name, which others may have written, as part of a file's."""
-    kept = "".join(each if each.isalnum() or each in "._-+" else "_" for each in name)
-    return kept.lstrip(".")[:80] or "_"
+    plain = "".join(each if each.isalnum() or each in "._-+" else "_" for each in name)
+    return plain.lstrip(".")[:80] or "_"
 
 
 def check_sheet(count: int, size: tuple[int, int], memory: float | None) -> None:

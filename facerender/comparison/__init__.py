@@ -1,1 +1,1 @@
-"""Whether images are the same: gates, goldens, and pages to look at."""
+"""Comparison of two images: checks, goldens, calibration of limits, the report."""

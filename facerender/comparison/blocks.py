@@ -1,4 +1,4 @@
-"""What many small changes say together: a lobe, a weight or an exposure that changed.
+"""Statistics of blocks: many small changes together reveal another lobe, weight or exposure.
 
 Blocks of 16 x 16 pixels hold the mean change, smooth pixels weighing more than those at edges and
 in texture, less what a displacement of the whole image explains; and its standard error, from
@@ -89,7 +89,7 @@ class BlockSums:
     channels : (C, 4, H, W) over blocks: change, across, down and level of each channel
     pixels : (2, H, W) over blocks: that count, and that count for the grain
     grain : (4, H, W) over blocks, from one pixel to the next where they are flat: squares of what
-        the channels share, of the difference, reference and image; of what they do not
+        the channels share, of the difference, reference and image; of the rest
     texture : (2, H, W) over blocks: such squares of reference and image in all pixels that count
     normal : (2, 3), least squares for the displacement
     """
@@ -168,7 +168,7 @@ class BlockSums:
 
 @dataclass(frozen=True)
 class BlockStatistics:
-    """What the sums over two whole images say.
+    """Statistics of the sums over two whole images.
 
     Attributes
     ----------
@@ -215,7 +215,7 @@ class BlockStatistics:
 
     @cached_property
     def changed(self) -> Mask:
-        """Blocks that are judged, and not the same: a background says nothing."""
+        """Blocks that are judged, and not the same: a background holds no evidence."""
         return np.asarray(self.judged & (self.change != 0.0))
 
     @cached_property

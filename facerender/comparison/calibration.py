@@ -95,7 +95,7 @@ class Calibration:
 
     @property
     def blind(self) -> list[str]:
-        """What to say of limits that let a stated change pass."""
+        """Warnings of limits that let a stated change pass."""
         return [
             f"limit {name} = {getattr(self.limits, name):g} lets {CHANGES[name]} by "
             f"{self._amount(name, by)} pass{self._why(name)}"

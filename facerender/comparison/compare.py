@@ -76,8 +76,8 @@ def compare(
     counts = None if mask is None else _counting(mask, a)
     overrides = {"point": point, "block": block, "trend": trend, "grain": grain}
     overrides |= {"texture": texture, "coverage": coverage, "shift": shift}
-    given = {name: limit for name, limit in overrides.items() if limit is not None}
-    limits = replace(LIMITS[a.encoding], **given)
+    changed = {name: limit for name, limit in overrides.items() if limit is not None}
+    limits = replace(LIMITS[a.encoding], **changed)
     strip = _Strip.of_all(a, b, counts, limits)
     statistics = BlockStatistics(
         sums=strip.sums,
@@ -139,7 +139,7 @@ class _Strip:
     ----------
     over : (H, W), 2 where a pixel is too bright, 3 in texture, 4 at an edge, and 1 where that may
         be a sliver; negative where it is too dark
-    worst, excess, at : the largest excess less what may be a sliver, what is told of it, and where
+    worst, excess, at : the largest excess less what may be a sliver, as reported, and where
     holes : pixels that are dark where all around are not
     faded : pixels whose coverage changed
     largest, total : of the pixels' absolute differences, in the worst channel

@@ -1,4 +1,4 @@
-"""FLIP (Andersson et al. 2020): what an eye sees of a difference when two images alternate. No
+"""FLIP (Andersson et al. 2020): the difference that an observer sees when two images alternate. No
 other module imports flip_evaluator."""
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from facerender.errors import InputError
 
 Image = NDArray[np.floating]
 
-PPD = 67.0206  # pixels per degree: 3840 of them on 0.7 m, seen from 0.7 m
+PPD = 67.0206  # pixels per degree: 3840 pixels on 0.7 m, viewed from 0.7 m
 
 
 def errors(reference: Image, image: Image) -> NDArray[np.float64]:

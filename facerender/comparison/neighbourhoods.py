@@ -72,14 +72,14 @@ def excess(a: Float, b: Float, full: Mask | None, least: float, relative: bool) 
 def holes(a: Float, b: Float, full: Mask | None, relative: bool) -> Mask:
     """Return where a pixel of either image has less than a quarter of the light of every covered
     one of 7 x 7 pixels in the other; parameters as for :func:`excess`."""
-    share, floor = (0.25, 5e-4) if relative else (0.5, 1.0)  # sRGB has half the steps
+    fraction, floor = (0.25, 5e-4) if relative else (0.5, 1.0)  # sRGB has half the steps
     result = np.zeros(a.shape[:2], dtype=bool)
     levels = [
         np.maximum.reduce([x[..., i] for i in range(x.shape[2])]).clip(np.float32(0.0))
         for x in (a, b)
     ]
     for x, y in (levels, levels[::-1]):
-        below = y < share * x - floor
+        below = y < fraction * x - floor
         if full is not None:
             below &= full
         places = np.argwhere(below)
@@ -90,7 +90,7 @@ def holes(a: Float, b: Float, full: Mask | None, relative: bool) -> Mask:
         low = np.minimum.reduce(
             [around[tuple((places + (i, j)).T)] for i in range(7) for j in range(7)]
         )
-        rows, columns = places[y[below] < share * low - floor].T
+        rows, columns = places[y[below] < fraction * low - floor].T
         result[rows, columns] = True
     return result
 

@@ -52,7 +52,7 @@ class Entry:
 
 
 def entry(pair: Pair) -> Entry:
-    """Return what the page says of a pair."""
+    """Return a pair's part of the page."""
     images = {"a": pair.reference, "b": pair.image} if pair.status else {}
     large = any(
         image.pixels[..., 0].size > visualization.MAX_PIXELS for image in images.values() if image
@@ -215,12 +215,12 @@ class _Check:
 
     @classmethod
     def of(
-        cls, name: str, value: float, limit: float, shown: Callable[[float], str], where: str = ""
+        cls, name: str, value: float, limit: float, text: Callable[[float], str], where: str = ""
     ) -> _Check:
         """Return a check whose figure is below 0 where the image has less."""
         if value < 0.0:
             limit, where = BLUR * limit, "less"
-        return cls(name, shown(abs(value)), shown(limit), abs(value) > limit, where)
+        return cls(name, text(abs(value)), text(limit), abs(value) > limit, where)
 
     @property
     def relation(self) -> str:

@@ -1,4 +1,4 @@
-"""Images for the eye: an image as 8-bit sRGB, the difference of two in false colours, a heat map.
+"""Images to look at: an image as 8-bit sRGB, the difference of two in false colours, a heat map.
 ``report.py`` makes a page of them.
 
 Each is (H, W, 3) of 8-bit sRGB, linear radiance 1 being white, over black where the coverage ends;

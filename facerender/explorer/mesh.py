@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from io import BytesIO
 from typing import Any
 
@@ -66,74 +66,60 @@ def drawable(mesh: Mesh) -> Mesh:
     return replace(mesh, parts=parts, materials=tuple(materials[number] for number in numbers))
 
 
-@dataclass
-class PackedMesh:
-    """The data of a mesh.
+def packed(mesh: Mesh) -> tuple[dict[str, Any], bytes, list[tuple[Texture, Kind]]]:
+    """Return the facts of a mesh, its arrays compressed, and its maps with their kinds; facts have
+    the numbers of arrays and maps."""
+    columns: list[NDArray[np.int64]] = []
+    textures: list[tuple[Texture, Kind]] = []
+    pairs = zip(mesh.parts, mesh.materials, strict=True)
+    parts = [_part(mesh, part, material, columns, textures) for part, material in pairs]
+    steps = {"position": POSITION_STEPS, "normal": NORMAL_STEPS, "uv": UV_STEPS}
+    facts = {
+        "steps": steps | {"vertex": VERTEX_STEPS},
+        "parts": parts,
+        "columns": [list(values.shape) for values in columns],
+        "maps": [kind for _, kind in textures],
+    }
+    return facts, zlib.compress(b"".join(map(_planes, columns)), 9), textures
 
-    Attributes
-    ----------
-    parts : facts of each part, with the numbers of its columns and textures
-    columns : arrays of whole numbers (N, K)
-    textures : maps and their kinds
-    """
 
-    parts: list[dict[str, Any]] = field(default_factory=list)
-    columns: list[NDArray[np.int64]] = field(default_factory=list)
-    textures: list[tuple[Texture, Kind]] = field(default_factory=list)
-
-    @classmethod
-    def of(cls, mesh: Mesh) -> PackedMesh:
-        packed = cls()
-        for part, material in zip(mesh.parts, mesh.materials, strict=True):
-            packed.parts.append(packed._part(mesh, part, material))
-        return packed
-
-    @property
-    def facts(self) -> dict[str, Any]:
-        """All but the bytes of arrays and maps."""
-        steps = {"position": POSITION_STEPS, "normal": NORMAL_STEPS, "uv": UV_STEPS}
-        return {
-            "steps": steps | {"vertex": VERTEX_STEPS},
-            "parts": self.parts,
-            "columns": [list(values.shape) for values in self.columns],
-            "maps": [kind for _, kind in self.textures],
-        }
-
-    @property
-    def bytes(self) -> bytes:
-        """The columns, compressed."""
-        return zlib.compress(b"".join(map(_planes, self.columns)), 9)
-
-    def _part(self, mesh: Mesh, part: Part, material: Material) -> dict[str, Any]:
-        maps: dict[str, int] = {}
-        for name, texture, kind in part_maps(part, material, "color", slope_filter=True):
-            if (texture, kind) not in self.textures:
-                self.textures.append((texture, kind))
-            maps[name] = self.textures.index((texture, kind))
-        corner, extent = np.zeros(2), np.ones(2)
-        values: dict[str, NDArray[Any]] = {
-            "position": (mesh.normalised(part.positions) + 1.0) * (0.5 * POSITION_STEPS),
-            "normal": octahedral(part.normals) * NORMAL_STEPS,
-            "faces": part.faces,
-        }
-        if part.uv is not None:
-            corner, extent = part.uv.min(axis=0), np.ptp(part.uv, axis=0).clip(1e-9)
-            values["uv"] = (part.uv - corner) / extent * UV_STEPS
-        if part.colors is not None:
-            values["color"] = part.colors * VERTEX_STEPS
-        if part.occlusion is not None:
-            values["occlusion"] = part.occlusion[:, None] * VERTEX_STEPS
-        arrays = {name: len(self.columns) + i for i, name in enumerate(values)}
-        self.columns += [np.round(each).astype(np.int64) for each in values.values()]
-        uniforms: Mapping[str, Any] = part_uniforms(part, material)
-        return {
-            "features": surface_features(part, material, Shading()),
-            "uniforms": {name: np.asarray(value).tolist() for name, value in uniforms.items()},
-            "arrays": arrays,
-            "uv": [corner.tolist(), extent.tolist()],
-            "maps": maps,
-            "slopes": slope_range(part, material),
-        }
+def _part(
+    mesh: Mesh,
+    part: Part,
+    material: Material,
+    columns: list[NDArray[np.int64]],
+    textures: list[tuple[Texture, Kind]],
+) -> dict[str, Any]:
+    """Return the facts of a part; its arrays and maps are appended to the lists."""
+    maps: dict[str, int] = {}
+    for name, texture, kind in part_maps(part, material, "color", slope_filter=True):
+        if (texture, kind) not in textures:
+            textures.append((texture, kind))
+        maps[name] = textures.index((texture, kind))
+    corner, extent = np.zeros(2), np.ones(2)
+    values: dict[str, NDArray[Any]] = {
+        "position": (mesh.normalised(part.positions) + 1.0) * (0.5 * POSITION_STEPS),
+        "normal": octahedral(part.normals) * NORMAL_STEPS,
+        "faces": part.faces,
+    }
+    if part.uv is not None:
+        corner, extent = part.uv.min(axis=0), np.ptp(part.uv, axis=0).clip(1e-9)
+        values["uv"] = (part.uv - corner) / extent * UV_STEPS
+    if part.colors is not None:
+        values["color"] = part.colors * VERTEX_STEPS
+    if part.occlusion is not None:
+        values["occlusion"] = part.occlusion[:, None] * VERTEX_STEPS
+    arrays = {name: len(columns) + i for i, name in enumerate(values)}
+    columns += [np.round(each).astype(np.int64) for each in values.values()]
+    uniforms: Mapping[str, Any] = part_uniforms(part, material)
+    return {
+        "features": surface_features(part, material, Shading()),
+        "uniforms": {name: np.asarray(value).tolist() for name, value in uniforms.items()},
+        "arrays": arrays,
+        "uv": [corner.tolist(), extent.tolist()],
+        "maps": maps,
+        "slopes": slope_range(part, material),
+    }
 
 
 def octahedral(normals: NDArray[np.float64]) -> NDArray[np.float64]:

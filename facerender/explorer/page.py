@@ -7,6 +7,7 @@ import json
 import shlex
 import zlib
 from base64 import b64encode
+from collections.abc import Mapping
 from html import escape
 from itertools import product
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from facerender import __version__
-from facerender.explorer.mesh import PackedMesh, drawable, encoded
+from facerender.explorer.mesh import drawable, encoded, packed
 from facerender.glsl.code import call
 from facerender.glsl.library import TARGETS, shader_dir, shader_source, term_source
 from facerender.job import Job
@@ -54,7 +55,7 @@ def explorer_page(job: Job, mesh: Mesh) -> str:
     InputError : a map that is damaged; maps over 2048 texels a side are reduced
     """
     mesh = drawable(mesh)
-    packed = PackedMesh.of(mesh)
+    mesh_facts, arrays, textures = packed(mesh)
     facts = {
         "version": __version__,
         "name": mesh.name,
@@ -63,7 +64,7 @@ def explorer_page(job: Job, mesh: Mesh) -> str:
         "radius": mesh.radius,
         "profile": mesh.profile.round(5).tolist(),
         "framing_margin": FRAMING_MARGIN,
-        **packed.facts,
+        **mesh_facts,
         "camera": {name: getattr(job.camera, name) for name in _CAMERA},
         "cameras": AZIMUTHS_BY_NAME,
         "lights": [_light(light, mesh) for light in job.lights],
@@ -76,9 +77,9 @@ def explorer_page(job: Job, mesh: Mesh) -> str:
     sources = zlib.compress(json.dumps(_sources()).encode(), 9)
     data = [
         _json("facts", facts),
-        _bytes("geometry", packed.bytes),
+        _bytes("geometry", arrays),
         _bytes("sources", sources),
-        *(_bytes(f"map-{i}", encoded(*each)) for i, each in enumerate(packed.textures)),
+        *(_bytes(f"map-{i}", encoded(*each)) for i, each in enumerate(textures)),
     ]
     body = _text("explorer.html") + "".join(data)
     files = [_BROWSER / "explorer.css", *(_BROWSER / f"{name}.js" for name in _SCRIPTS)]
@@ -184,26 +185,27 @@ def _words(job: Job) -> dict[str, Any]:
     file = job.mesh
     names = ("albedo", "normal_map", "specular_map", "roughness_map")
     maps = {name: value for name in names if (value := getattr(file, name)) is not None}
+    switches = [name for name in ("flip_v", "allow_outside") if getattr(file, name)]
     parts = {"parts": file.parts, "hide": file.hide}
     selected = {name: ",".join(values) for name, values in parts.items() if values}
-    switches = {name: True for name in ("flip_v", "allow_outside") if getattr(file, name)}
     path = [file.path] if file.path else []
 
-    def option(name: str) -> str:
-        return f"--{name.replace('_', '-')}"
+    def options(values: Mapping[str, str]) -> dict[str, str]:
+        return {
+            name: f"--{name.replace('_', '-')} {shlex.quote(value)}"
+            for name, value in values.items()
+        }
 
-    python = [*map(repr, path), *(f"{name}={value!r}" for name, value in (maps | switches).items())]
-    select = ", ".join(f"{name}={value!r}" for name, value in selected.items())
+    def keywords(values: Mapping[str, object]) -> list[str]:
+        return [f"{name}={value!r}" for name, value in values.items()]
+
+    flags = [f"--{name.replace('_', '-')}" for name in switches]
+    arguments = [*map(repr, path), *keywords(maps | dict.fromkeys(switches, True))]
+    select = f".select({', '.join(keywords(selected))})" if selected else ""
     return {
-        "shell": " ".join(
-            [
-                *map(shlex.quote, path),
-                *map(option, switches),
-                *(f"--{name} {shlex.quote(value)}" for name, value in selected.items()),
-            ]
-        ),
-        "maps": {name: f"{option(name)} {shlex.quote(value)}" for name, value in maps.items()},
-        "python": f"fr.load_mesh({', '.join(python)})" + (f".select({select})" if select else ""),
+        "shell": " ".join([*map(shlex.quote, path), *flags, *options(selected).values()]),
+        "maps": options(maps),
+        "python": f"fr.load_mesh({', '.join(arguments)}){select}",
     }
 
 

@@ -19,7 +19,7 @@ from facerender.images.image import HALVED, ImageData, PixelRange
 from facerender.system.atomic import write_bytes
 from facerender.system.standard_error import redirected_stderr
 
-REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # what an EXR has that says nothing
+REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # default primaries and white of EXR
 _MAGIC = b"v/1\x01"
 _MULTIPART = 0x10  # of the third byte of the flags
 _HALF = 1  # as EXR numbers the kinds of a channel's values
@@ -27,7 +27,7 @@ _PXR24, _B44, _B44A, _DWAA, _DWAB = range(5, 10)  # as it numbers compressions, 
 _B44_LOSS, _DWA_LOSS = 0.012, 0.015  # at most, of the built-in head at 256 to 1024 pixels
 _MOVED = ("moved_least", "moved_most")  # layers of a golden
 _DWA_LEVEL = 45.0  # where the file names none
-_HIGHEST_DWA_LEVEL = 1000.0  # what says more would explain any difference as its loss
+_HIGHEST_DWA_LEVEL = 1000.0  # a higher level would explain any difference as its loss
 
 
 def save_exr(
@@ -124,8 +124,8 @@ def _exr_noise(header: Mapping[bytes, bytes], half: bool) -> float:
     """
     compression = header[b"compression"][0]
     if compression in (_DWAA, _DWAB):
-        given = header.get(b"dwaCompressionLevel")
-        level = struct.unpack("<f", given)[0] if given else _DWA_LEVEL
+        value = header.get(b"dwaCompressionLevel")
+        level = struct.unpack("<f", value)[0] if value else _DWA_LEVEL
         if not 0.0 <= level <= _HIGHEST_DWA_LEVEL:
             raise ValueError(f"DWA level {level:g} is outside [0, {_HIGHEST_DWA_LEVEL:g}]")
         return float(_DWA_LOSS * level / _DWA_LEVEL)

@@ -1,4 +1,4 @@
-"""What an image file holds: pixels, how they are encoded, and what the file says of them."""
+"""Decoded images: pixels, their encoding, and the metadata of the file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class PixelRange(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ImageData:
-    """What an image file holds.
+    """A decoded image.
 
     Attributes
     ----------
@@ -34,11 +34,11 @@ class ImageData:
     encoding : "linear" or "srgb8"
     name : for messages
     metadata : that the file carries
-    color_space : as the file says it, "" where it says nothing or sRGB
+    color_space : as the file names it, "" where it names none or sRGB
     profile : the ICC profile that its colours were converted from to sRGB, "" where they were not
     jpeg : whether it was read from a JPEG, whose compression changed its pixels
-    noise : RMS error that half floats or a lossy compression of EXR leave in a pixel, relative to
-        the larger of its radiance and 0.01
+    noise : RMS error of a pixel by half floats or a lossy compression of EXR, relative to the
+        larger of its radiance and 0.01; by conversion of an 8-bit image, in steps of 255
     shift_range : range of each pixel over 24 shifts of the image by at most 0.1 pixel; None where
         the file holds none
     """

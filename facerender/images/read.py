@@ -21,7 +21,8 @@ from facerender.images.image import ImageData, image_from_array
 from facerender.system.files import check_downloaded, open_file
 
 SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
-SRGB_GAMMA = 0.45455  # what a PNG says of itself for programs that know no sRGB
+SRGB_GAMMA = 0.45455  # of the gAMA chunk of an sRGB PNG
+_CONVERTED = 0.5  # RMS error in steps of 255 of rounding before and after a conversion
 _NPY = b"\x93NUMPY"
 _LONGEST_HEADER = 1 << 16  # of a NumPy array
 _LONGEST_EXR = 1 << 24  # bytes of the header of an EXR
@@ -120,7 +121,7 @@ def _read_8_bit(path: Path, content: bytes) -> ImageData:
             raise InputError(
                 f"{path} has an ICC profile that cannot be used ({reason(error)}): save it as sRGB"
             ) from None
-        return replace(data, pixels=pixels, profile=profile)
+        return replace(data, pixels=pixels, profile=profile, noise=_CONVERTED if profile else 0.0)
     gamma = image.info.get("gamma", SRGB_GAMMA)
     return (
         data if abs(gamma - SRGB_GAMMA) <= 1e-4 else replace(data, color_space=f"gamma {gamma:.4g}")

@@ -30,7 +30,7 @@ def format_of(path: str | os.PathLike[str]) -> Format:
 
     Raises
     ------
-    InputError : its suffix says none
+    InputError : its suffix is of no format
     """
     suffix = os.path.splitext(path)[1].lower()
     if suffix not in WRITTEN:
@@ -42,7 +42,7 @@ def format_of(path: str | os.PathLike[str]) -> Format:
 
 
 def check_opaque(name: str, transparent: bool) -> None:
-    """Raise InputError where an image without a background goes to a file that cannot say so."""
+    """Raise InputError where an image without a background goes to a file without alpha."""
     if transparent:
         raise InputError(f"{name} holds no transparency: give a background, or .png or .webp")
 

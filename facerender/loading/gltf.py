@@ -15,8 +15,8 @@ from facerender.loading.gltf_document import chunks, damaged, document_of
 from facerender.loading.gltf_features import EXTENSIONS, not_understood
 from facerender.loading.gltf_material import Materials, TextureTransform
 from facerender.loading.gltf_nodes import scene_nodes, transform
-from facerender.loading.gltf_pose import morphed, skinned
 from facerender.loading.gltf_primitive import Primitive, has_triangles, unit_colors
+from facerender.loading.gltf_skin import skinned
 from facerender.loading.looks import Look
 from facerender.loading.references import References
 from facerender.scenes.material import MAPS, Material
@@ -107,18 +107,11 @@ class _File:
     def _mesh(self, instance: _Instance) -> list[Piece]:
         matrices = None if instance.skin is None else self._joints(instance.skin)
         primitives = self.document["meshes"][instance.mesh]["primitives"]
-        found = [
-            piece
-            for i, primitive in enumerate(primitives)
-            if (
-                piece := self._piece(
-                    primitive,
-                    f"meshes[{instance.mesh}].primitives[{i}]",
-                    instance.weights,
-                    matrices,
-                )
-            )
-        ]
+        found = []
+        for i, primitive in enumerate(primitives):
+            where = f"meshes[{instance.mesh}].primitives[{i}]"
+            if piece := self._piece(primitive, where, instance.weights, matrices):
+                found.append(piece)
         if len(found) == 1:
             found[0].name = ""  # the material's, which tells several apart
         return found
@@ -282,8 +275,9 @@ class _File:
                     raise ValueError(
                         f"{primitive.where}.targets[{i}]: {key} has another number of entries"
                     )
+                step = weight * moves[primitive.vertices].astype(np.float64)
                 if key == "POSITION":
-                    shape = morphed(shape, moves[primitive.vertices], weight)
+                    shape = shape.astype(np.float64) + step
                 elif normals is not None:
-                    normals = morphed(normals, moves[primitive.vertices], weight)
+                    normals = normals.astype(np.float64) + step
         return shape, normals

@@ -62,12 +62,10 @@ class Buffers:
         view = self.document["bufferViews"][index]
         for packed in view.get("extensions", {}).values():
             if index not in self.unpacked:
-                self.unpacked[index] = decoded(self._packed(packed), packed, self.name)
+                content = bytes(self._span(packed, "a view compressed with meshopt"))
+                self.unpacked[index] = decoded(content, packed, self.name)
             return self.unpacked[index][: view["byteLength"]]
         return self._span(view, f"bufferViews[{index}]")
-
-    def _packed(self, packed: Doc) -> bytes:
-        return bytes(self._span(packed, "a view compressed with meshopt"))
 
     def _span(self, view: Doc, where: str) -> memoryview:
         buffer = self._buffer(view["buffer"])
@@ -122,23 +120,16 @@ class Buffers:
 
     def _with_sparse(self, values: NDArray[Any], sparse: Doc, where: str) -> NDArray[Any]:
         """Return values, some of which are replaced."""
-        count = sparse["count"]
-        parts = [
-            self._elements(
-                f"{where}.sparse", part["bufferView"], part.get("byteOffset", 0), kind, (count, n)
-            )
-            for part, kind, n in (
-                (
-                    sparse["indices"],
-                    COMPONENTS[sparse["indices"].get("componentType", 5125)],
-                    1,
-                ),
-                (sparse["values"], values.dtype.str, values.shape[1]),
-            )
-        ]
-        indices = parts[0][:, 0]
+
+        def part(own: Doc, kind: str, width: int) -> NDArray[Any]:
+            start, shape = own.get("byteOffset", 0), (sparse["count"], width)
+            return self._elements(f"{where}.sparse", own["bufferView"], start, kind, shape)
+
+        kind = COMPONENTS[sparse["indices"].get("componentType", 5125)]
+        indices = part(sparse["indices"], kind, 1)[:, 0]
+        replacing = part(sparse["values"], values.dtype.str, values.shape[1])
         if indices.dtype.kind != "u" or (indices >= len(values)).any():
             raise ValueError(f"{where}.sparse replaces entries that are not there")
         values = values.copy()
-        values[indices] = parts[1]
+        values[indices] = replacing
         return values

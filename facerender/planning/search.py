@@ -217,6 +217,7 @@ class Region:
         full: Shading,
         budget: Budget,
         spared: int,
+        *,
         kept: int = 1,
         scattered: Callable[[Shading], Float] | None = None,
     ) -> None:
@@ -312,15 +313,10 @@ class Region:
         budget = self.budget
         if budget.unit == "flip":
             budget = Budget(1.0, "display", budget.exposure)
-        counted, kept = self.counted[index], 1 + _KEPT // flat.size
-        scattered, whole = None, self.scattered
-        if whole is not None:
-
-            def scattered(shading: Shading) -> Float:
-                return whole(shading)[index]
-
-        own = self.full, budget, self.spared, kept, scattered
-        return Region(self.scene, mapped, plain, counted, *own)
+        whole = self.scattered
+        of = self.scene, mapped, plain, self.counted[index], self.full, budget, self.spared
+        scattered = None if whole is None else lambda shading: whole(shading)[index]
+        return Region(*of, kept=1 + _KEPT // flat.size, scattered=scattered)
 
 
 def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from facerender.errors import InputError, check_path, clipped, shown
+from facerender.errors import InputError, check_path, check_type, clipped, shown
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light, parse_light
 from facerender.scenes.material import MAPS, Material
@@ -106,11 +106,10 @@ def scene_value(key: str, value: Any) -> Any:
     ------
     InputError : an unknown key or a value outside its domain
     """
-    if key == "camera":
-        return from_table(Camera, key, value)
+    if key in ("camera", "planned"):
+        return from_table(Camera if key == "camera" else Planned, key, value)
     if key == "lights":
-        if not isinstance(value, list):
-            raise InputError(f"lights = {shown(value)}: give a list of names or tables")
+        check_type(key, value, list, "a list of names or tables")
         return tuple(
             parse_light(item) if isinstance(item, str) else from_table(Light, key, item)
             for item in value
@@ -126,11 +125,8 @@ def scene_value(key: str, value: Any) -> Any:
         from_table(Material, key, value, without=MAPS)  # validates
         return value
     if key == "environment":
-        if isinstance(value, str):
-            return parse_environment(value)
-        return from_table(EnvironmentFile, key, value)
-    if key == "planned":
-        return from_table(Planned, key, value)
+        text = isinstance(value, str)
+        return parse_environment(value) if text else from_table(EnvironmentFile, key, value)
     if key == "background" and value == "none":
         return None
     if key in ("ambient", "background"):

@@ -117,8 +117,8 @@ def view_of(scene: Scene, aspect: float) -> View:
     up = np.array([0.0, 1.0, 0.0])
     if abs(forward[1]) > 0.9999:  # seen from above, the back of the head is on top
         up = -direction_to(camera.azimuth, 0.0) * np.sign(-forward[1])
-    lens = _project(camera.fov, aspect, *_depths(eye, forward))
-    return View(eye, forward, _look(eye, forward, up) @ lens)
+    lens = _projection(camera.fov, aspect, eye, forward)
+    return View(eye, forward, _look(eye, target, up) @ lens)
 
 
 def shifted(scene: Scene, x: float, y: float, size: tuple[int, int]) -> Scene:
@@ -153,8 +153,7 @@ def _placed(mesh: Mesh, camera: Camera, aspect: float) -> View:
     turn = left @ right  # the rotation next to what was rounded
     eye = within_reach("the eye of camera extrinsics", mesh.normalised(-turn.T @ pose[:, 3]))
     forward = turn[2]
-    near, far = _depths(eye, forward)
-    lens = _project(camera.fov, aspect, near, far)
+    lens = _projection(camera.fov, aspect, eye, forward)
     if camera.intrinsics is not None and camera.size is not None:
         width, height = camera.size
         if not math.isclose(width / height, aspect, rel_tol=_SAME_SHAPE):
@@ -165,14 +164,31 @@ def _placed(mesh: Mesh, camera: Camera, aspect: float) -> View:
         k = np.array(camera.intrinsics)
         lens[0, 0], lens[1, 1] = 2.0 * k[0, 0] / width, -2.0 * k[1, 1] / height
         lens[2, :2] = 1.0 - 2.0 * k[:2, 2] / camera.size
-    return View(eye, forward, _look(eye, forward, -turn[1]) @ lens)
+    return View(eye, forward, _look(eye, eye + forward, -turn[1]) @ lens)
 
 
-def _depths(eye: NDArray[np.float64], forward: NDArray[np.float64]) -> tuple[float, float]:
-    """Between which the unit sphere lies, seen from an eye."""
-    depth = float(eye @ -forward)  # of the mesh's centre
+def _look(
+    position: NDArray[np.float64], target: NDArray[np.float64], up: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The matrix from the renderer's space to the camera's, for row vectors."""
+    from pyrr import matrix44
+
+    look: NDArray[np.float64] = matrix44.create_look_at(position, target, up)
+    return look
+
+
+def _projection(
+    fov: float, aspect: float, position: NDArray[np.float64], forward: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The matrix from the camera's space to clip space, y downwards, for row vectors. Its planes
+    hold the unit sphere."""
+    from pyrr import matrix44
+
+    depth = float(position @ -forward)  # of the mesh's centre
     far = max(depth + 1.0, 0.02)
-    return max(depth - 1.0, far * 1e-3), far
+    near = max(depth - 1.0, far * 1e-3)
+    lens: NDArray[np.float64] = matrix44.create_perspective_projection(fov, aspect, near, far)
+    return lens * (1.0, -1.0, 1.0, 1.0)
 
 
 def hidden(scene: Scene, size: tuple[int, ...]) -> str:
@@ -204,27 +220,6 @@ def hidden(scene: Scene, size: tuple[int, ...]) -> str:
         if out
     ]
     return f"it lies {' and '.join(ways) or 'around'} the frame; set camera target, or position"
-
-
-def _look(
-    eye: NDArray[np.float64], forward: NDArray[np.float64], up: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """The matrix from the renderer's space to the eye's, for row vectors."""
-    side = np.cross(forward, up)
-    side /= np.linalg.norm(side)
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.stack([side, np.cross(side, forward), -forward], axis=1)
-    matrix[3, :3] = -eye @ matrix[:3, :3]
-    return matrix
-
-
-def _project(fov: float, aspect: float, near: float, far: float) -> NDArray[np.float64]:
-    """The matrix from the eye's space to clip space, y downwards, for row vectors."""
-    scale = 1.0 / math.tan(math.radians(fov) / 2.0)
-    matrix = np.diag([scale / aspect, -scale, -(far + near) / (far - near), 0.0])
-    matrix[2, 3] = -1.0
-    matrix[3, 2] = -2.0 * far * near / (far - near)
-    return matrix
 
 
 def _framing_distance(

@@ -85,6 +85,21 @@ function slopeWords() {
   return mapped ? "map" : ownValue("slope");
 }
 
+// Names of A and B, and buttons that copy and swap them.
+function termHead(state, changed) {
+  return element("tr", {}, element("td", {},
+    button("⇄", "Swap A and B", () => {
+      [state().a, state().b] = [state().b, state().a];
+      changed();
+    })),
+    ...[["a", "b", "→ B"], ["b", "a", "A ←"]].map(([which, other, text]) =>
+      element("th", {scope: "col", className: which}, element("b", {}, SWATCH[which]),
+        button(text, `Make ${SWATCH[other]} the same`, () => {
+          state()[other] = {...state()[which]};
+          changed();
+        }))));
+}
+
 // The table of A and B; a row for each field, marked where they differ.
 function termTable(state, changed) {
   const rows = [];
@@ -135,18 +150,8 @@ function termTable(state, changed) {
   typed("f0", "f0", {empty: ownValue("f0")});
   typed("ks", "ks", {empty: ownValue("specular_weight")});
 
-  const head = element("tr", {}, element("td", {},
-    button("⇄", "Swap A and B", () => {
-      [state().a, state().b] = [state().b, state().a];
-      changed();
-    })),
-    ...[["a", "b", "→ B"], ["b", "a", "A ←"]].map(([which, other, text]) =>
-      element("th", {scope: "col", className: which}, element("b", {}, SWATCH[which]),
-        button(text, `Make ${SWATCH[other]} the same`, () => {
-          state()[other] = {...state()[which]};
-          changed();
-        }))));
-  return element("table", {className: "terms"}, element("thead", {}, head), element("tbody", {}, ...rows));
+  return element("table", {className: "terms"}, element("thead", {}, termHead(state, changed)),
+    element("tbody", {}, ...rows));
 }
 
 // A colour of another brightness; one of 0 keeps its hue, for it may be on the way to 0.5.

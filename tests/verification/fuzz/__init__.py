@@ -1,3 +1,3 @@
 """A fuzzer of every reader: small files (``seeds.py``) changed at random, by their structure and by
 their bytes (``mutate.py``), read and drawn, and what comes of them judged (``subjects.py``).
-``python -m tests.verification.fuzz`` runs it, guided by coverage."""
+``python -m tools.fuzz`` runs it, guided by coverage."""

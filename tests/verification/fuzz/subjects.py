@@ -10,14 +10,14 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
 import facerender as fr
-from facerender.batch.jobs import check_jobs
+from facerender.batch.jobs import JobTable
 from facerender.commands import main
 from facerender.errors import FacerenderError, InputError
 from facerender.images.read import read_image
@@ -82,15 +82,15 @@ def _subjects() -> Iterator[Subject]:
     for number, (name, files) in enumerate(seeds.meshes()):
         for changed in files:
             label = f"{name}-{number}" if changed == name else f"{name}-{number}-{changed}"
-            yield Subject(label, files, changed, _reader_of_mesh(name))
+            yield Subject(label, files, changed, partial(_examine_mesh, name))
     for number, (name, content) in enumerate(seeds.images()):
-        yield Subject(f"{name}-{number}", {name: content}, name, _reader_of_image(name))
+        yield Subject(f"{name}-{number}", {name: content}, name, partial(_examine_image, name))
     for number, content in enumerate(seeds.scenes(fr.Scene(_head()))):
         yield Subject(f"scene-{number}.toml", {"a.toml": content}, "a.toml", _examine_scene)
     for name, content in seeds.tables():
-        yield Subject(f"jobs-{name}", {name: content}, name, _reader_of_jobs(name))
+        yield Subject(f"jobs-{name}", {name: content}, name, partial(_examine_jobs, name))
     for name, content in seeds.cameras(_head()):
-        yield Subject(f"cameras-{name}", {name: content}, name, _reader_of_cameras(name))
+        yield Subject(f"cameras-{name}", {name: content}, name, partial(_examine_cameras, name))
     for number, words in enumerate(seeds.options()):
         content = "\n".join(words).encode()
         yield Subject(f"render-{number}.txt", {"a.txt": content}, "a.txt", _examine_render)
@@ -177,23 +177,20 @@ def _demand(holds: object, what: str) -> None:
         raise Unsound(what)
 
 
-def _reader_of_mesh(name: str) -> Callable[[Path], None]:
-    def examine(folder: Path) -> None:
-        mesh = fr.load_mesh(folder / name)
-        for part in mesh.parts:
-            count = len(part.positions)
-            _demand(part.faces.size and part.faces.max() < count, "face indices")
-            used = np.unique(part.faces)
-            _demand(np.isfinite(part.positions[used]).all(), "positions")
-            lengths = np.linalg.norm(part.normals[used], axis=1)
-            _demand(np.allclose(lengths, 1.0, atol=1e-3), "normals")
-            for values in (part.uv, part.colors):
-                _demand(values is None or np.isfinite(values[used]).all(), "uv or colours")
-        _demand(np.isfinite(mesh.bounds).all() and 0.0 < mesh.radius < np.inf, "bounds")
-        _draw(fr.Scene(mesh))
-        _draw(fr.Scene(mesh, fr.Camera(frame="face")))
-
-    return examine
+def _examine_mesh(name: str, folder: Path) -> None:
+    mesh = fr.load_mesh(folder / name)
+    for part in mesh.parts:
+        count = len(part.positions)
+        _demand(part.faces.size and part.faces.max() < count, "face indices")
+        used = np.unique(part.faces)
+        _demand(np.isfinite(part.positions[used]).all(), "positions")
+        lengths = np.linalg.norm(part.normals[used], axis=1)
+        _demand(np.allclose(lengths, 1.0, atol=1e-3), "normals")
+        for values in (part.uv, part.colors):
+            _demand(values is None or np.isfinite(values[used]).all(), "uv or colours")
+    _demand(np.isfinite(mesh.bounds).all() and 0.0 < mesh.radius < np.inf, "bounds")
+    _draw(fr.Scene(mesh))
+    _draw(fr.Scene(mesh, fr.Camera(frame="face")))
 
 
 def _draw(scene: fr.Scene, shading: fr.Shading = fr.Shading()) -> None:
@@ -208,18 +205,15 @@ def _draw(scene: fr.Scene, shading: fr.Shading = fr.Shading()) -> None:
     frame.srgb8()
 
 
-def _reader_of_image(name: str) -> Callable[[Path], None]:
-    def examine(folder: Path) -> None:
-        path, refused = folder / name, []
-        for read in (_as_map, _as_picture, _as_environment):
-            try:
-                read(path)
-            except InputError as error:
-                refused.append(error)
-        if len(refused) == 3:
-            raise min(refused, key=lambda error: -len(str(error)))
-
-    return examine
+def _examine_image(name: str, folder: Path) -> None:
+    path, refused = folder / name, []
+    for read in (_as_map, _as_picture, _as_environment):
+        try:
+            read(path)
+        except InputError as error:
+            refused.append(error)
+    if len(refused) == 3:
+        raise min(refused, key=lambda error: -len(str(error)))
 
 
 def _as_map(path: Path) -> None:
@@ -252,13 +246,10 @@ def _examine_scene(folder: Path) -> None:
         _draw(fr.Scene(mesh, camera, **settings), shading)
 
 
-def _reader_of_cameras(name: str) -> Callable[[Path], None]:
-    def examine(folder: Path) -> None:
-        cameras = fr.load_cameras(folder / name, (24, 24))
-        for camera in dict.fromkeys([*cameras.values()][:4]):
-            _draw(fr.Scene(_head(), camera))
-
-    return examine
+def _examine_cameras(name: str, folder: Path) -> None:
+    cameras = fr.load_cameras(folder / name, (24, 24))
+    for camera in dict.fromkeys([*cameras.values()][:4]):
+        _draw(fr.Scene(_head(), camera))
 
 
 def _examine_render(folder: Path) -> None:
@@ -285,11 +276,7 @@ def _examine_render(folder: Path) -> None:
         _demand(linear[..., 3].any() or lines, "an empty picture, and no word of it")
 
 
-def _reader_of_jobs(name: str) -> Callable[[Path], None]:
-    def examine(folder: Path) -> None:
-        checked = check_jobs(folder / name)
-        for fault in checked.faults:
-            if why := _bad_message(fault):
-                raise Unsound(f"fault {why}: {fault[:200]!r}")
-
-    return examine
+def _examine_jobs(name: str, folder: Path) -> None:
+    for fault in JobTable(folder / name).check().faults:
+        if why := _bad_message(fault):
+            raise Unsound(f"fault {why}: {fault[:200]!r}")

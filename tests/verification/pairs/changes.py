@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from io import BytesIO
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,48 +95,49 @@ def exponent(by: float) -> Callable[[Room], Linear]:
     return make
 
 
-def slope(by: float) -> Callable[[Room], Linear]:
-    """The slope m of every material times so much."""
+def remade(change: Callable[[Any], Any]) -> Callable[[Room], Linear]:
+    """Every material changed."""
 
     def make(room: Room) -> Linear:
-        materials = tuple(
-            replace(each, m=by * each.m)
-            if each.roughness_map is None
-            else replace(each, roughness_factor=math.sqrt(by) * each.roughness_factor)
-            for each in room.scene.mesh.materials
-        )
-        return room.draw(mesh=replace(room.scene.mesh, materials=materials))
+        mesh = room.scene.mesh
+        return room.draw(mesh=replace(mesh, materials=tuple(map(change, mesh.materials))))
 
     return make
 
 
+def slope(by: float) -> Callable[[Room], Linear]:
+    """The slope m of every material times so much."""
+    return remade(
+        lambda each: (
+            replace(each, m=by * each.m)
+            if each.roughness_map is None
+            else replace(each, roughness_factor=math.sqrt(by) * each.roughness_factor)
+        )
+    )
+
+
 def factor(name: str, by: float) -> Callable[[Room], Linear]:
     """A factor of every material times so much."""
+    return remade(lambda each: replace(each, **{name: by * getattr(each, name)}))
 
-    def make(room: Room) -> Linear:
-        mesh = room.scene.mesh
-        changed = tuple(
-            replace(each, **cast(Any, {name: by * getattr(each, name)})) for each in mesh.materials
-        )
-        return room.draw(mesh=replace(mesh, materials=changed))
+
+def shaded(needs_factors: bool = False, **changes: Any) -> Callable[[Room], Linear | None]:
+    """Fields of the shading replaced; of models without a Fresnel and a masking term only where
+    that needs none."""
+
+    def make(room: Room) -> Linear | None:
+        shading = room.setting.shading
+        if needs_factors and not shading.term.entry.factors:
+            return None
+        return room.draw(shading=shading.replace(**changes))
 
     return make
 
 
 def reflectance(room: Room) -> Linear | None:
     """f0 of 0.04 in place of 0.028."""
-    return room.with_material(f0=0.04) if _has_factors(room) else None
-
-
-def no_masking(room: Room) -> Linear | None:
-    if not _has_factors(room):
-        return None
-    return room.draw(shading=room.setting.shading.replace(masking="none"))
-
-
-def approximated(lobe: str) -> Callable[[Room], Linear]:
-    """An approximated lobe in place of the exact one, where it has its domain."""
-    return lambda room: room.draw(shading=room.setting.shading.replace(lobe=lobe, outside="exact"))
+    factors = room.setting.shading.term.entry.factors
+    return room.with_material(f0=0.04) if factors else None
 
 
 def unclamped(room: Room) -> Against | None:
@@ -147,17 +148,6 @@ def unclamped(room: Room) -> Against | None:
     golden = room.draw(shading=shading, mesh=mesh)
     image = room.draw(shading=shading, mesh=mesh, patch=(old, "1.0 - steepness * (1.0 - c)"))
     return Against("golden-d16", golden, image, room.renderer.samples)
-
-
-def other_diffuse(room: Room) -> Linear | None:
-    """The diffuse term that leaves the light which the surface reflects."""
-    if not _has_factors(room):
-        return None
-    return room.draw(shading=room.setting.shading.replace(diffuse="coupled"))
-
-
-def _has_factors(room: Room) -> bool:
-    return bool(room.setting.shading.term.entry.factors)
 
 
 # --- light ---------------------------------------------------------------------------------------
@@ -187,20 +177,19 @@ def shadow_left_out(room: Room) -> Linear | None:
     return room.draw(lights=tuple(replace(each, shadow=False) for each in room.scene.lights))
 
 
-def exposed(by: float) -> Callable[[Room], Linear]:
-    def make(room: Room) -> Linear:
+def coloured(change: Callable[[Linear], Any]) -> Callable[[Room], Linear | None]:
+    """The colours of the golden changed, where that changes one."""
+
+    def make(room: Room) -> Linear | None:
         image = room.golden.copy()
-        image[..., :3] *= np.float32(by)
-        return image
+        image[..., :3] = change(image[..., :3])
+        return None if np.array_equal(image, room.golden) else image
 
     return make
 
 
-def clamped(room: Room) -> Linear | None:
-    """No radiance above 1."""
-    image = room.golden.copy()
-    image[..., :3] = np.minimum(image[..., :3], 1.0)
-    return None if np.array_equal(image, room.golden) else image
+def exposed(by: float) -> Callable[[Room], Linear | None]:
+    return coloured(lambda colors: colors * np.float32(by))
 
 
 # --- the surface ---------------------------------------------------------------------------------
@@ -261,12 +250,9 @@ def blurred(room: Room) -> Linear | None:
         image = image.filter(ImageFilter.GaussianBlur(image.width / 500))
         return fr.Texture.from_image(image, texture.name).sampled(texture.wrap)
 
-    mesh = room.scene.mesh
-    materials = tuple(
-        replace(each, albedo_map=soft(each.albedo_map)) if each.albedo_map else each
-        for each in mesh.materials
+    return remade(lambda each: replace(each, albedo_map=each.albedo_map and soft(each.albedo_map)))(
+        room
     )
-    return room.draw(mesh=replace(mesh, materials=materials))
 
 
 def missing_faces(room: Room, count: int = 20) -> Linear:
@@ -291,16 +277,14 @@ def _with_part(room: Room, number: int, part: Part) -> fr.Mesh:
 # --- pixels and precision ------------------------------------------------------------------------
 
 
-def grain(by: float) -> Callable[[Room], Linear]:
+def grain(by: float) -> Callable[[Room], Linear | None]:
     """Noise of this deviation, the same in all channels."""
 
-    def make(room: Room) -> Linear:
-        image = room.golden.copy()
-        noise = np.random.default_rng(1).normal(1.0, by, image.shape[:2])
-        image[..., :3] *= noise[..., None].astype(np.float32)
-        return image
+    def noisy(colors: Linear) -> Linear:
+        noise = np.random.default_rng(1).normal(1.0, by, colors.shape[:2])
+        return colors * noise[..., None].astype(np.float32)
 
-    return make
+    return coloured(noisy)
 
 
 def bright(linear: Linear, count: int, seed: int = 1) -> Places:
@@ -341,22 +325,16 @@ def pixels(
     return lambda room: set_pixels(room.golden, where(room.golden, count), radiance)
 
 
-def packed(room: Room) -> Linear:
-    """The colours as r11g11b10 holds them: 6, 6 and 5 bits of mantissa, no sign."""
-    image = room.golden.copy()
-    fraction, power = np.frexp(image[..., :3])
+def packed(colors: Linear) -> Linear:
+    """Colours as r11g11b10 holds them: 6, 6 and 5 bits of mantissa, no sign."""
+    fraction, power = np.frexp(colors)
     steps = np.array([128.0, 128.0, 64.0], np.float32)
-    image[..., :3] = np.ldexp(np.round(fraction * steps) / steps, power)
-    return image
+    return np.asarray(np.ldexp(np.round(fraction * steps) / steps, power))
 
 
 def gamma(linear: NDArray[np.float64]) -> NDArray[np.float64]:
     """What a power of 1/2.2 makes of linear values."""
     return np.asarray(np.clip(linear, 0.0, 1.0) ** (1.0 / 2.2))
-
-
-def as_it_is(room: Room) -> Linear:
-    return room.golden
 
 
 # --- what drivers, cameras and formats do --------------------------------------------------------
@@ -464,7 +442,7 @@ def changes() -> Iterator[Change | Encoded]:
         "m -1 %": slope(0.99),
         "m +3 %": slope(1.03),
         "f0 0.028 to 0.04": reflectance,
-        "no masking": no_masking,
+        "no masking": shaded(True, masking="none"),
         "ks -3 %": factor("ks", 0.97),
         "light turned by 0.5 degrees": turned(0.5),
         "light turned by 2 degrees": turned(2.0),
@@ -488,16 +466,16 @@ def changes() -> Iterator[Change | Encoded]:
         "3 fireflies": pixels(bright, 3, 4.0),
         "12 false highlights at the silhouette": pixels(edge, 12, 1.0),
         "D16 not clamped": unclamped,
-        "r11g11b10": packed,
+        "r11g11b10": coloured(packed),
         "vectors in half floats": half_vectors,
-        "other diffuse term": other_diffuse,
-        "D4 in place of exact": approximated("d4"),
-        "D8 in place of exact": approximated("d8"),
+        "other diffuse term": shaded(True, diffuse="coupled"),
+        "D4 in place of exact": shaded(lobe="d4", outside="exact"),
+        "D8 in place of exact": shaded(lobe="d8", outside="exact"),
     }
     for name, make in fail.items():
         yield Change(name, "fail", make)
-    yield Change("highlights clamped", "fail", clamped, ("exr",))
-    yield Change("gamma 2.2", "fail", as_it_is, ("png",), gamma)
+    yield Change("highlights clamped", "fail", coloured(lambda x: np.minimum(x, 1.0)), ("exr",))
+    yield Change("gamma 2.2", "fail", lambda room: room.golden, ("png",), gamma)
     harmless: dict[str, Callable[[Room], Linear | Against | None]] = {
         "camera moved by 0.02 pixels in x": moved(0.02, 0.0),
         "camera moved by 0.02 pixels in y": moved(0.0, 0.02),

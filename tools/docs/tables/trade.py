@@ -19,13 +19,14 @@ from facerender.pricing.interval import Interval
 from facerender.pricing.table import shipped, term_name
 from facerender.pricing.variants import SLOPE, Variant
 from facerender.shading import Term
+from tools.docs.measurement import measurement_of
 from tools.docs.tables import load, markdown_table
 
 _WORDS = ("variant", "lobe", "remark", "shading")  # columns that are aligned to the left
 
 
 def blocks() -> dict[str, str]:
-    measurement = Measurement.from_dict(load("llvmpipe"))
+    measurement = measurement_of(load("llvmpipe"))
     compiled = [load("offline"), load("mobile")]
     instructions = compiled[0]["instructions"] | compiled[1]["instructions"]
     facts = measurement.as_dict()["environment"]

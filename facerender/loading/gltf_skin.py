@@ -1,5 +1,4 @@
-"""The shape that a glTF mesh has as its file stores it: morph targets by their weights, and skins
-by where their joints stand."""
+"""Skins of glTF meshes: vertices where the joints of the file put them."""
 
 from __future__ import annotations
 
@@ -11,11 +10,6 @@ from numpy.typing import NDArray
 _STRIP = 1 << 16  # vertices at a time, of which each has a matrix
 
 Float = NDArray[np.float64]
-
-
-def morphed(values: NDArray[Any], moves: NDArray[Any], weight: float) -> Float:
-    """Return positions or normals (N, 3) with a fraction of a target's moves (N, 3)."""
-    return values.astype(np.float64) + weight * moves.astype(np.float64)
 
 
 def skinned(

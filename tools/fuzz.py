@@ -1,13 +1,21 @@
-"""A process of the fuzzer: examines what Atheris and our own mutations make, counts outcomes, and
-writes inputs that show a fault."""
+"""Feeds changed files to every reader, and counts what comes of them.
+
+    python -m tools.fuzz [--minutes 10 | --inputs N] [--seed S] [--only NAME] [-o out/fuzz]
+
+A process for each core examines what Atheris, which chooses by coverage what is changed again, and
+tests/verification/fuzz make. Of every kind of fault the first input is written to the folder, and
+what was seen beside it, as .txt. Exit status 1 where there is a fault.
+"""
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import logging
 import os
 import resource
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
@@ -18,8 +26,6 @@ from importlib import import_module
 from pathlib import Path
 from random import Random
 from typing import NoReturn
-
-import numpy as np
 
 HANGS = 300  # seconds, after which an input ends its process; a busy machine may stop it for 60
 SPACE = 16 << 30  # bytes of addresses: an allocation beyond them fails
@@ -49,24 +55,17 @@ class Share:
     only: str
 
     @property
-    def tally(self) -> np.memmap[tuple[int], np.dtype[np.int64]]:
-        """How often each outcome was seen, in a file: it outlives the process."""
-        from tests.verification.fuzz.subjects import OUTCOMES
-
-        path = Path(self.output, f"{self.name}.counts")
-        return np.memmap(path, np.int64, "r+" if path.exists() else "w+", shape=len(OUTCOMES))
+    def seen(self) -> Path:
+        """The outcomes, a byte each, in a file: it outlives the process."""
+        return Path(self.output, f"{self.name}.seen")
 
     @property
-    def counts(self) -> Counter[str]:
-        from tests.verification.fuzz.subjects import OUTCOMES
-
-        return Counter(dict(zip(OUTCOMES, self.tally.tolist(), strict=True)))
+    def count(self) -> int:
+        return self.seen.stat().st_size if self.seen.exists() else 0
 
     @property
     def done(self) -> bool:
-        if self.inputs is None:
-            return time.time() >= self.until
-        return int(self.tally.sum()) >= self.inputs
+        return time.time() >= self.until if self.inputs is None else self.count >= self.inputs
 
 
 def following() -> AbstractContextManager[object]:
@@ -101,9 +100,8 @@ def work(share: Share) -> NoReturn:
     logging.disable()
     resource.setrlimit(resource.RLIMIT_AS, (SPACE, SPACE))
     chosen = [each for each in subjects() if share.only in each.name]
-    tally = share.tally
     # After a death the same random numbers would lead to it again.
-    random = Random(f"{share.name}-{tally.sum()}")
+    random = Random(f"{share.name}-{share.count}")
     known: set[str] = set()
     with tempfile.TemporaryDirectory(dir=SHARED if SHARED.exists() else None) as folder:
         place, corpus = Path(folder, "input"), Path(folder, "corpus")
@@ -114,16 +112,14 @@ def work(share: Share) -> NoReturn:
         def one(data: bytes) -> None:
             subject = chosen[data[0] % len(chosen)] if data else chosen[0]
             result = examine(subject, data[1:], place)
-            tally[OUTCOMES.index(result.outcome)] += 1
+            with share.seen.open("ab") as file:
+                file.write(bytes([OUTCOMES.index(result.outcome)]))
             if result.outcome in FAULTS and result.signature not in known:
                 known.add(result.signature)
-                _keep(
-                    Path(share.output),
-                    subject.name,
-                    subject.suffix,
-                    data[1:],
-                    f"{result.outcome}: {result.signature}",
-                )
+                name = f"{subject.name}-{hashlib.sha256(data[1:]).hexdigest()[:8]}"
+                Path(share.output, f"{name}{subject.suffix}").write_bytes(data[1:])
+                seen = f"{result.outcome}: {result.signature}\n"
+                Path(share.output, f"{name}.txt").write_text(seen)
             if share.done:
                 shutil.rmtree(folder)
                 os._exit(0)  # what ends Python is a crash to Atheris
@@ -149,7 +145,65 @@ def work(share: Share) -> NoReturn:
     sys.exit(0)
 
 
-def _keep(output: Path, subject: str, suffix: str, content: bytes, seen: str) -> None:
-    name = f"{subject}-{hashlib.sha256(content).hexdigest()[:8]}"
-    (output / f"{name}{suffix}").write_bytes(content)
-    (output / f"{name}.txt").write_text(seen + "\n")
+def main() -> int:
+    from tests.verification.fuzz.subjects import OUTCOMES
+
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.fuzz", description=__doc__.split("\n")[0]
+    )
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--inputs", type=int, help="how many, in place of minutes")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", default="", help="subjects with this in their name")
+    parser.add_argument("-o", "--output", type=Path, default=Path("out/fuzz"))
+    options = parser.parse_args()
+    options.output.mkdir(parents=True, exist_ok=True)
+    for old in options.output.iterdir():
+        old.unlink()
+    start = time.monotonic()
+    count = os.cpu_count() or 1
+    shares = [
+        Share(
+            str(options.output),
+            f"{options.seed}-{number}",
+            options.inputs and -(-options.inputs // count),
+            time.time() + 60.0 * options.minutes,
+            options.only,
+        )
+        for number in range(count)
+    ]
+    running = {share: _begin(share) for share in shares}
+    deaths = 0
+    while running:
+        time.sleep(1.0)
+        for share, process in list(running.items()):
+            if process.poll() is None:
+                continue
+            if process.returncode and not share.done:
+                deaths += 1
+                running[share] = _begin(share)
+            else:
+                del running[share]
+    seen = b"".join(share.seen.read_bytes() for share in shares if share.count)
+    counts = Counter(OUTCOMES[each] for each in seen)
+    seconds = time.monotonic() - start
+    print(f"{counts.total()} inputs in {seconds:.0f} s: {dict(counts)}, {deaths} processes ended")
+    faults = {path.read_text(): path for path in sorted(options.output.glob("*.txt"))}
+    for seen, path in faults.items():
+        print(f"{path.stem}: {seen.strip()}")
+    return 1 if faults or deaths else 0
+
+
+def _begin(share: Share) -> subprocess.Popen[bytes]:
+    program = f"from tools.fuzz import *; work({share!r})"
+    with (Path(share.output) / f"{share.name}.log").open("ab") as log:
+        return subprocess.Popen(
+            [sys.executable, "-c", program],
+            env=os.environ | {"LP_NUM_THREADS": "1"},
+            stdout=log,
+            stderr=log,
+        )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
