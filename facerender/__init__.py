@@ -29,85 +29,51 @@ from facerender.scenes import sources
 from facerender.system import IMPORTER  # noqa: F401  # as early as possible
 
 if TYPE_CHECKING:
-    from facerender import brdf, lobes
-    from facerender.comparison.compare import compare
-    from facerender.drawing.frame import Frame, GBuffer
-    from facerender.drawing.renderer import Renderer, render
-    from facerender.errors import ContextError, FacerenderError, FacerenderWarning, InputError
-    from facerender.glsl.library import (
-        moderngl_includes,
-        resolve_includes,
-        shader_dir,
-        shader_source,
-    )
-    from facerender.images.animation import save_animation
-    from facerender.job import ImageSettings, Job, MeshFile, Output
-    from facerender.loading import load_mesh
-    from facerender.loading.cameras import load_cameras
-    from facerender.loading.environment import load_environment
-    from facerender.planning.plan import Plan, plan
-    from facerender.scenes.camera import Camera, turntable
-    from facerender.scenes.environment import Environment, Panorama
-    from facerender.scenes.file import EnvironmentFile, load_scene
-    from facerender.scenes.light import Light
-    from facerender.scenes.lod import simplified
-    from facerender.scenes.material import Material
-    from facerender.scenes.mesh import Mesh
-    from facerender.scenes.occlusion import with_occlusion
-    from facerender.scenes.scene import Scene
-    from facerender.scenes.texture import Texture
-    from facerender.scenes.view import View, shifted, view_of
-    from facerender.shading import Shading, Term
+    from facerender import brdf as brdf
+    from facerender import lobes as lobes
+    from facerender.comparison.compare import compare as compare
+    from facerender.drawing.frame import Frame as Frame
+    from facerender.drawing.frame import GBuffer as GBuffer
+    from facerender.drawing.renderer import Renderer as Renderer
+    from facerender.drawing.renderer import render as render
+    from facerender.errors import ContextError as ContextError
+    from facerender.errors import FacerenderError as FacerenderError
+    from facerender.errors import FacerenderWarning as FacerenderWarning
+    from facerender.errors import InputError as InputError
+    from facerender.glsl.library import moderngl_includes as moderngl_includes
+    from facerender.glsl.library import resolve_includes as resolve_includes
+    from facerender.glsl.library import shader_dir as shader_dir
+    from facerender.glsl.library import shader_source as shader_source
+    from facerender.images.animation import save_animation as save_animation
+    from facerender.job import ImageSettings as ImageSettings
+    from facerender.job import Job as Job
+    from facerender.job import MeshFile as MeshFile
+    from facerender.job import Output as Output
+    from facerender.loading import load_mesh as load_mesh
+    from facerender.loading.cameras import load_cameras as load_cameras
+    from facerender.loading.environment import load_environment as load_environment
+    from facerender.planning.plan import Plan as Plan
+    from facerender.planning.plan import plan as plan
+    from facerender.scenes.camera import Camera as Camera
+    from facerender.scenes.camera import turntable as turntable
+    from facerender.scenes.environment import Environment as Environment
+    from facerender.scenes.environment import Panorama as Panorama
+    from facerender.scenes.file import EnvironmentFile as EnvironmentFile
+    from facerender.scenes.file import load_scene as load_scene
+    from facerender.scenes.light import Light as Light
+    from facerender.scenes.lod import simplified as simplified
+    from facerender.scenes.material import Material as Material
+    from facerender.scenes.mesh import Mesh as Mesh
+    from facerender.scenes.occlusion import with_occlusion as with_occlusion
+    from facerender.scenes.scene import Scene as Scene
+    from facerender.scenes.texture import Texture as Texture
+    from facerender.scenes.view import View as View
+    from facerender.scenes.view import shifted as shifted
+    from facerender.scenes.view import view_of as view_of
+    from facerender.shading import Shading as Shading
+    from facerender.shading import Term as Term
 
 __version__ = "0.1.0"
-
-__all__ = [
-    "Camera",
-    "ContextError",
-    "Environment",
-    "EnvironmentFile",
-    "FacerenderError",
-    "FacerenderWarning",
-    "Frame",
-    "GBuffer",
-    "ImageSettings",
-    "InputError",
-    "Job",
-    "Light",
-    "Material",
-    "Mesh",
-    "MeshFile",
-    "Output",
-    "Panorama",
-    "Plan",
-    "Renderer",
-    "Scene",
-    "Shading",
-    "Term",
-    "Texture",
-    "View",
-    "__version__",
-    "brdf",
-    "compare",
-    "load_cameras",
-    "load_environment",
-    "load_mesh",
-    "load_scene",
-    "lobes",
-    "moderngl_includes",
-    "plan",
-    "render",
-    "resolve_includes",
-    "save_animation",
-    "shader_dir",
-    "shader_source",
-    "shifted",
-    "simplified",
-    "turntable",
-    "view_of",
-    "with_occlusion",
-]
-
 
 _HOMES = {
     "images.animation": ("save_animation",),
@@ -135,6 +101,8 @@ _HOMES = {
     "shading": ("Shading", "Term"),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = list(("__version__", "brdf", "lobes", *_HOME))  # noqa: C410  # no list that mypy reads
 
 
 def __getattr__(name: str) -> Any:

@@ -32,20 +32,17 @@ def test_table_encoding_stays_within_its_stated_error():
     assert np.abs(encode_srgb8(x) - exact).max() <= 0.6
 
 
-def test_encoding_of_every_byte_returns_it():
-    every = np.arange(256)
-    linear = srgb_to_linear(every / 255.0).astype(np.float32)
-    np.testing.assert_array_equal(encode_srgb8(linear), every)
-
-
-def test_encoding_of_extremes():
-    x = np.float32([-1.0, -0.0, 1e-30, 1e30, np.inf, np.nan])
-    np.testing.assert_array_equal(encode_srgb8(x), [0, 0, 0, 255, 255, 0])
-
-
-def test_exposure_is_in_stops():
-    x = np.float32([0.1, 0.4])
-    np.testing.assert_array_equal(encode_srgb8(x, 1.0), encode_srgb8(x * 2))
+@pytest.mark.parametrize(
+    ("linear", "exposure", "expected"),
+    [
+        (srgb_to_linear(np.arange(256) / 255.0), 0.0, range(256)),
+        ([-1.0, -0.0, 1e-30, 1e30, np.inf, np.nan], 0.0, [0, 0, 0, 255, 255, 0]),
+        (srgb_to_linear(np.arange(256) / 255.0) / 2.0, 1.0, range(256)),
+    ],
+    ids=["every byte", "extremes", "exposure in stops"],
+)
+def test_encoding(linear, exposure, expected):
+    np.testing.assert_array_equal(encode_srgb8(np.float32(linear), exposure), expected)
 
 
 @pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3), (5, 7, 4), (1, 1, 3), (300, 200, 3)])
@@ -92,7 +89,7 @@ def test_signalling_nan_is_read_without_a_warning(tmp_path):
         assert (read_image(tmp_path / "a.exr").color == 0.5).all()
 
 
-def test_exr_of_layers(tmp_path):
+def test_exr(tmp_path):
     import OpenEXR
 
     values = np.random.default_rng(1).normal(size=(3, 5, 7)).astype(np.float32) * 1e3
@@ -100,20 +97,14 @@ def test_exr_of_layers(tmp_path):
     content = exr_bytes("a.exr", channels, {"samples": "4"})
     assert content == exr_bytes("b.exr", channels, {"samples": "4"})
     (tmp_path / "a.exr").write_bytes(content)
-    with OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True) as file:
-        assert file.header()["samples"] == "4"
-        for name, pixels in channels.items():
-            np.testing.assert_array_equal(file.channels()[name].pixels, pixels)
-
-
-def test_exr(tmp_path):
-    import OpenEXR
-
     linear = np.random.default_rng(1).normal(size=(5, 7, 4)).astype(np.float32) * 1e3
-    save_exr(tmp_path / "a.exr", linear, {"GL_RENDERER": "llvmpipe"})
-    file = OpenEXR.File(str(tmp_path / "a.exr"))
-    np.testing.assert_array_equal(file.channels()["RGBA"].pixels, linear)
-    assert file.header()["GL_RENDERER"] == "llvmpipe"
+    save_exr(tmp_path / "b.exr", linear, {"samples": "4"})
+    own = dict(zip("RGBA", np.moveaxis(linear, 2, 0), strict=True))
+    for name, expected in (("a.exr", channels), ("b.exr", own)):
+        with OpenEXR.File(str(tmp_path / name), separate_channels=True) as file:
+            assert file.header()["samples"] == "4"
+            for key, pixels in expected.items():
+                np.testing.assert_array_equal(file.channels()[key].pixels, pixels)
 
 
 def fail_half_way(name):

@@ -29,8 +29,8 @@ def add(batch: argparse.ArgumentParser) -> None:
     batch.epilog = _EPILOG
     batch.add_argument("jobs", nargs="?", metavar="JOBS", help=".jsonl .csv .parquet .toml .py")
     batch.add_argument("-o", "--output", metavar="OUT", help="a folder, or a URL such as s3://...")
-    common = batch.add_argument_group("what jobs have that do not say otherwise")
-    common.add_argument("--scene", metavar="FILE.toml", help="tables of a job")
+    common = batch.add_argument_group("values of jobs that do not have their own")
+    common.add_argument("--scene", metavar="FILE.toml", help="a scene, also of facerender plan")
     common.add_argument("--mesh", metavar="FILE", help="(the built-in head)")
     add_parts(common)
     common.add_argument("--size", help="N or WxH in pixels (1024)")
@@ -38,30 +38,42 @@ def add(batch: argparse.ArgumentParser) -> None:
     common.add_argument("--outputs", metavar="LIST", help="image,mask,depth,layers,... (image)")
 
     drawing = batch.add_argument_group("workers")
-    drawing.add_argument("--workers", type=int, metavar="N", help="processes here (those that pay)")
-    drawing.add_argument("--scheduler", metavar="ADDRESS", help="of Dask, in place of workers here")
+    drawing.add_argument(
+        "--workers", type=int, metavar="N", help="processes here (by cores and memory)"
+    )
+    drawing.add_argument(
+        "--scheduler", metavar="ADDRESS", help="of a Dask scheduler, instead of workers here"
+    )
     drawing.add_argument("--backend", choices=("auto", "egl", "osmesa", "native"), default="auto")
     drawing.add_argument(
-        "--timeout", type=float, default=300.0, help="seconds of silence: a job hangs (300)"
+        "--timeout",
+        type=float,
+        default=300.0,
+        help="seconds without output before a job counts as hung (300)",
     )
     drawing.add_argument(
-        "--tries", type=int, default=3, help="of a job that ends or hangs its worker (3)"
+        "--tries", type=int, default=3, help="maximum attempts per crashing or hanging job (3)"
     )
-    drawing.add_argument("--chunk", type=int, metavar="N", help="jobs that are done together")
+    drawing.add_argument(
+        "--chunk", type=int, metavar="N", help="jobs of a chunk (1 to 128, by their number)"
+    )
 
     written = batch.add_argument_group("output")
     written.add_argument(
-        "--layout", choices=("files", "shards"), default="files", help="a folder a job, or tars"
+        "--layout",
+        choices=("files", "shards"),
+        default="files",
+        help="a folder per job, or a tar per chunk (files)",
     )
     written.add_argument("--table", choices=("jsonl", "parquet"), default="jsonl", help="(jsonl)")
     written.add_argument("--transforms", action="store_true", help="write transforms.json as well")
     written.add_argument("--retry-failed", action="store_true", help="draw failed jobs again")
-    written.add_argument("--json", action="store_true", help="tell each step as a line of JSON")
+    written.add_argument("--json", action="store_true", help="print each step as a line of JSON")
     add_quiet(written)
 
     ask = batch.add_argument_group("instead of drawing")
     ask.add_argument("--check", action="store_true", help="read and check all jobs")
-    ask.add_argument("--status", metavar="OUT", help="what became of a batch so far")
+    ask.add_argument("--status", metavar="OUT", help="count the jobs done, failed and left")
     ask.add_argument("--schema", action="store_true", help="JSON Schema of a job")
 
 

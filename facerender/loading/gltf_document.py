@@ -17,9 +17,9 @@ MOST_VALUES = 2_000_000  # of a document: each takes up to 100 bytes of memory
 MOST_ENTRIES = 1 << 17  # of one of its lists: nodes, accessors
 
 # An object by its properties; ! marks those that it must have. "#nodes" is an index into nodes,
-# "[x]" a list of x, "{x}" an object of any names, "3 x" a list of so many. Of any value "presence"
-# says whether it is something.
-_OBJECTS: dict[str, dict[str, str]] = {
+# "[x]" a list of x, "{x}" an object of any names, "3 x" a list of so many; x may be an object of
+# this table. Of any value "presence" says whether it is something.
+_OBJECTS: dict[str, dict[str, Any]] = {
     "document": {
         "extensionsRequired": "[text]",
         "extensionsUsed": "[text]",
@@ -44,9 +44,8 @@ _OBJECTS: dict[str, dict[str, str]] = {
         "byteOffset": "size",
         "byteLength!": "size",
         "byteStride": "size",
-        "extensions": "view extensions",
+        "extensions": {"EXT_meshopt_compression": "packed", "KHR_meshopt_compression": "packed"},
     },
-    "view extensions": {"EXT_meshopt_compression": "packed", "KHR_meshopt_compression": "packed"},
     "packed": {
         "buffer!": "#buffers",
         "byteOffset": "size",
@@ -73,76 +72,69 @@ _OBJECTS: dict[str, dict[str, str]] = {
     },
     "image": {"uri": "text", "bufferView": "#bufferViews"},
     "sampler": {"magFilter": "size", "wrapS": "size", "wrapT": "size"},
-    "texture": {"source": "#images", "sampler": "#samplers", "extensions": "texture extensions"},
-    "texture extensions": {
-        "EXT_texture_webp": "other image",
-        "EXT_texture_avif": "other image",
-        "MSFT_texture_dds": "other image",
-        "KHR_texture_basisu": "other image",
+    "texture": {
+        "source": "#images",
+        "sampler": "#samplers",
+        "extensions": {
+            "EXT_texture_webp": "other image",
+            "EXT_texture_avif": "other image",
+            "MSFT_texture_dds": "other image",
+            "KHR_texture_basisu": "other image",
+        },
     },
     "other image": {"source": "#images"},
     "material": {
         "name": "name",
-        "pbrMetallicRoughness": "metallic",
+        "pbrMetallicRoughness": {
+            "baseColorFactor": "4 number",
+            "baseColorTexture": "map",
+            "metallicFactor": "number",
+            "metallicRoughnessTexture": "map",
+            "roughnessFactor": "number",
+        },
         "normalTexture": "map",
         "occlusionTexture": "map",
         "emissiveTexture": "map",
         "emissiveFactor": "3 number",
         "alphaMode": "text",
         "alphaCutoff": "number",
-        "extensions": "material extensions",
-    },
-    "metallic": {
-        "baseColorFactor": "4 number",
-        "baseColorTexture": "map",
-        "metallicFactor": "number",
-        "metallicRoughnessTexture": "map",
-        "roughnessFactor": "number",
+        "extensions": {
+            "KHR_materials_pbrSpecularGlossiness": {
+                "diffuseFactor": "4 number",
+                "diffuseTexture": "map",
+            },
+            "KHR_materials_emissive_strength": {"emissiveStrength": "number"},
+            "KHR_materials_ior": {"ior": "number"},
+            "KHR_materials_specular": {
+                "specularFactor": "number",
+                "specularTexture": "map",
+                "specularColorFactor": "3 number",
+                "specularColorTexture": "map",
+            },
+            "KHR_materials_unlit": {},
+            "KHR_materials_clearcoat": {"clearcoatFactor": "number"},
+            "KHR_materials_sheen": {"sheenColorFactor": "3 number"},
+            "KHR_materials_transmission": {"transmissionFactor": "number"},
+            "KHR_materials_diffuse_transmission": {"diffuseTransmissionFactor": "number"},
+            "KHR_materials_anisotropy": {"anisotropyStrength": "number"},
+            "KHR_materials_iridescence": {"iridescenceFactor": "number"},
+            "KHR_materials_subsurface": {},
+        },
     },
     "map": {
         "index!": "#textures",
         "texCoord": "size",
         "scale": "number",
         "strength": "number",
-        "extensions": "map extensions",
+        "extensions": {
+            "KHR_texture_transform": {
+                "offset": "2 number",
+                "rotation": "number",
+                "scale": "2 number",
+                "texCoord": "size",
+            }
+        },
     },
-    "map extensions": {"KHR_texture_transform": "transform"},
-    "transform": {
-        "offset": "2 number",
-        "rotation": "number",
-        "scale": "2 number",
-        "texCoord": "size",
-    },
-    "material extensions": {
-        "KHR_materials_pbrSpecularGlossiness": "glossy",
-        "KHR_materials_emissive_strength": "emission",
-        "KHR_materials_ior": "refraction",
-        "KHR_materials_specular": "specular",
-        "KHR_materials_unlit": "bare",
-        "KHR_materials_clearcoat": "clearcoat",
-        "KHR_materials_sheen": "sheen",
-        "KHR_materials_transmission": "transmission",
-        "KHR_materials_diffuse_transmission": "diffuse transmission",
-        "KHR_materials_anisotropy": "anisotropy",
-        "KHR_materials_iridescence": "iridescence",
-        "KHR_materials_subsurface": "bare",
-    },
-    "glossy": {"diffuseFactor": "4 number", "diffuseTexture": "map"},
-    "emission": {"emissiveStrength": "number"},
-    "refraction": {"ior": "number"},
-    "specular": {
-        "specularFactor": "number",
-        "specularTexture": "map",
-        "specularColorFactor": "3 number",
-        "specularColorTexture": "map",
-    },
-    "clearcoat": {"clearcoatFactor": "number"},
-    "sheen": {"sheenColorFactor": "3 number"},
-    "transmission": {"transmissionFactor": "number"},
-    "diffuse transmission": {"diffuseTransmissionFactor": "number"},
-    "anisotropy": {"anisotropyStrength": "number"},
-    "iridescence": {"iridescenceFactor": "number"},
-    "bare": {},
     "mesh": {"primitives!": "[primitive]", "name": "name", "weights": "[number]"},
     "primitive": {
         "attributes!": "{#accessors}",
@@ -150,12 +142,11 @@ _OBJECTS: dict[str, dict[str, str]] = {
         "material": "#materials",
         "mode": "mode",
         "targets": "[{#accessors}]",
-        "extensions": "primitive extensions",
+        "extensions": {
+            "KHR_draco_mesh_compression": {"bufferView!": "#bufferViews", "attributes!": "{size}"}
+        },
     },
-    "primitive extensions": {"KHR_draco_mesh_compression": "draco"},
-    "draco": {"bufferView!": "#bufferViews", "attributes!": "{size}"},
-    "camera": {"name": "text", "perspective": "perspective"},
-    "perspective": {"yfov!": "number"},
+    "camera": {"name": "text", "perspective": {"yfov!": "number"}},
     "node": {
         "name": "name",
         "mesh": "#meshes",
@@ -167,15 +158,12 @@ _OBJECTS: dict[str, dict[str, str]] = {
         "translation": "3 number",
         "rotation": "4 number",
         "scale": "3 number",
-        "extensions": "node extensions",
+        "extensions": {
+            "EXT_mesh_gpu_instancing": {"attributes!": "{#accessors}"},
+            "KHR_node_visibility": {"visible": "switch"},
+            "KHR_lights_punctual": {},
+        },
     },
-    "node extensions": {
-        "EXT_mesh_gpu_instancing": "instances",
-        "KHR_node_visibility": "visibility",
-        "KHR_lights_punctual": "bare",
-    },
-    "instances": {"attributes!": "{#accessors}"},
-    "visibility": {"visible": "switch"},
     "skin": {"joints!": "[#nodes]", "inverseBindMatrices": "#accessors"},
     "scene": {"nodes": "[#nodes]"},
 }
@@ -271,11 +259,12 @@ def damaged(name: str, what: str) -> InputError:
     return InputError(f"{name} is damaged ({what}); export it again")
 
 
-def _checked(value: Any, shape: str, where: str, counts: dict[str, int]) -> Any:
+def _checked(value: Any, shape: str | dict[str, Any], where: str, counts: dict[str, int]) -> Any:
     """Return a value as its shape has it; ValueError says what it is instead."""
-    if (properties := _OBJECTS.get(shape)) is not None:
+    if isinstance(shape, dict) or shape in _OBJECTS:
         _expect(isinstance(value, dict), value, where, "an object")
         result = {}
+        properties = shape if isinstance(shape, dict) else _OBJECTS[shape]
         for key, inner in properties.items():
             name = key.rstrip("!")
             path = f"{where}.{name}" if where else name

@@ -6,7 +6,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
-from types import TracebackType
 from typing import Any
 
 from facerender.system.signals import if_ended
@@ -23,7 +22,7 @@ def shows_bars(quiet: bool) -> bool:
     return not quiet and sys.stderr.isatty()
 
 
-class Bar:
+class Bar(ExitStack):
     """A bar of tqdm on standard error, of what is done now; it vanishes at the end. Where a signal
     ends the process, a line says how far the work has come, on a terminal or not.
 
@@ -32,25 +31,14 @@ class Bar:
     """
 
     def __init__(self, quiet: bool = False, on_step: Callable[[str], object] | None = None) -> None:
+        super().__init__()
         self._on_step = on_step
         self._shown = on_step is None and shows_bars(quiet)
         self._bar: Any = None
         self._done: list[str] = []
         self._what, self._fraction = "", 0.0
-        self._held = ExitStack()
-
-    def __enter__(self) -> Bar:
-        self._held.enter_context(if_ended(self._ended))
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._held.close()
-        self._close()
+        self.enter_context(if_ended(self._ended))
+        self.callback(self._close)
 
     def __call__(self, what: str, done: float) -> None:
         if what != self._what:
