@@ -123,16 +123,11 @@ class Term:
         ------
         InputError : a vector that is no unit vector, or a value outside its domain
         """
-        return self.entry.evaluate(
-            n,
-            l,
-            v,
-            self.slope(m),
-            f0,
-            lobe=self.lobe,
-            fresnel_term=self.fresnel,
-            masking_term=self.masking,
-        )
+        at, lobe = (n, l, v, self.slope(m)), self.lobe
+        if not self.entry.factors:  # so that all models agree where normal, light and camera do
+            return np.asarray(f0 * self.entry.evaluate(*at, lobe=lobe))
+        factors = {"fresnel_term": self.fresnel, "masking_term": self.masking}
+        return self.entry.evaluate(*at, f0, lobe=lobe, **factors)
 
 
 _TERM_FIELDS = tuple(field.name for field in fields(Term))

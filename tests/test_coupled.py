@@ -72,23 +72,6 @@ def test_shading_tells_and_refuses():
         fr.Shading(diffuse="oren")
 
 
-def test_a_plan_may_leave_it_out(head):
-    mesh = head.with_material(normal_map=None, m=0.3, albedo_map=None, kd=0.1)
-    scene = fr.Scene(mesh, lights=fr.Scene(mesh).lights[:1], ambient=0.0)
-    with fr.Renderer((48, 48), samples=1) as renderer:
-        near, far = (
-            fr.plan(scene, budget, full=COUPLED, renderer=renderer, cost="navi21")
-            for budget in ("0.5/255", "20/255")
-        )
-        full = renderer.render(scene, COUPLED).linear[..., :3].astype(float)
-        for plan in (near, far):
-            drawn = renderer.render(scene, plan.shading).linear[..., :3].astype(float)
-            assert plan.budget.errors(drawn, full).max() <= plan.budget.limit
-    assert near.shading.diffuse == "coupled"
-    assert far.shading.diffuse == "lambert"
-    assert "lambert instead of coupled" in far.explain()
-
-
 def test_it_has_its_price(head):
     scene = fr.Scene(head.with_material(ks=1e-3, normal_map=None), fr.Camera(35.0))
     for kind in ("navi21", "vega10", "llvmpipe"):

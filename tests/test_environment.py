@@ -15,15 +15,13 @@ import pytest
 import facerender as fr
 from facerender import InputError, brdf
 from facerender.commands import main
-from facerender.drawing.passes.shade import shade_pass
-from facerender.drawing.resolve import resolve
 from facerender.images.exr import save_exr
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import Prices
 from facerender.scenes.environment import SIDE, studio
 from facerender.scenes.file import parse_environment, scene_toml
-from facerender.scenes.view import view_of
 from tests.conftest import require_module
+from tests.test_reference import programs_of
 
 CAMERA = fr.Camera(azimuth=-35.0)
 
@@ -52,14 +50,10 @@ def around(mesh: fr.Mesh, environment: fr.Environment | None, **others) -> fr.Sc
 
 
 def test_off_is_the_program_without(small, head):
-    def programs(scene, shading=fr.Shading()):
-        drawn = shade_pass(resolve(scene, shading), view_of(scene, 1.0), 1)
-        return [draw.program.sources("330 core") for draw in drawn.draws]
-
     plain, lit = fr.Scene(head), fr.Scene(head, environment=fr.Environment(studio()))
     off = fr.Shading(environment=False)
-    assert programs(lit, off) == programs(plain)
-    assert programs(lit) != programs(plain)
+    assert programs_of(lit, off) == programs_of(plain, fr.Shading())
+    assert programs_of(lit, fr.Shading()) != programs_of(plain, fr.Shading())
     images = [small.render(*each).linear for each in ((plain,), (lit, off))]
     np.testing.assert_array_equal(*images)
     assert small.render(lit).linear.mean() > images[0].mean() + 0.01
@@ -286,22 +280,3 @@ def test_a_plan_may_take_fewer_samples(small, head):
         (fr.Shading(ks=0.0), scene, 11111.0),
     ):
         assert table.cost(own, shading)[0] == pytest.approx(total)
-
-
-def test_a_plan_is_sound(small, head, monkeypatch):
-    parts = {"base program": 50.0, "albedo map": 10.0, "normal map": 100.0, "property map": 10.0}
-    parts |= {"environment": 90.0, "environment sample": 200.0, "ambient term": 10.0}
-    table = Prices("by hand", "beans", parts, {})
-    monkeypatch.setattr("facerender.planning.search.load_prices", lambda *_: table)
-    scene = around(head.with_material(m=0.3, normal_map=None), fr.Environment(studio()))
-    full = small.render(scene).linear[..., :3].astype(float)
-    taken = []
-    for budget in ("0.5/255", "16/255"):
-        plan = fr.plan(scene, budget, renderer=small, cost="navi21")
-        drawn = small.render(scene, plan.shading).linear[..., :3].astype(float)
-        assert plan.budget.errors(drawn, full).max() <= plan.budget.limit
-        taken.append(plan.shading.environment_samples)
-        assert "samples" in plan.explain()
-    near, far = taken
-    assert near == 32
-    assert far < 32

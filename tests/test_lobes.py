@@ -42,26 +42,25 @@ def test_exact_from_tangent_agrees_with_exact_from_cosine():
         )
 
 
-# In percent of the peak over 0 to 90 degrees for m = 0.1 to 0.6, as the headers of the shader files
-# state them.
-STATED_ERRORS = {
-    (4, "cosine"): [0.28, 1.26, 3.42, 8.00, 17.8, 39.7],
-    (4, "d4"): [6.96, 5.54, 2.46, 4.18, 17.8, 45.4],
-    (4, "d8"): [3.11, 1.68, 1.43, 7.79, 20.9, 46.9],
-    (4, "d16"): [1.31, 0.13, 3.21, 9.50, 22.3, 47.6],
-    (0, "cosine"): [0.27, 1.07, 2.37, 4.11, 6.25, 8.70],
-    (0, "d4"): [6.98, 5.78, 3.79, 1.12, 2.55, 6.64],
-    (0, "d8"): [3.13, 1.92, 0.12, 2.83, 6.25, 10.25],
-    (0, "d16"): [1.32, 0.12, 1.88, 4.60, 7.99, 11.9],
-}
+# Of the approximations whose errors the registry states by slope.
+STATED = [
+    (k, name)
+    for name, lobe in lobes.LOBES.items()
+    for k, errors in (lobe.errors or {}).items()
+    if len(errors) == 6
+]
 
 
-@pytest.mark.parametrize(("k", "name"), STATED_ERRORS)
+@pytest.mark.parametrize(("k", "name"), STATED)
 def test_stated_errors_of_the_approximations(k, name):
+    """In percent of the peak over 0 to 90 degrees for m = 0.1 to 0.6, as the headers of the shader
+    files state them."""
+    assert len(STATED) == 8
     c = np.cos(np.linspace(0.0, np.pi / 2, 20001)).clip(0.0, 1.0)
-    for m, stated in zip((0.1, 0.2, 0.3, 0.4, 0.5, 0.6), STATED_ERRORS[k, name], strict=True):
+    stated = lobes.LOBES[name].errors[k]
+    for m, most in zip((0.1, 0.2, 0.3, 0.4, 0.5, 0.6), stated, strict=True):
         error = 100.0 * np.abs(lobes.lobe(name, c, m, k) - lobes.exact(c, m, k)).max()
-        assert error == pytest.approx(stated, rel=0.005, abs=0.005), m
+        assert error == pytest.approx(most, rel=0.005, abs=0.005), m
 
 
 @given(
@@ -78,11 +77,9 @@ def test_every_lobe_rises_with_the_cosine_from_zero_to_one(name, k, m, c):
     assert values[-1] == 1.0
 
 
-@pytest.mark.parametrize(
-    ("k", "name", "stated"),
-    [(4, "fitted", 0.19), (0, "fitted", 0.13), (4, "fitted-fine", 0.04), (0, "fitted-fine", 0.04)],
-)
-def test_fitted_lobes_keep_their_bound_between_the_points_of_the_fit(k, name, stated):
+@pytest.mark.parametrize(("name", "k"), lobes.FITTED)
+def test_fitted_lobes_keep_their_bound_between_the_points_of_the_fit(name, k):
+    (stated,) = lobes.LOBES[name].errors[k]
     # 20 times as many slopes and angles as the fit had, in % of the peak
     end = lobes.max_slope(name, k)
     for m in [1e-4, 1e-3, *np.linspace(0.01, end, 720)]:

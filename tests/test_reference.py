@@ -15,9 +15,12 @@ from PIL import Image
 import facerender as fr
 from facerender.drawing import reference
 from facerender.drawing.context import Backend
+from facerender.drawing.passes.shade import shade_pass
+from facerender.drawing.program import Program
 from facerender.drawing.resolve import resolve
 from facerender.lobes import GPower
 from facerender.scenes.environment import studio
+from facerender.scenes.view import view_of
 
 
 def told(shading: fr.Shading) -> str:
@@ -87,6 +90,12 @@ def compared(
     np.testing.assert_array_equal(shadowed == 1.0, [not light.shadow for light in scene.lights])
     expected = reference.shade(gbuffer, scene, shading)[covered]
     return gbuffer, expected, np.abs(linear[covered][:, :3] - expected) / expected.clip(0.01)
+
+
+def programs_of(scene: fr.Scene, shading: fr.Shading) -> list[Program]:
+    """What the renderer would compile."""
+    drawn = shade_pass(resolve(scene, shading), view_of(scene, 1.0), 1)
+    return [draw.program for draw in drawn.draws]
 
 
 @pytest.fixture(scope="module")
@@ -282,3 +291,57 @@ def test_every_term_of_an_image(floats, head, case, deferred, monkeypatch):
     assert np.abs(other - expected).mean() > case.least
     assert np.abs(other - expected).max() > case.largest
     assert (other - expected).min() > case.darkest
+
+
+# --- plans that may leave a term out -------------------------------------------------------------
+
+
+def lone(mesh: fr.Mesh) -> fr.Scene:
+    """Two lobes under one light from the side."""
+    mesh = mesh.with_material(normal_map=None, m=0.3, second_slope=1.7, lobe_weight=0.85)
+    return fr.Scene(mesh, fr.Camera(-35.0), fr.Scene(mesh).lights[1:2], ambient=0.0)
+
+
+def dim(mesh: fr.Mesh) -> fr.Scene:
+    mesh = mesh.with_material(normal_map=None, m=0.3, albedo_map=None, kd=0.1)
+    return fr.Scene(mesh, lights=fr.Scene(mesh).lights[:1], ambient=0.0)
+
+
+def surrounded(mesh: fr.Mesh) -> fr.Scene:
+    scene = around(mesh, m=0.3, normal_map=None)
+    return replace(scene, lights=(), environment=fr.Environment(studio()), background=(0.0,) * 3)
+
+
+@pytest.mark.parametrize(
+    ("scene_of", "full", "budgets", "values", "told"),
+    [
+        (lone, {}, ("1/255", "6/255"), {"two_lobes": (True, False)},
+         ("two, constant 0.3: one, constant", "one, constant 0.3")),
+        (dim, {"diffuse": "coupled"}, ("0.5/255", "20/255"),
+         {"diffuse": ("coupled", "lambert")}, ("", "lambert instead of coupled")),
+        (surrounded, {}, ("0.5/255", "16/255"), {"environment": (True, True)},
+         ("samples", "samples")),
+    ],
+)  # fmt: skip
+def test_plans_are_sound(head, scene_of, full, budgets, values, told):
+    scene, exact = scene_of(head), fr.Shading(**full)
+    with fr.Renderer((48, 48) if scene_of is dim else (64, 64), samples=1) as renderer:
+        plans = [
+            fr.plan(scene, budget, full=exact, renderer=renderer, cost="navi21")
+            for budget in budgets
+        ]
+        whole = renderer.render(scene, exact).linear[..., :3].astype(float)
+        for plan in plans:
+            drawn = renderer.render(scene, plan.shading).linear[..., :3].astype(float)
+            assert plan.budget.errors(drawn, whole).max() <= plan.budget.limit
+            assert plan.cost.total < plan.cost.full_total or scene_of is not lone
+    for name, wanted in values.items():
+        assert tuple(getattr(plan.shading, name) for plan in plans) == wanted
+    assert all(words in plan.explain() for words, plan in zip(told, plans, strict=True))
+    near, far = plans
+    assert fr.Shading.from_dict(json.loads(json.dumps(far.shading.as_dict()))) == far.shading
+    if scene_of is lone:
+        assert 0.3 < far.shading.term.m < 0.51
+        assert "fr_cook_torrance_two_terms(" in near.shader() or near.shading.term.model == "ward"
+    if scene_of is surrounded:
+        assert near.shading.environment_samples == 32 > far.shading.environment_samples

@@ -25,7 +25,6 @@ from facerender.comparison.compare import compare
 from facerender.drawing import reference
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.gl_state import CAPABILITIES, STATE
-from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.prepare import simplify
 from facerender.drawing.program import Program
 from facerender.drawing.resolve import LightGroup, resolve
@@ -35,11 +34,10 @@ from facerender.images.read import read_image
 from facerender.lobes import GPower
 from facerender.measure.error import block_error, point_error
 from facerender.scenes import mips
-from facerender.scenes.view import view_of
 from facerender.terms import MODELS, Model
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing, require_backend
-from tests.test_reference import SIDE, compared, lit, mixed
+from tests.test_reference import SIDE, compared, lit, mixed, programs_of
 
 
 @pytest.fixture(scope="module")
@@ -59,12 +57,6 @@ def test_layers_are_the_specular_terms_of_the_lights(renderer, head, light):
     ):
         linear = renderer.render(scene, shading, only).linear[..., :3]
         np.testing.assert_allclose(linear, expected, rtol=1e-4, atol=1e-6)
-
-
-def programs_of(scene: fr.Scene, shading: fr.Shading) -> list[Program]:
-    """What the renderer would compile."""
-    drawn = shade_pass(resolve(scene, shading), view_of(scene, 1.0), 1)
-    return [draw.program for draw in drawn.draws]
 
 
 def test_what_a_shading_leaves_out_is_not_compiled(head):

@@ -11,14 +11,12 @@ from PIL import Image
 import facerender as fr
 from benchmarks.prices import amd
 from facerender import InputError, brdf
-from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.resolve import resolve
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import load_prices
 from facerender.scenes.texture import Texture
-from facerender.scenes.view import view_of
 from tests.conftest import missing
-from tests.test_reference import SWEAT, ramp
+from tests.test_reference import SWEAT, programs_of, ramp
 
 SKIN = {"second_slope": 1.7, "lobe_weight": 0.85}
 
@@ -30,9 +28,7 @@ def grey(level: int) -> Texture:
 @pytest.mark.parametrize("off", [{"second_slope": 0.5}, {"lobe_weight": 0.5}])
 def test_off_is_the_program_of_one_lobe(renderer, head, off):
     def programs(mesh):
-        scene = fr.Scene(mesh)
-        drawn = shade_pass(resolve(scene, fr.Shading()), view_of(scene, 1.0), 1)
-        return [draw.program.sources("330 core") for draw in drawn.draws]
+        return programs_of(fr.Scene(mesh), fr.Shading())
 
     plain = programs(head)
     assert programs(head.with_material(**off, lobe_map=ramp())) == plain
@@ -118,30 +114,6 @@ def test_job_scene_file_and_command_line(tmp_path, head):
     scene = tmp_path / "scene.toml"
     scene.write_text("[material]\nsecond_slope = 0.4\n[shading]\ntwo_lobes = false\n")
     assert fr.load_scene(scene)["material"] == {"second_slope": 0.4}
-
-
-def test_a_plan_of_two_lobes_is_sound_and_may_take_one(head):
-    mesh = head.with_material(normal_map=None, m=0.3, **SKIN)
-    scene = fr.Scene(mesh, fr.Camera(-35.0), fr.Scene(mesh).lights[1:2], ambient=0.0)
-    with fr.Renderer((64, 64), samples=1) as renderer:
-        plans = [
-            fr.plan(scene, budget, renderer=renderer, cost="navi21")
-            for budget in ("1/255", "6/255")
-        ]
-        full = renderer.render(scene).linear[..., :3]
-        for plan in plans:
-            drawn = renderer.render(scene, plan.shading).linear[..., :3]
-            error = plan.budget.errors(drawn.astype(float), full.astype(float))
-            assert error.max() <= plan.budget.limit
-            assert plan.cost.total < plan.cost.full_total
-    near, far = plans
-    assert near.shading.two_lobes
-    assert not far.shading.two_lobes
-    assert 0.3 < far.shading.term.m < 0.51
-    assert "two, constant 0.3: one, constant" in near.explain()
-    assert "one, constant 0.3" in far.explain()
-    assert "fr_cook_torrance_two_terms(" in near.shader() or near.shading.term.model == "ward"
-    assert fr.Shading.from_dict(json.loads(json.dumps(far.shading.as_dict()))) == far.shading
 
 
 def test_a_second_lobe_has_its_price(head):

@@ -15,8 +15,7 @@ from facerender.loading.gltf_document import chunks, damaged, document_of
 from facerender.loading.gltf_features import EXTENSIONS, not_understood
 from facerender.loading.gltf_material import Materials, TextureTransform
 from facerender.loading.gltf_nodes import scene_nodes, transform
-from facerender.loading.gltf_primitive import Primitive, has_triangles, unit_colors
-from facerender.loading.gltf_skin import skinned
+from facerender.loading.gltf_primitive import Primitive, has_triangles, skinned, unit_colors
 from facerender.loading.looks import Look
 from facerender.loading.references import References
 from facerender.scenes.material import MAPS, Material

@@ -1,4 +1,4 @@
-"""Primitives of glTF files: their triangles, and the attributes of the vertices of these."""
+"""Primitives of glTF files: their triangles, and the attributes of the vertices of these; skins."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from facerender.loading.gltf_material import TextureTransform
 
 _TRIANGLES, _FAN = 4, 6  # modes; 5 are strips
 _DRACO = "KHR_draco_mesh_compression"
+_AT_ONCE = 1 << 16  # vertices at a time, of which each has a matrix
+
+Float = NDArray[np.float64]
 
 
 def has_triangles(properties: Doc) -> bool:
@@ -152,3 +155,45 @@ def unit_colors(colors: NDArray[Any]) -> NDArray[np.float64]:
     if colors.dtype.kind != "f":  # not said to be normalised, and meant so
         colors = colors / np.iinfo(colors.dtype).max
     return np.clip(np.nan_to_num(colors[:, :3].astype(np.float64)), 0.0, 1.0)
+
+
+def skinned(
+    positions: NDArray[Any],
+    normals: NDArray[Any] | None,
+    joints: NDArray[Any],
+    weights: NDArray[Any],
+    matrices: Float,
+) -> tuple[Float, Float | None, bool]:
+    """Return vertices where the joints put them, their normals, and whether they are mirrored.
+
+    Parameters
+    ----------
+    joints, weights : (N, K): of K joints the number, and the weight
+    matrices : (J, 4, 4), for columns: from the mesh's space by the inverse bind matrix and the
+        joint into the scene
+
+    Raises
+    ------
+    ValueError : joints that are not there
+    """
+    if joints.size and joints.max() >= len(matrices):
+        raise ValueError(f"joint {joints.max()} of {len(matrices)}")
+    fractions = np.maximum(np.nan_to_num(weights.astype(np.float64)), 0.0)
+    total = fractions.sum(axis=1, keepdims=True)
+    fractions = np.where(total > 0.0, fractions / np.where(total > 0.0, total, 1.0), 0.0)
+    fractions[:, 0] += total[:, 0] <= 0.0  # of no joint: the first
+    moved = np.empty((len(positions), 3))
+    turned = None if normals is None else np.empty((len(positions), 3))
+    mirrored = 0
+    for start in range(0, len(positions), _AT_ONCE):
+        rows = slice(start, start + _AT_ONCE)
+        blend = np.einsum("nk,nkij->nij", fractions[rows], matrices[joints[rows]])
+        linear = blend[:, :3, :3]
+        moved[rows] = np.einsum("nij,nj->ni", linear, positions[rows]) + blend[:, :3, 3]
+        x, y, z = linear[:, 0], linear[:, 1], linear[:, 2]
+        cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=1)
+        sign = np.sign((x * cofactors[:, 0]).sum(axis=1))
+        mirrored += int((sign < 0.0).sum())
+        if turned is not None and normals is not None:
+            turned[rows] = np.einsum("nij,nj->ni", cofactors, normals[rows]) * sign[:, None]
+    return moved, turned, 2 * mirrored > len(positions)

@@ -79,6 +79,7 @@ def check_faces(metadata: Mapping[str, Any]) -> None:
     ValueError : they have other numbers of corners than the first has, or their texture coordinates
         were taken from vertices that are not there
     """
+    # Private to trimesh, which keeps the faces of the file nowhere else once it has cut polygons.
     elements = metadata.get("_ply_raw", {})
     faces = elements.get("face", {}).get("data")
     if isinstance(faces, np.ndarray) and faces.dtype.names:

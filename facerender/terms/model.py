@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,25 +29,6 @@ K_COOK_TORRANCE = 4
 K_WARD = 0
 
 
-class Float64Model(Protocol):
-    """A specular term in 1/sr at vectors n, l, v, slopes m and a reflectance f0; a model without a
-    Fresnel or masking term leaves those names out of account."""
-
-    def __call__(
-        self,
-        n: ArrayLike,
-        l: ArrayLike,
-        v: ArrayLike,
-        m: ArrayLike,
-        f0: float,
-        /,
-        *,
-        lobe: AnyLobe,
-        fresnel_term: str,
-        masking_term: str,
-    ) -> Float: ...
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Model(Entry):
     """A model; its call is of vec3 n, l, v, float f0, of ``{m}``, the slope, and of ``{lobe}``,
@@ -58,7 +38,9 @@ class Model(Entry):
     ----------
     title : as texts write it
     k : power of 1/cos γ in its lobe
-    evaluate : the same in float64; checks its domain
+    evaluate : in float64, of n, l, v, m and ``lobe``; with ``factors`` of f0 behind m, of
+        ``fresnel_term`` and ``masking_term`` too, and else without the f0 of the call; checks its
+        domain
     factors : whether it has a Fresnel and a masking term
     family : models of one stand for each other in a plan; they agree where normal, light and eye
         coincide
@@ -72,7 +54,7 @@ class Model(Entry):
 
     title: str
     k: int
-    evaluate: Float64Model
+    evaluate: Callable[..., Float]
     factors: bool = False
     family: str
     printed: str = ""
@@ -236,27 +218,6 @@ def ward_printed(
     return np.where(at.above, value, 0.0)
 
 
-def _without_factors(brdf: Callable[..., Float]) -> Float64Model:
-    """Give a BRDF without a Fresnel term the reflectance f0, so that all models agree where normal,
-    light and eye coincide."""
-
-    def evaluate(
-        n: ArrayLike,
-        l: ArrayLike,
-        v: ArrayLike,
-        m: ArrayLike,
-        f0: float,
-        /,
-        *,
-        lobe: AnyLobe,
-        fresnel_term: str,
-        masking_term: str,
-    ) -> Float:
-        return f0 * brdf(n, l, v, m, lobe=lobe)
-
-    return evaluate
-
-
 MODELS: dict[str, Model] = registry(
     Model(
         name="cook-torrance",
@@ -287,7 +248,7 @@ MODELS: dict[str, Model] = registry(
         file="ward",
         call="f0 * fr_ward_terms(n, l, v, {m}, {lobe})",
         k=K_WARD,
-        evaluate=_without_factors(ward),
+        evaluate=ward,
         family="physical",
         printed="fr_printed_ward(n, l, v, m)",
         environment=Entry(
@@ -302,7 +263,7 @@ MODELS: dict[str, Model] = registry(
         file="ward_printed",
         call="f0 * fr_ward_printed_terms(n, l, v, {m}, {lobe})",
         k=K_WARD,
-        evaluate=_without_factors(ward_printed),
+        evaluate=ward_printed,
         family="printed",
     ),
 )

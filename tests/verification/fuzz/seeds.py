@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -64,16 +63,12 @@ def meshes() -> Iterator[tuple[str, Mapping[str, bytes]]]:
             *(f"3 {a} {b} {c}" for a, b, c in head.faces),
         ]
     )
-    ascii_stl = "\n".join(
-        ["solid head"]
-        + [
-            "facet normal 0 0 1\nouter loop\n"
-            + "\n".join("vertex {} {} {}".format(*corner) for corner in triangle)
-            + "\nendloop\nendfacet"
-            for triangle in head.positions[head.faces]
-        ]
-        + ["endsolid head"]
+    facet = "facet normal 0 0 1\nouter loop\n{}\nendloop\nendfacet"
+    facets = (
+        facet.format("\n".join("vertex {} {} {}".format(*corner) for corner in triangle))
+        for triangle in head.positions[head.faces]
     )
+    ascii_stl = "\n".join(["solid head", *facets, "endsolid head"])
     turned: list[dict[str, Any]] = [
         {"children": [1]},
         {"translation": [0.1, 0, 0], "rotation": files.Z_UP},
@@ -85,24 +80,21 @@ def meshes() -> Iterator[tuple[str, Mapping[str, bytes]]]:
         document["scenes"][0]["nodes"] = [0]
         path.write_bytes(files.join_glb(document, binary))
 
-    yield "a.glb", _written(lambda path: files.write_glb(path, head), "a.glb")
+    def by(write: Callable[..., Any], name: str, **options: Any) -> tuple[str, dict[str, bytes]]:
+        return name, _written(lambda path: write(path, head, **options), name)
+
+    yield by(files.write_glb, "a.glb")
     yield "a.glb", _written(tree, "a.glb")
-    yield "a.glb", _written(lambda path: files.write_glb(path, head, normals=False), "a.glb")
-    yield "a.glb", _written(lambda path: files.write_draco(path, head), "a.glb")
+    yield by(files.write_glb, "a.glb", normals=False)
+    yield by(files.write_draco, "a.glb")
     yield "a.glb", {"a.glb": featured(head)}
-    yield "a.gltf", _written(lambda path: files.write_gltf(path, head), "a.gltf")
-    yield "a.obj", _written(lambda path: files.write_textured_obj(path, head), "a.obj")
-    yield (
-        "a.obj",
-        _written(lambda path: files.write_obj(path, head, uv=False, colors=colors), "a.obj"),
-    )
-    yield (
-        "a.obj",
-        _written(lambda path: files.write_textured_obj(path, head), "a.obj") | {"a.mtl": MTL},
-    )
-    yield "a.ply", _written(lambda path: files.write_ply(path, head), "a.ply")
+    yield by(files.write_gltf, "a.gltf")
+    yield by(files.write_textured_obj, "a.obj")
+    yield by(files.write_obj, "a.obj", uv=False, colors=colors)
+    yield "a.obj", by(files.write_textured_obj, "a.obj")[1] | {"a.mtl": MTL}
+    yield by(files.write_ply, "a.ply")
     yield "a.ply", {"a.ply": ascii_ply.encode()}
-    yield "a.stl", _written(lambda path: files.write_stl(path, head), "a.stl")
+    yield by(files.write_stl, "a.stl")
     yield "a.stl", {"a.stl": ascii_stl.encode()}
 
 
@@ -175,21 +167,14 @@ def images() -> Iterator[tuple[str, bytes]]:
     yield "a.tif", _image(texels, "TIFF")
     yield "a.tga", _image(texels, "TGA")
     yield "a.bmp", _image(texels[..., :3], "BMP")
-    yield "a.exr", _written(lambda path: save_exr(path, linear, {}), "a.exr")["a.exr"]
+    yield from _written(lambda path: save_exr(path, linear, {}), "a.exr").items()
     yield "a.hdr", _hdr()
-    for array, name in ((linear, "a.npy"), (texels, "a.npy")):
-        yield name, _written(partial(_save, array), name)[name]
-    yield (
-        "a.npz",
-        _written(lambda path: np.savez_compressed(path, linear=linear), "a.npz")["a.npz"],
-    )
+    yield from _written(lambda path: np.save(path, linear), "a.npy").items()
+    yield from _written(lambda path: np.save(path, texels), "a.npy").items()
+    yield from _written(lambda path: np.savez_compressed(path, linear=linear), "a.npz").items()
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     yield "a.jpg", _image(texels[..., :3], "JPEG", icc_profile=profile)
     yield "a.png", _image(texels, "PNG", icc_profile=profile)
-
-
-def _save(array: np.ndarray[Any, Any], path: Path) -> None:
-    np.save(path, array)
 
 
 def _hdr() -> bytes:
@@ -241,17 +226,14 @@ def cameras(mesh: Mesh) -> Iterator[tuple[str, bytes]]:
     table = {"K": k, "Rt": pose.tolist(), "width": 24, "height": 24}
     apart = {"name": "b", "K": k, "R": turn.tolist(), "t": pose[:, 3].tolist(), "size": [24, 24]}
     yield "a.json", json.dumps([table, apart, {"azimuth": 10, "frame": "head"}]).encode()
-    yield from _written(partial(_save_poses, k=k, poses=np.stack([pose, pose])), "a.npz").items()
+    poses: dict[str, Any] = {"K": k, "Rt": np.stack([pose, pose]), "size": (24, 24)}
+    yield from _written(lambda path: np.savez(path, **poses), "a.npz").items()
     glb = _written(lambda path: files.write_glb(path, octahedron()), "a.glb")["a.glb"]
     document, binary = files.split_glb(glb)
     document["cameras"] = [{"type": "perspective", "perspective": {"yfov": 0.5, "znear": 0.1}}]
     document["nodes"].append({"name": "eye", "camera": 0, "translation": eye.tolist()})
     document["scenes"][0]["nodes"].append(len(document["nodes"]) - 1)
     yield "a.glb", files.join_glb(document, binary)
-
-
-def _save_poses(path: Path, k: Any, poses: np.ndarray[Any, Any]) -> None:
-    np.savez(path, K=k, Rt=poses, size=(24, 24))
 
 
 def options() -> Iterator[Sequence[str]]:
