@@ -160,15 +160,8 @@ _SETTINGS = (
         environment=True,
     ),
     Setting(
-        *(
-            "mini-above",
-            "report",
-            "mini",
-            512,
-            1,
-            fr.Camera(25.0, 36.0),
-            (fr.Light(5.0, 12.0, 2.0), fr.Light(-140.0, 30.0, 2.2)),
-        ),
+        *("mini-above", "report", "mini", 512, 1, fr.Camera(25.0, 36.0)),
+        lights=(fr.Light(5.0, 12.0, 2.0), fr.Light(-140.0, 30.0, 2.2)),
         material={"m": 0.5},
         background=None,
     ),
