@@ -70,12 +70,12 @@ class MeshFile:
 
     def load(self, cache: bool = False) -> Mesh:
         """Read the files; errors and warnings as of the functions named above."""
-        return self._made(load_mesh(**self._files, cache=cache), cache)
+        return self._prepared(load_mesh(**self._files, cache=cache), cache)
 
     def cached(self) -> Mesh | None:
         """Return the mesh if it is in the cache; warnings as of :meth:`load`."""
         mesh = cached_mesh(**self._files)
-        return None if mesh is None else self._made(mesh, True)
+        return None if mesh is None else self._prepared(mesh, True)
 
     @property
     def _files(self) -> dict[str, Any]:
@@ -83,7 +83,7 @@ class MeshFile:
         files = {name: value for name, value in asdict(self).items() if name not in others}
         return {"source": self.path, **files}
 
-    def _made(self, mesh: Mesh, cache: bool) -> Mesh:
+    def _prepared(self, mesh: Mesh, cache: bool) -> Mesh:
         mesh = mesh.select(self.parts or (), self.hide or ())
         if self.occlusion:
             from facerender.scenes.occlusion import with_occlusion
@@ -245,17 +245,17 @@ class Job:
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, for JSON or TOML; see :meth:`from_dict`."""
         return {
-            "mesh": _told(self.mesh),
+            "mesh": _plain(self.mesh),
             "material": dict(self.material),
-            "camera": _told(self.camera),
-            "lights": [_told(light) for light in self.lights],
-            **({"environment": _told(self.environment)} if self.environment else {}),
+            "camera": _plain(self.camera),
+            "lights": [_plain(light) for light in self.lights],
+            **({"environment": _plain(self.environment)} if self.environment else {}),
             "ambient": self.ambient,
             "background": "none" if self.background is None else self.background,
             "shading": self.shading.as_dict(),
-            **({"planned": _told(self.planned)} if self.planned else {}),
-            "image": _told(self.image),
-            "outputs": [_told(output) for output in self.outputs],
+            **({"planned": _plain(self.planned)} if self.planned else {}),
+            "image": _plain(self.image),
+            "outputs": [_plain(output) for output in self.outputs],
         }
 
     @classmethod
@@ -305,5 +305,5 @@ class Job:
         return toml_text(blocks)
 
 
-def _told(value: Any) -> dict[str, Any]:
+def _plain(value: Any) -> dict[str, Any]:
     return {name: each for name, each in asdict(value).items() if each is not None}

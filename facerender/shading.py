@@ -216,8 +216,8 @@ class Shading:
         values = {name: value for name, value in locals().items() if name in _FIELDS}
         check_type("term", term, Term, "a Term")
         words = (model, lobe, fresnel, masking, m, small_slope)
-        given = zip(_TERM_FIELDS, words, strict=True)
-        own: dict[str, Any] = {name: word for name, word in given if word is not _OF_TERM}
+        pairs = zip(_TERM_FIELDS, words, strict=True)
+        own: dict[str, Any] = {name: word for name, word in pairs if word is not _OF_TERM}
         values["term"] = term = replace(term, **own) if own else term
         changes = _by_light(lights)
         if frontal_lights is not None:
@@ -297,7 +297,7 @@ class Shading:
 
     def as_dict(self) -> dict[str, Any]:
         """Return what is not the default, as TOML and JSON hold it."""
-        own = {str(light): _told(_without(FRONTAL, changes)) for light, changes in self.lights}
+        own = {str(light): _plain(_without(FRONTAL, changes)) for light, changes in self.lights}
         values = asdict(self.term) | {
             **{name: getattr(self, name) for name in _FIELDS},
             "frontal_lights": list(self.frontal_lights),
@@ -365,28 +365,28 @@ def _indices(name: str, lights: Any) -> tuple[int, ...]:
     return tuple(indices)
 
 
-def _by_light(given: Any) -> dict[int, Changes]:
+def _by_light(table: Any) -> dict[int, Changes]:
     remedy = 'give what is different by index, such as {1: {"lobe": "d16"}}'
     try:
         return {
             index(light): _changes(dict(changes))
-            for light, changes in dict(given).items()
+            for light, changes in dict(table).items()
             if not isinstance(light, bool)
         }
     except (TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"lights = {shown(given)} of the shading: {remedy}") from None
+        raise InputError(f"lights = {shown(table)} of the shading: {remedy}") from None
 
 
-def _changes(given: Mapping[str, Any]) -> Changes:
-    if unknown := sorted(set(given) - set(_TERM_FIELDS)):
+def _changes(table: Mapping[str, Any]) -> Changes:
+    if unknown := sorted(set(table) - set(_TERM_FIELDS)):
         known = ", ".join(_TERM_FIELDS)
         raise InputError(f"unknown key {shown(unknown[0])} in the term of a light; known: {known}")
-    for name, value in given.items():
+    for name, value in table.items():
         if value is None:
             raise InputError(f"{name} = None in the term of a light: give a value")
-    return tuple((name, given[name]) for name in _TERM_FIELDS if name in given)
+    return tuple((name, table[name]) for name in _TERM_FIELDS if name in table)
 
 
 def _is_frontal(changes: Changes) -> bool:
@@ -399,26 +399,26 @@ def _without(some: Changes, changes: Changes) -> Changes:
     return tuple(each for each in changes if each not in some) if whole else changes
 
 
-def _told(changes: Changes) -> dict[str, Any]:
+def _plain(changes: Changes) -> dict[str, Any]:
     return {name: asdict(value) if isinstance(value, GPower) else value for name, value in changes}
 
 
-def _lobe(given: Any) -> Any:
-    if not isinstance(given, Mapping):
-        return given
+def _lobe(table: Any) -> Any:
+    if not isinstance(table, Mapping):
+        return table
     try:
-        return GPower(**given)
+        return GPower(**table)
     except TypeError:
-        raise InputError(f"lobe = {shown(given)}: give a name, or g, factor, offset") from None
+        raise InputError(f"lobe = {shown(table)}: give a name, or g, factor, offset") from None
 
 
-def _lights(given: Any) -> dict[int, Mapping[str, Any]]:
+def _lights(table: Any) -> dict[int, Mapping[str, Any]]:
     """Read a table of changes by index, which TOML and JSON have as text."""
     remedy = 'give a table such as { 1 = { lobe = "d16" } }'
-    if not isinstance(given, Mapping) or not all(_INDEX.fullmatch(str(light)) for light in given):
-        raise InputError(f"lights = {shown(given)} of the shading: {remedy}")
+    if not isinstance(table, Mapping) or not all(_INDEX.fullmatch(str(light)) for light in table):
+        raise InputError(f"lights = {shown(table)} of the shading: {remedy}")
     lights: dict[int, Mapping[str, Any]] = {}
-    for light, changes in given.items():
+    for light, changes in table.items():
         if not isinstance(changes, Mapping):
             raise InputError(f"lights.{light} = {shown(changes)} of the shading: {remedy}")
         own = {"lobe": _lobe(changes["lobe"])} if "lobe" in changes else {}

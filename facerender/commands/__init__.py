@@ -91,8 +91,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.simplefilter("always", FacerenderWarning)
         warnings.showwarning = _warning_printer(caught)
         try:
-            given = sys.argv[1:] if arguments is None else arguments
-            options = parser_of(given).parse_args(given)
+            words = sys.argv[1:] if arguments is None else arguments
+            options = parser_of(words).parse_args(words)
             options.warnings = caught
             command: Callable[[argparse.Namespace], int] = options.command
             return command(options)

@@ -108,11 +108,11 @@ def run(options: argparse.Namespace) -> int:
     with Renderer.of(job, options.backend, options.memory) as renderer:
         step(f"image, by {renderer.context.renderer}")
         if options.budget is not None:
-            from facerender.planning.cache import planned
+            from facerender.planning.cache import cached_plan
 
             within = options.within or 1.0
             asked = scene, options.budget, job.shading, options.exposure, within, renderer
-            plan = planned(*asked, cache=not options.no_cache)
+            plan = cached_plan(*asked, cache=not options.no_cache)
             shading, detail = Shading.from_dict(plan["shading"]), LevelOfDetail(**plan["detail"])
         else:
             shading, detail = job.shading, job.detail(renderer.samples, options.scene)

@@ -125,5 +125,5 @@ class Budget:
 def highest_but(errors: Float, spared: int) -> float:
     """Return the largest error beside those of so many pixels that err most; 0 without pixels. What
     is no number counts as the largest."""
-    kept = errors.size - spared
-    return float(np.partition(errors, kept - 1, axis=None)[kept - 1]) if kept > 0 else 0.0
+    counted = errors.size - spared
+    return float(np.partition(errors, counted - 1, axis=None)[counted - 1]) if counted > 0 else 0.0

@@ -1,5 +1,4 @@
-"""Plans that were made before, kept by everything that they depend on: mesh, maps, lights, camera,
-budget, prices."""
+"""The cache of plans: each by its mesh, maps, lights, camera, budget and prices."""
 
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ from facerender.system import cache as disk_cache
 from facerender.system.files import digest_of
 
 
-def planned(
+def cached_plan(
     scene: Scene,
     budget: str | float,
     full: Shading,
@@ -33,18 +32,18 @@ def planned(
     renderer: Renderer,
     cache: bool = True,
 ) -> dict[str, Any]:
-    """Return a plan as :meth:`facerender.Plan.as_dict` has it: the one that was kept, or one
-    that is made now and, with a cache, kept. Other parameters and errors as in
+    """Return a plan as :meth:`facerender.Plan.as_dict` has it: the one in the cache, or one
+    that is made now and, with a cache, stored there. Other parameters and errors as in
     :func:`facerender.plan`."""
     allowed = Budget.parse(budget, exposure, within)
     name = _digest(scene, allowed, full, renderer) if cache else ""
     with suppress(ValueError, KeyError, TypeError):  # of another form
         if cache and (content := disk_cache.read("plans", name)) is not None:
-            kept: dict[str, Any] = json.loads(bytes(content))
-            Shading.from_dict(kept["shading"]).check_lights(len(scene.lights))
-            LevelOfDetail(**kept["detail"])
-            if isinstance(kept["text"], str):
-                return kept
+            cached: dict[str, Any] = json.loads(bytes(content))
+            Shading.from_dict(cached["shading"]).check_lights(len(scene.lights))
+            LevelOfDetail(**cached["detail"])
+            if isinstance(cached["text"], str):
+                return cached
     made = plan(scene, budget, full=full, exposure=exposure, within=within, renderer=renderer)
     facts = made.as_dict()
     if cache:

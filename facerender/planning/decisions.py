@@ -71,9 +71,9 @@ def decisions(
         if name in made:
             yield _changed(choice, shading, name, made[name], error)
         elif any(name in names for names in made.values()):
-            continue  # told with another
-        elif (kept := _unchanged(choice, shading, name, otherwise)) is not None:
-            yield kept
+            continue  # part of another decision
+        elif (unchanged := _unchanged(choice, shading, name, otherwise)) is not None:
+            yield unchanged
 
 
 def details(choice: Choice, drawn: DrawnViews) -> Iterator[Decision]:
@@ -195,7 +195,7 @@ def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:
         "masking": f"masking {term.masking}",
         "small slopes": "small slopes " + ("plain" if term.small_slope is False else "exact"),
     }
-    told = names if term.entry.factors or "model" not in names else names[:2]
+    shown = names if term.entry.factors or "model" not in names else names[:2]
     if len(names) == 1:
         return words[names[0]].removeprefix(names[0]).strip()
-    return ", ".join(words[name] for name in told if name not in ("small slopes", "frontal"))
+    return ", ".join(words[name] for name in shown if name not in ("small slopes", "frontal"))

@@ -218,15 +218,15 @@ class Region:
         budget: Budget,
         spared: int,
         *,
-        kept: int = 1,
+        most_known: int = 1,
         scattered: Callable[[Shading], Float] | None = None,
     ) -> None:
         """mapped and plain have normals with and without the normal map; of the pixels that are
         counted errors are told, but of so many spared as the whole image has; of the terms that
-        were evaluated so many are kept, those of the full shading first. scattered gives how
+        were evaluated most_known are kept, those of the full shading first. scattered gives how
         scattering changes the pixels, which depends on others; None where nothing scatters."""
         self.scene, self.mapped, self.plain, self.counted = scene, mapped, plain, counted
-        self.full, self.budget, self.spared, self.kept = full, budget, spared, kept
+        self.full, self.budget, self.spared, self.most_known = full, budget, spared, most_known
         self.scattered = scattered
         self.known: dict[Shading, Layers] = {}
         self.environments: dict[Shading, Float] = {}
@@ -262,10 +262,10 @@ class Region:
             environment = self.environments[around]
         else:
             environment = environment_layer(gbuffer, self.scene, around)
-            if len(self.environments) < _ENVIRONMENTS * self.kept:
+            if len(self.environments) < _ENVIRONMENTS * self.most_known:
                 self.environments[around] = environment
         terms = layers(gbuffer, self.scene, whole, environment)
-        if len(self.known) < self.kept:
+        if len(self.known) < self.most_known:
             self.known[whole] = terms
         return terms
 
@@ -316,7 +316,7 @@ class Region:
         whole = self.scattered
         of = self.scene, mapped, plain, self.counted[index], self.full, budget, self.spared
         scattered = None if whole is None else lambda shading: whole(shading)[index]
-        return Region(*of, kept=1 + _KEPT // flat.size, scattered=scattered)
+        return Region(*of, most_known=1 + _KEPT // flat.size, scattered=scattered)
 
 
 def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:

@@ -69,9 +69,9 @@ class Panorama:
     @cached_property
     def coefficients(self) -> Float:
         """(9, 3): factors of the harmonics of a normal, whose sum is the irradiance."""
-        seen, directions, solid_angle = self._seen
+        radiance, directions, solid_angle = self._resampled
         received = np.tensordot(
-            harmonics(directions) * solid_angle[..., None], seen, ((0, 1), (0, 1))
+            harmonics(directions) * solid_angle[..., None], radiance, ((0, 1), (0, 1))
         )
         return np.array([16, 32, 32, 32, 60, 60, 5, 60, 15])[:, None] / 64.0 * received
 
@@ -94,23 +94,24 @@ class Panorama:
         return map
 
     @cached_property
-    def _seen(self) -> tuple[Float, Float, Float]:
+    def _resampled(self) -> tuple[Float, Float, Float]:
         """Radiance in at most 2 SIDE rows, with the direction and the solid angle of each value."""
         height, rows = len(self.radiance), min(len(self.radiance), 2 * SIDE)
         own, ends = (-np.cos(np.pi * np.arange(count + 1) / count) for count in (height, rows))
-        seen = _means(self.radiance, own, ends).swapaxes(0, 1)
-        seen = _means(seen, np.arange(2 * height + 1.0), np.linspace(0.0, 2 * height, 2 * rows + 1))
-        seen = seen.swapaxes(0, 1)
+        radiance = _means(self.radiance, own, ends).swapaxes(0, 1)
+        columns = np.arange(2 * height + 1.0), np.linspace(0.0, 2 * height, 2 * rows + 1)
+        radiance = _means(radiance, *columns)
+        radiance = radiance.swapaxes(0, 1)
         solid_angle = np.diff(ends)[:, None] * (np.pi / rows)
         elevation = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)[:, None]
         azimuth = np.pi * (1.0 - (np.arange(2 * rows) + 0.5) / rows)
-        return seen, _directions(elevation, azimuth), solid_angle
+        return radiance, _directions(elevation, azimuth), solid_angle
 
     def _octahedron(self) -> tuple[Float, Float]:
         """The first level (SIDE, SIDE, 3), and the solid angle of each texel."""
-        seen = np.pad(self._seen[0], ((1, 1), (0, 0), (0, 0)), "edge")
-        rows = len(seen) - 2
-        seen = np.pad(seen, ((0, 0), (1, 1), (0, 0)), "wrap")
+        radiance = np.pad(self._resampled[0], ((1, 1), (0, 0), (0, 0)), "edge")
+        rows = len(radiance) - 2
+        radiance = np.pad(radiance, ((0, 0), (1, 1), (0, 0)), "wrap")
         total, weights = np.zeros((SIDE, SIDE, 3)), np.zeros((SIDE, SIDE, 1))
         for i, j in np.ndindex(_INSIDE, _INSIDE):
             z, x = (2.0 * (np.arange(SIDE) + (k + 0.5) / _INSIDE) / SIDE - 1.0 for k in (i, j))
@@ -118,7 +119,7 @@ class Panorama:
             row = np.arccos(y) / np.pi * rows + 0.5
             column = (0.5 - np.arctan2(x, z) / (2.0 * np.pi)) * 2 * rows + 0.5
             weight = length[..., None] ** -3
-            total += weight * _between(seen, row, column)
+            total += weight * _between(radiance, row, column)
             weights += weight
         return total / weights, weights * (2.0 / (SIDE * _INSIDE)) ** 2
 

@@ -45,8 +45,8 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
     InputError : nobody has said how long a unit of the mesh is
     """
     mesh = scene.mesh
-    given = [each.scattering if each.kd > 0.0 else None for each in mesh.materials]
-    if not any(given):
+    profiles_of_parts = [each.scattering if each.kd > 0.0 else None for each in mesh.materials]
+    if not any(profiles_of_parts):
         return None
     if mesh.millimetres is None:
         raise InputError(
@@ -66,7 +66,7 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
     if camera.intrinsics is not None:
         pixels = float(view.intrinsics(size)[1, 1])
     pixel = millimetres * distance / pixels
-    wide = [wide_gaussians(each, pixel) if each else () for each in given]
+    wide = [wide_gaussians(each, pixel) if each else () for each in profiles_of_parts]
     profiles = tuple(dict.fromkeys(filter(None, wide)))
     if not profiles:
         return None
