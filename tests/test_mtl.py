@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.loading.bump import DEPTH
+from facerender.loading.mtl import DEPTH
 from facerender.scenes.material import SKIN_ALBEDO
 from tests import awkward_files as files
 from tests.awkward_files import mini_head

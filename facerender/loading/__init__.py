@@ -23,11 +23,10 @@ from facerender.scenes.repair import Piece, clean
 from facerender.scenes.sources import MeshSource
 from facerender.scenes.texture import Texture
 
+Path_ = str | os.PathLike[str]
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-Path_ = str | os.PathLike[str]
-if TYPE_CHECKING:
     Map = Path_ | Texture | NDArray[Any] | Image
 else:
     Map = Any

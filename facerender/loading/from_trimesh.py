@@ -148,18 +148,17 @@ def piece_of(
 
 def _material(source: Any, has_colors: bool, file: str, textures: dict[int, Texture]) -> Material:
     """Translate a trimesh material, of a PLY or STL file; None where there is none."""
-    if source is None:
-        return Material(albedo=(1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO)
     if hasattr(source, "baseColorFactor"):
         return _of_gltf(source, file, textures)
-    image = source.image
-    if image is not None and image.size == (2, 2) and not getattr(image, "format", None):
-        # What trimesh puts where the MTL is missing: no texture, and no colour to go by.
-        return Material(albedo=(1.0, 1.0, 1.0) if has_colors else SKIN_ALBEDO)
-    if image is None and not has_colors:
+    image = None if source is None else source.image
+    # What trimesh puts where the MTL is missing: no texture, and no colour to go by.
+    stub = image is not None and image.size == (2, 2) and not getattr(image, "format", None)
+    if image is None or stub:
+        if has_colors:
+            return Material(albedo=(1.0, 1.0, 1.0))
+        if source is None or stub:
+            return Material(albedo=SKIN_ALBEDO)
         return Material(albedo=tuple(srgb_to_linear(np.asarray(source.diffuse)[:3] / 255.0)))
-    if image is None:
-        return Material(albedo=(1.0, 1.0, 1.0))
     name = clipped(image.info.get("file_path", f"the albedo map of {file}"), 80)
     texture = textures.setdefault(id(image), Texture(lambda: image, name))
     return Material(albedo=(1.0, 1.0, 1.0), albedo_map=texture)

@@ -13,6 +13,8 @@ from typing import Any
 from facerender.errors import InputError, reason
 
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # kinds of chunks
+Doc = dict[str, Any]
+
 MOST_VALUES = 2_000_000  # of a document: each takes up to 100 bytes of memory
 MOST_ENTRIES = 1 << 17  # of one of its lists: nodes, accessors
 
@@ -220,7 +222,7 @@ def chunks(data: bytes, name: str) -> tuple[bytes, memoryview | None]:
     return bytes(found[_JSON]), found.get(_BINARY)
 
 
-def document_of(text: bytes, name: str) -> dict[str, Any]:
+def document_of(text: bytes, name: str) -> Doc:
     """Return the checked document of a glTF file: no more than the properties of the table, with
     every list of the document that is missing as an empty one.
 

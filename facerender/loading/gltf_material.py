@@ -12,10 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import clipped, warn
-from facerender.loading.gltf_buffers import Buffers, Doc
+from facerender.loading.gltf_buffers import Buffers
+from facerender.loading.gltf_document import Doc
 from facerender.loading.gltf_features import EXTENSIONS
-from facerender.loading.images import image_of, missing_image, unreadable
-from facerender.loading.looks import Look, WarnOnce, second_of
+from facerender.loading.materials import (
+    Look,
+    WarnOnce,
+    image_of,
+    missing_image,
+    second_of,
+    unreadable,
+)
 from facerender.loading.references import inline
 from facerender.scenes.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Alpha, Material
 from facerender.scenes.texture import Texture, Wrap
@@ -224,13 +231,13 @@ class Materials:
     # --- maps ------------------------------------------------------------------------------------
 
     @staticmethod
-    def _source(texture: Doc) -> int | None:
+    def _source(texture: Doc) -> Any:
         """The image of a texture that can be read."""
         others = texture.get("extensions", {})
         found = others.get("EXT_texture_webp", {}).get("source", texture.get("source"))
         for key in _INSTEAD:
             found = others.get(key, {}).get("source") if found is None else found
-        return None if found is None else int(found)
+        return found
 
     def _map(
         self, use: Doc | None, kind: str, channel: int | Literal["alpha"] | None

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-_TRANSFORMS = ("matrix", "translation", "rotation", "scale")
+from facerender.loading.gltf_document import Doc
 
-Doc = dict[str, Any]
+_TRANSFORMS = ("matrix", "translation", "rotation", "scale")
 
 
 class Node(NamedTuple):

@@ -56,7 +56,7 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
-def write_whole(path: str | os.PathLike[str], write: Callable[[str], None]) -> None:
+def write_whole(path: str | os.PathLike[str], write: Callable[[str], object]) -> None:
     """Call write with a temporary name beside path, and rename it to path when it succeeded.
 
     Raises
@@ -95,11 +95,7 @@ def remove_abandoned(folder: str | os.PathLike[str]) -> None:
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
     """Write a file, whole or not at all; errors as in :func:`write_whole`."""
-
-    def write(name: str) -> None:
-        Path(name).write_bytes(content)
-
-    write_whole(path, write)
+    write_whole(path, lambda name: Path(name).write_bytes(content))
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

@@ -1,16 +1,51 @@
-"""Images that a mesh file brings or names: opened, or said to be left out."""
+"""What the materials of glTF and of MTL files have in common: looks, and
+images, which are opened or left out with a warning."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from facerender.errors import InputError, clipped, warn
 from facerender.images.decode import open_image
 from facerender.loading.references import References
+from facerender.scenes.material import Material
 from facerender.scenes.texture import FORMATS
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+
+
+Transform = TypeVar("Transform")
+
+
+@dataclass(frozen=True)
+class Look(Generic[Transform]):
+    """A material, and what transforms the texture coordinates of its maps: of those that it names
+    as ``second_uv`` the second, of the others the first."""
+
+    material: Material
+    first: Transform
+    second: Transform | None = None
+
+
+def second_of(transforms: Iterable[Transform], first: Transform) -> Transform | None:
+    """Return the first of these that is another than ``first``."""
+    return next((each for each in transforms if each != first), None)
+
+
+class WarnOnce:
+    """Warns of each thing once."""
+
+    def __init__(self) -> None:
+        self.warned: set[str] = set()
+
+    def __call__(self, message: str) -> None:
+        if message not in self.warned:
+            self.warned.add(message)
+            warn(message)
+
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".tga")
 
