@@ -9,9 +9,8 @@ import pytest
 
 import facerender as fr
 from facerender.drawing.passes.shadow import MOST
-from facerender.scenes.light import parse_light
+from facerender.scenes.light import light_space, parse_light
 from facerender.scenes.mesh import Part
-from facerender.scenes.shadow import light_space
 from tests.conftest import require_backend
 from tests.test_reference import key, shadows
 from tests.verification.shadows import shadow_error

@@ -9,13 +9,12 @@ from dataclasses import replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from facerender.scenes.density import levels_to_spare
 from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
 from facerender.scenes.mesh import Mesh, Part, coordinates
 from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene
 from facerender.scenes.texture import LARGE, Texture
-from facerender.scenes.view import View
+from facerender.scenes.view import View, levels_to_spare
 from facerender.shading import Shading
 
 _MOST_SIMPLIFIED = 64  # of one mesh

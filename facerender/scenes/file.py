@@ -171,11 +171,7 @@ def _changes(value: Camera | Light) -> dict[str, Any]:
 
 
 def _environment(value: Environment) -> dict[str, Any]:
-    return {
-        "file": value.panorama.name,
-        "rotation": value.rotation,
-        "scale": value.scale,
-    }
+    return {"file": value.panorama.name, "rotation": value.rotation, "scale": value.scale}
 
 
 def _shared_factors(materials: Sequence[Material]) -> dict[str, Any]:

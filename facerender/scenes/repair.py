@@ -278,10 +278,7 @@ def _weld(positions: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def _wind_consistently(
-    faces: NDArray[np.int64],
-    welded: NDArray[np.int64],
-    positions: NDArray[np.float64],
-    name: str,
+    faces: NDArray[np.int64], welded: NDArray[np.int64], positions: NDArray[np.float64], name: str
 ) -> NDArray[np.int64]:
     """Return the faces wound alike within each connected surface, and outwards.
 
