@@ -15,7 +15,7 @@ import pytest
 import facerender as fr
 from facerender.lobes import GPower
 from facerender.scenes.light import LIGHTS
-from facerender.scenes.planned import Planned
+from facerender.scenes.lod import Planned
 from tests import awkward_files as files
 
 POINT = fr.Light(irradiance=(1.0, 0.5, 0.2), position=(0.2, 0.3, 0.5))

@@ -153,7 +153,7 @@ class Mesh:
     ) -> Mesh:
         """Return a mesh of parts whose faces name vertices that are there; what of bounds, radius
         and profile follows of them is computed."""
-        drawn = np.concatenate([each.positions[used(each)] for each in parts])
+        drawn = np.concatenate([each.positions[used(each.positions, each.faces)] for each in parts])
         bounds = np.array([drawn.min(axis=0), drawn.max(axis=0)])
         offsets = drawn - bounds.mean(axis=0)
         radius = float(np.linalg.norm(offsets, axis=1).max())
@@ -327,8 +327,7 @@ def names_of(option: str, names: Any) -> tuple[str, ...]:
     InputError : something else than text
     """
     names = names.split(",") if isinstance(names, str) else names
-    remedy = "names of parts"
-    found = each_of(option, names, str, remedy)
+    found = each_of(option, names, str, "names of parts")
     return tuple(name for each in found if (name := each.strip()))
 
 
