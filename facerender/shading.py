@@ -231,15 +231,13 @@ class Shading:
         self._check()
 
     def _check(self) -> None:
-        known: tuple[object, ...]
         for name, what, known in (
             ("outside", "choice outside the domain", OUTSIDE),
             ("diffuse", "diffuse term", DIFFUSE),
         ):
             check_type(name, value := getattr(self, name), str, "a word")
             if value not in known:
-                words = ", ".join(map(str, known))
-                raise InputError(f"unknown {what} {shown(value)}; known: {words}")
+                raise InputError(f"unknown {what} {shown(value)}; known: {', '.join(known)}")
         counts = range_of(Shading, "environment_samples")
         if self.environment_samples not in counts or self.environment_samples % 2:
             raise InputError(

@@ -86,12 +86,9 @@ class Panorama:
             level = _blocks(level * solid_angle) / whole
             solid_angle = whole
             levels.append(_bordered(level))
-        map = np.zeros((SIDE + 2, sum(each.shape[1] for each in levels), 3), dtype=np.float32)
-        column = 0
-        for each in levels:
-            map[: len(each), column : column + len(each)] = each
-            column += len(each)
-        return map
+        below = [((0, SIDE + 2 - len(each)), (0, 0), (0, 0)) for each in levels]
+        padded = [np.pad(*pair) for pair in zip(levels, below, strict=True)]
+        return np.concatenate(padded, axis=1, dtype=np.float32, casting="same_kind")
 
     @cached_property
     def _resampled(self) -> tuple[Float, Float, Float]:

@@ -1,5 +1,5 @@
-"""Levels of detail: a mesh with fewer triangles, for images that cannot show them all; and the images
-that a scene's shading was planned for."""
+"""Levels of detail: a mesh with fewer triangles, for images that cannot show them all; for which
+images the shading of a scene was planned."""
 
 from __future__ import annotations
 
@@ -165,11 +165,7 @@ class LevelOfDetail:
     @property
     def values(self) -> dict[str, Any]:
         """The parameters of :meth:`facerender.Renderer.render` but for the triangles."""
-        return {
-            "samples": self.samples,
-            "cull_back_faces": self.cull_back_faces,
-            "shading_rate": self.shading_rate,
-        }
+        return {name: value for name, value in vars(self).items() if name != "triangles"}
 
     def of(self, scene: Scene) -> Scene:
         """Return a scene whose mesh has no more triangles; errors as of :func:`simplified`."""

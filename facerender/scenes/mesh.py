@@ -103,7 +103,7 @@ class Mesh:
     millimetres : that a unit of its space is, as a glTF file says; None where no file has said so.
         Scattering needs it
     regions : head and face of the mesh that this one is simplified of; None where they are found in
-        its own parts, see :func:`facerender.scenes.framing.find_region`
+        its own parts, see :func:`facerender.scenes.framing.find_regions`
     """
 
     name: str

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_range, check_type
 from facerender.scenes.camera import Camera
-from facerender.scenes.framing import find_region
+from facerender.scenes.framing import find_regions
 from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import direction_to, within_reach
@@ -105,8 +106,9 @@ def view_of(scene: Scene, aspect: float) -> View:
         return _placed(mesh, camera, aspect)
     target = target_of(mesh, camera)
     if camera.position is None:
-        profile = mesh.profile if camera.frame == "all" else find_region(mesh, camera.frame).profile
-        distance = _framing_distance(profile, camera.elevation, camera.fov, aspect) / camera.zoom
+        framed = mesh if camera.frame == "all" else find_regions(mesh)[camera.frame]
+        distance = _framing_distance(framed.profile, camera.elevation, camera.fov, aspect)
+        distance /= camera.zoom
         eye = target + distance * direction_to(camera.azimuth, camera.elevation)
     else:
         eye = within_reach(f"camera position {camera.position}", mesh.normalised(camera.position))
@@ -144,7 +146,7 @@ def target_of(mesh: Mesh, camera: Camera) -> NDArray[np.float64]:
         return within_reach(f"camera target {camera.target}", mesh.normalised(camera.target))
     if camera.frame == "all":
         return np.zeros(3)
-    return find_region(mesh, camera.frame).center
+    return find_regions(mesh)[camera.frame].center
 
 
 def _placed(mesh: Mesh, camera: Camera, aspect: float) -> View:
@@ -210,16 +212,8 @@ def hidden(scene: Scene, size: tuple[int, ...]) -> str:
             f"{inside.sum()} of its vertices are in the frame, but no triangle covers a "
             "pixel there; show more of it, or give more pixels"
         )
-    ways = [
-        word
-        for word, out in (
-            ("left of", x.max() < -1.0),
-            ("right of", x.min() > 1.0),
-            ("above", y.max() < -1.0),
-            ("below", y.min() > 1.0),
-        )
-        if out
-    ]
+    outside = x.max() < -1.0, x.min() > 1.0, y.max() < -1.0, y.min() > 1.0
+    ways = compress(("left of", "right of", "above", "below"), outside)
     return f"it lies {' and '.join(ways) or 'around'} the frame; set camera target, or position"
 
 
