@@ -13,9 +13,17 @@ import facerender as fr
 from facerender import pytest_plugin
 from facerender.commands import main
 from facerender.commands.compare import LIMITED, default_of
-from facerender.comparison.calibration import LEAST, MARGIN, Calibration, calibration_of, runs_of
+from facerender.comparison.calibration import (
+    LEAST,
+    MARGIN,
+    NAMES,
+    Calibration,
+    calibration_of,
+    read_limits,
+    runs_of,
+    text_of,
+)
 from facerender.comparison.compare import compare
-from facerender.comparison.limits_file import NAMES, read_limits, text_of
 from facerender.comparison.result import HIGHEST, LIMITS, Limits
 from facerender.errors import InputError
 from facerender.images.exr import save_exr
