@@ -67,7 +67,7 @@ def default_of(name: str) -> str:
 
 def run(options: argparse.Namespace) -> int:
     from facerender.comparison.calibration import read_limits
-    from facerender.comparison.pairs import Pair, pairs_of
+    from facerender.comparison.compare import Pair, pairs_of
     from facerender.comparison.report import entry, write_report
     from facerender.comparison.visualization import save_heat_map
 

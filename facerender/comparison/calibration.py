@@ -25,9 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.comparison.compare import FULL, compare
+from facerender.comparison.compare import FULL, compare, pairs_of
 from facerender.comparison.neighbourhoods import filtered
-from facerender.comparison.pairs import pairs_of
 from facerender.comparison.result import HIGHEST, LIMITS, Limits
 from facerender.errors import InputError, check_range, reason, shown
 from facerender.images.image import Encoding, ImageData
