@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from facerender.comparison import neighbourhoods as nearby
 from facerender.comparison.blocks import BLOCK, LINEAR, STEPS, BlockStatistics, BlockSums
-from facerender.comparison.neighbourhoods import Float, Mask, excess, filtered, holes
+from facerender.comparison.neighbourhoods import Float, Mask, excess, explained, filtered, holes
 from facerender.comparison.result import HIGHEST, LIMITS, Comparison, Limits
-from facerender.comparison.shift_range import explained
 from facerender.comparison.verdict import reasons_of
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, warn
