@@ -57,7 +57,9 @@ JOBS = {
             scatter_samples=32,
         ),
     ),
-    "dark": fr.Job(lights=(), shading=fr.Shading(specular_lights=())),
+    "dark": fr.Job(
+        material={"scattering": "skin"}, lights=(), shading=fr.Shading(specular_lights=())
+    ),
 }
 WAYS = {
     "JSON": lambda job: fr.Job.from_dict(json.loads(json.dumps(job.as_dict()))),
