@@ -16,10 +16,9 @@ from facerender.loading.source import check_normal_map_y
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import KEYS, EnvironmentFile, from_table, scene_value, toml_text
 from facerender.scenes.light import Light
-from facerender.scenes.lod import simplified
+from facerender.scenes.lod import LevelOfDetail, Planned, simplified
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import TRIANGLES, Mesh, names_of
-from facerender.scenes.planned import LevelOfDetail, Planned
 from facerender.scenes.scene import ONLY, Only, Scene
 from facerender.scenes.vectors import COLORS, Vector
 from facerender.shading import Shading
@@ -182,7 +181,7 @@ class Job:
         check_type("camera", self.camera, Camera, "a Camera")
         check_type("shading", self.shading, Shading, "a Shading")
         check_type("image", self.image, ImageSettings, "an ImageSettings")
-        check_type("planned", self.planned, Planned | None, "a facerender.scenes.planned.Planned")
+        check_type("planned", self.planned, Planned | None, "a facerender.scenes.lod.Planned")
         remedy = "a facerender.EnvironmentFile"
         check_type("environment", self.environment, EnvironmentFile | None, remedy)
         for name, each in (("lights", Light), ("outputs", Output)):

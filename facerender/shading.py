@@ -231,15 +231,13 @@ class Shading:
         self._check()
 
     def _check(self) -> None:
-        known: tuple[object, ...]
         for name, what, known in (
             ("outside", "choice outside the domain", OUTSIDE),
             ("diffuse", "diffuse term", DIFFUSE),
         ):
             check_type(name, value := getattr(self, name), str, "a word")
             if value not in known:
-                words = ", ".join(map(str, known))
-                raise InputError(f"unknown {what} {shown(value)}; known: {words}")
+                raise InputError(f"unknown {what} {shown(value)}; known: {', '.join(known)}")
         counts = range_of(Shading, "environment_samples")
         if self.environment_samples not in counts or self.environment_samples % 2:
             raise InputError(
@@ -297,7 +295,7 @@ class Shading:
 
     def as_dict(self) -> dict[str, Any]:
         """Return what is not the default, as TOML and JSON hold it."""
-        own = {str(light): _plain(_without(FRONTAL, changes)) for light, changes in self.lights}
+        own = {str(light): _plain(_without_frontal(changes)) for light, changes in self.lights}
         values = asdict(self.term) | {
             **{name: getattr(self, name) for name in _FIELDS},
             "frontal_lights": list(self.frontal_lights),
@@ -344,9 +342,7 @@ def _with_frontal(term: Term, changes: dict[int, Changes], lights: Any) -> dict[
     frontal = _indices("frontal_lights", lights)
     if frontal and not term.entry.factors:
         raise InputError(f"{term.model} has no other term for frontal_lights: leave them out")
-    others = {
-        light: _without(FRONTAL, own) if _is_frontal(own) else own for light, own in changes.items()
-    }
+    others = {light: _without_frontal(own) for light, own in changes.items()}
     for own in others.values():
         replace(term, **dict(own))  # validates what those of frontal light replace
     near = {light: _changes(dict(others.get(light, ())) | dict(FRONTAL)) for light in frontal}
@@ -393,10 +389,10 @@ def _is_frontal(changes: Changes) -> bool:
     return all(each in changes for each in FRONTAL)
 
 
-def _without(some: Changes, changes: Changes) -> Changes:
-    """The changes, less some where all of those are among them."""
-    whole = all(each in changes for each in some)
-    return tuple(each for each in changes if each not in some) if whole else changes
+def _without_frontal(changes: Changes) -> Changes:
+    return (
+        tuple(each for each in changes if each not in FRONTAL) if _is_frontal(changes) else changes
+    )
 
 
 def _plain(changes: Changes) -> dict[str, Any]:
@@ -417,10 +413,10 @@ def _lights(table: Any) -> dict[int, Mapping[str, Any]]:
     remedy = 'give a table such as { 1 = { lobe = "d16" } }'
     if not isinstance(table, Mapping) or not all(_INDEX.fullmatch(str(light)) for light in table):
         raise InputError(f"lights = {shown(table)} of the shading: {remedy}")
-    lights: dict[int, Mapping[str, Any]] = {}
     for light, changes in table.items():
         if not isinstance(changes, Mapping):
             raise InputError(f"lights.{light} = {shown(changes)} of the shading: {remedy}")
-        own = {"lobe": _lobe(changes["lobe"])} if "lobe" in changes else {}
-        lights[int(light)] = {**changes, **own}
-    return lights
+    return {
+        int(light): {name: _lobe(own) if name == "lobe" else own for name, own in changes.items()}
+        for light, changes in table.items()
+    }

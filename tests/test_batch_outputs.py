@@ -20,7 +20,7 @@ from PIL import Image
 import facerender as fr
 from facerender.batch.outputs import OUTPUTS, camera_facts, draw, transforms_frame
 from facerender.images.read import read_image
-from facerender.scenes.planned import Planned
+from facerender.scenes.lod import Planned
 from facerender.scenes.scene import ONLY
 
 SIZE = (96, 64)

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import facerender as fr
-from facerender import pytest_plugin
 from facerender.commands import main
 from facerender.commands.compare import LIMITED, default_of
-from facerender.comparison.calibration import LEAST, MARGIN, Calibration, calibration_of, runs_of
+from facerender.comparison.calibration import (
+    LEAST,
+    MARGIN,
+    NAMES,
+    Calibration,
+    calibration_of,
+    read_limits,
+    runs_of,
+    text_of,
+)
 from facerender.comparison.compare import compare
-from facerender.comparison.limits_file import NAMES, read_limits, text_of
-from facerender.comparison.result import HIGHEST, LIMITS, Limits
+from facerender.comparison.result import HIGHEST, LIMITS
 from facerender.errors import InputError
 from facerender.images.exr import save_exr
 from facerender.images.srgb import encode_srgb8
@@ -194,16 +200,13 @@ def test_what_is_seen_of_a_picture_that_shows_nothing(runs):
     json.dumps(found.as_dict(), allow_nan=False)
 
 
-def test_pairs_that_no_limit_lets_pass(runs):
+def test_pairs_that_cannot_be_used(runs):
     a = picture()
     a[60:70:3, 60:70:3, :3] = 0.0
     runs.add("one", picture())
     runs.add("two", a)
     with pytest.raises(InputError, match=r"two/head.exr differs, whatever the limits: 16 pixels"):
         runs.calibration()
-
-
-def test_pairs_that_cannot_be_compared(runs):
     runs.add("one", picture())
     runs.add("two", picture()[:64])
     with pytest.raises(InputError, match=r"one.head.exr is 128 x 128, .*render both at one size"):
@@ -240,28 +243,6 @@ def test_file_of_limits_is_read_as_it_was_written(tmp_path, name, coding):
         "linear": asdict(LEAST["linear"]),
         "srgb8": asdict(LEAST["srgb8"]),
     }
-
-
-@pytest.mark.parametrize(
-    ("name", "before"),
-    [
-        ("pytest.ini", "[pytest]\n"),
-        ("tox.ini", "[tox]\nenvlist = py  ; one\n[pytest]\n"),
-        ("setup.cfg", "[metadata]\nname = x\n[tool:pytest]\n"),
-        ("pyproject.toml", '[project]\nname = "x"\n[tool.pytest.ini_options]\n'),
-        ("pyproject.toml", '[tool.pytest]\naddopts = ["-q"]\n'),
-    ],
-)
-def test_pytest_and_compare_read_the_section_where_it_was_pasted(suites, name, before):
-    path = suites.path / name
-    _, *rows = text_of(path, {"linear": {**LOOSE, "block": (0.03, "")}}).splitlines()
-    path.write_text(before + "\n".join(rows))
-    assert read_limits(path)["linear"]["block"] == 0.03
-    suites.record(0.5)
-    for value, passes in ((0.5, True), (0.51, True), (0.52, False)):  # 0.51 differs by 2 %
-        suites.give(value)
-        outcome = {"passed" if passes else "failed": 1}
-        suites.run(f"-c{path}").assert_outcomes(**outcome)
 
 
 TOML = "[tool.pytest.ini_options]\n"
@@ -374,48 +355,3 @@ def test_document_has_the_defaults():
     text = (Path(__file__).parents[1] / "docs/command-line.md").read_text(encoding="utf-8")
     for name, help in LIMITED.items():
         assert f"| `--{name} LIMIT` | {help} ({default_of(name)}) |" in text
-
-
-# --- the plugin ----------------------------------------------------------------------------------
-
-
-def test_the_plugin_knows_every_limit():
-    assert pytest_plugin.LIMITS == NAMES == tuple(each.name for each in fields(Limits))
-
-
-class Suites:
-    """A suite of one test, whose image has one value everywhere."""
-
-    def __init__(self, pytester: pytest.Pytester) -> None:
-        self.pytester, self.path = pytester, pytester.path
-
-    def give(self, value: float, options: str = "") -> None:
-        self.pytester.makepyfile(
-            test_suite="import numpy as np\n"
-            "def test_head(facerender_snapshot):\n"
-            f"    pixels = np.full((64, 64, 3), {value}, np.float32)\n"
-            f"    facerender_snapshot.check(pixels, {options})\n"
-        )
-
-    def record(self, value: float) -> None:
-        self.give(value)
-        self.run("--facerender-update-missing").assert_outcomes(passed=1)
-
-    def run(self, *options: str) -> pytest.RunResult:
-        return self.pytester.runpytest_inprocess("-p", "facerender.pytest_plugin", *options)
-
-
-@pytest.fixture
-def suites(pytester, monkeypatch) -> Suites:
-    monkeypatch.setenv("PYTHONPATH", str(Path(fr.__file__).parents[1]))
-    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
-    return Suites(pytester)
-
-
-def test_a_test_goes_before_the_file(suites):
-    suites.record(0.5)
-    suites.pytester.makeini("[pytest]\nfacerender_block = 1e-4\nfacerender_trend = 1e6\n")
-    suites.give(0.5004)
-    suites.run().assert_outcomes(failed=1)
-    suites.give(0.5004, "block=0.01")
-    suites.run().assert_outcomes(passed=1)

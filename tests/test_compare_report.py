@@ -19,7 +19,7 @@ import facerender as fr
 from facerender import InputError
 from facerender.commands import main
 from facerender.comparison import flip, report, visualization
-from facerender.comparison.pairs import Pair
+from facerender.comparison.compare import Pair
 from facerender.comparison.report import entry, write_report
 from facerender.comparison.visualization import save_heat_map
 from facerender.images.image import ImageData
@@ -140,7 +140,7 @@ def at(name: str) -> str:
     return f"pair-{ORDER.index(name)}"
 
 
-def test_summary_has_each_pair_once_those_that_differ_first(parsed: Page) -> None:
+def test_summary_has_each_pair_and_its_columns(parsed: Page, pairs: list[Pair]):
     links = [a["href"] for tag, a, _ in parsed.tags if tag == "a"]
     assert links == [f"#{at(name)}" for name in ORDER]
     ids = [a["id"] for _, a, _ in parsed.tags if "id" in a]
@@ -151,9 +151,13 @@ def test_summary_has_each_pair_once_those_that_differ_first(parsed: Page) -> Non
     rows = [a["class"] for tag, a, at in parsed.tags if tag == "tr" and a.get("class") and not at]
     assert rows == ["differs"] * 4 + ["error"] * 3 + ["same"] * 2
     assert "Comparison: 4 differ, 3 not comparable, 2 the same" in summary
+    head = sum(tag == "th" and a.get("scope") == "col" and not at for tag, a, at in parsed.tags)
+    cells = sum(tag == "td" and not at for tag, _, at in parsed.tags)
+    assert cells == len(pairs) * (head - 1)
+    assert re.search("[0-9].*".join(report.CHECKS), parsed.text[at("eight.png")])
 
 
-def test_figures_stand_beside_their_limits(parsed: Page, pairs: list[Pair]) -> None:
+def test_figures_and_reasons(parsed: Page, pairs: list[Pair]) -> None:
     summary = parsed.text[""].replace("\N{NO-BREAK SPACE}", " ")
     (figures,) = (pair.comparison for pair in pairs if pair.name == NAME)
     assert f"{NAME}differs{figures.point:.3g} > 0.005" in summary
@@ -164,23 +168,13 @@ def test_figures_stand_beside_their_limits(parsed: Page, pairs: list[Pair]) -> N
     text = parsed.text[at("eight.png")].replace("\N{NO-BREAK SPACE}", " ")
     assert "Metrics, in steps of 255" in text
     assert "darker at (30, 12); 1 over" in text
-
-
-def test_rows_of_the_summary_have_its_columns(parsed: Page, pairs: list[Pair]) -> None:
-    head = sum(tag == "th" and a.get("scope") == "col" and not at for tag, a, at in parsed.tags)
-    cells = sum(tag == "td" and not at for tag, _, at in parsed.tags)
-    assert cells == len(pairs) * (head - 1)
-    assert re.search("[0-9].*".join(report.CHECKS), parsed.text[at("eight.png")])
-
-
-def test_reasons_and_errors_in_words(parsed: Page, pairs: list[Pair]) -> None:
     for pair in pairs:
         said = (pair.error,) if pair.comparison is None else pair.comparison.reasons
         for reason in said:
             assert reason in parsed.text[at(pair.name)]
 
 
-def test_page_fetches_nothing(page: Path, parsed: Page) -> None:
+def test_page_fetches_nothing_and_names_are_text(page: Path, parsed: Page) -> None:
     text = page.read_text(encoding="utf-8")
     assert "http:" not in text
     assert "https:" not in text
@@ -190,9 +184,6 @@ def test_page_fetches_nothing(page: Path, parsed: Page) -> None:
         assert (attributes.get("src") or "data:").startswith("data:")
         assert (attributes.get("href") or "#").startswith(("data:", "#"))
         assert tag not in {"iframe", "object", "embed"}
-
-
-def test_names_are_text(page: Path, parsed: Page) -> None:
     assert NAME not in page.read_text(encoding="utf-8")
     assert all("onclick" not in attributes for _, attributes, _ in parsed.tags)
     assert "<llvm> & pipe" in parsed.text[at(NAME)]
@@ -206,14 +197,8 @@ def test_name_that_is_no_utf_8(tmp_path: Path) -> None:
 def test_environment_marks_what_differs(page: Path, parsed: Page) -> None:
     text = page.read_text(encoding="utf-8").partition(f'<section id="{at(NAME)}"')[2]
     text = text.partition("</section>")[0]
-    for key, changed in {
-        "image": 0,
-        "pixels": 0,
-        "GL_RENDERER": 0,
-        "samples": 1,
-        "extra": 1,
-    }.items():
-        mark = ' class="changed"' * changed
+    for key in ("image", "pixels", "GL_RENDERER", "samples", "extra"):
+        mark = ' class="changed"' * (key in ("samples", "extra"))
         assert f'<tr{mark}><th scope="row">{key}</th>' in text
 
 
@@ -227,9 +212,6 @@ def test_pictures_of_a_pair_that_differs(parsed: Page) -> None:
     assert tuple(shown["b"][y, x]) == (255, 255, 255)
     np.testing.assert_array_equal((shown["difference"] != 0).any(axis=-1), wrong)
     assert shown["heat"][y, x].sum() > 2 * shown["heat"][0, 0].sum()
-
-
-def test_colours_of_the_difference(parsed: Page) -> None:
     x, y = AT
     brighter = parsed.images(at(NAME))["difference"][y, x]
     darker = parsed.images(at("grey.npy"))["difference"][y, x]
@@ -240,20 +222,14 @@ def test_colours_of_the_difference(parsed: Page) -> None:
     assert not uncovered[:, 8:].any()
 
 
-def test_what_is_not_finite_is_magenta(parsed: Page) -> None:
+def test_pictures_of_other_pairs(parsed: Page) -> None:
     shown = parsed.images(at("not finite.exr"))
     assert list(shown) == ["a", "b"]
     magenta = (shown["b"] == (255, 0, 255)).all(axis=-1)
     assert [tuple(place) for place in np.argwhere(magenta)] == [AT[::-1]]
-
-
-def test_pairs_without_a_verdict_show_what_there_is(parsed: Page) -> None:
     sizes = {kind: shown.shape[:2] for kind, shown in parsed.images(at("sizes.exr")).items()}
     assert sizes == {"a": SIZE, "b": (SIZE[0], 20)}
     assert list(parsed.images(at("missing.exr"))) == ["b"]
-
-
-def test_equal_pairs_are_folded_with_one_small_image(parsed: Page) -> None:
     assert sum(tag == "details" for tag, _, _ in parsed.tags) == 2
     assert [x.shape[:2] for x in parsed.images(at("equal.exr")).values()] == [SIZE]
     assert [x.shape[:2] for x in parsed.images(at("equal, large.exr")).values()] == [(160, 120)]
@@ -447,7 +423,7 @@ def enlarged(section) -> tuple[float, float, float]:
     return size, x, y
 
 
-def test_zoom_to_the_worst_and_back(tab) -> None:
+def test_marks_and_zoom_to_the_worst(tab) -> None:
     section = tab.locator(f"#{at(NAME)}")
     fit = enlarged(section)[0]
     section.get_by_label("worst pixel").check()
@@ -463,9 +439,6 @@ def test_zoom_to_the_worst_and_back(tab) -> None:
     assert section.get_by_label("whole").is_checked()
     section.locator(".a .view").click(position={"x": fit * 20.5, "y": fit * 25.5})
     assert enlarged(section) == pytest.approx((2 * fit, 20.5, 25.5), rel=0.01)
-
-
-def test_marks_lie_where_the_worst_is(tab) -> None:
     section = tab.locator(f"#{at(NAME)}")
     image = section.locator(".b img").bounding_box()
     ring = section.locator(".b .ring").bounding_box()

@@ -3,7 +3,6 @@ planned."""
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -19,9 +18,8 @@ from facerender.images.exr import save_exr
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import Prices
 from facerender.scenes.environment import SIDE, studio
-from facerender.scenes.file import parse_environment, scene_toml
+from facerender.scenes.file import parse_environment
 from tests.conftest import require_module
-from tests.test_reference import programs_of
 
 CAMERA = fr.Camera(azimuth=-35.0)
 
@@ -47,16 +45,6 @@ def around(mesh: fr.Mesh, environment: fr.Environment | None, **others) -> fr.Sc
     return fr.Scene(
         mesh, CAMERA, **{"lights": (), "ambient": 0.0, **others}, environment=environment
     )
-
-
-def test_off_is_the_program_without(small, head):
-    plain, lit = fr.Scene(head), fr.Scene(head, environment=fr.Environment(studio()))
-    off = fr.Shading(environment=False)
-    assert programs_of(lit, off) == programs_of(plain, fr.Shading())
-    assert programs_of(lit, fr.Shading()) != programs_of(plain, fr.Shading())
-    images = [small.render(*each).linear for each in ((plain,), (lit, off))]
-    np.testing.assert_array_equal(*images)
-    assert small.render(lit).linear.mean() > images[0].mean() + 0.01
 
 
 def test_nothing_is_imported_without():
@@ -236,18 +224,9 @@ def test_a_model_without_is_refused(small, head):
     small.render(scene, fr.Shading("ward-printed", environment_samples=0))
 
 
-def test_job_scene_file_and_command_line(tmp_path, head, capsys):
+def test_scene_file_and_command_line(tmp_path):
     asked = fr.EnvironmentFile("studio", 20.0, 0.5)
-    shading = fr.Shading(environment_samples=8, environment=False)
-    job = fr.Job(environment=asked, shading=shading)
-    assert fr.Job.from_dict(json.loads(json.dumps(job.as_dict()))) == job
-    text = job.toml()
-    scene = job.scene(head)
-    assert (scene.environment.rotation, scene.environment.scale) == (20.0, 0.5)
     file = tmp_path / "scene.toml"
-    file.write_text(scene_toml(scene, shading))
-    assert fr.load_scene(file)["environment"] == asked
-    assert "[environment]" in text
     file.write_text('environment = "studio,20,0.5"\n')
     assert fr.load_scene(file)["environment"] == asked == parse_environment("studio,20,0.5")
     outputs = [str(tmp_path / name) for name in ("a.png", "b.png")]

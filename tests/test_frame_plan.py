@@ -27,7 +27,7 @@ from facerender.planning.views import DrawnViews, Viewpoint
 from facerender.pricing.frame import Line, ratio
 from facerender.scenes.file import load_scene
 from facerender.scenes.light import LIGHTS
-from facerender.scenes.planned import LevelOfDetail, Planned
+from facerender.scenes.lod import LevelOfDetail, Planned
 from tests.awkward_files import MINI_HEAD
 from tests.test_cli import Capture, Cli
 

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 import facerender as fr
-from facerender.scenes.framing import find_region
+from facerender.scenes.framing import find_regions
 from facerender.scenes.view import view_of
 from tests.people import PEOPLE, ball, person
 
@@ -30,7 +30,7 @@ def ends(mesh, region):
 @pytest.mark.parametrize("name", PEOPLE)
 def test_the_face_of_a_person(name):
     mesh = known(name)
-    low, high = ends(mesh, region := find_region(mesh, "face"))
+    low, high = ends(mesh, region := find_regions(mesh)["face"])
     assert CHIN - 0.025 < low < CHIN + 0.01
     assert BROW + 0.03 < high < CROWN + 0.015
     assert abs(mesh.to_mesh_space(region.center)[0]) < 0.006
@@ -40,7 +40,7 @@ def test_the_face_of_a_person(name):
 @pytest.mark.parametrize("name", sorted(PEOPLE.keys() - {"mask"}))
 def test_the_head_of_a_person(name):
     mesh = known(name)
-    low, high = ends(mesh, region := find_region(mesh, "head"))
+    low, high = ends(mesh, region := find_regions(mesh)["head"])
     assert CHIN - 0.06 < low < CHIN + 0.005
     top = 0.19 if name == "bun" else 0.14 if "hair" in name else CROWN
     assert high == pytest.approx(top, abs=0.004)
@@ -53,7 +53,7 @@ def test_units_and_places_do_not_matter(scale, move):
     own = person("arms down")
     other = person("arms down", scale, shift)
     for name in ("head", "face"):
-        a, b = find_region(own, name), find_region(other, name)
+        a, b = find_regions(own)[name], find_regions(other)[name]
         center = (other.to_mesh_space(b.center) - shift) / scale
         np.testing.assert_allclose(center, own.to_mesh_space(a.center), atol=2e-3)
         assert b.radius == pytest.approx(a.radius, rel=0.02)
@@ -61,10 +61,10 @@ def test_units_and_places_do_not_matter(scale, move):
 
 def test_the_face_of_a_scan(scan_mesh):
     """The eyes of the scan are at a height of 1.9, its chin at -0.45, its crown at 4."""
-    low, high = ends(scan_mesh, find_region(scan_mesh, "face"))
+    low, high = ends(scan_mesh, find_regions(scan_mesh)["face"])
     assert -1.3 < low < -0.3
     assert 2.6 < high < 4.3
-    assert ends(scan_mesh, find_region(scan_mesh, "head"))[1] == pytest.approx(3.97, abs=0.05)
+    assert ends(scan_mesh, find_regions(scan_mesh)["head"])[1] == pytest.approx(3.97, abs=0.05)
 
 
 def test_what_has_no_face_is_framed_as_it_is(tmp_path):
@@ -73,7 +73,7 @@ def test_what_has_no_face_is_framed_as_it_is(tmp_path):
         shape.export(path)
         mesh = fr.load_mesh(path)
         for name in ("head", "face"):
-            region = find_region(mesh, name)
+            region = find_regions(mesh)[name]
             assert np.isfinite(region.center).all()
             assert 0.1 < region.radius < 2.5
 
@@ -89,7 +89,7 @@ def test_a_triangle_has_regions(tmp_path):
 @pytest.mark.parametrize("frame", ["head", "face"])
 @pytest.mark.parametrize("azimuth", [0.0, 70.0, 200.0])
 def test_a_camera_holds_what_it_frames(head, frame, azimuth):
-    region = find_region(head, frame)
+    region = find_regions(head)[frame]
     camera = fr.Camera(azimuth, 10.0, frame=frame)  # type: ignore[arg-type]
     view = view_of(fr.Scene(head, camera), 0.8)
     turn = np.linspace(0.0, 2.0 * np.pi, 16)
@@ -106,7 +106,7 @@ def test_a_camera_holds_what_it_frames(head, frame, azimuth):
 def test_a_target_and_a_zoom_override_the_guess(head):
     own = view_of(fr.Scene(head, fr.Camera(frame="face")), 1.0)
     near = view_of(fr.Scene(head, fr.Camera(frame="face", zoom=2.0)), 1.0)
-    middle = find_region(head, "face").center
+    middle = find_regions(head)["face"].center
     assert np.linalg.norm(near.position - middle) == pytest.approx(
         np.linalg.norm(own.position - middle) / 2
     )
@@ -120,9 +120,9 @@ def test_a_target_and_a_zoom_override_the_guess(head):
 def test_a_simplified_mesh_is_framed_as_the_whole(head):
     fewer = fr.simplified(head, 3000).with_material(m=0.2)
     for name in ("head", "face"):
-        assert find_region(fewer, name) is find_region(head, name)
+        assert find_regions(fewer)[name] is find_regions(head)[name]
     again = pickle.loads(pickle.dumps(fewer))
-    assert find_region(again, "face").radius == find_region(head, "face").radius
+    assert find_regions(again)["face"].radius == find_regions(head)["face"].radius
 
 
 def test_a_frame_is_one_of_three():

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageCms
 
-from facerender.comparison.pairs import Pair, compare
+from facerender.comparison.compare import Pair, compare
 from facerender.comparison.report import entry
 from facerender.images.read import read_image
 from facerender.images.srgb import linear_to_srgb, srgb_to_linear

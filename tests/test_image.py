@@ -107,27 +107,23 @@ def test_exr(tmp_path):
                 np.testing.assert_array_equal(file.channels()[key].pixels, pixels)
 
 
-def fail_half_way(name):
-    with open(name, "wb") as file:
-        file.write(b"half")
-    raise OSError(28, "No space left on device")
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+@pytest.mark.parametrize("before", [[], ["a.png"]])
+def test_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, error, before):
+    def fail_half_way(name):
+        with open(name, "wb") as file:
+            file.write(b"half")
+        raise error
 
-
-def test_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
-    (tmp_path / "a.png").write_bytes(b"old")
-    with pytest.raises(InputError, match=r"cannot write .*a.png: no space left"):
+    for name in before:
+        (tmp_path / name).write_bytes(b"old")
+    expected, message = type(error), None
+    if isinstance(error, OSError):
+        expected, message = InputError, r"cannot write .*a.png: no space left"
+    with pytest.raises(expected, match=message):
         write(tmp_path / "a.png", fail_half_way)
-    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
-    assert (tmp_path / "a.png").read_bytes() == b"old"
-
-
-def test_interrupted_write_leaves_nothing(tmp_path):
-    def interrupted(name):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        write(tmp_path / "a.png", interrupted)
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == before
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"] * len(before)
 
 
 def test_written_file_has_ordinary_permissions(tmp_path):

@@ -14,8 +14,9 @@ import pytest
 
 import facerender as fr
 from facerender.lobes import GPower
+from facerender.scenes.file import scene_toml
 from facerender.scenes.light import LIGHTS
-from facerender.scenes.planned import Planned
+from facerender.scenes.lod import Planned
 from tests import awkward_files as files
 
 POINT = fr.Light(irradiance=(1.0, 0.5, 0.2), position=(0.2, 0.3, 0.5))
@@ -40,7 +41,25 @@ JOBS = {
         image=fr.ImageSettings((48, 32), 1, float_albedo=True),
         outputs=(fr.Output("a.png", exposure=1.0), fr.Output("b.exr", "specular")),
     ),
-    "dark": fr.Job(lights=(), shading=fr.Shading(specular_lights=())),
+    "terms": fr.Job(
+        fr.MeshFile(lobe_map="mask.png", millimetres=3.0),
+        {
+            "second_slope": 0.4,
+            "lobe_weight": 0.3,
+            "scattering": ((0.5, 0.3, 0.2, 0.1), (2.0, 0.5, 0.0, 0.0)),
+        },
+        environment=fr.EnvironmentFile("studio", 20.0, 0.5),
+        shading=fr.Shading(
+            two_lobes=False,
+            diffuse="coupled",
+            environment=False,
+            environment_samples=8,
+            scatter_samples=32,
+        ),
+    ),
+    "dark": fr.Job(
+        material={"scattering": "skin"}, lights=(), shading=fr.Shading(specular_lights=())
+    ),
 }
 WAYS = {
     "JSON": lambda job: fr.Job.from_dict(json.loads(json.dumps(job.as_dict()))),
@@ -52,11 +71,25 @@ WAYS = {
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("name", JOBS)
 def test_a_job_comes_back_as_it_was(name, way):
-    sent = WAYS[way](JOBS[name])
-    assert sent.scene(None if name == "everything" else fr.load_mesh()).lights == JOBS[name].lights
-    for field in ("mesh", "camera", "lights", "shading", "planned", "image", "outputs"):
+    sent, mesh = WAYS[way](JOBS[name]), None if name == "everything" else fr.load_mesh()
+    scene, expected = (each.scene(mesh) for each in (sent, JOBS[name]))
+    assert scene.lights == JOBS[name].lights
+    assert scene.mesh.materials == expected.mesh.materials or name == "everything"
+    fields = ("mesh", "camera", "lights", "environment", "shading", "planned", "image", "outputs")
+    for field in fields:
         assert getattr(sent, field) == getattr(JOBS[name], field)
     assert json.dumps(sent.as_dict()) == json.dumps(JOBS[name].as_dict())
+
+
+def test_a_scene_file_holds_its_terms(head, tmp_path):
+    job = JOBS["terms"]
+    scene = fr.Job(job.mesh, job.material, environment=job.environment).scene(head)
+    assert (scene.environment.rotation, scene.environment.scale) == (20.0, 0.5)
+    (tmp_path / "scene.toml").write_text(scene_toml(scene, job.shading))
+    loaded = fr.load_scene(tmp_path / "scene.toml")
+    assert head.with_material(**loaded["material"]).materials == scene.mesh.materials
+    assert fr.Shading.from_dict(loaded["shading"]) == job.shading
+    assert loaded["environment"] == job.environment
 
 
 @pytest.mark.parametrize("name", ["defaults", "everything"])

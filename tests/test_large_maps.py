@@ -12,10 +12,9 @@ import facerender as fr
 from facerender.drawing import prepare
 from facerender.drawing.prepare import reduced
 from facerender.images.srgb import linear_to_srgb
-from facerender.scenes.density import levels_to_spare
 from facerender.scenes.mips import chain, coarse_base, coarse_chain
 from facerender.scenes.texture import Texture, pack
-from facerender.scenes.view import view_of
+from facerender.scenes.view import levels_to_spare, view_of
 
 SIZE = (256, 256)
 VIEWS = (fr.Camera(), fr.Camera(azimuth=70, elevation=-20), fr.Camera(zoom=4.0))

@@ -13,9 +13,9 @@ import pytest
 
 import facerender as fr
 from facerender.comparison.compare import compare
-from facerender.comparison.goldens import Updates, check
+from facerender.comparison.goldens import FARTHEST, SHIFTS, Updates, check, range_of
+from facerender.comparison.neighbourhoods import explained
 from facerender.comparison.result import HIGHEST
-from facerender.comparison.shift_range import FARTHEST, SHIFTS, explained, range_of
 from facerender.errors import InputError
 from facerender.images.image import ImageData
 from facerender.images.read import read_image
@@ -177,21 +177,3 @@ def test_shifted_scene_lies_to_the_right_and_below(studio):
     linear, moved = studio.draw().linear, studio.draw(3.0, 2.0).linear
     np.testing.assert_allclose(moved[2:, 3:], linear[:-2, :-3], atol=0.02)
     np.testing.assert_allclose(studio.renderer.render(studio.scene).linear, linear, atol=1e-3)
-
-
-def test_plugin_takes_what_draws(pytester, monkeypatch):
-    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
-    pytester.makepyfile(
-        test_suite="import numpy as np\n"
-        "def draw(x, y):\n"
-        "    pixels = np.full((32, 32, 3), 0.5, np.float32)\n"
-        "    pixels[16, 16] += 4 * abs(x)\n"
-        "    return pixels\n"
-        "def test_head(facerender_snapshot):\n"
-        "    facerender_snapshot.check(draw(0, 0), draw=draw)\n"
-    )
-    options = ("-p", "facerender.pytest_plugin")
-    pytester.runpytest_inprocess(*options, "--facerender-update-missing").assert_outcomes(passed=1)
-    golden = read_image(pytester.path / "goldens/test_suite/test_head.exr")
-    assert golden.shift_range.high[16, 16, 0] == pytest.approx(0.9, rel=0.01)
-    pytester.runpytest_inprocess(*options).assert_outcomes(passed=1)

@@ -41,21 +41,15 @@ CONTRASTS = """() => {
 }"""
 
 
-def test_text_stays_text() -> None:
+def test_parts_of_a_page() -> None:
     page = document("a < b & c", figure(PNG, 'x < "y"'))
     assert "<title>a &lt; b &amp; c</title>" in page
     assert "<h1>a &lt; b &amp; c</h1>" in page
     assert page.count("x &lt; &quot;y&quot;") == 2
     assert "<script" not in page
-
-
-def test_pictures_lie_inside() -> None:
     kind, _, data = image_source(PNG).partition(",")
     assert (kind, b64decode(data)) == ("data:image/png;base64", PNG)
     assert f'<img src="{image_source(PNG)}"' in figure(PNG, "")
-
-
-def test_table_without_head_and_caption() -> None:
     assert table("x", (), [row("a", ["1", "2"]), row("b", [], "y")]) == (
         '<div class="wide"><table class="x"><tbody>'
         '<tr><th scope="row">a</th><td>1</td><td>2</td></tr>'

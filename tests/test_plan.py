@@ -35,7 +35,7 @@ from facerender.pricing.table import load_prices
 from facerender.scenes.camera import turntable
 from facerender.scenes.file import load_scene, scene_toml
 from facerender.scenes.light import LIGHTS
-from facerender.scenes.planned import Planned
+from facerender.scenes.lod import Planned
 from facerender.shading import Shading
 from tests.conftest import require_module
 from tests.test_glsl import OUTPUT, run

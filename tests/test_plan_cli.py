@@ -19,7 +19,7 @@ from facerender.planning import cache as plan_cache
 from facerender.planning.budget import Budget
 from facerender.scenes.file import load_scene
 from facerender.scenes.light import LIGHTS
-from facerender.scenes.planned import Planned
+from facerender.scenes.lod import Planned
 from facerender.shading import Shading
 from tests.awkward_files import MINI_HEAD
 from tests.test_cli import Capture, Cli

@@ -12,7 +12,7 @@ import facerender as fr
 from facerender.commands import main
 from facerender.lobes import GPower
 from facerender.scenes.environment import studio
-from facerender.scenes.planned import Planned
+from facerender.scenes.lod import Planned
 from facerender.terms.ranges import (
     IntegerRange,
     Range,

@@ -293,6 +293,29 @@ def test_every_term_of_an_image(floats, head, case, deferred, monkeypatch):
     assert (other - expected).min() > case.darkest
 
 
+def casting(mesh: fr.Mesh) -> tuple[fr.Light, ...]:
+    return tuple(replace(light, shadow=True) for light in fr.Scene(mesh).lights)
+
+
+@pytest.mark.parametrize(
+    ("material", "changes", "off"),
+    [
+        ({}, {"environment": ENVIRONMENT}, {"environment": False}),
+        ({}, {"lights": casting}, {"shadow_lights": []}),
+        ({"second_slope": 1.7, "lobe_weight": 0.85}, {}, {"two_lobes": False}),
+        ({"scattering": "skin"}, {}, {"scatter_samples": 0}),
+    ],
+)
+def test_off_is_the_program_and_the_image_without(floats, head, material, changes, off):
+    changes = {name: x(head) if callable(x) else x for name, x in changes.items()}
+    plain, scene = fr.Scene(head), fr.Scene(head.with_material(**material), **changes)
+    full, without, none = fr.Shading(), fr.Shading(**off), floats.render(plain).linear
+    assert programs_of(scene, without) == programs_of(plain, full)
+    assert programs_of(scene, full) != programs_of(plain, full) or "scattering" in material
+    np.testing.assert_array_equal(floats.render(scene, without).linear, none)
+    assert np.abs(floats.render(scene, full).linear - none).mean() > 1e-4
+
+
 # --- plans that may leave a term out -------------------------------------------------------------
 
 

@@ -15,7 +15,6 @@ import facerender as fr
 from facerender.images.srgb import linear_to_srgb
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import load_prices
-from facerender.scenes.file import scene_toml
 from facerender.scenes.mesh import Part
 from facerender.scenes.scattering import scattering_of
 from facerender.terms.scattering import PROFILES, scatter_profile, spiral
@@ -181,9 +180,7 @@ def test_nothing_scatters_that_pixels_do_not_resolve(renderer, head):
     np.testing.assert_array_equal(renderer.render(scene).linear, renderer.render(scene, OFF).linear)
 
 
-def test_without_scattering_nothing_is_imported_and_nothing_changes(renderer, head, face):
-    bare = replace(face, mesh=head)
-    np.testing.assert_array_equal(renderer.render(face, OFF).linear, renderer.render(bare).linear)
+def test_without_scattering_nothing_is_imported():
     code = (
         "import sys, facerender as fr\n"
         "with fr.Renderer((32, 32), samples=4, backend='egl') as renderer:\n"
@@ -243,21 +240,6 @@ def test_profiles(head):
     places = spiral(PROFILES["skin"], 64)
     assert np.isfinite(places).all()
     assert (np.diff(np.hypot(*places.T[:2])) > 0.0).all()
-
-
-@pytest.mark.parametrize("given", ["skin", ((0.5, 0.3, 0.2, 0.1), (2.0, 0.5, 0.0, 0.0))])
-def test_scene_files_and_jobs_keep_it(head, tmp_path, given):
-    scene = fr.Scene(head.with_material(scattering=given))
-    shading = fr.Shading(scatter_samples=32)
-    path = tmp_path / "scene.toml"
-    path.write_text(scene_toml(scene, shading))
-    loaded = fr.load_scene(path)
-    assert head.with_material(**loaded["material"]).materials == scene.mesh.materials
-    assert fr.Shading.from_dict(loaded["shading"]) == shading
-    job = fr.Job(fr.MeshFile(millimetres=3.0), {"scattering": given}, shading=shading)
-    again = fr.Job.from_dict(job.as_dict())
-    assert again.mesh.millimetres == 3.0
-    assert again.scene(head).mesh.materials == scene.mesh.materials
 
 
 def test_plans_may_look_at_fewer_pixels(head, face):

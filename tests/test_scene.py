@@ -12,7 +12,7 @@ import pytest
 import facerender as fr
 from facerender.scenes.file import load_scene
 from facerender.scenes.light import LIGHTS, parse_light
-from facerender.scenes.planned import Planned
+from facerender.scenes.lod import Planned
 from facerender.scenes.view import view_of
 
 

@@ -72,30 +72,22 @@ def test_what_lies_outside_the_domain_counts_as_its_end(evaluate):
         assert least < none < np.inf
 
 
-def test_small_slopes_are_accurate_unless_the_host_says_otherwise(evaluate):
-    inputs = directions(np.full(2000, 0.01, np.float32))
-    unsaid, small = (
-        evaluate(include("ward", **macros), "fr_ward(n, l, v, m)", inputs)
-        for macros in ({}, {"FR_SMALL_SLOPE": "1"})
-    )
-    np.testing.assert_array_equal(unsaid, small)
-
-
-def test_masking_of_an_unsaid_choice_is_that_of_v_cavities(evaluate):
-    inputs = directions(np.full(2000, 0.3, np.float32))
+@pytest.mark.parametrize(
+    ("macro", "default", "m"),
+    [
+        ("FR_SMALL_SLOPE", "1", 0.01),
+        ("FR_LOBE", "FR_LOBE_EXACT", 0.3),
+        ("FR_FRESNEL", "FR_FRESNEL_SCHLICK", 0.3),
+        ("FR_MASKING", "FR_MASKING_V_CAVITY", 0.3),
+    ],
+)
+def test_choices_have_defaults(evaluate, macro, default, m):
+    inputs = directions(np.full(2000, m, np.float32))
     unsaid, said = (
         evaluate(include("cook_torrance", **macros), COOK_TORRANCE, inputs)
-        for macros in ({}, {"FR_MASKING": "FR_MASKING_V_CAVITY"})
+        for macros in ({}, {macro: default})
     )
     np.testing.assert_array_equal(unsaid, said)
-
-
-def test_reflectance_of_unsaid_choices_is_exact_and_schlick(evaluate):
-    inputs = {"c": np.float32([0.95])}
-    value = evaluate(include("cook_torrance"), "fr_lobe(c, 0.3, 4) + fr_fresnel(0.028, c)", inputs)
-    c = float(inputs["c"][0])
-    expected = lobes.exact(c, np.float32(0.3), 4) + brdf.fresnel_schlick(0.028, c)
-    np.testing.assert_allclose(value, expected, rtol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["fitted", "fitted-fine"])

@@ -9,10 +9,8 @@ import pytest
 
 import facerender as fr
 from facerender.drawing.passes.shadow import MOST
-from facerender.scenes.light import parse_light
+from facerender.scenes.light import light_space, parse_light
 from facerender.scenes.mesh import Part
-from facerender.scenes.shadow import light_space
-from tests.conftest import require_backend
 from tests.test_reference import key, shadows
 from tests.verification.shadows import shadow_error
 
@@ -61,15 +59,6 @@ def test_maps_are_drawn_again_when_something_moves(renderer, head, monkeypatch):
     assert maps(replace(scene, mesh=head.with_material(m=0.2)), fr.Shading(shadow_lights=[2])) == 0
     other = fr.load_mesh()  # other parts
     assert maps(replace(scene, mesh=other), fr.Shading(shadow_lights=[2])) == 1
-
-
-def test_without_shadows_nothing_changes(renderer, head):
-    scene = fr.Scene(head)
-    plain = renderer.render(scene).linear
-    lights = tuple(replace(light, shadow=True) for light in scene.lights)
-    cast = replace(scene, lights=lights)
-    assert (renderer.render(cast).linear != plain).any()
-    np.testing.assert_array_equal(renderer.render(cast, fr.Shading(shadow_lights=[])).linear, plain)
 
 
 def square(z: float, half: float) -> Part:
@@ -150,12 +139,3 @@ def test_views(renderer, head):
     covered = gbuffer.part >= 0
     np.testing.assert_array_equal(frame.linear[covered][:, 1], gbuffer.visibility[covered][:, 0])
     assert not frame.linear[~covered].any()
-
-
-def test_backends_agree(egl, head):
-    osmesa = require_backend("osmesa")
-    images = []
-    for backend in (egl, osmesa):
-        with fr.Renderer((128, 128), backend=backend) as renderer:
-            images.append(renderer.render(shadows(head)).linear)
-    np.testing.assert_array_equal(*images)

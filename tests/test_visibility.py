@@ -72,14 +72,12 @@ def assert_same(deferred, drawn, share=0.999, steps=1.0):
 
 
 @pytest.mark.parametrize("samples", [1, 4])
-@pytest.mark.parametrize("azimuth", [0.0, -50.0, 160.0])
-def test_heads(both, head, samples, azimuth):
-    assert_same(*both(fr.Scene(head, fr.Camera(azimuth)), (1024, 768), samples))
-
-
-@pytest.mark.parametrize("samples", [1, 4])
-def test_a_scan(both, scan_mesh, samples):
-    assert_same(*both(fr.Scene(scan_mesh, fr.Camera(30.0)), (768, 768), samples))
+@pytest.mark.parametrize(
+    ("mesh", "azimuth"), [("head", 0.0), ("head", -50.0), ("head", 160.0), ("scan_mesh", 30.0)]
+)
+def test_heads(both, request, samples, mesh, azimuth):
+    scene = fr.Scene(request.getfixturevalue(mesh), fr.Camera(azimuth))
+    assert_same(*both(scene, (1024, 768), samples))
 
 
 @pytest.mark.parametrize(

@@ -22,8 +22,8 @@ from facerender.job import MESH_PATHS, ImageSettings, MeshFile, parse_size
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import KEYS, STUDIO, EnvironmentFile, from_table, scene_value
 from facerender.scenes.light import Light
+from facerender.scenes.lod import Planned
 from facerender.scenes.material import Material
-from facerender.scenes.planned import Planned
 from facerender.scenes.scene import ONLY, Scene
 from facerender.shading import Shading
 from facerender.terms.ranges import EXPOSURES, ranges_of

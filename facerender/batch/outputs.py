@@ -16,9 +16,8 @@ from facerender.errors import InputError
 from facerender.images.exr import exr_bytes, openexr
 from facerender.images.write import png_bytes
 from facerender.job import Job
-from facerender.scenes.lod import simplified
+from facerender.scenes.lod import LevelOfDetail, simplified
 from facerender.scenes.mesh import Mesh
-from facerender.scenes.planned import LevelOfDetail
 from facerender.scenes.scene import DATA, Only, Scene
 from facerender.scenes.view import View, view_of
 

@@ -66,7 +66,8 @@ def default_of(name: str) -> str:
 
 
 def run(options: argparse.Namespace) -> int:
-    from facerender.comparison.pairs import Pair, pairs_of
+    from facerender.comparison.calibration import read_limits
+    from facerender.comparison.compare import Pair, pairs_of
     from facerender.comparison.report import entry, write_report
     from facerender.comparison.visualization import save_heat_map
 
@@ -78,7 +79,8 @@ def run(options: argparse.Namespace) -> int:
     if options.b is None:
         raise InputError("one image alone: give A and B, or --calibrate and a folder")
     names = pairs_of(options.a, options.b)
-    limits = limits_of(options)
+    limits: dict[str, Any] = {name: getattr(options, name) for name in LIMITED}
+    limits["limits"] = read_limits(options.limits) if options.limits else {}
     if options.heatmap and len(names) > 1:
         raise InputError(f"--heatmap takes two images, not the {len(names)} of two folders")
     read = [path for _, *paths in names for path in paths]
@@ -109,18 +111,9 @@ def run(options: argparse.Namespace) -> int:
     return status
 
 
-def limits_of(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the limits of the options, and those of the file by encoding."""
-    from facerender.comparison.limits_file import read_limits
-
-    limits: dict[str, Any] = {name: getattr(options, name) for name in LIMITED}
-    return {"limits": read_limits(options.limits) if options.limits else {}, **limits}
-
-
 def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     """Find limits in place of comparing."""
-    from facerender.comparison.calibration import calibration_of, runs_of
-    from facerender.comparison.limits_file import text_of
+    from facerender.comparison.calibration import calibration_of, runs_of, text_of
 
     for name in ("a", *LIMITED, "limits", "heatmap", "report"):
         if getattr(options, name) is not None:

@@ -22,7 +22,7 @@ from facerender.drawing.frame import FORMATS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.job import ImageSettings, MeshFile, Output, parse_size
-from facerender.scenes.planned import LevelOfDetail
+from facerender.scenes.lod import LevelOfDetail
 from facerender.scenes.scene import ONLY
 from facerender.scenes.view import view_of
 from facerender.shading import OUTSIDE, Shading

@@ -3,6 +3,10 @@
 A limit is the least that every pair passes, times MARGIN, and no less than rounding needs. What it
 sees is found by bisection too: the smallest change of a kind, made to images of the pairs, that
 fails by this limit, the others being open.
+
+Files of limits are pytest's ini file or pyproject.toml, for the pytest plugin and ``facerender
+compare --limits``. Limits for linear images stand among pytest's own settings, as
+``facerender_point`` and so on; those for 8-bit images, which no golden is, in their own section.
 """
 
 from __future__ import annotations
@@ -10,7 +14,9 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from configparser import Error as IniError
+from configparser import RawConfigParser
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -19,17 +25,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.comparison.compare import FULL, compare
-from facerender.comparison.limits_file import NAMES
+from facerender.comparison.compare import FULL, compare, pairs_of
 from facerender.comparison.neighbourhoods import filtered
-from facerender.comparison.pairs import pairs_of
 from facerender.comparison.result import HIGHEST, LIMITS, Limits
-from facerender.errors import InputError, reason
+from facerender.errors import InputError, check_range, reason, shown
 from facerender.images.image import Encoding, ImageData
 from facerender.images.read import read_image
 from facerender.images.srgb import encode_srgb8, srgb_to_linear
+from facerender.system.files import read_file, tables_of
 from facerender.system.progress import Progress, no_progress
 
+NAMES = tuple(each.name for each in fields(Limits))
+PREFIX = "facerender_"
+_MOST = 1 << 20  # bytes of a file of limits
 MARGIN = 1.5
 # What rounding to half floats or steps of 8 bits needs, and a camera or samples that move by 0.1
 # pixels.
@@ -57,6 +65,9 @@ ALTERED = 3  # pairs at most that changes are made to
 _EXACT = 1.05  # what a bisection ends within
 _AROUND = 3  # pixels either way that are flat around those that are made brighter
 _OPEN: dict[str, Any] = dict.fromkeys(NAMES, HIGHEST)
+
+
+Noted = Mapping[str, tuple[float, str]]  # limits by name, each with a comment
 
 
 @dataclass(frozen=True)
@@ -324,3 +335,85 @@ def _flattest(
     contrast += np.where(inside & (level > low) & (level <= high), 0.0, 1.0 + contrast.max())
     row, column = (int(each) for each in np.unravel_index(contrast.argmin(), contrast.shape))
     return lit, (slice(row, row + 1), slice(max(column - 1, 0), column + 1))
+
+
+# --- files of limits ------------------------------------------------------------------------------
+
+
+def read_limits(path: str | os.PathLike[str]) -> dict[Encoding, dict[str, float]]:
+    """Return the limits of a file by the encoding of the images that they are for.
+
+    path : .ini, .cfg or .toml
+
+    Raises
+    ------
+    InputError : the file cannot be read, or holds an invalid limit or none
+    """
+    path = Path(path)
+    data = _parsed(path)
+    found: dict[Encoding, dict[str, float]] = {}
+    for encoding, section in _sections(path, data).items():
+        table = _within(data, section)
+        found[encoding] = {
+            name: _number(f"{path}: {PREFIX}{name}", table[PREFIX + name])
+            for name in NAMES
+            if PREFIX + name in table
+        }
+    if not any(found.values()):
+        raise InputError(f"{path} gives no limit, such as {PREFIX}{NAMES[0]}: add one")
+    return found
+
+
+def text_of(path: str | os.PathLike[str], limits: Mapping[Encoding, Noted]) -> str:
+    """Return limits as sections of a file with the suffix of this path."""
+    path = Path(path)
+    quote = '"' if path.suffix == ".toml" else ""
+    rows = []
+    for encoding, noted in limits.items():
+        rows += ["", f"[{'.'.join(_sections(path, {})[encoding])}]"]
+        for name, (limit, note) in noted.items():
+            rows.append(f"# {PREFIX}{name}: {note}")
+            rows.append(f"{PREFIX}{name} = {quote}{limit:g}{quote}")
+    return "\n".join(rows[1:])
+
+
+def _number(name: str, value: Any) -> float:
+    try:
+        limit = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{name} = {shown(value)}: give a number") from None
+    check_range(name, limit, 0.0, HIGHEST)
+    return limit
+
+
+def _parsed(path: Path) -> dict[str, Any]:
+    """Return the sections of a file by name; TOML's within each other."""
+    content = read_file(path, "an ini file", _MOST)
+    if path.suffix == ".toml":
+        return tables_of(content, str(path))
+    parser = RawConfigParser(inline_comment_prefixes=("#", ";"), default_section="")
+    parser.optionxform = str  # type: ignore[assignment, method-assign]
+    try:
+        parser.read_string(content.decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        raise InputError(f"{path} is not UTF-8: save it as such") from None
+    except IniError as error:
+        raise InputError(f"{path} cannot be read: {reason(error)}; repair it") from None
+    return {name: dict(parser[name]) for name in parser.sections()}
+
+
+def _sections(path: Path, data: Mapping[str, Any]) -> dict[Encoding, tuple[str, ...]]:
+    """Return the names of the sections with limits, from the outermost, in a file of this data."""
+    if path.suffix == ".toml":
+        own = set(_within(data, ("tool", "pytest"))) - {"ini_options"}  # from pytest 9 on
+        inner = () if own else ("ini_options",)
+        return {"linear": ("tool", "pytest", *inner), "srgb8": ("tool", "facerender", "8-bit")}
+    pytest = "tool:pytest" if path.suffix == ".cfg" else "pytest"
+    return {"linear": (pytest,), "srgb8": ("facerender:8-bit",)}
+
+
+def _within(data: Mapping[str, Any], section: tuple[str, ...]) -> Mapping[str, Any]:
+    for name in section:
+        inner = data.get(name, {})
+        data = inner if isinstance(inner, dict) else {}
+    return data

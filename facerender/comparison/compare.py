@@ -9,8 +9,11 @@ noise from pixel to pixel; coverage and shift another mesh or camera.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -18,14 +21,13 @@ from numpy.typing import NDArray
 
 from facerender.comparison import neighbourhoods as nearby
 from facerender.comparison.blocks import BLOCK, LINEAR, STEPS, BlockStatistics, BlockSums
-from facerender.comparison.neighbourhoods import Float, Mask, excess, filtered, holes
+from facerender.comparison.neighbourhoods import Float, Mask, excess, explained, filtered, holes
 from facerender.comparison.result import HIGHEST, LIMITS, Comparison, Limits
-from facerender.comparison.shift_range import explained
 from facerender.comparison.verdict import reasons_of
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, warn
 from facerender.images.image import Encoding, ImageData, PixelRange, image_from_array
-from facerender.images.read import read_image
+from facerender.images.read import SUFFIXES, read_image
 
 MARGIN = 2  # pixels from the edge of the coverage, where a block does not look
 FADED = 0.2  # excess of coverage that counts as changed
@@ -91,6 +93,84 @@ def compare(
     counted = size[0] * size[1] if counts is None else int(counts.sum())
     result = _result(a.encoding, size, counted, limits, strip, statistics)
     return replace(result, reasons=reasons_of(result, strip.over, statistics))
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two images and what comparing them gave: metrics, or the error that made it impossible.
+
+    Attributes
+    ----------
+    name : of the pair
+    reference, image : None where it could not be read
+    comparison, error : one of the two
+    """
+
+    name: str
+    reference: ImageData | None
+    image: ImageData | None
+    comparison: Comparison | None
+    error: str = ""
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        reference: Comparable,
+        image: Comparable,
+        limits: Mapping[Encoding, Mapping[str, float]] = MappingProxyType({}),
+        **options: Any,
+    ) -> Pair:
+        """Compare two images; the options are those of :func:`compare`, and the limits take the
+        place of those that are None, by the images' encoding."""
+        images: list[ImageData | None] = [None, None]
+        failure = ""
+        for number, source in enumerate((reference, image)):
+            try:
+                images[number] = as_image(source, "AB"[number])
+            except InputError as error:
+                failure = failure or str(error)
+        a, b = images
+        if a is None or b is None:
+            return cls(name, a, b, None, failure)
+        try:
+            own = {key: value for key, value in options.items() if value is not None}
+            return cls(name, a, b, compare(a, b, **{**limits.get(a.encoding, {}), **own}))
+        except InputError as error:
+            return cls(name, a, b, None, str(error))
+
+    @property
+    def status(self) -> int:
+        """0 the same, 1 they differ, 2 they cannot be compared."""
+        return 2 if self.comparison is None else int(not self.comparison.same)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return name, error and every figure, for JSON."""
+        metrics = {} if self.comparison is None else self.comparison.as_dict()
+        return {"name": self.name, "error": self.error, **metrics}
+
+
+def pairs_of(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
+    """Return name, reference and image of two files, or of every image in two folders.
+
+    Raises
+    ------
+    InputError : a file and a folder, or folders without an image
+    """
+    a, b = Path(a), Path(b)
+    if os.path.isdir(a) != os.path.isdir(b):
+        raise InputError(f"one of {a} and {b} is a folder: give two folders, or two images")
+    if not os.path.isdir(a):
+        return [(b.name, a, b)]
+    names = {
+        path.relative_to(folder).as_posix()
+        for folder in (a, b)
+        for path in folder.rglob("*")
+        if path.suffix.lower() in SUFFIXES
+    }
+    if not names:
+        raise InputError(f"no image in {a} and {b}: give folders of {', '.join(SUFFIXES)} files")
+    return [(name, a / name, b / name) for name in sorted(names)]
 
 
 def _result(

@@ -1,11 +1,17 @@
 """Goldens: reference images beside tests. This module compares one image with its golden and writes
-the golden; the pytest plugin is facerender/pytest_plugin.py."""
+the golden; the pytest plugin is facerender/pytest_plugin.py.
+
+A golden may keep the range of each pixel's value over 24 shifts of the image by at most 0.1 pixel.
+It explains detail finer than a pixel, which no neighbourhood does. It holds colours of covered
+pixels only: a black pixel is no uncovered background.
+"""
 
 from __future__ import annotations
 
+import math
 import os
 import re
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,13 +19,20 @@ from typing import Any
 import numpy as np
 
 from facerender import __version__
-from facerender.comparison.compare import Comparable, as_image, compare
-from facerender.comparison.pairs import Pair
-from facerender.comparison.shift_range import SHIFTS, range_of
+from facerender.comparison.compare import Comparable, Pair, as_image, compare
+from facerender.comparison.neighbourhoods import COVERED
 from facerender.errors import InputError, reason
 from facerender.images.exr import save_exr
-from facerender.images.image import ImageData
+from facerender.images.image import ImageData, PixelRange
 
+FARTHEST = 0.1  # pixels
+# Pixels to the right and down: circles of several radii, since fine detail comes and goes.
+SHIFTS = tuple(
+    (round(by * math.cos(0.25 * i * math.pi), 6), round(by * math.sin(0.25 * i * math.pi), 6))
+    for by in (FARTHEST, FARTHEST * 2.0 / 3.0, FARTHEST / 3.0)
+    for i in range(8)
+)
+_HIGHEST = 65504.0  # of half floats
 _FURTHER = 3.0  # times as far: detail finer than a pixel seems to move by more
 Draw = Callable[[float, float], Comparable]
 UNKNOWN = "an unknown renderer"
@@ -106,7 +119,11 @@ def check(
     if pair.status == 0:
         return GoldenResult(image, pair, golden)
     exists = exists or pair.reference is not None
-    failure = _why_not_written(pair, golden, exists, updates)
+    failure = ""
+    if exists and not updates.differing:
+        failure = pair.error or f"{golden.stem} differs from its golden: {pair.comparison}"
+    elif not (updates.missing or updates.differing):
+        failure = f"{golden.stem} has no golden: --facerender-update-missing writes it"
     if not failure:
         try:
             compare(image, image, **options)  # the image itself or its limits may be invalid
@@ -143,17 +160,6 @@ def _linear_rgb(source: Comparable, metadata: Mapping[str, str]) -> ImageData:
     return replace(image, metadata={"facerender": __version__, **image.metadata, **metadata})
 
 
-def _why_not_written(pair: Pair, golden: Path, exists: bool, updates: Updates) -> str:
-    """Return why no golden may be written for a pair that differs; "" where one may."""
-    if updates.differing:
-        return ""
-    if exists:
-        return pair.error or f"{golden.stem} differs from its golden: {pair.comparison}"
-    if updates.missing:
-        return ""
-    return f"{golden.stem} has no golden: --facerender-update-missing writes it"
-
-
 def _write(path: Path, image: ImageData, draw: Draw | None) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -161,6 +167,23 @@ def _write(path: Path, image: ImageData, draw: Draw | None) -> None:
         raise InputError(f"cannot make {path.parent}: {reason(error)}") from None
     shift_range = None if draw is None else range_of([image, *_shifted(image, draw)])
     save_exr(path, image.pixels, image.metadata, shift_range)
+
+
+def range_of(images: Sequence[ImageData]) -> PixelRange:
+    """Return the range of linear images of one size: of colours where they are covered."""
+    each = []
+    for image in images:
+        color, alpha = image.rows(slice(None))
+        values = np.where(alpha[..., None] >= COVERED, color, np.float32(np.nan))
+        if image.pixels.shape[2] > color.shape[2]:
+            values = np.concatenate([values, alpha[..., None]], axis=2)
+        each.append(values)
+    ends = []
+    for choose, beyond in ((np.fmin, -np.inf), (np.fmax, np.inf)):
+        values = choose.reduce(each).clip(-_HIGHEST, _HIGHEST).astype(np.float16)
+        with np.errstate(over="ignore"):
+            ends.append(np.nextafter(values, np.float16(beyond)))
+    return PixelRange(*ends)
 
 
 def _shifted(image: ImageData, draw: Draw) -> list[ImageData]:

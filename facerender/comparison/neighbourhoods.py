@@ -16,12 +16,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender.images.image import PixelRange
+
 Float = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
 _HALO = 4  # pixels around those whose excess is asked for
 _CONTRAST = 0.5  # of the range of 5 x 5 pixels, that an edge may move a value by
 _RELATIVE = 0.01  # of the level, likewise
+COVERED = 0.5  # coverage from which on a pixel is
+_ALPHA = 0.01  # that coverage may leave the range of a golden by
 _STEP = 0.2  # range of 5 x 5 pixels, of the highest, from which on they hold an edge
 
 
@@ -93,6 +97,32 @@ def holes(a: Float, b: Float, full: Mask | None, relative: bool) -> Mask:
         rows, columns = places[y[below] < fraction * low - floor].T
         result[rows, columns] = True
     return result
+
+
+def explained(
+    shift_range: PixelRange, color: Float, alpha: Float, least: float
+) -> tuple[Mask, Mask]:
+    """Return where a golden's range explains colour, and where coverage: (H, W) each. Colours may
+    lie in that of 3 x 3 pixels, darker ones too where the background is uncovered.
+
+    Parameters
+    ----------
+    color, alpha : (H, W, C) and (H, W)
+    least : that a colour may leave the range by, beside a hundredth of its level
+    """
+    low, high = (end.astype(np.float32) for end in shift_range)
+    channels = color.shape[2]
+    coverage = np.ones(alpha.shape, dtype=bool)
+    if low.shape[2] > channels:
+        coverage = (alpha >= low[..., -1] - _ALPHA) & (alpha <= high[..., -1] + _ALPHA)
+    bare = alpha < COVERED
+    within = coverage.copy()
+    for channel in range(channels):
+        value = color[..., channel]
+        allowed = np.float32(least) + np.float32(_RELATIVE) * np.abs(value)
+        within &= bare | (value >= filtered(low[..., channel], np.fmin) - allowed)
+        within &= value <= filtered(high[..., channel], np.fmax) + allowed  # False where NaN
+    return within, coverage
 
 
 def difference(a: Float, b: Float) -> NDArray[np.float32]:

@@ -5,15 +5,16 @@ from __future__ import annotations
 import os
 from base64 import b64decode
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
+from typing import NamedTuple
 
 import numpy as np
 
 from facerender.comparison import visualization
 from facerender.comparison.blocks import BLOCK
-from facerender.comparison.pairs import Pair
+from facerender.comparison.compare import Pair
 from facerender.comparison.result import BLUR, SURE, Comparison
 from facerender.errors import InputError
 from facerender.images.image import Encoding, ImageData
@@ -53,13 +54,11 @@ class Entry:
 
 def entry(pair: Pair) -> Entry:
     """Return a pair's part of the page."""
-    images = {"a": pair.reference, "b": pair.image} if pair.status else {}
-    large = any(
-        image.pixels[..., 0].size > visualization.MAX_PIXELS for image in images.values() if image
-    )
-    displayed = {
-        key: visualization.displayed(image) for key, image in images.items() if image and not large
-    }
+    sources = {"a": pair.reference, "b": pair.image} if pair.status else {}
+    images = {key: image for key, image in sources.items() if image}
+    most = max((image.pixels[..., 0].size for image in images.values()), default=0)
+    large = most > visualization.MAX_PIXELS
+    displayed = {} if large else {k: visualization.displayed(x) for k, x in images.items()}
     return Entry(
         name=pair.name,
         status=pair.status,
@@ -176,9 +175,8 @@ def _compressed(source: str, letter: str, places: Iterable[Sequence[int]]) -> st
 
 def _row(pair: Pair) -> str:
     checks = () if pair.comparison is None else _checks(pair.comparison)
-    figures = [check.relation if check.failed else check.metric for check in checks] or ["–"] * len(
-        CHECKS
-    )
+    figures = [check.relation if check.failed else check.metric for check in checks]
+    figures = figures or ["–"] * len(CHECKS)
     name = f'<a href="#pair-{INDEX}">{escape(pair.name)}</a>'
     return row(name, [_verdict(pair), *figures], VERDICTS[pair.status])
 
@@ -205,22 +203,12 @@ def _verdict(pair: Pair) -> str:
     return f'<span class="verdict">{VERDICTS[pair.status]}</span>'
 
 
-@dataclass(frozen=True)
-class _Check:
+class _Check(NamedTuple):
     name: str
     metric: str
     limit: str
     failed: bool
     where: str = ""
-
-    @classmethod
-    def of(
-        cls, name: str, value: float, limit: float, text: Callable[[float], str], where: str = ""
-    ) -> _Check:
-        """Return a check whose figure is below 0 where the image has less."""
-        if value < 0.0:
-            limit, where = BLUR * limit, "less"
-        return cls(name, text(abs(value)), text(limit), abs(value) > limit, where)
 
     @property
     def relation(self) -> str:
@@ -229,48 +217,42 @@ class _Check:
         return f"{self.metric} ≤&nbsp;{self.limit}"
 
 
-def _checks(result: Comparison) -> tuple[_Check, ...]:
-    limits = result.limits
+def _checks(result: Comparison) -> list[_Check]:
+    limits, factor = result.limits, result.limit_factor
     amount = _percent if result.encoding == "linear" else _number
-    point_at, block_at = ("({}, {})".format(*at) for at in (result.point_at, result.block_at))
-    factor = result.limit_factor
-    trend = result.trend if result.z_score > SURE else 0.0
+    point, block, slight = result.point, result.block, result.slight
+    over = f"{result.points} over", f"{result.blocks} of {result.blocks_judged} over"
+    at = "at ({}, {}); ".format(*result.point_at), "from ({}, {}); ".format(*result.block_at)
+    where = [
+        f"{'brighter' if each > 0.0 else 'darker'} {place}{count}" if each else ""
+        for each, place, count in zip((point, block), at, over, strict=True)
+    ]
+    most = result.sliver_limit
+    trend = max(result.trend, 0.0) if result.z_score > SURE else 0.0
     x, y = result.shift
-    return (
-        _Check(
-            "point",
-            _number(abs(result.point)),
-            _number(limits.point),
-            result.points > 0,
-            f"{_side(result.point)} at {point_at}; {result.points} over" if result.point else "",
-        ),
-        _Check(
-            "slivers",
-            str(result.slight),
-            _number(result.sliver_limit),
-            result.slight > result.sliver_limit,
-        ),
-        _Check(
-            "block",
-            amount(abs(result.block)),
-            amount(limits.block),
-            result.blocks > 0,
-            f"{_side(result.block)} from {block_at}; {result.blocks} of {result.blocks_judged} over"
-            if result.block
-            else "",
-        ),
-        _Check.of("trend", max(trend, 0.0), factor * limits.trend, _number),
-        _Check.of("grain", result.grain, factor * limits.grain, amount),
-        _Check.of("texture", result.texture, factor * limits.texture, _percent),
-        _Check.of("shift", max(abs(x), abs(y)), limits.shift, _number, f"at ({x:.2f}, {y:.2f})"),
-        _Check.of("coverage", result.coverage, limits.coverage, _percent),
-    )
+    checks = [
+        _Check("point", _number(abs(point)), _number(limits.point), result.points > 0, where[0]),
+        _Check("slivers", str(slight), _number(most), slight > most),
+        _Check("block", amount(abs(block)), amount(limits.block), result.blocks > 0, where[1]),
+    ]
+    for name, value, limit, text in (
+        ("trend", trend, factor * limits.trend, _number),
+        ("grain", result.grain, factor * limits.grain, amount),
+        ("texture", result.texture, factor * limits.texture, _percent),
+        ("shift", max(abs(x), abs(y)), limits.shift, _number),
+        ("coverage", result.coverage, limits.coverage, _percent),
+    ):
+        less = f"at ({x:.2f}, {y:.2f})" if name == "shift" else ""
+        if value < 0.0:
+            limit, less = BLUR * limit, "less"
+        checks.append(_Check(name, text(abs(value)), text(limit), abs(value) > limit, less))
+    return checks
 
 
 def _check_table(result: Comparison) -> str:
     rows = [row(check.name, [check.relation, check.where]) for check in _checks(result)]
-    for name, value in (("largest difference", result.largest), ("mean difference", result.mean)):
-        rows.append(row(name, [_number(value), ""]))
+    rows.append(row("largest difference", [_number(result.largest), ""]))
+    rows.append(row("mean difference", [_number(result.mean), ""]))
     unit = "radiance" if result.encoding == "linear" else "steps of 255"
     return table("checks", ("check", "metric and limit", "B is"), rows, f"Metrics, in {unit}")
 
@@ -427,7 +409,3 @@ def _number(value: float) -> str:
 
 def _percent(fraction: float) -> str:
     return f"{_number(100.0 * fraction)}&nbsp;%"
-
-
-def _side(value: float) -> str:
-    return "brighter" if value > 0.0 else "darker"

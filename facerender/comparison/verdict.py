@@ -88,13 +88,11 @@ def _pixels(result: Comparison, over: NDArray[np.int8]) -> str:
 
 def _blocks(result: Comparison) -> str:
     """Describe the blocks over their limit."""
-    limit = result.limits.block
-    mean, most = f"{_signed(result.block)} of 255", f"{limit:g}"
-    if result.encoding == "linear":
-        mean, most = f"{_signed(100.0 * result.block)} %", f"{100.0 * limit:g} %"
+    factor, unit = (100.0, " %") if result.encoding == "linear" else (1.0, "")
+    mean = f"{_signed(factor * result.block)}{unit or ' of 255'}"
     return (
-        f"block {result.block_at}: mean {mean}, limit {most}, {result.blocks} of "
-        f"{result.blocks_judged} blocks over"
+        f"block {result.block_at}: mean {mean}, limit {factor * result.limits.block:g}{unit}, "
+        f"{result.blocks} of {result.blocks_judged} blocks over"
     )
 
 
@@ -109,10 +107,11 @@ def _subtle(result: Comparison) -> Iterator[str]:
     limits, factor = result.limits, result.limit_factor
     grain, texture = factor * limits.grain, factor * limits.texture
     if not BLUR * -grain <= result.grain <= grain:
-        amount, most = f"{result.grain:+.2g} of 255", f"{grain:g}"
-        if result.encoding == "linear":
-            amount, most = f"{100.0 * result.grain:+.2g} %", f"{100.0 * grain:g} %"
-        yield f"grain {amount}, limit {most}: looks like {_texture(result.grain)}"
+        by, unit = (100.0, " %") if result.encoding == "linear" else (1.0, "")
+        yield (
+            f"grain {by * result.grain:+.2g}{unit or ' of 255'}, limit {by * grain:g}{unit}: looks "
+            f"like {_texture(result.grain)}"
+        )
     if not BLUR * -texture <= result.texture <= texture:
         yield (
             f"texture {100.0 * result.texture:+.2g} %, limit {100.0 * texture:g} %: looks like "

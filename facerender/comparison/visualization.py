@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.comparison import flip
-from facerender.comparison.pairs import Pair
+from facerender.comparison.compare import Pair
 from facerender.errors import InputError
 from facerender.images.image import Encoding, ImageData
 from facerender.images.srgb import encode_srgb8

@@ -247,20 +247,20 @@ def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]
     position = gbuffer.position[covered].astype(np.float64)
     normal = gbuffer.normal[covered].astype(np.float64)
     to_eye = gbuffer.view.position - position
+    values: NDArray[Any]
     if only == "albedo":
         values = gbuffer.albedo[covered]
     elif only == "normal":
         values = gbuffer.normal[covered]
     elif only == "depth":
-        depth = -(to_eye @ gbuffer.view.forward) * scene.mesh.radius
-        values = np.repeat(depth[:, None], 3, axis=1)
+        values = -(to_eye @ gbuffer.view.forward)[:, None] * scene.mesh.radius
     elif only == "visibility":
         dark = next((i for i, light in enumerate(scene.lights) if light.shadow), None)
-        seen = np.ones(len(to_eye)) if dark is None else gbuffer.visibility[covered][:, dark]
-        values = np.repeat(seen[:, None], 3, axis=1)
-    elif only in ("mask", "parts"):
-        number = gbuffer.part[covered] + 1
-        values = np.repeat(np.minimum(number, 1 if only == "mask" else number)[:, None], 3, axis=1)
+        values = np.ones(1) if dark is None else gbuffer.visibility[covered][:, dark, None]
+    elif only == "mask":
+        values = np.ones(1)
+    elif only == "parts":
+        values = gbuffer.part[covered][:, None] + 1
     else:
         v = unit(to_eye)
         l = v

@@ -1,5 +1,5 @@
-"""What is drawn of a scene: without what a shading leaves out, and with which maps, started ahead.
-No OpenGL here."""
+"""What is drawn of a scene: without what a shading leaves out, with which maps, started ahead, and
+within which memory. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -9,16 +9,21 @@ from dataclasses import replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from facerender.scenes.density import levels_to_spare
+from facerender.errors import InputError
 from facerender.scenes.material import MAPS, PROPERTY_MAPS, Material
 from facerender.scenes.mesh import Mesh, Part, coordinates
 from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene
 from facerender.scenes.texture import LARGE, Texture
-from facerender.scenes.view import View
+from facerender.scenes.view import View, levels_to_spare
 from facerender.shading import Shading
+from facerender.system.memory import MIB, limit
 
 _MOST_SIMPLIFIED = 64  # of one mesh
+# Bytes, measured on llvmpipe: of the package and a context, of programs, of a triangle, of a pixel,
+# and of each of its samples.
+_ALWAYS, _PROGRAMS = 110 * MIB, 90 * MIB
+_OF_TRIANGLE, _OF_PIXEL, _OF_SAMPLE = 500, 48, 20
 _simplified: WeakKeyDictionary[Mesh, dict[tuple[Any, ...], Mesh]] = WeakKeyDictionary()
 
 
@@ -145,3 +150,35 @@ def start_maps(mesh: Mesh, albedo: Kind = "color", slope_filter: bool = True) ->
         for _, texture, kind in part_maps(part, material, albedo, slope_filter):
             if not texture.coarse and math.prod(texture.size) <= LARGE:
                 texture.levels(kind)
+
+
+def check_memory(
+    scene: Scene, size: tuple[int, int], samples: int, albedo: Kind, most: float | None
+) -> None:
+    """Raise InputError if drawing a scene needs more memory than the process may have.
+
+    Parameters
+    ----------
+    scene : as it is drawn
+    samples : per pixel, as the driver draws them at once
+    albedo : kind of albedo maps, "color" or "linear-color"
+    most : MiB that the process may have; None for the memory that the system has left
+    """
+    mesh = scene.mesh
+    maps: set[tuple[Texture, Kind]] = set()
+    for part, material in zip(mesh.parts, mesh.materials, strict=True):
+        maps |= {each[1:] for each in part_maps(part, material, albedo, slope_filter=True)}
+    kept = _ALWAYS + _OF_TRIANGLE * float(sum(len(part.faces) for part in mesh.parts))
+    decoding = 0.0
+    for texture, kind in maps:
+        chain = math.prod(texture.size) * (8 if kind == "linear-color" else 4) * 4.0 / 3.0
+        image = 4.0 * math.prod(texture.decoded_size)
+        kept += chain if texture.coarse else 2.0 * chain
+        decoding = max(decoding, image if texture.coarse else 2.0 * image + 0.25 * chain)
+    drawing = _PROGRAMS + math.prod(size) * (_OF_PIXEL + samples * _OF_SAMPLE)
+    needed = (kept + max(decoding, drawing)) / MIB
+    if needed > (free := limit(most)):
+        raise InputError(
+            f"{mesh.name} at {size[0]} x {size[1]} with {samples} samples takes about "
+            f"{needed:.0f} MiB of {free:.0f}: give a smaller size, fewer samples or smaller maps"
+        )

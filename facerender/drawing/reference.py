@@ -289,16 +289,13 @@ def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArr
         if pixels.second_m is not None and pixels.lobe_weight is not None:
             first = pixels.lobe_weight * pixels.weight
             lobes = [(pixels.m, first), (pixels.second_m, pixels.weight - first)]
-        brdf = partial(_brdf, replace(shading.term, lobe="exact", m=None), material.f0)
+        term = replace(shading.term, lobe="exact", m=None)
+        brdf = partial(term.brdf, f0=material.f0)
         for m, weight in lobes * bool(samples and material.ks > 0.0):
             size = len(panorama.map) - 2
             total += weight[:, None] * reflected(panorama.map, size, n, v, m, brdf, samples)
         image[covered] = scene.environment.scale * total
     return image
-
-
-def _brdf(term: Term, f0: float, n: Float, l: Float, v: Float, m: Float) -> Float:
-    return term.brdf(n, l, v, m, f0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from facerender import __version__
 from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.frame import Frame, GBuffer, data_view, in_order
-from facerender.drawing.memory import check_memory
 from facerender.drawing.passes import Pass
 from facerender.drawing.passes.shade import shade_pass
 from facerender.drawing.passes.shadow import light_visibility_pass, shadow_passes
@@ -30,7 +29,7 @@ from facerender.drawing.passes.transparency import (
     with_blended,
 )
 from facerender.drawing.passes.visibility import Visibility, can_defer, deferred_is_cheaper
-from facerender.drawing.prepare import reduced, simplify, start_maps
+from facerender.drawing.prepare import check_memory, reduced, simplify, start_maps
 from facerender.drawing.program import ENVIRONMENT_MAP
 from facerender.drawing.resolve import Lighting, ResolvedScene
 from facerender.drawing.resources import Resources, read
@@ -133,8 +132,14 @@ class Renderer:
         self._free = weakref.finalize(self, _free_dropped, self.context, self._resources)
         self._free.atexit = False
         try:
-            with self.context.drawing():
-                self._check_limits()
+            with self.context.drawing() as gl:
+                limits = gl.info
+            most = min(limits["GL_MAX_TEXTURE_SIZE"], *limits["GL_MAX_VIEWPORT_DIMS"])
+            if max(self.size) > most:
+                raise ContextError(
+                    f"size {self.size[0]} x {self.size[1]}: {self.context.renderer} draws at most "
+                    f"{most} pixels a side"
+                )
         except ContextError:
             self.release()
             raise
@@ -365,8 +370,10 @@ class Renderer:
             if beside:
                 background = scene.background if only is None else None
                 area = visibility.area if visibility else None
-            else:
-                passes += self._scattering_apart(resolved, view, scattering, image.cull_back_faces)
+            else:  # several samples may see several places: the centre stands for all
+                one = self._visibility(scene, view, 1)
+                light = shade_pass(resolved, view, 1, "diffuse", one, scattering, apart=True)
+                passes += _from_visibility(light, one, image.cull_back_faces)
             how = resolved.shading.scatter_samples, background, not beside, area
             last = [scatter_pass(view, scattering, *how)]
             if blended_parts(scene, view):
@@ -375,19 +382,6 @@ class Renderer:
                 last = with_blended(whole, *last)
             passes += last
         return self._draw([*shadow_passes(resolved), *passes], scene)[0]
-
-    def _scattering_apart(
-        self,
-        resolved: ResolvedScene,
-        view: View,
-        scattering: Scattering,
-        cull_back_faces: bool,
-    ) -> list[Pass]:
-        """Return passes that draw the light that scatters apart from an image with several samples
-        a pixel, which may see several places: the centre stands for all."""
-        visibility = self._visibility(resolved.scene, view, 1)
-        shaded = shade_pass(resolved, view, 1, "diffuse", visibility, scattering, apart=True)
-        return _from_visibility(shaded, visibility, cull_back_faces)
 
     def _visibility(
         self, scene: Scene, view: View, samples: int, shading_rate: ShadingRate = "sample"
@@ -408,15 +402,6 @@ class Renderer:
 
     # --- OpenGL ----------------------------------------------------------------------------------
 
-    def _check_limits(self) -> None:
-        limits = self.context.gl.info
-        most = min(limits["GL_MAX_TEXTURE_SIZE"], *limits["GL_MAX_VIEWPORT_DIMS"])
-        if max(self.size) > most:
-            raise ContextError(
-                f"size {self.size[0]} x {self.size[1]}: {self.context.renderer} draws at most "
-                f"{most} pixels a side"
-            )
-
     def _draw(
         self, passes: list[Pass], scene: Scene, known: Mapping[str, moderngl.Texture] = {}
     ) -> list[NDArray[np.float32]]:
@@ -426,7 +411,7 @@ class Renderer:
         with self.context.drawing() as gl:
             self._resources.settle()
             if scene.environment is not None:
-                drawn[ENVIRONMENT_MAP] = self._resources.environment(scene.environment.panorama)
+                drawn[ENVIRONMENT_MAP] = self._resources.table(scene.environment.panorama)
             for step in passes:
                 target = self._resources.draw(step, scene.mesh, drawn)
                 if step.target.samples > 1 and step.target.values == "color":

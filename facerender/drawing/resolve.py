@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 
 from facerender.drawing.prepare import simplify
-from facerender.scenes.light import LIGHT_KINDS, Light, disc_of
+from facerender.scenes.light import LIGHT_KINDS, Light, LightSpace, disc_of, light_space
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import Mesh, Part, slope_range
 from facerender.scenes.scene import Scene
-from facerender.scenes.shadow import LightSpace, light_space
 from facerender.shading import Shading, Term
 from facerender.terms.slope_variance import (
     MAX_PIXEL_VARIANCE,

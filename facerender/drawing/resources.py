@@ -59,21 +59,21 @@ class Geometry:
     indices: moderngl.Buffer
     arrays: dict[moderngl.Program, moderngl.VertexArray]
 
-    def array(self, gl: moderngl.Context, program: moderngl.Program) -> moderngl.VertexArray:
-        """Return the attributes as a program reads them."""
-        if program not in self.arrays:
-            self.arrays[program] = self.made(gl, program, self.indices)
-        return self.arrays[program]
-
-    def made(
-        self, gl: moderngl.Context, program: moderngl.Program, indices: moderngl.Buffer
+    def array(
+        self, gl: moderngl.Context, program: moderngl.Program, order: moderngl.Buffer | None = None
     ) -> moderngl.VertexArray:
-        """Make the attributes as a program reads them, by some indices."""
+        """Return the attributes as a program reads them; kept, unless other indices give an
+        order."""
+        if order is None and program in self.arrays:
+            return self.arrays[program]
         layout = " ".join(
             f"{width}f" if name in program else f"{width}x4" for name, width in self.widths.items()
         )
         used = [name for name in self.widths if name in program]
-        return gl.vertex_array(program, [(self.vertices, layout, *used)], indices)
+        made = gl.vertex_array(program, [(self.vertices, layout, *used)], order or self.indices)
+        if order is None:
+            self.arrays[program] = made
+        return made
 
 
 class Resources:
@@ -96,12 +96,10 @@ class Resources:
         self.context, self.size = context, size
         self.anisotropy, self.albedo_kind = anisotropy, albedo_kind
         self.geometries: WeakKeyDictionary[Part | TriangleSetup, Geometry] = WeakKeyDictionary()
-        self.setup_textures: WeakKeyDictionary[TriangleSetup, moderngl.Texture] = (
-            WeakKeyDictionary()
-        )
+        self.tables: WeakKeyDictionary[TriangleSetup | Panorama, moderngl.Texture]
+        self.tables = WeakKeyDictionary()
         self.textures: WeakKeyDictionary[Texture, dict[Kind, moderngl.Texture]]
         self.textures = WeakKeyDictionary()
-        self.environments: WeakKeyDictionary[Panorama, moderngl.Texture] = WeakKeyDictionary()
         self.programs: dict[Program, moderngl.Program] = {}  # the longest unused first
         self._drawn: set[Program] = set()  # what the last frame used of them
         self.targets: dict[Target, moderngl.Framebuffer] = {}
@@ -113,8 +111,8 @@ class Resources:
 
     def release(self) -> None:
         """Free everything on the GPU; the context is current."""
-        caches = (self.geometries, self.setup_textures, self.textures, self.programs, self.targets)
-        for made in (*caches, self.scopes, self.environments, self.screens, self.held):
+        caches = (self.geometries, self.tables, self.textures, self.programs, self.targets)
+        for made in (*caches, self.scopes, self.screens, self.held):
             made.clear()
         self.context.gl.gc()
 
@@ -199,19 +197,16 @@ class Resources:
         program = self.program(draw.program)
         set_uniforms(program, {**step.uniforms, **draw.uniforms})
         self.bind(program, draw, drawn)
-        screen = draw.depth in ("mark", "marked")
-        if draw.setup is not None and not screen:
-            self.positions(draw.setup).array(self.context.gl, program).render()
-        elif draw.part is None or screen:
+        gl, source, order = self.context.gl, draw.setup or draw.part, None
+        if source is None or draw.depth in ("mark", "marked"):
             if program not in self.screens:
-                self.screens[program] = self.context.gl.vertex_array(program, [])
+                self.screens[program] = gl.vertex_array(program, [])
             self.screens[program].render(vertices=3)
-        elif draw.order is not None:
-            self.context.gl.gc()  # the order of the draw before
-            indices = self.context.gl.buffer(draw.part.faces[draw.order])
-            self.geometry(draw.part, mesh).made(self.context.gl, program, indices).render()
-        else:
-            self.geometry(draw.part, mesh).array(self.context.gl, program).render()
+            return
+        if draw.order is not None:
+            gl.gc()  # the order of the draw before
+            order = gl.buffer(source.faces[draw.order])
+        self.geometry(source, mesh).array(gl, program, order).render()
 
     def bind(
         self, program: moderngl.Program, draw: Draw, drawn: Mapping[str, moderngl.Texture]
@@ -226,7 +221,7 @@ class Resources:
                     own = self.texture(name, source, kind)  # before binding: it uses unit 0
                     textures[name] = own
         if draw.setup is not None and draw.depth == "marked":
-            textures["triangle_setup"] = self.setup_texture(draw.setup)
+            textures["triangle_setup"] = self.table(draw.setup)
         used = [(name, texture) for name, texture in textures.items() if name in program]
         for unit, (name, texture) in enumerate(used):
             texture.use(unit)
@@ -288,45 +283,32 @@ class Resources:
                 raise ContextError(f"{self.context.renderer} refused a program: {error}") from None
         return self.programs[source]
 
-    def geometry(self, part: Part, mesh: Mesh) -> Geometry:
-        """Upload a part, once."""
-        if part not in self.geometries:
+    def geometry(self, source: Part | TriangleSetup, mesh: Mesh) -> Geometry:
+        """Upload a part, or the positions of its triangles, once."""
+        if source not in self.geometries:
             gl = self.context.gl
             gl.gc()
-            columns = part_columns(part, mesh)
+            columns = {"in_position": source.positions}
+            if isinstance(source, Part):
+                columns = part_columns(source, mesh)
             vertices = np.hstack(list(columns.values()), dtype=np.float32, casting="same_kind")
             widths = {name: values.shape[1] for name, values in columns.items()}
-            self.geometries[part] = Geometry(gl.buffer(vertices), widths, gl.buffer(part.faces), {})
-        return self.geometries[part]
+            buffers = gl.buffer(vertices), gl.buffer(source.faces)
+            self.geometries[source] = Geometry(buffers[0], widths, buffers[1], {})
+        return self.geometries[source]
 
-    def positions(self, setup: TriangleSetup) -> Geometry:
-        """Upload the positions of triangles, once."""
-        if setup not in self.geometries:
-            gl = self.context.gl
-            gl.gc()
-            buffers = gl.buffer(setup.positions), gl.buffer(setup.faces)
-            self.geometries[setup] = Geometry(buffers[0], {"in_position": 3}, buffers[1], {})
-        return self.geometries[setup]
-
-    def setup_texture(self, setup: TriangleSetup) -> moderngl.Texture:
-        """Upload what deferred shading reads of triangles, once."""
-        if setup not in self.setup_textures:
-            packed = setup.texture()
-            texture = self.context.gl.texture(packed.shape[1::-1], 4, packed, dtype="f4")
-            texture.filter = moderngl.NEAREST, moderngl.NEAREST
-            self.setup_textures[setup] = texture
-        return self.setup_textures[setup]
-
-    def environment(self, panorama: Panorama) -> moderngl.Texture:
-        """Upload the map of a panorama, once."""
-        if panorama not in self.environments:
+    def table(self, source: TriangleSetup | Panorama) -> moderngl.Texture:
+        """Upload the numbers that deferred shading reads of triangles, or the map of a panorama,
+        once."""
+        if source not in self.tables:
             self._settled = False
             self.context.gl.gc()
-            texels = panorama.map
-            texture = self.context.gl.texture(texels.shape[1::-1], 3, texels, dtype="f4")
+            texels = source.texture() if isinstance(source, TriangleSetup) else source.map
+            height, width, components = texels.shape
+            texture = self.context.gl.texture((width, height), components, texels, dtype="f4")
             texture.filter = moderngl.NEAREST, moderngl.NEAREST
-            self.environments[panorama] = texture
-        return self.environments[panorama]
+            self.tables[source] = texture
+        return self.tables[source]
 
     def texture(self, name: str, source: Texture, kind: Kind) -> moderngl.Texture:
         """Upload a mip chain. moderngl uploads level 0; its build_mipmaps would take 65 ms for

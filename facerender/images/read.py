@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, clipped, reason
 from facerender.images.decode import MAX_BYTES, check_pixels, open_image, texels
 from facerender.images.exr import read_exr
-from facerender.images.icc import to_srgb
 from facerender.images.image import ImageData, image_from_array
 from facerender.system.files import check_downloaded, open_file
 
@@ -116,7 +115,7 @@ def _read_8_bit(path: Path, content: bytes) -> ImageData:
     data = ImageData(pixels, "srgb8", str(path), metadata, jpeg=image.format != "PNG")
     if "icc_profile" in image.info:
         try:
-            pixels, profile = to_srgb(pixels, image.info["icc_profile"] or b"")
+            pixels, profile = _to_srgb(pixels, image.info["icc_profile"] or b"")
         except Exception as error:  # LittleCMS fails in its own ways
             raise InputError(
                 f"{path} has an ICC profile that cannot be used ({reason(error)}): save it as sRGB"
@@ -126,3 +125,25 @@ def _read_8_bit(path: Path, content: bytes) -> ImageData:
     return (
         data if abs(gamma - SRGB_GAMMA) <= 1e-4 else replace(data, color_space=f"gamma {gamma:.4g}")
     )
+
+
+def _to_srgb(pixels: NDArray[np.uint8], content: bytes) -> tuple[NDArray[np.uint8], str]:
+    """Return 8-bit pixels (H, W, 1 to 4) with their colours in sRGB, clipped to its gamut, and the
+    name of their ICC profile; alpha stays. Where the conversion changes no pixel, the name is "".
+
+    Raises
+    ------
+    OSError, ImageCms.PyCMSError : the profile is damaged, or for other colours
+    """
+    from PIL import Image, ImageCms
+
+    grey = pixels.shape[2] < 3
+    colors = pixels[..., 0] if grey else np.ascontiguousarray(pixels[..., :3])
+    profile = ImageCms.ImageCmsProfile(BytesIO(content))
+    srgb, intent = ImageCms.createProfile("sRGB"), ImageCms.Intent.RELATIVE_COLORIMETRIC
+    transform = ImageCms.buildTransform(profile, srgb, "L" if grey else "RGB", "RGB", intent)
+    converted = np.asarray(ImageCms.applyTransform(Image.fromarray(colors), transform))
+    result = pixels.copy()
+    result[..., : 1 if grey else 3] = converted[..., 1:2] if grey else converted
+    changed = not np.array_equal(result, pixels)
+    return result, clipped(profile.profile.profile_description or "no name") if changed else ""

@@ -15,7 +15,7 @@ from facerender.drawing.renderer import Renderer
 from facerender.planning.budget import Budget
 from facerender.planning.plan import plan
 from facerender.pricing.table import TABLE
-from facerender.scenes.planned import LevelOfDetail
+from facerender.scenes.lod import LevelOfDetail
 from facerender.scenes.scene import Scene
 from facerender.scenes.texture import Texture
 from facerender.shading import Shading

@@ -11,7 +11,7 @@ from facerender.planning.search import Choice
 from facerender.planning.views import DrawnViews, draw
 from facerender.pricing.frame import Frames, Line, ratio, seconds
 from facerender.pricing.interval import Interval
-from facerender.scenes.planned import LevelOfDetail
+from facerender.scenes.lod import LevelOfDetail
 from facerender.shading import Shading
 
 _VIEWPOINTS, _REPEATS, _VERIFY = 3, 5, 15

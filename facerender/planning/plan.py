@@ -30,8 +30,8 @@ from facerender.pricing.interval import Interval
 from facerender.pricing.table import FRAME
 from facerender.scenes.camera import Camera
 from facerender.scenes.file import scene_toml
+from facerender.scenes.lod import LevelOfDetail, Planned
 from facerender.scenes.mesh import drawn_alpha
-from facerender.scenes.planned import LevelOfDetail, Planned
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 from facerender.system.progress import Progress, no_progress

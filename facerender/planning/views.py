@@ -15,7 +15,7 @@ from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
 from facerender.planning.budget import Budget, highest_but
 from facerender.planning.candidates import alone, groups, values
-from facerender.scenes.planned import LevelOfDetail
+from facerender.scenes.lod import LevelOfDetail
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 

@@ -260,7 +260,7 @@ def _timed(
         for step in shadow_passes(ResolvedScene(scene, Shading(), lighting))
     }
     if scene.environment is not None:
-        textures[ENVIRONMENT_MAP] = resources.environment(scene.environment.panorama)
+        textures[ENVIRONMENT_MAP] = resources.table(scene.environment.panorama)
     array = resources.geometry(part, scene.mesh).array(context.gl, program)
     clock = clock_of(context)
 

@@ -86,12 +86,9 @@ class Panorama:
             level = _blocks(level * solid_angle) / whole
             solid_angle = whole
             levels.append(_bordered(level))
-        map = np.zeros((SIDE + 2, sum(each.shape[1] for each in levels), 3), dtype=np.float32)
-        column = 0
-        for each in levels:
-            map[: len(each), column : column + len(each)] = each
-            column += len(each)
-        return map
+        below = [((0, SIDE + 2 - len(each)), (0, 0), (0, 0)) for each in levels]
+        padded = [np.pad(*pair) for pair in zip(levels, below, strict=True)]
+        return np.concatenate(padded, axis=1, dtype=np.float32, casting="same_kind")
 
     @cached_property
     def _resampled(self) -> tuple[Float, Float, Float]:
@@ -103,9 +100,7 @@ class Panorama:
         radiance = _means(radiance, *columns)
         radiance = radiance.swapaxes(0, 1)
         solid_angle = np.diff(ends)[:, None] * (np.pi / rows)
-        elevation = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)[:, None]
-        azimuth = np.pi * (1.0 - (np.arange(2 * rows) + 0.5) / rows)
-        return radiance, _directions(elevation, azimuth), solid_angle
+        return radiance, _directions(rows), solid_angle
 
     def _octahedron(self) -> tuple[Float, Float]:
         """The first level (SIDE, SIDE, 3), and the solid angle of each texel."""
@@ -158,17 +153,14 @@ class Environment:
 def studio() -> Panorama:
     """Return a studio made by code: a dim room with a large soft box above on the left of the
     picture, a strip on its right and a rim light behind."""
-    rows = 128
-    elevation = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)[:, None]
-    azimuth = np.pi * (1.0 - (np.arange(2 * rows) + 0.5) / rows)
-    directions = _directions(elevation, azimuth)
+    directions = _directions(128)
     room = np.array([0.060, 0.066, 0.072]) * (1.2 + 0.8 * directions[..., 1:2])
-    for azimuth_, elevation_, width, height, color in (
+    for azimuth, elevation, width, height, color in (
         (-48.0, 38.0, 0.45, 0.6, (4.4, 4.2, 3.9)),
         (70.0, 8.0, 0.22, 0.9, (1.2, 1.3, 1.4)),
         (145.0, 30.0, 0.2, 0.7, (3.2, 3.3, 3.6)),
     ):
-        center = direction_to(azimuth_, elevation_)
+        center = direction_to(azimuth, elevation)
         right = np.cross([0.0, 1.0, 0.0], center)
         right /= np.linalg.norm(right)
         depth = directions @ center
@@ -182,7 +174,10 @@ def studio() -> Panorama:
     return Panorama("studio", room.astype(np.float32))
 
 
-def _directions(elevation: Float, azimuth: Float) -> Float:
+def _directions(rows: int) -> Float:
+    """Return the directions of a panorama's values, (rows, 2 rows, 3)."""
+    elevation = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)[:, None]
+    azimuth = np.pi * (1.0 - (np.arange(2 * rows) + 0.5) / rows)
     across, up = np.cos(elevation), np.sin(elevation) + 0.0 * azimuth
     return np.stack([across * np.sin(azimuth), up, across * np.cos(azimuth)], axis=-1)
 

@@ -14,8 +14,8 @@ import numpy as np
 from facerender.errors import InputError, check_path, check_type, clipped, shown
 from facerender.scenes.camera import Camera
 from facerender.scenes.light import Light, parse_light
+from facerender.scenes.lod import Planned
 from facerender.scenes.material import MAPS, Material
-from facerender.scenes.planned import Planned
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import AZIMUTHS, HIGHEST
 from facerender.shading import Shading
@@ -171,11 +171,7 @@ def _changes(value: Camera | Light) -> dict[str, Any]:
 
 
 def _environment(value: Environment) -> dict[str, Any]:
-    return {
-        "file": value.panorama.name,
-        "rotation": value.rotation,
-        "scale": value.scale,
-    }
+    return {"file": value.panorama.name, "rotation": value.rotation, "scale": value.scale}
 
 
 def _shared_factors(materials: Sequence[Material]) -> dict[str, Any]:

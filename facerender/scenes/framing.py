@@ -43,13 +43,9 @@ _BUN = 0.35  # height of a bun, at most, over that of head and bun
 _known: WeakKeyDictionary[Mesh, Mapping[str, Region]] = WeakKeyDictionary()
 
 
-def find_region(mesh: Mesh, name: str) -> Region:
-    """Return the "head" or the "face" of a mesh; all of it where there is no more to tell."""
-    return find_regions(mesh)[name]
-
-
 def find_regions(mesh: Mesh) -> Mapping[str, Region]:
-    """Return head and face of a mesh, by these names; they are found once."""
+    """Return "head" and "face" of a mesh, which are found once; all of it where there is no more to
+    tell."""
     if mesh.regions is not None:
         return mesh.regions
     if mesh not in _known:

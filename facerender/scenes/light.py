@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 Float = NDArray[np.float64]
 
+NEAREST = 1.05  # a point light with a shadow, in radii of the mesh's bounding sphere
+
 
 @dataclass(frozen=True)
 class Light:
@@ -77,7 +79,8 @@ class LightKind:
     name : of its file, such as "point"
     example : one to price it with
     matches : whether a light is of this kind; the first kind that does counts
-    uniforms : of lights and their mesh, the arrays by name, (N, 1) to (N, 3), in the renderer's
+    arrays : names of the arrays
+    elements : of a light and its mesh, its element of each array, (1,) to (3,), in the renderer's
         space
     lighting : of a light, its mesh and positions (..., 3) in the renderer's space: unit vectors
         towards it and its irradiance there, in float64
@@ -88,9 +91,15 @@ class LightKind:
     name: str
     example: Light
     matches: Callable[[Light], bool]
-    uniforms: Callable[[Sequence[Light], Mesh], dict[str, Float]]
+    arrays: tuple[str, ...]
+    elements: Callable[[Light, Mesh], tuple[Float, ...]]
     lighting: Callable[[Light, Mesh, Float], tuple[Float, Float]]
     sine: Callable[[Light, Mesh, Float], Float] | None = None
+
+    def uniforms(self, lights: Sequence[Light], mesh: Mesh) -> dict[str, Float]:
+        """Return the arrays by name, (N, 1) to (N, 3), of lights of this kind."""
+        columns = zip(*(self.elements(light, mesh) for light in lights), strict=True)
+        return {name: np.array(each) for name, each in zip(self.arrays, columns, strict=True)}
 
     @property
     def price(self) -> str:
@@ -101,13 +110,6 @@ class LightKind:
     def shadow_price(self) -> str:
         """What tables of prices call a shadow in it."""
         return "hard shadow" if self.sine is None else "soft shadow"
-
-
-def _distant(lights: Sequence[Light], mesh: Mesh) -> dict[str, Float]:
-    return {
-        "light_direction": np.array([light.direction for light in lights]),
-        "light_irradiance": np.array([light.irradiance for light in lights]),
-    }
 
 
 def _point(light: Light, mesh: Mesh) -> tuple[Float, Float]:
@@ -126,11 +128,6 @@ def _point(light: Light, mesh: Mesh) -> tuple[Float, Float]:
     return position, np.asarray(light.irradiance) * distance2
 
 
-def _points(lights: Sequence[Light], mesh: Mesh) -> dict[str, Float]:
-    positions, intensities = zip(*(_point(light, mesh) for light in lights), strict=True)
-    return {"light_position": np.array(positions), "light_intensity": np.array(intensities)}
-
-
 def _point_lighting(light: Light, mesh: Mesh, position: Float) -> tuple[Float, Float]:
     source, intensity = _point(light, mesh)
     to_light = source - position
@@ -147,16 +144,7 @@ def _sine(light: Light) -> Float:
     return np.array([math.sin(math.radians(light.radius))])
 
 
-def _discs(lights: Sequence[Light], mesh: Mesh) -> dict[str, Float]:
-    sines = np.array([_sine(light) for light in lights])
-    return {
-        "disc_direction": np.array([light.direction for light in lights]),
-        "disc_irradiance": np.array([light.irradiance for light in lights]),
-        "disc_size": np.concatenate([sines, half_sum(sines)], axis=-1),
-    }
-
-
-def _sphere(light: Light, mesh: Mesh) -> tuple[Float, Float, float]:
+def _sphere(light: Light, mesh: Mesh) -> tuple[Float, Float, Float]:
     """Return position, intensity and size in the renderer's space, in which the mesh lies within
     the unit sphere.
 
@@ -166,7 +154,7 @@ def _sphere(light: Light, mesh: Mesh) -> tuple[Float, Float, float]:
     """
     position, intensity = _point(light, mesh)
     distance = float(np.linalg.norm(position))
-    size = distance * float(_sine(light)[0])
+    size = distance * _sine(light)
     if size > (distance - 1.0) * math.sin(math.radians(MAX_RADIUS)) * (1.0 + 1e-9):
         raise InputError(
             f"point light {light.position} with radius {light.radius:g} is too near: parts of the "
@@ -175,21 +163,12 @@ def _sphere(light: Light, mesh: Mesh) -> tuple[Float, Float, float]:
     return position, intensity, size
 
 
-def _spheres(lights: Sequence[Light], mesh: Mesh) -> dict[str, Float]:
-    positions, intensities, sizes = zip(*(_sphere(each, mesh) for each in lights), strict=True)
-    return {
-        "sphere_position": np.array(positions),
-        "sphere_intensity": np.array(intensities),
-        "sphere_size": np.array(sizes)[:, None],
-    }
-
-
 def _sphere_sine(light: Light, mesh: Mesh, position: Float) -> Float:
     source, _, size = _sphere(light, mesh)
     return np.asarray(size / np.linalg.norm(source - position, axis=-1, keepdims=True))
 
 
-def _distant_lighting(light: Light, mesh: Mesh, position: Float) -> tuple[Float, Float]:
+def _distant(light: Light) -> tuple[Float, Float]:
     return light.direction, np.asarray(light.irradiance)
 
 
@@ -200,14 +179,16 @@ LIGHT_KINDS: dict[str, LightKind] = {
             "point",
             example=Light(irradiance=2.0, position=(1.0, 2.0, 3.0)),
             matches=lambda light: light.position is not None and not light.radius,
-            uniforms=_points,
+            arrays=("light_position", "light_intensity"),
+            elements=_point,
             lighting=_point_lighting,
         ),
         LightKind(
             "sphere",
             example=Light(irradiance=2.0, position=(1.0, 2.0, 3.0), radius=5.0),
             matches=lambda light: light.position is not None,
-            uniforms=_spheres,
+            arrays=("sphere_position", "sphere_intensity", "sphere_size"),
+            elements=_sphere,
             lighting=_point_lighting,
             sine=_sphere_sine,
         ),
@@ -215,16 +196,21 @@ LIGHT_KINDS: dict[str, LightKind] = {
             "disc",
             example=Light(30.0, 35.0, 2.0, radius=5.0),
             matches=lambda light: light.radius > 0.0,
-            uniforms=_discs,
-            lighting=_distant_lighting,
+            arrays=("disc_direction", "disc_irradiance", "disc_size"),
+            elements=lambda light, mesh: (
+                *_distant(light),
+                np.append(_sine(light), half_sum(_sine(light))),
+            ),
+            lighting=lambda light, mesh, position: _distant(light),
             sine=lambda light, mesh, position: _sine(light),
         ),
         LightKind(
             "directional",
             example=Light(30.0, 35.0, 2.0),
             matches=lambda light: True,
-            uniforms=_distant,
-            lighting=_distant_lighting,
+            arrays=("light_direction", "light_irradiance"),
+            elements=lambda light, mesh: _distant(light),
+            lighting=lambda light, mesh, position: _distant(light),
         ),
     )
 }
@@ -251,6 +237,62 @@ def disc_of(light: Light, mesh: Mesh) -> tuple[float, float] | None:
         nearest /= max(float(np.linalg.norm(nearest)), 1e-30)
     sine = light.kind.sine(light, mesh, nearest)
     return float(sine[0]), float(half_sum(sine)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class LightSpace:
+    """Where a light sees the renderer's space, in which the mesh lies within the unit sphere.
+
+    Attributes
+    ----------
+    matrix : (4, 4) float64, for row vectors; the first three are to be divided by the fourth
+    tan_radius : tangent of the angle between the centre and the rim of the light, seen from the
+        centre of the mesh
+    top : the largest z of the unit sphere
+    """
+
+    matrix: Float
+    tan_radius: float
+    top: float
+
+
+def light_space(light: Light, mesh: Mesh) -> LightSpace:
+    """Return the space of a light.
+
+    Raises
+    ------
+    InputError : a point light stands within the mesh's bounding sphere, or nearly so, or 1e6 radii
+        away
+    """
+    tan_radius = math.tan(math.radians(light.radius))
+    if light.position is None:
+        matrix = np.eye(4)
+        matrix[:3, :3] = light_axes(light, mesh)
+        return LightSpace(matrix, tan_radius, 1.0)
+    place = within_reach(f"point light {light.position}", mesh.normalised(light.position))
+    distance = float(np.linalg.norm(place))
+    if distance < NEAREST:
+        raise InputError(
+            f"point light {light.position} casts no shadow from within the sphere around the mesh: "
+            f"it is {distance:.3g} radii from the centre, give {NEAREST:g} or more, or no shadow"
+        )
+    axes = light_axes(light, mesh)
+    scale = distance * math.sqrt(1.0 - 1.0 / distance**2)
+    matrix = np.zeros((4, 4))
+    matrix[:3, :3] = scale * axes
+    matrix[:3, 3] = -axes[:, 2]
+    matrix[3, 3] = distance
+    return LightSpace(matrix, tan_radius, scale / (distance - 1.0))
+
+
+def light_axes(light: Light, mesh: Mesh) -> Float:
+    """Return two vectors across the direction in which a light stands as seen from the centre of a
+    mesh, and that itself, as columns (3, 3)."""
+    towards = light.direction if light.position is None else mesh.normalised(light.position)
+    towards = towards / np.linalg.norm(towards)
+    across = np.cross(np.eye(3)[int(np.abs(towards).argmin())], towards)
+    across /= np.linalg.norm(across)
+    return np.stack([across, np.cross(towards, across), towards], axis=1)
 
 
 def parse_light(text: str) -> Light:

@@ -1,18 +1,24 @@
-"""Levels of detail: a mesh with fewer triangles, for images that cannot show them all."""
+"""Levels of detail: a mesh with fewer triangles, for images that cannot show them all; for which
+images the shading of a scene was planned."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from operator import index
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_type, warn
+from facerender.errors import InputError, check_type, shown, warn
+from facerender.images.decode import MAX_SIDE
 from facerender.scenes.framing import find_regions
 from facerender.scenes.mesh import TRIANGLES, Mesh, Part
+from facerender.scenes.scene import Scene, ShadingRate, check_shading_rate
 from facerender.system import meshoptimizer
+from facerender.terms.ranges import IntegerRange, check_fields, ranged
 
 Float = NDArray[np.float64]
 
@@ -21,6 +27,8 @@ Float = NDArray[np.float64]
 # Chosen by images such as those of docs/measurements/levels.md.
 _NORMAL, _PLACE, _COLOR = 1.0, 20.0, 1.0
 _WEIGHTS = [_NORMAL] * 3 + [_PLACE] * 2 + [_COLOR] * 4 + [_PLACE] * 2
+
+_SAME_SHAPE = 1.01  # width over height, of rounded sizes
 
 _simplified: WeakKeyDictionary[Mesh, dict[int, Mesh]] = WeakKeyDictionary()
 
@@ -73,7 +81,7 @@ def _simplify(mesh: Mesh, triangles: int) -> Mesh:
         ) from None
     starts = np.cumsum([0, *(len(part.positions) for part in mesh.parts)])
     faces = [part.faces + start for part, start in zip(mesh.parts, starts, strict=False)]
-    rows = np.concatenate([_vertices(mesh, index) for index in range(len(mesh.parts))])
+    rows = np.concatenate([_vertices(mesh, number) for number in range(len(mesh.parts))])
     # Some files share no vertex.
     rows, first, numbers = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     corners = numbers.reshape(-1)[np.concatenate(faces)]
@@ -83,14 +91,14 @@ def _simplify(mesh: Mesh, triangles: int) -> Mesh:
         corners.astype(np.uint32), columns[:, 1:4], columns[:, 4:], weights, triangles
     )
     parts = []
-    for index, part in enumerate(mesh.parts):
-        chosen = left[rows[left[:, 0], 0] == index]
+    for number, part in enumerate(mesh.parts):
+        chosen = left[rows[left[:, 0], 0] == number]
         if not len(chosen):
-            all_faces = corners[rows[corners[:, 0], 0] == index]
+            all_faces = corners[rows[corners[:, 0], 0] == number]
             chosen = all_faces[[np.argmax(_double_areas(rows[all_faces, 1:4]))]]
         vertices, own = np.unique(chosen, return_inverse=True)
         arrays = {
-            name: values[first[vertices] - starts[index]]
+            name: values[first[vertices] - starts[number]]
             for name in ("positions", "normals", "uv", "colors", "occlusion", "uv2")
             if (values := getattr(part, name)) is not None
         }
@@ -136,3 +144,97 @@ def _double_areas(corners: Float) -> Float:
     """Return twice the areas of triangles, (F, 3, 3) to (F,)."""
     sides = corners[:, 1:] - corners[:, :1]
     return np.asarray(np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1))
+
+
+@dataclass(frozen=True)
+class LevelOfDetail:
+    """How finely a frame is drawn.
+
+    Attributes
+    ----------
+    samples : per pixel
+    triangles : of the mesh, at most; None for all
+    cull_back_faces, shading_rate : see :meth:`facerender.Renderer.render`
+    """
+
+    samples: int
+    triangles: int | None
+    cull_back_faces: bool = False
+    shading_rate: ShadingRate = "sample"
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The parameters of :meth:`facerender.Renderer.render` but for the triangles."""
+        return {name: value for name, value in vars(self).items() if name != "triangles"}
+
+    def of(self, scene: Scene) -> Scene:
+        """Return a scene whose mesh has no more triangles; errors as of :func:`simplified`."""
+        if self.triangles is None:
+            return scene
+        return replace(scene, mesh=simplified(scene.mesh, self.triangles))
+
+
+@dataclass(frozen=True)
+class Planned:
+    """The images at which the error of a shading was measured.
+
+    Parameters
+    ----------
+    sizes : width and height of each, in pixels
+    samples : of each pixel
+    drawn_samples, triangles : with how many samples and at most how many triangles the frame is
+        drawn that stands for such an image; None for all
+    cull_back_faces, shading_rate : how it is drawn, see :meth:`facerender.Renderer.render`
+
+    Raises
+    ------
+    InputError : no such sizes or samples
+    """
+
+    sizes: tuple[tuple[int, int], ...]
+    samples: int
+    drawn_samples: int | None = ranged(IntegerRange(1, math.inf), None)
+    triangles: int | None = ranged(TRIANGLES, None)
+    cull_back_faces: bool = False
+    shading_rate: ShadingRate = "sample"
+
+    def __post_init__(self) -> None:
+        try:
+            sizes = tuple((index(width), index(height)) for width, height in self.sizes)
+            numbers = [index(self.samples), *(number for size in sizes for number in size)]
+        except (TypeError, ValueError):
+            numbers = []
+        if len(numbers) < 3 or not 1 <= min(numbers) <= max(numbers) <= MAX_SIDE:
+            raise InputError(
+                f"planned sizes = {shown(self.sizes)}, samples = {shown(self.samples)}: give "
+                f"widths and heights up to {MAX_SIDE}, such as [[512, 512], [1024, 1024]], and a "
+                "number"
+            )
+        check_fields(self, "planned ")
+        check_shading_rate("planned shading_rate", self.shading_rate)
+        object.__setattr__(self, "sizes", sizes)
+
+    def holds(self, size: tuple[int, int], samples: int) -> bool:
+        """Tell whether an image is of the planned samples, and neither smaller nor larger nor of
+        another shape than the planned ones. One sample is, with all triangles and
+        their back faces: it is the pixel's centre, where every plan is measured."""
+        centres = self.triangles is None and not self.cull_back_faces
+        widths, heights = zip(*self.sizes, strict=True)
+        shapes = [width / height for width, height in self.sizes]
+        return (
+            samples in (self.samples, 1 if centres else self.samples)
+            and min(widths) <= size[0] <= max(widths)
+            and min(heights) <= size[1] <= max(heights)
+            and min(shapes) / _SAME_SHAPE <= size[0] / size[1] <= max(shapes) * _SAME_SHAPE
+        )
+
+    @property
+    def detail(self) -> LevelOfDetail:
+        """How finely the frame is drawn that stands for a planned one."""
+        samples = self.drawn_samples or self.samples
+        return LevelOfDetail(samples, self.triangles, self.cull_back_faces, self.shading_rate)
+
+    def __str__(self) -> str:
+        ends = dict.fromkeys((min(self.sizes), max(self.sizes)))
+        sizes = " to ".join(f"{width} x {height}" for width, height in ends)
+        return f"{sizes} pixels with {self.samples} sample{'s' if self.samples > 1 else ''}"

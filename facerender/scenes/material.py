@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -137,10 +138,8 @@ class Material:
         then decoded."""
         if self.roughness_map is None:
             return self.with_second(self.m, self.m)
-        channel = self.roughness_map, 0
-        if self.property_map is not None:
-            channel = self.property_map, 1
-        texels = channel[0].ends()[:, channel[1]]
+        packed = self.property_map
+        texels = packed.ends()[:, 1] if packed else self.roughness_map.ends()[:, 0]
         ends = (self.roughness_factor * float(end) / 255.0 for end in texels)
         low, high = (max(end**2, MIN_SLOPE) for end in ends)
         return self.with_second(low, high)
@@ -181,17 +180,11 @@ class Material:
 
 def check_maps(name: str, materials: Sequence[Material]) -> None:
     """Raise InputError where the maps of a mesh have more than MOST_TEXELS together."""
-    sizes: dict[object, tuple[int, int]] = {}
+    maps: set[Texture | None] = set()
     for each in materials:
-        names = set(MAPS) - (set(PROPERTY_MAPS) if each.packs else set())
-        for texture in (getattr(each, name) for name in names):
-            if texture is not None:
-                sizes[texture] = texture.size
-        if each.packs:
-            packed = each.properties
-            widths, heights = zip(*(texture.size for texture in packed if texture), strict=True)
-            sizes[packed] = max(widths), max(heights)
-    if (total := sum(width * height for width, height in sizes.values())) > MOST_TEXELS:
+        names = set(MAPS) - set(PROPERTY_MAPS) | {"property_map"} if each.packs else MAPS
+        maps.update(getattr(each, name) for name in names)
+    if (total := sum(math.prod(texture.size) for texture in maps if texture)) > MOST_TEXELS:
         raise InputError(
             f"the maps of {name} have {total / 1e6:.0f} million texels together, of "
             f"{MOST_TEXELS / 1e6:.0f} at most: make them smaller"

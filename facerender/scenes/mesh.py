@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_range, check_type, clipped, each_of, shown
-from facerender.scenes.arrays import piece_of
-from facerender.scenes.material import Alpha, Material, check_maps
+from facerender.errors import InputError, check_range, check_type, clipped, each_of, reason, shown
+from facerender.images.srgb import srgb_to_linear
+from facerender.scenes.material import MAPS, SKIN_ALBEDO, Alpha, Material, check_maps
 from facerender.scenes.repair import Piece, clean, used
 from facerender.scenes.vectors import check_array
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
@@ -103,7 +103,7 @@ class Mesh:
     millimetres : that a unit of its space is, as a glTF file says; None where no file has said so.
         Scattering needs it
     regions : head and face of the mesh that this one is simplified of; None where they are found in
-        its own parts, see :func:`facerender.scenes.framing.find_region`
+        its own parts, see :func:`facerender.scenes.framing.find_regions`
     """
 
     name: str
@@ -153,7 +153,7 @@ class Mesh:
     ) -> Mesh:
         """Return a mesh of parts whose faces name vertices that are there; what of bounds, radius
         and profile follows of them is computed."""
-        drawn = np.concatenate([each.positions[used(each)] for each in parts])
+        drawn = np.concatenate([each.positions[used(each.positions, each.faces)] for each in parts])
         bounds = np.array([drawn.min(axis=0), drawn.max(axis=0)])
         offsets = drawn - bounds.mean(axis=0)
         radius = float(np.linalg.norm(offsets, axis=1).max())
@@ -215,7 +215,7 @@ class Mesh:
             there, maps without texture coordinates
         """
         check_type("name of a mesh", name, str, "text")
-        piece = piece_of(positions, faces, uv, normals, colors, material)
+        piece = _piece_of(positions, faces, uv, normals, colors, material)
         piece.name = name
         with np.errstate(all="ignore"):  # what overflows is found and dropped
             return cls.assembled(clean([piece], name), name, millimetres)
@@ -327,8 +327,7 @@ def names_of(option: str, names: Any) -> tuple[str, ...]:
     InputError : something else than text
     """
     names = names.split(",") if isinstance(names, str) else names
-    remedy = "names of parts"
-    found = each_of(option, names, str, remedy)
+    found = each_of(option, names, str, "names of parts")
     return tuple(name for each in found if (name := each.strip()))
 
 
@@ -362,3 +361,75 @@ def _profile(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     order = np.lexsort((widths, slices))
     widest = order[np.diff(slices[order], append=slices.max() + 1) > 0]
     return np.stack([widths[widest], heights[widest]], axis=1)
+
+
+def _piece_of(
+    positions: ArrayLike,
+    faces: ArrayLike,
+    uv: ArrayLike | None,
+    normals: ArrayLike | None,
+    colors: ArrayLike | None,
+    material: Material | None,
+) -> Piece:
+    check_type("material", material, Material | None, "a facerender.Material or None")
+    places = _rows("positions", positions, (3,))
+    corners = _rows("faces", faces, (3,), "; cut polygons into triangles")
+    count = len(places)
+    if (corners != np.floor(corners)).any():
+        raise InputError("faces are no whole numbers: give indices of vertices")
+    if ((corners < 0) | (corners >= count)).any():
+        bad = int(corners.min()) if (corners < 0).any() else int(corners.max())
+        raise InputError(f"a face names vertex {bad} of {count}: number them from 0 on")
+    if material is None:
+        material = Material(albedo=SKIN_ALBEDO if colors is None else (1.0, 1.0, 1.0))
+    maps = [each for each in MAPS if getattr(material, each) is not None]
+    if uv is None and maps:
+        raise InputError(f"the material has {maps[0]}, and the mesh no uv: give it as well")
+    return Piece(
+        places,
+        corners.astype(np.int64),
+        None if normals is None else _rows("normals", normals, (3,), count=count),
+        None if uv is None else _rows("uv", uv, (2,), count=count),
+        None if colors is None else _linear_colors(colors, count),
+        material,
+    )
+
+
+def _rows(
+    name: str, array: ArrayLike, widths: tuple[int, ...], hint: str = "", count: int | None = None
+) -> NDArray[np.float64]:
+    """Return a copy of rows of finite numbers, as many as there are vertices if that is known."""
+    try:
+        values = np.asarray(array)
+    except (ValueError, TypeError, RuntimeError) as error:
+        raise InputError(f"{name} cannot be an array ({reason(error)}): give rows") from None
+    if values.dtype.kind not in "fiu" or values.ndim != 2 or values.shape[1] not in widths:
+        wanted = " or ".join(map(str, widths))
+        raise InputError(
+            f"{name} has the shape {values.shape} of {values.dtype}: give rows of {wanted} "
+            f"numbers{hint}"
+        )
+    if not len(values) or count not in (None, len(values)):
+        wanted = f"{count}, one for each vertex" if count else "at least one"
+        raise InputError(f"{name} has {len(values)} rows: give {wanted}")
+    rows = np.array(values, dtype=np.float64)
+    if not (finite := np.isfinite(rows).all(axis=1)).all():
+        bad = int(finite.argmin())
+        raise InputError(
+            f"{name}[{bad}] = {rows[bad].tolist()}: {int((~finite).sum())} rows are not finite; "
+            "leave them out"
+        )
+    return rows
+
+
+def _linear_colors(colors: ArrayLike, count: int) -> NDArray[np.float64]:
+    rows = _rows("colors", colors, (3, 4), count=count)[:, :3]
+    dtype = np.asarray(colors).dtype
+    if dtype in (np.uint8, np.uint16):
+        return srgb_to_linear(rows / np.iinfo(dtype).max)
+    if rows.min() < 0.0 or rows.max() > 1.0:
+        raise InputError(
+            f"colors reach from {rows.min():.4g} to {rows.max():.4g}: give linear ones in [0, 1], "
+            "or uint8 that are sRGB-encoded"
+        )
+    return rows

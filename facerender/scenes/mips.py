@@ -58,9 +58,7 @@ def coarse_base(
     return finest, means
 
 
-def coarse_chain(
-    base: NDArray[Any] | tuple[NDArray[np.uint8], NDArray[np.float32]],
-) -> Levels:
+def coarse_chain(base: NDArray[Any] | tuple[NDArray[np.uint8], NDArray[np.float32]]) -> Levels:
     """Return what :func:`chain` gives without its finest levels, of their base; "data" may be off
     by 1 of 255, as Pillow rounds."""
     if isinstance(base, tuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +18,6 @@ _HUGE, _TINY = 1e60, 1e-60
 _MOST_UV = 1e6  # float32 has no texels any more long before
 _MOST_PIECES = 1024  # parts with a material each: a draw call in every pass
 _FAR = 32.0  # times as far from the middle as nine tenths of the vertices: these are drawn tiny
-
-
-class Triangles(Protocol):
-    """What is made of vertices and of faces that name them."""
-
-    @property
-    def positions(self) -> NDArray[np.float64]: ...
-
-    @property
-    def faces(self) -> NDArray[Any]: ...
 
 
 @dataclass
@@ -59,12 +49,10 @@ def placed(piece: Piece, transform: NDArray[np.float64]) -> Piece:
     """Return a piece where a transform (4, 4) puts it."""
     linear = transform[:3, :3]
     determinant = float(np.linalg.det(linear)) if np.isfinite(transform).all() else 0.0
-    normals = piece.normals
-    if normals is not None:
-        inverse = None
+    normals = None
+    if piece.normals is not None and determinant:
         with suppress(np.linalg.LinAlgError):
-            inverse = np.linalg.inv(linear) if determinant else None
-        normals = None if inverse is None else np.asarray(normals, dtype=np.float64) @ inverse
+            normals = np.asarray(piece.normals, dtype=np.float64) @ np.linalg.inv(linear)
     return replace(
         piece,
         positions=piece.positions @ linear.T + transform[:3, 3],
@@ -87,13 +75,8 @@ def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
         warn(f"the faces of {name} are inside out: turned")
         for piece in pieces:
             piece.faces = piece.faces[:, ::-1]
-            piece.normals = -_present(piece.normals)
+            piece.normals = -np.asarray(piece.normals)
     return pieces
-
-
-def _present(normals: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    assert normals is not None
-    return normals
 
 
 def _corners(piece: Piece) -> NDArray[np.float64]:
@@ -101,10 +84,10 @@ def _corners(piece: Piece) -> NDArray[np.float64]:
     return np.take(piece.positions, piece.faces, axis=0)  # positions[faces] takes twice as long
 
 
-def used(piece: Triangles) -> NDArray[np.bool_]:
+def used(positions: NDArray[np.float64], faces: NDArray[Any]) -> NDArray[np.bool_]:
     """Which vertices the faces use; np.unique of the faces would take fifty times as long."""
-    found = np.zeros(len(piece.positions), dtype=bool)
-    found[piece.faces] = True
+    found = np.zeros(len(positions), dtype=bool)
+    found[faces] = True
     return found
 
 
@@ -136,34 +119,33 @@ def _drop_bad_faces(pieces: Sequence[Piece], name: str) -> None:
     out_of_range = sum(piece.out_of_range for piece in pieces)
     infinite = huge = bad_faces = huge_faces = flat_faces = 0
     for piece in pieces:
-        known = ((piece.faces >= 0) & (piece.faces < len(piece.positions))).all(axis=1)
-        if not known.all():
-            out_of_range += int((~known).sum())
-            piece.faces = piece.faces[known]
+        within = (piece.faces >= 0) & (piece.faces < len(piece.positions))
+        out_of_range += _keep_faces(piece, within)
         small = np.asarray((np.abs(piece.positions) < _HUGE).all(axis=1))
         if not small.all():
             finite = np.asarray(np.isfinite(piece.positions).all(axis=1))
             infinite += int((~finite).sum())
             huge += int((finite & ~small).sum())
-            keep = finite[piece.faces].all(axis=1)
-            bad_faces += int((~keep).sum())
-            piece.faces = piece.faces[keep]
-            keep = small[piece.faces].all(axis=1)
-            huge_faces += int((~keep).sum())
-            piece.faces = piece.faces[keep]
+            bad_faces += _keep_faces(piece, finite[piece.faces])
+            huge_faces += _keep_faces(piece, small[piece.faces])
     _check_extent([piece for piece in pieces if len(piece.faces)], name)
     for piece in pieces:
-        keep = _has_area(_corners(piece))
-        flat_faces += int((~keep).sum())
-        piece.faces = piece.faces[keep]
-    if out_of_range:
-        warn(f"{name} has {out_of_range} faces of vertices that are not there: dropped")
-    if infinite:
-        warn(f"{name} has {infinite} non-finite vertices: {bad_faces} faces dropped")
-    if huge:
-        warn(f"{name} has {huge} vertices beyond {_HUGE:g}: {huge_faces} faces dropped")
-    if flat_faces:
-        warn(f"{name} has {flat_faces} degenerate faces: dropped")
+        flat_faces += _keep_faces(piece, _has_area(_corners(piece))[:, None])
+    for count, what in (
+        (out_of_range, "faces of vertices that are not there: dropped"),
+        (infinite, f"non-finite vertices: {bad_faces} faces dropped"),
+        (huge, f"vertices beyond {_HUGE:g}: {huge_faces} faces dropped"),
+        (flat_faces, "degenerate faces: dropped"),
+    ):
+        if count:
+            warn(f"{name} has {count} {what}")
+
+
+def _keep_faces(piece: Piece, good: NDArray[np.bool_]) -> int:
+    """Drop the faces that are not good at all of their corners, (F, 3); return their number."""
+    keep = good.all(axis=1)
+    piece.faces = piece.faces[keep]
+    return int((~keep).sum())
 
 
 def _check_extent(pieces: Sequence[Piece], name: str) -> None:
@@ -171,7 +153,7 @@ def _check_extent(pieces: Sequence[Piece], name: str) -> None:
     would be a dot in the picture."""
     if not pieces:
         return
-    drawn = np.concatenate([piece.positions[used(piece)] for piece in pieces])
+    drawn = np.concatenate([each.positions[used(each.positions, each.faces)] for each in pieces])
     extent = float(np.ptp(drawn, axis=0).max())
     if 0.0 < extent < _TINY:
         raise InputError(f"{name} is {extent:g} units wide, of {_TINY:g} at least: scale it up")
@@ -196,7 +178,7 @@ def _drop_bad_uv(pieces: Sequence[Piece], name: str) -> None:
             if (uv := getattr(piece, key)) is not None:
                 bad = ~np.asarray((np.abs(uv) <= _MOST_UV).all(axis=1))
                 if bad.any():
-                    count += int((bad & used(piece)).sum())
+                    count += int((bad & used(piece.positions, piece.faces)).sum())
                     setattr(piece, key, np.where(bad[:, None], 0.0, uv))
     if count:
         warn(f"{name} has {count} texture coordinates that are not in [-1e6, 1e6]: taken as 0")
@@ -221,8 +203,7 @@ def _complete_normals(pieces: Sequence[Piece], name: str) -> None:
 
 def _wind_by_normals(piece: Piece) -> None:
     """Turn the faces whose winding contradicts their vertices' normals."""
-    normals = _present(piece.normals)
-    a, b, c = (np.take(normals, corner, axis=0) for corner in piece.faces.T)
+    a, b, c = (np.take(np.asarray(piece.normals), corner, axis=0) for corner in piece.faces.T)
     agreement = (_face_normals(_corners(piece)) * (a + b + c)).sum(axis=1)
     piece.faces = np.where((agreement < 0.0)[:, None], piece.faces[:, ::-1], piece.faces)
 
@@ -238,8 +219,7 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
     faces = np.concatenate(
         [piece.faces + start for piece, start in zip(pieces, starts, strict=False)]
     )
-    drawn = np.zeros(len(positions), dtype=bool)
-    drawn[faces] = True
+    drawn = used(positions, faces)
     welded = np.zeros(len(positions), dtype=np.int64)
     welded[drawn] = _weld(positions[drawn])
     faces = _wind_consistently(faces, welded[faces], positions, name)
@@ -278,10 +258,7 @@ def _weld(positions: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def _wind_consistently(
-    faces: NDArray[np.int64],
-    welded: NDArray[np.int64],
-    positions: NDArray[np.float64],
-    name: str,
+    faces: NDArray[np.int64], welded: NDArray[np.int64], positions: NDArray[np.float64], name: str
 ) -> NDArray[np.int64]:
     """Return the faces wound alike within each connected surface, and outwards.
 

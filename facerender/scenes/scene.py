@@ -20,15 +20,7 @@ if TYPE_CHECKING:
     from facerender.scenes.sources import MeshSource
 
 Only = Literal[
-    "specular",
-    "diffuse",
-    "albedo",
-    "normal",
-    "depth",
-    "cosines",
-    "visibility",
-    "mask",
-    "parts",
+    "specular", "diffuse", "albedo", "normal", "depth", "cosines", "visibility", "mask", "parts"
 ]
 
 # How often a pixel of a part is shaded: at each of its samples, or once.

@@ -36,10 +36,7 @@ if TYPE_CHECKING:
 
 Wrap = Literal["repeat", "clamp", "mirror"]
 
-FORMATS = (
-    *("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"),
-    "AVIF",
-)
+FORMATS = (*("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"), "AVIF")
 MOST_TEXELS = 6 * 8192**2  # of the maps of a mesh together: 4 GiB with mip levels, twice
 _MOST_KEPT = 1 << 20  # bytes of a file; a larger one is read again when it is decoded
 LARGE = 4096**2  # texels; a map of more is drawn as coarse as a picture can show it
@@ -428,10 +425,7 @@ _packed: WeakValueDictionary[tuple[Texture | None, ...], Texture] = WeakValueDic
 
 
 def pack(
-    red: Texture | None,
-    green: Texture | None,
-    blue: Texture | None,
-    known: Texture | None = None,
+    red: Texture | None, green: Texture | None, blue: Texture | None, known: Texture | None = None
 ) -> Texture:
     """Merge three grey textures into one, at the largest of their sizes; absent ones are white.
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_range, check_type
 from facerender.scenes.camera import Camera
-from facerender.scenes.framing import find_region
-from facerender.scenes.mesh import Mesh
+from facerender.scenes.framing import find_regions
+from facerender.scenes.mesh import Mesh, Part
 from facerender.scenes.scene import Scene
 from facerender.scenes.vectors import direction_to, within_reach
 from facerender.terms.ranges import range_of
@@ -19,6 +20,7 @@ from facerender.terms.ranges import range_of
 FRAMING_MARGIN = 1.04
 _SAME_SHAPE = 0.005  # of width over height, by rounding
 SIZES = range_of(Camera, "size")
+_UNSEEN = 2e-4  # of the triangles' pixels: a chart's few stretched triangles do not count
 _XYW = [0, 1, 3]  # of clip coordinates, without the depth buffer's
 
 
@@ -104,8 +106,9 @@ def view_of(scene: Scene, aspect: float) -> View:
         return _placed(mesh, camera, aspect)
     target = target_of(mesh, camera)
     if camera.position is None:
-        profile = mesh.profile if camera.frame == "all" else find_region(mesh, camera.frame).profile
-        distance = _framing_distance(profile, camera.elevation, camera.fov, aspect) / camera.zoom
+        framed = mesh if camera.frame == "all" else find_regions(mesh)[camera.frame]
+        distance = _framing_distance(framed.profile, camera.elevation, camera.fov, aspect)
+        distance /= camera.zoom
         eye = target + distance * direction_to(camera.azimuth, camera.elevation)
     else:
         eye = within_reach(f"camera position {camera.position}", mesh.normalised(camera.position))
@@ -143,7 +146,7 @@ def target_of(mesh: Mesh, camera: Camera) -> NDArray[np.float64]:
         return within_reach(f"camera target {camera.target}", mesh.normalised(camera.target))
     if camera.frame == "all":
         return np.zeros(3)
-    return find_region(mesh, camera.frame).center
+    return find_regions(mesh)[camera.frame].center
 
 
 def _placed(mesh: Mesh, camera: Camera, aspect: float) -> View:
@@ -209,17 +212,58 @@ def hidden(scene: Scene, size: tuple[int, ...]) -> str:
             f"{inside.sum()} of its vertices are in the frame, but no triangle covers a "
             "pixel there; show more of it, or give more pixels"
         )
-    ways = [
-        word
-        for word, out in (
-            ("left of", x.max() < -1.0),
-            ("right of", x.min() > 1.0),
-            ("above", y.max() < -1.0),
-            ("below", y.min() > 1.0),
-        )
-        if out
-    ]
+    outside = x.max() < -1.0, x.min() > 1.0, y.max() < -1.0, y.min() > 1.0
+    ways = compress(("left of", "right of", "above", "below"), outside)
     return f"it lies {' and '.join(ways) or 'around'} the frame; set camera target, or position"
+
+
+def levels_to_spare(
+    mesh: Mesh,
+    part: Part,
+    uv: NDArray[np.float64],
+    texels: tuple[int, int],
+    view: View,
+    size: tuple[int, int],
+    anisotropy: float = 1.0,
+) -> int:
+    """Return how many of the finest mip levels of a map an image does not read.
+
+    A triangle reads the level log2 of the texels that a pixel covers along its longer side (OpenGL
+    3.3, section 3.8.11), with anisotropy along a part of it (EXT_texture_filter_anisotropic);
+    triangles that hide each other all count.
+
+    Parameters
+    ----------
+    part, uv : of the mesh, and its texture coordinates
+    texels, size : width and height of the map, and of the image
+    """
+    clip = np.column_stack([mesh.normalised(part.positions), np.ones(len(part.positions))])
+    x, y, w = (clip @ view.matrix[:, [0, 1, 3]]).T
+    before = w[part.faces] > 1e-6
+    crossing = before.any(axis=1) & ~before.all(axis=1)
+    faces = part.faces[before.all(axis=1)]
+    half = np.divide(size, 2.0)
+    pixels = np.stack([x, y], axis=-1) / np.maximum(w, 1e-6)[:, None] * half
+    corners, coordinates = pixels[faces], (uv * texels)[faces]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    shown = np.clip(np.minimum(high, half) - np.maximum(low, -half), 0.0, None)
+    across, along = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    double = across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Of the box around a triangle, as much of the triangle is in the frame.
+        area = np.abs(double) * np.nan_to_num(np.prod(shown / (high - low), axis=1))
+        first, second = (coordinates[:, i] - coordinates[:, 0] for i in (1, 2))
+        by_x = (first * along[:, 1:] - second * across[:, 1:]) / double[:, None]
+        by_y = (second * across[:, :1] - first * along[:, :1]) / double[:, None]
+        read = np.sqrt(np.maximum((by_x**2).sum(axis=1), (by_y**2).sum(axis=1))) / anisotropy
+    visible = (area > 0.0) & np.isfinite(read)
+    if crossing.any() or not visible.any():
+        return 0
+    area, read = area[visible], read[visible]
+    order = np.argsort(read)
+    finest = read[order][np.searchsorted(np.cumsum(area[order]), _UNSEEN * area.sum())]
+    most = min(texels).bit_length() - 2  # two texels are left on a side
+    return max(min(math.floor(math.log2(max(finest, 1.0))), most), 0)
 
 
 def _framing_distance(

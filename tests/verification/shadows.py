@@ -12,10 +12,9 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from facerender.drawing.frame import GBuffer
 from facerender.drawing.renderer import Renderer
-from facerender.scenes.light import Light
+from facerender.scenes.light import Light, light_axes
 from facerender.scenes.mesh import Mesh
 from facerender.scenes.scene import Scene
-from facerender.scenes.shadow import light_axes
 from facerender.shading import Shading
 
 Float = NDArray[np.float64]

@@ -20,10 +20,10 @@ from facerender.drawing.program import (
 from facerender.drawing.resolve import ResolvedScene
 from facerender.drawing.triangle_setup import triangle_setup_of
 from facerender.errors import InputError
+from facerender.scenes.light import LightSpace
 from facerender.scenes.material import Material
 from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.scene import Scene
-from facerender.scenes.shadow import LightSpace
 from facerender.scenes.view import View
 from facerender.shading import Shading
 

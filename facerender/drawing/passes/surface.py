@@ -12,10 +12,7 @@ from facerender.drawing.program import (
     surface_features,
 )
 from facerender.drawing.resolve import ResolvedScene
-from facerender.scenes.material import Material
-from facerender.scenes.mesh import Part
 from facerender.scenes.view import View
-from facerender.shading import Shading
 
 
 def surface_pass(
@@ -42,7 +39,16 @@ def surface_pass(
     further += (f"LAYER {4 + two + shines}",) * (blended_part is not None)
     draws = [
         Draw(
-            Program("gbuffer.frag", features=_features(part, material, shading, two) + further),
+            Program(
+                "gbuffer.frag",
+                features=(
+                    *surface_features(part, material, shading),
+                    *("EMISSIVE",) * any(material.emissive),
+                    # every program of a pass writes to all of its targets
+                    *("TWO_LOBES",) * (two and not material.two_lobes),
+                    *further,
+                ),
+            ),
             {**part_uniforms(part, material), "part": number},
             part,
             material,
@@ -56,10 +62,3 @@ def surface_pass(
         target = Target(colors=target.colors + 1, sampled=True, number=blended_part.layer % 2)
     drawn = Pass("surface", target, shown, uniforms=uniforms)
     return visibility.shaded(drawn) if visibility else drawn
-
-
-def _features(part: Part, material: Material, shading: Shading, two_lobes: bool) -> tuple[str, ...]:
-    """What a part has; every program of a pass writes to all of its targets."""
-    names = surface_features(part, material, shading)
-    names += ("EMISSIVE",) * any(material.emissive)
-    return (*names, "TWO_LOBES") if two_lobes and not material.two_lobes else names
