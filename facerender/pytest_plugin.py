@@ -12,7 +12,7 @@ import re
 import tempfile
 import zlib
 from collections.abc import Generator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from facerender.comparison.compare import Comparable
-    from facerender.comparison.goldens import Draw, GoldenResult
+    from facerender.comparison.goldens import Draw, GoldenResult, Updates
 
 LONGEST = 180  # characters of a file's name; most systems take 255 bytes
 UNUSED = ("ignore", "list", "fail")
@@ -83,6 +83,15 @@ def _setting(config: pytest.Config, name: str) -> Any:
     return config.getini(f"facerender_{name}") if value is None else value
 
 
+def _updates(config: pytest.Config) -> Updates:
+    """Return which goldens the session writes."""
+    from facerender.comparison.goldens import Updates
+
+    names = {"missing": "update_missing", "differing": "update"}
+    kinds = (each.name for each in fields(Updates))
+    return Updates(**{each: _setting(config, names.get(each, each)) for each in kinds})
+
+
 def _limit(config: pytest.Config, name: str) -> float | None:
     """Return a limit that the ini file gives, if it does."""
     text = config.getini(f"facerender_{name}")
@@ -133,7 +142,7 @@ class Snapshot:
         """
         __tracebackhide__ = True
         from facerender import InputError
-        from facerender.comparison.goldens import Updates, check
+        from facerender.comparison.goldens import check
 
         node, config = self._request.node, self._request.config
         if unknown := sorted(limits.keys() - {*LIMITS}):
@@ -147,12 +156,7 @@ class Snapshot:
             f"{node.nodeid} {name}" if name else node.nodeid,
             image,
             _goldens(self._request.path) / f"{safe}.exr",
-            Updates(
-                missing=_setting(config, "update_missing"),
-                differing=_setting(config, "update"),
-                force=_setting(config, "force"),
-                alternative=_setting(config, "alternative"),
-            ),
+            _updates(config),
             written,
             metadata=metadata,
             draw=draw,

@@ -135,17 +135,21 @@ def check(
         if recorded != renderer and updates.alternative and renderer:
             place = own
         if recorded != renderer and place == golden and not updates.force:
-            failure = (
-                f"{golden.name} was recorded on {recorded or UNKNOWN}, this is "
-                f"{renderer or UNKNOWN}: --facerender-force overwrites it, "
-                "--facerender-alternative writes one for this renderer beside it"
-            )
+            failure = _of_another(golden.name, recorded, renderer)
     if not failure and place in written:
         failure = f"{place.name} was written for another image just now: give each a name"
     if failure:
         return GoldenResult(image, pair, golden, failure=failure)
     _write(place, image, draw)
     return GoldenResult(image, pair, golden, written=place)
+
+
+def _of_another(name: str, recorded: str | None, renderer: str) -> str:
+    return (
+        f"{name} was recorded on {recorded or UNKNOWN}, this is {renderer or UNKNOWN}: "
+        "--facerender-force overwrites it, --facerender-alternative writes one for this renderer "
+        "beside it"
+    )
 
 
 def _linear_rgb(source: Comparable, metadata: Mapping[str, str]) -> ImageData:
