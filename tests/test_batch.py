@@ -460,7 +460,7 @@ def test_no_opengl_stops_the_batch(table, small, tmp_path):
 
 @pytest.mark.parametrize("layout", [pytest.param("files", marks=pytest.mark.slow), "shards"])
 def test_killed_again_and_again(table, draw, small, tmp_path, layout):
-    path = table(rows(60, mesh=str(small)))
+    path = table(rows(240, mesh=str(small)))
     options = ["--layout", layout, "--chunk", "3", "--workers", "2"]
     records, kills, random = tmp_path / "out/records", 0, Random(7)
     for _ in range(4):
@@ -479,7 +479,7 @@ def test_killed_again_and_again(table, draw, small, tmp_path, layout):
         coordinator.wait()
     assert kills > 1
     found = draw(path, "out", *options)
-    assert (found["status"], found["done"]) == (0, 60)
+    assert (found["status"], found["done"]) == (0, 240)
     draw(path, "fresh", *options)
     assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
 
