@@ -1,5 +1,5 @@
 """Cost measured here: nanoseconds an evaluation of a GLSL term, and milliseconds a frame. What a
-compiler says of a GPU that is not here is in ``amd.py``."""
+compiler says of a GPU that is not here is in ``benchmarks/prices``."""
 
 from __future__ import annotations
 

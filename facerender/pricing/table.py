@@ -24,7 +24,7 @@ from facerender.shading import Shading, Term
 from facerender.terms import lobe_entry
 
 TABLE = Path(__file__).with_name("prices.json")
-FRAME = "frame"  # of whole ones, as ``planning/frames.py`` prices them
+FRAME = "frame"  # of whole ones, as ``planning/frame_times.py`` prices them
 HERE = "here"
 
 Pair = tuple[float, float]
