@@ -1,6 +1,7 @@
 # make render   a picture of the built-in head: out/head.png
-# make test     ruff, mypy, pytest
-# make slow     the exhaustive tests as well
+# make test     ruff, mypy, and the tests to run before every commit
+# make test-all all tests
+# make test-rest   the tests that make test leaves out
 # make fuzz MINUTES=10   files changed at random for every reader: what breaks is put into out/fuzz
 # make docs     the tables of README and docs anew, from their data
 # make head     assets/head.glb anew from its generator
@@ -10,16 +11,18 @@
 
 PYTHON ?= python3
 VENV = .venv/bin
-# A file of tests stays with one worker, and its contexts and meshes with it; a worker draws with one
-# thread, since there is one for each core.
-PYTEST = LP_NUM_THREADS=1 $(VENV)/pytest -n auto --dist loadfile
+# One worker per core, so each draws with one thread. Bytecode is written, because tests start processes,
+# and each would compile the package anew.
+PYTEST = LP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(VENV)/pytest -n auto --dist worksteal
+# Markers of pyproject.toml: `make test` runs one smoke test of each.
+LEFT_OUT = browser or cluster or compiler or memory or node or osmesa or slow or vulkan or wheel
 
 MINUTES ?= 10
 PREFIX ?= /usr/local
 SHARE = $(DESTDIR)$(PREFIX)/share
 VERSION = $(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' facerender/__init__.py)
 
-.PHONY: render test slow fuzz docs head npm install-shaders system test-system
+.PHONY: render test test-all test-rest fuzz docs head npm install-shaders system test-system
 
 render: .venv/installed | system
 	mkdir -p out
@@ -29,10 +32,12 @@ test: .venv/installed-dev | test-system
 	$(VENV)/ruff check .
 	$(VENV)/ruff format --check .
 	$(VENV)/mypy
-	$(PYTEST)
+	$(PYTEST) -m "smoke or not ($(LEFT_OUT))"
 
-slow: .venv/installed-dev | test-system
-	$(PYTEST) -m "slow or not slow"
+test-rest: .venv/installed-dev | test-system
+	$(PYTEST) -m "not smoke and ($(LEFT_OUT))"
+
+test-all: test test-rest
 
 fuzz: .venv/installed-dev | test-system
 	$(VENV)/python -m tools.fuzz --minutes $(MINUTES)

@@ -31,6 +31,14 @@ pytest_plugins = ["pytester"]
 os.environ["FACERENDER_CACHE_MIB"] = "0"  # what a test reads is read, and nothing is left behind
 
 
+@pytest.hookimpl(tryfirst=True)  # before -m selects
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark each test that draws in the browser."""
+    for item in items:
+        if isinstance(item, pytest.Function) and "browser" in item.fixturenames:
+            item.add_marker("browser")
+
+
 @cache
 def in_this_release(package: str) -> bool:
     """Tell whether the Debian release that is here has a package; who has no apt is told yes."""
@@ -157,7 +165,7 @@ def head() -> fr.Mesh:
     return fr.load_mesh()
 
 
-@pytest.fixture(scope="session", params=["egl", "osmesa"])
+@pytest.fixture(scope="session", params=["egl", pytest.param("osmesa", marks=pytest.mark.osmesa)])
 def backend(request: pytest.FixtureRequest) -> Backend:
     return require_backend(request.param)
 
