@@ -275,7 +275,7 @@ def _smallest_changes(
     """Return by limit the smallest change of the image B that fails by it."""
     encoded = b.encoding == "srgb8"
     color = b.pixels[..., : 3 if b.pixels.shape[2] > 2 else 1]
-    radiance = srgb_to_linear(color / 255.0) if encoded else color
+    radiance: NDArray[np.floating] = srgb_to_linear(color / 255.0) if encoded else color
     lit, place = _flattest(a, mask)
     middle = np.median(radiance[lit], axis=0) if lit.any() else 0.0
     detail = radiance - 0.5 * (np.roll(radiance, 1, axis=1) + np.roll(radiance, -1, axis=1))
