@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.ndimage import gaussian_filter, zoom
 
 import facerender as fr
 
@@ -38,6 +37,8 @@ def load_scan(folder: Path) -> fr.Mesh:
 def pores(folder: Path, size: int = 2048) -> NDArray[np.float64]:
     """Return slopes (size, size, 2) of the scan, row 0 on top: those of its tangent map, and above
     its band those of the displacement, scaled to match where both have the band."""
+    from scipy.ndimage import gaussian_filter, zoom
+
     with Image.open(folder / "Infinite-Level_02_Tangent_SmoothUV.jpg") as tangents:
         normals = np.asarray(tangents.convert("RGB"), dtype=np.float64) / 127.5 - 1.0
     slopes = -normals[..., :2] / np.maximum(normals[..., 2:], 0.25)
