@@ -109,8 +109,11 @@ def program_of(
 
 @cache
 def _texture(name: str) -> Texture:
-    texels = np.random.default_rng(len(name)).integers(100, 156, (1024, 1024, 3), dtype=np.uint8)
-    return Texture(lambda: Image.fromarray(texels), name)
+    def noise() -> Image.Image:
+        random = np.random.default_rng(len(name))
+        return Image.fromarray(random.integers(100, 156, (1024, 1024, 3), dtype=np.uint8))
+
+    return Texture(noise, name)
 
 
 def parts_of(program: Program) -> dict[str, int]:
