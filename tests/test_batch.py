@@ -15,8 +15,8 @@ import time
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext, suppress
-from functools import partial
+from contextlib import ExitStack, nullcontext, suppress
+from functools import cache, partial
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -28,9 +28,10 @@ import pytest
 import facerender as fr
 from facerender.batch import engine
 from facerender.batch.chunk import Settings, chunks, code_version
+from facerender.batch.folder import locked
 from facerender.batch.jobs import JobTable, Row
 from facerender.batch.storage import Storage
-from facerender.batch.supervisor import CannotDraw, draw_chunk
+from facerender.batch.supervisor import CannotDraw, Supervisor, draw_chunk
 from facerender.commands import main
 from facerender.loading.references import named_files
 from tests.awkward_files import MINI_HEAD
@@ -45,9 +46,9 @@ def _needs_egl(egl):
 
 
 def rows(count: int, **more: Any) -> list[dict[str, Any]]:
+    own = {"image.size": 48, "mesh": str(MINI_HEAD)}
     return [
-        {"id": f"job{i:03d}", "image.size": 48, "camera.azimuth": 7.0 * i - 40.0, **more}
-        for i in range(count)
+        {"id": f"job{i:03d}", "camera.azimuth": 7.0 * i - 40.0, **own, **more} for i in range(count)
     ]
 
 
@@ -62,10 +63,16 @@ def table(tmp_path: Path) -> Callable[[Sequence[dict[str, Any]]], str]:
 
 
 @pytest.fixture(scope="module")
-def thread() -> Iterator[ThreadPoolExecutor]:
-    """What keeps its worker from batch to batch, as a thread of a Dask worker does."""
-    with ThreadPoolExecutor(1) as executor:
-        yield executor
+def kept() -> Iterator[Callable[[int], engine.Engine]]:
+    """Engines whose threads keep their workers from batch to batch, as those of Dask do."""
+    with ExitStack() as open_:
+
+        @cache
+        def of(count: int) -> engine.Engine:
+            executor = open_.enter_context(ThreadPoolExecutor(count))
+            return engine.Engine(executor, lambda: count, count)
+
+        yield of
 
 
 @pytest.fixture
@@ -73,16 +80,15 @@ def draw(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
-    thread: ThreadPoolExecutor,
+    kept: Callable[[int], engine.Engine],
 ) -> Callable[..., dict[str, Any]]:
-    """Run a batch, and return what its last line of JSON says, and its exit status. One worker is
-    that of the batch before, if it need not be fresh."""
+    """Run a batch, and return what its last line of JSON says, and its exit status. Its workers are
+    those of the batch before, if they need not be fresh."""
     started = engine.local
 
     def run(jobs: str, output: str, *options: str, fresh: bool = False) -> dict[str, Any]:
-        kept = nullcontext(engine.Engine(thread, lambda: 1, 1))
         monkeypatch.setattr(
-            engine, "local", lambda count: started(count) if fresh or count > 1 else kept
+            engine, "local", lambda count: started(count) if fresh else nullcontext(kept(count))
         )
         words = ["batch", jobs, "-o", str(tmp_path / output), "--workers", "1", "--json", *options]
         status = main(words)
@@ -121,19 +127,19 @@ def small(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("layout", ["files", "shards"])
 def test_bytes_are_the_same_with_any_workers(table, draw, small, tmp_path, layout):
-    jobs = rows(9, outputs="image,mask,depth")
+    jobs = rows(6, outputs="image,mask,depth")
     for job in jobs[::2]:
         job["mesh"] = str(small)
     path = table(jobs)
-    for workers in ("1", "3"):
-        options = ("--workers", workers, "--layout", layout, "--chunk", "4", "--transforms")
+    for workers in ("1", "2"):
+        options = ("--workers", workers, "--layout", layout, "--chunk", "2", "--transforms")
         found = draw(path, workers, *options)
-        assert (found["status"], found["done"], found["drawn"]) == (0, 9, 9)
-    one, three = tree(tmp_path / "1"), tree(tmp_path / "3")
-    assert one == three
+        assert (found["status"], found["done"], found["drawn"]) == (0, 6, 6)
+    one, two = tree(tmp_path / "1"), tree(tmp_path / "2")
+    assert one == two
     assert len(one) > 4
     again = draw(path, "1", *options)
-    assert (again["status"], again["drawn"], again["done"]) == (0, 0, 9)
+    assert (again["status"], again["drawn"], again["done"]) == (0, 0, 6)
 
 
 def test_images_are_those_of_a_renderer(table, draw, tmp_path):
@@ -153,7 +159,7 @@ def test_a_planned_scene_is_drawn_as_render_draws_it(table, draw, tmp_path):
     assert main([*plan, "--backend", "egl", "--quiet"]) == 0
     detail = tomllib.loads(Path(planned).read_text())["planned"]
     assert detail.get("drawn_samples", 4) < 4 or "triangles" in detail or detail["cull_back_faces"]
-    jobs = rows(3, mesh=str(MINI_HEAD), outputs="image,specular")
+    jobs = rows(2, outputs="image,specular")
     draw(table(jobs), "command", "--scene", planned)
     draw(table([{**job, "scene": planned} for job in jobs]), "job", *size)
     assert tree(tmp_path / "command/data") == tree(tmp_path / "job/data")
@@ -202,7 +208,7 @@ def test_what_changed_is_drawn_again_and_nothing_else(table, draw, small, tmp_pa
 
 @pytest.mark.parametrize("name", ["small.obj", "small.mtl", "skin.png"])
 def test_a_changed_mesh_is_drawn_again(table, draw, small, name):
-    path = table([*rows(2, mesh=str(small)), {"id": "other", "image.size": 48}])
+    path = table([*rows(2, mesh=str(small)), *rows(1, id="other")])
     draw(path, "out")
     changed = small.parent / name
     if name == "skin.png":
@@ -247,7 +253,8 @@ job.load_mesh = load_or_die
 """
 
 
-def test_poison_is_isolated_and_named(table, draw, small, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("tries", "timeout"), [(1, 4), pytest.param(2, 8, marks=pytest.mark.slow)])
+def test_poison_is_isolated_and_named(table, draw, small, tmp_path, monkeypatch, tries, timeout):
     (tmp_path / "garbage.glb").write_bytes(Random(1).randbytes(3000))
     os.mkfifo(tmp_path / "pipe.obj")
     (tmp_path / "endless.glb").symlink_to("/dev/zero")
@@ -268,15 +275,15 @@ def test_poison_is_isolated_and_named(table, draw, small, tmp_path, monkeypatch)
         "loop.glb": "loop.glb: ",
         "empty.glb": "empty.glb ",
         "folder.glb": "folder.glb is a directory; ",
-        "hangs.obj": "the worker said nothing for 8 s, 2 times",
-        "large.obj": "the worker ended with 9, 2 times",
-        "crash.obj": "the worker was killed by SIGSEGV, 2 times",
+        "hangs.obj": f"the worker said nothing for {timeout} s, {tries} times",
+        "large.obj": f"the worker ended with 9, {tries} times",
+        "crash.obj": f"the worker was killed by SIGSEGV, {tries} times",
     }
     for name in named:
         jobs.insert(2, {**jobs[1], "id": name.partition(".")[0], "mesh": str(tmp_path / name)})
     jobs.insert(3, {**jobs[0], "id": "crash2", "mesh": str(tmp_path / "crash.obj")})
     path = table(jobs)
-    options = ("--timeout", "8", "--tries", "2", "--chunk", "20")
+    options = ("--timeout", str(timeout), "--tries", str(tries), "--chunk", "20")
     found = draw(path, "out", *options, fresh=True)
     assert (found["status"], found["done"], found["failed"]) == (3, 4, 11)
     lines = (tmp_path / "out/failed.jsonl").read_text().splitlines()
@@ -286,6 +293,8 @@ def test_poison_is_isolated_and_named(table, draw, small, tmp_path, monkeypatch)
     assert failed["crash2"]["error"] == failed["crash"]["error"]
     told = [each for each in map(json.loads, found["lines"]) if each["event"] == "failed"]
     assert {each["id"] for each in told} == set(failed)
+    ended = [json.loads(line).get("deaths", 0) for line in found["lines"]]
+    assert sum(ended) == 3 * tries, "a mesh that ends workers is loaded for one of its jobs"
     again = draw(path, "out", *options)
     assert (again["status"], again["drawn"], again["failed"]) == (3, 0, 11)
 
@@ -294,26 +303,18 @@ def test_poison_is_isolated_and_named(table, draw, small, tmp_path, monkeypatch)
     assert (mended["drawn"], mended["failed"]) == (4, 7)
 
 
-DIES = """
-import facerender.batch.supervisor as supervisor
-started = supervisor.Supervisor._started
-killed = []
-def started_and_killed(self, *given):
-    connection = started(self, *given)
-    if not killed:
-        killed.append(self._process.kill() or self._process.wait())
-    return connection
-supervisor.Supervisor._started = started_and_killed
-"""
+def test_a_worker_that_ends_before_it_is_written_to(table, draw, small, monkeypatch):
+    started, killed = Supervisor._started, []
 
+    def started_and_killed(self: Supervisor, timeout: float) -> Any:
+        connection = started(self, timeout)
+        if not killed:
+            killed.append(self._process.kill() or self._process.wait())
+        return connection
 
-def test_a_worker_that_ends_before_it_is_written_to(table, small, tmp_path):
-    (tmp_path / "sitecustomize.py").write_text(DIES)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
-    path = table(rows(1, mesh=str(small)))
-    found = process(path, tmp_path / "out", "--json", env=environment)
-    assert found.returncode == 0, found.stderr
-    assert json.loads(found.stdout.splitlines()[0])["deaths"] == 1
+    monkeypatch.setattr(Supervisor, "_started", started_and_killed)
+    found = draw(table(rows(1, mesh=str(small))), "out")
+    assert (found["status"], json.loads(found["lines"][0])["deaths"]) == (0, 1)
 
 
 def test_a_table_is_read_once(draw, small, tmp_path):
@@ -429,16 +430,11 @@ def test_what_cannot_start_is_one_line(table, draw, options, message):
 
 
 def test_a_folder_has_one_coordinator(table, draw, small, tmp_path):
-    path = table(rows(400, mesh=str(small)))
-    command = [*COMMAND, path, "-o", str(tmp_path / "out"), "--workers", "1"]
-    with subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as first:
-        end = time.monotonic() + 120.0
-        while not list((tmp_path / "out").glob("records/*.jsonl")):
-            assert time.monotonic() < end
-            time.sleep(0.05)
+    path = table(rows(1, mesh=str(small)))
+    with locked(Settings(str(tmp_path / "out")), {}):
         found = draw(path, "out")
-        first.kill()
     assert (found["status"], "another batch is being written" in found["err"]) == (2, True)
+    assert draw(path, "out")["status"] == 0
 
 
 def test_a_full_disk_stops_the_batch(table, small, tmp_path):
@@ -450,15 +446,15 @@ def test_a_full_disk_stops_the_batch(table, small, tmp_path):
     assert not list((tmp_path / "out").glob("records/*.jsonl"))
 
 
-def test_no_opengl_stops_the_batch(table, small, tmp_path):
-    hidden = {**os.environ, "__EGL_VENDOR_LIBRARY_FILENAMES": "/dev/null"}
-    path = table(rows(4, mesh=str(small)))
-    found = process(path, tmp_path / "out", "--backend", "egl", env=hidden)
-    assert found.returncode == 2
-    assert found.stderr.splitlines()[-1].startswith("facerender: error: no OpenGL context")
+def test_no_opengl_stops_the_batch(table, draw, small, monkeypatch):
+    monkeypatch.setenv("__EGL_VENDOR_LIBRARY_FILENAMES", "/dev/null")
+    found = draw(table(rows(4, mesh=str(small))), "out", "--backend", "egl", fresh=True)
+    assert found["status"] == 2
+    assert found["err"].splitlines()[-1].startswith("facerender: error: no OpenGL context")
 
 
-@pytest.mark.parametrize("layout", [pytest.param("files", marks=pytest.mark.slow), "shards"])
+@pytest.mark.slow
+@pytest.mark.parametrize("layout", ["files", "shards"])
 def test_killed_again_and_again(table, draw, small, tmp_path, layout):
     path = table(rows(240, mesh=str(small)))
     options = ["--layout", layout, "--chunk", "3", "--workers", "2"]
@@ -501,7 +497,7 @@ def test_webdataset_reads_shards(table, draw, small, tmp_path):
 
 def test_tables(table, draw, small, tmp_path):
     parquet = require_module("pyarrow.parquet")
-    path = table([*rows(3, mesh=str(small)), {"id": "lit", "image.size": 48, "lights": ["10,20"]}])
+    path = table([*rows(3, mesh=str(small)), *rows(1, id="lit", lights=["10,20"])])
     draw(path, "out", "--transforms")
     records = [json.loads(line) for line in (tmp_path / "out/jobs.jsonl").read_text().splitlines()]
     assert sorted(record["number"] for record in records) == [0, 1, 2, 3]
@@ -535,21 +531,34 @@ def s3(monkeypatch) -> Iterator[str]:
     server.stop()
 
 
-@pytest.mark.parametrize("layout", ["files", "shards"])
-def test_an_object_store_gets_the_same_files(table, draw, small, tmp_path, s3, layout):
+def check_place(table, draw, small, tmp_path: Path, place: str, layout: str, fresh: bool) -> None:
+    """Draw, draw again, and draw what changed, there and in a folder."""
     options = ("--layout", layout, "--chunk", "2")
     jobs = rows(5, mesh=str(small))
     path = table(jobs)
     draw(path, "local", *options)
-    assert draw(path, "x", *options, "-o", f"{s3}/{layout}", fresh=True)["drawn"] == 5
-    assert draw(path, "x", *options, "-o", f"{s3}/{layout}", fresh=True)["drawn"] == 0
+    assert draw(path, "x", *options, "-o", place, fresh=fresh)["drawn"] == 5
+    assert draw(path, "x", *options, "-o", place, fresh=fresh)["drawn"] == 0
     jobs[0]["material.m"] = 0.5
     path = table(jobs)
-    assert draw(path, "x", *options, "-o", f"{s3}/{layout}", fresh=True)["drawn"] == 1
+    assert draw(path, "x", *options, "-o", place, fresh=fresh)["drawn"] == 1
     draw(path, "local", *options)
-    system = require_module("s3fs").S3FileSystem(use_listings_cache=False)
-    system.get(f"heads/{layout}", str(tmp_path / "copy"), recursive=True)
+    system, there = require_module("fsspec").url_to_fs(place, use_listings_cache=False)
+    system.get(there, str(tmp_path / "copy"), recursive=True)
     assert tree(tmp_path / "copy") == tree(tmp_path / "local")
+
+
+@pytest.mark.cluster
+@pytest.mark.parametrize("layout", ["files", "shards"])
+def test_an_object_store_gets_the_same_files(table, draw, small, tmp_path, s3, layout):
+    check_place(table, draw, small, tmp_path, f"{s3}/{layout}", layout, fresh=True)
+
+
+@pytest.mark.parametrize("layout", ["files", "shards"])
+def test_a_url_gets_the_same_files(table, draw, small, tmp_path, layout):
+    for folder in ("begun", "records", "shards", "stale", *(f"data/job{i:03d}" for i in range(5))):
+        (tmp_path / "there" / folder).mkdir(parents=True)  # an object store has no folders
+    check_place(table, draw, small, tmp_path, f"file://{tmp_path}/there", layout, fresh=False)
 
 
 # --- Dask ---------------------------------------------------------------------------------------
@@ -576,6 +585,7 @@ def cluster() -> Iterator[str]:
         process.wait()
 
 
+@pytest.mark.cluster
 def test_a_cluster_draws_the_same_bytes(table, draw, small, tmp_path, cluster):
     jobs = rows(8, outputs="image,mask")
     for job in jobs[::2]:
@@ -590,9 +600,23 @@ def test_a_cluster_draws_the_same_bytes(table, draw, small, tmp_path, cluster):
     assert tree(tmp_path / "there") == tree(tmp_path / "here")
 
 
+@pytest.mark.cluster
+@pytest.mark.smoke
+def test_a_cluster_of_this_process_draws_four_jobs(table, draw, small, tmp_path):
+    distributed = require_module("distributed")
+    path = table(rows(4, mesh=str(small)))
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0"
+    ) as cluster:
+        there = draw(path, "there", "--chunk", "2", "--scheduler", cluster.scheduler_address)
+    assert (there["status"], there["drawn"]) == (0, 4)
+    draw(path, "here", "--chunk", "2")
+    assert tree(tmp_path / "there") == tree(tmp_path / "here")
+
+
 def test_without_a_scheduler(table, draw, monkeypatch):
     require_module("distributed")
-    monkeypatch.setattr("facerender.batch.engine._SECONDS", 1)
+    monkeypatch.setattr("facerender.batch.engine._SECONDS", 0.1)
     found = draw(table(rows(1)), "out", "--scheduler", "tcp://127.0.0.1:1")
     assert found["status"] == 2
     assert "no scheduler at tcp://127.0.0.1:1" in found["err"]

@@ -407,7 +407,10 @@ def test_rows_are_made_as_they_are_asked_for():
     assert [row.tables["image"]["size"][0] for row in rows] == [8, 9, 8]
 
 
-@pytest.mark.parametrize("form", ["jsonl", "csv", "toml", "py"])
+@pytest.mark.parametrize(
+    "form",
+    ["jsonl", *(pytest.param(form, marks=pytest.mark.memory) for form in ("csv", "toml", "py"))],
+)
 def test_a_long_table_takes_no_more_memory(form):
     count = 6_000
     texts = {

@@ -16,13 +16,20 @@ import pytest
 
 import facerender as fr
 from facerender.errors import FacerenderError, InputError, warn
+from facerender.scenes import framing
 from tests.conftest import require_module
 from tests.verification.fuzz.mutate import mutate
-from tests.verification.fuzz.subjects import FAULTS, LARGE, Subject, examine, subjects
+from tests.verification.fuzz.subjects import FAULTS, Subject, examine, subjects
 
 ROOT = Path(__file__).parents[1]
 FOUND = sorted((Path(__file__).parent / "data" / "fuzz").iterdir())
-INPUTS = 60  # for each subject
+LARGE = 64 << 20
+
+
+@pytest.fixture(autouse=True)
+def _few_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frame a face by few points, as tools.fuzz does: they take most of the time."""
+    monkeypatch.setattr(framing, "_SAMPLES", framing._SAMPLES // 100)
 
 
 def named(name: str) -> Subject:
@@ -30,12 +37,13 @@ def named(name: str) -> Subject:
     return subject
 
 
+@pytest.mark.parametrize("inputs", [10, pytest.param(60, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("subject", subjects(), ids=lambda subject: subject.name)
-def test_changed_files_are_read_or_refused(subject: Subject, tmp_path: Path) -> None:
+def test_changed_files_are_read_or_refused(subject: Subject, inputs: int, tmp_path: Path) -> None:
     seed = examine(subject, subject.seed, tmp_path / "a")
     assert seed.outcome in ("clean", "warned")  # some have what is warned of
     random, faults = Random(subject.name), set()
-    for _ in range(INPUTS):
+    for _ in range(inputs):
         content = subject.seed
         for _ in range(random.choice((1, 1, 2, 4))):
             content = mutate(content, subject.suffix, random)
@@ -53,6 +61,7 @@ def test_what_broke_once_does_not_break_again(path: Path, tmp_path: Path) -> Non
     assert examine(subject, path.read_bytes(), tmp_path / "a").outcome not in FAULTS
 
 
+@pytest.mark.slow
 def test_the_guided_fuzzer_runs(tmp_path: Path) -> None:
     require_module("atheris")
     command = [sys.executable, "-m", "tools.fuzz", "--inputs", "200", "--only", "jobs-"]
@@ -82,6 +91,7 @@ print(resident() - start)
 """
 
 
+@pytest.mark.memory
 def test_following_keeps_nothing() -> None:
     """5 MiB of truth values for each mesh, where Atheris traces comparisons."""
     require_module("atheris")
@@ -106,10 +116,16 @@ def failing(error: Exception) -> Callable[[Path], None]:
         (failing(InputError("a.glb is damaged (); export it again")), "unsound"),
         (lambda folder: warnings.warn("something", stacklevel=1), "unsound"),
         (lambda folder: warn("a\nb"), "unsound"),
-        (lambda folder: bytearray(LARGE + (64 << 20)), "large"),
+        (lambda folder: bytearray(LARGE + (32 << 20)), "large"),
     ],
 )
-def test_faults_are_seen(examiner: Callable[[Path], None], outcome: str, tmp_path: Path) -> None:
+def test_faults_are_seen(
+    examiner: Callable[[Path], None],
+    outcome: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("tests.verification.fuzz.subjects.LARGE", LARGE)
     subject = Subject("made up", {"a": b""}, "a", examiner)
     assert examine(subject, b"", tmp_path / "a").outcome == outcome
 

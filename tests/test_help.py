@@ -14,6 +14,7 @@ import pytest
 
 from facerender.commands import _COMMANDS, main, parser_of
 from facerender.commands.examples import EXAMPLES
+from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing, require_module
 
 SIZE = ("--size", "16", "--samples", "1")
@@ -66,10 +67,10 @@ def test_the_command_that_does_not_understand_is_named(words, told, command, cap
 
 
 def test_verbose_tells_the_steps_and_quiet_none(tmp_path, capsys):
-    out = tmp_path / "o.png"
-    assert run(capsys, "render", *SIZE, "-o", out) == (0, f"{out}\n", "")
-    assert run(capsys, "render", "--quiet", *SIZE, "-o", out) == (0, f"{out}\n", "")
-    status, written, err = run(capsys, "render", "--verbose", *SIZE, "-o", out)
+    out, render = tmp_path / "o.png", ("render", MINI_HEAD, *SIZE)
+    assert run(capsys, *render, "-o", out) == (0, f"{out}\n", "")
+    assert run(capsys, *render, "--quiet", "-o", out) == (0, f"{out}\n", "")
+    status, written, err = run(capsys, *render, "--verbose", "-o", out)
     assert (status, written) == (0, f"{out}\n")
     lines = err.splitlines()
     assert all(re.match(r"facerender: \d+\.\d\d s: ", line) for line in lines)
@@ -80,7 +81,7 @@ def test_verbose_tells_the_steps_and_quiet_none(tmp_path, capsys):
     ]
     assert "s: a pair\n" in run(capsys, "compare", "--verbose", out, out)[2]
     assert run(capsys, "compare", out, out)[2] == ""
-    status, told, err = run(capsys, "render", "--quiet", "--verbose", *SIZE, "-o", out)
+    status, told, err = run(capsys, *render, "--quiet", "--verbose", "-o", out)
     assert (status, told) == (2, "")
     assert "--quiet and --verbose exclude each other" in err
 

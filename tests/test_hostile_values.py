@@ -10,8 +10,10 @@ import warnings
 import zipfile
 import zlib
 from contextlib import suppress
+from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,9 +30,10 @@ from facerender.scenes import material as materials
 from facerender.scenes.file import load_scene
 from facerender.scenes.light import parse_light
 from facerender.scenes.texture import Texture
+from tests.awkward_files import MINI_HEAD
 
 LONGEST = 500
-HEAD = fr.load_mesh()
+HEAD = fr.load_mesh(MINI_HEAD)
 
 
 def content(save, *arguments: object, **options: object) -> bytes:
@@ -207,7 +210,9 @@ def test_maps_have_their_size_before_they_are_decoded_and_a_limit_together(monke
     map.levels("color").result()
     assert map.size == (14, 12)
     monkeypatch.setattr(materials, "MOST_TEXELS", 12 * 14 - 1)
-    with pytest.raises(InputError, match="maps of head.glb have .* texels together, of .* at most"):
+    with pytest.raises(
+        InputError, match="maps of mini_head.glb have .* texels together, of .* at most"
+    ):
         HEAD.with_material(albedo_map=map, normal_map=None, roughness_map=None, occlusion_map=None)
 
 
@@ -327,8 +332,8 @@ def test_a_message_tells_a_value_and_not_at_length():
 # --- pictures ------------------------------------------------------------------------------------
 
 
-def beside(*radii: float) -> tuple[float, ...]:
-    return tuple((HEAD.center + HEAD.radius * np.array(radii)).tolist())
+def beside(*radii: float, mesh: fr.Mesh = HEAD) -> tuple[float, ...]:
+    return tuple((mesh.center + mesh.radius * np.array(radii)).tolist())
 
 
 HIDDEN = {
@@ -345,7 +350,9 @@ def test_a_picture_without_the_mesh_says_why(samples, recwarn):
         renderer.render(fr.Scene(HEAD, fr.Camera(zoom=0.2, target=beside(2.6, 0, 0))))
         assert not recwarn.list
         for (camera, told), only in product(HIDDEN.values(), (None, "normal")):
-            with pytest.warns(fr.FacerenderWarning, match=f"no pixel shows head.glb: .*{told}"):
+            with pytest.warns(
+                fr.FacerenderWarning, match=f"no pixel shows mini_head.glb: .*{told}"
+            ):
                 renderer.render(fr.Scene(HEAD, fr.Camera(**camera)), only=only)
 
 
@@ -360,7 +367,7 @@ def test_a_pixel_that_is_not_finite_does_not_leave(value, monkeypatch):
     monkeypatch.setattr(drawing, "read", read)
     with (
         fr.Renderer((64, 48)) as renderer,
-        pytest.raises(InputError, match=r"1 pixels of head.glb are not finite, .* \(7, 5\)"),
+        pytest.raises(InputError, match=r"1 pixels of mini_head.glb are not finite, .* \(7, 5\)"),
     ):
         renderer.render(fr.Scene(HEAD))
 
@@ -372,28 +379,42 @@ def test_large_pixels_are_finite(monkeypatch):
 
 
 STRONG = {"irradiance": 1e9}
-ENDS = {
-    "orbit": ({"azimuth": 3600, "elevation": 90, "fov": 150, "zoom": 1000}, {}, {}),
-    "from below": ({"azimuth": -3600, "elevation": -90, "fov": 1, "zoom": 0.01}, {}, {}),
-    "far": ({"position": beside(9.9e5, 0, 0)}, {}, {}),
-    "near": ({"position": beside(0, 0, 2e-6)}, {}, {}),
-    "strong light": ({}, STRONG, {"ks": 1e6, "kd": 1e6, "albedo": 1e9, "m": 1e-4}),
-    "smooth": ({}, {}, {"m": 1e-4, "f0": 0.999}),
-    "rough": ({}, {}, {"m": 2, "f0": 0, "ks": 0, "kd": 0, "albedo": 0}),
-    "two lobes": ({}, STRONG, {"m": 0.01, "second_slope": 100, "lobe_weight": 0.5}),
-    "far light": ({}, STRONG | {"position": beside(9.9e5, 0, 0), "shadow": True}, {}),
-    "light within": ({}, STRONG | {"position": beside(0, 0, 1e-5)}, {}),
-    "on a vertex": ({}, STRONG | {"position": tuple(HEAD.parts[0].positions[100].tolist())}, {}),
-    "wide light": ({}, STRONG | {"radius": 20, "shadow": True}, {}),
-}
 
 
-@pytest.mark.parametrize("samples", [1, 4])
+def ends(head: fr.Mesh) -> dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]]:
+    """Cameras, lights and materials at the ends of what they may be."""
+    near = partial(beside, mesh=head)
+    return {
+        "orbit": ({"azimuth": 3600, "elevation": 90, "fov": 150, "zoom": 1000}, {}, {}),
+        "from below": ({"azimuth": -3600, "elevation": -90, "fov": 1, "zoom": 0.01}, {}, {}),
+        "far": ({"position": near(9.9e5, 0, 0)}, {}, {}),
+        "near": ({"position": near(0, 0, 2e-6)}, {}, {}),
+        "strong light": ({}, STRONG, {"ks": 1e6, "kd": 1e6, "albedo": 1e9, "m": 1e-4}),
+        "smooth": ({}, {}, {"m": 1e-4, "f0": 0.999}),
+        "rough": ({}, {}, {"m": 2, "f0": 0, "ks": 0, "kd": 0, "albedo": 0}),
+        "two lobes": ({}, STRONG, {"m": 0.01, "second_slope": 100, "lobe_weight": 0.5}),
+        "far light": ({}, STRONG | {"position": near(9.9e5, 0, 0), "shadow": True}, {}),
+        "light within": ({}, STRONG | {"position": near(0, 0, 1e-5)}, {}),
+        "on a vertex": (
+            {},
+            STRONG | {"position": tuple(head.parts[0].positions[100].tolist())},
+            {},
+        ),
+        "wide light": ({}, STRONG | {"radius": 20, "shadow": True}, {}),
+    }
+
+
+@pytest.mark.parametrize(
+    ("path", "samples"),
+    [(MINI_HEAD, 4), *(pytest.param(None, n, marks=pytest.mark.slow) for n in (1, 4))],
+    ids=str,
+)
 @pytest.mark.filterwarnings("ignore::facerender.FacerenderWarning")
-def test_ends_of_domains_are_finite(samples):
+def test_ends_of_domains_are_finite(path, samples):
+    head = fr.load_mesh(path)
     with fr.Renderer((40, 40), samples=samples) as renderer:
-        for name, (camera, light, changes) in ENDS.items():
-            mesh = HEAD.with_material(**changes) if changes else HEAD
+        for name, (camera, light, changes) in ends(head).items():
+            mesh = head.with_material(**changes) if changes else head
             scene = fr.Scene(mesh, fr.Camera(**camera), (fr.Light(**light),), ambient=1e9)
             for shading in (fr.Shading(), fr.Shading(model="ward"), fr.Shading(diffuse="coupled")):
                 frame = renderer.render(scene, shading)

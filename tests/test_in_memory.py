@@ -486,7 +486,7 @@ def everything():
     """One of every public class."""
     mesh = fr.load_mesh(MINI_HEAD)
     scene = fr.Scene(mesh, environment=fr.Environment(fr.Panorama("even", np.ones((2, 4, 3)))))
-    with fr.Renderer((32, 32)) as renderer:
+    with fr.Renderer((16, 16), samples=1) as renderer:
         frame, gbuffer = renderer.render(scene), renderer.gbuffer(scene)
         plan = fr.plan(fr.Scene(mesh), "16/255", renderer=renderer, cost="llvmpipe")
     return {

@@ -16,14 +16,15 @@ from facerender.scenes.material import SKIN_ALBEDO
 from tests import awkward_files as files
 from tests.awkward_files import mini_head
 from tests.test_hostile_mesh import loaded
+from tests.verification.fuzz.seeds import octahedron
 
 
-def load(folder, mtl, **images):
-    """Load the head with an MTL file of the material skin; images lie beside it as PNG."""
+def load(folder, mtl, head=octahedron(), **images):
+    """Load a mesh with an MTL file of the material skin; images lie beside it as PNG."""
     for name, image in images.items():
         image.save(folder / f"{name}.png")
     (folder / "a.mtl").write_text(f"newmtl skin\n{mtl}\n")
-    return loaded(files.write_obj(folder / "a.obj", mini_head(), mtl="a.mtl"))
+    return loaded(files.write_obj(folder / "a.obj", head, mtl="a.mtl"))
 
 
 def material(folder, mtl, **images):
@@ -161,7 +162,7 @@ def test_relief_of_a_bump_map_is_seen(tmp_path, renderer):
     texture = np.random.default_rng(0).random((64, 64))
     bumps = Image.fromarray((255 * texture).astype(np.uint8)).resize((512, 512), Image.BICUBIC)
     plain = material(tmp_path, mtl)
-    mesh, told = load(tmp_path, mtl + "map_Bump pores.png", pores=bumps)
+    mesh, told = load(tmp_path, mtl + "map_Bump pores.png", mini_head(), pores=bumps)
     assert told == []
     assert plain.normal_map is None
 
@@ -214,7 +215,7 @@ def test_a_damaged_bump_map_is_told(tmp_path):
     waves("RGB").save(buffer, "PNG")
     (tmp_path / "wave.png").write_bytes(buffer.getvalue()[:-60])
     (tmp_path / "a.mtl").write_text("newmtl skin\nbump wave.png\n")
-    mesh, _ = loaded(files.write_obj(tmp_path / "a.obj", mini_head(), mtl="a.mtl"))
+    mesh, _ = loaded(files.write_obj(tmp_path / "a.obj", octahedron(), mtl="a.mtl"))
     with pytest.raises(fr.InputError, match=r"wave\.png is damaged"):
         mesh.materials[0].normal_map.rgb()
 

@@ -7,6 +7,7 @@ import io
 import json
 import os
 import resource
+import shutil
 import signal
 import socket
 import subprocess
@@ -42,21 +43,28 @@ def process(*arguments, **options):
 # --- outputs that are read -----------------------------------------------------------------------
 
 
-@pytest.fixture
-def inputs(tmp_path, monkeypatch):
-    """A folder with one file of each kind, in which the command runs."""
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture(scope="session")
+def files(tmp_path_factory):
+    """A folder with one file of each kind."""
+    folder = tmp_path_factory.mktemp("files")
     for name in ("skin.png", "other.png", "mask.png"):
-        Image.new("RGB", (32, 32), (200, 150, 120)).save(tmp_path / name)
-    mesh = write_textured_obj(tmp_path / "head.obj", read_mini_head())
-    (tmp_path / "scene.toml").write_text("ambient = 0.1\n")
-    np.save(tmp_path / "around.npy", np.ones((8, 16, 3), np.float32))
-    (tmp_path / "lit.toml").write_text('[environment]\nfile = "around.npy"\n')
-    (tmp_path / "path.toml").write_text("[[cameras]]\nazimuth = 10\n")
-    (tmp_path / "explorer.json").write_text("{}")
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "jobs.jsonl").write_text('{"image.size": 32}\n')
-    assert mesh.is_file()
+        Image.new("RGB", (32, 32), (200, 150, 120)).save(folder / name)
+    write_textured_obj(folder / "head.obj", read_mini_head())
+    (folder / "scene.toml").write_text("ambient = 0.1\n")
+    np.save(folder / "around.npy", np.ones((8, 16, 3), np.float32))
+    (folder / "lit.toml").write_text('[environment]\nfile = "around.npy"\n')
+    (folder / "path.toml").write_text("[[cameras]]\nazimuth = 10\n")
+    (folder / "explorer.json").write_text("{}")
+    (folder / "out").mkdir()
+    (folder / "out" / "jobs.jsonl").write_text('{"image.size": 32}\n')
+    return folder
+
+
+@pytest.fixture
+def inputs(files, tmp_path, monkeypatch):
+    """A copy of that folder, in which the command runs."""
+    shutil.copytree(files, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
@@ -126,11 +134,11 @@ def test_outputs_that_are_one_file(inputs, capsys):
 
 
 def test_many_outputs_are_checked_at_once(tmp_path):
-    names = [tmp_path / f"{number}.png" for number in range(4000)]
+    names = [tmp_path / f"{number}.png" for number in range(2000)]
     names[0].touch()
     began = time.monotonic()
     check_outputs(names, [tmp_path / "mesh.glb"])
-    assert time.monotonic() - began < 4.0
+    assert time.monotonic() - began < 2.0
     with pytest.raises(fr.InputError, match=r"/0.png is written twice"):
         check_outputs([*names, tmp_path / "." / "0.png"])
     with pytest.raises(fr.InputError, match=r"/0.png is read, and would be replaced"):
@@ -185,7 +193,7 @@ def test_the_longest_name(tmp_path, egl):
     assert os.listdir(tmp_path) == [path.name]
 
 
-@pytest.mark.parametrize(("name", "size"), [("a.png", 32), ("a.exr", 32), ("a.exr", 4)])
+@pytest.mark.parametrize(("name", "size"), [("a.png", 32), ("a.exr", 4)])
 def test_a_disk_without_room(name, size, tmp_path, egl):
     (tmp_path / name).write_bytes(b"old")
 
@@ -231,9 +239,7 @@ def test_what_killed_runs_have_left_is_removed(tmp_path, egl):
 # --- streams -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "arguments", [("--version",), ("--help",), ("shaders", "path"), ("shaders", "list")]
-)
+@pytest.mark.parametrize("arguments", [("--help",), ("shaders", "list")])
 def test_standard_output_that_is_full(arguments):
     with open("/dev/full", "w") as full:
         done = process(*arguments, stdout=full, stderr=subprocess.PIPE, capture_output=False)
@@ -256,7 +262,8 @@ def test_closed_streams(closed, tmp_path, egl):
     path = tmp_path / "a.png"
     mesh = write_textured_obj(tmp_path / "head.obj", read_mini_head())
     (tmp_path / "skin.jpg").unlink()  # which is warned of
-    command = f"{sys.executable} -m facerender render {mesh} --size 32 -o {path} {closed}"
+    words = f"render {mesh} {' '.join(SMALL)} -o {path}"
+    command = f"{sys.executable} -m facerender {words} {closed}"
     done = subprocess.run(command, shell=True, capture_output=True, text=True)
     assert done.returncode == 0
     assert "Traceback" not in done.stderr
@@ -388,21 +395,11 @@ def test_workers_of_a_batch_heed_their_coordinator():
     assert running.returncode == -signal.SIGTERM
 
 
-def kill(*arguments):
-    command = [sys.executable, ROOT / "benchmarks/kills.py", *arguments]
+@pytest.mark.slow
+def test_killed_at_random():
+    command = [sys.executable, ROOT / "benchmarks/kills.py", "--kills", "200"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    return subprocess.run(command, env=environment, capture_output=True, text=True)
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("--kills", "3", "--seed", "2", "render"),
-        pytest.param(("--kills", "200"), marks=pytest.mark.slow),
-    ],
-)
-def test_killed_at_random(arguments):
-    done = kill(*arguments)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -434,7 +431,7 @@ def test_a_bar_is_on_terminals_alone(stream, quiet, monkeypatch):
 
 def test_a_plan_tells_what_it_does(egl):
     told = []
-    with fr.Renderer((48, 48), samples=1, backend=egl) as renderer:
+    with fr.Renderer((24, 24), samples=1, backend=egl) as renderer:
         scene = fr.Scene(fr.load_mesh(MINI_HEAD))
         fr.plan(scene, "1/255", renderer=renderer, progress=lambda *step: told.append(step))
     whats = list(dict.fromkeys(what for what, _ in told))
@@ -444,14 +441,13 @@ def test_a_plan_tells_what_it_does(egl):
     assert shares == sorted(shares)
 
 
-@pytest.mark.parametrize("options", [(), ("--quiet",)])
-def test_commands_say_nothing_where_no_terminal_is(options, inputs, capsys, egl):
+def test_commands_say_nothing_where_no_terminal_is(inputs, capsys, egl):
     (inputs / "a").mkdir()
     for name in ("0.png", "1.png"):
         Image.new("RGB", (32, 32)).save(inputs / "a" / name)
-    assert main(["compare", "a", "a", "--report", "a.html", *options]) == 0
+    assert main(["compare", "a", "a", "--report", "a.html"]) == 0
     assert capsys.readouterr().err == ""
-    assert main([*PLAN, "--size", "32", "--samples", "1", *options]) == 0
+    assert main([*PLAN, "--size", "16", "--samples", "1"]) == 0
     assert capsys.readouterr().err == ""
 
 

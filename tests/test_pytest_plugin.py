@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from facerender.comparison.calibration import NAMES, read_limits, text_of
 from facerender.comparison.goldens import renderer_name
 from facerender.images.exr import save_exr
 from facerender.images.read import read_image
+from tests.awkward_files import MINI_HEAD
 
 PLUGIN = ("-p", "facerender.pytest_plugin", "-p", "xdist")
 
@@ -53,6 +55,12 @@ class Suites:
         if outcomes:
             result.assert_outcomes(**outcomes)
         return result
+
+    def passes(self, *options: str) -> list[bool]:
+        """Run one module, and tell for each test whether it passed."""
+        output = self.run(*options).stdout.str()
+        (letters,) = re.findall(r"^(?:test_suite\.py )?([.F]+) +\[100%\]$", output, re.M)
+        return [letter == "." for letter in letters]
 
     def run_apart(self, *options: str) -> pytest.RunResult:
         return self.pytester.runpytest_subprocess(*PLUGIN, *options)
@@ -109,7 +117,9 @@ def test_golden_of_a_frame_says_where_it_comes_from(suites, egl):
     suites.write(
         "import facerender as fr\n"
         "def test_frame(facerender_snapshot):\n"
-        f"    facerender_snapshot.check(fr.render(size=(48, 32), samples=1, backend={egl!r}))\n"
+        f"    mesh = fr.load_mesh({str(MINI_HEAD)!r})\n"
+        f"    frame = fr.render(mesh, size=(48, 32), samples=1, backend={egl!r})\n"
+        "    facerender_snapshot.check(frame)\n"
     )
     suites.run("--facerender-update-missing", passed=1)
     metadata = read_image(suites.golden("test_frame")).metadata
@@ -140,21 +150,25 @@ def test_difference_fails_with_reasons_and_both_images(recorded):
     assert recorded.value() == 0.5
 
 
-@pytest.mark.parametrize(
-    ("value", "options", "passes"),
-    [
-        ("0.51", "", False),
-        ("0.51", "block=0.03", True),
-        ("0.6", "block=0.3, point=0.2", True),
-        ("0.6", "block=0.3", False),
-        ("0.50001", "", True),
-        ("0.501", "block=1e-3", False),
-        ("0.6", "mask=np.zeros((32, 32))", False),
-    ],
-)
-def test_limits_are_options_of_check(recorded, value, options, passes):
-    recorded.write(f"def test_head(snapshot): snapshot(image({value}), {options})")
-    recorded.run(passed=int(passes), failed=int(not passes))
+LIMITS = [
+    ("0.51", "", False),
+    ("0.51", "block=0.03", True),
+    ("0.6", "block=0.3, point=0.2", True),
+    ("0.6", "block=0.3", False),
+    ("0.50001", "", True),
+    ("0.501", "block=1e-3", False),
+    ("0.6", "mask=np.zeros((32, 32))", False),
+]
+
+
+def test_limits_are_options_of_check(recorded):
+    recorded.write(
+        "".join(
+            f"def test_{i}(snapshot): snapshot(image({value}), 'test_head', {options})\n"
+            for i, (value, options, _) in enumerate(LIMITS)
+        )
+    )
+    assert recorded.passes() == [passes for *_, passes in LIMITS]
 
 
 def test_coverage_limit(suites):
@@ -168,26 +182,31 @@ def test_coverage_limit(suites):
         suites.run(passed=int(passes), failed=int(not passes))
 
 
-@pytest.mark.parametrize(
-    ("image", "message"),
-    [
-        ("image(np.nan)", "*the image holds 3072 NaN and 0 infinite values*"),
-        ("image()[..., 0]", "*the image is grey: give RGB"),
-        ("image().astype(np.uint8)", "*the image is 8-bit, which hides what a golden is to*"),
-        ("image(), block=-1.0", "*limit block = -1.0 is outside*"),
-        ("image(), mask=np.ones((3, 3))", "*the mask is 3 x 3*"),
-    ],
-)
-@pytest.mark.parametrize("golden", [False, True])
-def test_image_that_is_none_becomes_no_golden(suites, image, message, golden):
-    suites.write(ONE.format(value=0.5))
-    if golden:
-        suites.run("--facerender-update-missing")
-    suites.write(f"def test_head(snapshot): snapshot({image})")
-    result = suites.run("--facerender-update", failed=1)
-    result.stdout.fnmatch_lines([message])
-    assert suites.goldens() == (["test_head.exr"] if golden else [])
-    assert not golden or suites.value() == 0.5
+NONE = {
+    "image(np.nan)": "*the image holds 3072 NaN and 0 infinite values*",
+    "image()[..., 0]": "*the image is grey: give RGB",
+    "image().astype(np.uint8)": "*the image is 8-bit, which hides what a golden is to*",
+    "image(), block=-1.0": "*limit block = -1.0 is outside*",
+    "image(), mask=np.ones((3, 3))": "*the mask is 3 x 3*",
+}
+
+
+def test_image_that_is_none_becomes_no_golden(suites):
+    def write(*images: str) -> None:
+        tests = enumerate(images)
+        suites.write("".join(f"def test_{i}(snapshot): snapshot({each})\n" for i, each in tests))
+
+    def refuse() -> None:
+        write(*NONE)
+        result = suites.run("--facerender-update", failed=len(NONE))
+        result.stdout.fnmatch_lines([*NONE.values()])
+
+    refuse()
+    assert suites.goldens() == []
+    write(*["image()"] * len(NONE))
+    suites.run("--facerender-update-missing", passed=len(NONE))
+    refuse()
+    assert [suites.value(f"test_{i}") for i in range(len(NONE))] == [0.5] * len(NONE)
 
 
 def test_golden_keeps_the_range_of_what_draws(suites):
@@ -371,35 +390,46 @@ def test_renderer_names(renderer, name):
     assert renderer_name(renderer) == name
 
 
-BREAK = """
+KILLED = """
 import os, signal
 from pathlib import Path
 
 def half(path, content):
     with path.open("wb") as file:
         file.write(content[:200])
-    {end}
+    os.kill(os.getpid(), signal.SIGKILL)
 
 Path.write_bytes = half
 """
 
 
-@pytest.mark.parametrize(
-    "end", ["os.kill(os.getpid(), signal.SIGKILL)", "raise KeyboardInterrupt", "raise OSError(28)"]
-)
-def test_interrupted_update_leaves_the_old_golden(recorded, end):
+@pytest.mark.parametrize("end", [signal.SIGKILL, KeyboardInterrupt(), OSError(28)], ids=repr)
+def test_interrupted_update_leaves_the_old_golden(recorded, monkeypatch, end):
     before = recorded.golden().read_bytes()
     recorded.write(ONE.format(value=0.6))
-    recorded.pytester.makeconftest(BREAK.format(end=end))
-    result = recorded.run_apart("--facerender-update")
-    assert result.ret == (-signal.SIGKILL if "SIGKILL" in end else 2 if "Key" in end else 1)
+    if killed := end is signal.SIGKILL:
+        recorded.pytester.makeconftest(KILLED)
+        assert recorded.run_apart("--facerender-update").ret == -end
+        recorded.pytester.makeconftest("")
+    else:
+
+        def half(path: Path, content: bytes) -> None:
+            with path.open("wb") as file:
+                file.write(content[:200])
+            raise end
+
+        with monkeypatch.context() as patched:
+            patched.setattr(Path, "write_bytes", half)
+            result = recorded.pytester.runpytest_inprocess(
+                *PLUGIN, "--facerender-update", no_reraise_ctrlc=True
+            )
+        assert result.ret == (1 if isinstance(end, OSError) else pytest.ExitCode.INTERRUPTED)
     assert recorded.golden().read_bytes() == before
     left = [name for name in recorded.goldens() if name != "test_head.exr"]
     assert all(name.startswith(".") for name in left)
-    assert len(left) == int("SIGKILL" in end)
+    assert len(left) == int(killed)
 
-    recorded.pytester.makeconftest("")  # what a killed process left does not matter
-    recorded.write(ONE.format(value=0.5))
+    recorded.write(ONE.format(value=0.5))  # what a killed process left does not matter
     assert recorded.run("--facerender-unused=fail").ret == pytest.ExitCode.OK
 
 
@@ -464,9 +494,11 @@ def test_pytest_and_compare_read_the_section_where_it_was_pasted(recorded, name,
     _, *rows = text_of(path, {"linear": limits}).splitlines()
     path.write_text(before + "\n".join(rows))
     assert read_limits(path)["linear"]["block"] == 0.03
-    for value, passes in ((0.5, True), (0.51, True), (0.52, False)):  # 0.51 differs by 2 %
-        recorded.write(ONE.format(value=value))
-        recorded.run(f"-c{path}", passed=int(passes), failed=int(not passes))
+    values = enumerate((0.5, 0.51, 0.52))  # 0.51 differs by 2 %
+    recorded.write(
+        "".join(f"def test_{i}(snapshot): snapshot(image({v}), 'test_head')\n" for i, v in values)
+    )
+    assert recorded.passes(f"-c{path}") == [True, True, False]
 
 
 def test_a_test_goes_before_the_file(recorded):
@@ -504,7 +536,7 @@ def found(result: pytest.RunResult) -> list[str]:
 BOTH = [f"unused: goldens/{module}/old.exr" for module in ("test_one", "test_two")]
 
 
-@pytest.mark.parametrize("extra", [(), ("-n", "2")])
+@pytest.mark.parametrize("extra", [(), pytest.param(("-n", "2"), marks=pytest.mark.slow)])
 def test_unused_goldens_are_listed_or_fail(unused, extra):
     run = unused.run_apart if extra else unused.run
     result = run(*extra, "--facerender-unused=list")
@@ -519,27 +551,28 @@ def test_unused_goldens_are_listed_or_fail(unused, extra):
     result.stdout.no_fnmatch_line("*= facerender =*")
 
 
-@pytest.mark.parametrize(
-    ("selection", "judged"),
-    [
-        (["-k", "test_a"], []),
-        (["-k", "test_a or test_two"], ["test_two"]),
-        (["--deselect=test_one.py::TestB::test_b"], ["test_two"]),
-        (["test_one.py"], ["test_one"]),
-        (["test_one.py::test_a", "test_two.py"], ["test_two"]),
-        (["test_one.py::TestB", "test_two.py"], ["test_two"]),
-        (["test_one.py::TestB", "test_one.py::test_a"], ["test_one"]),
-        (["--ignore=test_one.py"], ["test_two"]),
-        (["-n2", "-k", "test_a or test_two"], ["test_two"]),
-        (["--lf"], []),
-        (["--co"], []),
-    ],
-)
-def test_unused_is_judged_only_where_all_tests_ran(unused, selection, judged):
-    run = unused.run_apart if "-n2" in selection else unused.run
-    result = run(*selection, "--facerender-unused=fail")
-    assert found(result) == [f"unused: goldens/{module}/old.exr" for module in judged]
-    assert result.ret == (pytest.ExitCode.TESTS_FAILED if judged else pytest.ExitCode.OK)
+SELECTIONS = [
+    (["-k", "test_a"], []),
+    (["-k", "test_a or test_two"], ["test_two"]),
+    (["--deselect=test_one.py::TestB::test_b"], ["test_two"]),
+    (["test_one.py"], ["test_one"]),
+    (["test_one.py::test_a", "test_two.py"], ["test_two"]),
+    (["test_one.py::TestB", "test_two.py"], ["test_two"]),
+    (["test_one.py::TestB", "test_one.py::test_a"], ["test_one"]),
+    (["--ignore=test_one.py"], ["test_two"]),
+    (["-n2", "-k", "test_a or test_two"], ["test_two"]),
+    (["--lf"], []),
+    (["--co"], []),
+]
+
+
+def test_unused_is_judged_only_where_all_tests_ran(unused):
+    for selection, judged in SELECTIONS:
+        run = unused.run_apart if "-n2" in selection else unused.run
+        result = run(*selection, "--facerender-unused=fail")
+        assert found(result) == [f"unused: goldens/{name}/old.exr" for name in judged], selection
+        status = pytest.ExitCode.TESTS_FAILED if judged else pytest.ExitCode.OK
+        assert result.ret == status, selection
 
 
 @pytest.mark.parametrize(
@@ -573,7 +606,7 @@ def test_goldens_of_a_module_that_is_gone_are_unused(unused):
 # --- the report ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("extra", [(), ("-n", "2")])
+@pytest.mark.parametrize("extra", [(), pytest.param(("-n", "2"), marks=pytest.mark.slow)])
 def test_report_has_every_image_and_those_that_fail_as_exr(recorded, extra):
     recorded.write(
         ONE.format(value=0.6)
@@ -581,7 +614,8 @@ def test_report_has_every_image_and_those_that_fail_as_exr(recorded, extra):
         + "def test_many(snapshot, p): snapshot(image(0.5), 'head')\n"
     )
     save_exr(recorded.golden("head"), np.full((32, 32, 3), 0.5, np.float32), {})
-    result = recorded.run_apart(*extra, "--facerender-report", "new/page")
+    run = recorded.run_apart if extra else recorded.run
+    result = run(*extra, "--facerender-report", "new/page")
     result.assert_outcomes(passed=3, failed=1)
     folder = recorded.path / "new/page"
     page = (folder / "index.html").read_text()
@@ -663,4 +697,7 @@ def test_workers_write_goldens_of_their_own_and_shared_ones(suites):
     result.assert_outcomes(passed=8)
     assert len(suites.goldens()) == 9
     assert sum(line.startswith("written: ") for line in result.outlines) == 9
-    assert suites.run_apart("-n", "2", "--facerender-unused=fail").ret == pytest.ExitCode.OK
+    options = ("--facerender-unused=fail", "--facerender-report=page")
+    assert suites.run_apart("-n", "2", *options).ret == pytest.ExitCode.OK
+    page = (suites.path / "page/index.html").read_text()
+    assert all(f"test_suite.py::test_many[{p}]" in page for p in range(8))

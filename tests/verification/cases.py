@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,7 +38,8 @@ from tests.verification.evaluate import WIDTH, Inputs
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-DIRECTIONS = 20_000  # for each BRDF
+DIRECTIONS = 10_000  # for each BRDF
+PLACES = 4096  # of a map: rows repeat them where the twin takes long
 FLOOR = 4e-13  # FR_FLOOR
 F0 = 0.028
 
@@ -144,6 +145,11 @@ def include(name: str, **macros: str) -> str:
 
 def grid(*axes: ArrayLike) -> list[Singles]:
     return [axis.ravel() for axis in np.meshgrid(*map(singles, axes), indexing="ij")]
+
+
+def repeated(values: NDArray[Any], count: int) -> NDArray[Any]:
+    """Return as many rows, of these again and again."""
+    return np.resize(values, (count, *values.shape[1:]))
 
 
 # --- lobes ---------------------------------------------------------------------------------------
@@ -258,10 +264,15 @@ def lobe_clamped_power(g: int) -> Case:
     return Case(include("lobe/g_power"), call, inputs, expected, ULP * g, absolute)
 
 
+@cache
+def slopes_alone(end: float) -> dict[str, Singles]:
+    return {"m": slopes(end)}
+
+
 def coefficient(name: str, k: int, i: int, call: str, above: float, digits: float) -> Case:
     """A fitted lobe's coefficient times m^(2 i + 2), and a number that keeps it from 0."""
     lobe = lobes.FITTED[name, k]
-    inputs = {"m": slopes(lobe.max_slope)}
+    inputs = slopes_alone(lobe.max_slope)
     m = inputs["m"].astype(float)
     expected = above + lobe.coefficients(m)[:, i] * m ** (2 * (i + 1))
     absolute = digits * ULP * (above + lobe.magnitudes(m)[:, i])
@@ -467,7 +478,8 @@ def cosine_disc() -> Case:
     return disc_case("cosine_disc", 30.0, 0.0, "c", [*np.linspace(-1.0, 1.0, 401), 1e-9, -1e-9])
 
 
-DISC = (0.2, 1.0, 0.004, 0.7)  # tangent of the radius, top, bias, turn
+HARD = 0.2  # bias: it decides, as depths lie 1/4 apart
+DISC = (0.2, 1.0, 0.1, 0.7)  # tangent of the radius, top, bias, turn
 
 
 @cache
@@ -477,9 +489,9 @@ def shadows() -> tuple[tuple[int, int, int], dict[str, Singles], Floats, Floats]
     random = np.random.default_rng(11)
     tile, count = (700, 3, 16), 20 * WIDTH
     map_ = singles(random.integers(-3, 3, count) / 4.0)
-    p = np.hstack([random.uniform(-1.2, 1.2, (count, 2)), np.zeros((count, 1))])
-    p[:, 2] = random.integers(-4, 3, count) / 4.0 + 0.12
-    plane = np.hstack([random.uniform(-0.1, 0.1, (count, 2)), np.zeros((count, 1))])
+    p = np.hstack([random.uniform(-1.2, 1.2, (PLACES, 2)), np.zeros((PLACES, 1))])
+    p[:, 2] = random.integers(-4, 3, PLACES) / 4.0 + 0.12
+    plane = np.hstack([random.uniform(-2.0, 2.0, (PLACES, 2)), np.zeros((PLACES, 1))])
     image = map_.reshape(-1, WIDTH).astype(float)
     ends = [
         shadow.shadow_disc(image, tile, p + aside, plane[:, :2], *DISC)
@@ -487,15 +499,16 @@ def shadows() -> tuple[tuple[int, int, int], dict[str, Singles], Floats, Floats]
     ]
     differs = np.ptp(ends, axis=0)
     steady = np.flatnonzero(differs < 1e-2)
-    kept = np.where(differs < 1e-2, np.arange(count), steady[0])
+    kept = repeated(np.where(differs < 1e-2, np.arange(PLACES), steady[0]), count)
     inputs = {"map": map_, "p": singles(p[kept]), "plane": singles(plane[kept])}
     return tile, inputs, image, differs[kept]
 
 
-@case(("fr_shadow_hard", "p, 0.004"), ("fr_shadow_lit", "p.xy, p.z + 0.004"))
+@case(("fr_shadow_hard", f"p, {HARD}"), ("fr_shadow_lit", f"p.xy, p.z + {HARD}"))
 def shadow_hard(function: str, arguments: str) -> Case:
     tile, inputs, map_, _ = shadows()
-    expected = shadow.shadow_hard(map_, tile, inputs["p"], 0.004)
+    expected = shadow.shadow_hard(map_, tile, inputs["p"][:PLACES], HARD)
+    expected = repeated(expected, len(inputs["p"]))
     call = f"{function}(map_texels, ivec3{tile}, {arguments})"
     return Case(include("shadow"), call, inputs, expected, 0.0, 2e-5)
 
@@ -503,8 +516,8 @@ def shadow_hard(function: str, arguments: str) -> Case:
 @case()
 def shadow_disc() -> Case:
     tile, inputs, map_, differs = shadows()
-    places = inputs["p"], inputs["plane"][:, :2]
-    expected = shadow.shadow_disc(map_, tile, *places, *DISC)
+    places = inputs["p"][:PLACES], inputs["plane"][:PLACES, :2]
+    expected = repeated(shadow.shadow_disc(map_, tile, *places, *DISC), len(inputs["p"]))
     call = f"fr_shadow_disc(map_texels, ivec3{tile}, p, plane.xy, {', '.join(map(str, DISC))})"
     return Case(include("shadow"), call, inputs, expected, 0.0, 1e-4 + differs)
 
@@ -595,21 +608,20 @@ AROUND = 16  # texels of a map's first level
 
 @cache
 def around() -> tuple[dict[str, Singles], Floats]:
-    """A map, its texels with directions, and the map."""
+    """A map, its texels with directions, of which n, v and m repeat, and the map."""
     random = np.random.default_rng(12)
     count = (AROUND + 2) * WIDTH
     map_ = singles(random.uniform(0.0, 1.0, (count, 3)))
-    n, v, l = (random.normal(size=(count, 3)) for _ in range(3))
-    n, v, l = (each / np.linalg.norm(each, axis=-1, keepdims=True) for each in (n, v, l))
+    n, v = (unit(random.normal(size=(PLACES, 3))) for _ in range(2))
     cosine = np.einsum("...i,...i", n, v)[:, None]
     v = np.where(cosine < 0.0, -v, v)
     v[np.abs(cosine[:, 0]) < 0.05] = n[np.abs(cosine[:, 0]) < 0.05]
     inputs = {
         "map": map_,
-        "n": singles(n),
-        "v": singles(v),
-        "l": singles(l),
-        "m": singles(random.choice([1e-4, 0.02, 0.1, 0.3, 0.6, 2.0], count)),
+        "n": repeated(singles(n), count),
+        "v": repeated(singles(v), count),
+        "l": singles(unit(random.normal(size=(count, 3)))),
+        "m": repeated(singles(random.choice([1e-4, 0.02, 0.1, 0.3, 0.6, 2.0], PLACES)), count),
         "w": singles(np.exp(random.uniform(-12.0, 3.0, count))),
     }
     return inputs, map_.reshape(-1, WIDTH, 3).astype(float)
@@ -647,11 +659,12 @@ def environment_level() -> Case:
 def environment_cook_torrance(fresnel: str) -> Case:
     inputs, map_ = around()
     masking = {"schlick": "v-cavity", "dielectric": "kelemen"}.get(fresnel, "none")
-    n, v, m = (inputs[name] for name in ("n", "v", "m"))
+    n, v, m = (inputs[name][:PLACES] for name in "nvm")
     expected = environment.environment_cook_torrance(map_, AROUND, n, v, m, F0, fresnel, masking)
     macros = f"{FRESNEL[fresnel].macro}, {MASKING[masking].macro}"
     call = f"fr_environment_cook_torrance(map_texels, {AROUND}, n, v, m, {F0}, {macros}).y"
-    return Case(include("environment"), call, inputs, expected[:, 1], 1e-4, 1e-6)
+    expected = repeated(expected[:, 1], len(inputs["n"]))
+    return Case(include("environment"), call, inputs, expected, 1e-4, 1e-6)
 
 
 @case(("direction",), ("steradians",), ("axes",))
@@ -673,8 +686,9 @@ def environment_sample(what: str) -> Case:
 @case()
 def environment_ward() -> Case:
     inputs, map_ = around()
-    n, v, m = (inputs[name] for name in ("n", "v", "m"))
+    n, v, m = (inputs[name][:PLACES] for name in "nvm")
     expected = environment.environment_ward(map_, AROUND, n, v, m)[:, 1]
+    expected = repeated(expected, len(inputs["n"]))
     call = f"fr_environment_ward(map_texels, {AROUND}, n, v, m).y"
     return Case(include("environment"), call, inputs, expected, 1e-4, 1e-6)
 
@@ -854,14 +868,20 @@ def model_by_macros(model: str, lobe: AnyLobe, fresnel: str, masking: str) -> Ca
     return in_domain(term, code.defines(macros) + flat(files), call)
 
 
-def two_lobes(term: Term, prelude: str, call: str) -> Case:
-    """Two lobes in one, of any slopes and shares; each has its share of its own bound."""
-    inputs = directions_and_extremes(lobe_entry(term.lobe).end(term.entry.k))
+@cache
+def pairs_of_slopes(end: float) -> dict[str, Singles]:
+    """At slopes of a whole domain, two for each place."""
+    inputs = directions_and_extremes(end)
     m = inputs["m"]
     share = singles(np.random.default_rng(3).choice([0.0, 0.001, 0.15, 0.5, 0.85, 1.0], m.size))
-    both = {**inputs, "second_m": np.roll(m, 5), "lobe_weight": share}
-    first, second = (brdf_case(term, inputs | {"m": both[name]}) for name in ("m", "second_m"))
-    w = share.astype(float)
+    return {**inputs, "second_m": np.roll(m, 5), "lobe_weight": share}
+
+
+def two_lobes(term: Term, prelude: str, call: str) -> Case:
+    """Two lobes in one, of any slopes and shares; each has its share of its own bound."""
+    both = pairs_of_slopes(lobe_entry(term.lobe).end(term.entry.k))
+    first, second = (brdf_case(term, both | {"m": both[name]}) for name in ("m", "second_m"))
+    w = both["lobe_weight"].astype(float)
     return Case(
         f"const float f0 = {F0};\n" + prelude,
         call,

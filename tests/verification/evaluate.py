@@ -77,6 +77,7 @@ class Evaluator:
     def __init__(self, gl: moderngl.Context, glsl: Glsl = "330 core") -> None:
         """gl : becomes the evaluator's; glsl : what its shaders begin with"""
         self.gl, self.glsl, self._process = gl, glsl, os.getpid()
+        self._programs: dict[str, moderngl.Program] = {}  # of the last call, by fragment shader
         gl.gc_mode = "context_gc"
         with gl:
             self.renderer, self.version = gl.info["GL_RENDERER"], gl.info["GL_VERSION"]
@@ -114,8 +115,10 @@ class Evaluator:
                 textures.append(gl.texture((width, height), components, image, dtype="f4"))
                 textures[-1].filter = moderngl.NEAREST, moderngl.NEAREST
                 textures[-1].use(unit)
+            last, self._programs = self._programs, {}
             for fragment in fragment_shaders(self.glsl, prelude, expressions, inputs):
-                program = gl.program(vertex_shader(self.glsl), fragment)
+                program = last.get(fragment) or gl.program(vertex_shader(self.glsl), fragment)
+                self._programs[fragment] = program
                 for unit, name in enumerate(images):
                     if name in program:
                         program[name] = unit

@@ -124,10 +124,13 @@ def hairs(count: int, width: float, seed: int) -> Texture:
     return texture(alpha, "hairs")
 
 
+head = cache(fr.load_mesh)
+
+
 @cache
 def parts_head(hair: Alpha = "mask", scattering: str | None = None) -> Mesh:
     """The head; the parts are those of NAMES, in that order."""
-    plain = fr.load_mesh()
+    plain = head()
     two = {"eyes": [ball(each, EYE) for each in EYES], "lashes": [lashes(each) for each in EYES]}
     parts = [
         plain.parts[0],
