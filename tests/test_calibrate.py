@@ -75,6 +75,15 @@ def runs(tmp_path) -> Runs:
     return Runs(tmp_path / "runs")
 
 
+@pytest.fixture(scope="module")
+def equal(tmp_path_factory) -> Calibration:
+    """Of two runs that are the same."""
+    runs = Runs(tmp_path_factory.mktemp("equal"))
+    for run in ("one", "two"):
+        runs.add(run, picture())
+    return runs.calibration()
+
+
 @pytest.fixture
 def wide(runs) -> Runs:
     """Two drivers that differ by 0.8 % of the exposure."""
@@ -86,13 +95,10 @@ def wide(runs) -> Runs:
 # --- limits --------------------------------------------------------------------------------------
 
 
-def test_equal_pairs_need_what_rounding_needs(runs):
-    for run in ("one", "two", "three"):
-        runs.add(run, picture())
-    found = runs.calibration()
-    assert (found.pairs, found.limits, found.needed) == (3, LEAST["linear"], {})
-    assert found.blind == []
-    assert all(getattr(found.limits, name) <= getattr(LIMITS["linear"], name) for name in NAMES)
+def test_equal_pairs_need_what_rounding_needs(equal):
+    assert (equal.pairs, equal.limits, equal.needed) == (1, LEAST["linear"], {})
+    assert equal.blind == []
+    assert all(getattr(equal.limits, name) <= getattr(LIMITS["linear"], name) for name in NAMES)
 
 
 def test_limits_are_what_the_worst_pair_needs_with_a_margin(wide):
@@ -125,12 +131,8 @@ def test_no_limit_is_wider_than_by_default_for_the_margin_alone(runs):
 
 
 @pytest.mark.parametrize("name", ["point", "block", "trend", "grain", "texture"])
-def test_each_limit_sees_the_change_that_it_tells_and_no_half_of_it(runs, name):
-    b = picture()
-    runs.add("one", b)
-    runs.add("two", b)
-    found = runs.calibration()
-    by = found.sees[name]
+def test_each_limit_sees_the_change_that_it_tells_and_no_half_of_it(equal, name):
+    b, by = picture(), equal.sees[name]
     color = b[..., :3]
     lit = b[..., 3] > 0
     noise = np.random.default_rng(5).standard_normal((SIDE, SIDE, 1))
@@ -148,20 +150,11 @@ def test_each_limit_sees_the_change_that_it_tells_and_no_half_of_it(runs, name):
     for factor, same in ((1.5, False), (0.5, True)):
         changed = b.copy()
         changed[..., :3] += (factor * by * change).astype(np.float32)
-        given = OPEN | {"shift": found.limits.shift, name: getattr(found.limits, name)}
+        given = OPEN | {"shift": equal.limits.shift, name: getattr(equal.limits, name)}
         if name == "trend":
-            given["block"] = found.limits.block
+            given["block"] = equal.limits.block
         result = compare(b, changed, **given)
         assert (not result.changed_alike if name == "trend" else result.same) is same
-
-
-def test_wider_limits_see_less_and_say_so(runs, wide):
-    found = wide.calibration()
-    assert found.sees["block"] > 0.01
-    (told,) = (each for each in found.blind if "block" in each)
-    assert told.startswith(f"limit block = {found.limits.block:g} lets another exposure by 1 %")
-    runs.add("two", picture())
-    assert runs.calibration().sees["block"] < 0.005
 
 
 def test_mask_leaves_out_what_does_not_count(wide):
@@ -192,10 +185,10 @@ def test_images_of_8_bits_have_limits_of_their_own(wide):
 
 
 def test_what_is_seen_of_a_picture_that_shows_nothing(runs):
-    for run in ("one", "two"):
+    for run in ("one", "two", "three"):
         runs.add(run, np.zeros((32, 32, 3), np.float32))
     found = runs.calibration()
-    assert found.limits == LEAST["linear"]
+    assert (found.pairs, found.limits) == (3, LEAST["linear"])
     assert found.noted["block"][1] == "does not see another exposure"
     json.dumps(found.as_dict(), allow_nan=False)
 
@@ -307,13 +300,17 @@ def test_limits_of_a_file_are_for_the_images_of_their_encoding(runs, tmp_path, c
         assert run(capsys, one, two, "--limits", path)[0] == status
 
 
-def test_command_without_a_file_prints_alone(wide, capsys, tmp_path):
+def test_command_without_a_file_prints_that_wider_limits_see_less(wide, equal, capsys, tmp_path):
     status, out, _ = run(capsys, "--calibrate", wide, "--json")
     assert status == 0
     assert [each.name for each in tmp_path.iterdir()] == ["runs"]
     (found,) = json.loads(out)
-    assert found["limits"]["block"] > found["least"]["block"] > 0.005
+    limit = found["limits"]["block"]
+    assert limit > found["least"]["block"] > 0.005
     assert set(found["sees"]) == set(NAMES)
+    assert found["sees"]["block"] > 0.01 > 0.005 > equal.sees["block"]
+    (told,) = (each for each in found["blind"] if "block" in each)
+    assert told.startswith(f"limit block = {limit:g} lets another exposure by 1 %")
 
 
 def test_every_limit_is_an_option(wide, capsys):

@@ -18,7 +18,7 @@ from facerender.images.image import image_from_array
 from facerender.images.read import read_image
 
 
-@pytest.fixture(scope="module", params=[256, 512])
+@pytest.fixture(scope="module", params=[256, pytest.param(512, marks=pytest.mark.slow)])
 def frame(request: pytest.FixtureRequest, egl) -> fr.Frame:
     """A drawn head."""
     return fr.render(size=(request.param, request.param), backend=egl)
@@ -107,6 +107,7 @@ print(peak() - before - held)
 """
 
 
+@pytest.mark.memory
 @pytest.mark.parametrize(("name", "more"), [("f4.exr", 24), ("f2.exr", 24), ("rgba.png", 88)])
 def test_reading_takes_little_beside_the_pixels(name, more, tmp_path):
     """MiB, of 2048 x 2048 pixels of noise: 64, 32 and 16 in themselves. Pillow holds a PNG as

@@ -20,7 +20,7 @@ from tests.verification.cases import Case
 from tests.verification.evaluate import Evaluator, Inputs
 from tests.verification.many import GROUPS, MANY, Random, cases_of, faults
 
-FEW = 2**18  # samples of a draw
+FEW = 2**15  # samples of a draw
 MANY_DRAWS = -(-(10**8) // MANY)
 
 
@@ -38,7 +38,9 @@ def inputs() -> Inputs:
 
 @pytest.mark.parametrize("group", GROUPS)
 def test_finite_and_not_negative(evaluator, inputs, group):
-    if found := faults(evaluator, cases_of(group), inputs):
+    """Of many cases of a group every seventh, which is each lobe with one of the other terms."""
+    cases = list(cases_of(group).items())
+    if found := faults(evaluator, dict(cases[:: 7 if len(cases) > 8 else 1]), inputs):
         pytest.fail("\n".join(found), pytrace=False)
 
 

@@ -82,7 +82,11 @@ def calls(name: str) -> str:
     return " + ".join(values) or "0.0"
 
 
-@pytest.mark.parametrize("target", glsl.TARGETS)
+@pytest.mark.compiler
+@pytest.mark.parametrize(
+    "target",
+    [pytest.param(each, marks=[pytest.mark.smoke] * (each == "es300")) for each in glsl.TARGETS],
+)
 def test_every_flattened_file_compiles_without_a_warning(target, tmp_path):
     compile_all(
         target,
@@ -91,6 +95,8 @@ def test_every_flattened_file_compiles_without_a_warning(target, tmp_path):
     )
 
 
+@pytest.mark.compiler
+@pytest.mark.smoke
 @pytest.mark.parametrize("target", glsl.TARGETS)
 def test_every_shading_compiles_without_a_warning(target, tmp_path):
     compile_all(
@@ -132,6 +138,7 @@ def run(command: Sequence[str | Path], folder: Path | None = None) -> None:
     assert "WARNING" not in said.upper(), said
 
 
+@pytest.mark.compiler
 def test_a_warning_would_be_seen(tmp_path):
     path = tmp_path / "x.frag"
     path.write_text(
@@ -200,8 +207,7 @@ def evaluate(egl: Backend) -> Iterator[Evaluator]:
     evaluator.release()
 
 
-@pytest.mark.parametrize("lobe", LOBES)
-@pytest.mark.parametrize("m", [0.15, 0.3])
+@pytest.mark.parametrize(("lobe", "m"), [*((lobe, 0.3) for lobe in LOBES), ("exact", 0.15)])
 def test_with_a_constant_slope_the_callers_does_not_count(evaluate, lobe, m):
     inputs = directions(np.full(5000, m, np.float32), lowest=0.02)
     vectors = [inputs[axis].astype(float) for axis in "nlv"]

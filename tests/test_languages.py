@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from facerender.glsl import library as glsl
 from tests.conftest import missing, require_module
 from tests.test_glsl import CHOICES
 from tests.verification import metal
-from tests.verification.cases import cases_of, evaluated
+from tests.verification.cases import Case, cases_of, evaluated
 from tests.verification.evaluate import Evaluator
 from tests.verification.hosts import CHOICES as SCENES
 from tests.verification.hosts import SCENE, SIZE, desktop
@@ -79,17 +79,30 @@ def target(request: pytest.FixtureRequest) -> Iterator[Remote]:
         yield remote
 
 
-def test_functions_agree_with_float64(target):
-    told = []
-    for group in groups_of(target.name):
-        cases = cases_of(group)
-        results = evaluated(cases, target)
-        faults = {name: case.fault(results[name]) for name, case in cases.items()}
-        told += [f"{name}: {fault}" for name, fault in faults.items() if fault]
-    if told:
+def check(cases: Mapping[str, Case], target: Remote) -> None:
+    results = evaluated(cases, target)
+    faults = {name: case.fault(results[name]) for name, case in cases.items()}
+    if told := [f"{name}: {fault}" for name, fault in faults.items() if fault]:
         pytest.fail("\n".join(told), pytrace=False)
 
 
+@pytest.mark.vulkan
+def test_functions_agree_with_float64(target):
+    groups = (cases_of(group) for group in groups_of(target.name))
+    check({name: case for cases in groups for name, case in cases.items()}, target)
+
+
+@pytest.mark.vulkan
+@pytest.mark.smoke
+@pytest.mark.parametrize("target", TRANSLATED, indirect=True)
+def test_models_agree_with_float64(target):
+    by_model = {name.split()[1]: name for name in cases_of("models-by-macros")}
+    check({name: cases_of("models-by-macros")[name] for name in by_model.values()}, target)
+    check(cases_of("fr_cook_torrance_sample"), target)
+
+
+@pytest.mark.vulkan
+@pytest.mark.smoke
 @pytest.mark.parametrize("target", TRANSLATED, indirect=True)
 def test_plain_glsl_means_the_same(target, egl: Backend):
     random = np.random.default_rng(2)
@@ -102,6 +115,8 @@ def test_plain_glsl_means_the_same(target, egl: Backend):
     np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.compiler
+@pytest.mark.vulkan
 @pytest.mark.parametrize("language", MAIN)
 def test_every_file_and_choice_compiles_without_a_warning(language):
     require_module("wgpu")
@@ -113,13 +128,23 @@ def test_every_file_and_choice_compiles_without_a_warning(language):
         device.compile(compiled(text, hlsl=True) if language == "hlsl" else text)
 
 
-def test_metal_compiles_as_cpp_and_draws_what_opengl_does(egl):
-    scenes = [f"{macros}{SCENE}" for macros in SCENES.values()]
-    texts = [fr.shader_source(name, "msl", lobe=lobe, m=m) for name, lobe, m in TEXTS]
+def metal_drawn(texts: list[str], scenes: list[str]) -> list[np.ndarray]:
     try:
-        images = metal.drawn(texts, [glsl.translated(scene, "msl") for scene in scenes], SIZE)
+        return metal.drawn(texts, [glsl.translated(scene, "msl") for scene in scenes], SIZE)
     except FileNotFoundError:
         missing("no g++")
+
+
+@pytest.mark.compiler
+def test_every_file_and_choice_compiles_as_metal():
+    metal_drawn([fr.shader_source(name, "msl", lobe=lobe, m=m) for name, lobe, m in TEXTS], [])
+
+
+@pytest.mark.compiler
+@pytest.mark.smoke
+def test_metal_draws_what_opengl_does(egl):
+    scenes = [f"{macros}{SCENE}" for macros in SCENES.values()]
+    images = metal_drawn([], scenes)
     for image, expected in zip(images, desktop(scenes)[1], strict=True):
         assert np.abs(image - expected).max() < 1e-6 * expected.max()
 

@@ -13,6 +13,14 @@ from tests.test_shaders import FILES, functions
 from tests.verification.cases import GROUPS, cases_of, evaluated
 from tests.verification.targets import TARGETS, Remote
 
+MARKS = {"GLSL 330, OSMesa": "osmesa", "WebGL 2, Chromium": "browser"}
+
+
+def marked(name: str) -> object:
+    """A target as a parameter, under its marker unless it is the first."""
+    marks = [] if name == next(iter(TARGETS)) else [getattr(pytest.mark, MARKS.get(name, "slow"))]
+    return pytest.param(name, marks=marks)
+
 
 def opened(name: str) -> Remote:
     try:
@@ -21,9 +29,13 @@ def opened(name: str) -> Remote:
         missing(f"{name}: {error}")
 
 
-@pytest.fixture(scope="module", params=TARGETS)
+@pytest.fixture(scope="module", params=map(marked, TARGETS))
 def target(request: pytest.FixtureRequest) -> Iterator[Remote]:
-    with opened(request.param) as remote:
+    with pytest.MonkeyPatch.context() as patch:
+        if request.param == next(iter(TARGETS)):  # llvmpipe compiles in half the time; OSMesa's
+            patch.setenv("GALLIVM_PERF", "nopt")  # and the others' optimizes
+        remote = opened(request.param)
+    with remote:
         yield remote
 
 

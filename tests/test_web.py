@@ -27,6 +27,8 @@ from tests.conftest import missing, node_tool
 from tests.test_hosts import SCENES, check
 from tests.verification.hosts import ENGINES, desktop, draw, served
 
+pytestmark = pytest.mark.node
+
 ROOT = Path(__file__).parents[1]
 OFFLINE = re.compile("ENOTFOUND|EAI_AGAIN|ECONNREFUSED|ETIMEDOUT|ENETUNREACH")
 # Pixels of a view of 399 x 713 at 1200 x 800: the highlights of both lights.
@@ -92,6 +94,7 @@ def installed(package: Path, tmp_path_factory) -> Path:
     return folder / "node_modules/facerender-shaders"
 
 
+@pytest.mark.smoke
 def test_exports_are_flat_sources_with_their_functions_types_and_headers(installed):
     code = 'import * as all from "facerender-shaders"; console.log(JSON.stringify(all))'
     command = [node_tool("node"), "--input-type=module", "--eval", code]
@@ -109,9 +112,6 @@ def test_exports_are_flat_sources_with_their_functions_types_and_headers(install
         assert not re.search(r"^\s*#(include|version)", source, re.MULTILINE)
         assert f"\n */\nexport const {name}: string;\n" in types
     assert types.count("/**\n") == types.count("\n */\n") == len(names)
-
-
-def test_files_are_the_librarys(installed):
     for file in (fr.shader_dir() / "facerender").rglob("*.glsl"):
         packed = installed / "glsl" / file.relative_to(fr.shader_dir())
         assert packed.read_bytes() == file.read_bytes()
