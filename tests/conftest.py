@@ -165,6 +165,13 @@ def head() -> fr.Mesh:
     return fr.load_mesh()
 
 
+@pytest.fixture(scope="session")
+def coarse_head() -> fr.Mesh:
+    """The built-in head with a tenth of its triangles, which is drawn four times as fast."""
+    require_module("meshoptimizer")
+    return fr.simplified(fr.load_mesh(), 6000)
+
+
 @pytest.fixture(scope="session", params=["egl", pytest.param("osmesa", marks=pytest.mark.osmesa)])
 def backend(request: pytest.FixtureRequest) -> Backend:
     return require_backend(request.param)

@@ -208,7 +208,7 @@ WHITE = Material((1.0, 1.0, 1.0), ks=0.0)
 
 @pytest.fixture(scope="module")
 def single(backend):
-    with fr.Renderer((160, 160), samples=1, backend=backend, float_albedo=True) as renderer:
+    with fr.Renderer((96, 96), samples=1, backend=backend, float_albedo=True) as renderer:
         yield renderer
 
 
@@ -226,7 +226,7 @@ def agrees(renderer, scene, shading=fr.Shading()):
     return frame, gbuffer
 
 
-@pytest.mark.parametrize("hair", ["mask", "blend"])
+@pytest.mark.parametrize("hair", ["mask", pytest.param("blend", marks=pytest.mark.slow)])
 def test_a_head_of_parts_is_drawn_as_the_reference_has_it(single, hair):
     scene = fr.Scene(parts_head(hair), fr.Camera(30.0), LIGHTS, background=None)
     frame, gbuffer = agrees(single, scene)
@@ -234,7 +234,7 @@ def test_a_head_of_parts_is_drawn_as_the_reference_has_it(single, hair):
         each for each in gbuffer.transparent_layers if (each.part == NAMES.index("shells")).any()
     ]
     assert len(shells) == 2  # front and, beyond the eyes, back
-    assert (gbuffer.part == NAMES.index("eyes")).sum() > 50
+    assert (gbuffer.part == NAMES.index("eyes")).sum() > 20
     assert (gbuffer.part == NAMES.index("hair")).any() == (hair == "mask")
     assert frame[..., 3].max() == pytest.approx(1.0)
 
@@ -268,8 +268,8 @@ def test_masks_cut_holes(single):
     front = Material((1.0, 0.0, 0.0), ks=0.0, alpha="mask", opacity_map=half)
     scene = scene_of([quad(0.0), quad(0.5, 0.5)], [WHITE, front])
     part = agrees(single, scene)[1].part
-    assert part[80, 90] == 1
-    assert part[80, 70] == 0
+    assert part[48, 54] == 1
+    assert part[48, 42] == 0
     for material, seen in (
         (replace(front, alpha_cutoff=2.0), 0),
         (replace(front, alpha_cutoff=0.0), 1),
@@ -277,7 +277,7 @@ def test_masks_cut_holes(single):
         (replace(front, opacity=0.4), 0),
     ):
         gbuffer = single.gbuffer(scene_of([quad(0.0), quad(0.5, 0.5)], [WHITE, material]))
-        assert gbuffer.part[80, 90] == seen
+        assert gbuffer.part[48, 54] == seen
 
 
 def test_blended_parts_lie_over_each_other_from_the_back(single):
@@ -287,18 +287,18 @@ def test_blended_parts_lie_over_each_other_from_the_back(single):
     glass = [Material(c, ks=0.0, kd=np.pi, alpha="blend", opacity=0.25) for c in colors]
     materials = [glass[0], replace(WHITE, kd=np.pi), glass[2]]
     frame, gbuffer = agrees(single, scene_of(quads, materials, **dark))
-    np.testing.assert_allclose(frame[80, 80], (0.8125, 0.5625, 0.75, 1.0), atol=1e-6)
+    np.testing.assert_allclose(frame[48, 48], (0.8125, 0.5625, 0.75, 1.0), atol=1e-6)
     assert [each.part.max() for each in gbuffer.transparent_layers] == [2, 0]
     joined = parts_joined([quads[0], quads[2]])  # nearest first: sorted by triangles
     both = [replace(WHITE, kd=np.pi), replace(glass[0], albedo=(1.0, 1.0, 1.0))]
     frame, gbuffer = agrees(single, scene_of([quads[1], joined], both, **dark))
     assert len(gbuffer.transparent_layers) == 2
     assert (
-        gbuffer.transparent_layers[0].position[80, 80, 2]
-        < gbuffer.transparent_layers[1].position[80, 80, 2]
+        gbuffer.transparent_layers[0].position[48, 48, 2]
+        < gbuffer.transparent_layers[1].position[48, 48, 2]
     )
     alone, _ = agrees(single, scene_of([quads[0]], [glass[0]], **dark))
-    np.testing.assert_allclose(alone[80, 80], (0.25, 0.0, 0.0, 0.25), atol=1e-6)
+    np.testing.assert_allclose(alone[48, 48], (0.25, 0.0, 0.0, 0.25), atol=1e-6)
 
 
 def parts_joined(parts):
@@ -332,9 +332,9 @@ def test_a_shell_leaves_the_eye_lit_and_lashes_cast_their_hairs(single):
         seen.append(gbuffer.visibility[..., 0])
         part.append(gbuffer.part)
     eye = (part[0] == NAMES.index("eyes")) & (part[3] == part[0])
-    assert eye.sum() > 500
+    assert eye.sum() > 200
     np.testing.assert_array_equal(seen[0], seen[1])
-    assert (part[2] == at).sum() > 500
+    assert (part[2] == at).sum() > 200
     assert seen[0][eye].mean() > seen[3][eye].mean() + 0.02
 
 
@@ -527,11 +527,13 @@ def test_what_cannot_show_a_part_says_so():
         shown = drawable(mesh)
     assert len(shown.parts) == 3
     assert {material.alpha for material in shown.materials} == {"opaque"}
+    glass = replace(WHITE, alpha="blend", opacity=0.5)
+    scene = scene_of([quad(), quad(0.5)], [WHITE, glass])
     with (
         fr.Renderer((32, 32), samples=1) as renderer,
         pytest.warns(FacerenderWarning, match="are blended: the plan counts what lies behind"),
     ):
-        fr.plan(fr.Scene(mesh), "1/255", renderer=renderer, cost="navi21")
+        fr.plan(scene, "1/255", renderer=renderer, cost="navi21")
 
 
 def test_transparent_parts_bake_no_occlusion():

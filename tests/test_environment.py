@@ -19,6 +19,7 @@ from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import Prices
 from facerender.scenes.environment import SIDE, studio
 from facerender.scenes.file import parse_environment
+from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 
 CAMERA = fr.Camera(azimuth=-35.0)
@@ -230,9 +231,9 @@ def test_scene_file_and_command_line(tmp_path):
     file.write_text('environment = "studio,20,0.5"\n')
     assert fr.load_scene(file)["environment"] == asked == parse_environment("studio,20,0.5")
     outputs = [str(tmp_path / name) for name in ("a.png", "b.png")]
-    own = ["--size", "16", "--samples", "1", "-o"]
-    assert main(["render", "--scene", str(file), *own, outputs[0]]) == 0
-    assert main(["render", "--environment", "studio,20,0.5", *own, outputs[1]]) == 0
+    own = ["render", str(MINI_HEAD), "--size", "16", "--samples", "1"]
+    assert main([*own, "--scene", str(file), "-o", outputs[0]]) == 0
+    assert main([*own, "--environment", "studio,20,0.5", "-o", outputs[1]]) == 0
     first, second = (Path(each).read_bytes() for each in outputs)
     assert first == second
 

@@ -131,6 +131,7 @@ def test_samples(backend, small, meshes, agrees):
         agrees(renderer.render(scene), "head-4-samples", maps=True)
 
 
+@pytest.mark.slow
 def test_goldens_hold_on_another_driver():
     require_backend("egl")
     tests = "egl and not (cameras or terms or printed)"

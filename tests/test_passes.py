@@ -41,8 +41,15 @@ def renderer(egl, monkeypatch, tmp_path):
         yield renderer
 
 
-@pytest.mark.parametrize("deferred", [False, True])
-@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize(
+    ("samples", "deferred"),
+    [
+        (1, False),
+        (4, True),
+        pytest.param(1, True, marks=pytest.mark.slow),
+        pytest.param(4, False, marks=pytest.mark.slow),
+    ],
+)
 def test_a_filter_reads_what_was_shaded_and_a_depth(renderer, head, samples, deferred, monkeypatch):
     monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *scene: deferred)
     scene = fr.Scene(head.with_material(m=0.3), background=None)

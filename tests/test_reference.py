@@ -100,11 +100,11 @@ def programs_of(scene: fr.Scene, shading: fr.Shading) -> list[Program]:
 
 @pytest.fixture(scope="module")
 def transparent(backend: Backend) -> Iterator[fr.Renderer]:
-    with fr.Renderer((256, 192), samples=1, backend=backend) as renderer:
+    with fr.Renderer((128, 96), samples=1, backend=backend) as renderer:
         yield renderer
 
 
-@pytest.mark.parametrize("mesh", ["head", "scan_mesh"])
+@pytest.mark.parametrize("mesh", ["head", pytest.param("scan_mesh", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("scene_of", "shading"),
     [*((lit, each) for each in SHADINGS), *((mixed, each) for each in REDUCED)],
@@ -128,9 +128,10 @@ def test_the_exact_lobe_at_every_slope(transparent, head, m):
     assert compared(transparent, scene)[2].max() < (1e-4 if m > 0.01 else 1e-2)
 
 
-def test_a_change_of_a_thousandth_is_seen(transparent, head):
-    scene = lit(head)
-    gbuffer, expected, _ = compared(transparent, scene)
+def test_a_change_of_a_thousandth_is_seen(transparent, scan_mesh):
+    scene = lit(scan_mesh)
+    gbuffer, expected, error = compared(transparent, scene)
+    assert error.max() < 1e-4
     changed = replace(gbuffer, m=gbuffer.m * np.float32(1.001))
     other = reference.shade(changed, scene, fr.Shading())[gbuffer.part >= 0]
     assert (np.abs(other - expected) / expected.clip(0.01)).max() > 1e-4
@@ -192,10 +193,11 @@ def shadows(mesh: fr.Mesh) -> fr.Scene:
 
 
 def skin(mesh: fr.Mesh) -> fr.Scene:
-    """Near enough for four Gaussians."""
+    """The nose of the head, near enough for four Gaussians on 96 pixels."""
     lights = (fr.Light(-50.0, 42.0, 3.0, shadow=True), fr.Light(80.0, 20.0, (0.2, 0.4, 0.3)))
     mesh = mesh.with_material(scattering="skin")
-    return fr.Scene(mesh, fr.Camera(-35.0, zoom=2.5), lights, background=None)
+    camera = fr.Camera(-35.0, zoom=5.0, target=(0.0, -0.03, 0.1))
+    return fr.Scene(mesh, camera, lights, background=None)
 
 
 @dataclass(frozen=True)
@@ -262,7 +264,7 @@ def cases() -> Iterator[tuple[Case, bool]]:
 
 @pytest.fixture(scope="module")
 def floats(egl: Backend) -> Iterator[fr.Renderer]:
-    with fr.Renderer((160, 160), samples=1, backend=egl, float_albedo=True) as renderer:
+    with fr.Renderer((96, 96), samples=1, backend=egl, float_albedo=True) as renderer:
         yield renderer
 
 
@@ -298,22 +300,23 @@ def casting(mesh: fr.Mesh) -> tuple[fr.Light, ...]:
 
 
 @pytest.mark.parametrize(
-    ("material", "changes", "off"),
+    ("material", "changes", "off", "least"),
     [
-        ({}, {"environment": ENVIRONMENT}, {"environment": False}),
-        ({}, {"lights": casting}, {"shadow_lights": []}),
-        ({"second_slope": 1.7, "lobe_weight": 0.85}, {}, {"two_lobes": False}),
-        ({"scattering": "skin"}, {}, {"scatter_samples": 0}),
+        ({}, {"environment": ENVIRONMENT}, {"environment": False}, 0.1),
+        ({}, {"lights": casting}, {"shadow_lights": []}, 5e-3),
+        ({"second_slope": 1.7, "lobe_weight": 0.85}, {}, {"two_lobes": False}, 1e-3),
+        ({"scattering": "skin"}, {}, {"scatter_samples": 0}, 1e-3),
     ],
 )
-def test_off_is_the_program_and_the_image_without(floats, head, material, changes, off):
+def test_off_is_the_program_and_the_image_without(floats, head, material, changes, off, least):
     changes = {name: x(head) if callable(x) else x for name, x in changes.items()}
-    plain, scene = fr.Scene(head), fr.Scene(head.with_material(**material), **changes)
+    plain = fr.Scene(head, fr.Camera(zoom=2.5))
+    scene = replace(plain, mesh=head.with_material(**material), **changes)
     full, without, none = fr.Shading(), fr.Shading(**off), floats.render(plain).linear
     assert programs_of(scene, without) == programs_of(plain, full)
     assert programs_of(scene, full) != programs_of(plain, full) or "scattering" in material
     np.testing.assert_array_equal(floats.render(scene, without).linear, none)
-    assert np.abs(floats.render(scene, full).linear - none).mean() > 1e-4
+    assert np.abs(floats.render(scene, full).linear - none).mean() > least
 
 
 # --- plans that may leave a term out -------------------------------------------------------------
@@ -348,7 +351,7 @@ def surrounded(mesh: fr.Mesh) -> fr.Scene:
 )  # fmt: skip
 def test_plans_are_sound(head, scene_of, full, budgets, values, told):
     scene, exact = scene_of(head), fr.Shading(**full)
-    with fr.Renderer((48, 48) if scene_of is dim else (64, 64), samples=1) as renderer:
+    with fr.Renderer((32, 32), samples=1) as renderer:
         plans = [
             fr.plan(scene, budget, full=exact, renderer=renderer, cost="navi21")
             for budget in budgets

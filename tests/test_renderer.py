@@ -38,7 +38,17 @@ from facerender.scenes import mips
 from facerender.terms import MODELS, Model
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing, require_backend
-from tests.test_reference import SIDE, compared, lit, mixed, programs_of, shadows
+from tests.test_reference import (
+    SIDE,
+    around,
+    compared,
+    lit,
+    mixed,
+    programs_of,
+    ramp,
+    shadows,
+    skin,
+)
 
 
 @pytest.fixture(scope="module")
@@ -168,6 +178,59 @@ def test_outside_its_domain_a_lobe_gives_way_to_exact_where_asked(renderer, head
     )
 
 
+def layered(mesh: fr.Mesh) -> fr.Scene:
+    """A mask, a part with occlusion at its vertices, and a blended part, one beside the other."""
+    (part,), (material,) = mesh.parts, mesh.materials
+    step = np.array([0.3, 0.0, 0.1]) * mesh.radius
+    dim = np.linspace(0.0, 1.0, len(part.positions), dtype=np.float32)
+    parts = (
+        part,
+        replace(part, positions=part.positions + step, occlusion=dim),
+        replace(part, positions=part.positions - step),
+    )
+    materials = (
+        replace(material, alpha="mask", opacity_map=ramp()),
+        material,
+        replace(material, alpha="blend", opacity=0.4, emissive=0.2),
+    )
+    return fr.Scene(replace(mesh, parts=parts, materials=materials), SIDE)
+
+
+PASSES = {  # a scene, and whether its surface is shaded after all of it is drawn
+    "forward": (lambda mesh: fr.Scene(mesh, SIDE, background=None), False),
+    "deferred": (lambda mesh: fr.Scene(mesh, SIDE), True),
+    "shadow maps": (shadows, False),
+    "environment": (around, True),
+    "scattering": (lambda mesh: skin(replace(mesh, millimetres=1000.0)), False),
+    "layers": (layered, False),
+}
+
+
+@pytest.fixture(scope="module")
+def drivers() -> Iterator[list[fr.Renderer]]:
+    made = [fr.Renderer((64, 64), backend=require_backend(name)) for name in ("egl", "osmesa")]
+    yield made
+    for renderer in made:
+        renderer.release()
+
+
+@pytest.mark.osmesa
+@pytest.mark.smoke
+@pytest.mark.parametrize("name", PASSES)
+def test_osmesa_draws_each_pass_as_egl(drivers, name, monkeypatch):
+    scene_of, deferred = PASSES[name]
+    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
+    scene = scene_of(fr.load_mesh(MINI_HEAD))
+    for only in (None, "depth"):
+        frames = [each.render(scene, only=only) for each in drivers]
+        np.testing.assert_array_equal(frames[0].linear, frames[1].linear)
+        assert np.ptp(frames[0].linear[..., :3]) > 0.1
+    surfaces = [each.gbuffer(scene) for each in drivers]
+    for field in ("part", "position", "normal", "albedo", "m", "occlusion", "visibility"):
+        np.testing.assert_array_equal(*(getattr(each, field) for each in surfaces))
+
+
+@pytest.mark.osmesa
 @pytest.mark.parametrize("samples", [1, 4])
 @pytest.mark.parametrize("scene_of", [lambda mesh: fr.Scene(mesh, SIDE, background=None), shadows])
 def test_egl_and_osmesa_draw_the_same_image(egl, scan_mesh, samples, scene_of):
@@ -333,7 +396,7 @@ def test_normal_map_on_a_stretched_chart(renderer, tmp_path):
 
 def test_black_texels_of_a_roughness_map_stay_in_the_domain(renderer, tmp_path):
     Image.new("L", (4, 4), 0).save(tmp_path / "smooth.png")
-    mesh = fr.load_mesh(roughness_map=tmp_path / "smooth.png")
+    mesh = fr.load_mesh(MINI_HEAD, roughness_map=tmp_path / "smooth.png")
     gbuffer = renderer.gbuffer(fr.Scene(mesh), fr.Shading(slope_filter=False))
     assert (gbuffer.m[gbuffer.part >= 0] == np.float32(1e-4)).all()
     assert np.isfinite(renderer.render(fr.Scene(mesh)).linear).all()
@@ -394,6 +457,8 @@ def test_images_are_the_same_again(egl, head):
         np.testing.assert_array_equal(renderer.render(scene).linear, first)
 
 
+@pytest.mark.osmesa
+@pytest.mark.smoke
 def test_renderers_side_by_side(egl, head):
     osmesa = require_backend("osmesa")
     scene = fr.Scene(head)
@@ -411,6 +476,7 @@ def _resident() -> int:
     return pages * resource.getpagesize() >> 20
 
 
+@pytest.mark.memory
 def test_renderers_leave_nothing_behind(backend, head):
     scene = fr.Scene(head)
 
@@ -425,6 +491,7 @@ def test_renderers_leave_nothing_behind(backend, head):
     assert min(last) - min(first) < 24
 
 
+@pytest.mark.memory
 def test_a_frame_leaves_nothing_in_moderngl(backend):
     """Whose scopes leave 100 bytes each."""
     scene = fr.Scene(fr.load_mesh(MINI_HEAD))
@@ -552,10 +619,10 @@ def test_guest_draws_the_same_and_leaves_the_host_as_it_was(host, head):
 
 
 def drawn_elsewhere(folder: Path, backend: str, **environment: str) -> ImageData:
-    """The built-in head, drawn by the command line with other environment variables."""
-    command = [sys.executable, "-m", "facerender", "render", "-o", folder / "head.exr"]
+    """A small head, drawn by the command line with other environment variables."""
+    command = [sys.executable, "-m", "facerender", "render", MINI_HEAD, "-o", folder / "head.exr"]
     subprocess.run(
-        [*command, "--size", "192", "--backend", backend],
+        [*command, "--size", "96", "--backend", backend],
         env={**os.environ, **environment},
         check=True,
         capture_output=True,
@@ -565,7 +632,7 @@ def drawn_elsewhere(folder: Path, backend: str, **environment: str) -> ImageData
 
 def test_the_window_systems_context_draws_the_same_image(egl, display, tmp_path):
     image = drawn_elsewhere(tmp_path, "native", DISPLAY=display)
-    assert compare(drawn_elsewhere(tmp_path, egl), image, block=1e-3)
+    assert compare(fr.render(MINI_HEAD, size=(96, 96), backend=egl), image, block=1e-3)
 
 
 def test_the_window_system_is_not_there(monkeypatch):
@@ -588,16 +655,17 @@ def test_auto_takes_the_window_system_where_there_is_no_egl(platform, order):
     assert output.strip() == f"{order} None"
 
 
+@pytest.mark.vulkan
 def test_vulkans_software_driver_draws_the_same_image(egl, tmp_path):
     """Mesa's zink over lavapipe."""
     zink = {"GALLIUM_DRIVER": "zink", "LIBGL_ALWAYS_SOFTWARE": "1"}
     image = drawn_elsewhere(tmp_path, egl, **zink)
     if "zink" not in image.metadata["GL_RENDERER"]:
         missing("no zink or lavapipe: apt-get install mesa-vulkan-drivers")
-    assert compare(drawn_elsewhere(tmp_path, egl), image)
+    assert compare(fr.render(MINI_HEAD, size=(96, 96), backend=egl), image)
 
 
-@pytest.mark.parametrize("guest", ["egl", "osmesa"])
+@pytest.mark.parametrize("guest", ["egl", pytest.param("osmesa", marks=pytest.mark.osmesa)])
 def test_own_context_does_not_take_the_hosts_away(host, head, guest):
     before = host.state()
     fr.render(head, size=(32, 32), samples=1, backend=require_backend(guest))
@@ -691,10 +759,11 @@ def test_refused_arguments(arguments, message):
         fr.Renderer(**arguments)
 
 
-def test_more_samples_than_the_driver_has_are_images_with_one_each(egl, head):
+def test_more_samples_than_the_driver_has_are_images_with_one_each(egl):
     """The mean of images whose pixels lie between those of a larger one is what that one's mean
     over blocks is."""
-    scene = fr.Scene(head.with_material(m=0.3, albedo_map=None, normal_map=None))
+    mesh = fr.load_mesh(MINI_HEAD)
+    scene = fr.Scene(mesh.with_material(m=0.3, albedo_map=None, normal_map=None))
     images = {}
     for size, samples in ((32, 1), (32, 4), (32, 64), (256, 1)):
         with fr.Renderer((size, size), samples=samples, backend=egl) as renderer:

@@ -11,32 +11,43 @@ import facerender as fr
 from facerender.drawing.passes.shadow import MOST
 from facerender.scenes.light import light_space, parse_light
 from facerender.scenes.mesh import Part
+from tests.awkward_files import MINI_HEAD
 from tests.test_reference import key, shadows
 from tests.verification.shadows import shadow_error
 
 
 @pytest.fixture(scope="module")
 def renderer(egl):
-    with fr.Renderer((256, 256), samples=1, backend=egl, float_albedo=True) as renderer:
+    with fr.Renderer((128, 128), samples=1, backend=egl, float_albedo=True) as renderer:
         yield renderer
 
 
 # Bounds of the mean error, of all light that arrives.
 @pytest.mark.parametrize(
-    ("radius", "bound"), [(0.0, 0.005), (0.25, 0.005), (2.0, 0.005), (6.0, 0.02)]
+    ("radius", "bound", "distance"),
+    [
+        (0.0, 0.005, None),
+        (0.25, 0.005, 2.5),
+        (2.0, 0.005, None),
+        (6.0, 0.02, 2.5),
+        pytest.param(0.0, 0.005, 2.5, marks=pytest.mark.slow),
+        pytest.param(0.25, 0.005, None, marks=pytest.mark.slow),
+        pytest.param(2.0, 0.005, 2.5, marks=pytest.mark.slow),
+        pytest.param(6.0, 0.02, None, marks=pytest.mark.slow),
+    ],
 )
-@pytest.mark.parametrize("distance", [None, 2.5])
-def test_shadows_are_those_of_rays(renderer, head, scan_mesh, radius, bound, distance):
-    for mesh in (head, scan_mesh):
-        scene = fr.Scene(mesh, fr.Camera(-20.0, zoom=1.6))
-        found = shadow_error(renderer, scene, key(mesh, radius, distance), 64 if radius else 1)
-        assert found.mean <= bound
-        assert found.wrong <= 0.003
-        assert found.without > 4.0 * found.mean
+@pytest.mark.parametrize("name", ["head", pytest.param("scan_mesh", marks=pytest.mark.slow)])
+def test_shadows_are_those_of_rays(renderer, name, radius, bound, distance, request):
+    mesh = request.getfixturevalue(name)
+    scene = fr.Scene(mesh, fr.Camera(-20.0, zoom=1.6))
+    found = shadow_error(renderer, scene, key(mesh, radius, distance), 64 if radius else 1)
+    assert found.mean <= bound
+    assert found.wrong <= 0.003
+    assert found.without > 4.0 * found.mean
 
 
-def test_maps_are_drawn_again_when_something_moves(renderer, head, monkeypatch):
-    drawn = []
+def test_maps_are_drawn_again_when_something_moves(renderer, monkeypatch):
+    head, drawn = fr.load_mesh(MINI_HEAD), []
     draw = type(renderer._resources)._draw
 
     def count(self, one, *others):
@@ -57,7 +68,7 @@ def test_maps_are_drawn_again_when_something_moves(renderer, head, monkeypatch):
     assert maps(scene, fr.Shading(shadow_lights=[2])) == 1
     assert maps(scene, fr.Shading(shadow_lights=[])) == 0
     assert maps(replace(scene, mesh=head.with_material(m=0.2)), fr.Shading(shadow_lights=[2])) == 0
-    other = fr.load_mesh()  # other parts
+    other = fr.load_mesh(MINI_HEAD)  # other parts
     assert maps(replace(scene, mesh=other), fr.Shading(shadow_lights=[2])) == 1
 
 

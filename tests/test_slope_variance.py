@@ -16,8 +16,11 @@ from facerender.drawing.program import surface_features
 from facerender.drawing.resolve import resolve
 from facerender.images.read import read_image
 from facerender.scenes.light import parse_light
+from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
+from tests.test_lod import mesh_of
 from tests.test_reference import SIDE, areas
+from tests.verification.parts_head import ball
 from tests.verification.slope_filter import disc, filtered, flicker, relief, slopes_of
 
 
@@ -75,6 +78,16 @@ def test_deferred_curvature_is_that_of_triangles(egl, head, monkeypatch):
     assert np.quantile(np.abs(slopes[0] - slopes[1])[covered], 0.99) < 3e-3
 
 
+def test_a_sphere_is_widened_by_its_curvature(egl):
+    distance, fov, size, m = 20.0, 7.0, 32, 0.1
+    mesh = mesh_of(ball((0.0, 0.0, 0.0), 1.0, 64)).with_material(m=m)
+    camera = fr.Camera(position=(0.0, 0.0, distance), target=(0.0, 0.0, 0.0), fov=fov)
+    with fr.Renderer((size, size), samples=1, backend=egl) as renderer:
+        found = renderer.gbuffer(fr.Scene(mesh, camera), fr.Shading(curvature=True)).m[16, 16]
+    turn = 2.0 * (distance - 1.0) * np.tan(np.radians(fov / 2.0)) / size  # from pixel to pixel
+    assert float(found) ** 2 - m**2 == pytest.approx(2.0 * (2.0 * turn**2 / 24.0), rel=0.01)
+
+
 def test_off_is_off(renderer, head):
     off = fr.Shading(slope_filter=False)
     (part,), (material,) = head.parts, head.materials
@@ -124,9 +137,10 @@ def test_the_command_line_says_what_python_does(tmp_path, egl, capsys):
     options = ["--size", "48", "--samples", "1", "--light", "key,radius=12", "--no-cache"]
     path = tmp_path / "head.exr"
     require_module("OpenEXR")
-    assert main(["render", "-o", str(path), *options, "--no-slope-filter", "--curvature"]) == 0
+    options += ["--no-slope-filter", "--curvature", "-o", str(path)]
+    assert main(["render", str(MINI_HEAD), *options]) == 0
     shading = fr.Shading(slope_filter=False, curvature=True)
-    scene = fr.Scene(fr.load_mesh(), lights=(parse_light("key,radius=12"),))
+    scene = fr.Scene(fr.load_mesh(MINI_HEAD), lights=(parse_light("key,radius=12"),))
     with fr.Renderer((48, 48), samples=1, backend=egl) as renderer:
         expected = renderer.render(scene, shading).linear
     np.testing.assert_array_equal(read_image(path).pixels[..., :3], expected[..., :3])
@@ -153,7 +167,14 @@ def test_prepared_maps_hold_the_levels(tmp_path, capsys):
     assert "unknown format '.png'; give .ktx2" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("strength", "m"), [(1.0, 0.15), (3.0, 0.15), (3.0, 0.3)])
+@pytest.mark.parametrize(
+    ("strength", "m"),
+    [
+        pytest.param(1.0, 0.15, marks=pytest.mark.slow),
+        (3.0, 0.15),
+        pytest.param(3.0, 0.3, marks=pytest.mark.slow),
+    ],
+)
 def test_the_filter_is_near_many_samples(egl, scan_mesh, strength, m):
     require_module("flip_evaluator")
     slopes = slopes_of(scan_mesh.materials[0].normal_map)
@@ -164,6 +185,7 @@ def test_the_filter_is_near_many_samples(egl, scan_mesh, strength, m):
     assert own.flip < none.flip
 
 
+@pytest.mark.slow
 def test_a_turning_head_flickers_less(egl, scan_mesh):
     texture = relief(slopes_of(scan_mesh.materials[0].normal_map), 4.0)
     beyond = flicker(scan_mesh, texture, 0.15, 96, (-20.0, -19.8, -19.6))
