@@ -200,7 +200,7 @@ def test_bright_backgrounds(both, brightness):
 
 def test_a_part_of_two_meshes(both):
     part = cube()
-    both(fr.Scene(mesh_of(part)), (64, 64))
+    both(fr.Scene(mesh_of(part)))
     assert_same(*both(fr.Scene(replace(mesh_of(part), radius=3.0), fr.Camera(20.0))))
 
 

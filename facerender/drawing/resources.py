@@ -52,8 +52,10 @@ _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """A part on the GPU: attributes, interleaved, the width of each, and indices."""
+    """A part on the GPU: centre and radius of its mesh, attributes, interleaved, the width of each,
+    and indices."""
 
+    space: tuple[float, ...]
     vertices: moderngl.Buffer
     widths: Mapping[str, int]
     indices: moderngl.Buffer
@@ -284,8 +286,10 @@ class Resources:
         return self.programs[source]
 
     def geometry(self, source: Part | TriangleSetup, mesh: Mesh) -> Geometry:
-        """Upload a part, or the positions of its triangles, once."""
-        if source not in self.geometries:
+        """Upload a part, or the positions of its triangles, once for a mesh's centre and radius."""
+        space = *mesh.center, mesh.radius
+        made = self.geometries.get(source)
+        if made is None or made.space != space:
             gl = self.context.gl
             gl.gc()
             columns = {"in_position": source.positions}
@@ -294,8 +298,9 @@ class Resources:
             vertices = np.hstack(list(columns.values()), dtype=np.float32, casting="same_kind")
             widths = {name: values.shape[1] for name, values in columns.items()}
             buffers = gl.buffer(vertices), gl.buffer(source.faces)
-            self.geometries[source] = Geometry(buffers[0], widths, buffers[1], {})
-        return self.geometries[source]
+            made = Geometry(space, buffers[0], widths, buffers[1], {})
+            self.geometries[source] = made
+        return made
 
     def table(self, source: TriangleSetup | Panorama) -> moderngl.Texture:
         """Upload the numbers that deferred shading reads of triangles, or the map of a panorama,
