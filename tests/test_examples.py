@@ -94,8 +94,8 @@ def check_sphere(path: Path) -> None:
     ("script", "package"),
     [
         ("moderngl_minimal", "moderngl"),
-        ("pyopengl_include", "OpenGL"),
-        ("panda3d_sphere", "panda3d"),
+        pytest.param("pyopengl_include", "OpenGL", marks=pytest.mark.slow),
+        pytest.param("panda3d_sphere", "panda3d", marks=pytest.mark.slow),
     ],
 )
 def test_script_agrees_with_float64(egl: Backend, tmp_path: Path, script: str, package: str):
@@ -131,6 +131,7 @@ def make_c(folder: Path) -> None:
     run("make", "-C", folder, "sphere", tool, flags, cwd=ROOT)
 
 
+@pytest.mark.compiler
 def test_c_program_agrees_with_float64(c_egl: Path, tmp_path: Path):
     picture = tmp_path / "sphere.ppm"
     printed = run(c_egl / "sphere", picture, *(f"{x},{y}" for x, y in PROBES)).stdout
@@ -144,6 +145,7 @@ def test_c_program_agrees_with_float64(c_egl: Path, tmp_path: Path):
     np.testing.assert_allclose(values[:, 2], reference, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.compiler
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -163,6 +165,7 @@ def test_c_program_says_what_is_wrong(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.compiler
 def test_c_program_prints_the_log_of_a_shader_that_does_not_compile(c_egl: Path, tmp_path: Path):
     copy = tmp_path / "examples"
     shutil.copytree(c_egl.parent, copy, ignore=shutil.ignore_patterns("*.inc", "sphere"))
@@ -178,12 +181,14 @@ def test_c_program_prints_the_log_of_a_shader_that_does_not_compile(c_egl: Path,
     assert not (tmp_path / "sphere.ppm").exists()
 
 
+@pytest.mark.slow
 def test_pyvista_draws_a_picture(egl: Backend, tmp_path: Path):
     require_package("pyvista")
     run(sys.executable, EXAMPLES / "pyvista_replacement.py", tmp_path / "sphere.png")
     check_picture(tmp_path / "sphere.png")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parallel", [False, True])
 def test_pyvista_agrees_with_float64(egl: Backend, tmp_path: Path, parallel: bool):
     require_package("pyvista")
@@ -252,6 +257,7 @@ def test_pkg_config_finds_the_shaders(prefix: Path):
     assert ask("--modversion") == __version__
 
 
+@pytest.mark.compiler
 def test_cmake_finds_the_shaders(prefix: Path, tmp_path: Path):
     require_command("cmake")
     (tmp_path / "CMakeLists.txt").write_text(
@@ -274,6 +280,7 @@ endforeach()
     assert printed.split() == [f"{root}|{root}", "99.0", "0", f"{__version__}.1", "0"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("weight", "failed"), [("1", 0), ("0.97", 3), ("0.9", 3)])
 def test_images_of_the_ci_example(egl: Backend, tmp_path: Path, weight: str, failed: int):
     """Three pictures against their goldens; 3 % off the highlight is seen in each by the driver
@@ -296,6 +303,7 @@ def test_images_of_the_ci_example(egl: Backend, tmp_path: Path, weight: str, fai
     assert (tmp_path / "copy/report/index.html").is_file()
 
 
+@pytest.mark.slow
 def test_a_head_of_parts(tmp_path):
     told = run(sys.executable, EXAMPLES / "head_of_parts.py", tmp_path, cwd=ROOT).stdout
     assert "parts seen: [0, 1, 2, 4]" in told  # what lies behind the shells
@@ -307,6 +315,7 @@ def test_a_head_of_parts(tmp_path):
         assert moving.n_frames == 8
 
 
+@pytest.mark.slow
 def test_a_frame_shows_itself_in_a_notebook(egl: Backend, monkeypatch: pytest.MonkeyPatch):
     nbclient, nbformat = require_module("nbclient"), require_module("nbformat")
     require_module("ipykernel")

@@ -14,7 +14,7 @@ import facerender as fr
 from facerender.commands import main
 from facerender.drawing.context import is_software
 from facerender.errors import InputError
-from facerender.measure import error, run
+from facerender.measure import error, rendering, run
 from facerender.measure.measurement import MODELS, SCHEMA, ImageError
 from facerender.measure.rendering import skin_parts
 from facerender.measure.tables import sample_table, skin_table
@@ -26,6 +26,7 @@ from tests.conftest import missing
 from tools.docs.measurement import measurement_of
 
 MEASUREMENT = Path(__file__).parents[1] / "docs" / "measurements" / "llvmpipe.json"
+NANOSECOND = Interval(1.0, 0.9, 1.1)
 
 
 def powers(count):
@@ -147,11 +148,12 @@ def test_json_of_samples_says_how_often_pixels_are_shaded():
     assert [cells[0] for cells in sample_table(measurement).rows] == ["4", "4, per-pixel shading"]
 
 
-def test_parts_of_skin_cost_and_lose(head, egl):
+def test_parts_of_skin_cost_and_lose(coarse_head, egl):
+    head = coarse_head
     scene = fr.Scene(head, fr.Camera(-35.0))
-    with fr.Renderer((96, 96), backend=egl) as renderer:
-        rows = skin_parts(renderer, scene, repeats=3)
-        unknown = skin_parts(renderer, replace(scene, mesh=replace(head, millimetres=None)), 3)
+    with fr.Renderer((80, 80), backend=egl) as renderer:
+        rows = skin_parts(renderer, scene, repeats=1)
+        unknown = skin_parts(renderer, replace(scene, mesh=replace(head, millimetres=None)), 1)
     parts = {part: [row for row in rows if row.part == part] for part in {r.part: 0 for r in rows}}
     assert len(parts) == 5
     for settings in parts.values():
@@ -194,13 +196,29 @@ def quicker(monkeypatch):
     )
 
 
-def test_what_is_missing_is_said_and_the_rest_measured(egl, head, quicker, monkeypatch):
+@pytest.fixture
+def quickest(quicker, monkeypatch):
+    """One repeat, small images of samples and skin, and a nanosecond a term."""
+
+    def by_slope(terms, of, repeats, *rest):
+        assert (of, repeats) == (cost.OF_VECTORS, 7)
+        return dict.fromkeys(terms, NANOSECOND)
+
+    def small(size, backend):
+        assert size == (256, 256)
+        return fr.Renderer((32, 32), backend=backend)
+
+    monkeypatch.setattr(cost, "by_slope", by_slope)
+    monkeypatch.setattr(run, "Renderer", small)
+    ratios = rendering.ratios
+    monkeypatch.setattr(rendering, "ratios", lambda draws, repeats: ratios(draws, 1))
+
+
+def test_what_is_missing_is_said_and_the_rest_measured(egl, coarse_head, quickest, monkeypatch):
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
-    one = Interval(1.0, 0.9, 1.1)
-    monkeypatch.setattr(cost, "by_slope", lambda terms, *rest: dict.fromkeys(terms, one))
     stages = []
     measurement, triptychs = run.measure(
-        head, 0.65, quick=True, backend=egl, progress=lambda what, done: stages.append(what)
+        coarse_head, 0.65, quick=True, backend=egl, progress=lambda what, done: stages.append(what)
     )
     assert measurement.not_measured == [
         "FLIP needs flip-evaluator: pip install 'facerender[measure]'"
@@ -209,7 +227,7 @@ def test_what_is_missing_is_said_and_the_rest_measured(egl, head, quicker, monke
     rows = {row.variant: row for row in measurement.variants}
     assert len(rows) == len(measurement.variants) == 2 * len(terms("ward"))
     for row in rows.values():
-        assert row.cost.term_ns == one
+        assert row.cost.term_ns == NANOSECOND
     d16 = rows[Variant("cook-torrance", "d16")].error
     assert d16.lobe["0.4"] == pytest.approx(9.50, abs=0.01)
     assert d16.image.largest > 0.1
@@ -221,13 +239,26 @@ def test_what_is_missing_is_said_and_the_rest_measured(egl, head, quicker, monke
     assert {**plain.lobe, "0.1": 0.0} == dict.fromkeys(printed.lobe, 0.0)
     drawn = {(triptych.model, triptych.lobe): triptych for triptych in triptychs}
     assert drawn["ward", "d16"].exact.shape == (256, 256, 3)
+    assert (drawn["ward", "d16"].image != drawn["ward", "d16"].exact).any()
     assert (
         drawn["cook-torrance", "d16"].difference.max()
         > drawn["cook-torrance", "fitted"].difference.max()
     )
+    assert {row.samples for row in measurement.samples} == {1, 4, 8, 16}
+    assert len({row.part for row in measurement.skin}) == 5
 
 
-def test_command_writes_everything(egl, quicker, tmp_path, capsys):
+@pytest.mark.parametrize("speed", ["quickest", pytest.param("quicker", marks=pytest.mark.slow)])
+def test_command_writes_everything(speed, egl, tmp_path, capsys, monkeypatch, request):
+    request.getfixturevalue(speed)
+    if speed == "quickest":
+        errors = error.image_errors
+        monkeypatch.setattr(run, "SLOPES", (0.3,))
+        monkeypatch.setattr(
+            error,
+            "image_errors",
+            lambda scene, own, size, *rest: errors(scene, own, (64, 64), *rest),
+        )
     folder = tmp_path / "new" / "measure"
     command = ["measure", str(MINI_HEAD), "--quick", "--m", "0.25", "-o", str(folder)]
     assert main([*command, "--backend", egl]) == 0

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 
@@ -41,29 +42,24 @@ def test_no_circle_no_arrow_up_no_opengl_by_accident():
     assert arrows["terms"] == {"errors"}
 
 
-@pytest.mark.parametrize(
-    ("lines", "fault"),
-    [
-        (
-            {"terms/entry": "from facerender import lobes"},
-            "terms.entry imports lobes, which is above",
-        ),
-        ({"drawing/prepare": "import moderngl"}, "drawing.prepare imports OpenGL"),
-        (
-            {f"loading/{a}": f"from facerender.loading import {b}" for a, b in ("xy", "yx")},
-            "circle: ",
-        ),
-    ],
-)
-def test_a_wrong_import_is_told(lines, fault, tmp_path):
+def test_wrong_imports_are_told(tmp_path):
     folder = tmp_path / "facerender"
-    shutil.copytree(ROOT / "facerender", folder, ignore=shutil.ignore_patterns("*.json"))
-    for module, line in lines.items():
+    shutil.copytree(ROOT / "facerender", folder, ignore=shutil.ignore_patterns("*.json", "*.pyc"))
+    for module, line in {
+        "terms/entry": "from facerender import lobes",
+        "drawing/prepare": "import moderngl",
+        **{f"loading/{a}": f"from facerender.loading import {b}" for a, b in ("xy", "yx")},
+    }.items():
         with (folder / f"{module}.py").open("a") as file:
             file.write(f"\n{line}\n")
     done = import_graph(folder)
     assert done.returncode == 1
-    assert fault in done.stderr
+    for fault in (
+        "terms.entry imports lobes, which is above",
+        "drawing.prepare imports OpenGL",
+        "circle: ",
+    ):
+        assert fault in done.stderr
 
 
 IMPORT_EACH = """
@@ -102,25 +98,52 @@ def test_importing_the_package_leaves_the_heavy_ones_alone():
     assert output.stdout.strip() == ""
 
 
-def test_wheel_renders_away_from_the_checkout(tmp_path):
-    require_backend("egl")
-    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
-    subprocess.run([*pip, "wheel", "--no-deps", "-w", tmp_path, ROOT], check=True)
-    (wheel,) = tmp_path.glob("facerender-*.whl")
-    site = tmp_path / "site"
-    subprocess.run([*pip, "install", "--no-deps", "--target", site, wheel], check=True)
+PIP = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("wheel")
+    subprocess.run([*PIP, "wheel", "--no-deps", "-w", folder, ROOT], check=True)
+    (path,) = folder.glob("facerender-*.whl")
+    return path
+
+
+def run_away(code, site, folder):
     environment = {**os.environ, "PYTHONPATH": str(site)}
-    code = (
-        "import facerender, sys; from facerender.commands import main\n"
+    start = (
+        "import facerender, sys\n"
         f"assert facerender.__file__.startswith({str(site)!r})\n"
         f"assert str(facerender.shader_dir()).startswith({str(site)!r})\n"
+    )
+    subprocess.run([sys.executable, "-c", start + code], check=True, cwd=folder, env=environment)
+
+
+@pytest.mark.smoke
+@pytest.mark.wheel
+def test_wheel_imports_and_has_its_data(wheel, tmp_path):
+    with ZipFile(wheel) as archive:
+        archive.extractall(tmp_path / "site")
+    code = (
+        "facerender.load_mesh(); facerender.resolve_includes('#include \"facerender/ward.glsl\"')"
+    )
+    run_away(code, tmp_path / "site", tmp_path)
+
+
+@pytest.mark.wheel
+def test_wheel_renders_away_from_the_checkout(wheel, tmp_path):
+    require_backend("egl")
+    site = tmp_path / "site"
+    subprocess.run([*PIP, "install", "--no-deps", "--target", site, wheel], check=True)
+    code = (
+        "from facerender.commands import main\n"
         "assert main(['render', '-o', 'head.png', '--size', '64']) == 0\n"
         "assert main(['explore', '-o', 'explorer.html']) == 0\n"
         "open('one.jsonl', 'w').write('{\"image.size\": 32, \"id\": \"one\"}')\n"
         "assert main(['batch', 'one.jsonl', '-o', 'out', '--workers', '1']) == 0\n"
         "sys.exit(main(['compare', 'head.png', 'head.png', '--report', 'report.html']))"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path, env=environment)
+    run_away(code, site, tmp_path)
     assert (tmp_path / "head.png").stat().st_size > 1000
     report = (tmp_path / "report.html").read_text(encoding="utf-8")
     for name in ("page.css", "viewer.js"):
@@ -130,5 +153,6 @@ def test_wheel_renders_away_from_the_checkout(tmp_path):
     assert source.splitlines()[-1] in explorer
     assert (tmp_path / "out/data/one/image.png").is_file()
     command = [sys.executable, "-m", "pytest", "--facerender-unused=fail"]  # it knows the plugin
+    environment = {**os.environ, "PYTHONPATH": str(site)}
     result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True)
     assert result.returncode == pytest.ExitCode.NO_TESTS_COLLECTED

@@ -45,6 +45,7 @@ from tests.verification.targets import compiled
 
 KEY = (LIGHTS["key"],)
 POINT = fr.Light(irradiance=3.0, position=(0.2, 0.3, 0.5))
+COMPILER, SLOW = pytest.mark.compiler, pytest.mark.slow
 CAMERAS = (fr.Camera(10.0, 5.0), fr.Camera(-30.0))  # from behind hardly anything fits
 
 
@@ -62,6 +63,11 @@ def medium(egl):
 
 
 @pytest.fixture(scope="module")
+def head(coarse_head):
+    return coarse_head
+
+
+@pytest.fixture(scope="module")
 def bare(head):
     """The head without its normal map, which halves the candidates."""
     return head.with_material(normal_map=None)
@@ -76,7 +82,8 @@ def subject(bare):
         "constant m": (bare.with_material(m=0.3), KEY, Shading()),
         "m and ks of maps": (varying, KEY, Shading()),
         "point light": (bare.with_material(m=0.2), (POINT,), Shading()),
-        "frontal": (bare.with_material(m=0.3, ks=0.3), three, Shading()),
+        "frontal": (bare.with_material(m=0.3, ks=0.3), (LIGHTS["rim"], *KEY), Shading()),
+        "frontal, three": (bare.with_material(m=0.3, ks=0.3), three, Shading()),
         "frontal, point": (bare, (LIGHTS["rim"], POINT, *KEY), Shading(m=0.25)),
         "Ward": (bare.with_material(m=0.45), KEY, Shading("ward")),
         "as printed": (bare, KEY, Shading("ward-printed", m=0.3)),
@@ -128,14 +135,15 @@ def planned(renderers, subject, budgets, kinds=("navi21",), cameras=(), within=1
 @pytest.mark.parametrize(
     ("name", "budgets", "kinds"),
     [
-        ("constant m", ("0.5/255", "1/255", "4/255", "0.5%", "3%"), KINDS),
-        ("m and ks of maps", ("1/255", "4/255"), ["navi21"]),
+        ("constant m", ("0.5/255", "4/255", "3%"), ["llvmpipe", "vega10"]),
+        ("m and ks of maps", ("4/255",), ["navi21"]),
         ("point light", ("1/255", "3%"), ["vega10"]),
         ("frontal", ("0.5/255", "4/255"), ["navi21"]),
-        ("frontal, point", ("1/255",), ["llvmpipe", "navi21"]),
+        pytest.param("frontal, three", ("0.5/255", "4/255"), ["navi21"], marks=SLOW),
+        pytest.param("frontal, point", ("1/255",), ["llvmpipe", "navi21"], marks=SLOW),
         ("Ward", ("1/255", "4/255"), ["navi21"]),
         ("as printed", ("1/255", "0.02 flip"), ["llvmpipe"]),
-        ("dielectric", ("1/255", "4/255", "3%"), ["navi21"]),
+        ("dielectric", ("1/255", "3%"), ["navi21"]),
     ],
 )
 def test_no_candidate_that_fits_is_cheaper(name, budgets, kinds, small, subject):
@@ -149,7 +157,7 @@ def test_no_candidate_that_fits_is_cheaper(name, budgets, kinds, small, subject)
 def test_of_several_cameras_all_count(small, subject, monkeypatch):
     monkeypatch.setattr(search, "_SPREAD", 1)  # of few pixels next to nothing is ruled out
     monkeypatch.setattr(search, "_WORST", 1)
-    planned([small], subject("constant m"), BUDGETS, cameras=turntable(count=3))
+    planned([small], subject("constant m"), ["1/255"], cameras=turntable(count=3))
 
 
 @pytest.mark.parametrize(
@@ -157,7 +165,7 @@ def test_of_several_cameras_all_count(small, subject, monkeypatch):
     [
         ("constant m", ("1/255", "3%"), 0.95, ()),
         ("m and ks of maps", ("1/255",), 0.9, ()),
-        ("frontal", ("0.5/255", "2/255"), 0.98, ()),
+        pytest.param("frontal, three", ("0.5/255", "2/255"), 0.98, (), marks=SLOW),
         ("point light", ("0.5/255", "2/255"), 0.9, CAMERAS),  # of each, not of both together
         ("as printed", ("0.05 flip",), 0.6, ()),
     ],
@@ -197,7 +205,7 @@ def test_at_every_size_the_budget_holds(small, egl, subject):
     assert plan.cost.total > min(each.cost.total for each in alone)  # or one size told all
 
 
-@pytest.mark.slow
+@SLOW
 @pytest.mark.parametrize("index", range(8))
 def test_no_candidate_that_fits_is_cheaper_in_more_scenes(index, medium, head):
     each = list(subjects(head, None))[index]
@@ -250,7 +258,7 @@ def test_candidates_are_distinct_and_the_full_one_is_among_them(head, bare):
 
 
 def test_lights_go_in_the_order_of_what_they_show(small, subject):
-    scene = subject("frontal").scene
+    scene = subject("frontal, three").scene
     scene = replace(scene, lights=(*scene.lights, replace(LIGHTS["front"], irradiance=9.0)))
     constants = fr.plan(scene, "1/255", cost="auto", renderer=small).constants
     gbuffer = small.gbuffer(scene)
@@ -271,7 +279,7 @@ def test_only_what_is_lit_decides(small, subject):
     assert plan.shading.specular_lights == (0,)
 
 
-@pytest.mark.parametrize("budget", ["0", "0/255", "0%", "0 flip", 0, "0.01/255", "1e-9%"])
+@pytest.mark.parametrize("budget", ["0", "0 flip", "0.01/255", "1e-9%"])
 def test_a_budget_below_rounding_gives_the_full_shading(budget, small, subject):
     if "flip" in str(budget):
         require_module("flip_evaluator")
@@ -283,28 +291,11 @@ def test_a_budget_below_rounding_gives_the_full_shading(budget, small, subject):
     assert re.search(r"^shading +nothing cheaper fits: exact$", plan.explain(), re.MULTILINE)
 
 
-def test_a_huge_budget_drops_every_highlight(small, head):
-    cost = fr.plan(fr.Scene(head), "1e9%", cost="auto", renderer=small).cost
+def test_a_huge_budget_drops_every_highlight(small, subject):
+    scene = subject("frontal, three").scene
+    cost = fr.plan(scene, "1e9%", cost="auto", renderer=small).cost
     assert cost.specular == 0.0
     assert cost.total <= cost.full_total - cost.full_specular * (1 - 1e-12)
-
-
-def test_decisions_have_the_values_in_which_the_shadings_differ(small, head):
-    plan = fr.plan(fr.Scene(head), "7/255", cost="auto", renderer=small)
-    taken = {
-        path: value
-        for each in plan.decisions
-        if each.changed
-        for path, value in each.values.items()
-    }
-    differs = changed(plan.shading, plan.full)
-    assert len(differs) > 3
-    assert values(plan.shading, differs).items() <= taken.items()
-    for each in plan.decisions:
-        assert each.values
-        names = [name for name, path in DECISIONS.items() if path in each.values]
-        assert values(plan.full if each.changed else plan.shading, names) != each.values
-    assert json.loads(json.dumps(plan.as_dict()))["decisions"][0]["values"]
 
 
 def test_of_the_same_cost_what_changes_least_is_chosen(small, bare):
@@ -375,10 +366,12 @@ def test_of_what_is_drawn_the_same_share_counts(more, egl, subject, monkeypatch)
     ("budget", "material", "lights", "exposure"),
     [
         ("0.5/255", {"m": 0.3}, KEY, 0.0),
-        ("4/255", {"m": 0.3, "ks": 0.3}, (*KEY, LIGHTS["rim"], POINT), 0.0),  # frontal
+        pytest.param(  # frontal
+            *("4/255", {"m": 0.3, "ks": 0.3}, (*KEY, LIGHTS["rim"], POINT), 0.0), marks=SLOW
+        ),
         ("3/255", {}, (*KEY, POINT), 1.0),
         ("2%", {"m": 0.12}, KEY, -1.0),
-        ("30/255", {"m": 0.12}, (*KEY, POINT), 2.0),
+        pytest.param("30/255", {"m": 0.12}, (*KEY, POINT), 2.0, marks=SLOW),
     ],
 )
 def test_errors_are_those_of_the_reference_and_rendered_within_the_budget(
@@ -470,7 +463,7 @@ def plans(small, head, bare, subject):
     mesh = head.with_material(m=0.3)
     scenes = (
         (subject("frontal").scene, "0.5/255"),
-        (fr.Scene(mesh), "8/255"),
+        (fr.Scene(bare.with_material(m=0.3), lights=(*KEY, LIGHTS["rim"])), "8/255"),
         (subject("constant m").scene, "0.5/255"),
         (fr.Scene(mesh, lights=KEY), "12/255"),
         (fr.Scene(bare.with_material(ks=0.3), lights=(LIGHTS["rim"],)), "2/255"),  # constant m
@@ -509,6 +502,24 @@ def test_every_decision_has_a_line(plans):
             part = plan.cost.full_total if whole else plan.cost.full_specular
             assert percent == round(100 * each.saving * plan.cost.full_total / part)
             assert plan.budget.text(each.error) in each.text
+
+
+def test_decisions_have_the_values_in_which_the_shadings_differ(plans):
+    plan = plans[1]
+    taken = {
+        path: value
+        for each in plan.decisions
+        if each.changed
+        for path, value in each.values.items()
+    }
+    differs = changed(plan.shading, plan.full)
+    assert len(differs) > 3
+    assert values(plan.shading, differs).items() <= taken.items()
+    for each in plan.decisions:
+        assert each.values
+        names = [name for name, path in DECISIONS.items() if path in each.values]
+        assert values(plan.full if each.changed else plan.shading, names) != each.values
+    assert json.loads(json.dumps(plan.as_dict()))["decisions"][0]["values"]
 
 
 def test_what_a_decision_adds_and_saves(plans, small):
@@ -585,7 +596,7 @@ def test_cameras_of_numpy_numbers_are_written_too(small, bare, tmp_path):
     assert found["material"]["m"] == 0.3
 
 
-@pytest.mark.parametrize("target", ["330", "es300", "vulkan"])
+@pytest.mark.parametrize("target", ["330", "es300", pytest.param("vulkan", marks=COMPILER)])
 def test_its_shader_compiles(target, plans, tmp_path):
     for number, plan in enumerate(plans):
         text = plan.shader(target)
@@ -614,7 +625,10 @@ USED = {
 }
 
 
-@pytest.mark.parametrize("language", LANGUAGES)
+@pytest.mark.parametrize(
+    "language",
+    [each if each == "wgsl" else pytest.param(each, marks=COMPILER) for each in LANGUAGES],
+)
 def test_its_shader_in_other_languages_has_what_lights_call(language, plans):
     require_module("wgpu")
     from tests.verification.webgpu import Device
@@ -719,7 +733,7 @@ def test_a_scene_file_gives_the_same_image(name, small, head, tmp_path):
     assert material["f0"] == 0.04
     assert material["roughness_factor"] == 1.0
     assert "m" not in material  # the head's map counts
-    other = fr.Scene(fr.load_mesh().with_material(**material), **found)
+    other = fr.Scene(head.with_material(**material), **found)
     for field in dataclasses.fields(scene):
         if field.name != "mesh":
             assert getattr(other, field.name) == getattr(scene, field.name)
