@@ -7,28 +7,37 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import trimesh
 
 import facerender as fr
 from facerender.scenes.mesh import Part
 
-Shape = trimesh.Trimesh
+
+def shape_of(vertices: Any, faces: Any) -> Any:
+    import trimesh
+
+    return trimesh.Trimesh(vertices, faces, process=False)
 
 
 @cache
 def head() -> Any:
+    import trimesh
+
     parts = fr.load_mesh().parts
-    shapes = [Shape(part.positions, part.faces, process=False) for part in parts]
+    shapes = [shape_of(part.positions, part.faces) for part in parts]
     return trimesh.util.concatenate(shapes)
 
 
 def ball(center: Any, radii: Any) -> Any:
+    import trimesh
+
     shape = trimesh.creation.icosphere(4)
     shape.apply_scale(radii)
     return shape.apply_translation(center)
 
 
 def limb(start: Any, end: Any, radius: float) -> Any:
+    import trimesh
+
     way = np.subtract(end, start)
     length = float(np.linalg.norm(way))
     shape = trimesh.creation.capsule(length, radius, count=(16, 16))
@@ -64,15 +73,19 @@ def shoulders() -> list[Any]:
 
 def hair(length: float) -> list[Any]:
     """A shell around the head, open before the face, and so long behind it."""
+    import trimesh
+
     cap = ball((0, 0.03, -0.01), (0.105, 0.11, 0.115))
     centers = cap.triangles_center
-    shells = [Shape(cap.vertices, cap.faces[(centers[:, 2] < 0.03) | (centers[:, 1] > 0.085)])]
+    shells = [shape_of(cap.vertices, cap.faces[(centers[:, 2] < 0.03) | (centers[:, 1] > 0.085)])]
     if length:
         curtain = trimesh.creation.cylinder(0.105, length, sections=64)
         curtain.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
         curtain = curtain.subdivide().subdivide()
         curtain.apply_translation([0, 0.055 - length / 2, -0.01])
-        shells.append(Shape(curtain.vertices, curtain.faces[curtain.triangles_center[:, 2] < 0.03]))
+        shells.append(
+            shape_of(curtain.vertices, curtain.faces[curtain.triangles_center[:, 2] < 0.03])
+        )
     return shells
 
 
@@ -81,7 +94,7 @@ def mask() -> Any:
     shape = head()
     x, y, z = shape.triangles_center.T
     face = (z > 0.0) & (y > -0.095) & (y < 0.08) & (np.abs(x) < 0.07)
-    return Shape(shape.vertices, shape.faces[face], process=False)
+    return shape_of(shape.vertices, shape.faces[face])
 
 
 PEOPLE: dict[str, Callable[[], list[Any]]] = {

@@ -8,7 +8,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-import trimesh
 
 import facerender as fr
 from facerender.scenes.framing import find_regions
@@ -68,6 +67,8 @@ def test_the_face_of_a_scan(scan_mesh):
 
 
 def test_what_has_no_face_is_framed_as_it_is(tmp_path):
+    import trimesh
+
     path = tmp_path / "shape.ply"
     for shape in (ball((3, 3, 3), (1, 1, 1)), trimesh.creation.box((2, 1e-9, 3))):
         shape.export(path)

@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from trimesh.caching import TrackedArray
 
 import facerender as fr
 from facerender.drawing import context as contexts
@@ -257,6 +256,8 @@ def test_what_a_file_was_read_to_goes_with_its_mesh(
     write: Callable[[Path, Head], Path], tmp_path: Path
 ) -> None:
     """Also where the garbage collector does not come; of trimesh its arrays are looked at."""
+
+    from trimesh.caching import TrackedArray
 
     def held() -> int:
         return sum(isinstance(each, fr.Texture | TrackedArray) for each in gc.get_objects())

@@ -12,9 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 from PIL import Image
-from scipy.spatial import cKDTree
 
 from tests.conftest import require_module
 
@@ -27,7 +25,7 @@ class Head:
     """A head as trimesh reads it, and the JSON of its file."""
 
     description: dict[str, Any]
-    mesh: trimesh.Trimesh
+    mesh: Any
 
     @property
     def albedo(self) -> Image.Image:
@@ -49,6 +47,8 @@ class Head:
 
 
 def read_head(path: Path) -> Head:
+    import trimesh
+
     content = path.read_bytes()
     (length,) = struct.unpack_from("<I", content, 12)
     scene = trimesh.load_scene(path, process=False)
@@ -141,6 +141,8 @@ def test_maps_are_not_mirrored_and_hold_skin(head: Head):
 
 
 def one_sided_distance(points: np.ndarray, others: np.ndarray) -> float:
+    from scipy.spatial import cKDTree
+
     return float(cKDTree(others).query(points)[0].max())
 
 

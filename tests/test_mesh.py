@@ -13,10 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.spatial import cKDTree
 
 import facerender as fr
 from facerender.drawing.prepare import start_maps
@@ -367,6 +365,8 @@ def test_computed_normals_of_the_scan_are_its_own(scan, tmp_path):
 def test_computed_normals_of_the_scan_from_its_obj(scan):
     """The OBJ file has no normals, the GLB file has; scale and place differ, and so does the
     diagonal of every one of the quadrilaterals, which are not flat: hence the degrees."""
+    from scipy.spatial import cKDTree
+
     obj = warned(scan / "LeePerrySmith.obj", r"Infinite-Level_02\.mtl .*not found")
     glb = fr.load_mesh(scan / "LeePerrySmith.glb")
     (given,) = glb.parts
@@ -728,6 +728,8 @@ def test_broken_file(name, make, message, tmp_path):
 
 def boxes(**visual):
     """Four boxes side by side, as GLB bytes."""
+    import trimesh
+
     scene = trimesh.Scene()
     for number in range(4):
         box = trimesh.creation.box()

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
-from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from facerender.drawing.frame import GBuffer
 from facerender.drawing.renderer import Renderer
@@ -92,8 +91,11 @@ def by_rays(
     return seen / rays
 
 
-def tracer_of(mesh: Mesh) -> RayMeshIntersector:
+def tracer_of(mesh: Mesh) -> Any:
     """Return what traces rays in the renderer's space."""
+    import trimesh
+    from trimesh.ray.ray_pyembree import RayMeshIntersector
+
     positions = [mesh.normalised(part.positions) for part in mesh.parts]
     firsts = np.cumsum([0, *map(len, positions)])
     faces = [part.faces + first for part, first in zip(mesh.parts, firsts[:-1], strict=True)]
