@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import resource
@@ -10,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tarfile
 import threading
 import time
 import tomllib
@@ -26,7 +28,7 @@ import psutil
 import pytest
 
 import facerender as fr
-from facerender.batch import engine
+from facerender.batch import engine, records
 from facerender.batch.chunk import Settings, chunks, code_version
 from facerender.batch.folder import locked
 from facerender.batch.jobs import JobTable, Row
@@ -217,6 +219,59 @@ def test_a_changed_mesh_is_drawn_again(table, draw, small, name):
     else:
         changed.write_text(changed.read_text() + "# changed\n")
     assert draw(path, "out")["drawn"] == 2
+
+
+def test_a_changed_map_is_drawn_again(table, draw, small, tmp_path):
+    image = require_module("PIL.Image")
+    maps = ("albedo", "normal_map", "specular_map", "roughness_map", "lobe_map")
+    paths = {name: tmp_path / f"{name}.png" for name in maps}
+
+    def paint(path: Path, level: int) -> None:
+        image.fromarray(np.full((2, 2, 3), level, np.uint8)).save(path)
+
+    for path in paths.values():
+        paint(path, 128)
+    given = {f"mesh.{name}": str(path) for name, path in paths.items()}
+    jobs = table(rows(1, **{"mesh": str(small), "material.second_slope": 0.5, **given}))
+    assert draw(jobs, "out")["drawn"] == 1
+    for path in paths.values():
+        paint(path, 130)
+        assert draw(jobs, "out")["drawn"] == 1, path.name
+
+
+@pytest.mark.parametrize("layout", ["files", "shards"])
+def test_removed_jobs_leave_the_tables(table, draw, small, tmp_path, layout):
+    """Also a whole chunk, after which there is nothing to draw."""
+    options = ("--layout", layout, "--chunk", "2", "--transforms")
+    jobs = rows(4, mesh=str(small))
+    draw(table(jobs), "out", *options)
+    assert draw(table(jobs[:2]), "out", *options)["drawn"] == 0
+    draw(table(jobs[:2]), "fresh", *options)
+    assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
+
+
+def test_members_of_any_length_follow_each_other(tmp_path):
+    path = tmp_path / "a.tar"
+    path.touch()
+    lengths = (0, 1, 511, 512, 513, 1024, 3)
+    records._append(path, [records._member(str(n), bytes([n % 251]) * n) for n in lengths])
+    with tarfile.open(path) as tar:
+        found = {each.name: tar.extractfile(each).read() for each in tar.getmembers()}
+    assert found == {str(n): bytes([n % 251]) * n for n in lengths}
+
+
+def test_a_write_that_fails_leaves_the_file_as_it_was(tmp_path, monkeypatch):
+    storage, write = Storage(str(tmp_path)), Path.write_bytes
+    storage.put("folder/file", b"old")
+
+    def fill(path: Path, content: bytes) -> None:
+        write(path, content[:1])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", fill)
+    with pytest.raises(OSError, match="No space"):
+        storage.put("folder/file", b"new")
+    assert storage.get("folder/file") == b"old"
 
 
 def test_files_that_a_mesh_names_are_found(tmp_path, small):

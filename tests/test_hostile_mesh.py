@@ -236,21 +236,22 @@ def test_gltf_by_its_content(tmp_path):
     np.testing.assert_allclose(loaded(path.rename(tmp_path / "b.glb"))[0].bounds, expected)
 
 
-def test_sparse_accessor(tmp_path):
+@pytest.mark.parametrize("shared", [False, True], ids=["two views", "one view"])
+def test_sparse_accessor(tmp_path, shared):
     """Values of some entries stand beside those of the view."""
     document, binary = files.gltf(mini_head())
-    binary += struct.pack("<I3f", 5, 1.0, 2.0, 3.0)
-    start = len(binary) - 16
+    view = {"buffer": 0, "byteOffset": len(binary), "byteLength": 20}
+    binary += struct.pack("<II3f", 7, 5, 1.0, 2.0, 3.0)
     document["buffers"][0]["byteLength"] = len(binary)
-    document["bufferViews"] += [
-        {"buffer": 0, "byteOffset": start, "byteLength": 4},
-        {"buffer": 0, "byteOffset": start + 4, "byteLength": 12},
-    ]
-    document["accessors"][0]["sparse"] = {
-        "count": 1,
-        "indices": {"bufferView": 5, "componentType": 5125},
-        "values": {"bufferView": 6},
-    }
+    indices, values = {"bufferView": 5, "byteOffset": 4}, {"bufferView": 5, "byteOffset": 8}
+    views = [view]
+    if not shared:
+        views = [view | {"byteOffset": view["byteOffset"] + at} for at in (4, 8)]
+        views = [views[0] | {"byteLength": 4}, views[1] | {"byteLength": 12}]
+        indices, values = {"bufferView": 5}, {"bufferView": 6}
+    document["bufferViews"] += views
+    sparse = {"count": 1, "indices": {**indices, "componentType": 5125}, "values": values}
+    document["accessors"][0]["sparse"] = sparse
     mesh, _ = loaded(write(tmp_path / "a.glb", files.join_glb(document, binary)))
     expected = mini_head().positions.copy()
     expected[5] = 1.0, 2.0, 3.0
@@ -508,8 +509,11 @@ def test_texture_of_a_ply(content, tmp_path, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_bytes_behind_the_triangles_of_an_stl(tmp_path):
-    mesh, told = loaded(write(tmp_path / "a.stl", STL + b"xyz"))
+@pytest.mark.parametrize("header", [b"", b"solid head"])
+def test_bytes_behind_the_triangles_of_an_stl(tmp_path, header):
+    """Also where a binary file begins as a text one does."""
+    data = header + STL[len(header) :]
+    mesh, told = loaded(write(tmp_path / "a.stl", data + b"xyz"))
     assert told == ["a.stl has 3 bytes behind its 6722 triangles: left out"]
     assert len(mesh.parts[0].faces) == 6722
 

@@ -13,7 +13,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageCms, ImageFilter, ImageOps
-from scipy import ndimage
 
 import facerender as fr
 from facerender.images.write import png_bytes
@@ -287,9 +286,15 @@ def grain(by: float) -> Callable[[Room], Linear | None]:
     return coloured(noisy)
 
 
+def eroded(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
+    from scipy.ndimage import binary_erosion
+
+    return np.asarray(binary_erosion(mask, iterations=pixels))
+
+
 def bright(linear: Linear, count: int, seed: int = 1) -> Places:
     """Pixels well inside the coverage, brighter than the median."""
-    inside = ndimage.binary_erosion(linear[..., 3] >= 1.0, iterations=5)
+    inside = eroded(linear[..., 3] >= 1.0, 5)
     level = linear[..., :3].min(axis=-1)
     return _some(inside & (level > np.median(level[inside])), count, seed)
 
@@ -297,12 +302,12 @@ def bright(linear: Linear, count: int, seed: int = 1) -> Places:
 def edge(linear: Linear, count: int, seed: int = 1) -> Places:
     """The last fully covered pixels before the silhouette."""
     full = linear[..., 3] >= 1.0
-    return _some(full & ~ndimage.binary_erosion(full), count, seed)
+    return _some(full & ~eroded(full, 1), count, seed)
 
 
 def dark(linear: Linear, count: int, seed: int = 1) -> Places:
     """Pixels inside the coverage: of the darkest thousandth, without black."""
-    inside = ndimage.binary_erosion(linear[..., 3] >= 1.0, iterations=3)
+    inside = eroded(linear[..., 3] >= 1.0, 3)
     level = linear[..., :3].max(axis=-1)
     inside &= level > 1e-3
     return _some(inside & (level <= np.quantile(level[inside], 1e-3)), count, seed)
