@@ -87,6 +87,15 @@ def test_no_weight_is_above_the_fresnel_term(model, m, degrees):
     assert weight.max() > 0.3 * np.max(most)
 
 
+def test_no_density_below_the_surface():
+    """Neither model has one for an eye there, nor Ward for a light there."""
+    down = np.array([[0.6, 0.0, -0.8], [0.96, 0.0, -0.28], [-0.6, 0.0, -0.8], [1.0, 0.0, 0.0]])
+    for v in (eye_at(10), eye_at(60)):
+        np.testing.assert_array_equal(brdf.ward_pdf(N, down, v, 0.3), 0.0)
+        for _, density, _ in MODELS.values():
+            np.testing.assert_array_equal(density(N, v, down, 0.3), 0.0)
+
+
 def test_an_eye_of_any_normal():
     """In float64 any frame serves: the cosines with the normal are distributed alike."""
     random = np.random.default_rng(2)

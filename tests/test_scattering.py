@@ -17,7 +17,7 @@ from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import load_prices
 from facerender.scenes.mesh import Part
 from facerender.scenes.scattering import scattering_of
-from facerender.terms.scattering import PROFILES, scatter_profile, spiral
+from facerender.terms.scattering import PROFILES, scatter_profile, spiral, wide_gaussians
 from tests.awkward_files import MINI_HEAD
 from tests.test_reference import skin
 from tests.verification.scattering import SUBJECTS, scatter_errors
@@ -49,6 +49,14 @@ def test_bounds_against_the_integral_over_the_mesh(egl, name, request):
     assert sixteen <= 13.0
     assert more <= 10.0
     assert none > 2.0 * sixteen
+
+
+@pytest.mark.parametrize("variance", [0.0064, 0.567, 7.41])
+def test_gaussians_narrower_than_half_a_pixel_stay(variance):
+    deviation = math.sqrt(variance)
+    for factor, wide in ((1.99, True), (2.01, False)):
+        found = wide_gaussians("skin", factor * deviation)
+        assert (variance in {each[0] for each in found}) == wide
 
 
 def test_views_are_parts_of_the_image(renderer, face):
