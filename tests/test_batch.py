@@ -36,6 +36,7 @@ from facerender.batch.storage import Storage
 from facerender.batch.supervisor import CannotDraw, Supervisor, draw_chunk
 from facerender.commands import main
 from facerender.loading.references import named_files
+from facerender.system.memory import available
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 
@@ -495,10 +496,22 @@ def test_a_folder_has_one_coordinator(table, draw, small, tmp_path):
 def test_a_full_disk_stops_the_batch(table, small, tmp_path):
     path = table(rows(4, mesh=str(small)))
     limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (900, 900))
-    found = process(path, tmp_path / "out", "--workers", "1", preexec_fn=limit)
+    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # which would be cut off
+    options = {"preexec_fn": limit, "env": environment}
+    found = process(path, tmp_path / "out", "--workers", "1", **options)
     assert found.returncode == 2
     assert "cannot write to" in found.stderr.splitlines()[-1]
     assert not list((tmp_path / "out").glob("records/*.jsonl"))
+
+
+def test_free_memory_is_what_the_control_group_leaves(monkeypatch):
+    group = "/sys/fs/cgroup/memory"
+    files = {"/proc/meminfo": "MemFree: 9 kB\nMemAvailable: 8388608 kB\n"}
+    files |= {f"{group}.max": f"{3 << 30}\n", f"{group}.current": f"{1 << 30}\n"}
+    monkeypatch.setattr(Path, "read_text", lambda path: files[str(path)])
+    assert available() == 2048.0
+    files[f"{group}.max"] = "max\n"
+    assert available() == 8192.0
 
 
 def test_no_opengl_stops_the_batch(table, draw, small, monkeypatch):
@@ -558,7 +571,8 @@ def test_tables(table, draw, small, tmp_path):
     assert sorted(record["number"] for record in records) == [0, 1, 2, 3]
     draw(path, "out", "--table", "parquet")
     found = parquet.read_table(tmp_path / "out/jobs.parquet").to_pylist()
-    assert [row["id"] for row in found] == [record["id"] for record in records]
+    for name in ("id", "number"):  # of which one is 0
+        assert [row[name] for row in found] == [record[name] for record in records]
     lit = next(row for row in found if row["id"] == "lit")
     assert json.loads(lit["job.lights"])[0]["azimuth"] == 10.0
     assert lit["camera.K"] == next(r for r in records if r["id"] == "lit")["camera"]["K"]

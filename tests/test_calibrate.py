@@ -182,6 +182,11 @@ def test_images_of_8_bits_have_limits_of_their_own(wide):
     one, two = (wide.folder / run / "head.png" for run in ("one", "two"))
     assert not compare(one, two).same
     assert compare(one, two, **asdict(encoded.limits)).same
+    for factor, same in ((1.2, False), (0.8, True)):  # of the second picture, in linear light
+        gain = 1.02 * (1.0 - factor * encoded.sees["block"])
+        other = wide.add("three", picture(gain), "head.png")
+        limits = OPEN | {"shift": encoded.limits.shift, "block": encoded.limits.block}
+        assert compare(one, other, **limits).same is same
 
 
 def test_what_is_seen_of_a_picture_that_shows_nothing(runs):

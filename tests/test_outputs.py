@@ -201,7 +201,9 @@ def test_a_disk_without_room(name, size, tmp_path, egl):
         resource.setrlimit(resource.RLIMIT_FSIZE, (512, 512))
 
     small = ("--size", size, "--samples", "1", "--no-cache")
-    done = process("render", MINI_HEAD, *small, "-o", tmp_path / name, preexec_fn=limit)
+    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # which would be cut off
+    options = {"preexec_fn": limit, "env": environment}
+    done = process("render", MINI_HEAD, *small, "-o", tmp_path / name, **options)
     assert_error(
         done.returncode, done.stdout, done.stderr, rf"cannot write .*{name}: .*; make room"
     )
@@ -309,7 +311,7 @@ def heeds(process):
 def test_a_signal_among_the_imports(sent, word, tmp_path):
     command = [sys.executable, "-m", "facerender", "render", "-o", str(tmp_path / "a.png")]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
-        while not heeds(running):
+        while running.poll() is None and not heeds(running):
             time.sleep(0.001)
         running.send_signal(sent)
         _, said = running.communicate(timeout=60)

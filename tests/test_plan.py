@@ -712,6 +712,7 @@ FILES = {
             frontal_lights=(2, 1),
         ),
     ),
+    "ambient alone": (fr.Camera(), (), {"ambient": 0.3}, Shading()),
     "frontal light": (fr.Camera(), (*KEY, POINT), {}, Shading(frontal_lights=[1])),
     "small slopes": (fr.Camera(), KEY, {"ambient": 0.0}, Shading("ward", small_slope=False)),
     "no highlight": (fr.Camera(), KEY, {}, Shading(specular_lights=(), outside="exact")),
