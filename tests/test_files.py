@@ -121,10 +121,10 @@ NO_TOML: dict[str, tuple[str, str]] = {
 @pytest.mark.parametrize("case", NO_TOML)
 def test_what_is_no_toml(case):
     text, why = NO_TOML[case]
-    began = time.monotonic()
+    began = time.process_time()
     with pytest.raises(fr.InputError, match=f"^x.toml is not TOML: {why}.*; mend it$"):
         tables_of(text.encode(), "x.toml")
-    assert time.monotonic() - began < 5.0
+    assert time.process_time() - began < 5.0
 
 
 def test_toml_with_a_byte_order_mark_and_dots():
