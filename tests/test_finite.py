@@ -21,7 +21,6 @@ from tests.verification.evaluate import Evaluator, Inputs
 from tests.verification.many import GROUPS, MANY, Random, cases_of, faults
 
 FEW = 2**15  # samples of a draw
-MANY_DRAWS = -(-(10**8) // MANY)
 
 
 @pytest.fixture(scope="module")
@@ -45,8 +44,9 @@ def test_finite_and_not_negative(evaluator, inputs, group):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(MANY_DRAWS))
+@pytest.mark.parametrize("seed", range(4))
 def test_finite_and_not_negative_in_many_samples(evaluator, seed):
+    """``python -m benchmarks.finite`` takes 10^8 samples."""
     inputs = Random(seed, MANY).inputs()
     for group in GROUPS:
         if found := faults(evaluator, cases_of(group), inputs):

@@ -1,0 +1,31 @@
+"""Whether every function of the shader library is finite and not negative, in 10^8 samples each.
+
+python -m benchmarks.finite        a line for each draw of 2^20 samples, then the total; minutes
+"""
+
+from __future__ import annotations
+
+import sys
+
+from facerender.drawing.context import create_context
+from tests.verification.evaluate import Evaluator
+from tests.verification.many import GROUPS, MANY, Random, cases_of, faults
+
+DRAWS = -(-(10**8) // MANY)
+
+
+def main() -> int:
+    evaluator = Evaluator(create_context("egl").gl)
+    for seed in range(DRAWS):
+        inputs = Random(seed, MANY).inputs()
+        found = [each for group in GROUPS for each in faults(evaluator, cases_of(group), inputs)]
+        print(f"seed {seed}:", *(found or ["none bad"]), sep="\n" if found else " ", flush=True)
+        if found:
+            return 1
+    count = sum(len(cases_of(group)) for group in GROUPS)
+    print(f"{DRAWS * MANY:,} samples of each of {count} expressions: none bad")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
