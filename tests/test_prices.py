@@ -327,14 +327,12 @@ def test_programs_tell_the_parts_apart():
 def test_parts_are_timed(egl, monkeypatch):
     monkeypatch.setattr(fragment, "SIZE", (128, 64))
     done: list[float] = []
-    measured = fragment.by_slope(egl, repeats=1, progress=done.append)
+    measured = fragment.by_slope(egl, repeats=2, progress=done.append)
     assert tuple(measured) == PARTS
-    assert done == [1.0]
+    assert done == [0.5, 1.0]
     for each in measured.values():
         assert all(map(math.isfinite, (each.low, each.value, each.high)))
-    whole = {name: each.value for name, each in measured.items()}
-    full = program_of(scene_with(MAPS, True, directional=3), stub=INPUTS)
-    assert fragment.estimate(full, whole) > fragment.estimate(program_of(scene_with()), whole) > 0.0
+        assert each.low <= each.value <= each.high
 
 
 def test_bad_input_is_named(family):
