@@ -1,6 +1,6 @@
 # make render   a picture of the built-in head: out/head.png
 # make test     ruff, mypy, and the tests to run before every commit
-# make test-all all tests
+# make test-all    all tests
 # make test-rest   the tests that make test leaves out
 # make fuzz MINUTES=10   files changed at random for every reader: what breaks is put into out/fuzz
 # make docs     the tables of README and docs anew, from their data

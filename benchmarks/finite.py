@@ -9,7 +9,7 @@ import sys
 
 from facerender.drawing.context import create_context
 from tests.verification.evaluate import Evaluator
-from tests.verification.many import GROUPS, MANY, Random, cases_of, faults
+from tests.verification.many import GROUPS, MANY, cases_of, faults_of_draw
 
 DRAWS = -(-(10**8) // MANY)
 
@@ -17,8 +17,7 @@ DRAWS = -(-(10**8) // MANY)
 def main() -> int:
     evaluator = Evaluator(create_context("egl").gl)
     for seed in range(DRAWS):
-        inputs = Random(seed, MANY).inputs()
-        found = [each for group in GROUPS for each in faults(evaluator, cases_of(group), inputs)]
+        found = faults_of_draw(evaluator, seed)
         print(f"seed {seed}:", *(found or ["none bad"]), sep="\n" if found else " ", flush=True)
         if found:
             return 1

@@ -18,7 +18,7 @@ from tests.test_shaders import FILES, functions
 from tests.verification import cases
 from tests.verification.cases import Case
 from tests.verification.evaluate import Evaluator, Inputs
-from tests.verification.many import GROUPS, MANY, Random, cases_of, faults
+from tests.verification.many import GROUPS, Random, cases_of, faults, faults_of_draw
 
 FEW = 2**15  # samples of a draw
 
@@ -47,10 +47,8 @@ def test_finite_and_not_negative(evaluator, inputs, group):
 @pytest.mark.parametrize("seed", range(4))
 def test_finite_and_not_negative_in_many_samples(evaluator, seed):
     """``python -m benchmarks.finite`` takes 10^8 samples."""
-    inputs = Random(seed, MANY).inputs()
-    for group in GROUPS:
-        if found := faults(evaluator, cases_of(group), inputs):
-            pytest.fail("\n".join([f"seed {seed}", *found]), pytrace=False)
+    if found := faults_of_draw(evaluator, seed):
+        pytest.fail("\n".join([f"seed {seed}", *found]), pytrace=False)
 
 
 @pytest.mark.parametrize(

@@ -189,9 +189,8 @@ def test_a_pinned_scene_names_the_images_that_it_was_planned_for(plan, cli):
     (told,) = cli.describe("--scene", pinned, "--size", "64")["warnings"]
     assert "was planned for" in told
     pinned.write_text("[planned]\nsizes = [[8, 8]]\nsamples = 1\n")
-    assert not cli.describe("--scene", pinned, "--budget", "2/255", *SMALL[2:])[
-        "warnings"
-    ]  # planned anew
+    planned_anew = cli.describe("--scene", pinned, "--budget", "2/255", *SMALL[2:])
+    assert not planned_anew["warnings"]
 
 
 def test_from_a_scene_file(plan, cli, tmp_path):

@@ -185,3 +185,9 @@ def faults(evaluator: Each, tried: Mapping[str, Case], inputs: Inputs) -> list[s
             told.append(f"{name}: {counts} in {len(found)} samples; first: {found[first]:.9g} at")
             told += [f"{x} = {used[x][first].tolist()}" for x in used if x in words[name]]
     return told
+
+
+def faults_of_draw(evaluator: Each, seed: int) -> list[str]:
+    """Return what is wrong with the values of every case at the MANY samples of a seed."""
+    inputs = Random(seed, MANY).inputs()
+    return [each for group in GROUPS for each in faults(evaluator, cases_of(group), inputs)]
