@@ -4,6 +4,7 @@
 # make test-rest   the tests that make test leaves out
 # make fuzz MINUTES=10   files changed at random for every reader: what breaks is put into out/fuzz
 # make docs     the tables of README and docs anew, from their data
+# make site     the documentation as a web site: out/site
 # make head     assets/head.glb anew from its generator
 # make npm      the shaders as an npm package: out/npm
 # make install-shaders PREFIX=/usr/local [DESTDIR=]   the GLSL library, for pkg-config and CMake
@@ -22,7 +23,7 @@ PREFIX ?= /usr/local
 SHARE = $(DESTDIR)$(PREFIX)/share
 VERSION = $(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' facerender/__init__.py)
 
-.PHONY: render test test-all test-rest fuzz docs head npm install-shaders system test-system
+.PHONY: render test test-all test-rest fuzz docs site head npm install-shaders system test-system
 
 render: .venv/installed | system
 	mkdir -p out
@@ -44,6 +45,9 @@ fuzz: .venv/installed-dev | test-system
 
 docs: .venv/installed-dev | test-system
 	$(VENV)/python -m tools.docs
+
+site: .venv/installed-dev
+	$(VENV)/sphinx-build --fail-on-warning --fresh-env --quiet docs out/site
 
 head: .venv/installed-dev
 	$(VENV)/python -m tools.head -o assets/head.glb

@@ -1,2 +1,2 @@
-"""Measurements of the project: speed beside other programs, the paper's claims, prices by other
-compilers. They run from the repository's root and are not installed."""
+"""Benchmarks: speed compared with other programs, the claims of the paper, prices from other
+compilers. Run them from the root of the repository; they are not installed."""

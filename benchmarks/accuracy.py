@@ -1,6 +1,8 @@
-"""What float32 adds to the exact terms, and what the extremes of their inputs give.
+"""Measure the float32 error of the exact terms, and their values at extreme inputs.
 
-python -m benchmarks.accuracy        into docs/measurements/accuracy.json; needs an OpenGL context
+    python -m benchmarks.accuracy
+
+Writes docs/measurements/accuracy.json. Needs an OpenGL context.
 """
 
 from __future__ import annotations
@@ -18,13 +20,13 @@ from tests.verification.cases import true_directions
 from tests.verification.evaluate import Evaluator
 
 SLOPES = (1e-4, 1e-3, 0.01, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0)
-COUNT = 200_000  # random directions of each slope
+COUNT = 200_000  # random directions per slope
 UP, LEFT, RIGHT = [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]
 TILTED = [0.36, 0.48, 0.8]
 ABOVE_1 = 1.0 + 2.0**-23
 COOK_TORRANCE = "fr_cook_torrance(n, l, v, m, 0.028)"
 
-# naive expression, its file; ours, its file
+# naive expression and its file, then the library's expression and its file
 LOBE = (
     *("exp((c * c - 1.0) / (m * m * c * c)) / (c * c * c * c)", "facerender/constants"),
     *("fr_lobe_exact(c, m, 4)", "facerender/lobe/exact"),
@@ -56,9 +58,13 @@ EXTREMES: tuple[tuple[str, tuple[str, ...], Mapping[str, object]], ...] = (
     ("Cook-Torrance, N = L = V = (0.36, 0.48, 0.8)", TERM, {"n": TILTED, "l": TILTED, "v": TILTED}),
     ("Cook-Torrance, N.L = 0", TERM, {"n": UP, "l": RIGHT, "v": UP}),
     ("Cook-Torrance, V = -L", TERM, {"n": UP, "l": RIGHT, "v": LEFT}),
-    ("Cook-Torrance, light and eye behind", TERM, {"n": UP, "l": [0.6, 0, -0.8], "v": [0, 0, -1]}),
     (
-        "Ward as printed, light and eye behind",
+        "Cook-Torrance, light and camera below",
+        TERM,
+        {"n": UP, "l": [0.6, 0, -0.8], "v": [0, 0, -1]},
+    ),
+    (
+        "Ward as printed, light and camera below",
         WARD,
         {"n": UP, "l": [0.6, 0, -0.8], "v": [0, 0, -1]},
     ),
@@ -67,7 +73,7 @@ EXTREMES: tuple[tuple[str, tuple[str, ...], Mapping[str, object]], ...] = (
 
 
 def include(name: str, *defines: str) -> str:
-    """Return a file of the library after definitions, without includes."""
+    """Return a file of the library with its includes resolved, after ``#define`` lines."""
     lines = [*(f"#define {text}" for text in defines), f'#include "{name}.glsl"', ""]
     return resolve_includes("\n".join(lines))
 
@@ -79,8 +85,12 @@ MODELS: tuple[tuple[str, str, Callable[..., Any], int], ...] = (
 
 
 def float32(evaluate: Evaluator) -> list[dict[str, float]]:
-    """Return the largest relative error of whole exact terms where the lobe is above 1e-3 of its
-    peak: against float64 of the same vectors, with FR_SMALL_SLOPE 0, and of true directions."""
+    """Return the largest relative errors of the exact models, where the lobe is above 1e-3 of its
+    peak.
+
+    Each row has three errors per model: against float64 of the same float32 vectors, the same with
+    FR_SMALL_SLOPE 0 (``_plain``), and against float64 of the unrounded directions (``_true``).
+    """
     rows = []
     for m in SLOPES:
         slopes = np.full(COUNT, m, np.float32)
@@ -106,13 +116,13 @@ def float32(evaluate: Evaluator) -> list[dict[str, float]]:
 
 
 def extremes(evaluate: Evaluator) -> list[dict[str, str]]:
-    """Return what the formulas as printed give, and what the library gives; as text, for NaN."""
+    """Return the values of the published formulas and of the library, as text because of NaN."""
     rows = []
-    for what, (naive, naive_file, ours, file), values in EXTREMES:
+    for label, (naive, naive_file, ours, file), values in EXTREMES:
         inputs = {name: np.array([at], np.float32) for name, at in {"m": 0.3, **values}.items()}
         printed = evaluate(include(naive_file), naive, inputs)[0]
         own = evaluate(include(file), ours, inputs)[0]
-        rows.append({"input": what, "printed": f"{printed:.4g}", "facerender": f"{own:.4g}"})
+        rows.append({"input": label, "printed": f"{printed:.4g}", "facerender": f"{own:.4g}"})
     return rows
 
 

@@ -1,11 +1,12 @@
-"""Cost of a batch for its coordinator: time and memory of 10^6 jobs, of which none is drawn, and of
-a second run of a batch that is done.
+"""Measure time and memory of the coordinator of a batch.
+
+Measures 10^6 jobs without rendering, and the second run of a finished batch.
 
     python benchmarks/batch_coordinator.py [--jobs 1000000] [--done 10000]
         [--formats toml csv jsonl]
 
-Chunks go to an engine that takes and answers them without drawing. Of the batch that is done, the
-files are written by what workers write with, and are a few bytes each.
+A substitute engine reports each chunk as done without rendering it. For the finished batch it
+writes files of a few bytes with the writer that real workers use.
 """
 
 from __future__ import annotations
@@ -40,21 +41,21 @@ _FACTS = {
 
 
 class Nothing(Executor):
-    """Answers chunks at once."""
+    """An executor that reports each chunk as done at once."""
 
-    def submit(self, _: Any, settings: Settings, chunk: Chunk, *heard: Any) -> Future[Any]:  # type: ignore[override]
-        """As a supervisor would, of what it does not draw."""
+    def submit(self, _: Any, settings: Settings, chunk: Chunk, *rest: Any) -> Future[Any]:  # type: ignore[override]
+        """Return a finished future with the outcome that a supervisor would report."""
         future: Future[Outcome] = Future()
         future.set_result(self.answer(settings, chunk))
         return future
 
     def answer(self, settings: Settings, chunk: Chunk) -> Outcome:
-        """What became of a chunk."""
+        """Return the outcome of a chunk."""
         return Outcome(chunk.number, len(chunk.rows), 0, (), 0.0, 0, "", "none")
 
 
 class Small(Nothing):
-    """Writes and commits a few bytes for each job."""
+    """An executor that writes and commits a few bytes for each job."""
 
     def answer(self, settings: Settings, chunk: Chunk) -> Outcome:
         begin(settings, chunk)
@@ -69,7 +70,7 @@ class Small(Nothing):
 
 
 def write_jobs(path: Path, jobs: int) -> None:
-    """Write a table of turns about the built-in head."""
+    """Write a table of jobs that orbit the built-in head."""
     if path.suffix == ".toml":
         path.write_text(
             'id = "v{number:08d}"\n[image]\nsize = 256\nsamples = 4\n[grid]\n'
@@ -89,7 +90,7 @@ def write_jobs(path: Path, jobs: int) -> None:
 
 
 def run(how: str, words: list[str]) -> None:
-    """Run a command, and print its seconds and MiB; the process of one measurement."""
+    """Run ``facerender batch`` in this process; print exit status, seconds and peak MiB as JSON."""
     if how != "real":
         executor = {"nothing": Nothing, "small": Small}[how]()
 
@@ -106,7 +107,7 @@ def run(how: str, words: list[str]) -> None:
 
 
 def measured(name: str, how: str, *words: str) -> None:
-    """Measure a command in a process of its own."""
+    """Measure a command in a separate process, and print the result."""
     command = [sys.executable, __file__, "--run", how, "--", *words]
     began = time.perf_counter()
     found = subprocess.run(command, capture_output=True, text=True)
@@ -135,14 +136,14 @@ def main() -> None:
         for kind in options.formats:
             path = Path(folder, f"jobs.{kind}")
             write_jobs(path, options.jobs)
-            measured(f"{options.jobs} jobs of .{kind}, none drawn", "nothing", str(path),
+            measured(f"{options.jobs} jobs of .{kind}, not rendered", "nothing", str(path),
                      "-o", f"{folder}/{kind}", "--workers", "2")  # fmt: skip
         path = Path(folder, "done.toml")
         write_jobs(path, options.done)
         for layout in ("files", "shards") if options.done else ():
             words = [str(path), "-o", f"{folder}/{layout}", "--workers", "2", "--layout", layout]
             measured(f"{options.done} jobs of {layout}, written", "small", *words)
-            measured(f"{options.done} jobs of {layout}, done before", "real", *words)
+            measured(f"{options.done} jobs of {layout}, finished before", "real", *words)
             measured(f"--status of {layout}", "real", "--status", f"{folder}/{layout}")
 
 

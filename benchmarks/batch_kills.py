@@ -1,15 +1,14 @@
-"""Whether a batch loses, doubles or changes a job when its processes are killed again and again.
+"""Check that a batch loses, repeats and changes no job when its processes are killed at random.
 
     python benchmarks/batch_kills.py [--kills 100] [--jobs 2000] [--layout shards] [--dask]
                                      [--seed 1] [--edits 0] [--stops 0]
 
-Draws a small mesh without kills, and once more while one process after the other is sent SIGKILL:
-the coordinator, its workers; with --dask the scheduler, its workers, their nannies and the
-processes below them that draw. What was killed is started again as a user would, with the same
-command. At last every file, table and record must be there, once, with the bytes of the run without
-kills: exit status 1 where one is not. With --edits the table of jobs is another one in between, so
-many times; with --stops some processes are stopped (SIGSTOP) until they are killed or their time is
-over.
+Renders a small mesh once without kills, and once while one process after the other gets SIGKILL.
+The targets are the coordinator and its workers; with --dask also the scheduler, the Dask workers,
+their nannies and the rendering processes. A killed process is restarted with the same command, as
+a user would do. In the end, every file, table and record must exist once and equal the run without
+kills byte for byte; otherwise the exit status is 1. --edits N changes the table of jobs N times
+during the run; the last edit restores it. --stops N precedes N of the kills by SIGSTOP.
 """
 
 from __future__ import annotations
@@ -35,13 +34,13 @@ import psutil
 from PIL import Image
 
 _DRAWS = "facerender.batch.worker"
-_TIMEOUT = 20  # seconds of silence after which a stopped worker hangs
-_PATIENCE = 600.0  # seconds in which something must be done
+_TIMEOUT = 20  # seconds without output before a stopped worker counts as hung
+_PATIENCE = 600.0  # seconds without progress before this script gives up
 _WORKERS = 2
 
 
 def small(folder: Path) -> Path:
-    """A mesh that is quickly read: a tetrahedron, in a material with a map."""
+    """Write a mesh that loads fast, a tetrahedron with an albedo map, and return its path."""
     positions = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 0 1\n"
     faces = "f 1/1 3/3 2/2\nf 1/1 2/2 4/3\nf 1/1 4/3 3/2\nf 2/1 3/2 4/3\n"
     path = folder / "small.obj"
@@ -52,7 +51,10 @@ def small(folder: Path) -> Path:
 
 
 def write_table(path: Path, mesh: Path, jobs: int, edit: int = 0) -> None:
-    """Write the jobs; an edit leaves a tenth of them out, and gives a tenth another material."""
+    """Write the table of jobs.
+
+    An edit other than 0 omits a tenth of the jobs and changes the material of another tenth.
+    """
     lines = []
     for i in range(jobs):
         row = {"id": f"job{i:05d}", "mesh": str(mesh), "camera.azimuth": round(0.01 * i, 3)}
@@ -67,7 +69,10 @@ def write_table(path: Path, mesh: Path, jobs: int, edit: int = 0) -> None:
 
 
 def digests(folder: Path) -> dict[str, str]:
-    """Of all files of a batch, but for what tells where and by whom it was asked for."""
+    """Return the SHA-256 digests of a batch's files by name.
+
+    Excludes batch.json and .lock, which depend on the place and process of the run.
+    """
     files = [path for path in folder.rglob("*") if path.is_file()]
     names = {str(path.relative_to(folder)): path for path in files}
     return {
@@ -78,7 +83,7 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 class Cluster:
-    """A scheduler and two workers, started as by hand, and again what of them has ended."""
+    """A Dask scheduler and two workers, each restarted after it ends; empty unless ``used``."""
 
     def __init__(self, used: bool, logs: Path) -> None:
         with socket.socket() as free:
@@ -98,14 +103,14 @@ class Cluster:
         self.used = used
 
     def start(self) -> None:
-        """Start what does not run."""
+        """Start each process that is not running."""
         for name, command in self._commands.items() if self.used else ():
             if name not in self.running or self.running[name].poll() is not None:
                 log = (self._logs / f"{name}.log").open("ab")
                 self.running[name] = psutil.Popen(command, stdout=log, stderr=log)
 
     def stop(self) -> None:
-        """End all of them."""
+        """Kill all processes and their children."""
         processes = [*self.running.values()]
         for process in list(processes):
             with suppress(psutil.NoSuchProcess):
@@ -117,7 +122,7 @@ class Cluster:
 
 
 def living(coordinator: psutil.Popen, cluster: Cluster) -> dict[str, list[psutil.Process]]:
-    """The processes of a batch by what they are."""
+    """Return the running processes of a batch by their role."""
     found: dict[str, list[psutil.Process]] = {"coordinator": [coordinator]}
     for name, process in cluster.running.items():
         found.setdefault("scheduler" if name == "scheduler" else "nanny", []).append(process)
@@ -136,8 +141,10 @@ def living(coordinator: psutil.Popen, cluster: Cluster) -> dict[str, list[psutil
 def killed(
     command: list[str], out: Path, cluster: Cluster, options: argparse.Namespace, edit: object
 ) -> tuple[Counter[str], Counter[str], float]:
-    """Run a batch to its end while its processes are killed. Return how many of each kind were, how
-    coordinators ended, and the seconds. ``edit`` is called --edits times."""
+    """Run a batch to its end while its processes are killed; call ``edit`` --edits times.
+
+    Returns the number of kills by role, the exit statuses of coordinators, and the seconds.
+    """
     random = Random(options.seed)
     who, ends = Counter[str](), Counter[str]()
     began = moved = time.monotonic()
@@ -156,7 +163,7 @@ def killed(
         if records != seen:
             seen, moved = records, time.monotonic()
         if time.monotonic() - moved > _PATIENCE:
-            raise SystemExit(f"nothing was done for {_PATIENCE:g} s at {records} records")
+            raise SystemExit(f"no progress for {_PATIENCE:g} s at {records} records")
         cluster.start()
         if (code := coordinator.poll()) is not None:
             ends[str(code)] += 1
@@ -165,18 +172,18 @@ def killed(
             if edits < options.edits and (code == 0 or random.random() < 0.3):
                 edits += 1
                 edit(edits % options.edits)
-            elif code == 0:  # too early: what is left of the kills hits what is begun anew
+            elif code == 0:  # finished before the last kill: start over for the remaining kills
                 shutil.rmtree(out / "records")
                 (out / "jobs.jsonl").unlink()
-                ends["begun anew"] += 1
+                ends["started over"] += 1
             coordinator = psutil.Popen(command, stdout=log, stderr=log)
             continue
-        # Kills are spread over the batch: at its start, at its end, and between.
+        # Spread the kills over the whole batch, including its start and its end.
         if kills >= options.kills or records < chunks * (kills - 3) / options.kills:
             continue
         found = living(coordinator, cluster)
         if wanted not in found:
-            continue  # until it has started
+            continue  # this role has not started yet
         time.sleep(random.choice((0.0, random.uniform(0.0, 0.3), random.uniform(0.0, 3.0))))
         kind, wanted = wanted, random.choice(kinds)
         victim = random.choice(found[kind])
@@ -198,14 +205,14 @@ def killed(
 
 
 def faults(expected: dict[str, str], got: dict[str, str], out: Path) -> list[str]:
-    """What is lost, doubled or different."""
-    told = [f"lost: {name}" for name in sorted(expected.keys() - got.keys())]
-    told += [f"too many: {name}" for name in sorted(got.keys() - expected.keys())]
-    told += [f"different: {name}" for name in sorted(expected) if got.get(name, "") not in
-             ("", expected[name])]  # fmt: skip
+    """Return a line for each file that is missing, unexpected or different, or repeated job."""
+    found = [f"missing: {name}" for name in sorted(expected.keys() - got.keys())]
+    found += [f"unexpected: {name}" for name in sorted(got.keys() - expected.keys())]
+    found += [f"different: {name}" for name in sorted(expected) if got.get(name, "") not in
+              ("", expected[name])]  # fmt: skip
     lines = (out / "jobs.jsonl").read_text().splitlines()
     ids = Counter(json.loads(line)["id"] for line in lines)
-    return told + [f"{count} times: {name}" for name, count in ids.items() if count > 1]
+    return found + [f"{count} times: {name}" for name, count in ids.items() if count > 1]
 
 
 def main() -> int:
@@ -214,9 +221,9 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2000)
     parser.add_argument("--chunk", type=int, default=8)
     parser.add_argument("--layout", choices=("files", "shards"), default="files")
-    parser.add_argument("--dask", action="store_true", help="a scheduler and two workers here")
-    parser.add_argument("--edits", type=int, default=0, help="of the table, the last to the first")
-    parser.add_argument("--stops", type=int, default=0, help="of the kills, a SIGSTOP before")
+    parser.add_argument("--dask", action="store_true", help="use a local Dask cluster")
+    parser.add_argument("--edits", type=int, default=0, help="edits of the table of jobs")
+    parser.add_argument("--stops", type=int, default=0, help="kills that follow a SIGSTOP")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="batch-kills-"))
@@ -246,9 +253,9 @@ def main() -> int:
     print(f"{options.jobs} jobs, {options.layout}, {'Dask' if options.dask else 'local'}, seed "
           f"{options.seed}: {alone:.0f} s without kills, {seconds:.0f} s with")  # fmt: skip
     for name, count in who.most_common():
-        print(f"  {count:4} of {name} killed")
-    print(f"  coordinators ended: {dict(ends)}; {drawn} jobs drawn in chunks that were heard of")
-    print(f"  {len(got)} files, {len(expected)} expected: {len(wrong)} faults")
+        print(f"  {count:4} kills: {name}")
+    print(f"  exit statuses of coordinators: {dict(ends)}; {drawn} jobs in reported chunks")
+    print(f"  {len(got)} files, {len(expected)} expected: {len(wrong)} errors")
     for fault in wrong[:20]:
         print(f"  {fault}")
     if wrong:

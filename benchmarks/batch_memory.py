@@ -1,11 +1,11 @@
-"""Whether a worker of a batch grows: its resident memory while it draws thousands of jobs.
+"""Measure whether a batch worker leaks: its resident memory while it renders thousands of jobs.
 
     python benchmarks/batch_memory.py [--jobs 2000] [--size 256] [--sweep NAME ...]
 
-Each sweep has a worker of its own, and changes one thing from job to job: the camera, the mesh (40
-files, each the built-in head in another material), m, the environment (one made by code, one file,
-and four of them), lights with shadows, the image's size. Prints resident MiB every tenth of the
-jobs; what a sweep adds after its second tenth is its growth.
+Each sweep starts a new worker and varies one setting from job to job: the camera, the mesh (40
+files, each the built-in head with another material), m, the environment map (a generated one, one
+file, four files), lights with shadows, or the image size. Prints resident MiB after every tenth of
+the jobs. The growth of a sweep is its increase after the second tenth.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from facerender.batch.supervisor import Supervisor
 from facerender.system.data import data_dir
 
 _MESHES = 40
-_FILES = 4  # environments
+_FILES = 4  # environment maps
 _SIZES = (64, 96, 128, 200, 256)
-_SIDE_BY_SIDE = 25  # jobs of a mesh: as many as a chunk has
+_SIDE_BY_SIDE = 25  # consecutive jobs with one mesh, and jobs per chunk
 Change = Callable[[int, Path], dict[str, Any]]
 
 
 def _another_head(number: int, folder: Path) -> str:
-    """A copy of the built-in head, a factor of whose material is its own."""
+    """Write a copy of the built-in head with another roughness factor; return its path."""
     path = folder / f"head{number:02d}.glb"
     if not path.exists():
         content = (data_dir("assets") / "head.glb").read_bytes()
@@ -86,7 +86,7 @@ SWEEPS: dict[str, Change] = {
 
 
 def measure(sweep: str, jobs: int, size: int, folder: Path) -> list[float]:
-    """Resident MiB of the worker after each tenth of the jobs."""
+    """Return the worker's resident MiB after each tenth of the jobs, and print them."""
     change = SWEEPS[sweep]
     table = folder / "jobs.jsonl"
     with table.open("w") as file:
@@ -96,11 +96,11 @@ def measure(sweep: str, jobs: int, size: int, folder: Path) -> list[float]:
     settings = Settings(str(folder / "out"), code_version=code_version())
     supervisor, seen, drawn = Supervisor(), [], 0
 
-    def heard(worker: str, what: str, job: str) -> None:
+    def on_event(worker: str, event: str, job: str) -> None:
         nonlocal drawn
-        if what == "failed":
+        if event == "failed":
             raise SystemExit(f"{sweep}: {job} failed")
-        if what != "done":
+        if event != "done":
             return
         drawn += 1
         if drawn % (jobs // 10) == 0:
@@ -110,7 +110,7 @@ def measure(sweep: str, jobs: int, size: int, folder: Path) -> list[float]:
 
     print(f"{sweep:>16}", end="", flush=True)
     for chunk in chunks(JobTable(table), _SIDE_BY_SIDE):
-        supervisor.run(settings, chunk, heard)
+        supervisor.run(settings, chunk, on_event)
     supervisor.stop()
     print(f"   {seen[-1] - seen[1]:+.0f} MiB after warm-up")
     return seen
@@ -122,7 +122,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--sweep", nargs="*", choices=[*SWEEPS], default=[*SWEEPS])
     options = parser.parse_args()
-    print(f"resident MiB of a worker, {options.size} pixels a side, 1 sample, after jobs:")
+    print(f"resident MiB of a worker, {options.size} pixels a side, 1 sample, after N jobs:")
     print(" " * 16 + "".join(f" {options.jobs * (i + 1) // 10:6}" for i in range(10)))
     with tempfile.TemporaryDirectory() as folder:
         for sweep in options.sweep:

@@ -1,15 +1,17 @@
-"""Pictures of the built-in head for a data set, drawn by scripts as people write them.
+"""Compare programs that render a data set of the built-in head, each written in the usual way.
 
     python benchmarks/batch_peers.py [--size 256] [--count 64] [--turns 3]
         [--python-pyrender PYTHON] [--only NAME ...] [--keep FOLDER]
 
-Whole processes, from nothing to PNG files, take turns (A B C A B C): a loop over one
-`facerender.Renderer`, a pool of processes, `facerender batch`, PyVista, and pyrender, which pins
-PyOpenGL 3.1.0 and therefore has an interpreter of its own. The same cameras, maps, three
-directional lights and 4 samples; each shades in its own way. Prints medians, ranges, and medians of
-the ratios to the loop within a turn: images a second of whole runs, and after the first quarter of
-the pictures; CPU time an image, all processes, start-up included, which other work on the machine
-disturbs least; and how far the first picture is from the loop's on average.
+The programs are a loop over one `facerender.Renderer`, a pool of processes, `facerender batch`,
+PyVista and pyrender. pyrender pins PyOpenGL 3.1.0 and therefore needs a separate interpreter. Whole
+processes run in turns (A B C A B C), from start to PNG files. Cameras, maps, the three directional
+lights and the 4 samples are the same; the shading differs.
+
+Prints medians, ranges, and medians of the ratios to the loop within a turn of: images per second of
+whole runs; images per second after the first quarter; CPU time per image of all processes with
+start-up, which other load disturbs least. Also prints the mean difference of the first image from
+the loop's, in 8-bit levels.
 """
 
 from __future__ import annotations
@@ -41,8 +43,11 @@ LOOP = "loop over one Renderer"
 
 
 def jobs_of(size: int, samples: int, count: int) -> dict[str, Any]:
-    """What all draw, as JSON: cameras around the face as eye, target and clipping range, in the
-    mesh's units, and as azimuth and elevation; lights as direction and irradiance."""
+    """Return the jobs of all programs as JSON data.
+
+    Cameras around the face are position, target and clipping range in the mesh's units, and again
+    azimuth and elevation. Lights are direction and irradiance.
+    """
     path = data_dir("assets") / "head.glb"
     mesh = fr.load_mesh(path)
     turns = [(index * 37.0 % 140.0 - 70.0, index * 23.0 % 40.0 - 20.0) for index in range(count)]
@@ -69,7 +74,7 @@ def jobs_of(size: int, samples: int, count: int) -> dict[str, Any]:
 
 
 def table_of(jobs: dict[str, Any]) -> str:
-    """The same as rows for ``facerender batch``."""
+    """Return the same jobs as JSON lines for ``facerender batch``."""
     names = ("azimuth", "elevation", "irradiance")
     common = {
         "lights": [dict(zip(names, light, strict=True)) for light in jobs["facerender_lights"]],
@@ -86,8 +91,11 @@ def script(python: str, name: str, jobs: Path) -> Callable[[str], list[str]]:
 
 
 def rates(command: list[str], out: Path, count: int) -> tuple[float, float, float]:
-    """Run a command that writes so many PNGs; images a second, of it all and of the last three
-    quarters of the files by their times, and CPU milliseconds an image, of it all."""
+    """Run a command that writes ``count`` PNG files.
+
+    Returns images per second of the whole run, images per second of the last three quarters of the
+    files by modification time, and CPU milliseconds per image of the whole run.
+    """
     out.mkdir(parents=True)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     start = time.perf_counter()
@@ -99,7 +107,7 @@ def rates(command: list[str], out: Path, count: int) -> tuple[float, float, floa
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     written = sorted(path.stat().st_mtime_ns for path in out.rglob("*.png"))
     if len(written) != count:
-        sys.exit(f"{command[0]} wrote {len(written)} of {count} pictures to {out}")
+        sys.exit(f"{command[0]} wrote {len(written)} of {count} images to {out}")
     first = count // 4
     later = 1e-9 * (written[-1] - written[first])
     return count / seconds, (count - 1 - first) / later, 1e3 * cpu / count
@@ -109,7 +117,7 @@ def spread(values: list[float]) -> str:
     return f"{statistics.median(values):7.2f}  ({min(values):.2f} to {max(values):.2f})"
 
 
-def first_picture(out: Path) -> np.ndarray:
+def first_image(out: Path) -> np.ndarray:
     return read_image(min(out.rglob("*.png"))).color.astype(float)
 
 
@@ -119,9 +127,9 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=4)
     parser.add_argument("--count", type=int, default=64)
     parser.add_argument("--turns", type=int, default=3)
-    parser.add_argument("--python-pyrender", help="an interpreter that has pyrender")
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="some of what is compared")
-    parser.add_argument("--keep", type=Path, help="a folder for the pictures of the last turn")
+    parser.add_argument("--python-pyrender", help="Python interpreter with pyrender")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="programs beyond the loop")
+    parser.add_argument("--keep", type=Path, help="folder for the images of the last turn")
     options = parser.parse_args()
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -149,15 +157,15 @@ def main() -> None:
                 out = folder / f"{turn}-{name}"
                 figures[name].append(rates(command(str(out)), out, options.count))
         print(
-            f"{options.count} pictures, {options.size} px, {options.samples} samples, "
-            f"{os.cpu_count()} cores; images a second, medians of {options.turns} turns"
+            f"{options.count} images, {options.size} px, {options.samples} samples, "
+            f"{os.cpu_count()} cores; images per second, medians of {options.turns} turns"
         )
-        base = first_picture(folder / f"0-{LOOP}")
+        base = first_image(folder / f"0-{LOOP}")
         for name, values in figures.items():
             pairs = list(zip(values, figures[LOOP], strict=True))
             ratios = [statistics.median(a[i] / b[i] for a, b in pairs) for i in range(3)]
             whole, steady, cpu = (spread(list(each)) for each in zip(*values, strict=True))
-            away = np.abs(first_picture(folder / f"0-{name}") - base).mean()
+            away = np.abs(first_image(folder / f"0-{name}") - base).mean()
             print(
                 f"  {name:24} whole {whole} {ratios[0]:.2f}   steady {steady} {ratios[1]:.2f}   "
                 f"CPU ms {cpu} {ratios[2]:.2f}   {away:.1f}/255"

@@ -1,7 +1,10 @@
-"""Which check of the image comparison sees what, and the smallest change that each sees.
+"""Measure which checks of the image comparison detect which changes, and the smallest change that
+each check detects.
 
-python -m benchmarks.comparison      into docs/measurements/comparison.json; needs an OpenGL
-                                     context, and the head scan of the tests for half of the data
+    python -m benchmarks.comparison
+
+Writes docs/measurements/comparison.json. Needs an OpenGL context; half of the data also needs the
+head scan of the tests.
 """
 
 from __future__ import annotations
@@ -31,7 +34,7 @@ from tests.verification.mutations import (
 from tests.verification.pairs.changes import exposed, factor
 from tests.verification.pairs.room import Room, draw_elsewhere
 
-CHECKS = {  # and how their reasons begin
+CHECKS = {  # name: pattern of the beginning of the check's reasons
     **{"point": r"\d+ pixel", "block": "block", "trend": "neighbouring blocks", "grain": "grain"},
     **{"texture": "texture", "shift": "shift", "coverage": "coverage"},
 }
@@ -41,7 +44,7 @@ Sees = Callable[[Images], bool]
 
 
 def failed_checks(result: Comparison) -> list[str]:
-    """Name the checks that failed, by their reasons."""
+    """Return the names of the failed checks, derived from their reasons."""
     return [
         name
         for name, start in CHECKS.items()
@@ -49,7 +52,8 @@ def failed_checks(result: Comparison) -> list[str]:
     ]
 
 
-# By each check alone: of the trend no reason is told where blocks are over their limit.
+# Whether a check alone detects a change. The result gives no reason for the trend if blocks exceed
+# their limit.
 ALONE: dict[str, Callable[[Comparison], bool]] = {
     "point": lambda result: "point" in failed_checks(result),
     "block": lambda result: result.blocks > 0,
@@ -58,7 +62,7 @@ ALONE: dict[str, Callable[[Comparison], bool]] = {
 
 
 def row(result: Comparison) -> dict[str, Any]:
-    """Return the figures of a comparison; block is relative of linear images, else in levels."""
+    """Return the metrics of a comparison; block is relative for linear images, else in levels."""
     guesses = dict.fromkeys(
         reason.split("looks like ")[-1].split(" (")[0] for reason in result.reasons
     )
@@ -71,7 +75,7 @@ def row(result: Comparison) -> dict[str, Any]:
 
 
 def drivers() -> Iterator[dict[str, Any]]:
-    """Yield the figures of what two drivers draw."""
+    """Yield the metrics of each scene rendered by two drivers."""
     for size, name, camera in product((512, 1024), dict(meshes()), CAMERAS):
         setting = setting_of(name, camera, size=size)
         drawn = (draw_elsewhere(setting, variables=each) for each in DRIVERS.values())
@@ -79,7 +83,7 @@ def drivers() -> Iterator[dict[str, Any]]:
 
 
 def smallest(change: Change, found: Sees, most: float) -> float | None:
-    """Return the smallest change that is seen, found by bisection to 5 %; None beyond the most."""
+    """Return the smallest detected change, by bisection to 5 %; None if it is above ``most``."""
     low, high = 0.0, most
     if not found(change(high)):
         return None
@@ -113,7 +117,7 @@ def one_pixel(linear: np.ndarray, place: tuple[int, int], sign: float) -> Change
 
 
 def places(linear: np.ndarray) -> dict[str, tuple[int, int]]:
-    """A pixel of median radiance in the interior, the flattest such, and one at the silhouette."""
+    """Return the flattest interior pixel of median radiance, and a pixel at the silhouette."""
     full = linear[..., 3] >= 1.0
     inside = ndimage.binary_erosion(full, iterations=8)
     level = linear[..., :3].mean(axis=-1)
@@ -125,20 +129,21 @@ def places(linear: np.ndarray) -> dict[str, tuple[int, int]]:
 
 
 def thresholds(name: str, room: Room) -> Iterator[dict[str, Any]]:
-    """Yield the smallest changes of a camera that each check sees, EXR and PNG as a whole."""
+    """Yield the smallest changes of one camera's image that are detected: by each check, and by
+    the whole comparison of EXR and of PNG."""
     changes: dict[str, tuple[Change, float]] = {
         "ks, %": (lambda by: images(factor("ks", 1.0 - 0.01 * by))(room), 50.0),
         "m from 0.3, %": (lambda by: images(rougher(0.3 + 0.003 * by))(room), 50.0),
         "exposure, %": (lambda by: images(exposed(1.0 + 0.01 * by))(room), 50.0),
     }
     linear = room.golden
-    for where, place in places(linear).items():
-        changes[f"pixel brighter, {where}"] = (one_pixel(linear, place, 1.0), 8.0)
-        changes[f"pixel darker, {where}"] = (one_pixel(linear, place, -1.0), 1.0)
-    for what, (change, most) in changes.items():
+    for label, place in places(linear).items():
+        changes[f"pixel brighter, {label}"] = (one_pixel(linear, place, 1.0), 8.0)
+        changes[f"pixel darker, {label}"] = (one_pixel(linear, place, -1.0), 1.0)
+    for label, (change, most) in changes.items():
         finds = {**{check: sees(check) for check in ALONE}, "EXR": differ, "PNG": png}
         seen = {check: smallest(change, find, most) for check, find in finds.items()}
-        yield {"image": name, "change": what, "most": most, "seen": seen}
+        yield {"image": name, "change": label, "most": most, "seen": seen}
 
 
 def main() -> None:

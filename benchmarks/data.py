@@ -1,4 +1,4 @@
-"""The data sets of docs/measurements, which `python -m tools.docs` makes tables of."""
+"""The data sets of docs/measurements; `python -m tools.docs` turns them into tables."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MEASUREMENTS = Path(__file__).parents[1] / "docs" / "measurements"
 
 
 def save(name: str, **data: Any) -> None:
-    """Write docs/measurements/NAME.json: the OpenGL driver that is here, and the data."""
+    """Write docs/measurements/NAME.json: the OpenGL driver of this machine, and the data."""
     with fr.Renderer((16, 16)) as renderer:
         facts = {key: renderer.metadata[key] for key in ("GL_RENDERER", "GL_VERSION")}
     content = json.dumps({"environment": facts, **data}, indent=1, ensure_ascii=False)
@@ -23,13 +23,13 @@ def save(name: str, **data: Any) -> None:
 
 
 def meshes() -> Iterator[tuple[str, fr.Mesh]]:
-    """Yield the built-in head, and the head scan of the tests where it is."""
+    """Yield the built-in head, and the head scan of the tests if it is installed."""
     yield "head", fr.load_mesh()
     if folder := scan_folder():
         yield "scan", load_scan(folder)
 
 
 def scenes() -> Iterator[Subject]:
-    """Yield the scenes of plans: ten, without the scan eight."""
+    """Yield the scenes for plans: ten, or eight without the head scan."""
     found = dict(meshes())
     yield from subjects(found["head"], found.get("scan"))

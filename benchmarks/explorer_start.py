@@ -1,13 +1,14 @@
-"""How long the explorer of the built-in head takes to its first picture, beside pages of three.js.
+"""Measure the time to the first image of the explorer and of comparable three.js pages.
 
     python benchmarks/explorer_start.py [--turns 9] [--keep FOLDER]
 
-Chromium on SwiftShader, started anew for every page, which is one file opened from disk; pages take
-turns. The time is from the navigation's start until a pixel of the first picture can be read. Those
-of three.js (``peers/explorer``, bundled by Vite: npm fetches both) show the same mesh and maps with
-as many lights at the size of the explorer's picture: one likewise in two shadings, on float targets
-of four samples, under a cut; one, plain, a single shading on the canvas. Prints the sizes of the
-files, medians and ranges, and the medians of the ratios within a turn.
+Chromium on SwiftShader starts anew for each page, a single file opened from disk; the pages take
+turns. The time runs from the start of the navigation until a pixel of the first image can be read.
+The three.js pages (``peers/explorer``, bundled with Vite; npm installs both) show the same mesh,
+maps and number of lights at the size of the explorer's image. The equal page shows two shadings in
+a split view, on float targets with four samples; the plain page shows one shading on the canvas.
+
+Prints the file sizes, medians and ranges, and the medians of the ratios within a turn.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ SOURCE = Path(__file__).parent / "peers" / "explorer" / "main.js"
 VIEWPORT = {"width": 1280, "height": 800}
 EXPLORER, EQUAL, PLAIN = "facerender explore", "three.js, equal", "three.js, plain"
 
-# The first draw of a mesh, and with it what else the page does in the same frame, until it is done.
+# Records when the frame with the first draw of the mesh is complete. A draw with fewer than 1000
+# indices is not the mesh.
 CLOCK = """
 const drawn = WebGL2RenderingContext.prototype.drawElements;
 WebGL2RenderingContext.prototype.drawElements = function (mode, count, ...rest) {
@@ -54,7 +56,7 @@ WebGL2RenderingContext.prototype.drawElements = function (mode, count, ...rest) 
 
 
 def bundled(folder: Path) -> str:
-    """Return the script of the three.js pages, with the libraries that the example pins."""
+    """Return the script of the three.js pages, with the library versions of examples/threejs."""
     example = ROOT / "examples" / "threejs"
     work = folder / "examples" / "threejs"
     work.mkdir(parents=True)
@@ -72,7 +74,7 @@ def bundled(folder: Path) -> str:
 
 
 def peer(script: str, size: list[int]) -> str:
-    """Return a page of three.js, whose picture has this size."""
+    """Return the three.js page as HTML; ``size`` is the size of its image in pixels."""
     job = Job()
     head = data_dir("assets") / "head.glb"
     mesh = fr.load_mesh(head)
@@ -103,7 +105,7 @@ def _rgb(value: Any) -> list[float]:
     return [value] * 3 if isinstance(value, int | float) else list(value)
 
 
-def first_picture(playwright: Playwright, address: str, keep: Path | None) -> float:
+def first_image(playwright: Playwright, address: str, keep: Path | None) -> float:
     browser = chromium.launch(playwright)
     page = browser.new_page(viewport=VIEWPORT)
     page.add_init_script(CLOCK)
@@ -119,7 +121,7 @@ def first_picture(playwright: Playwright, address: str, keep: Path | None) -> fl
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--turns", type=int, default=9)
-    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="the pages, and their pictures")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="folder for pages and images")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary, sync_playwright() as playwright:
         folder = options.keep or Path(temporary)
@@ -142,14 +144,14 @@ def main() -> None:
         for turn in range(options.turns):
             for index, (name, address) in enumerate(pages.items()):
                 keep = folder / f"{index}.png" if options.keep and not turn else None
-                times[name].append(first_picture(playwright, address, keep))
+                times[name].append(first_image(playwright, address, keep))
         print(f"Chromium {version} on SwiftShader, {size[0]} x {size[1]} pixels")
         sizes = [path.stat().st_size / 1e6 for path in (ours, theirs, theirs)]
         for megabytes, (name, each) in zip(sizes, times.items(), strict=True):
             ratio = statistics.median(a / b for a, b in zip(times[EXPLORER], each, strict=True))
             print(
                 f"{name:20} {megabytes:4.1f} MB {statistics.median(each):6.0f} ms "
-                f"({min(each):.0f} to {max(each):.0f}); the explorer takes {ratio:.2f} of it"
+                f"({min(each):.0f} to {max(each):.0f}); explorer / page {ratio:.2f}"
             )
 
 

@@ -1,6 +1,8 @@
-"""Whether every function of the shader library is finite and not negative, in 10^8 samples each.
+"""Check with 10^8 samples each that all functions of the shader library are finite and >= 0.
 
-python -m benchmarks.finite        a line for each draw of 2^20 samples, then the total; minutes
+    python -m benchmarks.finite
+
+Prints a line for every 2^20 samples, then the total. Takes minutes.
 """
 
 from __future__ import annotations
@@ -18,11 +20,11 @@ def main() -> int:
     evaluator = Evaluator(create_context("egl").gl)
     for seed in range(DRAWS):
         found = faults_of_draw(evaluator, seed)
-        print(f"seed {seed}:", *(found or ["none bad"]), sep="\n" if found else " ", flush=True)
+        print(f"seed {seed}:", *(found or ["no error"]), sep="\n" if found else " ", flush=True)
         if found:
             return 1
     count = sum(len(cases_of(group)) for group in GROUPS)
-    print(f"{DRAWS * MANY:,} samples of each of {count} expressions: none bad")
+    print(f"{DRAWS * MANY:,} samples of each of {count} expressions: no error")
     return 0
 
 

@@ -1,7 +1,9 @@
-"""What a whole frame costs here, what samples lose, what plans of it save.
+"""Measure the cost of whole frames, the errors of fewer samples, and the savings of plans.
 
-python -m benchmarks.frame      into docs/measurements/frame.json; half an hour; needs an OpenGL
-                                context, the extra lod, and the head scan for two scenes
+    python -m benchmarks.frame
+
+Writes docs/measurements/frame.json in half an hour. Needs an OpenGL context and the extra lod; two
+scenes also need the head scan.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from facerender.pricing.frame import ratio
 from tests.verification.subjects import Subject
 
 SIZES = (512, 1024)
-PLANS = {  # cameras, size, budget, fraction of the pixels
+PLANS = {  # number of cameras, image size, budget, fraction of pixels that must meet the budget
     "one-camera": (1, 512, "1/255", "99.9%"),
     "eight-cameras": (8, 128, "1/255", "99.9%"),
     "wide-budget": (1, 256, "8/255", "95%"),
@@ -44,7 +46,7 @@ def main() -> None:
 
 
 def sampled(scene: fr.Scene, size: int) -> list[dict[str, Any]]:
-    """Return what numbers of samples a pixel cost and lose; errors in levels of 255."""
+    """Return time and error by the number of samples per pixel; errors in levels."""
     rows = []
     with fr.Renderer((size, size)) as renderer:
         for each in antialiasing(renderer, scene):
@@ -63,7 +65,7 @@ def sampled(scene: fr.Scene, size: int) -> list[dict[str, Any]]:
 
 
 def deferred() -> list[dict[str, Any]]:
-    """Return what deferred shading takes and changes, with 1 sample and with 4."""
+    """Return the relative time and the error of deferred shading, with 1 and 4 samples."""
     names = {"head": "built-in head", "scan": "scan"}
     rows = []
     for name, mesh in meshes():
@@ -75,14 +77,14 @@ def deferred() -> list[dict[str, Any]]:
 
 
 def plans(count: int, size: int, budget: str, share: str) -> dict[str, Any]:
-    """Return the plans of all scenes, and the medians of their times."""
+    """Return the plans of all scenes, and the medians of their relative times."""
     with fr.Renderer((size, size)) as renderer:
         rows = [plan_of(renderer, each, count, budget, share) for each in scenes()]
     return {"plans": rows, "median": medians(rows)}
 
 
 def medians(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Return the medians of the times of plans."""
+    """Return the medians of the plans' relative times."""
     names = ("measured", "of_drawn")
     return {name: float(np.median([row[name] for row in rows])) for name in names}
 
@@ -90,7 +92,11 @@ def medians(rows: list[dict[str, Any]]) -> dict[str, float]:
 def plan_of(
     renderer: fr.Renderer, subject: Subject, count: int, budget: str, share: str
 ) -> dict[str, Any]:
-    """Return what a plan chooses, its frame's time over both full frames', and its errors."""
+    """Return a plan's choices, its frame time relative to both full frames, and its errors.
+
+    ``measured`` is relative to the full frame as the renderer chooses to shade it, ``of_drawn`` to
+    the full frame with forward shading.
+    """
     cameras = fr.turntable(subject.scene.camera, count)
     found = fr.plan(
         subject.scene,
@@ -129,7 +135,7 @@ def plan_of(
 
 
 def _chosen(decision: Decision) -> Iterator[str]:
-    """What was chosen, where it is not what the full frame has."""
+    """Yield the plan's choice if it differs from the full frame."""
     if decision.changed and decision.name == "cull_back_faces":
         yield "back faces culled"
     elif decision.changed:
@@ -139,8 +145,8 @@ def _chosen(decision: Decision) -> Iterator[str]:
 
 
 def deferred_against_drawn(scene: fr.Scene, samples: int, size: int = 1024) -> dict[str, float]:
-    """Return the time of deferred shading over that of shading as drawn, and the fraction of the
-    covered pixels that differ by more than 1/255 in the display."""
+    """Return the time of deferred shading relative to forward shading, and the fraction of covered
+    pixels that differ by more than one level."""
     with fr.Renderer((size, size), samples=samples) as renderer:
 
         def deferred() -> np.ndarray:

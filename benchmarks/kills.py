@@ -1,13 +1,17 @@
-"""Whether a command that is killed leaves half a file, a temporary one, or a process.
+"""Check that a killed command leaves no partial file, temporary file or process.
 
     python benchmarks/kills.py [--kills 200] [--seed 1] [render exr measure plan compare ...]
 
-Runs each command once to its end, and then again and again over files that are there already, while
-it is sent SIGKILL, SIGINT and SIGTERM in turn, at a random moment; half of them near its end, where
-it writes. What has ended before that is run again. Every output must be the old file or the new
-one. After SIGINT and SIGTERM the exit status is 130 or 143, standard error has one line of it, and
-there is no temporary file and no process left; after SIGKILL all that is left besides has a name
-that tells what it is. Exit status 1 where it is not so. Batches of many processes: batch_kills.py.
+Runs each command once to its end, then repeatedly over existing files. Each of these runs gets
+SIGKILL, SIGINT or SIGTERM, in turn, at a random moment; half of them near the end, when the command
+writes. A run that ends before the signal is repeated. Afterwards:
+
+- every output file is complete: the old file or the new one;
+- after SIGINT and SIGTERM, the exit status is 130 or 143, standard error has one line about it, and
+  no temporary file and no process remains;
+- after SIGKILL, temporary files may remain; their names mark them as temporary.
+
+The exit status is 1 if a check fails. batch_kills.py tests batches of many processes.
 """
 
 from __future__ import annotations
@@ -34,11 +38,11 @@ from batch_kills import small
 from PIL import Image
 
 _SIGNALS = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM)
-_MARK = "FACERENDER_KILLS"  # in the environment of what is started here
+_MARK = "FACERENDER_KILLS"  # environment variable that marks the processes of a trial
 _UNFINISHED = ".facerender-"
 _TERM = 1 << (signal.SIGTERM - 1)
 
-# What a command gets, and what it writes; IN and OUT are folders.
+# Arguments of each command. IN and OUT are the folders of inputs and outputs.
 COMMANDS = {
     "render": "render IN/small.obj --size 64 -o OUT/a.png",
     "exr": "render IN/small.obj --size 256 -o OUT/a.exr",
@@ -55,7 +59,7 @@ COMMANDS = {
 
 @dataclass
 class Trial:
-    """A command in a folder of its own."""
+    """A command with its own folders for inputs, outputs, temporary files and cache."""
 
     name: str
     folder: Path
@@ -85,7 +89,7 @@ class Trial:
         )
 
     def files(self) -> dict[str, bytes]:
-        """What lies in the output's folder."""
+        """Return the contents of the output folder by file name."""
         found = {}
         for path in self.out.rglob("*"):
             with suppress(FileNotFoundError, IsADirectoryError):
@@ -93,14 +97,14 @@ class Trial:
         return found
 
     def temporary(self) -> list[str]:
-        """What lies there, in the cache and in the folder of temporary files, and should not."""
+        """Return the temporary files in the output folder, the cache and the temporary folder."""
         left = [name for name in self.files() if Path(name).name.startswith(_UNFINISHED)]
         left += [name for name in self.files() if name.startswith(".unfinished")]
         left += [path.name for path in self.places[0].iterdir()]
         return left + [path.name for path in self.places[1].rglob(".*")]
 
     def processes(self) -> list[str]:
-        """What still runs."""
+        """Return the command lines of the trial's running processes."""
         found = []
         for process in psutil.process_iter():
             with suppress(psutil.Error):
@@ -110,7 +114,7 @@ class Trial:
         return found
 
     def clear(self) -> None:
-        """Remove what SIGKILL may leave."""
+        """Remove the temporary files and folders that SIGKILL may leave."""
         for name in self.files():
             if Path(name).name.startswith(_UNFINISHED):
                 (self.out / name).unlink()
@@ -121,7 +125,7 @@ class Trial:
 
 
 def inputs(folder: Path) -> None:
-    """Write what the commands read."""
+    """Write the inputs of all commands."""
     mesh = small(folder)
     rng = np.random.default_rng(1)
     for name in ("a", "b"):
@@ -134,7 +138,7 @@ def inputs(folder: Path) -> None:
 
 
 def whole(name: str, content: bytes) -> bool:
-    """Tell whether a file that is another each time is not cut off."""
+    """Return whether a file whose content varies between runs is complete."""
     try:
         if name.endswith(".png"):
             Image.open(BytesIO(content)).load()
@@ -149,8 +153,8 @@ def whole(name: str, content: bytes) -> bool:
     return True
 
 
-def heeds(process: subprocess.Popen[bytes]) -> bool:
-    """Tell whether a process catches SIGTERM: its first lines have run."""
+def catches_sigterm(process: subprocess.Popen[bytes]) -> bool:
+    """Return whether a process has installed its handler of SIGTERM."""
     with suppress(OSError, StopIteration, ValueError):
         lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
         caught = next(line for line in lines if line.startswith("SigCgt"))
@@ -159,15 +163,15 @@ def heeds(process: subprocess.Popen[bytes]) -> bool:
 
 
 def run(trial: Trial, kills: int, random: Random) -> tuple[Counter[str], list[str]]:
-    """Kill a command so many times; how it ended, and what is wrong."""
+    """Kill a command ``kills`` times; return the counts of exit statuses and the errors."""
     began = time.monotonic()
     process = trial.start()
     process.communicate()
     seconds, calm = time.monotonic() - began, process.returncode
     new = trial.files()
     if calm not in (0, 1) or not new or trial.temporary():
-        raise SystemExit(f"{trial.name}: ends with {calm} when left alone, {trial.temporary()}")
-    # What is read as well has to stay JSON.
+        raise SystemExit(f"{trial.name}: exit status {calm} without a kill, {trial.temporary()}")
+    # The commands may read JSON files again, so these must stay valid.
     old = {
         name: content + (b"\n" if name.endswith(".json") else b"\nold")
         for name, content in new.items()
@@ -184,42 +188,42 @@ def run(trial: Trial, kills: int, random: Random) -> tuple[Counter[str], list[st
                 (trial.out / name).write_bytes(content)
         began = time.monotonic()
         process = trial.start()
-        while not heeds(process) and process.poll() is None:
+        while not catches_sigterm(process) and process.poll() is None:
             time.sleep(0.001)
         at = seconds * random.uniform(random.choice((0.0, 0.8)), 1.0)
         with suppress(subprocess.TimeoutExpired):
             process.wait(max(at - (time.monotonic() - began), 0.0))
         process.send_signal(sent)
-        _, said = process.communicate()
+        _, errors = process.communicate()
         code = process.returncode
         if code == calm:
             seconds = 0.8 * seconds + 0.2 * (time.monotonic() - began)
         else:
             number += 1
         ends[f"{sent.name}: {code}"] += 1
-        about = f"{trial.name}, kill {number}, {sent.name}, ended with {code}"
+        about = f"{trial.name}, kill {number}, {sent.name}, exit status {code}"
         for name, content in trial.files().items():
             if Path(name).name.startswith((".facerender-", ".lock")) or ".unfinished" in name:
                 continue
             known = (old.get(name), new.get(name))
             if content not in known and not whole(name, content):
-                faults.append(f"{about}: {name} is half a file of {len(content)} bytes")
+                faults.append(f"{about}: {name} is incomplete, {len(content)} bytes")
         if sent is not signal.SIGKILL:
             if code not in (128 + sent, calm):
-                faults.append(f"{about}: {said.decode()[-300:]}")
-            lines = [line for line in said.decode().splitlines() if "interrupted" in line
+                faults.append(f"{about}: {errors.decode()[-300:]}")
+            lines = [line for line in errors.decode().splitlines() if "interrupted" in line
                      or "terminated" in line or "Traceback" in line]  # fmt: skip
             if code == 128 + sent and (len(lines) != 1 or "Traceback" in lines[0]):
-                faults.append(f"{about}: said {said.decode()[-300:]!r}")
-            faults += [f"{about}: {left} is left" for left in trial.temporary()]
-            faults += [f"{about}: still runs: {left}" for left in trial.processes()]
+                faults.append(f"{about}: standard error is {errors.decode()[-300:]!r}")
+            faults += [f"{about}: temporary file {left} remains" for left in trial.temporary()]
+            faults += [f"{about}: process {left} still runs" for left in trial.processes()]
         trial.clear()
     return ends, faults
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kills", type=int, default=200, help="of each command")
+    parser.add_argument("--kills", type=int, default=200, help="kills per command")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("commands", nargs="*", metavar="COMMAND", help=", ".join(COMMANDS))
     options = parser.parse_args()
@@ -228,9 +232,9 @@ def main() -> int:
         folder = Path(tempfile.mkdtemp(prefix="kills-"))
         began = time.monotonic()
         ends, faults = run(Trial(name, folder / "trial"), options.kills, Random(options.seed))
-        told = ", ".join(f"{count} {end}" for end, count in sorted(ends.items()))
-        print(f"{name}: {options.kills} kills in {time.monotonic() - began:.0f} s; {told}; "
-              f"{len(faults)} faults", flush=True)  # fmt: skip
+        counts = ", ".join(f"{count} {end}" for end, count in sorted(ends.items()))
+        print(f"{name}: {options.kills} kills in {time.monotonic() - began:.0f} s; {counts}; "
+              f"{len(faults)} errors", flush=True)  # fmt: skip
         for fault in faults[:10]:
             print(f"  {fault}")
         wrong += len(faults)

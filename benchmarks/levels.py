@@ -1,7 +1,9 @@
-"""What levels of detail change in the image, and what they save.
+"""Measure the image error and the time saving of levels of detail.
 
-python -m benchmarks.levels      into docs/measurements/levels.json; five minutes; needs an OpenGL
-                                 context, the extra lod, and the head scan
+    python -m benchmarks.levels
+
+Writes docs/measurements/levels.json in five minutes. Needs an OpenGL context, the extra lod and the
+head scan.
 """
 
 from __future__ import annotations
@@ -24,8 +26,11 @@ ROUNDS = 15
 
 
 def difference(a: fr.Frame, b: fr.Frame) -> list[float]:
-    """Return the fractions over 1, 2 and 4 levels of 255, the mean in levels, and how far the
-    silhouette moved in pixels."""
+    """Return the difference of two frames.
+
+    The fractions of covered pixels that differ by more than 1, 2 and 4 levels; the mean difference
+    in levels; and the largest movement of the silhouette in pixels.
+    """
     covered = (a.linear[..., 3] > 0.0) | (b.linear[..., 3] > 0.0)
     steps = np.abs(a.srgb8().astype(int) - b.srgb8())[covered].max(axis=-1)
     inside, other = (frame.linear[..., 3] >= 0.5 for frame in (a, b))
@@ -36,7 +41,7 @@ def difference(a: fr.Frame, b: fr.Frame) -> list[float]:
 
 
 def frame_times(meshes: Sequence[fr.Mesh], size: int, samples: int) -> list[float]:
-    """Return the CPU time of each mesh's frame over the first one's, whatever else runs."""
+    """Return each mesh's frame time relative to the first; CPU time, to exclude other load."""
     with fr.Renderer((size, size), samples=samples) as renderer:
         scenes = [fr.Scene(mesh, CAMERAS[1]) for mesh in meshes]
         times: list[list[float]] = []
@@ -51,7 +56,7 @@ def frame_times(meshes: Sequence[fr.Mesh], size: int, samples: int) -> list[floa
 
 
 def changes(meshes: Sequence[fr.Mesh], size: int) -> list[dict[str, object]]:
-    """Return what each mesh changes and takes beside the first one, which is whole."""
+    """Return the error and the relative time of each mesh against the first, the full mesh."""
     with fr.Renderer((size, size), samples=4) as renderer:
         frames = [[renderer.render(fr.Scene(mesh, at)) for at in CAMERAS] for mesh in meshes]
     ratios = [frame_times(meshes, size, samples) for samples in SAMPLES]

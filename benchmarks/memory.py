@@ -1,4 +1,4 @@
-"""What a process that draws the built-in head holds, beyond what its imports take.
+"""Measure the resident memory of a process that renders, above the memory of its imports.
 
     python benchmarks/memory.py [--frames 2000] [--samples 4] [--size 1024]
     python benchmarks/memory.py --dropped 500 [--samples 4] [--size 256]
@@ -6,12 +6,14 @@
     python benchmarks/memory.py --meshes 10000 [--samples 4] [--size 256]
     python benchmarks/memory.py --maps 8192 [--samples 4] [--size 1024]
 
-Frames: the camera moves, every frame is read back. Dropped: each frame has a renderer of its own,
-which nobody releases. Slopes: each frame has a program of its own. Meshes: each is of a file with a
-map of its own, and nobody keeps it; one renderer draws its head and its face. Prints resident MiB,
-which is flat when nothing leaks. Maps: albedo, normals and roughness of so many texels a side,
-drawn as coarse as the image shows them, and whole: what each process holds at the most, and how
-they differ.
+--frames     the camera moves, and every frame is read back
+--dropped    each frame creates a renderer and does not release it
+--slopes     each frame needs another program
+--meshes     each mesh comes from a new file with a new map; one renderer draws each mesh twice
+--maps       albedo, normal and roughness maps of N x N texels, reduced to the size that the image
+             needs, and full (--full-maps): peak memory of both, and the difference of the images
+
+Prints resident MiB, which stays constant if nothing leaks.
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ from facerender.images.srgb import linear_to_srgb
 
 
 def resident() -> int:
-    """Of the process, bytes."""
+    """Return the resident memory of this process in bytes."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
@@ -66,7 +68,8 @@ def slopes(count: int, size: int, samples: int) -> Iterator[None]:
             yield
 
 
-# Runs the command, and prints what the process held at the most; its rusage has its parent's.
+# Runs the command and prints the peak memory from /proc: ru_maxrss of a child includes the peak of
+# its parent.
 COMMAND = """
 import sys
 from pathlib import Path
@@ -92,7 +95,7 @@ def meshes(count: int, size: int, samples: int) -> Iterator[None]:
 
 
 def noise(side: int, seed: int) -> NDArray[np.float32]:
-    """Of four octaves, (side, side)."""
+    """Return noise of four octaves, (side, side)."""
     random, total = np.random.default_rng(seed), np.zeros((side, side), np.float32)
     for octave in (1, 2, 16, 128):
         grid = random.standard_normal((side // octave, side // octave)).astype(np.float32)
@@ -121,13 +124,13 @@ def maps(side: int, size: int, samples: int) -> None:
             image = f"{folder}/image{len(pictures)}.exr"
             command = [sys.executable, "-c", COMMAND, "render", *files, *kind, "-o", image]
             command += ["--no-cache", "--size", str(size), "--samples", str(samples)]
-            told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-            most = int(told.split()[-2]) * 1024 / 1e6
-            print(f"{' '.join(kind) or 'reduced'}: {most:.0f} MB at the most", flush=True)
+            output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+            most = int(output.split()[-2]) * 1024 / 1e6
+            print(f"{' '.join(kind) or 'reduced'}: peak {most:.0f} MB", flush=True)
             linear = read_image(image).pixels[..., :3]
             pictures.append(linear_to_srgb(np.clip(linear, 0.0, 1.0)) * 255.0)
     off = np.abs(pictures[0] - pictures[1]).max(axis=-1)
-    print(f"above 1/255: {(off > 1.0).mean():.4%} of the pixels; at most {off.max():.2f}/255")
+    print(f"{(off > 1.0).mean():.4%} of pixels differ by over 1/255; at most {off.max():.2f}/255")
 
 
 def main() -> None:
@@ -143,16 +146,16 @@ def main() -> None:
     if options.maps:
         return maps(options.maps, options.size, options.samples)
     imports = resident()
-    count, what = options.frames, frames
+    count, kind = options.frames, frames
     for other in (dropped, slopes, meshes):
-        if asked := getattr(options, other.__name__):
-            count, what = asked, other
-    for done, _ in enumerate(what(count, options.size, options.samples), start=1):
+        if number := getattr(options, other.__name__):
+            count, kind = number, other
+    for done, _ in enumerate(kind(count, options.size, options.samples), start=1):
         if done in {1, 10, count} or done % max(count // 10, 1) == 0:
             held = (resident() - imports) / 2**20
-            print(f"{done:6} {what.__name__}: {held:.0f} MiB above imports", flush=True)
+            print(f"{done:6} {kind.__name__}: {held:.0f} MiB above imports", flush=True)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 - imports
-    print(f"at most: {peak / 2**20:.0f} MiB above imports")
+    print(f"peak: {peak / 2**20:.0f} MiB above imports")
 
 
 if __name__ == "__main__":

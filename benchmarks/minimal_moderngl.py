@@ -1,8 +1,9 @@
-"""The yardstick: the built-in head, drawn by a script that does nothing else and reads from top to
-bottom, with moderngl, trimesh and Pillow. Same mesh, maps, lights, camera, shading and image as
-``facerender render --samples 1``; none of facerender's code.
+"""A minimal script that renders the built-in head with moderngl, trimesh and Pillow, as a baseline.
 
     python benchmarks/minimal_moderngl.py MESH.glb OUT.png
+
+Uses the same mesh, maps, lights, camera, shading and image as ``facerender render --samples 1``,
+and no code of facerender.
 """
 
 import math

@@ -1,8 +1,9 @@
-"""What plans of ten scenes choose, save and lose, and how they are checked.
+"""Measure the choices, savings and errors of plans for ten scenes, and check them.
 
-python -m benchmarks.plan      into docs/measurements/plan.json; half an hour; needs an OpenGL
-                               context, the head scan for two scenes, and the compilers of
-                               RADV's estimates
+    python -m benchmarks.plan
+
+Writes docs/measurements/plan.json in half an hour. Needs an OpenGL context and the compilers for
+RADV's estimates; two scenes also need the head scan.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ MODES = {"one": "one camera", "around": "eight cameras"}
 
 
 def cameras(count: int) -> list[fr.Camera]:
-    """Return cameras that no plan was made with: from all around, higher, lower, nearer."""
+    """Return random cameras that differ from the planned ones in direction and distance."""
     random = np.random.default_rng(7)
     return [
         fr.Camera(random.uniform(-180, 180), random.uniform(-30, 40), zoom=random.uniform(0.8, 2.5))
@@ -47,7 +48,7 @@ def cameras(count: int) -> list[fr.Camera]:
 
 
 class Views:
-    """What OpenGL draws of a subject at cameras, and the largest errors there."""
+    """OpenGL images of a subject at several cameras, and the largest errors of other shadings."""
 
     def __init__(self, renderer: fr.Renderer, subject: Subject, at: Sequence[fr.Camera]) -> None:
         self.renderer, self.subject = renderer, subject
@@ -56,7 +57,7 @@ class Views:
         self.known: dict[fr.Shading, list[float]] = {}
 
     def errors(self, shading: fr.Shading) -> list[float]:
-        """Return the largest error at each camera, as a fraction of the display's range."""
+        """Return the largest error at each camera, as a fraction of the encoded range."""
         if shading not in self.known:
             budget = Budget.parse("1/255")
             self.known[shading] = [
@@ -71,7 +72,7 @@ class Views:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """A plan, how long it took, and the largest drawn errors at its cameras and at others."""
+    """A plan, its planning time, and the largest image errors at its cameras and at others."""
 
     plan: Plan
     seconds: float
@@ -79,11 +80,11 @@ class Result:
     unplanned: list[float]
 
 
-Results = dict[tuple[str, str, str], Result]  # by scene, budget and kind of cost
+Results = dict[tuple[str, str, str], Result]  # by scene, budget and price table
 
 
 def short(found: Plan) -> str:
-    """Return what was chosen, in few words."""
+    """Return a short description of a plan's choices."""
     shading, full = found.shading, found.full
     differs = changed(shading, full)
     if not differs:
@@ -108,12 +109,12 @@ def short(found: Plan) -> str:
 
 def listed(lights: Sequence[int]) -> str:
     """Return the names of lights."""
-    names = ("key", "rim", "fill")  # where there are several
+    names = ("key", "rim", "fill")  # of scenes with several lights
     return " and ".join(names[light] for light in lights) or "no light"
 
 
 def cost_rows(results: Results, names: Iterable[str], budget: str) -> list[dict[str, Any]]:
-    """Return the plans of all scenes for a budget, by the kind of cost."""
+    """Return the plans of all scenes for a budget, by price table."""
     rows = []
     for name in names:
         row: dict[str, Any] = {"scene": name}
@@ -127,7 +128,8 @@ def cost_rows(results: Results, names: Iterable[str], budget: str) -> list[dict[
 
 
 def violations(results: Iterable[Result], unplanned: bool) -> dict[str, Any]:
-    """Return the cameras over the budget, of how many, and the largest error over the budget."""
+    """Return the number of cameras whose error exceeds the budget, the number of all cameras, and
+    the largest ratio of error to budget."""
     pairs = [
         (error, each.plan.budget.limit)
         for each in results
@@ -138,7 +140,7 @@ def violations(results: Iterable[Result], unplanned: bool) -> dict[str, Any]:
 
 
 def rates(modes: dict[str, Results]) -> Iterator[dict[str, Any]]:
-    """Yield how often plans are over their budgets at their own cameras and at others."""
+    """Yield how often plans exceed their budgets, at the planned cameras and at others."""
     for (mode, results), budget in product(modes.items(), BUDGETS):
         chosen = [each for key, each in results.items() if key[1] == budget]
         own, others = violations(chosen, False), violations(chosen, True)
@@ -146,7 +148,7 @@ def rates(modes: dict[str, Results]) -> Iterator[dict[str, Any]]:
 
 
 def checks(modes: dict[str, Results]) -> Iterator[dict[str, Any]]:
-    """Yield how far sums of prices are from the compiler's estimate of the whole program."""
+    """Yield the difference between sums of prices and RADV's estimate of the whole program."""
     for family in amd.FAMILIES:
         plans = [e.plan for kept in modes.values() for key, e in kept.items() if key[2] == family]
         off = [abs(each.cost.relative - compiled(each, family)) for each in plans]
@@ -154,7 +156,7 @@ def checks(modes: dict[str, Results]) -> Iterator[dict[str, Any]]:
 
 
 def compiled(found: Plan, family: str) -> float:
-    """Return the cost of the plan's whole fragment program over the full one's, by RADV."""
+    """Return RADV's estimate of the plan's fragment program relative to the full program."""
 
     def program(shading: fr.Shading) -> Program:
         resolved = resolve(found.scene, shading)
@@ -166,8 +168,11 @@ def compiled(found: Plan, family: str) -> float:
 
 
 def brute(subject: Subject, renderer: fr.Renderer) -> tuple[int, int]:
-    """Return how many shadings there are, and for how many budgets and prices a plan is dearer
-    than the cheapest of them all that fits."""
+    """Compare plans with an exhaustive search.
+
+    Returns the number of candidate shadings, and the number of pairs of budget and price table for
+    which the plan costs more than the cheapest shading within the budget.
+    """
     found = {
         (budget, kind): plan(subject.scene, budget, full=subject.full, cost=kind, renderer=renderer)
         for budget in BUDGETS
@@ -197,9 +202,9 @@ def brute(subject: Subject, renderer: fr.Renderer) -> tuple[int, int]:
 def plans_of(
     renderer: fr.Renderer, subject: Subject, modes: dict[str, Results], unplanned: Views
 ) -> None:
-    """Add the plans of a scene for all budgets and costs, with their errors as drawn."""
+    """Add the plans of a scene for all budgets and price tables, with their image errors."""
     around = fr.turntable(subject.scene.camera, TURNTABLE)
-    planned = Views(renderer, subject, around)  # the first is the scene's own
+    planned = Views(renderer, subject, around)  # the first camera is that of the scene
     for (mode, results), budget, kind in product(modes.items(), BUDGETS, KINDS):
         own: dict[str, Any] = {"cameras": around} if mode == "around" else {}
         start = time.perf_counter()

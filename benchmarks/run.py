@@ -1,11 +1,13 @@
-"""facerender beside the minimal script, and beside other renderers where they are installed.
+"""Compare the speed of facerender with a minimal script and with other installed renderers.
 
     python benchmarks/run.py [--repeats 11] [--frames 40] [--peers]
 
-Cold: file to PNG at 1024 x 1024 without multisampling, whole processes, taken in turns; "cached"
-has the decoded mesh from an earlier one. Steady: one process, the camera moves, every frame is read
-back, the two take turns. Prints medians, the range, and the median of the ratios within a turn.
-Other work on the machine shows in the range.
+Cold start: whole processes from file to PNG at 1024 x 1024 without multisampling, in turns.
+"Cached" uses the decoded mesh that an earlier process cached. Steady state: one process renders
+frames of a moving camera and reads each back; the renderers take turns.
+
+Prints medians, ranges, and the medians of the ratios within a turn. Other load on the machine
+widens the ranges.
 """
 
 from __future__ import annotations
@@ -56,7 +58,10 @@ def in_turns(repeats: int, actions: dict[str, Callable[[int], object]]) -> dict[
 
 
 def process(folder: str, *arguments: str) -> Callable[[int], object]:
-    """A process with bytecode, as an installed package has it, and its caches in a folder."""
+    """Return a function that runs a Python process with its caches in ``folder``.
+
+    The process may write bytecode, because installed packages have it.
+    """
     command = [sys.executable, *arguments]
     environment = {**os.environ, "XDG_CACHE_HOME": folder, "PYTHONDONTWRITEBYTECODE": ""}
     return lambda turn: subprocess.run(
@@ -81,7 +86,10 @@ def cold(repeats: int, peers: Sequence[str]) -> None:
 
 
 def frames_of(stack: ExitStack, peer: str, samples: int) -> Callable[[int], object]:
-    """What has a process of a peer draw a frame; VTK and a context of ours do not share one."""
+    """Start a peer's process, and return a function that makes it render the next frame.
+
+    VTK and a context of facerender cannot share a process.
+    """
     command = [sys.executable, str(HERE / "peers" / f"{peer}_head.py"), str(HEAD), str(samples)]
     own = stack.enter_context(
         subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
@@ -126,7 +134,7 @@ def steady(frames: int, samples: int, peers: Sequence[str]) -> None:
         print(
             f"  facerender's image differs from the script's by {steps.mean():.3f}/255 on average,"
         )
-        print(f"  by more than 1/255 at {over:.2f} % of what is covered")
+        print(f"  and by more than 1/255 at {over:.2f} % of the covered pixels")
         print(f"  {renderer.metadata['GL_RENDERER']}, {renderer.metadata['GL_VERSION']}")
 
 
@@ -134,7 +142,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=11)
     parser.add_argument("--frames", type=int, default=40)
-    parser.add_argument("--peers", action="store_true", help="other renderers that are installed")
+    parser.add_argument("--peers", action="store_true", help="also run other installed renderers")
     options = parser.parse_args()
     available = sorted(path.stem.removesuffix("_head") for path in (HERE / "peers").glob("*.py"))
     peers = [name for name in available if options.peers and importlib.util.find_spec(name)]

@@ -1,23 +1,26 @@
-"""A batch on a cluster, simulated: which part of it is full first, and at how many images a second.
+"""Simulate a batch on a cluster: its throughput in images per second, and its bottleneck.
 
     python -m benchmarks.scale [--workers N] [--chunk N] [--layout shards|files] [--parts N]
         [--set NAME=VALUE ...] [--measured docs/measurements/scale.json] [-o FILE.json]
 
-Without options: the tables of docs/measurements/scale.md; with -o, their data for `python -m
-tools.docs`, as docs/measurements/scale_simulated.json. A model of events, in one process, in
-seconds:
+Without options, prints the tables of docs/measurements/scale.md. With -o, also writes their data
+for `python -m tools.docs`: docs/measurements/scale_simulated.json. The simulation of events takes
+seconds in one process. Its model:
 
-- A coordinator of each part reads and digests rows, and keeps a window of chunks in flight.
-- A scheduler of each part serves one message after the other: half of a task's time when it comes,
-  half when it is done; times are lognormal.
-- Workers draw a chunk at a time; some are slow, their children crash, they are lost. One that has
-  ended takes what its scheduler has passed next, as Dask's workers hold a task in advance.
-- The store answers each worker's requests one after the other, or some at once, with lognormal
-  latencies; a worker draws on when its record is there. All requests pass a limit a second, all
-  bytes one link, both as fluids: those of a chunk take their turn whole.
+- Each part of the table has a coordinator, which reads and hashes rows and keeps a window of chunks
+  in flight.
+- Each part has a scheduler, which serves one message at a time. Half of a task's time is due when
+  the task arrives, half when it is done. Times are lognormal.
+- A worker renders one chunk at a time. Some workers are slow, children crash, workers are lost. A
+  worker that finishes starts the next task of its scheduler at once, because Dask's workers hold a
+  task in advance.
+- The store serves the requests of a worker one at a time, or ``puts`` at a time, with lognormal
+  latencies. A worker continues when its record is stored.
+- All requests share a rate limit, and all bytes share a link. Both are fluid queues, which process
+  the requests or bytes of a chunk as one unit.
 
-What is measured comes from docs/measurements/scale.json, which benchmarks/scale_measure.py writes;
-the rest is a field of Cluster with its source. Same seed, same figures.
+Measured values come from docs/measurements/scale.json, which benchmarks/scale_measure.py writes.
+``Cluster`` documents the source of each other value. Equal seeds give equal results.
 """
 
 from __future__ import annotations
@@ -35,36 +38,40 @@ from typing import Any
 import numpy as np
 
 MEASURED = Path(__file__).parents[1] / "docs" / "measurements" / "scale.json"
-TARGET = 1e8 / 86400.0  # images a second
+TARGET = 1e8 / 86400.0  # images per second: 10^8 per day
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """What is simulated. Times in seconds, sizes in bytes, rates a second unless said otherwise.
+    """The parameters of a simulated cluster, in seconds, bytes and units per second.
 
-    Measured here: draw, chunk_start, image_bytes, coordinator_row, coordinator_chunk, scheduler and
-    scheduler_sigma. Public: request_limit is what Amazon S3 grants PUTs to a prefix, put lies
-    in the middle of the latencies of small objects that it names ("Best practices design patterns:
-    optimizing Amazon S3 performance"). The rest is assumed.
+    Measured: draw, chunk_start, image_bytes, coordinator_row, coordinator_chunk, scheduler and
+    scheduler_sigma. Public: request_limit is Amazon S3's limit of PUTs per second and prefix; put
+    is in the middle of S3's stated latencies of small objects ("Best practices design patterns:
+    optimizing Amazon S3 performance"). All other values are assumptions.
 
     Parameters
     ----------
-    workers, chunk, layout, parts, window : processes that draw; jobs of a chunk; "shards" or
-        "files"; coordinators with a scheduler of their own, which share workers and rows evenly;
-        chunks in flight for each worker
-    draw, draw_spread : of an image on one core; its standard deviation over its mean
-    chunk_start : before the first image of a chunk: a mesh that is not kept
-    slow_share, slow_factor : workers that are slow, and how much
-    crashes, crash_cost : of a drawing child, an hour and worker; a new child and the job again
-    losses, loss_found, loss_back : of a worker with its chunk, an hour; until the scheduler sends
-        the chunk to another, and until the worker is back
-    coordinator_row, coordinator_chunk : to read, check and digest a row; to send a chunk and take
-        its result
-    scheduler, scheduler_sigma : a task; of the logarithm of a message's time
-    image_bytes, objects : of all files of a job; how many these are
-    put, put_sigma, puts, request_limit : median latency of a request, sigma of its logarithm; how
-        many a worker sends at once; PUTs a second
-    nic, link : bytes a second of a worker, and of all to the store
+    workers : number of rendering processes
+    chunk : jobs per chunk
+    layout : "shards" or "files"
+    parts : number of coordinators, each with a scheduler; they share workers and rows evenly
+    window : chunks in flight per worker
+    draw, draw_spread : mean time of an image on one core; standard deviation relative to the mean
+    chunk_start : time to load a mesh that is not cached, before the first image of a chunk
+    slow_share, slow_factor : fraction of slow workers; their slowdown
+    crashes, crash_cost : crashes of the rendering child per worker and hour; time for a new child
+        and the repeated job
+    losses, loss_found, loss_back : losses of a worker with its chunk, per hour; time until the
+        scheduler sends the chunk to another worker, and until the worker is back
+    coordinator_row, coordinator_chunk : time to read, check and hash a row; time to send a chunk
+        and receive its result
+    scheduler, scheduler_sigma : time per task; sigma of the logarithm of a message's time
+    image_bytes, objects : total size and number of the files of a job
+    put, put_sigma, puts : median latency of a request; sigma of its logarithm; concurrent requests
+        of a worker
+    request_limit : PUTs per second
+    nic, link : bandwidth of a worker; bandwidth of all workers together to the store
     """
 
     workers: int = 128
@@ -97,11 +104,11 @@ class Cluster:
 
     @property
     def requests(self) -> int:
-        """PUTs of a chunk: its shard, or a file for each pass of each job; and its record."""
+        """PUT requests per chunk: its shard or all files of its jobs, and its record."""
         return 1 + (1 if self.layout == "shards" else self.objects * self.chunk)
 
     def capacities(self) -> dict[str, float]:
-        """Images a second that each part of it can carry by itself."""
+        """Return the images per second that each component could process alone."""
         speed = 1.0 - self.slow_share + self.slow_share / self.slow_factor
         return {
             "workers": self.workers * speed / (self.draw + self.chunk_start / self.chunk),
@@ -115,17 +122,17 @@ class Cluster:
 
 @dataclass(frozen=True)
 class Told:
-    """What a simulation tells.
+    """The results of a simulation.
 
     Parameters
     ----------
-    images : a second
-    full : the share of time in which coordinators, schedulers, requests and link were busy, and
-        workers drew, or waited for the store
-    median, slowest : seconds from a worker's start of a chunk to its record, of half of the chunks
-        and of all but 1 %
-    again : chunks that were lost and drawn again, of a million
-    first : what is full: what keeps the rest from being faster
+    images : images per second
+    full : fraction of time in which coordinators, schedulers, request limit and link were busy, and
+        in which workers rendered ("workers") or waited for the store ("waiting")
+    median, slowest : seconds from the start of a chunk until its record is stored: median and 99th
+        percentile
+    again : chunks per million that were lost and rendered again
+    first : the component that limits the throughput
     """
 
     images: float
@@ -137,14 +144,17 @@ class Told:
 
 
 class _Server:
-    """Serves in the order of arrival, one at a time; counts how long it was busy after a time."""
+    """A server that handles one request at a time, in the order of arrival.
+
+    ``busy`` counts its busy seconds after the time ``after``.
+    """
 
     def __init__(self, after: float) -> None:
         self.free = self.busy = 0.0
         self.after = after
 
     def serve(self, now: float, seconds: float) -> float:
-        """Return when it has served what comes now."""
+        """Add a request that arrives at ``now``; return the time at which it is served."""
         start = max(now, self.free)
         self.free = start + seconds
         self.busy += max(self.free - max(start, self.after), 0.0)
@@ -152,7 +162,7 @@ class _Server:
 
 
 class _Random:
-    """Standard normal numbers and numbers in [0, 1), drawn by the thousand."""
+    """Standard normal numbers and uniform numbers in [0, 1), generated 4096 at a time."""
 
     def __init__(self, seed: int) -> None:
         self.generator = np.random.Generator(np.random.PCG64(seed))
@@ -173,15 +183,18 @@ class _Random:
 
 
 def simulate(cluster: Cluster, seed: int = 1) -> Told:
-    """Run a cluster for fifteen chunks of a worker, after four and twice what fills the windows."""
+    """Simulate a cluster for 15 chunks per worker, at least 60 s, after a warm-up.
+
+    The warm-up is a quarter of this time, plus twice the time to fill the windows.
+    """
     simulation = _Simulation(cluster, seed)
     simulation.run()
-    return simulation.told()
+    return simulation.result()
 
 
 class _Simulation:
-    """The events of a cluster: rows sent by coordinators, tasks passed by schedulers, chunks drawn
-    by workers and stored."""
+    """The events of a cluster: coordinators send rows, schedulers pass tasks, workers render chunks
+    and store them."""
 
     def __init__(self, cluster: Cluster, seed: int) -> None:
         parts, workers = range(cluster.parts), range(cluster.workers)
@@ -198,7 +211,7 @@ class _Simulation:
         self.ready: list[deque[int]] = [deque() for _ in parts]
         self.idle = [[worker for worker in workers if worker % cluster.parts == n] for n in parts]
         self.begun = [0.0] * cluster.workers
-        self.events: list[tuple[float, int, str, int, int]] = []  # time, number, what, part, worker
+        self.events: list[tuple[float, int, str, int, int]] = []  # time, number, kind, part, worker
         self.count = self.images = self.again = 0
         self.drawing = self.waiting = 0.0
         self.times: list[float] = []
@@ -209,32 +222,32 @@ class _Simulation:
             for _ in range(max(int(self.cluster.window * len(idle)), 1)):
                 self._at(0.0, "row", part)
         while self.events and self.events[0][0] < self.end:
-            now, _, what, part, worker = heappop(self.events)
-            if what == "row":  # the coordinator has room in its window
+            now, _, kind, part, worker = heappop(self.events)
+            if kind == "row":  # the coordinator has room in its window
                 self._at(self.coordinators[part].serve(now, self.sending), "task", part)
-            elif what == "task":  # a chunk comes to the scheduler
+            elif kind == "task":  # a chunk arrives at the scheduler
                 self._at(self.schedulers[part].serve(now, self._message()), "ready", part)
-            elif what == "ready":
+            elif kind == "ready":
                 self.ready[part].append(worker)
                 self._give(part, now)
-            elif what == "store":
+            elif kind == "store":
                 self._store(now, part, worker)
-            elif what == "stored":
+            elif kind == "stored":
                 if now >= self.warm:
                     self.images += self.cluster.chunk
                     self.times.append(now - self.begun[worker])
                 self._at(self.schedulers[part].serve(now, self._message()), "row", part)
                 self._at(now, "back", part, worker)
-            elif what == "back":
+            elif kind == "back":
                 self.idle[part].append(worker)
                 self._give(part, now)
 
-    def _at(self, time: float, what: str, part: int, worker: int = -1) -> None:
+    def _at(self, time: float, kind: str, part: int, worker: int = -1) -> None:
         self.count += 1
-        heappush(self.events, (time, self.count, what, part, worker))
+        heappush(self.events, (time, self.count, kind, part, worker))
 
     def _since_warm(self, start: float, stop: float) -> float:
-        """Return how much of a span counts."""
+        """Return the part of a time span between the warm-up and the end."""
         return max(min(stop, self.end) - max(start, self.warm), 0.0)
 
     def _message(self) -> float:
@@ -243,21 +256,21 @@ class _Simulation:
         return 0.5 * self.cluster.scheduler * factor
 
     def _draw(self, worker: int) -> float:
-        """Return how long a worker draws a chunk."""
+        """Return a random time that a worker takes to render a chunk."""
         cluster = self.cluster
         spread = cluster.draw_spread / math.sqrt(cluster.chunk)
         draw = cluster.chunk * cluster.draw * max(1.0 + spread * self.random.normal(), 0.1)
         draw += cluster.chunk_start
         if worker < cluster.slow_share * cluster.workers:
             draw *= cluster.slow_factor
-        if not self.begun[worker]:  # so that workers are out of step
+        if not self.begun[worker]:  # shorten the first chunk, so that workers are out of phase
             draw *= self.random.uniform()
         if self.random.uniform() < cluster.crashes * draw / 3600.0:
             draw += cluster.crash_cost
         return draw
 
     def _give(self, part: int, now: float) -> None:
-        """Give the chunks that are ready to idle workers."""
+        """Assign ready chunks to idle workers."""
         while self.ready[part] and self.idle[part]:
             self.ready[part].popleft()
             worker = self.idle[part].pop()
@@ -273,10 +286,10 @@ class _Simulation:
             self._at(now + draw, "store", part, worker)
 
     def _store(self, now: float, part: int, worker: int) -> None:
-        """Write a chunk that is drawn, and its record after it."""
+        """Store a rendered chunk, and its record last."""
         cluster = self.cluster
         size, n = cluster.chunk * cluster.image_bytes, cluster.requests
-        after = (n - 1) / cluster.puts + 1.0  # one after the other; the record comes last
+        after = (n - 1) / cluster.puts + 1.0  # latencies in sequence; the record comes last
         sigma = cluster.put_sigma
         mean = cluster.put * math.exp(0.5 * sigma * sigma)
         spread = mean * math.sqrt(math.expm1(sigma * sigma) * after)
@@ -287,8 +300,8 @@ class _Simulation:
         self.waiting += self._since_warm(now, stored)
         self._at(stored, "stored", part, worker)
 
-    def told(self) -> Told:
-        """Return what was counted between the warm-up and the end."""
+    def result(self) -> Told:
+        """Return the results between the warm-up and the end."""
         cluster, seconds = self.cluster, self.seconds
         all_workers, all_parts = cluster.workers * seconds, cluster.parts * seconds
         busy = {
@@ -317,9 +330,9 @@ def _first(cluster: Cluster, full: Mapping[str, float]) -> str:
 
 
 def measured(path: Path = MEASURED) -> Cluster:
-    """A cluster of machines such as the one that was measured, as many as the target takes."""
-    told = json.loads(path.read_text(encoding="utf-8"))
-    draw, coordinator, busiest = told["draw"], told["coordinator"], told["scheduler"][-1]
+    """Return a cluster of machines like the measured one, with enough workers for the target."""
+    data = json.loads(path.read_text(encoding="utf-8"))
+    draw, coordinator, busiest = data["draw"], data["coordinator"], data["scheduler"][-1]
     _, half, most = busiest["trip_s"]
     cluster = Cluster(
         draw=draw["image_s"],
@@ -334,31 +347,35 @@ def measured(path: Path = MEASURED) -> Cluster:
 
 
 def enough(cluster: Cluster, share: float = 0.85) -> int:
-    """Workers that draw the target in this share of their time, whole machines of 16."""
+    """Return the number of workers that meet the target at the utilisation ``share``.
+
+    Machines have 16 workers, so the number is a multiple of 16.
+    """
     each = cluster.capacities()["workers"] / cluster.workers
     return 16 * math.ceil(TARGET / share / each / 16.0)
 
 
 HEAD = (
-    *("", "images/s", "in a day", "workers draw", "wait for the store", "coordinator", "scheduler"),
-    *("PUT requests", "link", "a chunk, s: half, 99 %", "lost and again, of 10^6", "full first"),
+    *("", "images/s", "images a day", "workers rendering", "workers waiting for the store"),
+    *("coordinator", "scheduler", "PUT requests", "link", "s per chunk: median, 99th percentile"),
+    *("images rendered again, per 10^6", "bottleneck"),
 )
 
 
-def row(name: str, told: Told) -> list[str]:
-    """Return what a simulation tells as a row under HEAD."""
+def row(name: str, result: Told) -> list[str]:
+    """Return the results of a simulation as a table row under HEAD."""
     parts = ("workers", "waiting", "coordinator", "scheduler", "requests", "link")
-    shares = [f"{100.0 * told.full[part]:.0f} %" for part in parts]
-    chunk = f"{told.median:.1f}, {told.slowest:.1f}"
-    day = f"{told.images * 86400.0 / 1e6:.0f} M"
-    return [name, f"{told.images:.0f}", day, *shares, chunk, f"{told.again:.0f}", told.first]
+    shares = [f"{100.0 * result.full[part]:.0f} %" for part in parts]
+    chunk = f"{result.median:.1f}, {result.slowest:.1f}"
+    day = f"{result.images * 86400.0 / 1e6:.0f} M"
+    return [name, f"{result.images:.0f}", day, *shares, chunk, f"{result.again:.0f}", result.first]
 
 
 Runs = list[tuple[str, Cluster]]
 
 
 def tables(base: Cluster) -> dict[str, Runs]:
-    """What the document shows: by title, the clusters of each row."""
+    """Return the clusters of each row of the document's tables, by table title."""
     sized = [(f"{n} jobs", replace(base, chunk=n)) for n in (1, 10, 30, 100, 300, 1000)]
     workers = [base.workers * factor for factor in (1, 2, 4, 8, 16)]
     grown = [(f"{n} workers", replace(base, workers=n)) for n in workers]
@@ -397,7 +414,8 @@ def tables(base: Cluster) -> dict[str, Runs]:
 
 
 def sleepers(run: Mapping[str, Any]) -> Cluster:
-    """Return the cluster of a run of benchmarks/scale_measure.py, whose tasks only sleep."""
+    """Return the simulated cluster of a scheduler run of benchmarks/scale_measure.py, whose tasks
+    only sleep."""
     none = ("draw_spread", "chunk_start", "slow_share", "crashes", "losses", "put")
     values: dict[str, Any] = dict.fromkeys((*none, "coordinator_row"), 0.0)
     values |= {"workers": run["slots"], "chunk": 1, "image_bytes": 1.0, "request_limit": 1e9}
@@ -406,8 +424,8 @@ def sleepers(run: Mapping[str, Any]) -> Cluster:
 
 
 def simulated(path: Path) -> dict[str, Any]:
-    """Return the data of the document: what each row of its tables tells, by title and name; and
-    the images a second of each measured run of a scheduler."""
+    """Return the data of the document: the results of each table row by title and name, and the
+    simulated images per second of each measured scheduler run."""
     runs = json.loads(path.read_text(encoding="utf-8"))["scheduler"]
     return {
         "tables": {
@@ -422,7 +440,7 @@ def main() -> None:
     from tools.docs.tables import markdown_table
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--measured", type=Path, default=MEASURED, help="of another machine")
+    parser.add_argument("--measured", type=Path, default=MEASURED, help="measured values")
     parser.add_argument("--workers", type=int)
     parser.add_argument("--chunk", type=int)
     parser.add_argument("--layout", choices=("shards", "files"))
@@ -441,7 +459,7 @@ def main() -> None:
     }
     for name, _, value in (text.partition("=") for text in options.others):
         if name not in numbers:
-            parser.error(f"no parameter {name}; there are {', '.join(numbers)}")
+            parser.error(f"unknown parameter {name}: choose from {', '.join(numbers)}")
         given[name] = numbers[name](float(value))
     if given:
         print(markdown_table(HEAD, [row("", simulate(replace(base, **given)))]))
@@ -450,7 +468,7 @@ def main() -> None:
     if options.output:
         options.output.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
     for title, runs in data["tables"].items():
-        rows = [row(name, Told(**told)) for name, told in runs.items()]
+        rows = [row(name, Told(**run)) for name, run in runs.items()]
         print(f"## {title}\n\n{markdown_table(HEAD, rows)}\n")
 
 

@@ -1,14 +1,16 @@
-"""What benchmarks/scale.py needs of this machine, into docs/measurements/scale.json.
+"""Measure the parameters of benchmarks/scale.py on this machine.
 
-    python benchmarks/scale_measure.py [draw coordinator scheduler store ...]    all, or those named
+    python benchmarks/scale_measure.py [draw coordinator scheduler store ...]    default: all
 
-draw       `facerender batch` to shards of image, mask and 16-bit depth at 256 pixels: CPU time of a
-           job, of all its processes, without their start; bytes; and CPU time to load a mesh
-coordinator  `facerender batch --check`: CPU time of a row; bytes of a chunk of them, pickled
-scheduler  `dask scheduler` and `dask worker` on loopback; tasks that sleep, with the rows of a
-           chunk: CPU time of scheduler and coordinator a task, round trips, the rate at most
-store      as many small files as images, and shards of a hundred, to a folder and to moto's S3 on
-           loopback through s3fs
+Writes docs/measurements/scale.json.
+
+draw         `facerender batch` to shards of image, mask and 16-bit depth at 256 pixels: CPU time
+             per job of all processes without their start; bytes; CPU time to load a mesh
+coordinator  `facerender batch --check`: CPU time per row; bytes of a pickled chunk of rows
+scheduler    `dask scheduler` and `dask worker` on loopback, with sleeping tasks that carry the rows
+             of a chunk: CPU time of scheduler and coordinator per task, round trips, maximum rate
+store        10^4 small files, and shards of 100 of them, to a folder and to moto's S3 on loopback
+             through s3fs
 """
 
 from __future__ import annotations
@@ -37,12 +39,12 @@ HERE = Path(__file__).parent
 ROOT = HERE.parent
 MEASURED = ROOT / "docs" / "measurements" / "scale.json"
 BIN = Path(sys.executable).parent
-SIZE, JOBS = 256, 100  # of an image, and of a chunk
+SIZE, JOBS = 256, 100  # width and height of an image, jobs per chunk
 TICK = os.sysconf("SC_CLK_TCK")
 
 
 def row(index: int) -> dict[str, Any]:
-    """A job as a table for training has it: a camera, a material, two lights."""
+    """Return a job like those of training data: a camera, a material, two lights."""
     lights = [
         {"azimuth": index * 0.37 % 180.0, "elevation": 35.0, "irradiance": 3.0},
         {"azimuth": index * 0.11 % 180.0, "elevation": -20.0, "irradiance": 1.0},
@@ -52,7 +54,7 @@ def row(index: int) -> dict[str, Any]:
 
 
 def batch_cpu_s(folder: str, count: int, *options: str) -> float:
-    """CPU time of `facerender batch` and its workers over a table of so many rows."""
+    """Return the CPU seconds of `facerender batch` with its workers for a table of N rows."""
     table = Path(folder, f"{count}.jsonl")
     table.write_text("".join(json.dumps(row(index)) + "\n" for index in range(count)))
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -63,7 +65,7 @@ def batch_cpu_s(folder: str, count: int, *options: str) -> float:
 
 
 def draw() -> dict[str, Any]:
-    """A short and a longer batch: what the second takes more."""
+    """Measure the time per image as the difference of a longer and a shorter batch."""
     from facerender import MeshFile
     from facerender.system.data import data_dir
 
@@ -106,7 +108,7 @@ def draw() -> dict[str, Any]:
 
 
 def coordinator() -> dict[str, Any]:
-    """Rows of a table, read and checked; a chunk of them pickled."""
+    """Measure the time to read and check a row, and the size of a pickled chunk of rows."""
     few, many = 1000, 21000
     with tempfile.TemporaryDirectory() as folder:
         cpu = [batch_cpu_s(folder, count, "--check") for count in (few, many)]
@@ -122,8 +124,8 @@ def free_port() -> int:
 
 @contextmanager
 def processes(*commands: list[str]) -> Iterator[list[subprocess.Popen[bytes]]]:
-    """Commands that run meanwhile."""
-    paths = {"PYTHONPATH": os.pathsep.join(map(str, (ROOT, HERE)))}  # of what is sent to them
+    """Run commands in the background, and kill them at the end."""
+    paths = {"PYTHONPATH": os.pathsep.join(map(str, (ROOT, HERE)))}  # workers import this module
     running = [
         subprocess.Popen(
             command,
@@ -142,21 +144,21 @@ def processes(*commands: list[str]) -> Iterator[list[subprocess.Popen[bytes]]]:
 
 
 def cpu_s(pid: int) -> float:
-    """User and system time of a process."""
+    """Return the user and system time of a process in seconds."""
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / TICK
 
 
 def nothing(seconds: float, number: int, jobs: Any) -> dict[str, Any]:
-    """A chunk that draws nothing: it takes its time, and returns what a chunk returns."""
+    """Sleep in place of rendering a chunk, and return a result like that of a chunk."""
     time.sleep(seconds)
     return {"chunk": number, "done": len(jobs), "failed": [], "bytes": 0, "seconds": seconds}
 
 
 def through_dask(slots: int, nap: float, count: int) -> dict[str, Any]:
-    """Send chunks through a scheduler and two workers started by hand, three in flight a slot."""
+    """Send chunks through a scheduler to two workers, with three chunks in flight per slot."""
     from dask.distributed import Client, as_completed
-    from scale_measure import nothing  # as a module's, it travels by name
+    from scale_measure import nothing  # a function of a module is pickled by name
 
     address = f"tcp://127.0.0.1:{free_port()}"
     port = address.rsplit(":", 1)[1]
@@ -193,7 +195,7 @@ def through_dask(slots: int, nap: float, count: int) -> dict[str, Any]:
 
 
 def scheduler() -> list[dict[str, Any]]:
-    """Slots that together ask for 12, 50, 200 and 800 chunks a second."""
+    """Measure schedulers with slots that can process 12, 50, 200 and 800 chunks per second."""
     runs = ((24, 2.0, 300), (100, 2.0, 1000), (200, 1.0, 3000), (400, 0.5, 4000))
     return [through_dask(*each) for each in runs]
 
@@ -209,7 +211,7 @@ def shard(content: bytes, files: int) -> bytes:
 
 
 def timed(names: list[str], content: bytes, put: Callable[[str, bytes], None], at_once: int) -> Any:
-    """Seconds of wall clock, and of each request the median and the 99th percentile."""
+    """Return the wall-clock seconds of all requests, and the median and 99th percentile of one."""
 
     def one(name: str) -> float:
         start = time.perf_counter()
@@ -229,7 +231,7 @@ def timed(names: list[str], content: bytes, put: Callable[[str, bytes], None], a
 
 
 def store() -> dict[str, Any]:
-    """10^4 files of 30 kB, and the same as 100 shards, to a folder and to S3 on loopback."""
+    """Measure 10^4 files of 30 kB, and the same as 100 shards, to a folder and to a local S3."""
     import s3fs
 
     small, count = os.urandom(30000), 10000
@@ -238,7 +240,7 @@ def store() -> dict[str, Any]:
         [f"{n:06d}.png" for n in range(count)],
         [f"{n:06d}.tar" for n in range(count // JOBS)],
     )
-    told: dict[str, Any] = {"bytes": len(small)}
+    times: dict[str, Any] = {"bytes": len(small)}
     with tempfile.TemporaryDirectory() as folder:
 
         def to_folder(name: str, content: bytes) -> None:
@@ -247,11 +249,11 @@ def store() -> dict[str, Any]:
             held.write_bytes(content)
             held.replace(path)
 
-        told["folder files"] = timed(files, small, to_folder, 1)
-        told["folder shards"] = timed(shards, large, to_folder, 1)
+        times["folder files"] = timed(files, small, to_folder, 1)
+        times["folder shards"] = timed(shards, large, to_folder, 1)
         start = time.perf_counter()
         found = len(os.listdir(folder))
-        told["folder list"] = {"found": found, "seconds": time.perf_counter() - start}
+        times["folder list"] = {"found": found, "seconds": time.perf_counter() - start}
     port = str(free_port())
     url = f"http://127.0.0.1:{port}"
     with processes([str(BIN / "moto_server"), "-H", "127.0.0.1", "-p", port]):
@@ -273,12 +275,12 @@ def store() -> dict[str, Any]:
             def to_s3(name: str, content: bytes, at: str = f"batch/{at_once}") -> None:
                 system.pipe_file(f"{at}/{name}", content)
 
-            told[f"s3 files {at_once}"] = timed(files, small, to_s3, at_once)
-            told[f"s3 shards {at_once}"] = timed(shards, large, to_s3, at_once)
+            times[f"s3 files {at_once}"] = timed(files, small, to_s3, at_once)
+            times[f"s3 shards {at_once}"] = timed(shards, large, to_s3, at_once)
         start = time.perf_counter()
         found = len(system.find("batch/1"))
-        told["s3 list"] = {"found": found, "seconds": time.perf_counter() - start}
-    return told
+        times["s3 list"] = {"found": found, "seconds": time.perf_counter() - start}
+    return times
 
 
 def machine() -> dict[str, Any]:
@@ -292,16 +294,16 @@ PARTS = {"draw": draw, "coordinator": coordinator, "scheduler": scheduler, "stor
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"one of {', '.join(PARTS)}")
     options = parser.parse_args()
     if unknown := set(options.parts).difference(PARTS):
-        parser.error(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")
-    told = json.loads(MEASURED.read_text(encoding="utf-8")) if MEASURED.exists() else {}
-    told["machine"] = machine()
+        parser.error(f"unknown part {', '.join(unknown)}: choose from {', '.join(PARTS)}")
+    data = json.loads(MEASURED.read_text(encoding="utf-8")) if MEASURED.exists() else {}
+    data["machine"] = machine()
     for name in options.parts or PARTS:
-        told[name] = PARTS[name]()
-        print(name, json.dumps(told[name], indent=1))
-        MEASURED.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+        data[name] = PARTS[name]()
+        print(name, json.dumps(data[name], indent=1))
+        MEASURED.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

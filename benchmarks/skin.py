@@ -1,6 +1,9 @@
-"""Measures what docs/measurements/skin.md says, on the built-in head and the head scan.
+"""Measure the errors of the slope filter and of disc lights, for docs/measurements/skin.md.
 
-python -m benchmarks.skin      into docs/measurements/skin.json; a quarter of an hour
+    python -m benchmarks.skin
+
+Writes docs/measurements/skin.json in a quarter of an hour. Needs an OpenGL context and the head
+scan.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ Subjects = dict[str, tuple[fr.Mesh, Float]]
 
 
 def subjects() -> Subjects:
-    """Return the meshes with the slopes of their relief."""
+    """Return the built-in head and the head scan, each with the slopes of its relief."""
     if (folder := scan_folder()) is None:
         raise SystemExit("no head scan: set FACERENDER_TEST_DATA")
     head = fr.load_mesh()
@@ -33,16 +36,16 @@ def main() -> None:
     seen, shaken = [], []
     for name, (mesh, slopes) in subjects().items():
         for strength in STRENGTHS:
-            told, texture = f"{name} x{strength:g}", relief(slopes, strength)
+            label, texture = f"{name} x{strength:g}", relief(slopes, strength)
             for size in SIZES:
                 for m in SLOPES:
                     lost = filtered(mesh, texture, m, size)
                     losses = {each: asdict(value) for each, value in lost.items()}
-                    seen.append({"relief": told, "size": size, "m": m, "lost": losses})
-                    print(told, size, m, lost["none"], lost["filter"], flush=True)
+                    seen.append({"relief": label, "size": size, "m": m, "lost": losses})
+                    print(label, size, m, lost["none"], lost["filter"], flush=True)
             beyond = flicker(mesh, texture, 0.15, 128, TURNS)
-            shaken.append({"relief": told, "beyond": beyond})
-            print(told, beyond, flush=True)
+            shaken.append({"relief": label, "beyond": beyond})
+            print(label, beyond, flush=True)
     discs = []
     for angle, radius in DISCS:
         for m in (0.15, 0.3):

@@ -1,7 +1,9 @@
-"""Measures what docs/measurements/skin.md says: light from all around by few samples against many,
-and by nine coefficients against the whole panorama.
+"""Measure the errors of lighting by environment maps, for docs/measurements/skin.md.
 
-python -m benchmarks.skin_environment   into docs/measurements/skin_environment.json; 3 minutes
+    python -m benchmarks.skin_environment
+
+Compares specular light from few samples with many samples, and diffuse light from nine
+coefficients with the whole panorama. Writes docs/measurements/skin_environment.json in 3 minutes.
 """
 
 from __future__ import annotations
@@ -28,14 +30,14 @@ COUNTS, SLOPES = (8, 16, 32, 64), (0.15, 0.3, 0.5)
 
 @dataclass(frozen=True)
 class SampleError:
-    """Of an image lit from all around, over its covered pixels.
+    """Errors of an image under an environment map, over its covered pixels.
 
     Attributes
     ----------
-    of_all : mean absolute error over the mean of the image
-    of_specular : the same over the mean of its specular part
-    energy : how much more light there is, of the specular part
-    displayed : 99th percentile of the error as displayed, of 255
+    of_all : mean absolute error, relative to the mean of the image
+    of_specular : mean absolute error, relative to the mean of the specular part
+    energy : mean signed error, relative to the mean of the specular part
+    displayed : 99th percentile of the error in levels
     """
 
     of_all: float
@@ -45,7 +47,7 @@ class SampleError:
 
 
 def sky(rows: int = 512) -> fr.Panorama:
-    """A clear sky over grey ground, with a sun of 4 degrees."""
+    """Return a clear sky over grey ground, with a sun of 4 degrees."""
     directions = panorama_directions(rows)
     height = directions[..., 1]
     radiance = np.where(height > 0.0, 0.4 + 0.8 * (1.0 - np.abs(height)) ** 3, 0.25)
@@ -55,7 +57,7 @@ def sky(rows: int = 512) -> fr.Panorama:
 
 
 def panorama_directions(rows: int) -> Float:
-    """Return where the values of a panorama lie, (rows, 2 rows, 3)."""
+    """Return the direction of each value of a panorama, unit vectors (rows, 2 rows, 3)."""
     elevation = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)[:, None]
     azimuth = np.pi * (1.0 - (np.arange(2 * rows) + 0.5) / rows)
     across, up = np.cos(elevation), np.sin(elevation) + 0.0 * azimuth
@@ -63,8 +65,10 @@ def panorama_directions(rows: int) -> Float:
 
 
 def diffuse_error(panorama: fr.Panorama, count: int = 400) -> tuple[float, float]:
-    """Return the mean and the largest error of the irradiance over its mean, by nine coefficients,
-    over directions."""
+    """Return the mean and the largest error of the irradiance from nine coefficients.
+
+    Both are over ``count`` random directions, relative to the mean irradiance.
+    """
     n = np.random.default_rng(1).normal(size=(count, 3))
     n /= np.linalg.norm(n, axis=-1, keepdims=True)
     rows = len(panorama.radiance)
@@ -79,7 +83,7 @@ def diffuse_error(panorama: fr.Panorama, count: int = 400) -> tuple[float, float
 def sample_errors(
     renderer: fr.Renderer, scene: fr.Scene, counts: tuple[int, ...] = COUNTS
 ) -> dict[int, SampleError]:
-    """Return what numbers of samples lose against MANY."""
+    """Return the errors by the number of samples, against an image with MANY samples."""
     covered = renderer.gbuffer(scene).part >= 0
 
     def image(count: int) -> Float:
@@ -103,7 +107,7 @@ def sample_errors(
 
 
 def float64_error(renderer: fr.Renderer, scene: fr.Scene, shading: fr.Shading) -> float:
-    """Return the largest difference from float64, over the larger of it and 0.01."""
+    """Return the largest error against float64, relative to the reference but at least to 0.01."""
     gbuffer = renderer.gbuffer(scene, shading)
     covered = gbuffer.part >= 0
     expected = reference.shade(gbuffer, scene, shading)[covered]

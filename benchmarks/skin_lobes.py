@@ -1,6 +1,8 @@
-"""How much less noise drawn directions give, and what coupled diffuse light changes.
+"""Measure the noise reduction of importance sampling, and the effect of coupled diffuse light.
 
-python -m benchmarks.skin_lobes      into docs/measurements/skin_lobes.json; needs an OpenGL context
+    python -m benchmarks.skin_lobes
+
+Writes docs/measurements/skin_lobes.json. Needs an OpenGL context.
 """
 
 from __future__ import annotations
@@ -18,8 +20,11 @@ SLOPES, DEGREES, COUNT = (0.1, 0.3, 0.5), (30, 60), 200_000
 
 
 def variances() -> dict[str, dict[str, float]]:
-    """Return, by slope and by the camera's angle in degrees, the variance of reflected light with
-    directions drawn by the cosine over that with directions of the lobe."""
+    """Return ratios of the variance of reflected light, by m and by the camera's angle in degrees.
+
+    Each is the variance with cosine-weighted directions divided by the variance with directions
+    that are sampled from the lobe.
+    """
     n, random = np.array([0.0, 0.0, 1.0]), np.random.default_rng(1)
     ratios: dict[str, dict[str, float]] = {f"{m:g}": {} for m in SLOPES}
     for m, degrees in product(SLOPES, DEGREES):
@@ -41,8 +46,8 @@ def _weights(n: Float, l: Float, v: Float, m: float, density: Float) -> Float:
 
 
 def coupled() -> dict[str, float]:
-    """Return what coupled diffuse light changes of the lit head: mean and 99th percentile, in
-    levels of 255."""
+    """Return the effect of coupled diffuse light on the lit pixels of the head: mean and 99th
+    percentile of the difference, in levels."""
     scene = fr.Scene(fr.load_mesh(), fr.Camera(azimuth=-35.0, zoom=1.35))
     with fr.Renderer((420, 420)) as renderer:
         shadings = fr.Shading(), fr.Shading(diffuse="coupled")

@@ -1,7 +1,9 @@
-"""What scattering in the image loses and costs.
+"""Measure the errors and the cost of screen-space subsurface scattering.
 
-python -m benchmarks.skin_scattering     into docs/measurements/skin_scattering.json; ten minutes;
-                                         needs an OpenGL context, embreex, and the head scan
+    python -m benchmarks.skin_scattering
+
+Writes docs/measurements/skin_scattering.json in ten minutes. Needs an OpenGL context, embreex and
+the head scan.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from facerender.pricing.frame import ratio
 from tests.verification.scattering import SUBJECTS, scatter_errors
 
 SAMPLES = (8, 16, 32, 64)
-COUNT = 20_000  # pixels by chance
+COUNT = 20_000  # randomly chosen pixels
 LIGHTS = (fr.Light(-50.0, 42.0, 3.0, shadow=True), fr.Light(80.0, 20.0, 0.5))
 
 
@@ -25,7 +27,7 @@ def main() -> None:
 
 
 def errors_of(name: str, mesh: fr.Mesh) -> list[dict[str, Any]]:
-    """Return the errors of a mesh by the number of samples."""
+    """Return the errors of a mesh by the number of subsurface samples."""
     scene, light = SUBJECTS["head" if name == "head" else "scan_mesh"](mesh)
     with fr.Renderer((512, 512), samples=1) as renderer:
         _, errors = scatter_errors(renderer, scene, light, (0, *SAMPLES), COUNT)
@@ -33,7 +35,7 @@ def errors_of(name: str, mesh: fr.Mesh) -> list[dict[str, Any]]:
 
 
 def costs() -> list[dict[str, Any]]:
-    """Return the time of a frame over that without scattering, with 1 and 4 samples a pixel."""
+    """Return frame times relative to frames without scattering, with 1 and 4 samples per pixel."""
     mesh = fr.load_mesh().with_material(scattering="skin")
     scene = fr.Scene(mesh, fr.Camera(-35.0), LIGHTS)
     rows: list[dict[str, Any]] = [{"samples": count, "time": []} for count in SAMPLES]

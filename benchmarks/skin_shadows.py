@@ -1,7 +1,9 @@
-"""How far shadows and baked occlusion are from rays, and what they cost.
+"""Measure the errors of shadows and baked occlusion against ray tracing, and their cost.
 
-python -m benchmarks.skin_shadows   into docs/measurements/skin_shadows.json; a few minutes; needs
-                                    an OpenGL context, embreex, and the head scan
+    python -m benchmarks.skin_shadows
+
+Writes docs/measurements/skin_shadows.json in a few minutes. Needs an OpenGL context, embreex and
+the head scan.
 """
 
 from __future__ import annotations
@@ -27,7 +29,11 @@ def main() -> None:
 
 
 def key(mesh: fr.Mesh, radius: float, distance: float | None = None) -> fr.Light:
-    """Return a light high on the left: distant, or so many radii of the mesh's sphere away."""
+    """Return a light from the upper left.
+
+    ``distance`` is in radii of the mesh's bounding sphere; None gives a distant light. ``radius``
+    is the angular radius in degrees.
+    """
     light = fr.Light(-50.0, 42.0, 3.5, radius=radius, shadow=True)
     if distance is None:
         return light
@@ -35,7 +41,7 @@ def key(mesh: fr.Mesh, radius: float, distance: float | None = None) -> fr.Light
 
 
 def errors(renderer: fr.Renderer) -> list[dict[str, Any]]:
-    """Return the errors of shadows against rays, of all light that arrives."""
+    """Return the errors of shadows against ray tracing, as fractions of the arriving light."""
     rows = []
     for name, mesh in meshes():
         scene = fr.Scene(mesh, fr.Camera(-20.0, zoom=1.6))
@@ -51,10 +57,10 @@ def errors(renderer: fr.Renderer) -> list[dict[str, Any]]:
 
 
 def costs() -> list[dict[str, Any]]:
-    """Return the time of a frame over one without the shadow, with 1 and 4 samples a pixel."""
+    """Return frame times relative to frames without shadow, with 1 and 4 samples per pixel."""
     mesh = fr.load_mesh()
     rows = []
-    for name, radius in (("light without size", 0.0), ("radius 5", 5.0)):
+    for name, radius in (("radius 0", 0.0), ("radius 5 degrees", 5.0)):
         light = key(mesh, radius)
         scenes = [
             fr.Scene(mesh, fr.Camera(-20.0), (each,))
@@ -65,7 +71,7 @@ def costs() -> list[dict[str, Any]]:
 
 
 def occlusion(renderer: fr.Renderer) -> list[dict[str, Any]]:
-    """Return the errors of baked occlusion, the seconds to bake it, and the time of a frame."""
+    """Return the errors of baked occlusion, the seconds to bake it, and the relative frame time."""
     rows = []
     for name, mesh in meshes():
         bare = mesh.with_material(occlusion_map=None)
@@ -80,7 +86,7 @@ def occlusion(renderer: fr.Renderer) -> list[dict[str, Any]]:
 
 
 def _time(scenes: list[fr.Scene], samples: int, repeats: int) -> float:
-    """Return the time of the first scene's frame over that of the second one's."""
+    """Return the frame time of the first scene relative to the second scene."""
     own, other = scenes
     with fr.Renderer(samples=samples) as renderer:
         return ratio(lambda: renderer.render(own), lambda: renderer.render(other), repeats).value

@@ -1,8 +1,9 @@
-"""What each part of skin costs of a frame, and all of them together, and what plans leave out.
+"""Measure the cost of each skin feature and of all together, and the savings of plans.
 
-python -m benchmarks.skin_together   into docs/measurements/skin_together.json; a quarter of an
-                                     hour; needs an OpenGL context, the extra lod, and the head
-                                     scan for two scenes
+    python -m benchmarks.skin_together
+
+Writes docs/measurements/skin_together.json in a quarter of an hour. Needs an OpenGL context and the
+extra lod; two scenes also need the head scan.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from tests.verification.subjects import Subject
 
 REPEATS = 11
 PLAN_SIZE = 128
-SCAN_MILLIMETRES = 53.0  # of a unit of its file
+SCAN_MILLIMETRES = 53.0  # per unit of the head scan's file
 
 
 def main() -> None:
@@ -34,7 +35,7 @@ def main() -> None:
 
 
 def with_all(subject: Subject) -> Subject:
-    """Return a scene with every part of skin that no environment needs."""
+    """Return a subject with all skin features that need no environment map."""
     scene = subject.scene
     mesh = scene.mesh.with_material(second_slope=1.6, lobe_weight=0.8, scattering="skin")
     mesh = replace(mesh, millimetres=mesh.millimetres or SCAN_MILLIMETRES)
@@ -48,7 +49,8 @@ def _soft(lights: tuple[fr.Light, ...], count: int) -> tuple[fr.Light, ...]:
 
 
 def costs(renderer: fr.Renderer, plain: fr.Scene) -> list[dict[str, Any]]:
-    """Return the time of a frame of each part over that of the plain one, and so of the fastest."""
+    """Return the frame time of each feature relative to the plain frame: the median ratio, and the
+    ratio of the fastest frames."""
     frames = _frames(plain)
     draws = [
         lambda at=scene, how=shading: renderer.render(at, how, samples=1)
@@ -64,7 +66,7 @@ def costs(renderer: fr.Renderer, plain: fr.Scene) -> list[dict[str, Any]]:
 
 
 def _frames(plain: fr.Scene) -> Mapping[str, tuple[fr.Scene, fr.Shading]]:
-    """Scenes and shadings, by what they have; the plain one is the first."""
+    """Return scenes and shadings by the name of their features, beginning with the plain one."""
     every, key = fr.Shading(), plain.lights[0]
     coupled = fr.Shading(diffuse="coupled")
 
@@ -85,12 +87,9 @@ def _frames(plain: fr.Scene) -> Mapping[str, tuple[fr.Scene, fr.Shading]]:
         "key light with a soft shadow": (having(1), every),
         "three lights with soft shadows": (having(3), every),
         "two lobes": (having(**lobes), every),
-        "coupled diffuse light": (plain, coupled),
+        "coupled diffuse term": (plain, coupled),
         "scattering": (having(scattering="skin"), every),
-        "environment, 32 samples, besides": (
-            replace(plain, environment=Environment(studio())),
-            every,
-        ),
+        "environment map, 32 samples": (replace(plain, environment=Environment(studio())), every),
         "all, one soft shadow": (having(1, scattering="skin", **lobes), coupled),
         "all, three soft shadows": (having(3, scattering="skin", **lobes), coupled),
     }

@@ -1,7 +1,8 @@
-"""On which targets the shader library keeps its bounds, and how near it comes to them.
+"""Measure the shader library's largest error relative to its bound, on each target.
 
-python -m benchmarks.targets        into docs/measurements/targets.json; of a target that is
-                                    missing here, the reason in the place of the renderer
+    python -m benchmarks.targets
+
+Writes docs/measurements/targets.json. For an unavailable target, ``renderer`` gives the reason.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ FIELDS = ("target", "renderer", "version", "functions", "samples", "percent", "c
 
 
 def measured(target: str) -> dict[str, Any]:
-    """Evaluate all cases on a target, and return how near the worst one comes to its bound."""
+    """Evaluate all cases on a target; return its largest error in percent of the bound."""
     functions, samples, shares = set(), 0, {}
     with Remote(target) as remote:
         for group in groups_of(target):

@@ -1,25 +1,25 @@
-"""Headless rendering of face meshes with exact and approximated Cook-Torrance and Ward terms.
+"""Render face meshes headlessly with exact and approximated Cook-Torrance and Ward terms.
 
 >>> import facerender as fr
 >>> frame = fr.render("head.glb", model="cook-torrance", lobe="exact", m=0.3)
 >>> frame.save("head.png")
 
-render          one image in one call; Renderer keeps what it uploads, for several
-load_mesh       a mesh file with its materials, or what another library has read of one
-Mesh            from_arrays makes one; with_material changes its materials, select its parts
-Material        reflectance of a part; Texture: its maps, of files, arrays and Pillow's images
-simplified      a mesh with fewer triangles; with_occlusion: what it hides of the light around it
-Scene           mesh, Camera, Light, ambient, background, environment
-Environment     light from all around: load_environment reads an EnvironmentFile; of a Panorama
-Shading         the specular Term of each light, what is left out
-Job             what to render as plain data, for files and other machines
-Frame, GBuffer  what a renderer returns
-compare         whether two images are the same, and why not; shifted: a scene moved by a hair
-plan            the cheapest Shading of a scene within an error budget; turntable: cameras for it
-load_cameras    the cameras of a file; save_animation: images as .gif, .webp or .mp4
-brdf, lobes     the same functions in float64
-shader_source   one file of the GLSL library, flat, for a target; shader_dir: the include path;
-                resolve_includes, moderngl_includes: for programs of your own
+render          draws one image in one call; a Renderer keeps its uploads for several images
+load_mesh       loads a mesh file with its materials, or converts a trimesh object
+Mesh            from_arrays creates one; with_material changes its materials, select its parts
+Material        reflectance of a part; a Texture is a map from a file, an array or a Pillow image
+simplified      returns a mesh with fewer triangles; with_occlusion bakes ambient occlusion
+Scene           mesh, Camera, Light, ambient light, background and environment
+Environment     environment map from a Panorama; load_environment reads an EnvironmentFile
+Shading         the specular Term of each light, and the terms to omit
+Job             a scene with its outputs as plain data, for files and other machines
+Frame, GBuffer  results of a renderer
+compare         tests whether two images match, with reasons; shifted moves a scene by pixels
+plan            finds the cheapest Shading within an error budget; turntable returns its cameras
+load_cameras    reads cameras from a file; save_animation writes .gif, .webp or .mp4
+brdf, lobes     the reference functions in float64
+shader_source   returns a GLSL file without includes for a target; shader_dir is the include
+                directory; resolve_includes and moderngl_includes serve your own programs
 """
 
 from importlib import import_module
@@ -102,12 +102,12 @@ _HOMES = {
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
-__all__ = list(("__version__", "brdf", "lobes", *_HOME))  # noqa: C410  # no list that mypy reads
+__all__ = list(("__version__", "brdf", "lobes", *_HOME))  # noqa: C410  # mypy would check a literal list
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for, when it is: a cold start is short, and the command can heed signals
-    before its imports."""
+    """Import a public name on first access. A cold start is short, and the command installs its
+    signal handlers before its imports."""
     if name in ("brdf", "lobes"):
         return import_module(f"facerender.{name}")
     if name not in _HOME:

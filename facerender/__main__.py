@@ -1,5 +1,5 @@
-"""Where the command begins, as ``facerender`` and as ``python -m facerender``: signals are heeded
-before the imports, which take most of a short run."""
+"""Entry point of ``facerender`` and ``python -m facerender``. It installs signal handlers before
+the imports, which take most of a short run."""
 
 from typing import NoReturn
 
@@ -7,7 +7,7 @@ from facerender.system.signals import heed_signals
 
 
 def console() -> NoReturn:
-    """Run the command, and end the process."""
+    """Run the command and end the process."""
     heed_signals()
     from facerender.commands import console
 

@@ -1,5 +1,6 @@
-"""BRDFs, Fresnel and masking terms, slope variance in float64, for users. ``brdf.f`` is ``fr_f`` in
-GLSL, with the same arguments in the same order; see ``terms/``."""
+"""Public API of the BRDFs in float64: models, Fresnel and masking terms, sampling, slope variance.
+
+``brdf.f`` is ``fr_f`` in GLSL, with the same arguments in the same order; see ``terms/``."""
 
 from __future__ import annotations
 

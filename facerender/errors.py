@@ -1,5 +1,5 @@
-"""The exceptions that facerender raises for causes outside its own code; each message is one line
-that names the thing, the value and the remedy."""
+"""Exceptions and warnings of facerender for causes outside its code, and checks that raise them.
+Each message is one line that names the thing, the value and the remedy."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
-_LONGEST = 500  # characters of a message, where what others have written makes it long
+_LONGEST = 500  # maximum characters of a message, which may quote long texts
 _noted: ContextVar[list[str] | None] = ContextVar("_noted", default=None)
 
 
 class FacerenderError(Exception):
-    """Base of all of them: what the command line reports as ``facerender: error: ...``."""
+    """Base class of all; the command line prints them as ``facerender: error: ...``."""
 
 
 class InputError(FacerenderError, ValueError):
-    """A file, a value or a combination of options that cannot be used."""
+    """An invalid file, value or combination of options."""
 
     def __init__(self, message: str) -> None:
         super().__init__(clipped(message, _LONGEST))
 
 
 class ContextError(FacerenderError, RuntimeError):
-    """No OpenGL context, or one that cannot do what was asked."""
+    """There is no OpenGL context, or it lacks a required feature."""
 
 
 class NotMeasured(FacerenderError, RuntimeError):
-    """A tool that a measurement needs is missing here, or refuses to work."""
+    """A tool that a measurement requires is missing or fails."""
 
 
 class FacerenderWarning(UserWarning):
-    """Something in the input was missing or mended, and the result can still be used."""
+    """A part of the input was missing or repaired; the result can still be used."""
 
 
 def warn(message: str) -> None:
-    """Warn of something that was missing or mended."""
+    """Warn of missing or repaired input."""
     if (noted := _noted.get()) is not None:
         noted.append(message)
     warnings.warn(message, FacerenderWarning, stacklevel=3)
@@ -47,7 +47,7 @@ def warn(message: str) -> None:
 
 @contextmanager
 def noting() -> Iterator[list[str]]:
-    """Gather in a list what is warned of here, in this thread, to be told again another time."""
+    """Record the warnings of this thread in a list, so that they can be repeated later."""
     messages: list[str] = []
     token = _noted.set(messages)
     try:
@@ -57,48 +57,47 @@ def noting() -> Iterator[list[str]]:
 
 
 def clipped(text: str, most: int = 160) -> str:
-    """Return a text of others on one line that can be printed, its middle left out where it is
-    longer than ``most`` characters."""
+    """Return a text as one printable line; text beyond ``most`` characters is cut in the middle."""
     line = "".join(each if each.isprintable() else "?" for each in " ".join(text.split()))
     return line if len(line) <= most else f"{line[: most // 2]} ... {line[-(most // 2) :]}"
 
 
 def shown(value: Any) -> str:
-    """Return a value as a message tells it: on one line, and not at length."""
+    """Return the repr of a value for a message: one line of limited length."""
     try:
         return clipped(repr(value), 120)
-    except (ValueError, RecursionError):  # Python does not print numbers of 5000 digits
+    except (ValueError, RecursionError):  # Python refuses to print integers of 5000 digits
         return f"a {type(value).__name__} that is too long to print"
 
 
 def reason(error: Exception) -> str:
-    """Return what an error of the operating system or of a library says, for the middle of a
-    sentence; its kind where it says nothing."""
+    """Return the message of a system or library error, to be used within a sentence; its type if
+    the message is empty."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror.lower()
     return clipped(str(error)) or type(error).__name__
 
 
 def check_range(name: str, value: Any, low: float, high: float) -> None:
-    """Raise InputError where a value is no number, or outside [low, high]."""
+    """Raise InputError unless a value is a number in [low, high]."""
     number = isinstance(value, numbers.Real) and not isinstance(value, bool)
     if not (number and low <= value <= high):
         raise InputError(f"{name} = {shown(value)} is outside [{low:g}, {high:g}]")
 
 
 def check_type(name: str, value: Any, kinds: Any, remedy: str) -> None:
-    """Raise InputError where a value is of none of these types, as isinstance takes them."""
+    """Raise InputError unless a value is an instance of ``kinds``."""
     if not isinstance(value, kinds):
         raise InputError(f"{name} = {shown(value)}: give {remedy}")
 
 
 def check_switch(name: str, value: Any) -> None:
-    """Raise InputError where a value is neither true nor false."""
+    """Raise InputError unless a value is a bool."""
     check_type(name, value, bool, "true or false")
 
 
 def check_path(name: str, value: Any) -> None:
-    """Raise InputError where a value is no path."""
+    """Raise InputError unless a value is a path."""
     check_type(name, value, str | os.PathLike, "a path as text")
 
 
@@ -107,7 +106,7 @@ def each_of(name: str, values: Any, kind: Any, remedy: str) -> tuple[Any, ...]:
 
     Raises
     ------
-    InputError : one of them is not of this type, as isinstance takes it
+    InputError : one of them is not an instance of ``kind``
     """
     found = tuple(values) if isinstance(values, Iterable) else (values,)
     if not all(isinstance(each, kind) for each in found):

@@ -1,5 +1,5 @@
-"""What to render, as plain data: it pickles, and is TOML and JSON. The command line
-makes one, and so may a program; the renderer draws its scene. No OpenGL here."""
+"""Render jobs as plain data that can be pickled and stored as TOML or JSON. The command line and
+programs create jobs; the renderer draws their scenes. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ MAX_SAMPLES = 64
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A mesh by its files, and how much of it; parameters as of :func:`facerender.load_mesh`,
-    :meth:`facerender.Mesh.select` and :func:`facerender.simplified`, paths as text; occlusion,
-    whether it is baked, as of :func:`facerender.with_occlusion`."""
+    """The files of a mesh, and how it is reduced. Parameters as in :func:`facerender.load_mesh`
+    (paths as text), :meth:`facerender.Mesh.select` and :func:`facerender.simplified`.
+    ``occlusion``: bake it with :func:`facerender.with_occlusion`."""
 
     path: str | None = None
     albedo: str | None = None
@@ -68,11 +68,11 @@ class MeshFile:
         check_fields(self, "mesh ")
 
     def load(self, cache: bool = False) -> Mesh:
-        """Read the files; errors and warnings as of the functions named above."""
+        """Load the mesh; errors and warnings as in these functions."""
         return self._prepared(load_mesh(**self._files, cache=cache), cache)
 
     def cached(self) -> Mesh | None:
-        """Return the mesh if it is in the cache; warnings as of :meth:`load`."""
+        """Return the mesh from the cache, or None; warnings as in :meth:`load`."""
         mesh = cached_mesh(**self._files)
         return None if mesh is None else self._prepared(mesh, True)
 
@@ -91,12 +91,12 @@ class MeshFile:
         return mesh if self.triangles is None else simplified(mesh, self.triangles)
 
 
-# Of a mesh file's fields, those that are files.
+# The fields of MeshFile that are paths.
 MESH_PATHS = tuple(each.name for each in fields(MeshFile) if each.type == "str | None")
 
 
 def parse_size(text: str, name: str = "size") -> tuple[int, int]:
-    """Read width and height from ``N`` or ``WxH``; InputError for other text."""
+    """Parse width and height from ``N`` or ``WxH``; raise InputError for other text."""
     try:
         numbers = [int(word) for word in text.lower().split("x")]
         width, height = numbers * 2 if len(numbers) == 1 else numbers
@@ -107,8 +107,8 @@ def parse_size(text: str, name: str = "size") -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class ImageSettings:
-    """How images are drawn; parameters as of :class:`facerender.Renderer`, which tells whether it
-    can."""
+    """Settings of the renderer; parameters as in :class:`facerender.Renderer`, which checks whether
+    the driver supports them."""
 
     size: tuple[int, int] = ranged(SizeRange(1, MAX_SIDE, "pixels"), (1024, 1024))
     samples: int = ranged(IntegerRange(1, MAX_SAMPLES), 4)
@@ -122,13 +122,13 @@ class ImageSettings:
 
 @dataclass(frozen=True)
 class Output:
-    """An image file.
+    """An image file to write.
 
     Parameters
     ----------
     path : .png, .exr, .jpg or .webp
-    only : one term in place of the whole image, see :meth:`facerender.Renderer.render`
-    exposure : of all but .exr, in stops
+    only : one term instead of the complete image, see :meth:`facerender.Renderer.render`
+    exposure : in stops; .exr ignores it
     """
 
     path: str
@@ -146,22 +146,22 @@ class Output:
 
 @dataclass(frozen=True)
 class Job:
-    """A mesh, what changes in its materials, camera, lights, shading, and the images to make.
+    """A render job: scene, shading, settings of the renderer, and the images to write.
 
     Parameters
     ----------
-    mesh : the files
-    material : factors of :class:`facerender.Material` for all parts, in place of the file's
-    camera, lights, ambient, background : of :class:`facerender.Scene`
-    environment : its file, or None
-    shading : see there
-    planned : the images that the shading was planned for, or None
-    image : how the images are drawn
-    outputs : the images
+    mesh : files of the mesh
+    material : factors of :class:`facerender.Material` that replace the file's in all parts
+    camera, lights, ambient, background : see :class:`facerender.Scene`
+    environment : file of the environment map, or None
+    shading : see :class:`facerender.Shading`
+    planned : size and samples of the images for which the shading was planned, or None
+    image : settings of the renderer
+    outputs : image files
 
     Raises
     ------
-    InputError : a value outside its domain
+    InputError : a value is outside its domain
     """
 
     mesh: MeshFile = MeshFile()
@@ -188,7 +188,7 @@ class Job:
             values, remedy = getattr(self, name), f"a list of {each.__name__}"
             check_type(name, values, list | tuple, remedy)
             object.__setattr__(self, name, each_of(name, values, each, remedy))
-        from_table(Material, "material", self.material, without=MAPS)  # validates
+        from_table(Material, "material", self.material, without=MAPS)  # only to validate
         material = {
             name: tuple(value) if isinstance(value, list | tuple) else value
             for name, value in self.material.items()
@@ -201,11 +201,11 @@ class Job:
 
         Parameters
         ----------
-        mesh : what ``self.mesh.load()`` gave, where several jobs share it; None to load it
+        mesh : result of ``self.mesh.load()`` that several jobs share; None to load it
 
         Raises
         ------
-        InputError : a file that cannot be used; warnings as of :func:`facerender.load_mesh`
+        InputError : a file cannot be used; warnings as in :func:`facerender.load_mesh`
         """
         loaded = self.mesh.load() if mesh is None else mesh
         environment = None
@@ -223,26 +223,27 @@ class Job:
         )
 
     def detail(self, samples: int, name: str = "the scene") -> LevelOfDetail:
-        """Return how finely an image is drawn: as planned if the scene was planned for images of
-        this size and these samples. FacerenderWarning if it was planned for others.
+        """Return the level of detail of an image. The planned one is used only for the planned size
+        and samples; for others, a FacerenderWarning is emitted.
 
         Parameters
         ----------
-        samples : per pixel, as many as the renderer has
-        name : of the scene in the warning
+        samples : samples per pixel of the renderer
+        name : of the scene, for the warning
         """
         if self.planned and self.planned.holds(self.image.size, samples):
             return self.planned.detail
         if self.planned:
             width, height = self.image.size
+            count = f"{self.image.samples} sample{'s' * (self.image.samples > 1)}"
             warn(
-                f"{name} was planned for {self.planned}: at {width} x {height} with "
-                f"{self.image.samples} its error is unknown; plan for this size and these samples"
+                f"{name} was planned for {self.planned}: at {width} x {height} with {count} its "
+                "error is unknown; plan for this size and samples"
             )
         return LevelOfDetail(self.image.samples, None)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain data, for JSON or TOML; see :meth:`from_dict`."""
+        """Return the job as plain data for JSON or TOML; see :meth:`from_dict`."""
         return {
             "mesh": _plain(self.mesh),
             "material": dict(self.material),
@@ -259,16 +260,16 @@ class Job:
 
     @classmethod
     def from_dict(cls, tables: Mapping[str, Any]) -> Job:
-        """Return the job that :meth:`as_dict` gave; what is missing has its default.
+        """Return the job of the data from :meth:`as_dict`; missing keys get their defaults.
 
         Parameters
         ----------
-        tables : keys of a scene file (see :func:`facerender.load_scene`) except cameras, and mesh,
-            image, outputs
+        tables : the keys of a scene file (see :func:`facerender.load_scene`) except cameras, and
+            the keys mesh, image and outputs
 
         Raises
         ------
-        InputError : an unknown key or a value outside its domain
+        InputError : a key is unknown, or a value is outside its domain
         """
         if not isinstance(tables, Mapping):
             raise InputError(f"job = {tables!r}: give a table")
@@ -290,7 +291,7 @@ class Job:
         return cls(**values)
 
     def toml(self) -> str:
-        """Return the text of a TOML file with what :meth:`as_dict` has."""
+        """Return the job as the text of a TOML file."""
         tables = self.as_dict()
         head = {key: tables.pop(key) for key in ("ambient", "background")}
         blocks: list[tuple[str, Mapping[str, Any]]] = [("", head)]

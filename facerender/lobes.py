@@ -1,5 +1,6 @@
-"""The lobes in float64, for users: E/c^k, what may take its place, and domains. ``lobes.f`` is
-``fr_lobe_f`` in GLSL; see ``terms/lobe.py``."""
+"""Public API of the lobes in float64: E/c^k, its approximations and their domains.
+
+``lobes.f`` is ``fr_lobe_f`` in GLSL; see ``terms/lobe.py``."""
 
 from facerender.terms.lobe import (
     FITTED,

@@ -1,7 +1,7 @@
-"""pytest plugin: the fixture ``facerender_snapshot`` compares images with goldens beside the tests.
+"""pytest plugin: the fixture ``facerender_snapshot`` compares images with the tests' goldens.
 
-A module of its own, as pytest imports it in every session where facerender is installed; the
-package is imported with the first image.
+Pytest imports this module in every session if facerender is installed. Other modules of facerender
+are therefore imported with the first image only.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from facerender.comparison.compare import Comparable
     from facerender.comparison.goldens import Draw, GoldenResult, Updates
 
-LONGEST = 180  # characters of a file's name; most systems take 255 bytes
+LONGEST = 180  # characters of a file name; most systems allow 255 bytes
 UNUSED = ("ignore", "list", "fail")
 LIMITS = ("point", "block", "trend", "grain", "texture", "coverage", "shift")
 
-_WRITTEN = pytest.StashKey[set[Path]]()  # goldens, in a session
+_WRITTEN = pytest.StashKey[set[Path]]()  # goldens written in this session
 _CHECKS = pytest.StashKey[list[dict[str, str]]]()
 
 
@@ -40,18 +40,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         group.addoption(f"--facerender-{name}", action="store_true", default=None, help=text)
         parser.addini(f"facerender_{name.replace('-', '_')}", text, type="bool", default=False)
 
-    flag("update", "write goldens that are missing, and those that differ and are this renderer's")
-    flag("force", "with --facerender-update: also those of another renderer")
-    flag("alternative", "with --facerender-update: NAME@RENDERER.exr beside those of another")
-    flag("update-missing", "write goldens that are missing")
-    report = "write DIR/index.html with every image and its golden, and those that fail as EXR"
+    flag("update", "write missing goldens, and goldens that differ if this renderer recorded them")
+    flag("force", "with --facerender-update: also overwrite goldens of another renderer")
+    flag("alternative", "with --facerender-update: for another renderer's, write NAME@RENDERER.exr")
+    flag("update-missing", "write missing goldens")
+    report = "write DIR/index.html with all images and goldens, and failed images as EXR"
     group.addoption("--facerender-report", metavar="DIR", help=report)
     parser.addini("facerender_report", report, default="")
-    unused = "goldens that no test used, of modules whose tests all passed; list names them"
+    unused = "action for goldens that no test used, in modules whose tests all passed"
     group.addoption("--facerender-unused", choices=UNUSED, help=unused)
     parser.addini("facerender_unused", unused, default="ignore")
     for name in LIMITS:
-        text = f"limit {name} where a test gives none; facerender compare --calibrate finds it"
+        text = f"default of limit {name}; facerender compare --calibrate finds a value"
         parser.addini(f"facerender_{name}", text, default="")
 
 
@@ -62,7 +62,7 @@ def pytest_configure(config: pytest.Config) -> None:
         _limit(config, name)
     for name in ("force", "alternative"):
         if _setting(config, name) and not _setting(config, "update"):
-            raise pytest.UsageError(f"--facerender-{name} goes with --facerender-update")
+            raise pytest.UsageError(f"--facerender-{name} needs --facerender-update: add it")
     if report := _setting(config, "report"):
         given_here = config.getoption("facerender_report") is not None
         folder = (config.invocation_params.dir if given_here else config.rootpath) / report
@@ -70,7 +70,7 @@ def pytest_configure(config: pytest.Config) -> None:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise pytest.UsageError(f"cannot make {folder}: {error.strerror}") from None
-        config.option.facerender_report = str(folder)  # workers may stand elsewhere
+        config.option.facerender_report = str(folder)  # workers may have another directory
         if not hasattr(config, "workerinput"):
             for old in folder.glob("actual/*.exr"):
                 old.unlink()
@@ -78,7 +78,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def _setting(config: pytest.Config, name: str) -> Any:
-    """Return the option, or the value of the ini file."""
+    """Return the value of the command line, or else of the ini file."""
     value = config.getoption(f"facerender_{name}")
     return config.getini(f"facerender_{name}") if value is None else value
 
@@ -93,7 +93,7 @@ def _updates(config: pytest.Config) -> Updates:
 
 
 def _limit(config: pytest.Config, name: str) -> float | None:
-    """Return a limit that the ini file gives, if it does."""
+    """Return a limit of the ini file, or None."""
     text = config.getini(f"facerender_{name}")
     try:
         return float(text) if text else None
@@ -107,7 +107,7 @@ def _goldens(module: Path) -> Path:
 
 
 class Snapshot:
-    """Compares images with their goldens; see the fixture :func:`facerender_snapshot`."""
+    """Compares images with their goldens; returned by the fixture :func:`facerender_snapshot`."""
 
     def __init__(self, request: pytest.FixtureRequest) -> None:
         self._request = request
@@ -123,22 +123,24 @@ class Snapshot:
         draw: Draw | None = None,
         **limits: float | None,
     ) -> None:
-        """Compare an image with goldens/MODULE/NAME.exr beside the test's file; fail where they
-        differ, or there is none.
+        """Compare an image with its golden; fail if they differ or the golden is missing.
+
+        The golden is goldens/MODULE/NAME.exr in the directory of the test file.
 
         Parameters
         ----------
         image : a Frame, an array (H, W, 3 or 4) of linear float, or the path of an EXR file
-        name : of the golden; default: the test's, with its class and parameters
-        mask, limits : see :func:`facerender.compare`; default limits: those of the ini file
-        metadata : for the golden, beside the frame's own: GL_RENDERER, where an array has none
-        draw : draw(x, y) returns the image shifted by x pixels to the right and y down. A golden
-            that is written keeps the range over shifts of 0.1 pixels, and lets them pass
+        name : name of the golden; default: the test's name with class and parameters
+        mask, limits : see :func:`facerender.compare`; default of the limits: the ini file
+        metadata : metadata for the golden in addition to the frame's, for example GL_RENDERER for
+            an array
+        draw : draw(x, y) returns the image shifted by x pixels to the right and y pixels down. A
+            written golden stores the range over shifts of 0.1 pixels, so that these pass
 
         Raises
         ------
-        AssertionError : the image does not pass, with the reasons and the files
-        InputError : the image is not linear float, or its name was given before in this test
+        AssertionError : the image fails; the message has the reasons and the files
+        InputError : the image is not linear float, or its name was used before in this test
         """
         __tracebackhide__ = True
         from facerender import InputError
@@ -146,10 +148,10 @@ class Snapshot:
 
         node, config = self._request.node, self._request.config
         if unknown := sorted(limits.keys() - {*LIMITS}):
-            raise TypeError(f"{unknown[0]} is no limit: give {', '.join(LIMITS)}")
+            raise TypeError(f"{unknown[0]} is not a limit: give {', '.join(LIMITS)}")
         safe = _file_name(name or _name_of(node))
         if safe in self._names:
-            raise InputError(f"{safe} was checked before in this test: give each image a name")
+            raise InputError(f"{safe} was checked before in this test: give each image a new name")
         self._names.add(safe)
         written = config.stash.setdefault(_WRITTEN, set())
         result = check(
@@ -172,7 +174,7 @@ class Snapshot:
             raise AssertionError(f"{result.failure}\n  golden {result.golden}\n  actual {actual}")
 
     def _record(self, result: GoldenResult, file: str) -> None:
-        """Note a check for the session, and its entry of the report in a file."""
+        """Record a check for the session, and write its entry of the report to a file."""
         node, report = self._request.node, _setting(self._request.config, "report")
         golden = _goldens(self._request.path) / file
         record = {"golden": str(golden), "written": str(result.written or ""), "entry": ""}
@@ -185,7 +187,7 @@ class Snapshot:
                 json.dump(asdict(entry(result.pair)), file_object)
 
     def _save_actual(self, result: GoldenResult) -> str:
-        """Write an image that failed; return its path, or why it is not written."""
+        """Write an image that failed; return its path, or the reason why it was not written."""
         from facerender import InputError
         from facerender.images.exr import save_exr
 
@@ -203,13 +205,13 @@ class Snapshot:
 
 
 def _name_of(node: pytest.Item) -> str:
-    """Return CLASS.test-PARAMETERS of a test."""
+    """Return the name of a test as CLASS.test-PARAMETERS."""
     names = [part.name for part in node.listchain() if isinstance(part, pytest.Class | pytest.Item)]
     return re.sub(r"\[(.*)\]$", r"-\1", ".".join(names))
 
 
 def _file_name(name: str) -> str:
-    """Return a name that every file system takes, another for each name."""
+    """Return a unique file name that is valid on every file system."""
     safe = quote(name, safe="=,+")
     if len(safe) <= LONGEST:
         return safe
@@ -218,7 +220,7 @@ def _file_name(name: str) -> str:
 
 @pytest.fixture
 def facerender_snapshot(request: pytest.FixtureRequest) -> Snapshot:
-    """Compares an image with its golden beside the test: facerender_snapshot.check(frame)."""
+    """Compares an image with its golden: facerender_snapshot.check(frame)."""
     return Snapshot(request)
 
 
@@ -229,20 +231,23 @@ def pytest_runtest_makereport(
     report = yield
     if report.when == "teardown" and _CHECKS in item.stash:
         report.facerender_checks = item.stash[_CHECKS]  # type: ignore[attr-defined]
-        del item.stash[_CHECKS]  # a rerun begins anew
+        del item.stash[_CHECKS]  # a rerun of the test starts with an empty list
     return report
 
 
 class _Session:
-    """State of a session: checks and goldens. Under pytest-xdist the reporting process learns it
-    from the workers, through the reports and at their end."""
+    """State of a session: checks and goldens.
+
+    With pytest-xdist, the workers send it to the reporting process in their reports and at their
+    end.
+    """
 
     def __init__(self, config: pytest.Config) -> None:
         self.config = config
         self.unused: list[Path] = []
         self._checks: list[dict[str, str]] = []
         self._passed: set[str] = set()
-        self._collected: dict[str, set[str]] = {}  # of each module, whatever must pass
+        self._collected: dict[str, set[str]] = {}  # ids that must pass, by module
 
     @pytest.hookimpl(wrapper=True)
     def pytest_make_collect_report(
@@ -264,7 +269,7 @@ class _Session:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any) -> None:
-        output = getattr(node, "workeroutput", {})  # a worker that died has none
+        output = getattr(node, "workeroutput", {})  # missing if the worker died
         for module, waiting in output.get("facerender", {}).items():
             self._collected.setdefault(module, set()).update(waiting)
 
@@ -276,7 +281,7 @@ class _Session:
                 lists = {module: sorted(ids) for module, ids in waiting.items()}
                 self.config.workeroutput["facerender"] = lists
             return
-        # --lf leaves out whole files as if they were empty.
+        # --lf skips whole files as if they were empty.
         if judged and not self.config.getoption("lf", False):
             self.unused = self._find_unused([module for module in waiting if not waiting[module]])
         fails = self.unused and _setting(self.config, "unused") == "fail"
@@ -287,11 +292,11 @@ class _Session:
             self._write_report(paths)
 
     def _find_unused(self, modules: list[str]) -> list[Path]:
-        """Return goldens that none of these modules used, and those of modules that are gone."""
+        """Return goldens that none of these modules used, and goldens of deleted modules."""
         used = {check["golden"] for check in self._checks}
         folders = {_goldens(Path(module)) for module in modules}
-        for beside in {folder.parent for folder in folders}:
-            gone = (f for f in beside.glob("*/") if not (beside.parent / f"{f.name}.py").exists())
+        for root in {folder.parent for folder in folders}:
+            gone = (f for f in root.glob("*/") if not (root.parent / f"{f.name}.py").exists())
             folders.update(gone)
         return sorted(
             golden
@@ -303,7 +308,7 @@ class _Session:
     def _write_report(self, paths: list[Path]) -> None:
         from facerender.comparison.report import Entry, write_report
 
-        entries = {}  # of a test that was run again, the last
+        entries = {}  # the last entry of a test that was rerun
         for path in paths:
             entry = Entry(**json.loads(path.read_text(encoding="utf-8")))
             entries[entry.name] = entry

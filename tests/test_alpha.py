@@ -1,4 +1,4 @@
-"""Transparent, cut-out and shining parts: what describes them, and how they are drawn."""
+"""Tests transparent, cut-out and emissive parts: their materials, textures and rendering."""
 
 import copy
 import json
@@ -44,17 +44,17 @@ FACTORS = {
 
 
 def mesh_of(parts, materials):
-    """A mesh of parts with their materials."""
+    """Return a mesh of parts with their materials."""
     return replace(shaped(*parts), materials=tuple(materials))
 
 
 def grey(values, name="grey"):
-    """A texture of grey values in [0, 1], (H, W), row 0 on top."""
+    """Return a texture of grey values in [0, 1], (H, W), row 0 on top."""
     texels = np.round(255.0 * np.asarray(values, dtype=np.float64)).astype(np.uint8)
     return Texture(lambda: Image.fromarray(texels), name)
 
 
-def test_a_material_tells_what_it_takes():
+def test_material_fields_are_checked():
     material = Material(**FACTORS, opacity_map=grey([[0.0, 1.0]]))
     assert material.second_uv == ("occlusion_map", "opacity_map")
     assert Material(emissive=2.0).emissive == (2.0, 2.0, 2.0)
@@ -76,7 +76,7 @@ def test_a_material_tells_what_it_takes():
             Material(**{name: value})
 
 
-def test_opacity_counts_where_it_changes_something():
+def test_material_is_solid_if_opacity_has_no_effect():
     holes, none = grey([[0.2, 1.0]]), grey([[1.0, 1.0]])
     assert Material(opacity=0.1).solid
     assert Material(alpha="mask", opacity_map=none).solid
@@ -86,7 +86,7 @@ def test_opacity_counts_where_it_changes_something():
     assert not Material(alpha="blend", opacity=0.99).solid
 
 
-def test_textures_are_sampled_as_they_say():
+def test_texture_sampling_is_stored_and_checked():
     plain = grey([[0.0, 1.0], [0.5, 0.25]])
     other = plain.sampled(("clamp", "mirror"), nearest=True)
     assert plain.sampling == (("repeat", "repeat"), False)
@@ -105,7 +105,7 @@ def test_textures_are_sampled_as_they_say():
         plain.sampled(("clamp", "clamp"), nearest=1)
 
 
-def test_maps_are_joined_where_they_are_sampled_alike():
+def test_maps_with_equal_sampling_share_a_property_map():
     one, two = grey([[0.5, 1.0]]), grey([[0.25, 0.5]])
     clamped = two.sampled(("clamp", "clamp"))
     alike = Material(occlusion_map=clamped, roughness_map=clamped)
@@ -130,7 +130,7 @@ def test_second_coordinates_are_checked():
 
 
 def quad(z=0.0, size=1.0, **columns):
-    """A square that faces +z."""
+    """Return a square that faces +z."""
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=np.float64)
     return Part(
         np.hstack([size * corners, np.full((4, 1), z)]),
@@ -160,7 +160,7 @@ def test_meshes_survive_pickles_and_the_cache(tmp_path, cache_folder):
     for found in (kept, pickle.loads(pickle.dumps(mesh)), copy.deepcopy(mesh)):
         assert_equal(found.parts, mesh.parts, "parts")
         assert_equal(found.materials, mesh.materials, "materials")
-    assert kept.materials[0].property_map is None  # the occlusion has other coordinates
+    assert kept.materials[0].property_map is None  # its occlusion map uses other coordinates
 
 
 def test_factors_survive_scene_files_and_jobs(tmp_path):
@@ -199,7 +199,7 @@ def test_a_simplified_mesh_keeps_second_coordinates():
     assert np.abs(less.uv2 - 3.0 * less.uv[:, ::-1]).max() < 0.05
 
 
-# --- How they are drawn ---------------------------------------------------------------------------
+# --- rendering -----------------------------------------------------------------------------------
 
 LIGHTS = tuple(map(parse_light, ("key,shadow", "rim", "fill")))
 FRONT = fr.Camera(fov=20.0)
@@ -213,12 +213,12 @@ def single(backend):
 
 
 def scene_of(parts, materials, **settings):
-    """Parts before a camera that sees them from the front."""
+    """Return a scene of parts with a camera in front of them."""
     return fr.Scene(mesh_of(parts, materials), FRONT, **{"background": None, **settings})
 
 
 def agrees(renderer, scene, shading=fr.Shading()):
-    """The frame of a scene, after it was compared with float64, and its G-buffer."""
+    """Check the frame of a scene against float64; return the frame and the G-buffer."""
     frame, gbuffer = renderer.render(scene, shading).linear, renderer.gbuffer(scene, shading)
     expected = reference.shade(gbuffer, scene, shading)
     assert np.abs(frame[..., :3] - expected).max() < 1e-4
@@ -227,13 +227,13 @@ def agrees(renderer, scene, shading=fr.Shading()):
 
 
 @pytest.mark.parametrize("hair", ["mask", pytest.param("blend", marks=pytest.mark.slow)])
-def test_a_head_of_parts_is_drawn_as_the_reference_has_it(single, hair):
+def test_head_of_parts_agrees_with_float64(single, hair):
     scene = fr.Scene(parts_head(hair), fr.Camera(30.0), LIGHTS, background=None)
     frame, gbuffer = agrees(single, scene)
     shells = [
         each for each in gbuffer.transparent_layers if (each.part == NAMES.index("shells")).any()
     ]
-    assert len(shells) == 2  # front and, beyond the eyes, back
+    assert len(shells) == 2  # front and, where the eye does not hide it, back
     assert (gbuffer.part == NAMES.index("eyes")).sum() > 20
     assert (gbuffer.part == NAMES.index("hair")).any() == (hair == "mask")
     assert frame[..., 3].max() == pytest.approx(1.0)
@@ -280,7 +280,7 @@ def test_masks_cut_holes(single):
         assert gbuffer.part[48, 54] == seen
 
 
-def test_blended_parts_lie_over_each_other_from_the_back(single):
+def test_blended_parts_are_drawn_back_to_front(single):
     dark = {"lights": (), "ambient": 1.0}
     quads = [quad(z, size) for z, size in ((0.6, 0.3), (0.0, 1.0), (0.3, 0.6))]
     colors = ((1.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.0, 0.0, 1.0))
@@ -289,7 +289,7 @@ def test_blended_parts_lie_over_each_other_from_the_back(single):
     frame, gbuffer = agrees(single, scene_of(quads, materials, **dark))
     np.testing.assert_allclose(frame[48, 48], (0.8125, 0.5625, 0.75, 1.0), atol=1e-6)
     assert [each.part.max() for each in gbuffer.transparent_layers] == [2, 0]
-    joined = parts_joined([quads[0], quads[2]])  # nearest first: sorted by triangles
+    joined = parts_joined([quads[0], quads[2]])  # nearest first: triangles must be sorted
     both = [replace(WHITE, kd=np.pi), replace(glass[0], albedo=(1.0, 1.0, 1.0))]
     frame, gbuffer = agrees(single, scene_of([quads[1], joined], both, **dark))
     assert len(gbuffer.transparent_layers) == 2
@@ -307,7 +307,7 @@ def parts_joined(parts):
     return joined(parts)
 
 
-def test_a_shell_leaves_the_eye_lit_and_lashes_cast_their_hairs(single):
+def test_shells_cast_no_shadow_and_lashes_cast_shadows_of_hairs(single):
     mesh = parts_head()
     at = NAMES.index("shells")
     solid = [*mesh.materials]
@@ -375,10 +375,10 @@ def test_normal_maps_have_a_strength(single):
         normal = gbuffer.normal[inside].astype(np.float64)
         normals.append(normal[:, :2] / normal[:, 2:])
         slopes.append(gbuffer.m[inside])
-    np.testing.assert_allclose(normals[0], 0.0, atol=6e-3)  # no byte stands for 0
+    np.testing.assert_allclose(normals[0], 0.0, atol=6e-3)  # no 8-bit value encodes 0
     np.testing.assert_allclose(normals[1], 0.5 * normals[2], atol=1e-5)
     np.testing.assert_allclose(normals[3], 2.0 * normals[2], atol=1e-5)
-    far = fr.Camera(fov=20.0, zoom=0.05)  # the slope filter counts the strength
+    far = fr.Camera(fov=20.0, zoom=0.05)  # far enough for the slope filter to act
     added = []
     for strength in (0.5, 1.0):
         own = replace(material, normal_strength=strength)
@@ -399,7 +399,7 @@ def test_occlusion_has_a_strength(single):
 
 
 def texels_of(name, gbuffer):
-    """What a map changes in a G-buffer."""
+    """Return the G-buffer channel that a map changes."""
     return {
         "albedo_map": gbuffer.albedo,
         "normal_map": gbuffer.normal,
@@ -413,8 +413,8 @@ def texels_of(name, gbuffer):
 
 
 @pytest.mark.parametrize("name", MAPS)
-def test_maps_lie_by_second_coordinates(single, name):
-    """As they do by the first, on a part that has the second ones as its first."""
+def test_maps_use_second_texture_coordinates(single, name):
+    """A map with uv2 equals the same map on a part whose uv has those coordinates."""
     part = quad()
     turned = 0.9 * part.uv[:, ::-1] + 0.05
     image = relief() if name == "normal_map" else grey(NOISE)
@@ -448,7 +448,7 @@ def test_maps_are_wrapped_and_filtered(single, wrap, nearest):
         values[::-1], gbuffer.uv[inside].astype(np.float64), (wrap, other), nearest
     )
     error = np.abs(gbuffer.occlusion[inside] - expected)
-    assert np.quantile(error, 0.98) < (1e-5 if nearest else 5e-3)  # but at the edges of texels
+    assert np.quantile(error, 0.98) < (1e-5 if nearest else 5e-3)  # except at edges of texels
 
 
 def looked_up(texels, uv, wraps, nearest):
@@ -469,8 +469,8 @@ def looked_up(texels, uv, wraps, nearest):
     return result
 
 
-def test_what_changes_nothing_is_not_compiled_in(head):
-    """Programs are those of a scene without it, and it is deferred as that is."""
+def test_features_without_effect_are_not_compiled(head):
+    """The programs and deferred shading are those of a scene without the features."""
     solid = grey(np.ones((2, 2)))
     idle = [
         {"alpha": "mask", "opacity_map": solid},
@@ -499,8 +499,8 @@ def test_what_changes_nothing_is_not_compiled_in(head):
     assert not can_defer(fr.Scene(replace(head, materials=(holes,))), 16384)
 
 
-def test_light_scatters_below_what_is_blended(single):
-    """The image with the shells is that without, with them over it."""
+def test_blended_parts_are_composited_after_scattering(single):
+    """The image with shells is the image without them, with the shells composited over it."""
     mesh = replace(parts_head(scattering="skin"), millimetres=1000.0)
     camera = fr.Camera(20.0, zoom=2.0)
     clear = [*mesh.materials]
@@ -521,7 +521,7 @@ def test_light_scatters_below_what_is_blended(single):
     assert np.abs(whole - single.render(scene, samples=16).linear).mean() < 5e-3
 
 
-def test_what_cannot_show_a_part_says_so():
+def test_features_that_ignore_blended_parts_warn():
     mesh = parts_head("blend")
     with pytest.warns(FacerenderWarning, match="shows parts without blended parts, masks$"):
         shown = drawable(mesh)
@@ -531,7 +531,7 @@ def test_what_cannot_show_a_part_says_so():
     scene = scene_of([quad(), quad(0.5)], [WHITE, glass])
     with (
         fr.Renderer((32, 32), samples=1) as renderer,
-        pytest.warns(FacerenderWarning, match="are blended: the plan counts what lies behind"),
+        pytest.warns(FacerenderWarning, match="are blended: the plan only counts errors"),
     ):
         fr.plan(scene, "1/255", renderer=renderer, cost="navi21")
 

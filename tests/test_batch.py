@@ -1,4 +1,5 @@
-"""Batches: every job once, the same bytes however they are drawn, and nothing lost."""
+"""Tests ``facerender batch``: each job is drawn once, its bytes do not depend on workers or
+interruptions, and failures are isolated."""
 
 from __future__ import annotations
 
@@ -66,8 +67,8 @@ def table(tmp_path: Path) -> Callable[[Sequence[dict[str, Any]]], str]:
 
 
 @pytest.fixture(scope="module")
-def kept() -> Iterator[Callable[[int], engine.Engine]]:
-    """Engines whose threads keep their workers from batch to batch, as those of Dask do."""
+def reused() -> Iterator[Callable[[int], engine.Engine]]:
+    """A function that returns engines whose workers survive a batch, as Dask's workers do."""
     with ExitStack() as open_:
 
         @cache
@@ -83,15 +84,17 @@ def draw(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
-    kept: Callable[[int], engine.Engine],
+    reused: Callable[[int], engine.Engine],
 ) -> Callable[..., dict[str, Any]]:
-    """Run a batch, and return what its last line of JSON says, and its exit status. Its workers are
-    those of the batch before, if they need not be fresh."""
+    """A function that runs a batch and returns its last line of JSON with the exit status.
+
+    It reuses the workers of earlier batches unless ``fresh`` is true.
+    """
     started = engine.local
 
     def run(jobs: str, output: str, *options: str, fresh: bool = False) -> dict[str, Any]:
         monkeypatch.setattr(
-            engine, "local", lambda count: started(count) if fresh else nullcontext(kept(count))
+            engine, "local", lambda count: started(count) if fresh else nullcontext(reused(count))
         )
         words = ["batch", jobs, "-o", str(tmp_path / output), "--workers", "1", "--json", *options]
         status = main(words)
@@ -103,13 +106,13 @@ def draw(
 
 
 def process(jobs: str, output: Path, *options: str, **how: Any) -> subprocess.CompletedProcess[str]:
-    """Run a batch in a process of its own."""
+    """Run a batch in a separate process."""
     words = [*COMMAND, jobs, "-o", str(output), *options]
     return subprocess.run(words, capture_output=True, text=True, timeout=120, **how)
 
 
 def tree(folder: Path) -> dict[str, bytes]:
-    """What is in a batch's folder, but for where it was asked for."""
+    """Return the files of a batch's folder, except those that depend on its path."""
     files = [path for path in folder.rglob("*") if path.is_file()]
     names = {str(path.relative_to(folder)): path.read_bytes() for path in files}
     return {name: data for name, data in names.items() if name not in ("batch.json", ".lock")}
@@ -117,7 +120,7 @@ def tree(folder: Path) -> dict[str, bytes]:
 
 @pytest.fixture
 def small(tmp_path: Path) -> Path:
-    """A mesh that is quickly read: a tetrahedron, in a material with a map."""
+    """A small mesh file: a tetrahedron whose material has a map."""
     positions = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 0 1\n"
     faces = "f 1/1 3/3 2/2\nf 1/1 2/2 4/3\nf 1/1 4/3 3/2\nf 2/1 3/2 4/3\n"
     path = tmp_path / "small.obj"
@@ -145,7 +148,7 @@ def test_bytes_are_the_same_with_any_workers(table, draw, small, tmp_path, layou
     assert (again["status"], again["drawn"], again["done"]) == (0, 0, 6)
 
 
-def test_images_are_those_of_a_renderer(table, draw, tmp_path):
+def test_batch_images_equal_those_of_a_renderer(table, draw, tmp_path):
     draw(table([{"id": "one", "image.size": 64, "camera.azimuth": -30, "material.m": 0.2}]), "out")
     mesh = fr.load_mesh().with_material(m=0.2)
     with fr.Renderer((64, 64)) as renderer:
@@ -154,8 +157,8 @@ def test_images_are_those_of_a_renderer(table, draw, tmp_path):
     assert (tmp_path / "out/data/one/image.png").read_bytes() == alone
 
 
-def test_a_planned_scene_is_drawn_as_render_draws_it(table, draw, tmp_path):
-    """A scene of `facerender plan`, named by the command or by a job."""
+def test_planned_scene_equals_that_of_render(table, draw, tmp_path):
+    """The scene file of `facerender plan` is given by an option or by a job."""
     planned, size = str(tmp_path / "planned.toml"), ("--size", "48")
     where = (*size, "--camera", "0", "--camera", "-60,20", "--scene", planned)
     plan = ["plan", str(MINI_HEAD), "--budget", "24/255", "--within", "90%", "--m", "0.3", *where]
@@ -195,14 +198,14 @@ def test_a_planned_scene_is_drawn_as_render_draws_it(table, draw, tmp_path):
 
 
 @pytest.mark.parametrize("layout", ["files", "shards"])
-def test_what_changed_is_drawn_again_and_nothing_else(table, draw, small, tmp_path, layout):
+def test_only_changed_jobs_are_drawn_again(table, draw, small, tmp_path, layout):
     options = ("--layout", layout, "--chunk", "4")
     jobs = rows(10, mesh=str(small))
     draw(table(jobs), "out", *options)
     jobs[3]["material.m"] = 0.5
     del jobs[7]
     jobs += [{**jobs[0], "id": "new", "camera.elevation": 20.0}]
-    if layout == "files":  # what another has drawn over is not kept
+    if layout == "files":  # a file that another program overwrote is drawn again
         (tmp_path / "out/data/job000/image.png").write_bytes(b"another's")
     assert draw(table(jobs), "out", *options)["drawn"] == (3 if layout == "files" else 2)
     draw(table(jobs), "fresh", *options)
@@ -241,8 +244,8 @@ def test_a_changed_map_is_drawn_again(table, draw, small, tmp_path):
 
 
 @pytest.mark.parametrize("layout", ["files", "shards"])
-def test_removed_jobs_leave_the_tables(table, draw, small, tmp_path, layout):
-    """Also a whole chunk, after which there is nothing to draw."""
+def test_removed_jobs_are_removed_from_tables_and_data(table, draw, small, tmp_path, layout):
+    """Here a whole chunk is removed, and nothing is left to draw."""
     options = ("--layout", layout, "--chunk", "2", "--transforms")
     jobs = rows(4, mesh=str(small))
     draw(table(jobs), "out", *options)
@@ -251,7 +254,7 @@ def test_removed_jobs_leave_the_tables(table, draw, small, tmp_path, layout):
     assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
 
 
-def test_members_of_any_length_follow_each_other(tmp_path):
+def test_tar_members_may_have_any_length(tmp_path):
     path = tmp_path / "a.tar"
     path.touch()
     lengths = (0, 1, 511, 512, 513, 1024, 3)
@@ -310,7 +313,7 @@ job.load_mesh = load_or_die
 
 
 @pytest.mark.parametrize(("tries", "timeout"), [(1, 4), pytest.param(2, 8, marks=pytest.mark.slow)])
-def test_poison_is_isolated_and_named(table, draw, small, tmp_path, monkeypatch, tries, timeout):
+def test_fatal_jobs_are_isolated(table, draw, small, tmp_path, monkeypatch, tries, timeout):
     (tmp_path / "garbage.glb").write_bytes(Random(1).randbytes(3000))
     os.mkfifo(tmp_path / "pipe.obj")
     (tmp_path / "endless.glb").symlink_to("/dev/zero")
@@ -331,8 +334,8 @@ def test_poison_is_isolated_and_named(table, draw, small, tmp_path, monkeypatch,
         "loop.glb": "loop.glb: ",
         "empty.glb": "empty.glb ",
         "folder.glb": "folder.glb is a directory; ",
-        "hangs.obj": f"the worker said nothing for {timeout} s, {tries} times",
-        "large.obj": f"the worker ended with 9, {tries} times",
+        "hangs.obj": f"the worker sent no message for {timeout} s, {tries} times",
+        "large.obj": f"the worker ended with exit status 9, {tries} times",
         "crash.obj": f"the worker was killed by SIGSEGV, {tries} times",
     }
     for name in named:
@@ -347,19 +350,19 @@ def test_poison_is_isolated_and_named(table, draw, small, tmp_path, monkeypatch,
     for name, error in named.items():
         assert error in failed[name.partition(".")[0]]["error"]
     assert failed["crash2"]["error"] == failed["crash"]["error"]
-    told = [each for each in map(json.loads, found["lines"]) if each["event"] == "failed"]
-    assert {each["id"] for each in told} == set(failed)
+    events = [each for each in map(json.loads, found["lines"]) if each["event"] == "failed"]
+    assert {each["id"] for each in events} == set(failed)
     ended = [json.loads(line).get("deaths", 0) for line in found["lines"]]
     assert sum(ended) == 3 * tries, "a mesh that ends workers is loaded for one of its jobs"
     again = draw(path, "out", *options)
     assert (again["status"], again["drawn"], again["failed"]) == (3, 0, 11)
 
     (tmp_path / "site/sitecustomize.py").unlink()
-    mended = draw(path, "out", "--retry-failed", *options)
-    assert (mended["drawn"], mended["failed"]) == (4, 7)
+    repaired = draw(path, "out", "--retry-failed", *options)
+    assert (repaired["drawn"], repaired["failed"]) == (4, 7)
 
 
-def test_a_worker_that_ends_before_it_is_written_to(table, draw, small, monkeypatch):
+def test_worker_that_dies_at_its_start_is_replaced(table, draw, small, monkeypatch):
     started, killed = Supervisor._started, []
 
     def started_and_killed(self: Supervisor, timeout: float) -> Any:
@@ -374,7 +377,7 @@ def test_a_worker_that_ends_before_it_is_written_to(table, draw, small, monkeypa
 
 
 def test_a_table_is_read_once(draw, small, tmp_path):
-    """A program may yield other rows the next time."""
+    """A Python table may yield other rows when it is run again."""
     path = tmp_path / "jobs.py"
     path.write_text(
         "import random\nfrom pathlib import Path\n"
@@ -390,7 +393,7 @@ def test_a_table_is_read_once(draw, small, tmp_path):
 
 
 @pytest.mark.parametrize("layout", ["files", "shards"])
-def test_what_was_cut_off_and_is_no_longer_asked_for_goes(
+def test_data_of_interrupted_and_removed_jobs_is_deleted(
     table, draw, small, tmp_path, layout, monkeypatch
 ):
     options = ("--layout", layout, "--chunk", "2")
@@ -399,7 +402,7 @@ def test_what_was_cut_off_and_is_no_longer_asked_for_goes(
     def die(*_: object) -> None:
         raise KeyboardInterrupt
 
-    with monkeypatch.context() as patched:  # between data and record
+    with monkeypatch.context() as patched:  # interrupts after the data, before the record
         patched.setattr("facerender.batch.records._put_records", die)
         draw(table(jobs), "out", *options)
     draw(table(jobs[1:]), "out", *options)
@@ -409,8 +412,8 @@ def test_what_was_cut_off_and_is_no_longer_asked_for_goes(
 
 
 @pytest.mark.parametrize("step", ["rename", "drop", "move", "put"])
-def test_a_coordinator_may_end_at_any_step(table, draw, small, tmp_path, monkeypatch, step):
-    """Whichever file of the folder it was about to change."""
+def test_coordinator_may_stop_at_any_write(table, draw, small, tmp_path, monkeypatch, step):
+    """It is interrupted at the first, second, ... call of one storage operation."""
     options = ("--chunk", "2", "--transforms")
     jobs = rows(4, mesh=str(small))
     draw(table(jobs[1:]), "fresh", *options)
@@ -435,29 +438,29 @@ def test_a_coordinator_may_end_at_any_step(table, draw, small, tmp_path, monkeyp
     raise AssertionError("it never came to its end")
 
 
-def test_a_run_that_another_has_followed_writes_nothing(table, draw, small, tmp_path):
+def test_superseded_run_writes_nothing(table, draw, small, tmp_path):
     jobs = rows(2, mesh=str(small))
     draw(table(jobs), "out", "--chunk", "2")
     before = tree(tmp_path / "out")
     (chunk,) = chunks(JobTable(table([{**job, "material.m": 0.5} for job in jobs])), 2)
-    with pytest.raises(CannotDraw, match="another run of the batch has begun there"):
+    with pytest.raises(CannotDraw, match="another run of the batch has started"):
         draw_chunk(Settings(str(tmp_path / "out"), code_version=code_version()), chunk)
     assert tree(tmp_path / "out") == before
 
 
-def test_a_file_that_is_another_where_it_is_drawn(table, draw, small, tmp_path):
+def test_file_that_changed_before_drawing_fails_the_jobs(table, draw, small, tmp_path):
     (chunk,) = chunks(JobTable(table(rows(2, mesh=str(small)))), 2)
     small.write_text(small.read_text() + "# changed\n")
     outcome = draw_chunk(Settings(str(tmp_path / "out"), code_version=code_version()), chunk)
     assert [record["id"] for record in outcome.failed] == ["job000", "job001"]
-    assert "not here what they were where the batch" in outcome.failed[0]["error"]
+    assert "differ from the files that the coordinator read" in outcome.failed[0]["error"]
 
 
 def test_status_and_check(table, draw, small, capsys, tmp_path):
     path = table(rows(3, mesh=str(small)))
     draw(path, "out")
     assert main(["batch", "--status", str(tmp_path / "out")]) == 0
-    assert "3 of 3 jobs are done, 0 have failed" in capsys.readouterr().out
+    assert "3 of 3 jobs are done, 0 failed" in capsys.readouterr().out
     assert main(["batch", path, "--check"]) == 0
     assert capsys.readouterr().out == f"{path}: 3 jobs of 1 meshes\n"
     assert main(["batch", "--status", str(tmp_path / "none")]) == 2
@@ -473,11 +476,11 @@ def test_status_and_check(table, draw, small, capsys, tmp_path):
         (["--chunk", "0"], "--chunk 0: give at least 1"),
         (["--scene", "none.toml"], "cannot read none.toml: no such file"),
         (["-o", "nowhere://here"], "nowhere://here cannot be reached"),
-        (["--layout", "shards"], "id 'a.1': readers of shards end a name at its first dot"),
+        (["--layout", "shards"], "id 'a.1' has a dot, where readers of shards end the name"),
         (["-o", "/dev/null/out"], "cannot write to /dev/null/out: not a directory"),
     ],
 )
-def test_what_cannot_start_is_one_line(table, draw, options, message):
+def test_batch_that_cannot_start_prints_one_line(table, draw, options, message):
     found = draw(table([{"id": "a.1"}]), "out", *options)
     assert found["status"] == 2
     assert found["err"].startswith("facerender: error: ")
@@ -496,7 +499,7 @@ def test_a_folder_has_one_coordinator(table, draw, small, tmp_path):
 def test_a_full_disk_stops_the_batch(table, small, tmp_path):
     path = table(rows(4, mesh=str(small)))
     limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (900, 900))
-    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # which would be cut off
+    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # truncated bytecode would remain
     options = {"preexec_fn": limit, "env": environment}
     found = process(path, tmp_path / "out", "--workers", "1", **options)
     assert found.returncode == 2
@@ -504,7 +507,7 @@ def test_a_full_disk_stops_the_batch(table, small, tmp_path):
     assert not list((tmp_path / "out").glob("records/*.jsonl"))
 
 
-def test_free_memory_is_what_the_control_group_leaves(monkeypatch):
+def test_available_memory_respects_the_control_group(monkeypatch):
     group = "/sys/fs/cgroup/memory"
     files = {"/proc/meminfo": "MemFree: 9 kB\nMemAvailable: 8388608 kB\n"}
     files |= {f"{group}.max": f"{3 << 30}\n", f"{group}.current": f"{1 << 30}\n"}
@@ -535,7 +538,7 @@ def test_killed_again_and_again(table, draw, small, tmp_path, layout):
         while coordinator.poll() is None and len([*records.glob("*")]) == before:
             assert time.monotonic() < end
             time.sleep(0.02)
-        with suppress(psutil.NoSuchProcess):  # it may just have come to its end
+        with suppress(psutil.NoSuchProcess):  # it may just have ended
             random.choice([coordinator, *coordinator.children()]).kill()
             kills += 1
             time.sleep(random.uniform(0.0, 0.5))
@@ -548,10 +551,10 @@ def test_killed_again_and_again(table, draw, small, tmp_path, layout):
     assert tree(tmp_path / "out") == tree(tmp_path / "fresh")
 
 
-# --- where it is written, and what reads it -----------------------------------------------------
+# --- storage and readers of the results ---------------------------------------------------------
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # it closes no file
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # leaves files open
 def test_webdataset_reads_shards(table, draw, small, tmp_path):
     webdataset = require_module("webdataset")
     draw(table(rows(5, mesh=str(small), outputs="image,depth")), "out", "--layout", "shards")
@@ -571,7 +574,7 @@ def test_tables(table, draw, small, tmp_path):
     assert sorted(record["number"] for record in records) == [0, 1, 2, 3]
     draw(path, "out", "--table", "parquet")
     found = parquet.read_table(tmp_path / "out/jobs.parquet").to_pylist()
-    for name in ("id", "number"):  # of which one is 0
+    for name in ("id", "number"):  # one number is 0, which must not become null
         assert [row[name] for row in found] == [record[name] for record in records]
     lit = next(row for row in found if row["id"] == "lit")
     assert json.loads(lit["job.lights"])[0]["azimuth"] == 10.0
@@ -594,14 +597,14 @@ def s3(monkeypatch) -> Iterator[str]:
         ("AWS_DEFAULT_REGION", "us-east-1"),
     ):
         monkeypatch.setenv(name, value)
-    require_module("s3fs").S3FileSystem.clear_instance_cache()  # of the server before
+    require_module("s3fs").S3FileSystem.clear_instance_cache()  # connections to an earlier server
     require_module("s3fs").S3FileSystem().makedirs("heads", exist_ok=True)
     yield "s3://heads"
     server.stop()
 
 
 def check_place(table, draw, small, tmp_path: Path, place: str, layout: str, fresh: bool) -> None:
-    """Draw, draw again, and draw what changed, there and in a folder."""
+    """Check that a batch in ``place`` has the same files as in a folder, also after a change."""
     options = ("--layout", layout, "--chunk", "2")
     jobs = rows(5, mesh=str(small))
     path = table(jobs)
@@ -626,7 +629,7 @@ def test_an_object_store_gets_the_same_files(table, draw, small, tmp_path, s3, l
 @pytest.mark.parametrize("layout", ["files", "shards"])
 def test_a_url_gets_the_same_files(table, draw, small, tmp_path, layout):
     for folder in ("begun", "records", "shards", "stale", *(f"data/job{i:03d}" for i in range(5))):
-        (tmp_path / "there" / folder).mkdir(parents=True)  # an object store has no folders
+        (tmp_path / "there" / folder).mkdir(parents=True)  # file:// needs folders
     check_place(table, draw, small, tmp_path, f"file://{tmp_path}/there", layout, fresh=False)
 
 
@@ -635,7 +638,7 @@ def test_a_url_gets_the_same_files(table, draw, small, tmp_path, layout):
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[str]:
-    """A scheduler and two workers, started by hand as docs/batch.md does."""
+    """The address of a scheduler with two workers, started as in docs/batch.md."""
     require_module("distributed")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -1,5 +1,5 @@
-"""Passes of a job: the bytes that a renderer's frames have, data that other programs read, and
-cameras that project the mesh to where it is."""
+"""Tests the outputs of a job (``facerender.batch.outputs``): they equal a renderer's frames, other
+programs can read them, and their cameras project the mesh to its pixels."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def small():
 
 @pytest.fixture(scope="module")
 def halves(head):
-    """The built-in head, its upper and lower triangles as two parts."""
+    """The built-in head with its upper and lower triangles as two parts."""
     (part,) = head.parts
     upper = part.positions[part.faces][..., 1].mean(axis=1) > head.center[1]
     parts = tuple(replace(part, faces=part.faces[each]) for each in (upper, ~upper))
@@ -63,11 +63,11 @@ def layers_of(content):
 
 
 @pytest.mark.parametrize("background", [None, (0.2, 0.1, 0.0)])
-def test_pictures_are_those_that_frames_save(small, drawing, background, tmp_path):
+def test_images_equal_those_that_frames_save(small, drawing, background, tmp_path):
     job = job_of(background=background)
     files = draw(job, small, drawing, OUTPUTS, 0.5).files
     assert [*files] == [f"{name}.png" for name in OUTPUTS[:-1]] + ["layers.exr"]
-    numbers = ("depth", "mask", "parts")  # of which a frame makes a picture
+    numbers = ("depth", "mask", "parts")  # a frame saves these as images, a job as data
     for only in (None, *ONLY):
         name = f"{only or 'image'}.png"
         drawing.render(job.scene(small), job.shading, only).save(tmp_path / name, 0.5)
@@ -85,7 +85,7 @@ def test_pictures_are_those_that_frames_save(small, drawing, background, tmp_pat
     ids=str,
 )
 def test_a_planned_job_is_drawn_as_planned(small, drawing, how, tmp_path):
-    camera = fr.Camera(-35.0, -70.0)  # into the neck, which is open
+    camera = fr.Camera(-35.0, -70.0)  # looks into the open neck
     planned = Planned((SIZE,), 4, **how)
     job = job_of(camera=camera, material={"m": 0.25, "albedo": (0.5, 0.3, 0.2)})
     outputs = "image", "specular", "normal"
@@ -108,7 +108,7 @@ def test_a_planned_job_is_drawn_as_planned(small, drawing, how, tmp_path):
     assert drawn.files == whole.files
 
 
-def test_the_same_bytes_from_another_renderer(small, drawing, egl):
+def test_another_renderer_writes_the_same_bytes(small, drawing, egl):
     first = draw(job_of(), small, drawing, OUTPUTS, 0.0)
     with fr.Renderer(SIZE, samples=4, backend=egl) as other:
         again = draw(job_of(), small, other, OUTPUTS[::-1] * 2, 0.0)
@@ -116,7 +116,7 @@ def test_the_same_bytes_from_another_renderer(small, drawing, egl):
     assert first.facts == again.facts == json.loads(json.dumps(first.facts))
 
 
-def test_what_is_drawn_once_serves_all_outputs(head, drawing, monkeypatch):
+def test_outputs_share_draws(head, drawing, monkeypatch):
     calls = []
     for name in ("render", "gbuffer"):
         plain = getattr(fr.Renderer, name)
@@ -135,7 +135,7 @@ def test_what_is_drawn_once_serves_all_outputs(head, drawing, monkeypatch):
 
 
 @pytest.mark.parametrize("camera", [fr.Camera(), fr.Camera(zoom=8.0), fr.Camera(fov=120.0)])
-def test_depth_is_within_half_a_step(head, drawing, camera):
+def test_depth_error_is_at_most_half_a_step(head, drawing, camera):
     mesh = moved(head)
     drawn = draw(job_of(camera=camera), mesh, drawing, ("depth",), 0.0)
     (content,), scale = drawn.files.values(), drawn.facts["depth_scale"]
@@ -167,7 +167,7 @@ def test_a_camera_that_sees_nothing(head, drawing):
     json.dumps(drawn.facts, allow_nan=False)
 
 
-def test_mask_and_parts_are_what_the_centre_of_a_pixel_hits(halves, drawing):
+def test_mask_and_parts_show_the_pixel_centre(halves, drawing):
     drawn = draw(job_of(), halves, drawing, ("mask", "parts", "depth"), 0.0)
     part = drawing.gbuffer(job_of().scene(halves)).part
     mask, parts, depth = (unchanged(drawn.files[f"{n}.png"]) for n in ("mask", "parts", "depth"))
@@ -203,19 +203,21 @@ def test_layers_hold_every_pass(halves, drawing, tmp_path):
     np.testing.assert_array_equal(layers.pop("mask.A"), part >= 0)
     assert not layers
     (tmp_path / "layers.exr").write_bytes(content)
-    picture = read_image(tmp_path / "layers.exr")  # as a program that knows no layers
+    picture = read_image(tmp_path / "layers.exr")  # this reader ignores layers
     np.testing.assert_array_equal(picture.pixels, drawing.render(scene).linear)
     assert picture.metadata["GL_RENDERER"] == drawing.metadata["GL_RENDERER"]
 
 
-def test_what_cannot_be_drawn_is_told(head, drawing, monkeypatch):
+def test_outputs_that_cannot_be_drawn_are_refused(head, drawing, monkeypatch):
     with pytest.raises(fr.InputError, match=r"unknown output 'norml'; known: image, specular"):
         draw(job_of(), head, drawing, ("norml",), 0.0)
     many = replace(head, parts=head.parts * 65536, materials=head.materials * 65536)
-    with pytest.raises(fr.InputError, match=r"65536 parts, and parts.png numbers 65535: ask for"):
+    with pytest.raises(fr.InputError, match=r"65536 parts, but parts.png holds at most 65535: use"):
         draw(job_of(), many, drawing, ("parts",), 0.0)
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
-    with pytest.raises(fr.InputError, match=r"^layers.exr: EXR needs the package OpenEXR; pip"):
+    with pytest.raises(
+        fr.InputError, match=r"^layers.exr: EXR files need the package OpenEXR; pip"
+    ):
         draw(job_of(), head, drawing, ("image", "layers"), 0.0)
     assert draw(job_of(), head, drawing, ("image",), 0.0).files
 
@@ -224,7 +226,7 @@ def test_what_cannot_be_drawn_is_told(head, drawing, monkeypatch):
 
 
 def moved(mesh: fr.Mesh) -> fr.Mesh:
-    """The mesh in millimetres, far from the origin."""
+    """Return the mesh in millimetres, far from the origin."""
     offset = np.array([4e5, -2e4, 7e5])
     parts = [replace(part, positions=part.positions * 1e3 + offset) for part in mesh.parts]
     bounds, radius = mesh.bounds * 1e3 + offset, mesh.radius * 1e3
@@ -250,9 +252,9 @@ CAMERAS = {
 @pytest.mark.parametrize(
     ("name", "place"), [("orbit", lambda mesh: mesh), *((name, moved) for name in CAMERAS)]
 )
-def test_what_a_pixel_sees_projects_to_its_centre(head, drawing, name, place):
+def test_camera_projects_points_to_their_pixels(head, drawing, name, place):
     mesh, camera = place(head), CAMERAS[name]
-    for end in ("position", "target"):  # said in radii from the centre
+    for end in ("position", "target"):  # given in radii from the mesh's centre
         if (point := getattr(camera, end)) is not None:
             camera = replace(camera, **{end: tuple(mesh.to_mesh_space(point))})
     seen = drawing.gbuffer(fr.Scene(mesh, camera))
@@ -292,7 +294,7 @@ def test_a_frame_of_transforms_json(head, drawing):
     assert [frame[key] for key in ("file_path", "w", "h", "cx", "cy")] == [
         *("data/0/image.png", 96, 64, 48.0, 32.0)
     ]
-    # instant-ngp's way of the vertical angle: 2 atan(h / (2 fl_y))
+    # instant-ngp computes the vertical field of view as 2 atan(h / (2 fl_y)).
     assert np.degrees(2 * np.arctan(64 / (2 * frame["fl_y"]))) == pytest.approx(25.0)
     assert frame["fl_x"] == pytest.approx(frame["fl_y"])
     up, back = np.array(frame["transform_matrix"])[:3, 1:3].T
@@ -300,29 +302,37 @@ def test_a_frame_of_transforms_json(head, drawing):
     assert back @ (eye_of(camera) - head.center) > 0  # z points away from the mesh
 
 
-def test_the_page_reads_what_is_written(head, egl, tmp_path, monkeypatch):
-    text = (Path(__file__).parents[1] / "docs" / "outputs.md").read_text(encoding="utf-8")
+def test_code_of_the_page_reads_the_outputs(head, egl, tmp_path, monkeypatch):
+    text = (Path(__file__).parents[1] / "docs" / "batch.md").read_text(encoding="utf-8")
     camera = fr.Camera(position=(0.0, 0.0, 1.0), target=(0.0, 0.0, 0.0))
     job = fr.Job(camera=camera, image=fr.ImageSettings(size=(512, 384)))
     with fr.Renderer.of(job, egl) as renderer:
         drawn = draw(job, head, renderer, OUTPUTS, 0.0)
         seen = renderer.gbuffer(job.scene(head))
+    folder = tmp_path / "views" / "data" / "front"
+    folder.mkdir(parents=True)
     for name, content in drawn.files.items():
-        (tmp_path / name).write_bytes(content)
+        (folder / name).write_bytes(content)
+    record = json.dumps({"id": "front", **drawn.facts})
+    (tmp_path / "views" / "jobs.jsonl").write_text(f"{record}\n")
     monkeypatch.chdir(tmp_path)
-    told: dict[str, Any] = {"record": drawn.facts}
-    for block in re.findall(r"^```python$(.*?)^```$", text, re.DOTALL | re.MULTILINE):
-        exec(block, told)
-    assert (told["u"], told["v"]) == pytest.approx((342.61, 148.70), abs=0.005)
+    page: dict[str, Any] = {}
+    blocks = re.findall(r"^(?<!-->\n)```python$(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    for block in blocks:
+        exec(block, page)
+    assert (page["u"], page["v"]) == pytest.approx((342.61, 148.70), abs=0.005)
     covered = seen.part >= 0
-    np.testing.assert_array_equal(told["part"], seen.part)
-    np.testing.assert_allclose(told["normal"], told["exact"], atol=0.5 / 127.5 + 1e-6)
+    np.testing.assert_array_equal(page["surface"], covered)
+    parts = unchanged((folder / "parts.png").read_bytes())
+    np.testing.assert_array_equal(parts.astype(int) - 1, seen.part)
+    normals = np.stack([page["layers"][f"normal.{axis}"] for axis in "XYZ"], axis=-1)[covered]
+    np.testing.assert_allclose(page["normal"][covered], normals, atol=0.5 / 127.5 + 1e-6)
     exact = head.to_mesh_space(seen.position[covered])
-    assert np.abs(told["points"] - exact).max() < drawn.facts["depth_scale"]
-    np.testing.assert_allclose(told["project"](exact), told["rays"] @ told["K"].T[:, :2], atol=1e-3)
-    to_eye = head.to_mesh_space(seen.view.position) - exact
-    assert (told["in_camera"][:, 2] < 0.0).mean() > 0.9  # normals look back at the camera
-    cosine = (told["exact"][covered] * to_eye).sum(axis=1) / np.linalg.norm(to_eye, axis=1)
-    shown = cv2.imread("cosines.png")[..., 1][covered]  # N.V
+    assert np.abs(page["points"] - exact).max() < drawn.facts["depth_scale"]
+    np.testing.assert_allclose(page["project"](exact), page["rays"] @ page["K"].T[:, :2], atol=1e-3)
+    turned = page["normal"][covered] @ page["Rt"][:, :3].T
+    assert (turned[:, 2] < 0.0).mean() > 0.9  # normals look back at the camera
+    to_camera = head.to_mesh_space(seen.view.position) - exact
+    cosine = (normals * to_camera).sum(axis=1) / np.linalg.norm(to_camera, axis=1)
+    shown = unchanged((folder / "cosines.png").read_bytes())[..., 1][covered]  # N.V
     np.testing.assert_allclose(shown / 255, np.maximum(cosine, 0.0), atol=0.5 / 255 + 1e-5)
-    assert told["image"].shape == (384, 512, 4)

@@ -1,4 +1,4 @@
-"""The float64 BRDFs: identities, reciprocity, limits, domains."""
+"""Tests the float64 BRDFs (``facerender.brdf``): identities, reciprocity, limits and domains."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ N = np.array([0.0, 0.0, 1.0])
 
 
 def direction(theta, phi):
-    """Unit vector at theta from N, both angles in degrees."""
+    """Return the unit vector at polar angle theta from N; both angles are in degrees."""
     t, p = np.radians(theta), np.radians(phi)
     return np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t) + 0.0 * p], axis=-1)
 
@@ -35,7 +35,7 @@ def test_reciprocity(theta_l, phi, theta_v, m, model):
     assert there == pytest.approx(back, rel=1e-9, abs=1e-300)
 
 
-def test_ward_as_printed_is_not_reciprocal():
+def test_ward_as_published_is_not_reciprocal():
     l, v = direction(70.0, 180.0), direction(20.0, 0.0)
     assert brdf.ward_printed(N, l, v, 0.5) != pytest.approx(brdf.ward_printed(N, v, l, 0.5))
 
@@ -78,7 +78,7 @@ def test_exact_fresnel_at_its_ends_and_at_brewsters_angle():
     assert brdf.fresnel_dielectric([1e-8, 0.5], 1.0) == pytest.approx([1e-8, 0.5], rel=1e-12)
     eta = 1.5
     f0 = ((eta - 1) / (eta + 1)) ** 2
-    at = np.arctan(eta)  # only the perpendicular half is reflected
+    at = np.arctan(eta)  # Brewster's angle: only perpendicular polarisation is reflected
     r = (np.cos(at) - eta * np.cos(np.pi / 2 - at)) / (np.cos(at) + eta * np.cos(np.pi / 2 - at))
     assert brdf.fresnel_dielectric(f0, np.cos(at)) == pytest.approx(0.5 * r**2)
 
@@ -93,7 +93,7 @@ def test_stated_error_of_schlick():
 def test_masking():
     assert brdf.masking_v_cavity(1.0, 1.0, 1.0, 1.0) == 1.0
     assert brdf.masking_v_cavity(0.9, 0.6, 0.1, 0.8) == pytest.approx(2 * 0.9 * 0.1 / 0.6)
-    # h of any length: only the ratio counts
+    # The length of h must cancel.
     assert brdf.masking_v_cavity(1.8, 1.2, 0.1, 0.8) == pytest.approx(2 * 0.9 * 0.1 / 0.6)
 
 

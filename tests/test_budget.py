@@ -1,4 +1,4 @@
-"""Budgets: how they are read, what they measure, and how they are written."""
+"""Tests ``facerender.planning.budget``: parsing, errors and texts of budgets."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from tests.conftest import missing
         ("0 flip", 0.0, "flip"),
     ],
 )
-def test_forms(given, limit, unit):
+def test_budgets_are_parsed(given, limit, unit):
     budget = Budget.parse(given, exposure=1.5)
     assert budget.limit == pytest.approx(limit, rel=1e-12)
     assert (budget.unit, budget.exposure) == (unit, 1.5)
@@ -43,7 +43,7 @@ def test_forms(given, limit, unit):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        *((given, f"budget {given!r} has no unit that is known: give a fraction") for given in (
+        *((given, f"budget {given!r} has an unknown unit: give a fraction") for given in (
             "1 dB", "5 %%", "", " ", "%", "flip", "/255", "1/255 flip", "1/two", "--1/255", "e%",
             "1,5%", "1/255\n2/255",
         )),
@@ -57,11 +57,11 @@ def test_forms(given, limit, unit):
         ("1/-255", "budget '1/-255' "),
         ("nan", "budget 'nan' "),
         ("inf", "budget 'inf' "),
-        (None, "budget None has no unit that is known"),
-        (True, "budget True has no unit that is known"),
+        (None, "budget None has an unknown unit"),
+        (True, "budget True has an unknown unit"),
     ],
 )  # fmt: skip
-def test_impossible_ones_are_named_with_the_remedy(given, message):
+def test_invalid_budgets_are_refused_with_a_remedy(given, message):
     with pytest.raises(InputError) as error:
         Budget.parse(given)
     text = str(error.value)
@@ -81,12 +81,12 @@ def test_exposure_outside_its_domain(exposure):
     [("99.9%", 0.999), (0.999, 0.999), ("0.5", 0.5), (" 100 % ", 1.0), (1, 1.0), ("1e-1%", 0.001),
      (np.float32(0.999), 0.999), ("99.99%", 0.9999)],
 )  # fmt: skip
-def test_share_of_the_pixels(given, within):
+def test_within_is_parsed(given, within):
     assert Budget.parse("1/255", within=given) == Budget(1 / 255, within=within)
 
 
 @pytest.mark.parametrize("given", ["99.9", 0, "0%", -0.5, "101%", "nan", "inf", "most", "", True])
-def test_no_share_of_the_pixels(given):
+def test_invalid_within_is_refused(given):
     with pytest.raises(InputError, match=rf"^within {given}: give a fraction .* 99.9% or 0.999$"):
         Budget.parse("1/255", within=given)
 
@@ -97,26 +97,26 @@ def test_no_share_of_the_pixels(given):
      (0.07, 100, 93), (0.29, 100, 71), (0.5, 3, 1), (1e-9, 7, 6), (0.999, 0, 0)],
 )  # fmt: skip
 def test_spared_pixels(within, covered, spared):
-    """Never one more than the share leaves, whatever floating point makes of the product."""
+    """The product of fraction and pixels must not be rounded up to spare one pixel more."""
     assert Budget(0.1, within=within).spared(covered) == spared
 
 
-def test_the_highest_but_some():
+def test_highest_error_after_spared_pixels():
     errors = np.array([[3.0, 1.0, 2.0], [5.0, 4.0, 0.0]])
     assert [highest_but(errors, spared) for spared in range(7)] == [5, 4, 3, 2, 1, 0, 0]
-    errors[0, 1] = math.nan  # which fits no limit
+    errors[0, 1] = math.nan  # NaN is above every limit
     assert math.isnan(highest_but(errors, 0))
     assert highest_but(errors, 1) == 5
 
 
 def shown(linear, exposure):
-    """One value as sRGB encodes it, with a scalar's arithmetic."""
+    """Return the sRGB encoding of one value, in scalar arithmetic."""
     x = min(max(linear * 2.0**exposure, 0.0), 1.0)
     return 12.92 * x if x <= 0.0031308 else 1.055 * math.pow(x, 1 / 2.4) - 0.055
 
 
 def images(seed=0):
-    """Two images, from black to beyond white, and of near and of far values."""
+    """Return two images with values from black to above white and with small and large errors."""
     random = np.random.default_rng(seed)
     reference = 10.0 ** random.uniform(-5, 0.5, (24, 32, 3)) * random.integers(0, 2, (24, 32, 1))
     factor = 1.0 + 10.0 ** random.uniform(-6, 0, (24, 32, 3)) * random.choice([-1, 1], (24, 32, 3))
@@ -124,7 +124,7 @@ def images(seed=0):
 
 
 @pytest.mark.parametrize("exposure", [0.0, 2.0, -3.0])
-def test_error_in_steps_of_the_display(exposure):
+def test_error_of_the_displayed_image(exposure):
     image, reference = images()
     errors = Budget(0.1, "display", exposure).errors(image, reference)
     assert errors.shape == (24, 32)

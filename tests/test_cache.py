@@ -1,5 +1,5 @@
-"""Meshes and plans that are kept between processes: the same bits as without, nothing stale, and no
-harm from damage, other writers, a full or a closed folder."""
+"""Tests the cache of meshes and plans: results are bitwise equal to those without it, never stale,
+and robust against damage, concurrent writers and folders that are full or not writable."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def place(cache_folder):
 
 @pytest.fixture
 def reads(monkeypatch):
-    """The mesh files that were read by trimesh."""
+    """The list of mesh files that were read instead of taken from the cache."""
     seen = []
 
     def spy(path, *options):
@@ -62,7 +62,7 @@ def textured(folder):
 
 
 def assert_same(mesh, other):
-    """The same to the bit, with the mip chains of the maps."""
+    """Check that meshes are bitwise equal, including the mip levels of their maps."""
     assert_equal(mesh, other, "mesh")
     for materials in zip(mesh.materials, other.materials, strict=True):
         for name in ("albedo_map", "normal_map", "property_map"):
@@ -72,7 +72,7 @@ def assert_same(mesh, other):
 
 
 def textures_of_files(folder):
-    """Maps of three sizes, one of them in colour."""
+    """Write maps of different sizes; return their paths by option name."""
     rng = np.random.default_rng(5)
     made = {}
     for name, shape in (
@@ -93,7 +93,7 @@ def textures_of_files(folder):
         *("obj", "gltf", "ply", "stl", "maps", "flipped"),
     ],
 )
-def test_a_mesh_from_the_store_is_the_same(case, tmp_path, reads, place):
+def test_cached_mesh_equals_the_loaded_one(case, tmp_path, reads, place):
     options = {}
     path = MINI_HEAD
     if case == "head":
@@ -114,16 +114,16 @@ def test_a_mesh_from_the_store_is_the_same(case, tmp_path, reads, place):
     plain = fr.load_mesh(path, **options)
     first = load(path, **options)
     assert len(entries(place)) == 1
-    kept = load(path, **options)
+    cached = load(path, **options)
     assert len(reads) == 2
     assert_same(plain, first)
-    assert_same(plain, kept)
-    for part in kept.parts:
+    assert_same(plain, cached)
+    for part in cached.parts:
         assert part.positions.flags.writeable
 
 
 def test_the_command_draws_the_same_bits_and_imports_neither_trimesh_nor_pillow(tmp_path, place):
-    """As a process of its own, three times: without the store, to fill it, from it."""
+    """Three processes run: without the cache, filling it, and reading from it."""
     code = (
         "import sys; from facerender.commands import main\n"
         "status = main(sys.argv[1:])\n"
@@ -139,21 +139,21 @@ def test_the_command_draws_the_same_bits_and_imports_neither_trimesh_nor_pillow(
         imported.append(done.stdout.splitlines()[1])
         assert bool(entries(place)) == (not options)
     assert images[0] == images[1] == images[2]
-    assert imported[1] == "PIL"  # glTF is read without trimesh
+    assert imported[1] == "PIL"  # reading glTF does not need trimesh
     assert imported[2] == ""
 
 
 @pytest.mark.parametrize(
     "options",
     [
-        (),  # of the built-in head
+        (),  # the built-in head
         (str(MINI_HEAD), "--m", "0.2"),
         (str(MINI_HEAD), "--float-albedo"),
         (str(MINI_HEAD), "--only", "specular"),
     ],
     ids=lambda options: " ".join(options[1:]),
 )
-def test_options_change_a_kept_mesh_as_any(options, tmp_path, egl, reads):
+def test_options_apply_to_cached_meshes(options, tmp_path, egl, reads):
     images = []
     for uncached in (["--no-cache"], [], []):
         assert main(["render", *options, "-o", str(tmp_path / "o.exr"), *SMALL, *uncached]) == 0
@@ -163,7 +163,7 @@ def test_options_change_a_kept_mesh_as_any(options, tmp_path, egl, reads):
     assert images[0] == images[1] == images[2]
 
 
-def test_what_is_warned_of_is_warned_of_again(tmp_path, reads):
+def test_cached_meshes_repeat_warnings(tmp_path, reads):
     head = mini_head()
     path = files.write_obj(tmp_path / "inside-out.obj", head.with_faces(head.faces[:, ::-1]))
     for _ in range(2):
@@ -188,7 +188,7 @@ def test_a_changed_file_is_read_anew(change, tmp_path, reads):
         data = bytearray(texture.read_bytes())
         data[-3] ^= 1
         texture.write_bytes(data)
-        os.utime(texture, ns=(times.st_atime_ns, times.st_mtime_ns))  # as some tools do
+        os.utime(texture, ns=(times.st_atime_ns, times.st_mtime_ns))  # some tools keep the time
     elif change == "other texture":
         Image.new("RGB", (4, 4), (10, 10, 200)).save(texture, "PNG")
     elif change == "removed":
@@ -202,7 +202,7 @@ def test_a_changed_file_is_read_anew(change, tmp_path, reads):
     assert_same(again, plain)
 
 
-def test_options_make_a_mesh_of_their_own(reads):
+def test_loading_options_are_part_of_the_key(reads):
     for _ in range(2):
         for flip_v in (False, True):
             assert_same(load(MINI_HEAD, flip_v=flip_v), fr.load_mesh(MINI_HEAD, flip_v=flip_v))
@@ -217,14 +217,14 @@ def test_a_changed_map_is_read_anew(tmp_path, reads):
     assert len(reads) == 2
 
 
-def test_a_mesh_in_another_folder_with_another_texture_is_another(tmp_path):
+def test_equal_files_with_different_textures_are_distinct(tmp_path):
     paths = [textured(tmp_path / name) for name in ("a", "b")]
     Image.new("RGB", (4, 4), (10, 10, 200)).save(next((tmp_path / "b").glob("*.jpg")), "PNG")
     for path in [*paths, *paths]:
         assert_same(load(path), fr.load_mesh(path))
 
 
-def test_a_file_that_changes_while_it_is_read_is_not_kept(tmp_path, monkeypatch, place):
+def test_file_that_changes_while_it_is_read_is_not_cached(tmp_path, monkeypatch, place):
     path = textured(tmp_path / "in")
     read = loading.read
 
@@ -238,7 +238,7 @@ def test_a_file_that_changes_while_it_is_read_is_not_kept(tmp_path, monkeypatch,
     assert entries(place) == []
 
 
-def test_another_version_of_what_reads_meshes_reads_anew(reads, monkeypatch):
+def test_other_versions_of_the_readers_invalidate_entries(reads, monkeypatch):
     load(MINI_HEAD)
     readers = loading.mesh_cache._code()
     assert any("trimesh" in path for path, *_ in readers)
@@ -248,7 +248,7 @@ def test_another_version_of_what_reads_meshes_reads_anew(reads, monkeypatch):
     assert len(reads) == 2
 
 
-def test_what_is_missing_is_not_kept(tmp_path, place):
+def test_mesh_with_a_missing_file_is_not_cached(tmp_path, place):
     path = textured(tmp_path / "in")
     next(path.parent.glob("*.jpg")).unlink()
     for _ in range(2):
@@ -257,7 +257,7 @@ def test_what_is_missing_is_not_kept(tmp_path, place):
     assert entries(place) == []
 
 
-def test_a_damaged_map_is_not_kept(tmp_path, place, capsys):
+def test_mesh_with_a_damaged_map_is_not_cached(tmp_path, place, capsys):
     texture = tmp_path / "skin.jpg"
     texture.write_bytes(mini_head().skin[:-200])
     for _ in range(2):
@@ -281,7 +281,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("how", DAMAGE)
-def test_a_damaged_entry_is_absent_and_made_anew(how, reads, place):
+def test_damaged_entries_are_replaced(how, reads, place):
     plain = fr.load_mesh(MINI_HEAD)
     load(MINI_HEAD)
     (entry,) = entries(place)
@@ -292,7 +292,7 @@ def test_a_damaged_entry_is_absent_and_made_anew(how, reads, place):
     assert entry.read_bytes() == good
 
 
-def test_a_pipe_in_place_of_an_entry_is_absent(reads, place):
+def test_pipe_in_place_of_an_entry_is_ignored(reads, place):
     load(MINI_HEAD)
     (entry,) = entries(place)
     entry.unlink()
@@ -322,7 +322,7 @@ def test_writers_at_the_same_time_leave_whole_entries(place):
     assert [path.name for path in entries(place)] == ["same"]
 
 
-def test_what_a_writer_that_was_cut_off_has_left_is_removed(place):
+def test_old_partial_files_are_removed(place):
     cache.write("meshes", "a", [b"1"])
     old, new = (place / "meshes" / f".b-{name}" for name in ("old", "new"))
     for path in (old, new):
@@ -334,24 +334,24 @@ def test_what_a_writer_that_was_cut_off_has_left_is_removed(place):
     assert new.exists()
 
 
-def test_the_least_recently_used_go(place, monkeypatch):
+def test_least_recently_used_entries_are_removed(place, monkeypatch):
     monkeypatch.setenv("FACERENDER_CACHE_MIB", "4")
     mib = bytes(2**20 - 4096)
     for age, name in enumerate("dcba"):
         cache.write("meshes", name, [mib])
         os.utime(place / "meshes" / name, (1e9 - age, 1e9 - age))
     assert cache.size() <= 4 << 20
-    assert cache.read("meshes", "a") is not None  # used now, and so the youngest
+    assert cache.read("meshes", "a") is not None  # now the most recently used
     cache.write("plans", "e", [mib])
     assert {path.name for path in place.glob("*/*")} == {"a", "e", "c", "d"}
     cache.write("meshes", "f", [mib, mib, mib])
     assert {path.name for path in place.glob("*/*")} == {"e", "f"}
-    cache.write("meshes", "g", [mib] * 5)  # larger than all may be together
+    cache.write("meshes", "g", [mib] * 5)  # larger than the limit
     assert {path.name for path in place.glob("*/*")} == {"e", "f"}
 
 
 @pytest.mark.parametrize("mib", ["-1", "1.5", "much"])
-def test_a_limit_that_is_none(mib, tmp_path, monkeypatch, capsys):
+def test_invalid_size_limit_is_refused(mib, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("FACERENDER_CACHE_MIB", mib)
     status = main(["render", str(MINI_HEAD), "-o", str(tmp_path / "o.png"), *SMALL])
     printed = capsys.readouterr()
@@ -359,7 +359,7 @@ def test_a_limit_that_is_none(mib, tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("option", ["--no-cache", "limit 0", "a file", "/dev/null", "closed"])
-def test_render_without_a_store(option, tmp_path, egl, monkeypatch, place, capsys):
+def test_render_without_a_usable_cache(option, tmp_path, egl, monkeypatch, place, capsys):
     options = [option] if option == "--no-cache" else []
     if option == "limit 0":
         monkeypatch.setenv("FACERENDER_CACHE_MIB", "0")
@@ -369,7 +369,7 @@ def test_render_without_a_store(option, tmp_path, egl, monkeypatch, place, capsy
         monkeypatch.setenv("XDG_CACHE_HOME", option)
     elif option == "closed":
         place.parent.mkdir()
-        # Root may write everywhere: where this runs as root, the folder itself is in the way.
+        # Root may write to any folder; a file with the folder's name stops root as well.
         (place.parent / "facerender").touch(mode=0)
     png = tmp_path / "o.png"
     budget = ["--budget", "2/255", "--light", "key"] if option in ("--no-cache", "a file") else []
@@ -381,7 +381,7 @@ def test_render_without_a_store(option, tmp_path, egl, monkeypatch, place, capsy
     assert not place.is_dir()
 
 
-def test_a_kept_mesh_pickles(egl, tmp_path):
+def test_cached_mesh_can_be_pickled(egl, tmp_path):
     load(MINI_HEAD)
     scene = fr.Scene(load(MINI_HEAD))
     with fr.Renderer((48, 48), samples=1, backend=egl) as renderer:
@@ -390,13 +390,13 @@ def test_a_kept_mesh_pickles(egl, tmp_path):
             np.testing.assert_array_equal(renderer.render(each).linear, expected)
 
 
-def test_a_loaded_mesh_is_in_the_store_when_the_process_ends(place):
+def test_mesh_is_cached_before_the_process_ends(place):
     code = "import sys, facerender; facerender.load_mesh(sys.argv[1], cache=True)"
     subprocess.run([sys.executable, "-c", code, MINI_HEAD], check=True)
     assert len(entries(place)) == 1
 
 
-def test_doctor_tells_where_it_is(place, capsys):
+def test_doctor_prints_folder_and_size(place, capsys):
     cache.write("plans", "a", [bytes(3 << 20)])
     main(["doctor"])
     assert f"cache   {place}, 3 of at most 1024 MiB" in capsys.readouterr().out

@@ -1,4 +1,5 @@
-"""Limits from pairs that must pass: found, told, kept in an ini file, and taken from there."""
+"""Tests ``facerender compare --calibrate``: limits from pairs of images that must pass, their
+messages, and the ini file that stores them."""
 
 from __future__ import annotations
 
@@ -36,7 +37,7 @@ LOOSE = dict.fromkeys(NAMES, (1e6, "sees nothing"))
 
 
 def picture(gain: float = 1.0, noise: float = 0.0) -> np.ndarray:
-    """Skin with a highlight and some detail, over black."""
+    """Return an image of skin with a highlight and fine detail, on black."""
     rng = np.random.default_rng(7)
     y, x = np.mgrid[0:SIDE, 0:SIDE] / SIDE - 0.5
     shape = 0.3 + 0.6 * np.exp(-((x - 0.1) ** 2 + (y + 0.1) ** 2) / 0.02)
@@ -48,7 +49,7 @@ def picture(gain: float = 1.0, noise: float = 0.0) -> np.ndarray:
 
 
 class Runs:
-    """Folders of images, one for each run."""
+    """Folders of images, one per run."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -77,7 +78,7 @@ def runs(tmp_path) -> Runs:
 
 @pytest.fixture(scope="module")
 def equal(tmp_path_factory) -> Calibration:
-    """Of two runs that are the same."""
+    """The calibration of two equal runs."""
     runs = Runs(tmp_path_factory.mktemp("equal"))
     for run in ("one", "two"):
         runs.add(run, picture())
@@ -86,7 +87,7 @@ def equal(tmp_path_factory) -> Calibration:
 
 @pytest.fixture
 def wide(runs) -> Runs:
-    """Two drivers that differ by 0.8 % of the exposure."""
+    """Two runs that differ by 0.8 % in exposure."""
     runs.add("one", picture())
     runs.add("two", picture(1.008))
     return runs
@@ -95,13 +96,13 @@ def wide(runs) -> Runs:
 # --- limits --------------------------------------------------------------------------------------
 
 
-def test_equal_pairs_need_what_rounding_needs(equal):
+def test_equal_pairs_need_the_limits_of_rounding(equal):
     assert (equal.pairs, equal.limits, equal.needed) == (1, LEAST["linear"], {})
     assert equal.blind == []
     assert all(getattr(equal.limits, name) <= getattr(LIMITS["linear"], name) for name in NAMES)
 
 
-def test_limits_are_what_the_worst_pair_needs_with_a_margin(wide):
+def test_limits_fit_the_worst_pair_with_a_margin(wide):
     wide.add("one", picture(), "mild.exr")
     wide.add("two", picture(1.002), "mild.exr")
     found = wide.calibration()
@@ -131,7 +132,7 @@ def test_no_limit_is_wider_than_by_default_for_the_margin_alone(runs):
 
 
 @pytest.mark.parametrize("name", ["point", "block", "trend", "grain", "texture"])
-def test_each_limit_sees_the_change_that_it_tells_and_no_half_of_it(equal, name):
+def test_limits_detect_the_stated_change_and_not_half_of_it(equal, name):
     b, by = picture(), equal.sees[name]
     color = b[..., :3]
     lit = b[..., 3] > 0
@@ -139,7 +140,7 @@ def test_each_limit_sees_the_change_that_it_tells_and_no_half_of_it(equal, name)
     fine = color - 0.5 * (np.roll(color, 1, axis=1) + np.roll(color, -1, axis=1))
     above = np.maximum(color - np.median(color[lit], axis=0), 0.0)
     spot = np.zeros((SIDE, SIDE, 1))
-    spot[90, 40:42] = 1.0  # no highlight
+    spot[90, 40:42] = 1.0  # outside the highlight
     change = {
         "point": spot,
         "block": color,
@@ -157,7 +158,7 @@ def test_each_limit_sees_the_change_that_it_tells_and_no_half_of_it(equal, name)
         assert (not result.changed_alike if name == "trend" else result.same) is same
 
 
-def test_mask_leaves_out_what_does_not_count(wide):
+def test_masked_pixels_are_ignored(wide):
     a = picture()
     a[:, : SIDE // 2, :3] = 0.5
     wide.add("one", a)
@@ -178,32 +179,32 @@ def test_images_of_8_bits_have_limits_of_their_own(wide):
     assert (linear.encoding, encoded.encoding) == ("linear", "srgb8")
     assert encoded.limits.block > 1.0
     assert encoded.sees["point"] >= 1.0
-    assert encoded.noted["point"][1].endswith("of 255")
+    assert encoded.noted["point"][1].endswith("of 255 or more")
     one, two = (wide.folder / run / "head.png" for run in ("one", "two"))
     assert not compare(one, two).same
     assert compare(one, two, **asdict(encoded.limits)).same
-    for factor, same in ((1.2, False), (0.8, True)):  # of the second picture, in linear light
+    for factor, same in ((1.2, False), (0.8, True)):  # of the detectable exposure change
         gain = 1.02 * (1.0 - factor * encoded.sees["block"])
         other = wide.add("three", picture(gain), "head.png")
         limits = OPEN | {"shift": encoded.limits.shift, "block": encoded.limits.block}
         assert compare(one, other, **limits).same is same
 
 
-def test_what_is_seen_of_a_picture_that_shows_nothing(runs):
+def test_limits_of_black_images(runs):
     for run in ("one", "two", "three"):
         runs.add(run, np.zeros((32, 32, 3), np.float32))
     found = runs.calibration()
     assert (found.pairs, found.limits) == (3, LEAST["linear"])
-    assert found.noted["block"][1] == "does not see another exposure"
+    assert found.noted["block"][1] == "does not detect an exposure change of any amount"
     json.dumps(found.as_dict(), allow_nan=False)
 
 
-def test_pairs_that_cannot_be_used(runs):
+def test_invalid_pairs_are_refused(runs):
     a = picture()
     a[60:70:3, 60:70:3, :3] = 0.0
     runs.add("one", picture())
     runs.add("two", a)
-    with pytest.raises(InputError, match=r"two/head.exr differs, whatever the limits: 16 pixels"):
+    with pytest.raises(InputError, match=r"two/head.exr differs with any limits: 16 pixels"):
         runs.calibration()
     runs.add("one", picture())
     runs.add("two", picture()[:64])
@@ -218,7 +219,7 @@ def test_pairs_that_cannot_be_used(runs):
 def test_folder_without_runs(runs):
     runs.add("one", picture())
     runs.add(".hidden", picture())
-    with pytest.raises(InputError, match="no two folders to compare: give one for each run"):
+    with pytest.raises(InputError, match="fewer than two subfolders: give one for each run"):
         runs_of(runs.folder)
     with pytest.raises(InputError, match="cannot read .*nowhere: no such file"):
         runs_of(runs.folder / "nowhere")
@@ -251,15 +252,15 @@ TOML = "[tool.pytest.ini_options]\n"
     [
         ("[pytest]\nfacerender_point = much\n", "facerender_point = 'much': give a number"),
         ("[pytest]\nfacerender_point = -1\n", r"facerender_point = -1.0 is outside \[0, 1e"),
-        ("[pytest]\naddopts = -q\n", "gives no limit, such as facerender_point"),
+        ("[pytest]\naddopts = -q\n", "has no limit: add one, such as facerender_point"),
         ("[pytest]\naddopts = -q\n[pytest]\nx = 1\n", "cannot be read: .*; repair it"),
         ("[pytest\n", "cannot be read"),
         ("[pytest]\nx = \xff\n", "is not UTF-8"),
         (None, "cannot read .*missing"),
         (f"{TOML}facerender_point = [1]", "facerender_point = .1.: give a number"),
         (f"{TOML}facerender_point = 1{'0' * 400}", "facerender_point = 10.*0: give a number"),
-        (f"{TOML}facerender_point = 1{'0' * 5000}", "is not TOML: Exceeds the limit"),
-        (f"{TOML}{'a.' * 5000}b = 1", "is not TOML: nested too deep; mend it"),
+        (f"{TOML}facerender_point = 1{'0' * 5000}", "is not valid TOML: Exceeds the limit"),
+        (f"{TOML}{'a.' * 5000}b = 1", "is not valid TOML: nested too deep; correct it"),
     ],
 )
 def test_file_without_limits(tmp_path, content, message):
@@ -284,9 +285,9 @@ def test_command_writes_limits_that_it_reads(wide, tmp_path, capsys):
     path = tmp_path / "limits.ini"
     status, out, err = run(capsys, "--calibrate", wide, "-o", path)
     assert (status, path.read_text()) == (0, out)
-    assert "lets another exposure by 1 % pass; wider than 0.005, as two/head.exr needs" in err
+    assert "an exposure change of 1 %; wider than the default 0.005, since two/head.exr" in err
     limits = read_limits(path)["linear"]
-    assert out.startswith("[pytest]\n# facerender_point: sees 2 brighter pixels from ")
+    assert out.startswith("[pytest]\n# facerender_point: detects 2 pixels brightened by ")
     assert f"facerender_block = {limits['block']:g}\n" in out
     one, two = (wide.folder / run for run in ("one", "two"))
     assert run(capsys, one, two)[0] == 1
@@ -294,7 +295,7 @@ def test_command_writes_limits_that_it_reads(wide, tmp_path, capsys):
     assert run(capsys, one, two, "--limits", path, "--block", 0.001)[0] == 1
     status, _, err = run(capsys, "--calibrate", wide, "-o", path)
     assert status == 2
-    assert f"{path} exists: give a new file, and paste its sections there" in err
+    assert f"{path} exists: give a new file, and copy its sections into it" in err
     assert path.read_text() == out
 
 
@@ -305,7 +306,7 @@ def test_limits_of_a_file_are_for_the_images_of_their_encoding(runs, tmp_path, c
         assert run(capsys, one, two, "--limits", path)[0] == status
 
 
-def test_command_without_a_file_prints_that_wider_limits_see_less(wide, equal, capsys, tmp_path):
+def test_json_warns_that_wider_limits_detect_less(wide, equal, capsys, tmp_path):
     status, out, _ = run(capsys, "--calibrate", wide, "--json")
     assert status == 0
     assert [each.name for each in tmp_path.iterdir()] == ["runs"]
@@ -314,15 +315,15 @@ def test_command_without_a_file_prints_that_wider_limits_see_less(wide, equal, c
     assert limit > found["least"]["block"] > 0.005
     assert set(found["sees"]) == set(NAMES)
     assert found["sees"]["block"] > 0.01 > 0.005 > equal.sees["block"]
-    (told,) = (each for each in found["blind"] if "block" in each)
-    assert told.startswith(f"limit block = {limit:g} lets another exposure by 1 %")
+    (warning,) = (each for each in found["blind"] if "block" in each)
+    assert warning.startswith(f"limit block = {limit:g} does not detect an exposure ")
 
 
 def test_every_limit_is_an_option(wide, capsys):
     one, two = (wide.folder / run / "head.exr" for run in ("one", "two"))
     given = [part for name in NAMES for part in (f"--{name}", "1e6")]
     assert run(capsys, one, two, *given)[0] == 0
-    assert "block (" in run(capsys, one, two, *given, "--block", "0.005")[1]
+    assert "block at (" in run(capsys, one, two, *given, "--block", "0.005")[1]
     little = wide.add("two", picture(1.003))
     assert "changed alike" in run(capsys, one, little)[1]
     assert run(capsys, one, little, "--trend", "1e6")[0] == 0
@@ -340,7 +341,7 @@ def test_every_limit_is_an_option(wide, capsys):
             (("--calibrate", "runs", option, value), f"leave out {option}")
             for option, value in (("--block", "1"), ("--report", "x.html"), ("--limits", "x.ini"))
         ),
-        (("a.exr",), "one image alone: give A and B"),
+        (("a.exr",), "only one image: give A and B"),
         ((), "give A and B"),
         (("a.exr", "b.exr", "-o", "x.ini"), "-o writes the limits of --calibrate"),
         (("--calibrate", "runs", "-o", "nowhere/pytest.ini"), "cannot write nowhere"),
@@ -355,5 +356,6 @@ def test_options_that_exclude_each_other(wide, capsys, monkeypatch, arguments, m
 
 def test_document_has_the_defaults():
     text = (Path(__file__).parents[1] / "docs/command-line.md").read_text(encoding="utf-8")
-    for name, help in LIMITED.items():
-        assert f"| `--{name} LIMIT` | {help} ({default_of(name)}) |" in text
+    for name, (effect, unit) in LIMITED.items():
+        row = f"| `--{name}` | `LIMIT` | {effect} | {unit} | 0 to 1e+30 | {default_of(name)} |"
+        assert row in text

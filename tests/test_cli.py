@@ -1,5 +1,5 @@
-"""The command line as a user meets it: what it prints, what it writes, and that an error is one
-line on standard error, exit status 2, and nothing written."""
+"""Tests ``facerender render``, ``doctor`` and ``shaders``: output, files and errors. An error is
+one line on standard error with exit status 2, and no file is written."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Capture = pytest.CaptureFixture[str]
 
 @dataclass(frozen=True)
 class Cli:
-    """Runs the command in this process; images go to an empty folder of their own."""
+    """Runs commands in this process; images go to ``folder``."""
 
     folder: Path
     capture: Capture
@@ -49,20 +49,20 @@ class Cli:
         return sorted(path.name for path in self.folder.iterdir())
 
     def run(self, *arguments: str | Path) -> tuple[int, str, str]:
-        """Exit status, standard output, standard error."""
+        """Return exit status, standard output and standard error."""
         status = main([str(argument) for argument in arguments])
         printed = self.capture.readouterr()
         return status, printed.out, printed.err
 
     def render(self, *options: str | Path, mesh: str | Path = MINI_HEAD) -> NDArray[np.uint8]:
-        """Render without a complaint, and return the image."""
+        """Render without warnings or errors, and return the image."""
         status, out, err = self.run("render", mesh, "-o", self.png, "--size", "48", *options)
         assert (status, err) == (0, "")
         assert out == f"{self.png}\n"
         return np.asarray(Image.open(self.png))
 
     def describe(self, *options: str | Path, mesh: str | Path = MINI_HEAD) -> dict[str, Any]:
-        """Render with --json, and return what it says."""
+        """Render with --json, and return its output."""
         status, out, _ = self.run(
             "render", mesh, "-o", self.png, "--size", "48", "--json", *options
         )
@@ -70,7 +70,7 @@ class Cli:
         return dict(json.loads(out))
 
     def fail(self, message: str, *arguments: str | Path) -> None:
-        """Run, and see one line that matches on standard error, and no file more than before."""
+        """Check that a command fails with a matching error and writes no file."""
         before = self.written
         status, out, err = self.run(*arguments)
         assert_error(status, out, err, message)
@@ -104,7 +104,7 @@ def cli(tmp_path: Path, capsys: Capture, egl: str) -> Cli:
 
 @pytest.fixture
 def write(tmp_path: Path) -> Callable[[str, str | bytes], Path]:
-    """Write an input file."""
+    """A function that writes an input file."""
 
     def write(name: str, content: str | bytes) -> Path:
         path = tmp_path / name
@@ -124,7 +124,7 @@ def process(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-# --- as a process --------------------------------------------------------------------------------
+# --- in a separate process -----------------------------------------------------------------------
 
 
 def test_process_renders_the_built_in_head(tmp_path: Path, egl: str) -> None:
@@ -270,7 +270,7 @@ OPTIONS: dict[tuple[str, ...], dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("options", OPTIONS, ids=" ".join)
-def test_options_draw_what_their_values_do(options: tuple[str, ...], cli: Cli) -> None:
+def test_options_equal_their_values_in_python(options: tuple[str, ...], cli: Cli) -> None:
     frame = fr.render(MINI_HEAD, size=(48, 48), **OPTIONS[options])
     np.testing.assert_array_equal(cli.render(*options), frame.srgb8())
 
@@ -284,7 +284,7 @@ def test_triangles(cli: Cli) -> None:
         *("render", MINI_HEAD, "-o", cli.png, "--size", "48", "--triangles", "1")
     )
     assert status == 0
-    assert re.fullmatch(r"facerender: warning: .* to 1 triangles: it keeps \d+\n", err)
+    assert re.fullmatch(r"facerender: warning: .* to 1 triangles: \d+ remain\n", err)
 
 
 def test_material(cli: Cli) -> None:
@@ -349,7 +349,7 @@ def test_scene_file(cli: Cli, write: Callable[..., Path]) -> None:
     np.testing.assert_array_equal(cli.render("--scene", write("scene.toml", SCENE)), expected)
 
 
-def test_options_count_before_the_scene_file(cli: Cli, write: Callable[..., Path]) -> None:
+def test_options_override_the_scene_file(cli: Cli, write: Callable[..., Path]) -> None:
     path = write("scene.toml", SCENE)
     options = ("--camera", "40", "--light", "front", "--m", "0.4", "--background", "0,0,0")
     overridden = cli.render("--scene", path, *options)
@@ -358,7 +358,7 @@ def test_options_count_before_the_scene_file(cli: Cli, write: Callable[..., Path
 
 
 def test_bad_scene_file(cli: Cli, write: Callable[..., Path], tmp_path: Path) -> None:
-    """What each mistake gets: tests/test_scene.py."""
+    """tests/test_scene.py has the messages for all faults."""
     cli.fail_to_render(r"scene\.toml: m = 3\.0 is outside \[0\.0001, 2\]", "--scene",
                        write("scene.toml", "material = { m = 3.0 }"))  # fmt: skip
     cli.fail_to_render(r"cannot read .*gone\.toml: no such", "--scene", tmp_path / "gone.toml")
@@ -437,7 +437,7 @@ def test_bad_command(arguments: tuple[str, ...], message: str, cli: Cli) -> None
 def test_bad_file(
     option: str, name: str, content: bytes | None, message: str, cli: Cli, tmp_path: Path
 ) -> None:
-    """What each kind of damage gets: tests/test_mesh.py and test_texture.py."""
+    """tests/test_mesh.py and test_texture.py have the messages for all kinds of damage."""
     if content is not None:
         (tmp_path / name).write_bytes(content)
     if option == "mesh":
@@ -456,7 +456,7 @@ def test_roughness_map_outside_the_domain_of_the_lobe(cli: Cli, tmp_path: Path) 
     cli.fail_to_render(message, *options, "--lobe", "d16")
 
 
-def test_vertices_that_are_no_numbers(cli: Cli, tmp_path: Path) -> None:
+def test_non_finite_vertices(cli: Cli, tmp_path: Path) -> None:
     positions = mini_head().positions.copy()
     positions[10] = np.nan
     mesh = files.write_glb(tmp_path / "head.glb", mini_head().with_positions(positions))
@@ -470,7 +470,7 @@ def test_vertices_that_are_no_numbers(cli: Cli, tmp_path: Path) -> None:
     assert warning in err
 
 
-# --- where the image goes ------------------------------------------------------------------------
+# --- output files --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -526,7 +526,7 @@ def test_no_opengl(cli: Cli) -> None:
 
 
 @pytest.mark.usefixtures("no_opengl")
-def test_no_opengl_of_the_backend_asked_for(cli: Cli) -> None:
+def test_no_opengl_of_the_requested_backend(cli: Cli) -> None:
     cli.fail_to_render(
         r"no OpenGL context \(osmesa: libosmesa is not there\); "
         r".*apt-get install libosmesa6; Mesa 25.1 has none: use egl$",
@@ -550,7 +550,7 @@ def test_doctor(cli: Cli) -> None:
     assert f"Python {platform.python_version()}" in out
 
 
-def test_doctor_tells_how_to_get_what_is_missing(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_names_remedies(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(doctor.PACKAGES, "hdr", ("not-there-at-all",))
     _, out, _ = cli.run("doctor")
     assert "hdr     not-there-at-all is missing: pip install 'facerender[hdr]'\n" in out
@@ -563,7 +563,7 @@ def test_doctor_without_opengl(cli: Cli) -> None:
     assert re.search(r"egl .*apt-get install libegl1", out)
     assert re.search(r"osmesa .*apt-get install libosmesa6", out)
     assert re.search(r"native .*apt-get install libgl1", out)
-    assert "\nauto    finds none that works\n" in out
+    assert "\nauto    no backend works\n" in out
 
 
 def test_shaders_lists_every_function(cli):
@@ -580,12 +580,12 @@ def test_shaders_lists_every_function(cli):
         for key in ("signature", "file", "summary", "unit", "error"):
             assert " ".join(function[key].split()) in words
     fresnel = next(f for f in described if f["name"] == "fr_fresnel_schlick")
-    assert fresnel["error"] == "at most 0.046 absolute at f0 = 0.028 (at 84 degrees)"
+    assert fresnel["error"] == "At most 0.046 absolute at f0 = 0.028 (at 84 degrees)."
     assert fresnel["source"] == "Schlick (1994), eq. 15"
     assert fresnel["parameters"]["f0"].startswith("reflectance at normal incidence, in [0, 1)")
 
 
-def test_shaders_path_is_an_include_root(cli):
+def test_shaders_path_is_an_include_directory(cli):
     _, out, _ = cli.run("shaders", "path")
     assert Path(out.strip(), "facerender/cook_torrance.glsl").is_file()
 

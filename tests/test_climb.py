@@ -1,5 +1,5 @@
-"""Hill-climbing finds no directions, correctly rounded unit vectors, that pass the bounds that the
-BRDFs' headers state."""
+"""Tests the error bounds of the BRDFs' headers by hill climbing over directions, which are unit
+vectors correctly rounded to float32."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.verification.evaluate import Evaluator, Inputs
 from tests.verification.targets import Remote
 
 FEW, MANY = (50, 8), (1000, 60)  # starts and steps
-# One target of each compiler, which decides how an expression is rounded.
+# One target per compiler, because rounding depends on the compiler.
 COMPILERS = ("GLSL 330, EGL", "GLSL 330, softpipe", "WebGL 2, Chromium", "WGSL, Vulkan")
 
 
@@ -62,8 +62,8 @@ def test_bounds_hold_after_a_long_climb(target, capsys, term, f0):
     assert share <= 1.0, told
 
 
-def test_a_climb_finds_what_random_samples_miss(evaluator):
-    """Of a term with a flaw that is largest for one normal."""
+def test_climb_finds_errors_that_random_samples_miss(evaluator):
+    """The term has an artificial error with its maximum at one normal."""
     term = Term("ward")
     first = directions_and_extremes(2.0)
 

@@ -1,5 +1,5 @@
-"""The image comparison: broken renders differ for the reason it names, harmless differences pass,
-and what cannot be compared is said in one line. docs/measurements/comparison.md has the figures."""
+"""Tests the image comparison: broken renders fail with the right reason, harmless differences pass,
+and errors are one line. docs/measurements/comparison.md has the measured values."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ ROOMS = [
     ),
 ]
 
-STRICT = 1e-3  # a limit of blocks, for float textures and one driver
+STRICT = 1e-3  # limit of the block check for float textures and one driver
 LOBE = "a lobe or weight change"
 SHAPE = "another shape, texture or light"
 EXPOSURE = "exposure, light or colour space"
 
-# mutation: the metric that must see it, and what may be guessed
+# For each change, the metric that must detect it, and the causes that may be named.
 CAUGHT = {
     "ks -3 %": ("blocks", {LOBE}),
     "m 0.300 to 0.306": ("blocks", {LOBE}),
@@ -68,9 +68,10 @@ CAUGHT = {
     "albedo decoded twice": ("blocks", {SHAPE, EXPOSURE}),
     "exposure +2 %": ("blocks", {EXPOSURE}),
 }
-# At 512 x 512 from the front the highlights of the scan are too weak for the limit of any driver.
+# At 512 x 512 from the front, the scan's highlights are too weak for the default block limit.
 NEEDS_STRICT = {("scan", "front", "m 0.300 to 0.306"), ("scan", "front", "no masking")}
-# Guessed as well: three pixels that lie at an edge there, and bright ones that lie alone.
+# Further causes that may be named: here the fireflies lie at an edge, or highlights are single
+# pixels.
 ALSO = {
     ("head", "front", 1, "3 fireflies"): {"false highlights"},
     ("head", "front", 4, "3 fireflies"): {"false highlights"},
@@ -93,7 +94,7 @@ def room(setting, egl, request: pytest.FixtureRequest) -> Iterator[Room]:
     room.renderer.release()
 
 
-# --- what must fail, and the words ---------------------------------------------------------------
+# --- broken renders ------------------------------------------------------------------------------
 
 
 def guesses(result) -> set[str]:
@@ -104,7 +105,7 @@ def guesses(result) -> set[str]:
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_broken_renders_differ_for_the_reason_named(room, setting, name):
+def test_broken_renders_fail_with_the_right_reason(room, setting, name):
     metric, likely = CAUGHT[name]
     strict = (*setting[:2], name) in NEEDS_STRICT
     result = compare(*BROKEN[name](room), block=STRICT if strict else None)
@@ -122,7 +123,7 @@ def test_place_of_false_highlights_and_another_camera(room):
     assert result.reasons[-1].endswith("limit 0.5 %: looks like another mesh or camera")
 
 
-# --- what must pass ------------------------------------------------------------------------------
+# --- harmless differences ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", HARMLESS)
@@ -154,18 +155,18 @@ def test_llvmpipe_and_softpipe_are_the_same(mesh, egl, request):
         assert result.largest > 0.0
 
 
-# --- the checks, each alone ----------------------------------------------------------------------
+# --- single checks -------------------------------------------------------------------------------
 
 
 def plain(radiance: float = 0.2, side: int = 64) -> np.ndarray:
-    """A covered square of one radiance, with a background around it."""
+    """Return an image of a fully covered square with constant radiance, on background."""
     image = np.zeros((side, side, 4), dtype=np.float32)
     image[8:-8, 8:-8] = (radiance, radiance, radiance, 1.0)
     return image
 
 
 def edited(image: np.ndarray, *edits: tuple[object, str, object]) -> np.ndarray:
-    """A copy with places set, increased or multiplied."""
+    """Return a copy after edits (place, operation, value) with the operations =, + and *."""
     image = image.copy()
     for place, how, value in edits:
         if how == "*":
@@ -189,17 +190,17 @@ def test_an_image_is_the_same_as_itself():
     assert (result.point, result.block, result.coverage, result.largest) == (0, 0, 0, 0)
     image = plain(side=24)
     assert compare(image, image).blocks_judged == 0
-    assert str(compare(image, image)) == "same, but no block could be judged"
+    assert str(compare(image, image)) == "same, but no block has enough pixels to be checked"
     assert compare(image[:1, :1], image[:1, :1]).same
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("either", [0, 1])
-def test_point_is_signed_and_seen_both_ways(sign, either):
+def test_point_is_signed_and_symmetric(sign, either):
     images = [plain(), plain()]
     images[either][30, 40, 1] += 0.06 * sign
     result = compare(*images)
-    explained = 0.01 * 0.2  # of the level
+    explained = 0.01 * 0.2  # 1 % of the radiance is tolerated
     assert result.point == pytest.approx((0.06 - explained) * sign * (1 if either else -1))
     assert (result.point_at, result.points, result.same) == ((40, 30), 1, False)
     assert compare(*images, point=0.061).same
@@ -227,8 +228,8 @@ def test_an_edge_may_move_by_a_pixel():
         ([(8, 30), (8, 40)], 0.45, False),
         ([(8, 30), (8, 40)], 0.3, True),
         ([(8, 30)], 0.9, False),
-        ([(8, 30), (8, 40)], -0.2, False),  # black: no background lies within the mesh
-        ([(8, slice(8, -8))], 0.3, True),  # along an edge; along two are too many
+        ([(8, 30), (8, 40)], -0.2, False),  # black pixels inside the mesh are not background
+        ([(8, slice(8, -8))], 0.3, True),  # along one edge; along two are too many
         ([(8, slice(8, -8)), (-9, slice(8, -8))], 0.3, False),
     ],
 )
@@ -238,11 +239,11 @@ def test_few_slivers_of_light_may_come_and_go_at_edges(places, by, same):
     assert result.same == same
     if by == 0.3 and not same:
         assert (result.point <= LIMITS["linear"].point, result.points) == (True, 0)
-        assert re.match(r"\d\d pixels changed as slivers may change them, limit 50: ", str(result))
+        assert re.match(r"\d\d pixels differ like slivers at edges, limit 50: ", str(result))
 
 
 def rough(by: float) -> np.ndarray:
-    """A covered image with detail of its own in every pixel."""
+    """Return a fully covered image with noise of relative strength ``by``."""
     image = np.full((64, 64, 3), 0.3, dtype=np.float32)
     return image * (1.0 + by * np.random.default_rng(1).standard_normal((64, 64, 1), np.float32))
 
@@ -251,7 +252,7 @@ def softened(image: np.ndarray) -> np.ndarray:
     return 0.98 * image + 0.01 * (np.roll(image, 1, axis=1) + np.roll(image, -1, axis=1))
 
 
-SUBTLE = [  # what no pixel and no block is over by: image, the reference, how the reason begins
+SUBTLE = [  # changes that no pixel or block shows: image, reference, beginning of the reason
     (rough(0.002), rough(0.0), r"grain \+0\.\d+ %, limit 0\.09 %: looks like noise, "),
     (rough(0.0), rough(0.002), r"grain -0\.\d+ %, limit 0\.09 %: looks like a blur, "),
     (softened(rough(0.1)), rough(0.1), r"texture -\d\.\d %, limit 1 %: looks like a blur, "),
@@ -268,7 +269,7 @@ def test_another_driver_is_named_and_has_wider_limits():
     one = from_driver("llvmpipe", plain())
     assert str(compare(one, one)) == "same"
     other = from_driver("softpipe", plain())
-    assert str(compare(one, other)) == "same, as far as another driver tells"
+    assert str(compare(one, other)) == "same, with wider limits for another driver"
     for by, same in ((0.002, True), (0.01, False)):
         drawn = (from_driver("llvmpipe", rough(0.0)), from_driver("softpipe", rough(by)))
         result = compare(*drawn, point=0.1, texture=1.0)
@@ -276,17 +277,17 @@ def test_another_driver_is_named_and_has_wider_limits():
         assert same or re.match(r"grain .*, limit 0\.54 %", str(result))
 
 
-def test_black_pixels_that_are_no_darker_than_the_point_check_allows():
+def test_black_pixels_within_the_point_limit_are_counted():
     reference = plain(0.004)
     image = edited(reference, (BLACK, "=", 0.0))
-    reason = "3 pixels with less than a quarter of the light around them, limit 2: looks like miss"
+    reason = "3 pixels have less than a quarter of their neighbours' light, limit 2: looks like"
     assert str(compare(reference, image)).startswith(reason)
     image[20, 30] = reference[20, 30]
     assert compare(reference, image).same
 
 
 @pytest.mark.parametrize("radiance", [0.01, 0.3])
-def test_black_pixels_are_seen_in_the_dark_and_in_texture(radiance):
+def test_black_pixels_are_found_in_dark_and_textured_areas(radiance):
     texture = 1.0 + 0.6 * np.random.default_rng(1).random((64, 64, 1), dtype=np.float32)
     reference = edited(plain(radiance), (RGB, "*", texture))
     result = compare(reference, edited(reference, (BLACK, "=", 0.0)))
@@ -301,12 +302,12 @@ def test_block_is_relative_to_the_reference_and_signed():
     assert result.blocks == result.blocks_judged == 12
     assert result.block_at[0] % 16 == 0
     assert compare(plain(), image, block=0.011, trend=200.0).same
-    assert compare(plain(), image, block=0.05).same  # what blocks may do is no trend
-    dark, less = plain(1e-4), plain(1.1e-4)  # relative to 0.01 at least
+    assert compare(plain(), image, block=0.05).same  # no trend within the block limit
+    dark, less = plain(1e-4), plain(1.1e-4)  # the divisor is at least 0.01
     assert compare(dark, less).block == pytest.approx(1e-5 / 0.01, rel=1e-2)
 
 
-def test_blocks_lie_off_the_silhouette():
+def test_blocks_exclude_the_silhouette():
     reference = edited(plain(), (RGB, "=", 0.2))
     ring = np.ones(reference.shape[:2], dtype=bool)
     ring[10:-10, 10:-10] = False
@@ -317,14 +318,14 @@ def test_blocks_lie_off_the_silhouette():
 
 
 @pytest.mark.parametrize("alpha", [0.0, 0.995])
-def test_blocks_are_seen_where_alpha_says_nothing_and_in_dark_texture(alpha):
+def test_blocks_are_checked_without_coverage_and_in_dark_texture(alpha):
     unused = edited(plain(), (ALPHA, "*", alpha))
     assert compare(unused, edited(unused, (RGB, "*", 0.95))).blocks > 0
     texture = edited(plain(0.01), (np.s_[:, ::2, :3], "*", 1.8))
     assert compare(texture, edited(texture, (RGB, "*", 0.98))).blocks > 0
 
 
-def test_shift_of_a_quarter_of_a_pixel_is_forgiven():
+def test_shift_of_a_quarter_of_a_pixel_passes():
     slope = np.linspace(0.1, 0.3, 64, dtype=np.float32)[None, :, None]
     reference = edited(plain(), (RGB, "*", slope / 0.2))
     step = reference[30, 31, 0] - reference[30, 30, 0]
@@ -341,7 +342,7 @@ def test_coverage_is_a_fraction_of_the_pixels_that_changed():
     assert compare(plain(), edited(plain(), (ALPHA, "*", 0.6))).coverage > 0.5
 
 
-def test_mask_hides_what_does_not_count():
+def test_masked_pixels_are_ignored():
     image = edited(plain(), (np.s_[20:44, 20:44, :3], "=", 3.0))
     mask = np.ones((64, 64))
     mask[19:45, 19:45] = 0
@@ -350,17 +351,18 @@ def test_mask_hides_what_does_not_count():
     image[20:44, 20:44] = 0.0
     assert compare(plain(), image).coverage > 0.005
     assert compare(plain(), image, mask=mask).coverage == 0.0
-    with pytest.raises(fr.InputError, match="the mask is 0 everywhere: nothing would be compared"):
+    with pytest.raises(fr.InputError, match="the mask is 0 everywhere: set it to 1 where"):
         compare(plain(), plain(), mask=np.zeros((64, 64)))
 
 
-def test_8_bit_images_count_in_steps():
+def test_8_bit_images_are_compared_in_levels():
     image = np.full((64, 64, 3), 100, dtype=np.uint8)
     result = compare(image, edited(image, ((30, 40), "+", np.uint8(9))))
     assert (result.encoding, result.point, result.limits) == ("srgb8", 9.0, LIMITS["srgb8"])
-    assert str(result).startswith("1 pixel over by up to 9 of 255, worst (40, 30), limit 3: ")
+    assert str(result).startswith("1 pixel differs from the surroundings in the other image by up ")
+    assert "to 9 of 255, worst at (40, 30), limit 3: " in str(result)
     assert str(compare(image, image + np.uint8(2))).startswith(
-        "block (0, 0): mean +2 of 255, limit 1, 16 of 16 blocks over: looks like exposure"
+        "block at (0, 0): mean +2 of 255, limit 1, exceeded by 16 of 16 blocks: looks like "
     )
     transparent = np.full((64, 64, 4), (100, 100, 100, 0), dtype=np.uint8)
     assert compare(transparent, edited(transparent, (RGB, "=", 255))).same
@@ -374,7 +376,7 @@ def test_fireflies_over_the_limit_in_8_bits(room):
     }
 
 
-def test_every_way_to_give_an_image(tmp_path, room):
+def test_images_may_be_frames_arrays_and_files(tmp_path, room):
     frame = room.frame(room.golden)
     frame.save(tmp_path / "a.exr")
     frame.save(tmp_path / "a.png")
@@ -402,22 +404,23 @@ def exr(tmp_path: Path) -> Path:
     return path
 
 
-def test_exit_status_and_line(cli, exr, tmp_path):
+def test_exit_status_and_output(cli, exr, tmp_path):
     assert cli.run("compare", exr, exr) == (0, "reference.exr: same\n", "")
     save_exr(tmp_path / "other.exr", plain(0.21), {})
     status, out, err = cli.run("compare", exr, tmp_path / "other.exr")
     assert (status, err) == (1, "")
     assert out == (
-        "other.exr: 2304 pixels over by up to 0.008, worst (10, 10), limit 0.005: looks like "
-        "exposure, light or colour space; block (16, 0): mean +5 %, limit 0.5 %, 12 of 12 blocks "
-        "over: looks like exposure, light or colour space (gain 1.05)\n"
+        "other.exr: 2304 pixels differ from the surroundings in the other image by up to 0.008, "
+        "worst at (10, 10), limit 0.005: looks like exposure, light or colour space; block at "
+        "(16, 0): mean +5 %, limit 0.5 %, exceeded by 12 of 12 blocks: looks like exposure, light "
+        "or colour space (gain 1.05)\n"
     )
     assert cli.run("compare", exr, tmp_path / "other.exr", "--block", "0.06")[0] == 1
 
 
 @pytest.fixture
 def other(tmp_path: Path) -> Path:
-    """The same image with a bright pixel."""
+    """A copy of the reference with one bright pixel."""
     save_exr(tmp_path / "other.exr", edited(plain(), (np.s_[30, 40, :3], "=", 2.0)), {})
     return tmp_path / "other.exr"
 
@@ -467,8 +470,8 @@ print(status, int(line.split()[1]) >> 10)
 
 
 @pytest.mark.memory
-def test_folders_take_the_memory_of_one_pair(tmp_path):
-    """MiB; a picture has 16 of them, two pairs of more 96."""
+def test_folders_need_the_memory_of_one_pair(tmp_path):
+    """An image has 16 MiB, and the limit for three more pairs is 40 MiB."""
     told = []
     for count in (1, 4):
         folders = [tmp_path / f"{count}{letter}" for letter in "ab"]
@@ -511,8 +514,8 @@ PNG_16_RGB = (
     b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x40\0\0\0\x40\x10\x02\0\0\0"
     b"\xd4\x5f\xe6\x1e\0\0\0\0IEND\xaeB`\x82"
 )
-UNREADABLE = {  # a file's name, its content, the error
-    "empty.exr": (b"", r"empty\.exr is empty: write it anew"),
+UNREADABLE = {  # name of the file, content, error
+    "empty.exr": (b"", r"empty\.exr is empty: save it again"),
     "empty.png": (b"", r"empty\.png is empty"),
     "page.exr": (b"<html></html>" * 9, r"page\.exr is an HTML page; download"),
     "page.png": (b"<html></html>" * 9, r"page\.png is an HTML page; download the file"),
@@ -520,8 +523,8 @@ UNREADABLE = {  # a file's name, its content, the error
     "stub.png": (b"\x89PNG\r\n\x1a\n", r"stub\.png is not an image; give a PNG or JPEG"),
     "half.png": (encoded("PNG", noise(64, 64, 3))[:6000], r"half\.png is damaged"),
     "half.jpg": (encoded("JPEG", noise(64, 64, 3))[:2000], r"half\.jpg is damaged"),
-    "half.npz": (numpy_file(np.savez, plain())[:9000], r"half\.npz is no NumPy file"),
-    "half.npy": (numpy_file(np.save, plain())[:9000], r"half\.npy is no NumPy file"),
+    "half.npz": (numpy_file(np.savez, plain())[:9000], r"half\.npz is not a NumPy file"),
+    "half.npy": (numpy_file(np.save, plain())[:9000], r"half\.npy is not a NumPy file"),
     "deep.png": (encoded("PNG", Image.new("I;16", (64, 64))), r"deep\.png is a 16-bit PNG: save"),
     "rgb16.png": (PNG_16_RGB, r"rgb16\.png is a 16-bit PNG: save as 8-bit PNG, or as EXR"),
     "palette.png": (
@@ -530,28 +533,28 @@ UNREADABLE = {  # a file's name, its content, the error
     ),
     "trns.png": (
         encoded("PNG", noise(64, 64, 3), transparency=(1, 2, 3)),
-        r"trns\.png has one transparent colour: save it as RGBA",
+        r"trns\.png marks one colour as transparent: save it as RGBA",
     ),
-    "bits.png": (encoded("PNG", noise(64, 64).convert("1")), r"bits\.png is an image of single"),
+    "bits.png": (encoded("PNG", noise(64, 64).convert("1")), r"bits\.png is a 1-bit image"),
     "cmyk.jpg": (encoded("JPEG", noise(64, 64, 4).convert("CMYK")), r"cmyk\.jpg is a CMYK image"),
     "two.npz": (
         numpy_file(np.savez, plain(), plain()),
-        r"two\.npz holds arr_0, arr_1: name one of them linear",
+        r"two\.npz contains arr_0, arr_1: name one array .linear.",
     ),
-    "none.npz": (numpy_file(np.savez), r"none\.npz holds no array"),
+    "none.npz": (numpy_file(np.savez), r"none\.npz contains no array"),
     "pickle.npy": (
         numpy_file(np.save, np.array([{}], dtype=object)),
-        r"pickle\.npy holds objects of Python, which are not read: give floats",
+        r"pickle\.npy contains Python objects, which are not read: give floats",
     ),
     "pickle.npz": (
         numpy_file(np.savez, np.array([{}], dtype=object)),
-        r"pickle\.npz holds objects of Python, which are not read: give floats",
+        r"pickle\.npz contains Python objects, which are not read: give floats",
     ),
     "integer.npy": (
         numpy_file(np.save, np.zeros((64, 64, 3), dtype=np.int32)),
-        r"integer\.npy holds int32: give linear float, or uint8",
+        r"integer\.npy has type int32: give linear floats, or uint8",
     ),
-    "complex.npy": (numpy_file(np.save, np.zeros((64, 64, 3), complex)), r"holds complex128"),
+    "complex.npy": (numpy_file(np.save, np.zeros((64, 64, 3), complex)), r"has type complex128"),
     "flat.npy": (numpy_file(np.save, np.zeros(64)), r"flat\.npy has shape \(64,\): give"),
     "five.npy": (numpy_file(np.save, np.zeros((64, 64, 5))), r"shape \(64, 64, 5\): give"),
     "pointer.exr": (b"version https://git-lfs.github.com/spec/v1\n", r"is a Git LFS pointer"),
@@ -562,7 +565,7 @@ UNREADABLE = {  # a file's name, its content, the error
 
 @pytest.mark.parametrize("name", UNREADABLE)
 @pytest.mark.parametrize("first", [True, False])
-def test_file_that_is_no_image(name, first, cli, tmp_path, exr):
+def test_unreadable_images_are_refused(name, first, cli, tmp_path, exr):
     content, message = UNREADABLE[name]
     path = tmp_path / name
     path.write_bytes(content)
@@ -570,7 +573,7 @@ def test_file_that_is_no_image(name, first, cli, tmp_path, exr):
 
 
 @pytest.mark.parametrize(("x", "y"), [(0, 0), (10, 20), (-10, -20), (100, 0), (0, -100)])
-def test_exr_lies_where_its_data_window_says(tmp_path, x, y):
+def test_exr_data_window_offsets_the_pixels(tmp_path, x, y):
     pixels = np.random.default_rng(1).random((30, 40, 3), dtype=np.float32)
     corner = np.array([x, y], dtype=np.int32)
     path = write_exr(
@@ -584,13 +587,13 @@ def test_exr_lies_where_its_data_window_says(tmp_path, x, y):
     np.testing.assert_array_equal(read_image(path).pixels, large[150:198, 150:214])
 
 
-def test_spaces_that_say_what_is_meant_anyway_are_no_difference(tmp_path):
+def test_explicit_default_colour_space_is_no_difference(tmp_path):
     pixels = np.full((20, 20, 3), 0.5, dtype=np.float32)
     said = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
     a = write_exr(tmp_path / "a.exr", pixels)
     assert compare(a, write_exr(tmp_path / "b.exr", pixels, chromaticities=said)).same
     wide = write_exr(tmp_path / "c.exr", pixels, chromaticities=(0.7, 0.3, *said[2:]))
-    with pytest.raises(fr.InputError, match=r"a.exr is in colour space none named, .*c.exr is in"):
+    with pytest.raises(fr.InputError, match=r"a.exr is in colour space \(unnamed\), .*c.exr is in"):
         compare(a, wide)
 
 
@@ -604,7 +607,7 @@ def test_images_may_be_read_in_threads_and_without_standard_error(exr, capfd):
     assert subprocess.run(["bash", "-c", command], capture_output=True).returncode == 0
 
 
-def test_file_that_may_not_be_read(cli, exr, monkeypatch):
+def test_file_without_read_permission(cli, exr, monkeypatch):
     def refuse(path, *arguments, **more):
         raise PermissionError(13, "Permission denied", str(path))
 
@@ -636,14 +639,14 @@ FIRST = r"infinite values, the first at pixel \(40, 30\), channel 1: "
 UNLIKE = {  # two images that cannot be compared, and the error
     "size": (plain(), plain()[1:], r"a\.exr is 64 x 64, .*b\.exr is 64 x 63 pixels: render both"),
     "half the size": (plain(), plain(side=32), r"b\.exr is 32 x 32 pixels: render both"),
-    "kind": (plain(), GREY_8, r"exr is linear float, .*png is 8-bit sRGB: give two of a kind"),
+    "kind": (plain(), GREY_8, r"exr is linear float, .*png is 8-bit sRGB: give two images"),
     "channels": (
         *(plain(), plain()[RGB]),
         r"a\.exr has 4 channels, .*b\.exr has 3 channels: save both with alpha",
     ),
     "colour space": (
         *(GREY_8, with_gamma),
-        r"a\.png is in colour space none named, .*b\.png is in .* gamma 1: conv",
+        r"a\.png is in colour space \(unnamed\), .*b\.png is in .* gamma 1: conv",
     ),
     "NaN": (plain(), edited(plain(), (*BAD_PIXELS, np.nan)), f"b.exr holds 2 NaN and 0 {FIRST}"),
     "inf": (edited(plain(), (*BAD_PIXELS, -np.inf)), plain(), f"a.exr holds 0 NaN and 2 {FIRST}"),
@@ -674,7 +677,7 @@ def test_exr_with_odd_channels_or_parts(cli, exr, tmp_path):
     parts = [OpenEXR.Part({**kind, "name": name}, {"R": x}) for name in ("left", "right")]
     OpenEXR.File(parts).write(str(tmp_path / "parts.exr"))
     cli.fail(
-        "parts.exr has 2 parts: write the one that counts", "compare", exr, tmp_path / "parts.exr"
+        "parts.exr has 2 parts: save one part as a file", "compare", exr, tmp_path / "parts.exr"
     )
     for number, names in enumerate(("XYZ", "RG", ("Y", "RY", "BY"), ("depth",), "A")):
         path = tmp_path / f"odd{number}.exr"
@@ -702,7 +705,7 @@ def test_bad_option(option, value, message, cli, exr, tmp_path, monkeypatch):
 
 
 def test_damaged_exr_in_a_process(exr, tmp_path):
-    """Of several lengths, in folders: each has its line."""
+    """Each truncated file in the folder has its own error line."""
     folders = [tmp_path / name for name in "ab"]
     for folder in folders:
         folder.mkdir()
@@ -713,11 +716,11 @@ def test_damaged_exr_in_a_process(exr, tmp_path):
         (folders[1] / f"{part}.exr").write_bytes(content[: int(part * len(content))])
     done = process("compare", *folders)
     assert (done.returncode, done.stdout) == (2, "")
-    told = re.findall(r"(0\.\d)\.exr is no image that OpenEXR reads", done.stderr)
+    told = re.findall(r"(0\.\d)\.exr cannot be read as OpenEXR", done.stderr)
     assert (told, len(done.stderr.splitlines())) == (["0.3", "0.6", "0.9"], 3)
 
 
-def test_pairs_keep_what_could_be_read(exr, tmp_path):
+def test_pair_keeps_the_readable_image(exr, tmp_path):
     ((name, a, b),) = pairs_of(exr, tmp_path / "gone.exr")
     pair = Pair.of(name, a, b)
     assert (pair.status, pair.comparison, pair.image) == (2, None, None)

@@ -1,5 +1,5 @@
-"""The comparison and the pytest plugin without the packages that draw and without the system's
-OpenGL, of which no library may be loaded."""
+"""Tests that ``facerender compare`` and the pytest plugin work without the rendering packages and
+load no OpenGL library."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 from facerender.images.exr import save_exr
 from tests.test_package import ROOT
 
-# Runs before all else in a process: what does not belong to these packages cannot be imported.
+# Runs first in a process: hides all modules that do not belong to these packages.
 ALONE = """
 import sys
 from importlib.metadata import packages_distributions
@@ -58,7 +58,7 @@ def test_other(facerender_snapshot):
 
 @pytest.fixture
 def images(tmp_path: Path) -> Path:
-    """A folder with a.exr, and b.exr that differs."""
+    """A folder with the different images a.exr and b.exr."""
     for name, value in (("a", 0.5), ("b", 0.6)):
         save_exr(tmp_path / f"{name}.exr", np.full((40, 40, 3), value, np.float32), {})
     return tmp_path
@@ -66,7 +66,7 @@ def images(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def alone(tmp_path: Path) -> dict[str, str]:
-    """The environment of a process without those packages."""
+    """The environment of a process in which only these packages can be imported."""
     folder = tmp_path / "alone"
     folder.mkdir()
     (folder / "sitecustomize.py").write_text(ALONE)
@@ -81,21 +81,21 @@ def run(command: list[str], folder: Path, environment: dict[str, str]) -> tuple[
     return done.returncode, done.stdout + done.stderr
 
 
-def test_command_without_what_draws(images, alone):
+def test_compare_needs_no_rendering_packages(images, alone):
     command = ["-c", COMMAND, "compare", "a.exr", "b.exr", "--report", "report.html", "--json"]
-    status, said = run(command, images, alone)
-    assert (status, '"same": false' in said) == (1, True), said
+    status, output = run(command, images, alone)
+    assert (status, '"same": false' in output) == (1, True), output
     assert (images / "report.html").stat().st_size > 1000
 
 
-def test_rendering_says_what_it_lacks(images, alone):
-    """Which proves that the packages are hidden."""
-    status, said = run(["-m", "facerender", "render", "-o", "a.png"], images, alone)
+def test_rendering_names_the_missing_package(images, alone):
+    """This shows that the packages are hidden."""
+    status, output = run(["-m", "facerender", "render", "-o", "a.png"], images, alone)
     assert status != 0
-    assert "No module named 'glcontext'" in said
+    assert "No module named 'glcontext'" in output
 
 
-def test_plugin_without_what_draws(images, alone):
+def test_plugin_needs_no_rendering_packages(images, alone):
     suite = images / "test_suite.py"
     suite.write_text(SUITE)
     goldens = images / "goldens/test_suite"
@@ -103,8 +103,8 @@ def test_plugin_without_what_draws(images, alone):
     save_exr(goldens / "test_other.exr", np.full((40, 40, 3), 0.6, np.float32), {})
     command = ["-m", "pytest", "-q", "-p", "facerender.pytest_plugin", "-p", "no:cacheprovider"]
     command += ["--facerender-update-missing", "--facerender-report", "report"]
-    status, said = run(command, images, alone)
-    assert (status, "1 failed, 1 passed" in said) == (1, True), said
+    status, output = run(command, images, alone)
+    assert (status, "1 failed, 1 passed" in output) == (1, True), output
     assert (goldens / "test_same.exr").exists()
-    assert "test_other differs from its golden" in said
+    assert "test_other differs from its golden" in output
     assert (images / "report/index.html").stat().st_size > 1000

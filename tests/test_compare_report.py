@@ -1,5 +1,5 @@
-"""The heat map and the page of a comparison: what they show, that they stand alone, and that the
-page works in a browser."""
+"""Tests the HTML report and the heat map of a comparison: their content, that the page loads no
+other file, and its controls in a browser."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from facerender.images.image import ImageData
 SIZE = (40, 48)  # height, width
 AT = (30, 12)  # x, y of the wrong pixel
 NAME = '<b onclick="x">&\'.exr'
-ORDER = [  # of the page: those that differ, errors, those that are the same
+ORDER = [  # of pairs in the page: different, not comparable, equal
     *(NAME, "eight.png", "grey.npy", "coverage.exr"),
     *("not finite.exr", "missing.exr", "sizes.exr"),
     *("equal.exr", "equal, large.exr"),
@@ -87,7 +87,7 @@ def page(tmp_path_factory: pytest.TempPathFactory, pairs: list[Pair]) -> Path:
 
 
 class Page(HTMLParser):
-    """The page as tags with attributes, text by the nearest id, and a check of nesting."""
+    """A parsed page: its tags, and its text by the nearest id; checks that tags nest."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -114,7 +114,7 @@ class Page(HTMLParser):
         self.text[self.id] = self.text.get(self.id, "") + data
 
     def images(self, id: str) -> dict[str | None, np.ndarray]:
-        """The pictures of a section by what they show."""
+        """Return the images of a section by their alternative text."""
         found = [a for tag, a, at in self.tags if tag == "img" and at == id and a["alt"]]
         return {a["alt"]: decode(a["src"] or "") for a in found}
 
@@ -131,7 +131,7 @@ def parsed(page: Path) -> Page:
 
 
 def page_of(folder: Path, a: object, b: object, name: str = "x") -> Page:
-    """The page of one pair."""
+    """Write and parse the page of one pair."""
     write_report(folder / "report.html", [entry(Pair.of(name, a, b))])
     return Page(folder / "report.html")
 
@@ -157,7 +157,7 @@ def test_summary_has_each_pair_and_its_columns(parsed: Page, pairs: list[Pair]):
     assert re.search("[0-9].*".join(report.CHECKS), parsed.text[at("eight.png")])
 
 
-def test_figures_and_reasons(parsed: Page, pairs: list[Pair]) -> None:
+def test_metrics_and_reasons(parsed: Page, pairs: list[Pair]) -> None:
     summary = parsed.text[""].replace("\N{NO-BREAK SPACE}", " ")
     (figures,) = (pair.comparison for pair in pairs if pair.name == NAME)
     assert f"{NAME}differs{figures.point:.3g} > 0.005" in summary
@@ -166,11 +166,11 @@ def test_figures_and_reasons(parsed: Page, pairs: list[Pair]) -> None:
     text = parsed.text[at("coverage.exr")].replace("\N{NO-BREAK SPACE}", " ")
     assert "trend0 ≤ 0.15grain0 % ≤ 0.09 %texture0 % ≤ 1 %shift0 ≤ 0.25" in text
     text = parsed.text[at("eight.png")].replace("\N{NO-BREAK SPACE}", " ")
-    assert "Metrics, in steps of 255" in text
+    assert "Metrics, in 8-bit levels" in text
     assert "darker at (30, 12); 1 over" in text
     for pair in pairs:
-        said = (pair.error,) if pair.comparison is None else pair.comparison.reasons
-        for reason in said:
+        messages = (pair.error,) if pair.comparison is None else pair.comparison.reasons
+        for reason in messages:
             assert reason in parsed.text[at(pair.name)]
 
 
@@ -189,12 +189,12 @@ def test_page_fetches_nothing_and_names_are_text(page: Path, parsed: Page) -> No
     assert "<llvm> & pipe" in parsed.text[at(NAME)]
 
 
-def test_name_that_is_no_utf_8(tmp_path: Path) -> None:
+def test_name_that_is_not_utf_8(tmp_path: Path) -> None:
     page_of(tmp_path, image(), image(), "\udcff.exr")
     assert r"\udcff.exr" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
-def test_environment_marks_what_differs(page: Path, parsed: Page) -> None:
+def test_environment_marks_differences(page: Path, parsed: Page) -> None:
     text = page.read_text(encoding="utf-8").partition(f'<section id="{at(NAME)}"')[2]
     text = text.partition("</section>")[0]
     for key in ("image", "pixels", "GL_RENDERER", "samples", "extra"):
@@ -235,7 +235,7 @@ def test_pictures_of_other_pairs(parsed: Page) -> None:
     assert [x.shape[:2] for x in parsed.images(at("equal, large.exr")).values()] == [(160, 120)]
 
 
-def test_black_lies_behind_transparency(tmp_path: Path) -> None:
+def test_transparent_pixels_are_shown_on_black(tmp_path: Path) -> None:
     straight = to_8_bit(image())
     straight[..., 3] = 51
     shown = page_of(tmp_path, straight, to_8_bit(image())).images("pair-0")["a"]
@@ -251,10 +251,10 @@ def test_page_without_the_package_for_heat_maps(
     assert "pip install 'facerender[measure]'" in page.text["pair-0"]
 
 
-def test_pictures_of_a_page_that_would_be_too_long(
+def test_images_are_compressed_if_the_page_is_too_large(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The largest are compressed until the rest fits, and are exact around what they differ in."""
+    """The largest images are compressed until the page fits; areas with differences stay exact."""
     rng = np.random.default_rng(1)
     large, small = (rng.integers(0, 100, (side, side, 3), dtype=np.uint8) for side in (300, 100))
     entries = []
@@ -272,7 +272,7 @@ def test_pictures_of_a_page_that_would_be_too_long(
     kinds = [a["class"] for tag, a, _ in page.tags if "viewer" in (a.get("class") or "")]
     assert kinds == ["viewer compressed", "viewer exact"]
     crops = [a for tag, a, _ in page.tags if a.get("class") == "near"]
-    assert len(crops) == 2  # of A and of B, around the worst pixel: no block of noise is judged
+    assert len(crops) == 2  # of A and B at the worst pixel; blocks of noise are not checked
     np.testing.assert_array_equal(decode(crops[0]["src"]), large[:64, 8:72])
     sides = dict(part.split(":") for part in crops[0]["style"].split(";"))
     places = {name: 3.0 * float(side.rstrip("%")) for name, side in sides.items()}
@@ -296,7 +296,7 @@ def test_small_heat_map_loses_no_firefly(shape: tuple[int, int]) -> None:
         np.testing.assert_array_equal(small, whole)
 
 
-def test_picture_that_webp_cannot_hold() -> None:
+def test_image_too_large_for_webp() -> None:
     pixels = np.zeros((2, 16384, 3), dtype=np.uint8)
     pixels[0, ::7] = 200
     content, kind = visualization.lossless(pixels)
@@ -306,7 +306,7 @@ def test_picture_that_webp_cannot_hold() -> None:
 
 @pytest.mark.slow
 def test_page_of_a_hundred_pairs(tmp_path: Path, egl) -> None:
-    """At most 60 s of one core and 30 MB, and comparing the pairs is a part of that."""
+    """The comparison with its page needs at most 60 s of processor time and 30 MB."""
     mesh = fr.load_mesh()
     folders = [tmp_path / name for name in "ab"]
     with fr.Renderer((512, 512), samples=1, backend=egl) as renderer:
@@ -350,16 +350,16 @@ def test_heat_map_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 @pytest.fixture
 def tab(browser, page: Path):
-    """The page, open; nothing was complained of or fetched in the end."""
+    """The page in a browser; at the end, checks that it logged nothing and requested no file."""
     tab = browser.new_page(viewport={"width": 1400, "height": 1000})
-    said: list[str] = []
-    tab.on("console", lambda message: said.append(message.text))
-    tab.on("pageerror", lambda error: said.append(str(error)))
-    tab.on("request", lambda request: said.append(request.url))
+    messages: list[str] = []
+    tab.on("console", lambda message: messages.append(message.text))
+    tab.on("pageerror", lambda error: messages.append(str(error)))
+    tab.on("request", lambda request: messages.append(request.url))
     tab.goto(page.as_uri())
     yield tab
     tab.close()
-    assert [line for line in said if not line.startswith(("data:", page.as_uri()))] == []
+    assert [line for line in messages if not line.startswith(("data:", page.as_uri()))] == []
 
 
 def visible(section) -> list[str]:
@@ -385,12 +385,12 @@ def test_views(tab) -> None:
     assert visible(section) == ["a", "b"]
     boxes = [section.locator(f".{kind} .view").bounding_box() for kind in "ab"]
     assert boxes[0] == boxes[1]
-    section.get_by_label("cut").fill("25")
+    section.get_by_label("split").fill("25")
     clip = section.locator(".b .view").evaluate("view => getComputedStyle(view).clipPath")
     assert clip == "inset(0px 0px 0px 25%)"
 
 
-def test_blinking_goes_on_by_itself(tab) -> None:
+def test_blinking_repeats(tab) -> None:
     section = tab.locator(f"#{at(NAME)}")
     section.get_by_label("blink").check()
     for kind in "bab":
@@ -402,7 +402,7 @@ def test_views_by_keyboard(tab) -> None:
     section.get_by_label("side by side").focus()
     for shown in (1, 2, 1):
         tab.keyboard.press("ArrowRight")
-        for _ in range(200):  # the browser answers when it gets to it
+        for _ in range(200):  # waits for the browser
             if len(visible(section)) == shown:
                 break
             tab.wait_for_timeout(100)
@@ -410,7 +410,7 @@ def test_views_by_keyboard(tab) -> None:
 
 
 def enlarged(section) -> tuple[float, float, float]:
-    """Size of a pixel of A on the screen, and the pixel in the middle of the view."""
+    """Return the size of a pixel of A on the screen, and x and y of the pixel in the centre."""
     x, y, size = section.locator(".a").evaluate(
         """figure => {
             const image = figure.querySelector("img").getBoundingClientRect();
@@ -423,7 +423,7 @@ def enlarged(section) -> tuple[float, float, float]:
     return size, x, y
 
 
-def test_marks_and_zoom_to_the_worst(tab) -> None:
+def test_marks_and_zoom_to_the_worst_pixel(tab) -> None:
     section = tab.locator(f"#{at(NAME)}")
     fit = enlarged(section)[0]
     section.get_by_label("worst pixel").check()

@@ -1,5 +1,5 @@
-"""Costs of the specular terms by compilers of GPUs that are not here are those of the committed
-tables, docs/measurements/amd.json and offline.json."""
+"""Tests the costs of specular terms by offline GPU compilers against the committed tables,
+docs/measurements/amd.json and offline.json."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from facerender.pricing.variants import INPUTS, PRINTED
 from tests.conftest import missing
 
 MEASUREMENTS = Path(__file__).parents[1] / "docs" / "measurements"
-# By command: the module, the keys of the compilers and of the figures, and their GPUs.
+# By command: the module, the keys of the compiler versions and of the values, and the GPUs.
 TABLES = {
     "amd": (amd, "driver", "statistics", amd.FAMILIES),
     "offline": (offline, "compilers", "instructions", offline.GPUS),
@@ -43,7 +43,7 @@ def name(request):
 
 @cache
 def require(name):
-    """Compile one term with each compiler of a table."""
+    """Compile one term with each compiler of a table; skip the test if one is missing."""
     module, *_, gpus = TABLES[name]
     try:
         for gpu in gpus:
@@ -65,7 +65,7 @@ def gpu(request):
 
 
 def cost(rows, term):
-    """Cycles over those of the printed form; or instructions."""
+    """Return instructions, or cycles relative to the formula as published."""
     if "all" in rows[term]:
         return rows[term]["all"]
     return rows[term]["inverse_throughput"] / rows["printed, exact"]["inverse_throughput"]
@@ -73,7 +73,7 @@ def cost(rows, term):
 
 @COMPILER
 @pytest.mark.parametrize("model", PRINTED)
-def test_terms_cost_what_the_committed_table_has(name, model):
+def test_costs_of_terms_equal_the_committed_table(name, model):
     _, version, figures, gpus = TABLES[name]
     committed = json.loads((MEASUREMENTS / f"{name}.json").read_text(encoding="utf-8"))
     rewrite = f"python -m benchmarks.prices {name} docs/measurements/{name}.json writes it anew"
@@ -112,15 +112,15 @@ def test_instructions_are_net_and_special_ones_are_counted(gpu):
     }
     found = offline.statistics(terms, gpu)
     assert found["none"] == offline.Instructions(0, 0)
-    assert found["products"].all == pytest.approx(8, abs=1)  # one may be fused
+    assert found["products"].all == pytest.approx(8, abs=1)  # one product may be fused
     assert found["products"].special == 0
     assert found["exponential"].special == 1
     assert found["root and logarithm"].special == 2
-    assert 1 <= found["exponential"].all <= 4  # a scale may go with it, for denormal numbers
+    assert 1 <= found["exponential"].all <= 4  # it may include scaling for denormal numbers
 
 
 @COMPILER
-def test_what_a_term_may_use_is_compiled(gpu):
+def test_features_of_glsl_in_terms_compile(gpu):
     vectors = """#define FR_MASKING FR_MASKING_KELEMEN
 #include "facerender/cook_torrance.glsl"
 vec3 turned(vec3 a, float s) { return -s * a / 2.0 + vec3(s) - vec3(a.x, s, 1e-3); }
@@ -162,7 +162,7 @@ def of_amd(replaced, remedy):
 )
 def test_missing_tools_are_named(monkeypatch, replaced, module, gpu, remedy):
     if module is amd:
-        require("amd")  # what else it needs is here
+        require("amd")  # only the replaced tool is missing
     monkeypatch.setattr(*replaced)
     terms = {"not compiled before": (f"// {remedy}", "m")} if module is amd else {}
     with pytest.raises(NotMeasured, match=f"^.*{re.escape(remedy)}$"):
@@ -179,7 +179,7 @@ def test_missing_tools_are_named(monkeypatch, replaced, module, gpu, remedy):
             ("offline", gpu, term, error.format(gpu))
             for gpu in ("skl", "sm_75")
             for term, error in (
-                ("fr_nonsense(m)", "the function fr_nonsense, which is not known"),
+                ("fr_nonsense(m)", "the unknown function fr_nonsense"),
                 ("dFdx(m)", "does not compile the terms for {}: .*error: .*dfdx"),
             )
         ),

@@ -1,4 +1,4 @@
-"""The albedo of Cook-Torrance, and the diffuse term that has what the specular one leaves."""
+"""Tests the albedo of Cook-Torrance and the energy-conserving diffuse term."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tools.fits.albedo import albedo_integral
 COUPLED = fr.Shading(diffuse="coupled")
 
 
-def test_the_fit_is_near_the_integral_and_never_below():
+def test_albedo_fit_is_slightly_above_the_integral():
     random = np.random.default_rng(1)
     cosines = random.random(80) ** 2 * 0.9996 + 4e-4
     slopes, reflectances = random.uniform(0.05, 1.0, 80), random.uniform(0.0, 0.1, 80)
@@ -26,8 +26,8 @@ def test_the_fit_is_near_the_integral_and_never_below():
 
 
 @pytest.mark.parametrize("m", [0.1, 0.3, 0.6])
-def test_the_integral_is_what_the_brdf_reflects(m):
-    """By another way: the mean weight of directions that are drawn."""
+def test_albedo_integral_agrees_with_sampling(m):
+    """The albedo is also the mean weight of sampled directions."""
     n, v = np.array([0.0, 0.0, 1.0]), np.array([0.8, 0.0, 0.6])
     l = brdf.cook_torrance_sample(n, v, m, np.random.default_rng(0).random((100_000, 3)))
     value = brdf.cook_torrance(n, l, v, m, 0.028) * np.maximum(l[:, 2], 0.0)
@@ -38,8 +38,8 @@ def test_the_integral_is_what_the_brdf_reflects(m):
 
 @pytest.mark.parametrize("second", [None, 0.12])
 @pytest.mark.parametrize("m", [0.05, 0.15, 0.3, 0.6, 1.0])
-def test_both_terms_reflect_at_most_all_light(m, second):
-    """A white diffuse surface, by the sum of both terms over the light's directions."""
+def test_both_terms_conserve_energy(m, second):
+    """The sum of both terms over all light directions is at most 1 for a white surface."""
     f0, share = 0.05, 1.0 if second is None else 0.7
     lobes = [(m, share), (second or m, 1.0 - share)]
 
@@ -54,10 +54,10 @@ def test_both_terms_reflect_at_most_all_light(m, second):
         diffuse = (2.0 * weight * cosines * left).sum()
         specular = sum(w * albedo_integral(n_dot_v, each, f0, 64) for each, w in lobes)
         assert 0.98 < diffuse + specular <= 1.0 + 1e-3
-        assert 1.0 + specular > 1.0 + 1e-3  # so much would be a sum without coupling
+        assert 1.0 + specular > 1.0 + 1e-3  # the sum without coupling
 
 
-def test_without_a_specular_weight_it_is_lambert(renderer, head):
+def test_coupled_term_without_specular_weight_is_lambert(renderer, head):
     scene = fr.Scene(head.with_material(ks=0.0))
     images = [renderer.render(scene, each).linear for each in (fr.Shading(), COUPLED)]
     np.testing.assert_array_equal(*images)
@@ -69,7 +69,7 @@ def test_lambert_is_the_default_and_others_are_refused():
         fr.Shading(diffuse="oren")
 
 
-def test_it_has_its_price(head):
+def test_coupled_term_has_a_price(head):
     scene = fr.Scene(head.with_material(ks=1e-3, normal_map=None), fr.Camera(35.0))
     for kind in ("navi21", "vega10", "llvmpipe"):
         prices = load_prices(kind, scene, [])

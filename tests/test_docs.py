@@ -1,4 +1,4 @@
-"""Marked blocks of the documents are what their data give."""
+"""Tests ``tools.docs``: generated blocks of the documents are up to date."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PAGES = {
 }
 
 
-def test_the_blocks_of_all_pages_are_what_their_data_give(capsys):
+def test_blocks_of_all_pages_are_up_to_date(capsys):
     assert main(["--check"]) == 0
     assert capsys.readouterr() == ("", "")
 
@@ -36,7 +36,7 @@ def test_a_block_that_was_edited_by_hand_is_stale(page):
             assert stale(text[:at] + edited + text[at + 1 :]) == [match["name"]]
 
 
-def test_every_block_stands_in_a_page():
+def test_every_block_is_used_in_a_page():
     modules = [module.name for module in iter_modules(tables.__path__)]
     blocks = [f"{module}.{block}" for module in modules for block in blocks_of(module)]
     assert sorted(blocks) == sorted(
@@ -57,7 +57,7 @@ Simplifying takes <!-- python -m tools.docs levels.seconds -->9 s<!-- end --> he
 """
 
 
-def test_blocks_are_filled_in_sentences_and_on_lines_of_their_own():
+def test_blocks_are_filled_within_lines_and_as_lines():
     levels, accuracy = blocks_of("levels"), blocks_of("accuracy")
     first = PAGE.replace("9 s", levels["seconds"])
     assert fill(PAGE, ["levels.seconds"]) == first
@@ -73,8 +73,8 @@ def test_the_command_writes_stale_blocks_and_names_them(tmp_path, capsys):
     (tmp_path / "README.md").write_text("no block")
     (tmp_path / "docs" / "measurements" / "levels.md").write_text(PAGE)
     assert main(["--check", "accuracy"], tmp_path) == 1
-    told = "docs/measurements/levels.md: accuracy.domains is stale: run python -m tools.docs"
-    assert capsys.readouterr().err == f"{told} accuracy.domains\n"
+    message = "docs/measurements/levels.md: accuracy.domains is stale: run python -m tools.docs"
+    assert capsys.readouterr().err == f"{message} accuracy.domains\n"
     assert main(["levels"], tmp_path) == 0
     assert main(["--check", "levels"], tmp_path) == 0
     assert main([], tmp_path) == 0
@@ -104,7 +104,7 @@ def test_a_mark_without_a_block_or_an_end_is_refused(tmp_path, capsys, page, fau
     assert capsys.readouterr().err.startswith(f"README.md: {fault}")
 
 
-def test_the_comparison_names_the_checks_that_failed():
+def test_failed_checks_are_named():
     a = np.ones((64, 64, 4), dtype=np.float32)
     less = a.copy()
     less[:32, :, 3] = 0.2

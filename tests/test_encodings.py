@@ -1,4 +1,5 @@
-"""The error of an encoding, as its file states it, beside the error on a drawn face; JPEGs."""
+"""Tests the noise that image files state for their encoding against the error on a rendered face,
+and the warning about JPEG."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ from facerender.images.read import read_image
 
 @pytest.fixture(scope="module", params=[256, pytest.param(512, marks=pytest.mark.slow)])
 def frame(request: pytest.FixtureRequest, egl) -> fr.Frame:
-    """A drawn head."""
+    """A rendered head."""
     return fr.render(size=(request.param, request.param), backend=egl)
 
 
@@ -31,7 +32,7 @@ def write_exr(path: Path, pixels: np.ndarray, compression: str = "ZIP", **header
     return path
 
 
-COMPRESSIONS = [  # EXR, how wide its floats are, attributes
+COMPRESSIONS = [  # compression of the EXR file, bits of its floats, attributes
     *((name, bits, {}) for name in ("ZIP", "PXR24", "B44", "B44A", "DWAB") for bits in (16, 32)),
     *(("DWAA", 32, {"dwaCompressionLevel": level}) for level in (20.0, 45.0, 90.0)),
 ]
@@ -49,16 +50,16 @@ def test_noise_of_exr(frame, name, bits, header, tmp_path):
 
 
 @pytest.mark.parametrize("level", [1e30, float("inf"), float("nan"), -5.0])
-def test_a_dwa_level_that_no_image_has(level, tmp_path):
-    """Taken at its word it would explain any difference."""
+def test_invalid_dwa_level_is_refused(level, tmp_path):
+    """Noise of that level would explain any difference."""
     pixels = np.zeros((32, 32, 3), np.float32)
     path = write_exr(tmp_path / "a.exr", pixels, "DWAA", dwaCompressionLevel=level)
-    message = r"DWA level .* is outside \[0, 1000\]\); write it anew"
+    message = r"DWA level .* is outside \[0, 1000\]\); save it again"
     with pytest.raises(fr.InputError, match=message):
         read_image(path)
 
 
-def test_half_floats_cost_the_same_however_they_are_given(tmp_path):
+def test_half_floats_have_the_same_noise_in_arrays_and_files(tmp_path):
     exact = np.full((64, 64, 3), 0.3, dtype=np.float32)
     half = exact.astype(np.float16)
     np.save(tmp_path / "a.npy", half)
@@ -68,8 +69,8 @@ def test_half_floats_cost_the_same_however_they_are_given(tmp_path):
     assert image_from_array(exact, "linear").noise == 0.0
 
 
-def test_halves_compare_as_what_they_are(frame, tmp_path):
-    """A value beyond half floats' range would overflow if the limits were taken as halves."""
+def test_half_and_full_floats_can_be_compared(frame, tmp_path):
+    """Computed in half floats, the limits would overflow."""
     half, full = (write_exr(tmp_path / f"{k}.exr", frame.linear.astype(k)) for k in ("f2", "f4"))
     assert compare(half, full).same
     broken = frame.linear.astype(np.float16)
@@ -109,9 +110,9 @@ print(peak() - before - held)
 
 @pytest.mark.memory
 @pytest.mark.parametrize(("name", "more"), [("f4.exr", 24), ("f2.exr", 24), ("rgba.png", 88)])
-def test_reading_takes_little_beside_the_pixels(name, more, tmp_path):
-    """MiB, of 2048 x 2048 pixels of noise: 64, 32 and 16 in themselves. Pillow holds a PNG as
-    another 16, beside its file, which noise fills."""
+def test_reading_needs_little_extra_memory(name, more, tmp_path):
+    """The 2048 x 2048 pixels need 64, 32 and 16 MiB; ``more`` is the limit beyond that. For PNG,
+    Pillow holds another 16 MiB and the file, which noise makes large."""
     path, rng = tmp_path / name, np.random.default_rng(1)
     if path.suffix == ".png":
         pixels = rng.integers(0, 256, (2048, 2048, 4), dtype=np.uint8)

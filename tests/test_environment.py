@@ -1,5 +1,4 @@
-"""Light from all around: drawn as float64 has it, off where there is none, read from files, priced,
-planned."""
+"""Tests environment maps: rendering against float64 references, files, prices and plans."""
 
 from __future__ import annotations
 
@@ -32,7 +31,7 @@ def small(egl):
 
 
 def spot(azimuth: float, elevation: float, height: int = 64) -> fr.Panorama:
-    """Black but for 3 by 3 values, whose irradiance is pi there."""
+    """Return a black panorama with a spot of 3 x 3 values whose irradiance is pi."""
     radiance = np.zeros((height, 2 * height, 3))
     row = int((0.5 - elevation / 180.0) * height)
     column = int((0.5 - azimuth / 360.0) * 2 * height)
@@ -48,14 +47,14 @@ def around(mesh: fr.Mesh, environment: fr.Environment | None, **others) -> fr.Sc
     )
 
 
-def test_nothing_is_imported_without():
+def test_module_is_not_imported_without_an_environment():
     code = "import sys, facerender; print(*(x for x in sys.modules if 'environment' in x))"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not found.stdout.strip()
 
 
-def test_a_spot_is_a_light_of_its_azimuth(small, head):
-    """Where it stands, how bright it is, and how it turns."""
+def test_small_spot_equals_a_directional_light(small, head):
+    """Position, brightness and rotation must agree."""
     wide = head.with_material(m=0.4, normal_map=None, occlusion_map=None)
     light = fr.Light(-50.0, 42.0)
     expected = small.render(around(wide, None, lights=(light,)), only="specular").linear[..., :3]
@@ -70,7 +69,7 @@ def test_a_spot_is_a_light_of_its_azimuth(small, head):
     assert np.corrcoef(both[0].ravel(), lit.ravel())[0, 1] > 0.97
 
 
-def test_an_even_environment_gives_the_albedo():
+def test_uniform_environment_shows_the_albedo():
     even = fr.Panorama("even", np.full((8, 16, 3), 0.7))
     n = np.array([0.0, 0.6, 0.8])
     np.testing.assert_allclose(
@@ -88,7 +87,7 @@ def test_an_even_environment_gives_the_albedo():
             np.testing.assert_allclose(seen, 0.7 * albedo, rtol=0.01)
 
 
-def test_nine_coefficients_are_near_the_irradiance():
+def test_nine_coefficients_approximate_the_irradiance():
     panorama = studio()
     rows = len(panorama.radiance)
     up = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)[:, None]
@@ -108,7 +107,7 @@ def test_nine_coefficients_are_near_the_irradiance():
 
 
 @pytest.mark.parametrize("height", [64, 600])
-def test_the_map_keeps_what_a_small_light_sends(height):
+def test_map_keeps_the_energy_of_a_small_light(height):
     panorama = spot(-50.0, 42.0, height)
     received = np.linalg.norm(panorama.coefficients[1:4], axis=0) * 2.0 / np.pi
     np.testing.assert_allclose(received, 1.0, rtol=0.01)
@@ -121,7 +120,7 @@ def test_the_map_keeps_what_a_small_light_sends(height):
     assert sent == pytest.approx(np.pi, rel=0.03)
 
 
-def test_32_samples_are_near_many(small, head):
+def test_32_samples_are_close_to_1024(small, head):
     scene = around(head, fr.Environment(studio(), 120.0))
     few, many = (
         small.render(scene, fr.Shading(environment_samples=count)).linear[..., :3]
@@ -183,44 +182,44 @@ def faulty(folder, name):
     ("name", "message"),
     [
         ("missing.hdr", "cannot read .*missing.hdr: no such file"),
-        ("damaged.hdr", "damaged.hdr is no image that OpenImageIO reads .*write it anew"),
+        ("damaged.hdr", "OpenImageIO cannot read .*damaged.hdr .*write the file again"),
         ("other.jpg", "unknown format '.jpg'; give .hdr, .exr, .npy, .npz, or studio"),
-        ("shape.npy", "has 7 x 4 x 3 values: give twice as many columns as rows"),
+        ("shape.npy", "has 7 x 4 x 3 values: give an RGB image, twice as wide as"),
         ("grey.npy", "has 8 x 4 x 1 values"),
         ("bytes.npy", "holds 8-bit values"),
         ("nan.npy", r"radiance \[1.0, nan, 1.0\] in column 5 of row 2: give numbers"),
         ("negative.npy", r"radiance \[1.0, -1.0, 1.0\] in column 5 of row 2"),
         ("huge.npy", r"radiance .* in column 5 of row 2: give numbers in \[0, 1e\+09\]"),
-        ("studio,a", "'studio,a': give FILE or studio, and behind it ,ROTATION in degrees"),
-        ("studio,1,2,3", "give FILE or studio"),
+        ("studio,a", "'studio,a': give FILE.,ROTATION.,SCALE"),
+        ("studio,1,2,3", "give FILE"),
         ("studio,0,-1", r"environment scale = -1.0 is outside \[0, 1e\+09\]"),
         ("studio,nan", r"environment rotation = nan is outside \[-3600, 3600\]"),
     ],
 )
-def test_what_cannot_be_used_is_said_in_a_line(tmp_path, capsys, name, message):
+def test_invalid_environments_print_one_line(tmp_path, capsys, name, message):
     require_module("OpenImageIO")
     given = name if name.startswith("studio") else faulty(tmp_path, name)
     output = tmp_path / "out.png"
     code = main(["render", "--environment", given, "-o", str(output), "--size", "16"])
-    told = capsys.readouterr()
+    printed = capsys.readouterr()
     assert code == 2
-    assert not told.out
-    assert told.err.count("\n") == 1
-    assert told.err.startswith("facerender: error: ")
+    assert not printed.out
+    assert printed.err.count("\n") == 1
+    assert printed.err.startswith("facerender: error: ")
     with pytest.raises(AssertionError, match=message):
-        raise AssertionError(told.err)
+        raise AssertionError(printed.err)
     assert not output.exists()
 
 
 @pytest.mark.parametrize("count", [-2, 3, 4098, 32.0, True])
-def test_samples_are_even_and_few(count):
+def test_invalid_sample_counts_are_refused(count):
     with pytest.raises(InputError, match="environment_samples = .*: give an even number up to"):
         fr.Shading(environment_samples=count)
 
 
-def test_a_model_without_is_refused(small, head):
+def test_model_without_environment_term_is_refused(small, head):
     scene = around(head, fr.Environment(studio()))
-    with pytest.raises(InputError, match="ward-printed has no specular term of an environment"):
+    with pytest.raises(InputError, match="ward-printed has no specular term for environment maps"):
         small.render(scene, fr.Shading("ward-printed"))
     small.render(scene, fr.Shading("ward-printed", environment_samples=0))
 

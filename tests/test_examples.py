@@ -1,5 +1,5 @@
-"""Each example runs with one command and draws what the float64 reference says, the notebook shows
-its pictures; CMake and pkg-config find the installed shaders."""
+"""Tests the examples: each runs with one command and agrees with the float64 reference, the
+notebook displays its images, and CMake and pkg-config find the installed shaders."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ def run(*command: str | Path, **options) -> subprocess.CompletedProcess[str]:
 
 
 def specular(n: NDArray[np.float64], eye: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The specular radiance of sphere.frag, which is that of the PyVista example."""
+    """Return the specular radiance of sphere.frag and of the PyVista example."""
     received = np.pi * np.maximum(n @ LIGHT, 0.0)
     return received * brdf.cook_torrance(n, LIGHT, eye, 0.2, 0.04)
 
 
 def sphere() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Normals of every pixel of sphere.frag, and its distance from the centre, in radii."""
+    """Return the normal of every pixel of sphere.frag, and its distance to the centre, in radii."""
     at = ((np.arange(SIZE) + 0.5) / SIZE * 2.0 - 1.0) / 0.9
     x, y = np.meshgrid(at, -at)
     r = np.hypot(x, y)
@@ -66,7 +66,7 @@ def sphere() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def check_picture(path: Path) -> NDArray[np.uint8]:
-    """Check that there is a sphere on black, brightest where the normal is the half vector."""
+    """Check that an image has a sphere on black, brightest where the normal is the half vector."""
     with Image.open(path) as image:
         pixels = np.asarray(image.convert("RGB"))
     assert pixels.shape == (SIZE, SIZE, 3)
@@ -81,7 +81,7 @@ def check_picture(path: Path) -> NDArray[np.uint8]:
 
 
 def check_sphere(path: Path) -> None:
-    """Check every pixel of a picture of sphere.frag."""
+    """Check every pixel of an image of sphere.frag."""
     n, r = sphere()
     inside = r < 0.99
     diffuse = np.array([0.46, 0.25, 0.17]) * (np.maximum(n[inside] @ LIGHT, 0.0) + 0.05)[:, None]
@@ -115,7 +115,7 @@ def test_script_agrees_with_float64(egl: Backend, tmp_path: Path, script: str, p
 
 @pytest.fixture(scope="module")
 def c_egl(egl: Backend, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the C example, built without a warning."""
+    """A copy of the C example, compiled without warnings."""
     require_command("cc", "pkg-config")
     if subprocess.run(["pkg-config", "--exists", "egl", "opengl"]).returncode:
         missing("no headers of EGL and OpenGL: install libegl-dev libopengl-dev")
@@ -155,7 +155,7 @@ def test_c_program_agrees_with_float64(c_egl: Path, tmp_path: Path):
         (["sphere.ppm", "1;2"], "1;2 is not a pixel"),
     ],
 )
-def test_c_program_says_what_is_wrong(
+def test_c_program_prints_errors(
     c_egl: Path, tmp_path: Path, arguments: list[str], message: str
 ):
     program = c_egl / "sphere"
@@ -166,7 +166,7 @@ def test_c_program_says_what_is_wrong(
 
 
 @pytest.mark.compiler
-def test_c_program_prints_the_log_of_a_shader_that_does_not_compile(c_egl: Path, tmp_path: Path):
+def test_c_program_prints_the_log_of_an_invalid_shader(c_egl: Path, tmp_path: Path):
     copy = tmp_path / "examples"
     shutil.copytree(c_egl.parent, copy, ignore=shutil.ignore_patterns("*.inc", "sphere"))
     fragment = copy / "sphere.frag"
@@ -182,7 +182,7 @@ def test_c_program_prints_the_log_of_a_shader_that_does_not_compile(c_egl: Path,
 
 
 @pytest.mark.slow
-def test_pyvista_draws_a_picture(egl: Backend, tmp_path: Path):
+def test_pyvista_renders_an_image(egl: Backend, tmp_path: Path):
     require_package("pyvista")
     run(sys.executable, EXAMPLES / "pyvista_replacement.py", tmp_path / "sphere.png")
     check_picture(tmp_path / "sphere.png")
@@ -229,7 +229,7 @@ print(camera.position[2], camera.view_angle, camera.parallel_scale)
 
 @pytest.fixture(scope="module")
 def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the shaders lie after being installed by way of DESTDIR, and moved."""
+    """The prefix of the shaders, installed with DESTDIR and then moved."""
     folder = tmp_path_factory.mktemp("install")
     run("make", "-s", "install-shaders", f"DESTDIR={folder}", "PREFIX=/opt/staged", cwd=ROOT)
     return (folder / "opt/staged").rename(folder / "moved")
@@ -283,8 +283,8 @@ endforeach()
 @pytest.mark.slow
 @pytest.mark.parametrize(("weight", "failed"), [("1", 0), ("0.97", 3), ("0.9", 3)])
 def test_images_of_the_ci_example(egl: Backend, tmp_path: Path, weight: str, failed: int):
-    """Three pictures against their goldens; 3 % off the highlight is seen in each by the driver
-    that drew those, 10 % by others."""
+    """Three images are compared with goldens. A highlight that is 3 % weaker is detected on the
+    driver that drew the goldens, and one that is 10 % weaker on every driver."""
     goldens = EXAMPLES / "ci_image_diff/goldens/test_skin"
     drawn = read_image(goldens / "test_highlight-0.3.exr").metadata["GL_VERSION"]
     if weight == "0.97" and drawn != fr.render(size=(8, 8), backend=egl).metadata["GL_VERSION"]:
@@ -305,21 +305,21 @@ def test_images_of_the_ci_example(egl: Backend, tmp_path: Path, weight: str, fai
 
 @pytest.mark.slow
 def test_a_head_of_parts(tmp_path):
-    told = run(sys.executable, EXAMPLES / "head_of_parts.py", tmp_path, cwd=ROOT).stdout
-    assert "parts seen: [0, 1, 2, 4]" in told  # what lies behind the shells
+    output = run(sys.executable, EXAMPLES / "head_of_parts.py", tmp_path, cwd=ROOT).stdout
+    assert "parts seen: [0, 1, 2, 4]" in output  # includes the parts behind the shells
     face = np.asarray(Image.open(tmp_path / "face.jpg"), dtype=float)
     grey = np.ptp(face, axis=-1) < 30.0
     bright = face.mean(axis=-1) > 150.0
-    assert (grey & bright).sum() > 500  # the eyeballs, through them
+    assert (grey & bright).sum() > 500  # the eyeballs, seen through the shells
     with Image.open(tmp_path / "head.gif") as moving:
         assert moving.n_frames == 8
 
 
 @pytest.mark.slow
-def test_a_frame_shows_itself_in_a_notebook(egl: Backend, monkeypatch: pytest.MonkeyPatch):
+def test_notebook_displays_frames(egl: Backend, monkeypatch: pytest.MonkeyPatch):
     nbclient, nbformat = require_module("nbclient"), require_module("nbformat")
     require_module("ipykernel")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))  # of the kernel
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))  # for the kernel
     notebook = nbformat.read(EXAMPLES / "notebook.ipynb", as_version=4)
     assert not any(cell.get("outputs") for cell in notebook.cells)
     nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()

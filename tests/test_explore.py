@@ -1,5 +1,5 @@
-"""The explorer in Chromium: what it draws is the float64 reference, what it says of errors is what
-``facerender compare`` says, and every control, link and text of it works."""
+"""Tests the explorer page in Chromium: its images agree with the float64 reference, its errors with
+``facerender compare``, and its controls, links and texts work."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ from facerender.terms.lobe import Lobe
 
 MINI = Path(__file__).parent / "data" / "mini_head.glb"
 VIEW = {"viewport": {"width": 1000, "height": 620}}
-# Fractions of the image's width and height, on the face in the first view.
+# Points on the face in the first view, in fractions of the image's width and height.
 PLACES = [
     *((0.50, 0.30), (0.45, 0.35), (0.55, 0.35), (0.50, 0.42), (0.42, 0.42), (0.58, 0.42)),
     *((0.50, 0.55), (0.44, 0.55), (0.56, 0.55), (0.50, 0.66), (0.47, 0.72), (0.53, 0.72)),
 ]
 OWN = GPower(6, 0.3, 0.4)
-FRONT = np.array([0.0, 0.0, 1.0])  # where the tests have point lights
+FRONT = np.array([0.0, 0.0, 1.0])  # direction from the mesh to the point lights
 TERMS = [
     ("", Term(), {}),
     ("lobe:d8;m:0.25;f0:0.05;ks:0.7", Term(lobe="d8"), {"m": 0.25, "f0": 0.05, "ks": 0.7}),
@@ -56,7 +56,7 @@ TERMS = [
 
 
 def maps(folder: Path) -> dict[str, str]:
-    """Smooth maps, which lose little as JPEGs: relief, roughness from 0.45 to 0.65, weight."""
+    """Write smooth maps, which lose little as JPEGs: normals, roughness 0.45 to 0.65, weight."""
     y, x = np.mgrid[:64, :64] * (2.0 * np.pi / 64)
     slope = 0.25 * np.stack([np.sin(3 * x), np.cos(2 * y), np.full_like(x, 4.0)], axis=-1)
     normal = 0.5 + 0.5 * slope / np.linalg.norm(slope, axis=-1, keepdims=True)
@@ -69,7 +69,7 @@ def maps(folder: Path) -> dict[str, str]:
 
 
 def write(folder: Path) -> tuple[str, MeshFile]:
-    """Write a page, and return its address, and the mesh that it shows."""
+    """Write a page; return its address and its mesh file."""
     mesh = MeshFile(str(MINI), **maps(folder))
     path = folder / "explorer.html"
     path.write_text(explorer_page(Job(mesh), mesh.load()), encoding="utf-8")
@@ -78,17 +78,17 @@ def write(folder: Path) -> tuple[str, MeshFile]:
 
 @contextmanager
 def opened(browser, address, before="", fragment="", **more):
-    """The page, which must have nothing to say in the console."""
+    """Open the page; at the end, check that it logged nothing to the console."""
     page = browser.new_page(**{**VIEW, **more})
-    said = []
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
+    logged = []
+    page.on("console", lambda message: logged.append(message.text))
+    page.on("pageerror", lambda error: logged.append(str(error)))
     if before:
         page.add_init_script(before)
     page.goto(address + fragment)
     yield page
     page.close()
-    assert said == []
+    assert logged == []
 
 
 @pytest.fixture(scope="module")
@@ -108,20 +108,20 @@ def mesh(written):
 
 @pytest.fixture(scope="module")
 def page(browser, address):
-    """One for all tests that say by a link what they look at."""
+    """A page shared by all tests that set its state by a link."""
     with opened(browser, address) as page:
         page.evaluate("explorer.errors()")
         yield page
 
 
 def look(page, fragment=""):
-    """Follow a link, and return the errors of what it shows."""
+    """Follow a link, and return the errors of its images."""
     follow(page, fragment)
     return page.evaluate("explorer.errors()")
 
 
 def follow(page, fragment):
-    page.evaluate(  # in one go: the page writes its own link when it has settled
+    page.evaluate(  # in one call, since the page writes its own link when it is idle
         """link => {
             history.replaceState(null, "", "#");
             location.hash = link;
@@ -133,7 +133,7 @@ def follow(page, fragment):
 
 
 def images(page):
-    """A and B as they are on the float targets, (H, W, 4)."""
+    """Return the float images A and B, (H, W, 4)."""
     width, height = page.evaluate("explorer.size")
     code = "async which => new Uint8Array((await explorer.pixels(which)).buffer).toBase64()"
     each = [base64.b64decode(page.evaluate(code, which)) for which in "ab"]
@@ -141,7 +141,7 @@ def images(page):
 
 
 def scene_of(page, mesh, changes):
-    """The scene that a page shows, for the same size."""
+    """Return the scene that a page shows."""
     now = page.evaluate("explorer.state")
     lights = [
         fr.Light(
@@ -158,7 +158,7 @@ def scene_of(page, mesh, changes):
 
 
 def expected(page, mesh, found, term, changes):
-    """Float64 radiance of probed pixels, (N, 3)."""
+    """Return the float64 radiance of probed pixels, (N, 3)."""
     scene = scene_of(page, mesh, changes)
     width, height = page.evaluate("explorer.size")
     row = {name: np.float32([[each[name] for each in found]]) for name in found[0]}
@@ -177,8 +177,8 @@ def expected(page, mesh, found, term, changes):
         for each in TERMS
     ],
 )
-def test_pixels_are_the_float64_reference(page, mesh, words, term, changes):
-    """A is the exact term, B another: each within 1e-3 of what float64 gives there."""
+def test_pixels_agree_with_float64(page, mesh, words, term, changes):
+    """A is the exact term and B another; both are within 1e-3 of float64."""
     lights = "-50,42,3.6,3.4,3.1,20;30,20,1,1.2,1.4;0,0,1,1,1,0,3"  # a disc, a point light
     look(page, f"b={words}&lights={lights}" if words else f"lights={lights}")
     if not words:
@@ -195,14 +195,14 @@ def test_pixels_are_the_float64_reference(page, mesh, words, term, changes):
     assert np.ptp(truth) > 0.1
 
 
-def test_errors_are_those_of_compare(page):
+def test_errors_agree_with_compare(page):
     shown = look(page, "b=lobe:d8&a=m:0.35&only=specular")
     a, b = images(page)
     covered = a[..., 3] > 0
-    told = compare(a, b, mask=covered)
+    result = compare(a, b, mask=covered)
     assert shown["covered"] == covered.sum() > 10_000
-    assert shown["linear"]["largest"] == pytest.approx(told.largest, rel=0.02)
-    assert shown["linear"]["mean"] == pytest.approx(told.mean, rel=0.02)
+    assert shown["linear"]["largest"] == pytest.approx(result.largest, rel=0.02)
+    assert shown["linear"]["mean"] == pytest.approx(result.mean, rel=0.02)
     for measure, unit, scale in (("display", "1/255", 255.0), ("relative", "1%", 1.0)):
         budget = Budget.parse(unit)
         errors = scale * budget.errors(b[..., :3].astype(float), a[..., :3].astype(float))[covered]
@@ -216,8 +216,8 @@ def test_errors_are_those_of_compare(page):
     assert float(cells[0]) == pytest.approx(shown["display"]["largest"], rel=0.01)
 
 
-def test_images_are_the_renderers(page, mesh, egl):
-    """With maps that are JPEGs and positions in 16 bits."""
+def test_images_agree_with_the_renderer(page, mesh, egl):
+    """The page has JPEG maps and 16-bit positions."""
     shown = look(page, "b=lobe:d8;m:0.4&a=m:0.4&camera=azimuth:-35;elevation:4")
     drawn = images(page)
     scene = scene_of(page, mesh, {"m": 0.4})
@@ -225,21 +225,21 @@ def test_images_are_the_renderers(page, mesh, egl):
         frames = [renderer.render(scene, fr.Shading(lobe=lobe)) for lobe in ("exact", "d8")]
     for image, frame in zip(drawn, frames, strict=True):
         assert np.abs(image - frame.linear).mean() < 1e-3
-    told = compare(frames[0], frames[1], mask=frames[0].linear[..., 3] > 0)
-    assert shown["linear"]["mean"] == pytest.approx(told.mean, rel=0.02)
-    assert shown["linear"]["largest"] == pytest.approx(told.largest, rel=0.02)
+    result = compare(frames[0], frames[1], mask=frames[0].linear[..., 3] > 0)
+    assert shown["linear"]["mean"] == pytest.approx(result.mean, rel=0.02)
+    assert shown["linear"]["largest"] == pytest.approx(result.largest, rel=0.02)
 
 
 def shot(page):
-    """The canvas as it is shown, (H, W, 3)."""
+    """Return a screenshot of the canvas, (H, W, 3)."""
     hidden = "#handles, #cut, .tag, #mark, #legend { visibility: hidden }"
     image = page.locator("#canvas").screenshot(style=hidden)
     pixels = np.asarray(Image.open(io.BytesIO(image)).convert("RGB")).astype(int)
     width, height = page.evaluate("explorer.size")
-    return pixels[: height - 1, :width]  # its last row may be a part of one
+    return pixels[: height - 1, :width]  # the last row may be incomplete
 
 
-def test_the_cut_divides_the_images(page):
+def test_split_view_divides_the_images(page):
     link = "b=lobe:cosine;m:0.5"
     views = []
     for show in ("a", "b", "wipe&cut=0.25", "difference&gain=4"):
@@ -261,7 +261,7 @@ def test_the_cut_divides_the_images(page):
     assert "Over 2/255" in page.inner_text("#over")
 
 
-def test_dragging_turns_the_mesh_a_light_and_the_cut(page):
+def test_dragging_moves_the_mesh_a_light_and_the_split(page):
     look(page)
     box = page.locator("#canvas").bounding_box()
 
@@ -285,7 +285,7 @@ def test_dragging_turns_the_mesh_a_light_and_the_cut(page):
     assert drag(x, y, 0.2 * box["width"], 0)["cut"] == pytest.approx(0.7, abs=0.01)
 
 
-def test_keys_turn_zoom_and_cut(page):
+def test_keys_turn_zoom_and_split(page):
     look(page)
     page.focus("#canvas")
     for key in ("ArrowLeft", "ArrowUp", "+", "+", "-"):
@@ -344,14 +344,14 @@ def test_every_control_has_a_name_and_changes_the_state(page):
     for each in page.locator(".screen .choice label:has(:not(:checked))").all():
         each.click()
     page.get_by_label("f0 of A").fill("0.05")
-    for name in ("Swap A and B", "Make B the same", "Add a light", "Remove light 1"):
+    for name in ("Swap A and B", "Copy A to B", "Add a light", "Remove light 1"):
         before = state()
         page.get_by_label(name, exact=True).click()
         assert state() != before, name
     page.evaluate("explorer.errors()")
 
 
-def test_a_link_is_what_was_shown(browser, page, address):
+def test_link_restores_the_view(browser, page, address):
     look(page, "")
     page.evaluate("""() => {
         const {state} = explorer;
@@ -370,18 +370,18 @@ def test_a_link_is_what_was_shown(browser, page, address):
         assert other.evaluate("explorer.state") == page.evaluate("explorer.state")
 
 
-def test_what_a_link_says_wrong_is_told(page):
+def test_invalid_parts_of_a_link_are_named(page):
     look(page, "b=lobe:d32;m:7&show=c&lights=1,2&zoo=1&a=f0:0.04")
-    told = page.inner_text("#notes")
+    result = page.inner_text("#notes")
     for word in ("B lobe:d32", "B m:7", "show=c", "lights=1,2", "zoo=1"):
-        assert word in told
+        assert word in result
     assert page.evaluate("explorer.state.a.f0") == 0.04
     assert page.evaluate("explorer.state.b.lobe") == "d16"
 
 
 @pytest.mark.parametrize(("words", "term", "changes"), TERMS, ids=[each[0] for each in TERMS])
-def test_lobes_are_the_float64_twins(page, words, term, changes):
-    """At the slope of the pixel with the largest error, of 1; and under the pointer."""
+def test_lobe_curves_agree_with_float64(page, words, term, changes):
+    """The curves use the slope of the pixel with the largest error."""
     errors = look(page, f"a={words}&b=lobe:d4")
     found = page.evaluate("explorer.lobe('a')")
     angles = np.linspace(0.0, np.pi / 2, 361)
@@ -392,7 +392,7 @@ def test_lobes_are_the_float64_twins(page, words, term, changes):
     assert found["m"] == page.evaluate("place => explorer.probe([place])[0].a.m", place)
 
 
-def test_the_lobe_is_that_under_the_pointer(page):
+def test_lobe_curves_follow_the_pointer(page):
     look(page, "a=lobe:exact")
     box = page.locator("#canvas").bounding_box()
     page.mouse.move(box["x"] + 0.45 * box["width"], box["y"] + 0.35 * box["height"])
@@ -407,7 +407,7 @@ def test_the_lobe_is_that_under_the_pointer(page):
     page.locator("#here", has_text="At the ring").wait_for()
 
 
-def test_a_slope_outside_the_domain_is_told(page):
+def test_slope_outside_the_domain_is_reported(page):
     look(page, "b=lobe:d16;m:0.8")
     assert "B: m reaches 0.8" in page.inner_text("#outside")
     look(page)
@@ -415,7 +415,7 @@ def test_a_slope_outside_the_domain_is_told(page):
 
 
 @pytest.mark.parametrize(("words", "term", "changes"), TERMS, ids=[each[0] for each in TERMS])
-def test_code_is_what_flatten_prints(page, mesh, words, term, changes):
+def test_code_equals_the_output_of_flatten(page, mesh, words, term, changes):
     follow(page, f"a={words}")
     smallest = min(slope_range(*each)[0] for each in zip(mesh.parts, mesh.materials, strict=True))
     for target in TARGETS:
@@ -463,19 +463,19 @@ def test_command_line_toml_and_python_give_the_same_scene(
     assert 'frame.save("a.png", 0.5)' in python
 
 
-def test_the_diff_has_what_differs(page):
+def test_diff_shows_the_changed_lines(page):
     look(page, "b=lobe:d8")
     page.locator("#code-of label", has_text="A to B").click()
     page.locator("#code-kind label", has_text="GLSL ES 300").click()
     text = page.inner_text("#code")
     assert "- #define FR_LOBE FR_LOBE_EXACT" in text
     assert "+ #define FR_LOBE FR_LOBE_D8" in text
-    assert "lines the same" in text
+    assert "unchanged lines" in text
     look(page, "b=lobe:exact")
     assert page.inner_text("#code") == "A and B are the same here."
 
 
-def test_a_term_of_the_registry_appears_by_itself(browser, tmp_path, monkeypatch):
+def test_new_lobe_of_the_registry_appears_in_the_page(browser, tmp_path, monkeypatch):
     shaders = tmp_path / "shaders"
     shutil.copytree(fr.shader_dir(), shaders)
     toy = Lobe(
@@ -489,7 +489,7 @@ def test_a_term_of_the_registry_appears_by_itself(browser, tmp_path, monkeypatch
     )
     file = shaders / "facerender/lobe.glsl"
     text = file.read_text(encoding="utf-8")
-    for line, own in (  # as CONTRIBUTING.md says, in one branch with the exact lobe
+    for line, own in (  # the steps of CONTRIBUTING.md, in one branch with the exact lobe
         ("#define FR_LOBE_EXACT 1\n", "#define FR_LOBE_TOY 40\n"),
         ("FR_LOBE == FR_LOBE_EXACT || ", "FR_LOBE == FR_LOBE_TOY || "),
         ('#include "lobe/exact.glsl"\n', '#include "lobe/toy.glsl"\n'),
@@ -517,7 +517,7 @@ def test_a_term_of_the_registry_appears_by_itself(browser, tmp_path, monkeypatch
             radiance, expected(page, mesh, [found], Term(lobe="toy"), {}), rtol=1e-3
         )
         options = page.get_by_label("lobe of A").locator("option").all_inner_texts()
-        assert options == [*LOBES, "g-power of one’s own"]
+        assert options == [*LOBES, "custom g-power"]
     for label, entries in (("Fresnel", FRESNEL), ("masking", MASKING)):
         assert f'"{next(iter(entries))}"' in (tmp_path / "explorer.html").read_text(), label
     assert len(MODELS) == 3
@@ -547,7 +547,7 @@ def test_cost_is_measured_and_saved(page):
     assert saved["gpu"] in page.inner_text("#cost-message")
 
 
-def test_the_table_of_costs_is_of_one_image_and_keeps_its_size(page):
+def test_costs_belong_to_one_image_and_keep_their_size(page):
     look(page)
     place = "[...document.querySelectorAll('.costs')].map(e => [e.offsetWidth, e.offsetHeight])"
     sizes = [page.evaluate(place)]
@@ -556,13 +556,13 @@ def test_the_table_of_costs_is_of_one_image_and_keeps_its_size(page):
     cells = page.locator(".costs td")
     assert "–" not in cells.all_inner_texts()
     sizes.append(page.evaluate(place))
-    look(page, "b=lobe:d4")  # another image than the one that was measured
+    look(page, "b=lobe:d4")  # not the measured image
     assert cells.all_inner_texts() == ["–"] * 4
     assert "another image" in page.inner_text("#cost-message")
     assert sizes == [page.evaluate(place)] * 2
 
 
-def test_a_cost_of_two_images_is_not_told(page):
+def test_change_of_the_image_stops_the_measurement(page):
     look(page)
     page.click("#cost")
     page.get_by_label("lobe of B").select_option("d4")
@@ -586,14 +586,14 @@ WebGL2RenderingContext.prototype.getExtension = function (name) {
     ],
     ids=["no WebGL", "no float targets", "no DecompressionStream"],
 )
-def test_what_is_missing_is_told(browser, address, before, words):
+def test_missing_browser_features_are_reported(browser, address, before, words):
     with opened(browser, address, before) as page:
         page.get_by_role("alert").filter(has_text=words).wait_for()
         page.get_by_label("lobe of B").select_option("d4")  # the rest of the page still works
         page.wait_for_function("location.hash.includes('lobe:d4')")
 
 
-def test_a_lost_context_is_told_and_comes_back(browser, address):
+def test_lost_context_is_reported_and_restored(browser, address):
     with opened(browser, address) as page:
         shown = page.evaluate("explorer.errors()")
         page.evaluate(
@@ -633,14 +633,14 @@ def test_the_built_in_head_fits(tmp_path, capsys):
         ("folder.html", "cannot write"),
     ],
 )
-def test_an_output_that_cannot_be_a_page_is_refused_first(tmp_path, capsys, name, words):
+def test_invalid_output_is_refused_first(tmp_path, capsys, name, words):
     (tmp_path / "folder.html").mkdir()
     assert main(["explore", "missing.glb", "-o", str(tmp_path / name)]) == 2
     assert words in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["folder.html"]
 
 
-def test_maps_are_less_than_a_step_off(head):
+def test_maps_differ_by_less_than_a_level(head):
     for name, kind in (("albedo_map", "color"), ("normal_map", "normal"), ("property_map", "data")):
         texture = getattr(head.materials[0], name)
         image = Image.open(io.BytesIO(encoded(texture, kind)))

@@ -1,4 +1,4 @@
-"""What is opened as a file, and what is said of everything else."""
+"""Tests ``facerender.system.files``: which paths are read, and the messages for all others."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
     "socket": (bind, "x is a socket; give an image file"),
     "endless": (lambda path: path.symlink_to("/dev/zero"), "x is a device; give an image file"),
     "loop": (loop, "cannot read .*x: too many levels of symbolic links"),
-    "sparse": (sparse, "x has 1099511627776 bytes, of 1073741824 at most; give an image file"),
+    "sparse": (sparse, "x has 1099511627776 bytes, but the limit is 1073741824; give .*"),
 }
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_is_no_file(case, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # the name of a socket is short
+def test_only_regular_files_are_read(case, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # paths of sockets must be short
     make, message = REFUSED[case]
     make(tmp_path / "x")
     with pytest.raises(fr.InputError, match=f"^{message}|/{message}$"):
@@ -52,7 +52,7 @@ def test_what_is_no_file(case, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["a\0b", "\ud800", "n" * 300, "d/" * 3000])
-def test_names_that_no_file_has(name):
+def test_impossible_names_are_refused(name):
     with pytest.raises(fr.InputError, match="cannot read ") as caught:
         read_file(name, "an image file")
     assert str(caught.value).isprintable()
@@ -83,7 +83,7 @@ LONG = "x" * 300
     ],
     ids=lambda each: " ".join(each)[:40],
 )
-def test_names_that_are_too_long(arguments, capsys, tmp_path):
+def test_commands_refuse_long_names_in_one_line(arguments, capsys, tmp_path):
     with contextlib.chdir(tmp_path):
         assert main([*arguments]) == 2
     (line,) = capsys.readouterr().err.splitlines()
@@ -94,11 +94,11 @@ def test_whole_file(tmp_path):
     (tmp_path / "x").write_bytes(b"12345")
     (tmp_path / "link").symlink_to("x")
     assert read_file(tmp_path / "link", "x", most=5) == b"12345"
-    with pytest.raises(fr.InputError, match="link has 5 bytes, of 4 at most"):
+    with pytest.raises(fr.InputError, match="link has 5 bytes, but the limit is 4"):
         read_file(tmp_path / "link", "x", most=4)
 
 
-def test_what_libraries_say_is_one_line():
+def test_messages_of_libraries_become_one_line():
     assert reason(KeyError()) == "KeyError"
     assert reason(ValueError("a\nb\x1b[31m\ud800")) == "a b?[31m?"
     assert len(reason(ValueError("x" * 10_000))) < 200
@@ -119,10 +119,10 @@ NO_TOML: dict[str, tuple[str, str]] = {
 
 
 @pytest.mark.parametrize("case", NO_TOML)
-def test_what_is_no_toml(case):
+def test_invalid_toml_is_refused(case):
     text, why = NO_TOML[case]
     began = time.process_time()
-    with pytest.raises(fr.InputError, match=f"^x.toml is not TOML: {why}.*; mend it$"):
+    with pytest.raises(fr.InputError, match=f"^x.toml is not valid TOML: {why}.*; correct it$"):
         tables_of(text.encode(), "x.toml")
     assert time.process_time() - began < 5.0
 

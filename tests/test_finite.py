@@ -1,8 +1,8 @@
-"""Every public function of the shader library is finite and >= 0 wherever it may be called, and the
-BRDFs are exactly 0 below the surface.
+"""Tests that every public function of the shader library is finite and >= 0 for all valid inputs,
+and that the BRDFs are exactly 0 below the surface.
 
-The results are counted in NumPy, as a compiler may take x != x for false. Slopes at which an
-approximation has no meaning are among the inputs: it must still give a number.
+NumPy counts the wrong values, since a shader compiler may evaluate x != x to false. The inputs
+include slopes outside the domain of an approximation, which must still return a number.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tests.verification.cases import Case
 from tests.verification.evaluate import Evaluator, Inputs
 from tests.verification.many import GROUPS, Random, cases_of, faults, faults_of_draw
 
-FEW = 2**15  # samples of a draw
+FEW = 2**15  # samples per draw
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def inputs() -> Inputs:
 
 @pytest.mark.parametrize("group", GROUPS)
 def test_finite_and_not_negative(evaluator, inputs, group):
-    """Of many cases of a group every seventh, which is each lobe with one of the other terms."""
+    """Of large groups only every seventh case runs; these contain every lobe."""
     cases = list(cases_of(group).items())
     if found := faults(evaluator, dict(cases[:: 7 if len(cases) > 8 else 1]), inputs):
         pytest.fail("\n".join(found), pytrace=False)
@@ -46,7 +46,7 @@ def test_finite_and_not_negative(evaluator, inputs, group):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_finite_and_not_negative_in_many_samples(evaluator, seed):
-    """``python -m benchmarks.finite`` takes 10^8 samples."""
+    """For 10^8 samples, run ``python -m benchmarks.finite``."""
     if found := faults_of_draw(evaluator, seed):
         pytest.fail("\n".join([f"seed {seed}", *found]), pytrace=False)
 
@@ -60,13 +60,13 @@ def test_finite_and_not_negative_in_many_samples(evaluator, seed):
         ("not 0 below the surface", "fr_ward(n, l, v, m) + (c == 0.0 ? 1.0 : 0.0)"),
     ],
 )
-def test_a_fault_is_counted_and_told(evaluator, inputs, name, expression):
+def test_wrong_values_are_counted_and_named(evaluator, inputs, name, expression):
     calls = ("c", expression, "1.0")
     tried = {call: Case(cases.include("ward"), call, {}, np.zeros(1)) for call in calls}
-    told, *at = faults(evaluator, tried, inputs)
-    assert told.startswith(expression)
-    assert re.search(rf"\b[1-9]\d* {name}", told)
-    assert len(re.findall(r"\b0 (?:NaN|infinite|negative|not 0)", told)) == 3
+    message, *at = faults(evaluator, tried, inputs)
+    assert message.startswith(expression)
+    assert re.search(rf"\b[1-9]\d* {name}", message)
+    assert len(re.findall(r"\b0 (?:NaN|infinite|negative|not 0)", message)) == 3
     assert "c = 0.0" in at
 
 

@@ -1,5 +1,5 @@
-"""Plans of whole frames: samples and triangles go as far as the budget lets them, what is drawn is
-within it, and what is said of times adds up. The images are the judges; no time is."""
+"""Tests plans of whole frames: samples and triangles are reduced as far as the budget allows, the
+images are within it, and savings add up. No test depends on a measured time."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ WIDE = "200/255"
 
 @pytest.fixture(scope="module", autouse=True)
 def one_repeat():
-    """Frames are measured once: no test judges a time that was measured."""
+    """Measure frames only once, since no test depends on measured times."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(frame_times, "_REPEATS", 1)
         patched.setattr(frame_times, "_VERIFY", 3)
@@ -49,7 +49,7 @@ def one_repeat():
 
 @pytest.fixture(scope="module")
 def drawing(egl):
-    """Four samples, 48 x 48."""
+    """A renderer with 48 x 48 pixels and four samples per pixel."""
     with fr.Renderer((48, 48), samples=4, backend=egl) as renderer:
         yield renderer
 
@@ -62,7 +62,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def planned(drawing, scene):
-    """Plan for a budget, once each."""
+    """A function that plans for a budget; it caches its results."""
     return cache(partial(fr.plan, scene, renderer=drawing))
 
 
@@ -79,7 +79,7 @@ def cli(tmp_path, capsys: Capture, egl):
 
 
 def frame(renderer, scene, detail, shading=fr.Shading()):
-    """The linear image, drawn by what a caller has."""
+    """Draw a frame with a level of detail by the public functions; return the linear image."""
     if detail.triangles is not None:
         scene = replace(scene, mesh=fr.simplified(scene.mesh, detail.triangles))
     fine = detail.values
@@ -87,8 +87,8 @@ def frame(renderer, scene, detail, shading=fr.Shading()):
 
 
 def error(renderer, scene, detail, shading=fr.Shading(), within=1.0):
-    """How far the displayed image is from the full one, at a share of the pixels that this covers;
-    and how far at the worst of all."""
+    """Return two errors of the displayed image: at the quantile ``within`` of the covered pixels,
+    and the largest."""
     images = frame(renderer, scene, LevelOfDetail(4, None)), frame(renderer, scene, detail, shading)
     full, own = (linear_to_srgb(each[..., :3].astype(np.float64)) for each in images)
     errors = np.sort(np.abs(own - full).max(axis=-1), axis=None)
@@ -100,7 +100,7 @@ def lines_of(plan):
     return dict(re.split(" {2,}", line, maxsplit=1) for line in plan.explain().splitlines())
 
 
-# --- what is chosen ------------------------------------------------------------------------------
+# --- the choice ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("budget", "within"), [("0", 1.0), ("0.01/255", 0.05)])
@@ -117,7 +117,7 @@ def test_a_budget_below_rounding_draws_the_full_frame(budget, within, drawing, s
     )
     pinned = cli.folder / "full.toml"
     pinned.write_text(plan.scene_toml())
-    assert "planned" not in load_scene(pinned)  # it holds anywhere
+    assert "planned" not in load_scene(pinned)  # valid for any size
     np.testing.assert_array_equal(
         cli.render("--scene", pinned, "--m", "0.3"), drawing.render(scene).srgb8()
     )
@@ -127,7 +127,7 @@ def test_a_budget_below_rounding_draws_the_full_frame(budget, within, drawing, s
     ("budget", "within"),
     [(WIDE, 1.0), ("60/255", 0.8), pytest.param("20/255", 0.6, marks=pytest.mark.slow)],
 )
-def test_what_is_drawn_is_within_a_wide_budget(budget, within, drawing, egl, scene):
+def test_drawn_error_is_within_a_wide_budget(budget, within, drawing, egl, scene):
     options = {"cameras": CAMERAS, "sizes": SIZES, "within": within, "renderer": drawing}
     plan = fr.plan(scene, budget, **options)
     assert plan.detail.samples == 1
@@ -148,8 +148,8 @@ def test_what_is_drawn_is_within_a_wide_budget(budget, within, drawing, egl, sce
 @pytest.mark.parametrize(
     ("budget", "options"), [("4/255", {}), ("60/255", {}), ("10/255", {"within": 0.9})]
 )
-def test_what_is_coarser_is_over_the_budget(budget, options, drawing, scene, planned):
-    """One sample; half of the triangles; down to 500 of them."""
+def test_coarser_frames_are_over_the_budget(budget, options, drawing, scene, planned):
+    """Coarser frames have one sample, or half of the triangles, at least 500."""
     plan, within = planned(budget, **options), options.get("within", 1.0)
     kept = {each.name: each for each in plan.decisions if not each.changed}
     refused = []
@@ -169,8 +169,8 @@ def test_what_is_coarser_is_over_the_budget(budget, options, drawing, scene, pla
     assert at_share <= plan.budget.limit
 
 
-def test_every_camera_has_its_say(drawing, scene):
-    """One sample fits at one camera, and not at the other."""
+def test_samples_fit_all_cameras(drawing, scene):
+    """One sample is within the budget at one camera, but not at the other."""
     errors = {
         camera: error(drawing, replace(scene, camera=camera), LevelOfDetail(1, None))[0]
         for camera in CAMERAS
@@ -184,14 +184,14 @@ def test_every_camera_has_its_say(drawing, scene):
 
 
 @pytest.mark.slow
-def test_of_several_samples_the_fewest_that_fit(egl, scene):
-    """Of 8, which are images shifted by parts of a pixel, 1 or 4 are left."""
+def test_fewest_samples_within_the_budget_are_chosen(egl, scene):
+    """8 samples, the mean of shifted images, are reduced to 4 or 1."""
     with fr.Renderer((48, 48), samples=8, backend=egl) as renderer:
         for budget, samples in (("1/255", 8), ("100/255", 4), ("254/255", 1)):
             assert fr.plan(scene, budget, renderer=renderer).detail.samples == samples
 
 
-def test_pixels_are_shaded_once_where_one_sample_is_not_enough(cli, drawing, scene):
+def test_per_pixel_shading_is_chosen_where_one_sample_fails(cli, drawing, scene):
     within = 0.95
     once = LevelOfDetail(4, None, shading_rate="pixel")
     errors = [
@@ -206,14 +206,14 @@ def test_pixels_are_shaded_once_where_one_sample_is_not_enough(cli, drawing, sce
     refused, _ = error(
         drawing, scene, replace(once, cull_back_faces=fine.detail.cull_back_faces), within=within
     )
-    assert told.text == f"sample: pixel would err by {fine.budget.text(refused)}"
+    assert told.text == f"sample: pixel would cause an error of {fine.budget.text(refused)}"
 
     plan = fr.plan(scene, 1.4 * errors[0], **arguments)
     assert (plan.detail.samples, plan.detail.shading_rate) == (4, "pixel")
     (told,) = (each for each in plan.decisions if each.name == "shading_rate")
     assert lines_of(plan)["shading_rate"] == told.text
     assert told.text.startswith(
-        f"pixel instead of sample: alone adds {plan.budget.text(errors[0])}, "
+        f"pixel instead of sample: error {plan.budget.text(errors[0])} on its own, "
     )
     at_share, _ = error(drawing, scene, plan.detail, plan.shading, within)
     assert at_share == pytest.approx(plan.error.drawn_within, rel=1e-6)
@@ -230,8 +230,8 @@ def test_pixels_are_shaded_once_where_one_sample_is_not_enough(cli, drawing, sce
         assert (own == image).all() == (each == "pixel")
 
 
-def test_pixels_are_shaded_once_with_the_samples_of_the_driver(egl, scene):
-    """Of 8 samples 4 are left, and of one nothing to save."""
+def test_per_pixel_shading_uses_the_samples_of_the_driver(egl, scene):
+    """8 samples are reduced to 4; with one sample, the shading rate does not matter."""
     with fr.Renderer((48, 48), samples=8, backend=egl) as renderer:
         plan = fr.plan(scene, "30/255", within=0.95, renderer=renderer)
         assert (plan.detail.samples, plan.detail.shading_rate) == (4, "pixel")
@@ -247,7 +247,7 @@ def test_pixels_are_shaded_once_with_the_samples_of_the_driver(egl, scene):
         assert fr.plan(scene, WIDE, renderer=renderer).detail.shading_rate == "sample"
 
 
-def test_one_sample_is_never_made_more(egl, scene):
+def test_one_sample_stays_one(egl, scene):
     with fr.Renderer((48, 48), samples=1, backend=egl) as renderer:
         plan = fr.plan(scene, WIDE, renderer=renderer)
     assert plan.detail.samples == 1
@@ -257,7 +257,7 @@ def test_one_sample_is_never_made_more(egl, scene):
 
 
 def test_without_meshoptimizer_triangles_stay(drawing, no_meshoptimizer, tmp_path):
-    mesh = fr.load_mesh(MINI_HEAD).with_material(m=0.3)  # of which no level was made yet
+    mesh = fr.load_mesh(MINI_HEAD).with_material(m=0.3)  # has no simplified mesh yet
     scene = fr.Scene(mesh, lights=(LIGHTS["key"],))
     plan = fr.plan(scene, WIDE, renderer=drawing)
     assert plan.detail == LevelOfDetail(1, None, cull_back_faces=True)
@@ -265,11 +265,11 @@ def test_without_meshoptimizer_triangles_stay(drawing, no_meshoptimizer, tmp_pat
     (tmp_path / "scene.toml").write_text(plan.scene_toml())
     planned = load_scene(tmp_path / "scene.toml")["planned"]
     assert planned == Planned(((48, 48),), 4, drawn_samples=1, cull_back_faces=True)
-    assert not planned.holds((48, 48), 1)  # with back faces a pixel's centre may show another
+    assert not planned.holds((48, 48), 1)  # culling may change the surface at a pixel's centre
 
 
 @pytest.mark.parametrize("cost", ["auto", "navi21"])
-def test_prices_of_fragments_leave_samples_and_triangles(cost, drawing, scene):
+def test_fragment_prices_leave_samples_and_triangles(cost, drawing, scene):
     plan = fr.plan(scene, WIDE, cost=cost, renderer=drawing)
     assert plan.detail is None
     assert not {"samples", "triangles"} & set(lines_of(plan))
@@ -277,15 +277,15 @@ def test_prices_of_fragments_leave_samples_and_triangles(cost, drawing, scene):
     assert "drawn_samples" not in plan.scene_toml()
 
 
-# --- what is written -----------------------------------------------------------------------------
+# --- output --------------------------------------------------------------------------------------
 
 
 def test_a_scene_file_draws_the_planned_frame(cli, drawing, scene, wide):
     pinned = cli.folder / "pinned.toml"
     status, out, err = cli.run("plan", *FACE, "--budget", WIDE, "--scene", pinned)
     assert (status, err) == (0, "")
-    assert re.search(r"^samples +1 instead of 4: alone adds .* of the frame$", out, re.MULTILINE)
-    assert re.search(r"^cost +.* ms a frame, \d\.\d\d; by 6 frames measured on", out, re.MULTILINE)
+    assert re.search(r"^samples +1 instead of 4: error .* of the frame time$", out, re.MULTILINE)
+    assert re.search(r"^cost +.* ms a frame, ratio .*; estimated from 6 frames", out, re.MULTILINE)
     found = load_scene(pinned)
     assert found["planned"] == Planned(
         ((48, 48),), 4, 1, wide.detail.triangles, cull_back_faces=True
@@ -303,41 +303,41 @@ def test_a_scene_file_draws_the_planned_frame(cli, drawing, scene, wide):
         options = ("--scene", pinned, "--size", "48", "--samples", samples)
         status, _, err = cli.run("render", MINI_HEAD, "-o", cli.png, *options)
         assert status == 0
-        assert re.search(rf"48 x 48 pixels with 4 samples: at 48 x 48 with {samples} its", err)
+        assert re.search(rf"planned for 48 x 48 pixels with 4 samples: .* {samples} sample", err)
         drawn = drawing.render(scene, wide.shading, samples=samples).srgb8()
         with Image.open(cli.png) as image:
             np.testing.assert_array_equal(np.asarray(image), drawn)
 
 
-def test_render_within_a_budget_draws_a_kept_frame_again(cli, wide, drawing, scene, monkeypatch):
+def test_render_within_a_budget_reuses_a_cached_plan(cli, wide, drawing, scene, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(cli.folder.parent / "cache"))
     monkeypatch.delenv("FACERENDER_CACHE_MIB")
     arguments = ("render", *FACE, "-o", cli.png, "--budget", WIDE, "--json")
-    images, said = [], []
+    images, plans = [], []
     for _ in range(2):
         status, out, err = cli.run(*arguments)
         assert (status, err) == (0, "")
         facts = json.loads(out)
-        said.append(facts["plan"])
+        plans.append(facts["plan"])
         assert facts["samples"] == "1"
         with Image.open(cli.png) as image:
             images.append(np.asarray(image))
-        monkeypatch.setattr(plan_cache, "plan", None)  # the second one is read
-    assert said[0] == said[1]
-    assert LevelOfDetail(**said[0]["detail"]) == wide.detail
+        monkeypatch.setattr(plan_cache, "plan", None)  # the second plan is read from the cache
+    assert plans[0] == plans[1]
+    assert LevelOfDetail(**plans[0]["detail"]) == wide.detail
     drawn = drawing.render(wide.detail.of(scene), wide.shading, samples=1).srgb8()
     for image in images:
         np.testing.assert_array_equal(image, drawn)
 
 
-def test_figures_for_json(wide):
+def test_plan_as_json(wide):
     found = json.loads(json.dumps(wide.as_dict(), allow_nan=False))
     assert LevelOfDetail(**found["detail"]) == wide.detail
     assert found["measured"] is None
     assert found["cost"]["unit"] == "ms a frame"
 
 
-# --- what it costs -------------------------------------------------------------------------------
+# --- cost ----------------------------------------------------------------------------------------
 
 
 def test_a_line_of_costs():
@@ -346,13 +346,13 @@ def test_a_line_of_costs():
     assert line.cost(10.0, 2.0) == pytest.approx((5.0, 0.4))
     assert line.cost(5.0, 0.0) == pytest.approx((4.0, 0.0))
     flat = Line(5.0, 0.0)
-    assert Line.through((10.0, 5.0), (5.0, 6.0)) == flat  # the cheaper one was slower
-    assert Line.through((10.0, 5.0), (10.0, 4.0)) == flat  # of equal prices
+    assert Line.through((10.0, 5.0), (5.0, 6.0)) == flat  # the lower price was slower
+    assert Line.through((10.0, 5.0), (10.0, 4.0)) == flat  # equal prices
 
 
 @pytest.fixture
 def coarse(drawing, scene):
-    """What may be chosen, and drawn with fewer samples and triangles."""
+    """The choice of a plan, and its drawn views with fewer samples and triangles."""
     full, budget = fr.Shading(), Budget.parse(WIDE)
     slim = simplify(scene, full)
     choice = Choice(slim, full, budget, Constants(0.3, 1.0, (0,), (0,)), "frame", software=True)
@@ -361,7 +361,7 @@ def coarse(drawing, scene):
     return choice, drawn
 
 
-def test_what_details_save_and_what_is_left_add_up(coarse):
+def test_savings_and_remaining_cost_add_up(coarse):
     choice, drawn = coarse
     choice.frames = frame_times.measured_frames(choice, drawn)
     told = list(details(choice, drawn))
@@ -373,8 +373,8 @@ def test_what_details_save_and_what_is_left_add_up(coarse):
     assert cost.total + saved == pytest.approx(cost.full_total)
 
 
-def test_frames_lie_on_lines_through_what_was_measured(coarse, monkeypatch):
-    """Times that are made up, in the order in which frames are measured: full shadings first."""
+def test_costs_lie_on_lines_through_measured_frames(coarse, monkeypatch):
+    """The times are invented and follow the order of the measurements: full shadings first."""
     choice, drawn = coarse
     cheap, medians = choice.ordered[0], {}
 
@@ -411,18 +411,18 @@ def test_frames_lie_on_lines_through_what_was_measured(coarse, monkeypatch):
     assert choice.cost(cheap).relative == pytest.approx(4.0 / 20.0)
     assert choice.saved(cheap, choice.full) == pytest.approx(1.0 / 20.0)
     told = {each.name: each for each in details(choice, drawn)}
-    assert told["cull_back_faces"].text.startswith("culled instead of drawn: alone adds ")
-    assert told["cull_back_faces"].text.endswith(", saves 5.0 % of the frame")
-    assert told["samples"].text.endswith(", saves 35.0 % of the frame")
-    assert told["triangles"].text.endswith(", saves 35.0 % of the frame")
+    assert told["cull_back_faces"].text.startswith("culled instead of drawn: error ")
+    assert told["cull_back_faces"].text.endswith(", saves 5.0 % of the frame time")
+    assert told["samples"].text.endswith(", saves 35.0 % of the frame time")
+    assert told["triangles"].text.endswith(", saves 35.0 % of the frame time")
     medians[fewer, True] = 21.0
     choice.frames = frame_times.measured_frames(choice, drawn)
     told = {each.name: each for each in details(choice, drawn)}
-    assert told["samples"].text.endswith(", costs 10.0 % of the frame")
+    assert told["samples"].text.endswith(", costs 10.0 % of the frame time")
 
 
 @pytest.mark.parametrize("budget", ["4/255", "60/255", WIDE])
-def test_samples_and_triangles_have_a_line(budget, drawing, scene, planned):
+def test_samples_and_triangles_are_explained(budget, drawing, scene, planned):
     plan = planned(budget)
     lines, text = lines_of(plan), plan.budget.text
     for name, full in (("samples", 4), ("triangles", 6722)):
@@ -437,43 +437,43 @@ def test_samples_and_triangles_have_a_line(budget, drawing, scene, planned):
         assert told.changed == (own != full)
         if told.changed:
             verb = "saves" if told.saving >= 0.0 else "costs"
-            share = f"{verb} {100.0 * abs(told.saving):.1f} % of the frame"
-            assert told.text == f"{own} instead of {full}: alone adds {text(added)}, {share}"
+            share = f"{verb} {100.0 * abs(told.saving):.1f} % of the frame time"
+            assert told.text == f"{own} instead of {full}: error {text(added)} on its own, {share}"
         else:
-            assert told.text == f"{full}: {told.other} would err by {text(added)}"
+            assert told.text == f"{full}: {told.other} would cause an error of {text(added)}"
     *_, last, cost = lines
     assert (last, cost) == ("error", "cost")
-    assert text(plan.error.drawn) + " as drawn" in lines["error"]
-    numbers = re.match(r"([\d.]+) of ([\d.]+) ms a frame, (\d\.\d\d); by ", lines["cost"]).groups()
+    assert text(plan.error.drawn) + " as rendered" in lines["error"]
+    numbers = re.match(r"([\d.]+) of ([\d.]+) ms a frame, ratio ([\d.]+);", lines["cost"]).groups()
     own, full, share = map(float, numbers)
     assert share == pytest.approx(own / full, abs=0.01)
 
 
-def test_a_frame_is_measured_beside_the_full_one(drawing, scene, cli):
+def test_frame_time_is_measured_relative_to_the_full_frame(drawing, scene, cli):
     plan = fr.plan(scene, WIDE, verify_cost=True, renderer=drawing)
     assert 0.0 < plan.measured.low <= plan.measured.value <= plan.measured.high
-    ends = f"{plan.measured.low:.2f} to {plan.measured.high:.2f}"
-    told = f"{plan.measured.value:.2f} of the full frame ({ends}), in turns"
+    ends = f"95 % interval {plan.measured.low:.2f} to {plan.measured.high:.2f}"
+    told = f"{plan.measured.value:.2f} of the full frame's time ({ends})"
     assert lines_of(plan)["measured"] == told
     assert plan.as_dict()["measured"]["value"] == plan.measured.value
     status, out, _ = cli.run("plan", *FACE, "--budget", WIDE, "--verify-cost", "--cost", "navi21")
     assert status == 0
     last = out.splitlines()[-1]
-    assert re.fullmatch(r"measured +\d+\.\d\d of the full frame \(.* to .*\), in turns", last)
+    assert re.fullmatch(r"measured +\d+\.\d\d of the full frame's time \(.* to .*\)", last)
 
 
-def test_a_ratio_is_of_the_frames_of_one_turn(monkeypatch):
-    """A machine that slows down in the middle does not count."""
+def test_ratio_compares_frames_of_the_same_round(monkeypatch):
+    """A machine that slows down between rounds does not change the ratio."""
     times = np.array([[1.0, 2.0], [1.0, 2.0], [10.0, 20.0], [10.0, 20.0]])
     monkeypatch.setattr("facerender.pricing.frame.seconds", lambda draws, repeats: times)
     found = ratio(None, None, 4)
     assert (found.low, found.value, found.high) == (0.5, 0.5, 0.5)
 
 
-# --- what samples lose ---------------------------------------------------------------------------
+# --- antialiasing --------------------------------------------------------------------------------
 
 
-def test_more_samples_err_less_at_the_silhouette(drawing, scene):
+def test_more_samples_reduce_errors_at_the_silhouette(drawing, scene):
     measured = antialiasing(drawing, scene, (1, 4, 16, 64), repeats=2)
     assert [each.samples for each in measured if each.shading_rate == "pixel"] == [4]
     one, four, once, sixteen, all_ = measured
@@ -496,9 +496,9 @@ def test_more_samples_err_less_at_the_silhouette(drawing, scene):
 
 
 @pytest.mark.filterwarnings("ignore:no pixel shows")
-def test_samples_of_nothing_are_refused(drawing, scene):
+def test_antialiasing_of_an_empty_view_is_refused(drawing, scene):
     away = replace(scene, camera=fr.Camera(position=(0, 0, 5), target=(0, 0, 9)))
-    with pytest.raises(fr.InputError, match=r"the camera sees nothing of mini_head\.glb"):
+    with pytest.raises(fr.InputError, match=r"mini_head\.glb is not in view"):
         antialiasing(drawing, away)
     with pytest.raises(fr.InputError, match="samples = 65: give 1 to 64"):
         antialiasing(drawing, scene, (65,))

@@ -1,5 +1,5 @@
-"""Head and face are found in meshes of many kinds, by their geometry alone, and a camera holds
-them."""
+"""Tests framing: head and face are found in many kinds of meshes by their geometry alone, and a
+camera frames them."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from facerender.scenes.framing import find_regions
 from facerender.scenes.view import view_of
 from tests.people import PEOPLE, ball, person
 
-# Of the built-in head, in metres: what a person would say of it.
+# Heights on the built-in head in metres, judged by eye.
 CHIN, CROWN, BROW = -0.105, 0.116, 0.01
 
 known = cache(person)
 
 
 def ends(mesh, region):
-    """The lowest and the highest place, in the mesh's units."""
+    """Return the lowest and the highest y of a region, in the mesh's units."""
     middle = mesh.to_mesh_space(region.center)[1]
     return middle - region.height * mesh.radius, middle + region.height * mesh.radius
 
 
 @pytest.mark.parametrize("name", PEOPLE)
-def test_the_face_of_a_person(name):
+def test_face_of_a_person_is_found(name):
     mesh = known(name)
     low, high = ends(mesh, region := find_regions(mesh)["face"])
     assert CHIN - 0.025 < low < CHIN + 0.01
@@ -37,7 +37,7 @@ def test_the_face_of_a_person(name):
 
 
 @pytest.mark.parametrize("name", sorted(PEOPLE.keys() - {"mask"}))
-def test_the_head_of_a_person(name):
+def test_head_of_a_person_is_found(name):
     mesh = known(name)
     low, high = ends(mesh, region := find_regions(mesh)["head"])
     assert CHIN - 0.06 < low < CHIN + 0.005
@@ -47,7 +47,7 @@ def test_the_head_of_a_person(name):
 
 
 @pytest.mark.parametrize(("scale", "move"), [(1000.0, (0, 0, 0)), (0.01, (5, -9, 2)), (39.37, 0)])
-def test_units_and_places_do_not_matter(scale, move):
+def test_units_and_position_do_not_matter(scale, move):
     shift = np.broadcast_to(np.asarray(move, float) * scale, 3)
     own = person("arms down")
     other = person("arms down", scale, shift)
@@ -58,15 +58,15 @@ def test_units_and_places_do_not_matter(scale, move):
         assert b.radius == pytest.approx(a.radius, rel=0.02)
 
 
-def test_the_face_of_a_scan(scan_mesh):
-    """The eyes of the scan are at a height of 1.9, its chin at -0.45, its crown at 4."""
+def test_face_of_a_scan_is_found(scan_mesh):
+    """The eyes of the scan are at y = 1.9, its chin at -0.45 and its crown at 4."""
     low, high = ends(scan_mesh, find_regions(scan_mesh)["face"])
     assert -1.3 < low < -0.3
     assert 2.6 < high < 4.3
     assert ends(scan_mesh, find_regions(scan_mesh)["head"])[1] == pytest.approx(3.97, abs=0.05)
 
 
-def test_what_has_no_face_is_framed_as_it_is(tmp_path):
+def test_shape_without_a_face_has_finite_regions(tmp_path):
     import trimesh
 
     path = tmp_path / "shape.ply"
@@ -89,7 +89,7 @@ def test_a_triangle_has_regions(tmp_path):
 
 @pytest.mark.parametrize("frame", ["head", "face"])
 @pytest.mark.parametrize("azimuth", [0.0, 70.0, 200.0])
-def test_a_camera_holds_what_it_frames(head, frame, azimuth):
+def test_camera_frames_its_region(head, frame, azimuth):
     region = find_regions(head)[frame]
     camera = fr.Camera(azimuth, 10.0, frame=frame)  # type: ignore[arg-type]
     view = view_of(fr.Scene(head, camera), 0.8)
@@ -104,7 +104,7 @@ def test_a_camera_holds_what_it_frames(head, frame, azimuth):
     np.testing.assert_allclose(center[:2] / center[3], 0.0, atol=1e-12)
 
 
-def test_a_target_and_a_zoom_override_the_guess(head):
+def test_target_and_zoom_override_the_found_region(head):
     own = view_of(fr.Scene(head, fr.Camera(frame="face")), 1.0)
     near = view_of(fr.Scene(head, fr.Camera(frame="face", zoom=2.0)), 1.0)
     middle = find_regions(head)["face"].center
@@ -118,7 +118,7 @@ def test_a_target_and_a_zoom_override_the_guess(head):
     )
 
 
-def test_a_simplified_mesh_is_framed_as_the_whole(head):
+def test_simplified_mesh_keeps_its_regions(head):
     fewer = fr.simplified(head, 3000).with_material(m=0.2)
     for name in ("head", "face"):
         assert find_regions(fewer)[name] is find_regions(head)[name]

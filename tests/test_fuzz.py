@@ -1,5 +1,5 @@
-"""Every reader on files that are changed at random: a result that holds, or one line of what is
-wrong. ``make fuzz`` goes on where this ends."""
+"""Tests every reader on randomly mutated files: it returns a valid result or raises an error of one
+line. ``make fuzz`` runs more inputs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LARGE = 64 << 20
 
 @pytest.fixture(autouse=True)
 def _few_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Frame a face by few points, as tools.fuzz does: they take most of the time."""
+    """Sample fewer points for framing, as tools.fuzz does; they take most of the time."""
     monkeypatch.setattr(framing, "_SAMPLES", framing._SAMPLES // 100)
 
 
@@ -41,7 +41,7 @@ def named(name: str) -> Subject:
 @pytest.mark.parametrize("subject", subjects(), ids=lambda subject: subject.name)
 def test_changed_files_are_read_or_refused(subject: Subject, inputs: int, tmp_path: Path) -> None:
     seed = examine(subject, subject.seed, tmp_path / "a")
-    assert seed.outcome in ("clean", "warned")  # some have what is warned of
+    assert seed.outcome in ("clean", "warned")  # some seeds cause warnings
     random, faults = Random(subject.name), set()
     for _ in range(inputs):
         content = subject.seed
@@ -51,12 +51,12 @@ def test_changed_files_are_read_or_refused(subject: Subject, inputs: int, tmp_pa
         if result.outcome in FAULTS:
             faults.add(result)
     assert not faults
-    for length in range(64):  # whatever is left of a file can be changed
+    for length in range(64):  # truncated files can be mutated, too
         mutate(subject.seed[:length], subject.suffix, random)
 
 
 @pytest.mark.parametrize("path", FOUND, ids=lambda path: path.name)
-def test_what_broke_once_does_not_break_again(path: Path, tmp_path: Path) -> None:
+def test_inputs_that_failed_once_pass(path: Path, tmp_path: Path) -> None:
     subject = named(path.stem.rpartition("-")[0])
     assert examine(subject, path.read_bytes(), tmp_path / "a").outcome not in FAULTS
 
@@ -92,8 +92,8 @@ print(resident() - start)
 
 
 @pytest.mark.memory
-def test_following_keeps_nothing() -> None:
-    """5 MiB of truth values for each mesh, where Atheris traces comparisons."""
+def test_tracing_keeps_no_memory() -> None:
+    """Atheris traces comparisons; without a workaround it would keep 5 MiB for each mesh."""
     require_module("atheris")
     run = subprocess.run(
         [sys.executable, "-c", HOLDS], cwd=ROOT, capture_output=True, text=True, check=True
@@ -119,7 +119,7 @@ def failing(error: Exception) -> Callable[[Path], None]:
         (lambda folder: bytearray(LARGE + (32 << 20)), "large"),
     ],
 )
-def test_faults_are_seen(
+def test_faults_are_detected(
     examiner: Callable[[Path], None],
     outcome: str,
     tmp_path: Path,
@@ -130,7 +130,7 @@ def test_faults_are_seen(
     assert examine(subject, b"", tmp_path / "a").outcome == outcome
 
 
-def test_what_takes_long_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slow_inputs_are_detected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def busy(folder: Path) -> None:
         start = time.process_time()
         while time.process_time() - start < 0.2:
@@ -143,7 +143,7 @@ def test_what_takes_long_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("value", [0.0, np.nan])
-def test_a_picture_that_shows_nothing_is_seen(
+def test_empty_images_are_detected(
     value: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     frame = fr.Frame(np.full((8, 8, 4), value, np.float32), None, False, {})

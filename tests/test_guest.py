@@ -120,8 +120,8 @@ def test_a_renderer_of_before_the_fork_is_refused(drawn):
         with renderer:
             return digest(renderer.render(scene).linear)
 
-    said = "ContextError: this renderer was made in the process that this one was forked from"
-    assert in_child(use).startswith(said)
+    message = "ContextError: this renderer was created before a fork, in another process: create"
+    assert in_child(use).startswith(message)
     assert in_child(lambda: str(renderer.release())) == "None"
     assert digest(renderer.render(scene).linear) == expected
 
@@ -189,7 +189,7 @@ def test_an_evaluator_of_before_the_fork_is_refused(egl):
     assert (evaluate("", "2.0 * x", numbers) == 2.0).all()
     told = in_child(lambda: str(evaluate("", "2.0 * x", numbers)))
     evaluate.release()
-    assert told.startswith("ContextError: this renderer was made in the process")
+    assert told.startswith("ContextError: this renderer was created before a fork")
 
 
 def test_levels_and_occlusion_in_a_child():
@@ -247,7 +247,7 @@ def test_dropped_renderers_free_what_they_have(backend):
                 drop(scene, backend)
             held.append(resident())
     assert [warning.category for warning in told] == [ResourceWarning] * 12
-    assert "dropped without release(): make it in a with statement" in str(told[0].message)
+    assert "dropped without release(): create it in a with statement" in str(told[0].message)
     assert held[2] - held[1] < 16  # 12 MiB each, before they were freed
 
 

@@ -1,19 +1,21 @@
-"""What the command line tells of itself: help with examples, options that it does not know, steps,
-completion in shells."""
+"""Help texts: descriptions, options and examples; unknown options; --verbose; shell completion."""
 
 from __future__ import annotations
 
+import argparse
 import re
 import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from facerender.commands import _COMMANDS, main, parser_of
-from facerender.commands.examples import EXAMPLES
+from facerender.commands import COMMANDS, main, parser_of
+from facerender.commands.help import EXAMPLES, Help, commands_of, groups_of
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing, require_module
 
@@ -26,7 +28,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, s
     return status, told.out, told.err
 
 
-@pytest.mark.parametrize("command", _COMMANDS)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_every_help_ends_with_examples(command, capsys):
     with pytest.raises(SystemExit) as done:
         main([command, "--help"])
@@ -42,13 +44,30 @@ def test_examples_are_understood(example):
     assert parser_of(words[1:]).parse_args(words[1:]).command
 
 
-@pytest.mark.parametrize("command", ["render", "plan", "explore", "measure", "batch"])
-def test_every_option_has_a_help_text(command):
-    parser = parser_of([command])
-    (commands,) = (each for each in parser._actions if each.dest == "==SUPPRESS==")
-    assert isinstance(commands.choices, dict)
-    without = [each.dest for each in commands.choices[command]._actions if not each.help]
-    assert set(without) <= {"output", "backend"}
+def walk(name: str, parser: argparse.ArgumentParser) -> Iterator[tuple[str, Any]]:
+    yield name, parser
+    for action, each in commands_of(parser).items():
+        yield from walk(f"{name} {action}".strip(), each)
+
+
+PARSERS = dict(walk("", parser_of([*COMMANDS])))
+
+
+@pytest.mark.parametrize("name", PARSERS)
+def test_every_command_has_a_description_and_an_example_and_every_option_a_text(name):
+    parser = PARSERS[name]
+    assert parser.description.endswith(".")
+    assert max(map(len, parser.description.splitlines())) <= 84
+    if name:
+        assert EXAMPLES[name]
+        assert all(name in example for example in EXAMPLES[name])
+        assert parser.epilog.startswith("examples:\n")
+    for _, actions in groups_of(parser):
+        for action in actions:
+            if action.dest not in ("help", "version") and not commands_of(parser):
+                assert isinstance(action.help, Help), action
+                assert action.help.text
+                assert action.help.default
 
 
 @pytest.mark.parametrize(
@@ -74,11 +93,7 @@ def test_verbose_tells_the_steps_and_quiet_none(tmp_path, capsys):
     assert (status, written) == (0, f"{out}\n")
     lines = err.splitlines()
     assert all(re.match(r"facerender: \d+\.\d\d s: ", line) for line in lines)
-    assert [line.split(": ")[2].split(",")[0] for line in lines] == [
-        "mesh",
-        "OpenGL",
-        "image",
-    ]
+    assert [line.split(": ")[2].split()[0] for line in lines] == ["mesh", "OpenGL", "image"]
     assert "s: a pair\n" in run(capsys, "compare", "--verbose", out, out)[2]
     assert run(capsys, "compare", out, out)[2] == ""
     status, told, err = run(capsys, *render, "--quiet", "--verbose", "-o", out)

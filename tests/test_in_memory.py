@@ -84,7 +84,7 @@ def test_an_open_file_finds_what_lies_beside_it_and_bytes_do_not(tmp_path):
     path = write_gltf(tmp_path / "a.gltf", HEAD)
     with path.open("rb") as file:
         assert_same(fr.load_mesh(file), fr.load_mesh(path))
-    with pytest.raises(fr.InputError, match=r"a\.bin .* have no folder: give a path"):
+    with pytest.raises(fr.InputError, match=r"a\.bin .* has no folder: give a path"):
         fr.load_mesh(path.read_bytes())
     textured = write_textured_obj(tmp_path / "a.obj", HEAD)
     with pytest.warns(fr.FacerenderWarning, match=r"a\.mtl \(named by bytes\) .*no folder"):
@@ -103,21 +103,21 @@ def test_bytes_are_cached(cache_folder, monkeypatch):
 @pytest.mark.parametrize(
     ("source", "options", "message"),
     [
-        (b"", {}, "bytes: no mesh is known by these bytes; say its kind, such as kind='obj'"),
-        (b"hello", {}, "bytes: no mesh is known by these bytes"),
-        (b"hello", {"kind": "obj"}, "there is no geometry in bytes"),
+        (b"", {}, "bytes: unknown mesh format; specify it, such as kind='obj'"),
+        (b"hello", {}, "bytes: unknown mesh format"),
+        (b"hello", {"kind": "obj"}, "bytes has no geometry"),
         (b"PK\x03\x04 usdz", {}, "but a ZIP archive"),
         (b"glTF", {}, "bytes is truncated"),
         (b"", {"kind": "glb"}, "bytes is an empty file"),
         (
             b"v 0 0 0",
             {"kind": "fbx"},
-            "unknown kind 'fbx' of mesh; known: glb, gltf, obj, ply, stl",
+            "unknown mesh kind 'fbx'; known: glb, gltf, obj, ply, stl",
         ),
-        (b"v 0 0 0", {"kind": 5}, "unknown kind 5"),
+        (b"v 0 0 0", {"kind": 5}, "unknown mesh kind 5"),
         (io.BytesIO(), {}, "file has no more bytes to read: rewind it with seek(0)"),
         (io.StringIO("v 0 0 0"), {}, "file is open as text: open it as bytes, with mode 'rb'"),
-        (5, {}, "mesh file = 5: give a path, bytes, a file that is open"),
+        (5, {}, "mesh file = 5: give a path, bytes, an open file"),
         ([[0, 0, 0]], {}, "mesh file = [[0, 0, 0]]: give a path"),
         (np.eye(3), {}, "give a path, bytes"),
     ],
@@ -222,8 +222,8 @@ def test_materials_of_trimesh_cut_and_blend():
 @pytest.mark.parametrize(
     ("name", "arguments", "message"),
     [
-        ("Trimesh", (), "there is no face in a trimesh.Trimesh"),
-        ("Scene", (), "there is no face in a trimesh.Scene"),
+        ("Trimesh", (), "a trimesh.Trimesh has no faces"),
+        ("Scene", (), "a trimesh.Scene has no faces"),
         ("Trimesh", (np.eye(3), [[0, 1, 7]]), "no face"),
         ("Trimesh", (np.full((3, 3), np.nan), [[0, 1, 2]]), "no face"),
     ],
@@ -373,33 +373,33 @@ def changed(values, value):
     [
         ({"positions": POSITIONS[:, :2]}, "positions has the shape"),
         ({"positions": POSITIONS.ravel()}, "give rows of 3 numbers"),
-        ({"positions": "abc"}, "positions has the shape () of <U3: give rows of 3 numbers"),
-        ({"positions": None}, "positions has the shape () of object"),
+        ({"positions": "abc"}, "positions has the shape () and type <U3: give rows of 3 numbers"),
+        ({"positions": None}, "positions has the shape () and type object"),
         ({"positions": [[0, 1, 2], [3]]}, "positions cannot be an array"),
-        ({"positions": POSITIONS + 0j}, "of complex128: give rows of 3 numbers"),
-        ({"positions": POSITIONS > 0}, "of bool: give rows"),
+        ({"positions": POSITIONS + 0j}, "type complex128: give rows of 3 numbers"),
+        ({"positions": POSITIONS > 0}, "type bool: give rows"),
         ({"positions": np.empty((0, 3))}, "positions has 0 rows: give at least one"),
         ({"positions": changed(POSITIONS, np.nan)}, "positions[5] = [-0.0"),
         ({"positions": changed(POSITIONS, np.inf)}, "1 rows are not finite; leave them out"),
         ({"faces": FACES[:, [0, 1, 2, 0]]}, "cut polygons into triangles"),
         ({"faces": []}, "faces has the shape (0,)"),
-        ({"faces": FACES + 0.5}, "faces are no whole numbers: give indices of vertices"),
+        ({"faces": FACES + 0.5}, "faces are not whole numbers: give vertex indices"),
         ({"faces": changed(FACES, np.nan)}, "rows are not finite"),
-        ({"faces": FACES - 1}, "a face names vertex -1 of"),
+        ({"faces": FACES - 1}, "a face uses vertex -1 of"),
         (
             {"faces": FACES + 1},
-            f"names vertex {len(POSITIONS)} of {len(POSITIONS)}: number them from 0",
+            f"uses vertex {len(POSITIONS)} of {len(POSITIONS)}: give indices from 0",
         ),
-        ({"faces": FACES * 10**15}, "a face names vertex"),
+        ({"faces": FACES * 10**15}, "a face uses vertex"),
         ({"uv": HEAD.uv[:9]}, f"uv has 9 rows: give {len(POSITIONS)}, one for each vertex"),
         ({"uv": POSITIONS}, "give rows of 2 numbers"),
         ({"normals": changed(HEAD.normals, np.nan)}, "normals[5]"),
-        ({"colors": POSITIONS - 9.0}, "give linear ones in [0, 1], or uint8"),
-        ({"colors": np.full(POSITIONS.shape, 200)}, "colors reach from 200 to 200"),
+        ({"colors": POSITIONS - 9.0}, "give linear values in [0, 1] or"),
+        ({"colors": np.full(POSITIONS.shape, 200)}, "colors range from 200 to 200"),
         ({"material": "skin"}, "material = 'skin': give a facerender.Material or None"),
         (
             {"material": fr.Material(normal_map=fr.Texture.from_array(np.zeros((2, 2))))},
-            "the material has normal_map, and the mesh no uv: give it as well",
+            "the material has normal_map, but the mesh has no uv: give uv",
         ),
         ({"name": 5}, "name of a mesh = 5: give text"),
         ({"millimetres": -1.0}, "millimetres = -1.0 is outside"),
@@ -464,10 +464,10 @@ def test_textures_of_images_are_those_of_their_files(mode, tmp_path):
         (np.zeros(4), "has the shape (4,)"),
         ("abc", "has the shape ()"),
         (None, "has the shape ()"),
-        (np.full((4, 4), 3.0), "has floats from 3 to 3: bring them to [0, 1], or give uint8"),
+        (np.full((4, 4), 3.0), "has floats from 3 to 3: scale them to [0, 1], or give uint8"),
         (np.full((4, 4), np.nan), "has floats from nan to nan"),
-        (np.zeros((4, 4), int), "numbers of type int64: give uint8, uint16, or floats"),
-        ([[1, 2], [3]], "an array is no array"),
+        (np.zeros((4, 4), int), "values of type int64: give uint8, uint16, or floats"),
+        ([[1, 2], [3]], "an array cannot be used"),
         (np.zeros((1, 20000), np.uint8), "at most 16384 a side"),
     ],
 )
@@ -478,7 +478,7 @@ def test_texels_that_are_none_are_told(texels, message):
 
 
 def test_images_that_are_none_are_told(tmp_path):
-    with pytest.raises(fr.InputError, match="image = 5: give an image of Pillow"):
+    with pytest.raises(fr.InputError, match="image = 5: give a Pillow image"):
         fr.Texture.from_image(5)  # type: ignore[arg-type]
     Image.fromarray(np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)).save(
         tmp_path / "a.png"

@@ -155,7 +155,7 @@ def test_translations_are_readable(language):
     source, text = fr.shader_source("cook_torrance"), fr.shader_source("cook_torrance", language)
     header, _ = (fr.shader_dir() / "facerender/cook_torrance.glsl").read_text().split("\n#", 1)
     assert header in text
-    assert "// keeps its length: V.H = |h|/2" in text
+    assert "// not normalised: V.H = |h|/2" in text
     for name in re.findall(r"^float (fr_cook\w+|fr_lobe_exact)\(", source, re.MULTILINE):
         assert re.search(rf"^(float|fn) {name}\(", text, re.MULTILINE)
     code = re.sub(r"//.*", "", text)
@@ -186,7 +186,7 @@ def test_the_choices_of_a_file_of_ones_own_count(language, tmp_path):
         ("float f(sampler2D map) { return 0.0; }\n", "'sampler2D'; only functions and constants"),
         ("float f(float[3] x) { return x[0]; }\n", "an array"),
         ("float f(float x) { return y; }\n", "'y' is not declared"),
-        ("float f(float x) { return noise1(x); }\n", "the function noise1, which is not known"),
+        ("float f(float x) { return noise1(x); }\n", "the unknown function noise1"),
         ("float f(float x) { return x }\n", "; is missing before '}'"),
         ("float f(float x[3]) { return x[0]; }\n", "an array"),
         ("float f() { return float[2](1.0, 2.0)[0]; }\n", "an array"),
@@ -196,17 +196,17 @@ def test_the_choices_of_a_file_of_ones_own_count(language, tmp_path):
         ("float f(float x) { if ((x -= 1.0) > 0.0) return x; }\n", "'-=' within an expression"),
         ("float f(vec3 x) { int i = 0; return x[i++]; }\n", "'++' within an expression"),
         ("float f(int i) { return float(--i); }\n", "'--' within an expression"),
-        (f"{SETS}float f(vec3 x) {{ set(x.y); return x.y; }}\n", "what set assigns: give it"),
+        (f"{SETS}float f(vec3 x) {{ set(x.y); return x.y; }}\n", "an output argument of set: give"),
         (f"{SETS}float f(bool b, float x) {{ b = b && set(x); return x; }}\n", "use if"),
         (f"{SETS}float f(bool b, float x) {{ b = b ? set(x) : b; return x; }}\n", "use if"),
-        ("float f(float x) { return x; }\nfloat f(vec3 x) { return x.x; }\n", "a second function"),
+        ("float f(float x) { return x; }\nfloat f(vec3 x) { return x.x; }\n", "an overload of"),
         ("float f(vec3 x) { for (int i = 0; i < 9; x.xy++) ++i; return x.x; }\n", "use its body"),
-        ("float f(float x) { do x += 1.0; while (x < 0.0); return x; }\n", "'do'; of statements"),
-        ("float f(float x) { if (x < 0.0) discard; return x; }\n", "'discard'; of statements"),
-        ("float f(float x) { return (x", "the end comes too early"),
+        ("float f(float x) { do x += 1.0; while (x < 0.0); return x; }\n", "'do'; only if, for"),
+        ("float f(float x) { if (x < 0.0) discard; return x; }\n", "'discard'; only if, for"),
+        ("float f(float x) { return (x", "the text ends too early"),
         ("float f(float x) { return x.y; }\n", "'y' of a float"),
         ("#extension GL_X : require\n", "not translated: #extension GL_X"),
-        ("#if (X)\n#endif\n", "cannot decide #if (X)"),
+        ("#if (X)\n#endif\n", "cannot evaluate #if (X)"),
         ("float f() { return 1.0; @ }\n", "not translated: '@"),
     ],
 )  # fmt: skip

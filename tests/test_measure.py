@@ -174,11 +174,13 @@ def test_parts_of_skin_cost_and_lose(coarse_head, egl):
 
 
 def test_json_that_is_no_measurement_of_this_version_is_refused():
-    with pytest.raises(InputError, match=r"schema is 'facerender.measure/9', not .*; measure anew"):
+    with pytest.raises(
+        InputError, match=r"schema is 'facerender.measure/9', not .*; measure again"
+    ):
         measurement_of({"schema": "facerender.measure/9"})
     content = json.loads(MEASUREMENT.read_text(encoding="utf-8"))
     content["variants"][0]["name"] = "blinn"
-    with pytest.raises(InputError, match=r"unknown variant, 'blinn' of 'cook-torrance'; measure"):
+    with pytest.raises(InputError, match=r"unknown variant 'blinn' of 'cook-torrance' in the meas"):
         measurement_of(content)
 
 

@@ -161,8 +161,8 @@ def test_draw_is_called_for_a_golden_that_is_written_alone(studio, goldens, tmp_
 @pytest.mark.parametrize(
     ("factor", "size", "message"),
     [
-        (10.0, SIZE, "draw moves the image by .* times its arguments: take them as pixels"),
-        (1.0, (80, 80), r"what draw\(0.1, 0\) gives is 80 x 80 pixels: render both at one size"),
+        (10.0, SIZE, "draw shifts the image by .* times its arguments: interpret these as pixels"),
+        (1.0, (80, 80), r"the result of draw\(0.1, 0\) is 80 x 80 pixels: render both at one size"),
     ],
 )
 def test_draw_that_does_something_else(studio, tmp_path, factor, size, message):

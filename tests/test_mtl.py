@@ -61,18 +61,18 @@ def test_factors(tmp_path):
 
 def test_what_is_not_drawn_is_told(tmp_path):
     for mtl, said in (
-        ("Ks 0 0 0", "no highlights in its MTL (Ks 0)"),
+        ("Ks 0 0 0", "has Ks 0 in its MTL"),
         ("Tr 1", "Tr 1 in its MTL"),
         ("Tf 0.5 0.5 0.5", "Tf"),
-        ("refl sphere.png", "has refl in its MTL: not drawn"),
-        ("disp deep.png", "has disp in its MTL: not drawn"),
-        ("Pm 1", "has pm in its MTL: not drawn"),
-        ("map_Ns x.png", "has map_ns in its MTL: not drawn"),
-        ("Kd spectral file.rfl", "has kd spectral file.rfl in its MTL: left out"),
-        ("d nan", "has d nan in its MTL: left out"),
-        ("Kd 2 0 0", "kd 2 in the MTL of a.obj is outside [0, 1]: brought there"),
-        ("map_Kd -cc on skin.png", "the albedo map of a.obj has the option -cc: left out"),
-        ("map_Kd -t 1 1 1 skin.png", "the albedo map of a.obj has the option -t: left out"),
+        ("refl sphere.png", "has refl in its MTL: ignored"),
+        ("disp deep.png", "has disp in its MTL: ignored"),
+        ("Pm 1", "has pm in its MTL: ignored"),
+        ("map_Ns x.png", "has map_ns in its MTL: ignored"),
+        ("Kd spectral file.rfl", "has kd spectral file.rfl in its MTL: ignored"),
+        ("d nan", "has d nan in its MTL: ignored"),
+        ("Kd 2 0 0", "kd 2 in the MTL of a.obj is outside [0, 1]: clamped"),
+        ("map_Kd -cc on skin.png", "the albedo map of a.obj has the option -cc: ignored"),
+        ("map_Kd -t 1 1 1 skin.png", "the albedo map of a.obj has the option -t: ignored"),
     ):
         told = load(tmp_path, mtl, skin=flat(1, 2, 3))[1]
         assert len(told) == 1, mtl
@@ -196,7 +196,7 @@ def test_tiles_of_udim(tmp_path):
     assert len(told) == 1
     assert "skin.1002.png" in told[0]
     (tmp_path / "a.mtl").write_text("newmtl skin\nmap_Kd skin.1001.png\n")
-    assert "write <UDIM> in place of 1001" in loaded(tmp_path / "a.obj")[1][0]
+    assert "write <UDIM> instead of 1001" in loaded(tmp_path / "a.obj")[1][0]
 
 
 def test_libraries_of_several_names(tmp_path):

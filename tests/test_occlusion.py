@@ -160,7 +160,7 @@ def test_off_is_as_before(bare, baked):
 
 
 def test_a_part_with_a_map_keeps_it(head, ring):
-    with pytest.warns(fr.FacerenderWarning, match=r"head\.glb brings occlusion maps for all"):
+    with pytest.warns(fr.FacerenderWarning, match=r"head\.glb has occlusion maps for all"):
         assert fr.with_occlusion(head) is head
     mapped = head.materials[0].occlusion_map
     both = mesh_of(torus(), replace(torus(), positions=torus().positions + (0.0, 1.0, 0.0)))
@@ -258,7 +258,7 @@ def test_render_draws_it(tmp_path, capsys, egl, baked, cache_folder, monkeypatch
     for image in images:
         np.testing.assert_array_equal(image, own)
     monkeypatch.setitem(sys.modules, "embreex.mesh_construction", None)
-    cli.fail_to_render(r"baked occlusion needs .* pip install .*", *options, "--no-cache")
+    cli.fail_to_render(r"baking occlusion needs .* pip install .*", *options, "--no-cache")
 
 
 def test_a_mesh_file_is_baked_before_it_is_simplified(baked):

@@ -115,7 +115,7 @@ def test_what_is_read_is_not_replaced(read, arguments, suffix, how, inputs, caps
     before = {path.name: path.read_bytes() for path in inputs.iterdir() if path.is_file()}
     status = main([*arguments, output])
     printed = capsys.readouterr()
-    assert_error(status, printed.out, printed.err, "is read, and would be replaced: give another")
+    assert_error(status, printed.out, printed.err, "is both input and output: give another")
     assert len(printed.err.splitlines()) == 1
     assert before == {path.name: path.read_bytes() for path in inputs.iterdir() if path.is_file()}
 
@@ -124,7 +124,7 @@ def test_what_the_mesh_file_names_is_not_replaced(inputs, capsys):
     output = linked("hard link", "skin.jpg", ".png")
     status = main([*RENDER, "-o", output])
     printed = capsys.readouterr()
-    assert_error(status, printed.out, printed.err, "is read, and would be replaced")
+    assert_error(status, printed.out, printed.err, "is both input and output")
 
 
 def test_outputs_that_are_one_file(inputs, capsys):
@@ -146,7 +146,7 @@ def test_many_outputs_are_checked_in_linear_time(tmp_path):
     assert many < 24.0 * few  # 8 times as many: 64 times where each is compared with each
     with pytest.raises(fr.InputError, match=r"/0.png is written twice"):
         check_outputs([*names, tmp_path / "." / "0.png"])
-    with pytest.raises(fr.InputError, match=r"/0.png is read, and would be replaced"):
+    with pytest.raises(fr.InputError, match=r"/0.png is both input and output"):
         check_outputs(names, [tmp_path / "9.png", names[0]])
 
 
@@ -154,7 +154,7 @@ def test_a_table_of_jobs_in_the_folder_of_its_batch(inputs, capsys):
     before = (inputs / "out/jobs.jsonl").read_bytes()
     status = main(["batch", "out/jobs.jsonl", "-o", "out", "--workers", "1"])
     printed = capsys.readouterr()
-    assert_error(status, printed.out, printed.err, "jobs.jsonl is read, and would be replaced")
+    assert_error(status, printed.out, printed.err, "jobs.jsonl is both input and output")
     assert (inputs / "out/jobs.jsonl").read_bytes() == before
     assert os.listdir(inputs / "out") == ["jobs.jsonl"]
 
@@ -168,8 +168,8 @@ def test_a_table_of_jobs_in_the_folder_of_its_batch(inputs, capsys):
         ("gone/a.png", "no such file or directory; give a file in a writable folder"),
         ("folder.png", "it is a directory; give a file name"),
         ("folder.exr", "it is a directory; give a file name"),
-        ("pipe.png", "it is no regular file; give a file name"),
-        ("full.png", "it is no regular file; give a file name"),
+        ("pipe.png", "it is not a regular file; give a file name"),
+        ("full.png", "it is not a regular file; give a file name"),
         ("loop.png", "too many levels of symbolic links"),
         ("file/a.png", "not a directory; give a file in a writable folder"),
         ("/proc/a.png", "give a"),
@@ -210,7 +210,7 @@ def test_a_disk_without_room(name, size, tmp_path, egl):
     options = {"preexec_fn": limit, "env": environment}
     done = process("render", MINI_HEAD, *small, "-o", tmp_path / name, **options)
     assert_error(
-        done.returncode, done.stdout, done.stderr, rf"cannot write .*{name}: .*; make room"
+        done.returncode, done.stdout, done.stderr, rf"cannot write .*{name}: .*; free space"
     )
     assert len(done.stderr.splitlines()) == 1
     assert os.listdir(tmp_path) == [name]

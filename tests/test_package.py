@@ -57,7 +57,7 @@ def test_wrong_imports_are_told(tmp_path):
     for fault in (
         "terms.entry imports lobes, which is above",
         "drawing.prepare imports OpenGL",
-        "circle: ",
+        "import cycle: ",
     ):
         assert fault in done.stderr
 

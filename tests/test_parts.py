@@ -100,7 +100,7 @@ def test_groups_of_one_material_stay_apart_with_their_colours_and_maps(tmp_path)
 
 def test_too_many_groups_are_joined_by_their_materials(tmp_path):
     heads = [f"g n{i}\nusemtl {'ab'[i % 2]}" for i in range(257)]
-    with pytest.warns(fr.FacerenderWarning, match="257 groups .* at most 256 .*joined"):
+    with pytest.warns(fr.FacerenderWarning, match="257 groups .* limit is 256 .*joined"):
         assert names(obj(tmp_path / "a.obj", *heads)) == ["a", "b"]
     assert len(obj(tmp_path / "b.obj", *heads[:-1]).parts) == 256
     materials = [f"usemtl m{i}" for i in range(257)]

@@ -114,10 +114,10 @@ def test_output_for_people(plan):
     assert out == expected("1/255").explain() + "\n"
     lines = out.splitlines()
     assert lines[0].startswith("budget ")
-    assert lines[0].endswith(" 1/255, 0.05/255 of it kept for rounding")
-    assert lines[1].endswith(" 1 camera of 48 x 48 pixels; no guarantee for others")
+    assert lines[0].endswith(" 1/255, of which rounding may use 0.05/255")
+    assert lines[1].endswith(" 1 camera, 48 x 48 pixels; no guarantee for other cameras and sizes")
     assert re.search(r"^error +0\.\d+/255, at pixel \(\d+, \d+\); 99\.9 % of the", lines[-2])
-    assert re.search(r"^cost +[\d.]+ of [\d.]+ .* a fragment, [01]\.\d\d; ", lines[-1])
+    assert re.search(r"^cost +[\d.]+ of [\d.]+ .* a fragment, ratio [01]\.\d\d; ", lines[-1])
 
 
 def test_json(plan):
@@ -184,7 +184,7 @@ def test_a_pinned_scene_names_the_images_that_it_was_planned_for(plan, cli):
         assert (status, err) == (
             0,
             f"facerender: warning: {pinned} was planned for 24 x 24 to 32 x 32 pixels with 4 "
-            f"samples: at {image} its error is unknown; plan for this size and these samples\n",
+            f"samples: at {image} samples its error is unknown; plan for this size and samples\n",
         )
     (told,) = cli.describe("--scene", pinned, "--size", "64")["warnings"]
     assert "was planned for" in told
@@ -215,7 +215,7 @@ def test_cameras(plan, tmp_path, monkeypatch):
     found = json.loads(plan("--budget", "30/255", "--json", "--camera", path))
     cameras = [fr.Camera(5.0), fr.Camera(60.0, 10.0)]
     assert [fr.Camera(**each) for each in found["cameras"]] == cameras
-    assert " 2 cameras of 48 x 48 pixels" in found["text"]
+    assert " 2 cameras, 48 x 48 pixels" in found["text"]
     seen = []
 
     def spy(scene, budget, cameras, **options):
@@ -260,13 +260,13 @@ def test_the_error_is_measured_at_all_sizes_of_a_range(plan):
     arguments = (MINI_HEAD, *SMALL[2:], "--size", "24..48")
     out = plan("--budget", "1/255", mesh=arguments)
     assert out == expected("1/255", sizes=[(24, 24), (34, 34), (48, 48)]).explain() + "\n"
-    assert " 1 camera of 24 x 24, 34 x 34, 48 x 48 pixels; no guarantee for others" in out
+    assert " 1 camera, 24 x 24, 34 x 34, 48 x 48 pixels; no guarantee for other cam" in out
 
 
 def test_within_a_share_of_the_pixels(plan):
     out = plan("--budget", "1/255", "--within", "95%")
     assert out == expected("1/255", within=0.95).explain() + "\n"
-    assert " 1/255 at 95 % of the pixels, 0.05/255 of it kept" in out.splitlines()[0]
+    assert " 1/255 for 95 % of the pixels, of which rounding may use" in out.splitlines()[0]
 
 
 def test_error_map(plan, cli):
@@ -298,15 +298,15 @@ def test_exposure_counts(plan):
             ("--budget", "1"),
             r"budget '1' has no unit: give a fr.* 1/255, 0\.5%, or 0\.02 flip",
         ),
-        (("--budget", "1/255", "--target", "330"), r"--target 330 .* say --emit OUT\.glsl"),
+        (("--budget", "1/255", "--target", "330"), r"--target 330 .* add --emit OUT\.glsl"),
         (("--budget", "1/255", "--emit", "x", "--target", "metal"), r"invalid choice: 'metal'"),
         (("--budget", "1/255", "--camera", "gone.toml"), r"cannot read gone\.toml: no such file"),
         (("--budget", "1/255", "--from", "gone.toml"), r"cannot read gone\.toml: no such file"),
         (("--budget", "1/255", "--size", "512.."), r"size '': give N or WxH"),
         (("--budget", "1/255", "--size", "8..16..32"), r"size '16\.\.32': give N or WxH"),
-        (("--budget", "1/255", "--size", "48..24"), r"'48\.\.24': give a smaller and a larger"),
-        (("--budget", "1/255", "--size", "24x48..48x24"), r"give a smaller and a larger one"),
-        (("--budget", "1/255", "--size", "0..4"), r"give a smaller and a larger one"),
+        (("--budget", "1/255", "--size", "48..24"), r"'48\.\.24': give the smaller size first"),
+        (("--budget", "1/255", "--size", "24x48..48x24"), r"give the smaller size first"),
+        (("--budget", "1/255", "--size", "0..4"), r"give the smaller size first"),
         (("--budget", "1/255", "--size", "8..99999"), r"99999 x 99999: give 1 to 16384 pixels"),
         (("--budget", "1/255", "--within", "99.9"), r"within 99\.9: give a fraction of the pixels"),
         (("--budget", "1/255", "--lobe", "d8"), r"unrecognized arguments: --lobe d8"),
@@ -319,10 +319,10 @@ def test_bad_option(options, message, cli):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("lights = []", r"the scene has no lights: there is no shading to plan"),
+        ("lights = []", r"the scene has no lights: add one, there is no shading to plan"),
         ("cameras = []", r"scene\.toml: cameras = \[\]: give a list of tables"),
         ("[[cameras]]\nroll = 3", r"scene\.toml: unknown key 'roll' in cameras"),
-        ("[shading]\nlobe = 'd8'", r"a plan chooses the lobe: leave d8 out"),
+        ("[shading]\nlobe = 'd8'", r"a plan chooses the lobe: omit d8"),
         ("[shading]\nspecular_lights = [9]", r"specular_lights names light 9: the scene has 3"),
         ("[camera]\nposition = [0, 0, 5]\ntarget = [0, 0, 9]", r"cameras see nothing of mini_head"),
     ],
@@ -336,13 +336,13 @@ def test_bad_scene_file(text, message, cli, tmp_path):
 def test_a_camera_path_without_cameras(cli, tmp_path):
     (tmp_path / "path.toml").write_text("ambient = 1\n")
     options = ("--budget", "1/255", "--camera", tmp_path / "path.toml")
-    cli.fail(r"path\.toml has no \[\[cameras\]\]", "plan", *FACE, *options)
+    cli.fail(r"path\.toml has no cameras", "plan", *FACE, *options)
 
 
 def test_a_scene_that_somebody_wrote_is_not_replaced(cli):
     path = cli.folder / "mine.toml"
     path.write_text("ambient = 1\n")
-    message = r"mine\.toml exists, and is not of facerender plan: --from .* reads a scene"
+    message = r"mine\.toml exists, and facerender plan did not write it: read a scene with --from"
     cli.fail(message, "plan", *FACE, "--budget", "1/255", "--scene", path)
     assert path.read_text() == "ambient = 1\n"
 
@@ -366,7 +366,7 @@ def test_results_replace_neither_one_another_nor_what_is_read(cli, tmp_path):
     before = image.read_bytes()
     for message, *options in (
         ("is written twice", "--emit", tmp_path / "a.txt", "--scene", tmp_path / "a.txt"),
-        ("is read, and would be", "--roughness-map", image, "--error-map", image),
+        ("is both input and output", "--roughness-map", image, "--error-map", image),
     ):
         cli.fail(message, "plan", *FACE, "--budget", "1/255", *options)
     assert image.read_bytes() == before
@@ -433,7 +433,7 @@ def test_render_within_a_budget(cli, framed):
     assert (status, out) == (0, f"{cli.png}\n")
     error, cost = err.splitlines()
     assert error in framed.explain().splitlines()
-    assert re.fullmatch(r"cost +[\d.]+ of [\d.]+ ms a frame, \d+\.\d\d; by \d frames .*", cost)
+    assert re.fullmatch(r"cost +[\d.]+ of [\d.]+ ms a frame, ratio \d+\.\d\d; estimated .*", cost)
     with fr.Renderer((48, 48), samples=1) as renderer:
         image = renderer.render(framed.detail.of(framed.scene), framed.shading)
         full = renderer.render(framed.scene)
@@ -566,6 +566,6 @@ def test_help_names_the_units(capsys):
     with pytest.raises(SystemExit):
         main(["plan", "--help"])
     out = " ".join(capsys.readouterr().out.split())
-    words = ("1/255, 0.5% or '0.02 flip'", "turntable", "OUT.toml")
+    words = ("1/255 is one 8-bit level, 0.5% is", "'0.02 flip' is", "turntable", "OUT.toml")
     for word in (*words, "--within FRACTION", "512..1024"):
         assert word in out

@@ -637,7 +637,7 @@ def test_the_window_systems_context_draws_the_same_image(egl, display, tmp_path)
 
 def test_the_window_system_is_not_there(monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
-    message = r"no OpenGL context \(native: DISPLAY names no X server: start one, .*xvfb$"
+    message = r"no OpenGL context \(native: DISPLAY is not set: start an X server, .*xvfb$"
     with pytest.raises(fr.ContextError, match=message):
         fr.Renderer(backend="native")
 
@@ -692,7 +692,7 @@ def test_guest_refuses_another_context(backend, head):
 def test_released_renderer(egl, head):
     with fr.Renderer((32, 32), backend=egl) as renderer:
         renderer.release()
-    with pytest.raises(fr.ContextError, match="was released: make a new one"):
+    with pytest.raises(fr.ContextError, match="was released: create a new one"):
         renderer.render(fr.Scene(head))
 
 
@@ -843,7 +843,7 @@ def test_a_term_looks_at_both_ends_of_the_slopes():
             term.for_slopes(*ends, "exact")
     with pytest.raises(fr.InputError, match="or use the lobe exact .facerender render: --outside"):
         term.for_slopes(0.1, 0.8)
-    with pytest.raises(fr.InputError, match="unknown choice outside the domain 'clamp'"):
+    with pytest.raises(fr.InputError, match="unknown value of outside: 'clamp'"):
         fr.Shading(outside="clamp")
 
 

@@ -142,7 +142,7 @@ def test_tables_mark_rows_and_name_what_is_missing(data):
     assert "20.0" in d4  # percent
     assert "not measured" in d4  # the lobe alone
     printed = next(line for line in lines if "printed, exact" in line)
-    assert "as printed" in printed
+    assert "as published" in printed
     assert "dominated" not in printed
     for row in data["variants"]:
         row["cost"]["frame_ms"] = None
@@ -208,7 +208,7 @@ def test_files(data, triptychs, tmp_path):
         ("plot", MemoryError, None),
         ("number", ValueError, "not JSON compliant"),
         ("matplotlib", InputError, r"the report needs matplotlib: pip install 'facerender\["),
-        ("folder", InputError, "cannot make .*file/report: not a directory"),
+        ("folder", InputError, "cannot create .*file/report: not a directory"),
     ],
 )
 def test_after_a_fault_nothing_is_written(

@@ -235,7 +235,7 @@ def test_profiles(head):
         ([(1.0, 0.5)], "give a name, or 1 to 16 Gaussians"),
         ([], "give a name, or 1 to 16 Gaussians"),
         (3, "give a name, or 1 to 16 Gaussians"),
-        ([(1.0, 0.6, 0.1, 0.1), (2.0, 0.6, 0.1, 0.1)], "no more than 1 together"),
+        ([(1.0, 0.6, 0.1, 0.1), (2.0, 0.6, 0.1, 0.1)], "sum in each channel is at most 1"),
         ([(1.0, -0.1, 0.1, 0.1)], "weights of at least 0"),
         ([(math.nan, 0.1, 0.1, 0.1)], "give a name, or 1 to 16 Gaussians"),
     ):

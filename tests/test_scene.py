@@ -137,7 +137,7 @@ def test_unknown_lights_name_the_known_ones(text):
         (lambda: fr.Material(albedo_map="skin.png"), "albedo_map = 'skin.png': give"),
         (lambda: fr.Shading("ward", fresnel="dielectric"), "ward has no Fresnel term"),
         (lambda: fr.Shading("ward", masking="none"), "ward has no masking term: leave 'none' out"),
-        (lambda: fr.Shading("ward", frontal_lights=[0]), "ward has no other term for frontal_ligh"),
+        (lambda: fr.Shading("ward", frontal_lights=[0]), "ward has no Fresnel and masking term"),
         (
             lambda: fr.Shading(masking="smith"),
             "unknown masking term 'smith'; known: v-cavity, kelemen, none",
@@ -182,7 +182,7 @@ def test_scene_file(tmp_path):
         ("material = { m = 'rough' }", "m = 'rough' is outside"),
         ("material = { albedo = 'red' }", "albedo = 'red': give a number in"),
         ("ambient = nan", "ambient = nan: give a number in"),
-        ("<html>", " is not TOML"),
+        ("<html>", " is not valid TOML"),
         ("lights = 3", "lights = 3"),
         ("lights = ['blue']", "unknown light 'blue'"),
         ("[material]\nm = 9", "m = 9 is outside"),
@@ -214,7 +214,7 @@ def test_scene_file(tmp_path):
         ("[planned]\nsizes = 8\nsamples = 1", "planned sizes = 8"),
         ("[planned]\nsizes = [[8, 8]]\nsamples = 0.5", "samples = 0.5: give"),
         ("planned = { sizes = [[8, 8]], samples = 4, shading_rate = 1 }", "give sample or pixel"),
-        ("[camera", " is not TOML"),
+        ("[camera", " is not valid TOML"),
     ],
 )
 def test_scene_files_with_mistakes(tmp_path, text, message):

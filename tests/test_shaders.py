@@ -132,7 +132,7 @@ def test_conventions_of_a_shader_file(path):
     assert text.startswith("// "), "a header comment comes first"
     assert guard, "an include guard"
     assert code.rstrip().endswith("#endif")
-    assert not functions(code) or re.search(r"^//\s+(unit|result)\b", text, re.MULTILINE)
+    assert not functions(code) or re.search(r"^//\s+(unit|returns)\b", text, re.MULTILINE)
 
 
 def functions(code: str) -> list[str]:
@@ -270,5 +270,5 @@ def test_a_lobe_that_is_not_there_gives_no_lobe(evaluate):
 
 def test_a_hosts_lobe_needs_its_function(evaluate):
     prelude = include("lobe", FR_LOBE="FR_LOBE_OWN")
-    with pytest.raises(moderngl.Error, match="FR_LOBE_FUNCTION names"):
+    with pytest.raises(moderngl.Error, match="FR_LOBE_OWN needs FR_LOBE_FUNCTION"):
         evaluate(prelude, "fr_lobe(c, 0.3, 4)", {"c": np.float32([0.9])})

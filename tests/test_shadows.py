@@ -123,7 +123,7 @@ def test_light_space_keeps_the_sphere_on_the_map(head):
 
 
 def test_what_cannot_be_is_refused(renderer, head):
-    with pytest.raises(fr.InputError, match="casts no shadow from within the sphere"):
+    with pytest.raises(fr.InputError, match="too near to cast a shadow"):
         renderer.render(fr.Scene(head, lights=(key(head, 0.0, 0.9),)))
     with pytest.raises(fr.InputError, match=f"17 lights cast shadows: at most {MOST}"):
         renderer.render(fr.Scene(head, lights=(fr.Light(shadow=True),) * 17))

@@ -126,7 +126,7 @@ def test_a_camera_file_has_a_size(run: Run, capsys: pytest.CaptureFixture[str]):
     assert pixels("c_000.png").shape == (20, 40, 3)
     status, out, err = run("--camera", "rig.json", "-o", "d.png")
     assert (status, out) == (2, [])
-    assert "intrinsics are for images of 40 x 20 pixels: give a size of that shape" in err
+    assert "intrinsics are for images of 40 x 20 pixels: give a size with this aspect" in err
     assert sorted(os.listdir()) == ["c_000.png", "c_001.png", "rig.json"]
     status, _, err = run("--camera", "rig.json", "--target", "0,0,0", "-o", "d.png")
     assert "camera target = (0.0, 0.0, 0.0) and extrinsics exclude each other" in err
@@ -179,7 +179,7 @@ def test_a_sheet_keeps_no_image(frame: fr.Frame):
         (("turntable:3", "--size", "8193x1"), "16386 x 2 pixels of 32 bytes: at most 16384 a side"),
         (
             ("turntable:9", "--memory", "1", "--size", "99"),
-            "and 1 MiB; give a smaller size, or few",
+            "and 1 MiB; give a smaller size or few",
         ),
     ],
 )
@@ -205,10 +205,10 @@ def test_a_sheet_that_is_too_large(run: Run, monkeypatch, options, message):
         ),
         (("--camera", "0", "--camera", "1", "-o", "{name:d}.png"), "-o {name:d}.png: in braces"),
         (("--camera", "0", "--camera", "0", "-o", "a{index:.0s}.png"), "in braces give"),
-        (("-o", "a.jpg", "--background", "none"), "JPEG holds no transparency: give a background"),
-        (("-o", "a.gif", "--background", "none"), ".gif holds no transparency"),
-        (("-o", "a.png", "--format", "exr"), "--format exr is of -o -: a file's name says its own"),
-        (("-o", "a.png", "--fps", "3"), "--fps 3 is of a .gif, .webp or .mp4 of several views"),
+        (("-o", "a.jpg", "--background", "none"), "JPEG cannot store transparency: give"),
+        (("-o", "a.gif", "--background", "none"), ".gif cannot store transparency"),
+        (("-o", "a.png", "--format", "exr"), "--format exr is for -o - only: the file name sets"),
+        (("-o", "a.png", "--fps", "3"), "--fps 3 is for a .gif, .webp or .mp4 of several views"),
         (("-o", "a.gif", "--fps", "0"), "fps = 0.0 is outside [0.1, 100]"),
         (("-o", "-", "--camera", "turntable"), "-o - takes one image, and there are 8"),
         (("-o", "-", "--json"), "-o - and --json both write to standard output"),
@@ -271,10 +271,10 @@ def encoder(folder: Path, script: str) -> str:
 @pytest.mark.parametrize(
     ("script", "message"),
     [  # it ends before it has read its input, or writes more than a pipe holds, or says nothing
-        ("/bin/sh\necho 'Unknown encoder' >&2\nexit 1", r"made no .mp4 \(Unknown encoder\):"),
-        ("/bin/sh\nyes odd | head -c 300000 >&2\ncat >/dev/null\nexit 1", r"made no .mp4 \(odd\):"),
-        ("/bin/sh\nexit 1", r"made no .mp4 \(it ended early\):"),
-        ("/bin/sh\ncat >/dev/null", r"made no .mp4 \(the file is not complete\):"),
+        ("/bin/sh\necho 'Unknown encoder' >&2\nexit 1", r"wrote no .mp4 \(Unknown encoder\):"),
+        ("/bin/sh\nyes odd | head -c 300000 >&2\ncat >/dev/null\nexit 1", r"no .mp4 \(odd\):"),
+        ("/bin/sh\nexit 1", r"wrote no .mp4 \(it ended early\):"),
+        ("/bin/sh\ncat >/dev/null", r"wrote no .mp4 \(the file is incomplete\):"),
         ("/no/such/shell", "cannot start ffmpeg: no such file .*;"),
     ],
 )
@@ -301,13 +301,13 @@ def test_a_broken_pipe_to_ffmpeg_does_not_end_the_command(run: Run, tmp_path: Pa
     environment = {**os.environ, "IMAGEIO_FFMPEG_EXE": encoder(tmp_path, "/bin/sh\nexit 1")}
     done = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert done.returncode == 2
-    assert "ffmpeg made no .mp4 (it ended early): give .gif or .webp" in done.stderr
+    assert "ffmpeg wrote no .mp4 (it ended early): give .gif or .webp" in done.stderr
 
 
 def test_without_imageio_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(
-        fr.InputError, match=r"no ffmpeg for an .mp4 .*: pip install 'facerender\[mp"
+        fr.InputError, match=r"an .mp4 needs ffmpeg .*: pip install 'facerender\[mp"
     ):
         fr.save_animation(tmp_path / "a.mp4", [np.zeros((4, 4, 3), dtype=np.uint8)])
 
@@ -322,7 +322,7 @@ def stops() -> Iterator[Any]:
     ("images", "message"),
     [
         (stops, "no more"),
-        (list, "would have no image"),
+        (list, "no images for"),
         (lambda: [np.zeros((side, 4, 3), np.uint8) for side in (4, 6)], "one size"),
         (lambda: [np.zeros((4, 4, 3))], "image = array.*: give an array"),
     ],
@@ -385,7 +385,7 @@ def test_a_webp_keeps_alpha_and_a_jpeg_has_none(tmp_path: Path):
     frame.save(tmp_path / "a.webp")
     alpha = np.asarray(Image.open(tmp_path / "a.webp"))[..., 3]
     assert np.array_equal(alpha, frame.srgb8()[..., 3])
-    with pytest.raises(fr.InputError, match="JPEG holds no transparency: give a background"):
+    with pytest.raises(fr.InputError, match="JPEG cannot store transparency: give a background"):
         frame.save(tmp_path / "a.jpg")
     assert [each.name for each in tmp_path.iterdir()] == ["a.webp"]
     assert frame.image.mode == "RGBA"
@@ -394,7 +394,7 @@ def test_a_webp_keeps_alpha_and_a_jpeg_has_none(tmp_path: Path):
 
 def test_a_webp_that_is_too_large(tmp_path: Path):
     wide = fr.Frame(np.zeros((1, 16384, 4), dtype=np.float32), None, False, {})
-    with pytest.raises(fr.InputError, match="no webp of 16384 x 1 pixels can be made"):
+    with pytest.raises(fr.InputError, match="webp cannot store 16384 x 1 pixels"):
         wide.save(tmp_path / "a.webp")
     assert list(tmp_path.iterdir()) == []
 

@@ -1,10 +1,10 @@
-"""Feeds changed files to every reader, and counts what comes of them.
+"""Fuzz every file reader with mutated files, guided by coverage.
 
     python -m tools.fuzz [--minutes 10 | --inputs N] [--seed S] [--only NAME] [-o out/fuzz]
 
-A process for each core examines what Atheris, which chooses by coverage what is changed again, and
-tests/verification/fuzz make. Of every kind of fault the first input is written to the folder, and
-what was seen beside it, as .txt. Exit status 1 where there is a fault.
+Each core runs a process. Atheris selects inputs by coverage, tests/verification/fuzz mutates them
+and calls the reader. The first input of each kind of error is written to the output folder, with a
+description as .txt. The exit status is 1 if there is an error.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ from pathlib import Path
 from random import Random
 from typing import NoReturn
 
-HANGS = 300  # seconds, after which an input ends its process; a busy machine may stop it for 60
-SPACE = 16 << 30  # bytes of addresses: an allocation beyond them fails
-LONGEST = 1 << 16  # bytes of an input
-# What Atheris follows: our modules, and what parses for us.
+HANGS = 300  # seconds per input before the process ends; a busy machine may pause it for 60
+SPACE = 16 << 30  # limit of the address space in bytes: larger allocations fail
+LONGEST = 1 << 16  # maximum bytes of an input
+# Packages whose coverage Atheris records: facerender and its parsers.
 FOLLOWED = ("facerender", "trimesh", "PIL", "tomllib")
 SHARED = Path("/dev/shm")
 
 
 @dataclass(frozen=True)
 class Share:
-    """What a process is to do.
+    """The work of one process.
 
     Attributes
     ----------
-    output : folder of faults, counts and logs
-    name : of its files, and what its random numbers come from
-    inputs : how many, or None
-    until : seconds since the epoch, that count where inputs is None
-    only : what the names of subjects contain
+    output : folder of errors, counts and logs
+    name : name of its files, and seed of its random numbers
+    inputs : number of inputs, or None
+    until : end in seconds since the epoch; used if ``inputs`` is None
+    only : text that the names of subjects must contain
     """
 
     output: str
@@ -56,7 +56,7 @@ class Share:
 
     @property
     def seen(self) -> Path:
-        """The outcomes, a byte each, in a file: it outlives the process."""
+        """File of outcomes, one byte each; it survives a crash of the process."""
         return Path(self.output, f"{self.name}.seen")
 
     @property
@@ -69,9 +69,11 @@ class Share:
 
 
 def following() -> AbstractContextManager[object]:
-    """Let Atheris follow what is imported meanwhile: its branches. What comparisons compare would
-    serve libFuzzer's own mutations, and Atheris 3.0 never frees a comparison's result, such as an
-    array of a million truth values."""
+    """Return a context in which Atheris instruments the branches of imported modules.
+
+    Comparisons are not traced. They would only guide libFuzzer's own mutations, and Atheris 3.0
+    never frees the result of a comparison, such as an array of a million booleans.
+    """
     from atheris.import_hook import HookManager
 
     hook: AbstractContextManager[object]
@@ -80,8 +82,7 @@ def following() -> AbstractContextManager[object]:
 
 
 def work(share: Share) -> NoReturn:
-    """Examine inputs until the share is done; a process that ends before has met a fault that ends
-    processes."""
+    """Examine inputs until the share is done; a process that ends earlier has crashed."""
     import atheris
 
     with following():
@@ -91,16 +92,16 @@ def work(share: Share) -> NoReturn:
         from tests.verification.fuzz.mutate import mutate
         from tests.verification.fuzz.subjects import FAULTS, OUTCOMES, examine, subjects
 
-        # What is imported where it is needed otherwise.
+        # Modules that are normally imported lazily.
         Image.init()
         for parser in ("trimesh.exchange.load", "trimesh.visual", "tomllib"):
             import_module(parser)
-    # Of points on the surface of a few triangles, which took most of the time.
+    # Sampling points on the surface of a few triangles took most of the time.
     framing._SAMPLES //= 100
     logging.disable()
     resource.setrlimit(resource.RLIMIT_AS, (SPACE, SPACE))
     chosen = [each for each in subjects() if share.only in each.name]
-    # After a death the same random numbers would lead to it again.
+    # Change the seed after a crash: the same random numbers would cause the same crash.
     random = Random(f"{share.name}-{share.count}")
     known: set[str] = set()
     with tempfile.TemporaryDirectory(dir=SHARED if SHARED.exists() else None) as folder:
@@ -118,11 +119,11 @@ def work(share: Share) -> NoReturn:
                 known.add(result.signature)
                 name = f"{subject.name}-{hashlib.sha256(data[1:]).hexdigest()[:8]}"
                 Path(share.output, f"{name}{subject.suffix}").write_bytes(data[1:])
-                seen = f"{result.outcome}: {result.signature}\n"
-                Path(share.output, f"{name}.txt").write_text(seen)
+                description = f"{result.outcome}: {result.signature}\n"
+                Path(share.output, f"{name}.txt").write_text(description)
             if share.done:
                 shutil.rmtree(folder)
-                os._exit(0)  # what ends Python is a crash to Atheris
+                os._exit(0)  # Atheris would report a normal exit as a crash
 
         def changed(data: bytes, longest: int, seed: int) -> bytes:
             subject = chosen[data[0] % len(chosen)] if data else chosen[0]
@@ -152,9 +153,9 @@ def main() -> int:
         prog="python -m tools.fuzz", description=__doc__.split("\n")[0]
     )
     parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--inputs", type=int, help="how many, in place of minutes")
+    parser.add_argument("--inputs", type=int, help="number of inputs; overrides --minutes")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", default="", help="subjects with this in their name")
+    parser.add_argument("--only", default="", help="part of the names of subjects")
     parser.add_argument("-o", "--output", type=Path, default=Path("out/fuzz"))
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
@@ -187,7 +188,7 @@ def main() -> int:
     seen = b"".join(share.seen.read_bytes() for share in shares if share.count)
     counts = Counter(OUTCOMES[each] for each in seen)
     seconds = time.monotonic() - start
-    print(f"{counts.total()} inputs in {seconds:.0f} s: {dict(counts)}, {deaths} processes ended")
+    print(f"{counts.total()} inputs in {seconds:.0f} s: {dict(counts)}, {deaths} processes crashed")
     faults = {path.read_text(): path for path in sorted(options.output.glob("*.txt"))}
     for seen, path in faults.items():
         print(f"{path.stem}: {seen.strip()}")

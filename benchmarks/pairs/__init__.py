@@ -1,1 +1,1 @@
-"""The suite of image pairs as files, and how facerender and other tools judge them."""
+"""The suite of image pairs as files, and the verdicts of facerender and other tools on them."""

@@ -1,4 +1,4 @@
-"""Draws the suite of image pairs into a folder, or what it lacks of it.
+"""Render the missing pairs of the suite of image pairs into a folder.
 
 python -m benchmarks.pairs OUT [--scenes NAME ...] [--changes NAME ...]
 """

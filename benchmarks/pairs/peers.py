@@ -1,11 +1,11 @@
-"""Other tools that compare pictures, each as numbers that grow with the difference.
+"""Other image comparison tools, each as numbers that grow with the difference.
 
-They need what no other part of the project does, beside the extras ``measure``, ``head`` and
-``hdr``: ``pip install pybind11-pixelmatch`` (pixelmatch in C++: the counts of PyPI's ``pixelmatch``
-a hundred times as fast), and ``odiff`` (``npm install odiff-bin``), ``compare`` (``apt-get install
-imagemagick``) and ``idiff`` (of the extra ``hdr``) on the path.
+They need the extras ``measure``, ``head`` and ``hdr``, and packages that no other part of the
+project needs: ``pip install pybind11-pixelmatch`` (pixelmatch in C++, with the counts of PyPI's
+``pixelmatch`` at a hundred times its speed). On the path they need ``odiff`` (``npm install
+odiff-bin``), ``compare`` (``apt-get install imagemagick``) and ``idiff`` (from the extra ``hdr``).
 
-Tools without an alpha channel get pictures on middle grey.
+Tools without support for alpha get the images on middle grey.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from tests.verification.pairs.changes import Format
 
 Numbers = Mapping[str, float]
 GREY = (128, 128, 128, 255)
-SENSITIVITIES = (0.1, 0.03, 0.01, 0.005, 0.002)  # of pixelmatch and odiff, 0.1 being their default
-FUZZ = (1, 3, 10)  # percent, of ImageMagick's AE
+SENSITIVITIES = (0.1, 0.03, 0.01, 0.005, 0.002)  # thresholds of pixelmatch and odiff; default 0.1
+FUZZ = (1, 3, 10)  # percent; -fuzz of ImageMagick's AE metric
 
 
 @dataclass(frozen=True)
 class Peer:
-    """A tool.
+    """A comparison tool.
 
     Attributes
     ----------
-    formats : that it is given
-    version : raises where it is not there
-    measure : of the files of a pair, what it says by the name of each number
+    formats : the image formats that the tool gets
+    version : returns the tool's name and version; raises ImportError or OSError if it is missing
+    measure : returns the tool's numbers by name for the two files of a pair
     """
 
     name: str
@@ -55,7 +55,7 @@ def _rgba(path: Path) -> NDArray[np.uint8]:
 
 
 def _rgb(path: Path) -> NDArray[np.uint8]:
-    """An 8-bit picture on middle grey."""
+    """Return an 8-bit image on middle grey."""
     with Image.open(path) as image:
         behind = Image.new("RGBA", image.size, GREY)
         return np.asarray(Image.alpha_composite(behind, image.convert("RGBA")).convert("RGB"))
@@ -66,7 +66,7 @@ def _linear(path: Path) -> NDArray[np.float32]:
 
 
 def _run(*command: object) -> str:
-    """What a tool prints; that it found differences is no fault."""
+    """Return a tool's output; ignore its exit status, which is not 0 if the images differ."""
     done = subprocess.run([*map(str, command)], capture_output=True, text=True)
     return done.stdout + done.stderr
 
@@ -156,7 +156,7 @@ def _of(package: str) -> Callable[[], str]:
     return lambda: f"{package} {version(package)}"
 
 
-def _told(name: str, *command: str) -> Callable[[], str]:
+def _printed(name: str, *command: str) -> Callable[[], str]:
     def ask() -> str:
         found = re.search(r"\d+\.[\d.-]*\d", _run(*command))
         assert found, command
@@ -168,18 +168,18 @@ def _told(name: str, *command: str) -> Callable[[], str]:
 PEERS = (
     Peer("matplotlib", ("png",), _of("matplotlib"), _matplotlib),
     Peer("pixelmatch", ("png",), _of("pybind11-pixelmatch"), _pixelmatch),
-    Peer("odiff", ("png",), _told("odiff", "odiff", "--version"), _odiff),
-    Peer("idiff", ("png", "exr"), _told("OpenImageIO", "idiff", "--version"), _idiff),
-    Peer("ImageMagick", ("png",), _told("ImageMagick", "compare", "-version"), _imagemagick),
+    Peer("odiff", ("png",), _printed("odiff", "odiff", "--version"), _odiff),
+    Peer("idiff", ("png", "exr"), _printed("OpenImageIO", "idiff", "--version"), _idiff),
+    Peer("ImageMagick", ("png",), _printed("ImageMagick", "compare", "-version"), _imagemagick),
     Peer("SSIM", ("png", "exr"), _of("scikit-image"), _ssim),
     Peer("FLIP", ("png", "exr"), _of("flip-evaluator"), _flip),
 )
 
 
 def present() -> Iterator[tuple[Peer, str]]:
-    """Yield the peers that are here, with their versions."""
+    """Yield the installed tools with their versions."""
     for peer in PEERS:
         try:
             yield peer, peer.version()
         except (ImportError, OSError):
-            print(f"{peer.name} is not here, and left out", file=sys.stderr)
+            print(f"{peer.name} is not installed: skipped", file=sys.stderr)

@@ -1,5 +1,4 @@
-"""Draws every scene of the suite as golden and once per change, and keeps what is known of each
-pair."""
+"""Rendering of the suite: each scene as golden and once per change, with an index of the pairs."""
 
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ _PAIRS = "pairs.json"
 
 
 def swiftshader(room: Room) -> Against:
-    """WebGL 2 on SwiftShader, with one sample."""
+    """Render with WebGL 2 on SwiftShader, with one sample."""
     from playwright.sync_api import sync_playwright
 
     scene = room.scene, room.setting.shading, room.size, room.setting.float_albedo
@@ -36,10 +35,10 @@ SUITE = CHANGES | {"SwiftShader": Change("SwiftShader", "pass", swiftshader)}
 
 
 def draw_missing(setting: Setting, out: Path, names: Sequence[str]) -> None:
-    """Draw what a folder lacks of some changes of a scene."""
+    """Render the pairs of a scene's changes that are missing in a folder."""
     folder = out / setting.name
     folder.mkdir(parents=True, exist_ok=True)
-    none_of = folder / "none.json"  # what the scene has nothing of
+    none_of = folder / "none.json"  # changes without effect on this scene, which give no pair
     absent = set(json.loads(none_of.read_text())) if none_of.exists() else set()
     known = {(pair.change, pair.format): pair for pair in read_pairs(folder / _PAIRS)}
     there = {key for key, pair in known.items() if (out / pair.image).exists()}
@@ -68,8 +67,10 @@ def draw_suite(
     scenes: Sequence[str] = (*SETTINGS,),
     changes: Sequence[str] = (*SUITE,),
 ) -> Iterator[str]:
-    """Draw the pairs that a folder lacks, and keep the index there; yields the scenes as they are
-    done."""
+    """Render the pairs that are missing in a folder, and update its index.
+
+    Yields the name of each finished scene.
+    """
     with ProcessPoolExecutor(WORKERS, get_context("spawn")) as pool:
         work = [pool.submit(draw_scene, name, out, changes) for name in scenes]
         for done in as_completed(work):
@@ -78,7 +79,7 @@ def draw_suite(
 
 
 def read_pairs(path: Path) -> list[Pair]:
-    """Return the pairs of an index; none where it is not there."""
+    """Return the pairs of an index; an empty list if the file does not exist."""
     return [Pair(**each) for each in json.loads(path.read_text())] if path.exists() else []
 
 
@@ -88,7 +89,7 @@ def write_pairs(path: Path, pairs: Sequence[Pair]) -> None:
 
 
 def write_index(out: Path) -> list[Pair]:
-    """Collect the pairs of all scenes."""
+    """Write the index of the pairs of all scenes, and return the pairs."""
     pairs = [pair for name in SETTINGS for pair in read_pairs(out / name / _PAIRS)]
     write_pairs(out / INDEX, pairs)
     return pairs

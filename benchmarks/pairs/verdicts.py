@@ -1,13 +1,13 @@
-"""What facerender's comparison at its defaults, and other tools, say of the pairs of a suite.
+"""Score facerender's comparison at its defaults, and other tools, on the pairs of a suite.
 
 python -m benchmarks.pairs.verdicts SUITE -o docs/measurements/pairs.json
 python -m benchmarks.pairs.verdicts SUITE --peers -o docs/measurements/pairs_peers.json
 
-The first prints what facerender judges wrong; facerender finds a pair different, too, where it
-cannot compare it. Pairs of identical pixels are left out, and so are changes that must fail and
-whose effect is not above the encoding's noise. Peers give numbers that grow with the difference,
-and get the threshold that suits best the very pairs that they are scored on: those of the half that
-is reported. ``benchmarks/pairs/peers.py`` says what they need.
+The first command prints facerender's wrong verdicts. A pair that facerender cannot compare counts
+as different. Two kinds of pairs are excluded: identical pixels, and changes that must fail but
+whose effect is below the noise of the encoding. The other tools give numbers that grow with the
+difference. Each tool gets the threshold that scores best on the reported half, on which it is also
+scored. ``benchmarks/pairs/peers.py`` lists the packages that the tools need.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ Differences = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Judged:
-    """A pair, and the number of each judge."""
+    """A pair and each judge's number; a judge is facerender or a metric of another tool."""
 
     pair: Pair
     differences: Differences
@@ -51,8 +51,10 @@ class Judged:
 
 @dataclass(frozen=True)
 class Score:
-    """How a judge does on the pairs of a half and format, who finds those different whose number is
-    above a threshold."""
+    """The score of a judge on the pairs of a half and a format.
+
+    A pair counts as different if the judge's number is above the threshold.
+    """
 
     judge: str
     half: Half
@@ -65,13 +67,13 @@ class Score:
 
     @property
     def balanced(self) -> float:
-        """Balanced accuracy: the mean of the shares of both kinds that are judged right."""
+        """Balanced accuracy: the mean of the fractions of both kinds that are judged right."""
         return 0.5 * (self.caught / self.must_fail + 1.0 - self.alarms / self.must_pass)
 
 
 @dataclass(frozen=True)
 class Tally:
-    """How many pairs of a change facerender found different, of how many."""
+    """The numbers of all pairs of a change, and of those that facerender found different."""
 
     change: str
     must: Must
@@ -83,7 +85,7 @@ class Tally:
 
 @dataclass(frozen=True)
 class Summary:
-    """Versions of judges by their names, and how they did."""
+    """The versions of the tools by name, with all scores and tallies."""
 
     versions: Mapping[str, str]
     scores: tuple[Score, ...]
@@ -91,7 +93,7 @@ class Summary:
 
 
 def counted(pairs: Iterable[Pair]) -> list[Pair]:
-    """Return the pairs that a judge can be right or wrong on."""
+    """Return the pairs that count: not identical, and above the noise if they must fail."""
     return [
         pair for pair in pairs if not pair.identical and (pair.above_floor or pair.must == "pass")
     ]
@@ -111,7 +113,7 @@ def score(threshold: float, judged: Sequence[Judged], judge: str) -> Score:
 
 
 def best(judged: Sequence[Judged], judge: str) -> Score:
-    """Return the score at the threshold that suits these very pairs best."""
+    """Return the score at the threshold with the best balanced accuracy on these pairs."""
     values = np.unique([each.differences[judge] for each in judged])
     between = 0.5 * (values[1:] + values[:-1])
     scores = (score(float(each), judged, judge) for each in (*between, values[-1]))
@@ -128,7 +130,7 @@ def own(out: Path, pair: Pair) -> Differences:
 
 
 def of_peers(names: Sequence[str], out: Path, pair: Pair) -> Differences:
-    """Ask the peers of these names that read the pair's format."""
+    """Measure a pair with the named tools that support its format."""
     found: dict[str, float] = {}
     for peer in PEERS:
         if peer.name in names and pair.format in peer.formats:
@@ -137,13 +139,13 @@ def of_peers(names: Sequence[str], out: Path, pair: Pair) -> Differences:
 
 
 def judge(pairs: Sequence[Pair], ask: Callable[[Pair], Differences]) -> list[Judged]:
-    """Ask of all pairs."""
+    """Measure all pairs in parallel."""
     with ProcessPoolExecutor(WORKERS, get_context("spawn")) as pool:
         return [Judged(*each) for each in zip(pairs, pool.map(ask, pairs), strict=True)]
 
 
 def summed(judged: Sequence[Judged], change: str, half: Half, kind: Format) -> Tally | None:
-    """Count the pairs of a change that facerender found different; None where there are none."""
+    """Count the pairs of a change that facerender found different; None without any pair."""
     found = [
         each.differences[FACERENDER] > 0.0
         for each in judged
@@ -163,7 +165,7 @@ def scores(judged: Sequence[Judged]) -> Iterator[Score]:
 
 
 def read_summary(path: Path) -> Summary:
-    """Return what :func:`write_summary` wrote."""
+    """Read a file of :func:`write_summary`."""
     content = json.loads(path.read_text(encoding="utf-8"))
     return Summary(
         content["versions"],
@@ -181,12 +183,12 @@ def main() -> None:
         prog="python -m benchmarks.pairs.verdicts", description=__doc__
     )
     parser.add_argument("suite", type=Path)
-    parser.add_argument("--peers", action="store_true", help="ask them in place of facerender")
+    parser.add_argument("--peers", action="store_true", help="score the other tools instead")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.json")
     given = parser.parse_args()
     pairs = counted(read_pairs(given.suite / INDEX))
     if given.peers:
-        versions = {peer.name: told for peer, told in present()}
+        versions = {peer.name: found for peer, found in present()}
         pairs = [pair for pair in pairs if pair.half == "report"]
         judged = judge(pairs, partial(of_peers, [*versions], given.suite))
         tallies: tuple[Tally, ...] = ()

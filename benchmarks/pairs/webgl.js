@@ -1,6 +1,6 @@
-// Runs in a page: opens a WebGL 2 context, and gives the page the function draw(), which draws passes
-// as facerender/drawing/resources.py does, with one sample a pixel, and returns the last one's pixels
-// as base64 of float32. The buffers come as a file; every array is told as [start, length] in bytes.
+// Opens a WebGL 2 context and defines window.draw(passes). It draws passes like
+// facerender/drawing/resources.py, with one sample per pixel, and returns the pixels of the last pass
+// as base64 of float32. A file input provides the buffers; an array is [offset, length] in bytes.
 () => {
     const gl = document.createElement("canvas").getContext("webgl2");
     const needed = ["EXT_color_buffer_float", "EXT_float_blend"];

@@ -1,5 +1,5 @@
-"""Draws a scene by WebGL 2 in a headless Chromium, on SwiftShader: the renderer's passes and GLSL,
-by another driver."""
+"""Rendering of a scene with WebGL 2 in headless Chromium, on SwiftShader: the same passes and GLSL
+as the renderer's, on another driver."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 
 
 class _Blob:
-    """Arrays, one behind the other."""
+    """A buffer of concatenated arrays."""
 
     def __init__(self) -> None:
         self.content = bytearray()
 
     def place(self, values: ArrayLike, kind: Any) -> tuple[int, int]:
-        """Add an array, and return where it lies and how long it is, in bytes."""
+        """Append an array; return its offset and length in bytes."""
         data = np.ascontiguousarray(values, dtype=kind).tobytes()
         start = len(self.content)
         self.content += data + b"\0" * (-len(data) % 4)
@@ -43,8 +43,10 @@ class _Blob:
 def draw_webgl(
     browser: Browser, scene: Scene, shading: fr.Shading, size: tuple[int, int], float_albedo: bool
 ) -> NDArray[np.float32]:
-    """Return linear RGB and coverage, (H, W, 4), with one sample a pixel, of a scene that does not
-    scatter."""
+    """Render a scene without subsurface scattering, with one sample per pixel.
+
+    Returns linear RGB and coverage, (H, W, 4).
+    """
     view = view_of(scene, size[0] / size[1])
     scene = simplify(scene, shading)
     if not float_albedo:
@@ -59,7 +61,7 @@ def draw_webgl(
             "size": step.target.size or size,
             "number": step.target.values == "number",
             "clear": step.clear,
-            "draws": [_told(blob, draw, step, scene, albedo, size) for draw in step.draws],
+            "draws": [_described(blob, draw, step, scene, albedo, size) for draw in step.draws],
         }
         for step in steps
     ]
@@ -96,10 +98,10 @@ def _map(
     }
 
 
-def _told(
+def _described(
     blob: _Blob, draw: Draw, step: Pass, scene: Scene, albedo: Kind, size: tuple[int, int]
 ) -> dict[str, Any]:
-    """Return a draw as the page reads it."""
+    """Return a draw as JSON data for webgl.js."""
     maps: dict[str, Any] = {}
     if scene.environment is not None:
         texels = scene.environment.panorama.map

@@ -1,2 +1,2 @@
-"""The figures and claims of S. O. Romanyuk et al., Proc. SPIE 11456, 114560E (2020), measured here:
-``python -m benchmarks.paper``."""
+"""Reproduction of the figures and claims of S. O. Romanyuk et al., Proc. SPIE 11456, 114560E
+(2020): ``python -m benchmarks.paper``."""

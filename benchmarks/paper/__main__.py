@@ -1,9 +1,9 @@
-"""Draw figures 1 to 5 of the paper anew and measure its claims:
+"""Reproduce figures 1 to 5 of the paper and measure its claims:
 
     python -m benchmarks.paper [-o out/reproduction]
 
-Needs OpenGL and the extra facerender[measure]. Without a C compiler, or the compilers that
-``benchmarks.prices.amd`` needs, the claims that depend on it are marked "not measured".
+Needs OpenGL and the extra facerender[measure]. Claims are marked "not measured" if their compiler
+is missing: a C compiler, or the compilers that ``benchmarks.prices.amd`` needs.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ def reproduce(
     backend: Backend = "auto",
     progress: Progress = no_progress,
 ) -> Reproduction:
-    """Draw the paper's figures and measure what it claims.
+    """Reproduce the paper's figures and measure its claims.
 
     Parameters
     ----------
-    repeats : of every measurement of time
-    size : of one face in figure 5, in pixels
-    progress : called with the current step and the fraction of it that is done
+    repeats : number of repetitions of each time measurement
+    size : width and height in pixels of one face in figure 5
+    progress : called with the name of the current step and the finished fraction of it
 
     Raises
     ------
@@ -82,7 +82,7 @@ def reproduce(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write figures, JSON and a page; return 0, or 2 if something they need is missing."""
+    """Write figures, JSON and an HTML page; return 0, or 2 if a requirement is missing."""
     parser = argparse.ArgumentParser("python -m benchmarks.paper", description=__doc__)
     parser.add_argument("-o", "--output", default="out/reproduction", metavar="DIR")
     options = parser.parse_args(arguments)

@@ -1,6 +1,5 @@
-"""The claims of Romanyuk et al. (2020) beside what is measured here: the error of D16, and the
-speed of D16 in scalar code, in GLSL and by AMD's compiler. How cost is measured is in
-``pricing/cost.py``."""
+"""The claims of Romanyuk et al. (2020) and their measurements: the error of D16, and the speed of
+D16 in scalar code, in GLSL and according to AMD's compiler. ``pricing/cost.py`` measures costs."""
 
 from __future__ import annotations
 
@@ -28,28 +27,27 @@ from facerender.system.signals import temporary_folder
 
 Verdict = Literal["holds", "fails", "undecided", "not measured", "for comparison"]
 
-SLOPES = (0.2, 0.3, 0.4, 0.5, 0.6)  # the paper's
-D16_ERROR = 1.3  # percent, "does not exceed"
-SCALAR_SPEED = 4.34  # times, of D16 alone on a CPU
-WHOLE_SPEED = 2.0  # times, "more than"
+SLOPES = (0.2, 0.3, 0.4, 0.5, 0.6)  # values of m in the paper
+D16_ERROR = 1.3  # percent; claimed: "does not exceed"
+SCALAR_SPEED = 4.34  # claimed speed-up of D16 alone on a CPU
+WHOLE_SPEED = 2.0  # claimed speed-up of the whole model: "more than"
 _WHOLE_PAPER = f"more than {WHOLE_SPEED:g} times as fast"
-FLAGS = ("-O2", "-fno-tree-vectorize")  # gcc vectorises some loops at -O2: that is not scalar
+FLAGS = ("-O2", "-fno-tree-vectorize")  # scalar code: gcc vectorises some loops at -O2
 DEGREES = np.linspace(0.0, 90.0, 9001)
 COSINES = np.cos(np.radians(DEGREES)).clip(0.0, 1.0)
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of the paper beside what was measured.
+    """A claim of the paper and its measurement.
 
     Attributes
     ----------
-    claim, paper, measured, conditions : for a reader; paper is the number that the paper gives
-    verdict : a claim of speed holds where the whole 95 % interval reaches the paper's number, and
-        is undecided where the interval contains it
-    where : the part of the domain in which a claim holds that fails as a whole, or why there is no
-        measurement
-    values : the numbers behind "measured"
+    claim, paper, measured, conditions : texts for the report; paper is the paper's number
+    verdict : a claim of speed holds if the whole 95 % interval is at or above the paper's number,
+        and is undecided if the interval contains it
+    where : the range of m in which the claim holds, or the reason for a missing measurement
+    values : the numbers in "measured"
     """
 
     claim: str
@@ -65,17 +63,17 @@ class Claim:
 
 
 def exact_lobe(m: float) -> NDArray[np.float64]:
-    """Return Cook-Torrance's lobe at DEGREES, in units of its peak."""
+    """Return the exact lobe of Cook-Torrance at DEGREES, relative to its peak."""
     return lobes.exact(COSINES, m, K_COOK_TORRANCE)
 
 
 def relative_error(name: str, m: float, down_to: float) -> float:
-    """Return the largest |lobe - exact|/exact in percent for Cook-Torrance, from the peak down to
-    the share ``down_to`` of it.
+    """Return the largest |lobe - exact|/exact in percent for Cook-Torrance, over the angles at
+    which the exact lobe is at least the fraction ``down_to`` of its peak.
 
     Raises
     ------
-    InputError : m outside the domain of the lobe
+    InputError : m is outside the domain of the lobe
     """
     end = np.interp(-down_to, -exact_lobe(m), DEGREES)
     degrees = np.linspace(0.0, end, 1001)
@@ -84,7 +82,7 @@ def relative_error(name: str, m: float, down_to: float) -> float:
 
 
 def error_claims() -> list[Claim]:
-    """Hold "the relative error does not exceed 1.3 %" against D16."""
+    """Test the claim "the relative error does not exceed 1.3 %" for D16."""
 
     def relative(m: float) -> float:
         return relative_error("d16", m, 0.1)
@@ -123,15 +121,15 @@ def error_claims() -> list[Claim]:
 
 
 def scalar_cost(repeats: int) -> tuple[dict[str, Interval], str]:
-    """Measure ``scalar.c``, compiled with the system's C compiler.
+    """Compile ``scalar.c`` with the C compiler of the system, and measure it.
 
     Returns
     -------
-    nanoseconds an evaluation by the name of the function, and the compiler with its flags
+    nanoseconds per evaluation by function name, and the compiler with its flags
 
     Raises
     ------
-    NotMeasured : no compiler, or one that fails
+    NotMeasured : the compiler is missing or fails
     """
     source = str(Path(__file__).with_name("scalar.c"))
     with temporary_folder() as folder:
@@ -152,7 +150,7 @@ def _output(*command: str) -> str:
 
 
 def scalar_claims(cost: Mapping[str, Interval], where: str) -> list[Claim]:
-    """Hold "4.34 times faster" against scalar code, or say where it could not be measured."""
+    """Test the claim "4.34 times faster" for scalar code; not measured if ``cost`` is empty."""
     title, paper = "D16 against D, scalar on a CPU", f"{SCALAR_SPEED:g} times as fast"
     if not cost:
         return [Claim(title, paper, "", "", "not measured", where)]
@@ -171,20 +169,20 @@ def scalar_claims(cost: Mapping[str, Interval], where: str) -> list[Claim]:
 
 @dataclass(frozen=True)
 class Contest:
-    """Three forms of a model's whole term, or of its lobe alone, that are held against each other:
-    exact as printed, D16 as printed, and the library's exact."""
+    """A comparison of three forms of a whole model or of its lobe alone: exact as published, D16 as
+    published, and exact as in the library."""
 
     model: str
     whole: bool
 
     @property
     def title(self) -> str:
-        """What is timed."""
+        """Name of the timed expression."""
         return f"{MODELS[self.model]}, {'whole term' if self.whole else 'lobe alone'}"
 
     @property
     def forms(self) -> dict[str, tuple[str, str]]:
-        """Prelude and expression by name."""
+        """GLSL prelude and expression of each form, by name."""
         variants = (
             Variant(self.model, "exact", printed=True),
             Variant(self.model, "d16", printed=True),
@@ -195,8 +193,11 @@ class Contest:
     def claims(
         self, costs: Mapping[str, Interval], conditions: str, unit: str = "ns"
     ) -> list[Claim]:
-        """Hold "more than twice" against the whole term; the lobe alone, and the library's exact
-        form, stand beside. The costs are those of the forms."""
+        """Test the claim "more than twice as fast" for the whole model.
+
+        The lobe alone and the exact form of the library are listed for comparison. ``costs`` gives
+        the cost of each form by name.
+        """
         printed, d16, ours = (costs[name] for name in self.forms)
         paper, needed = (_WHOLE_PAPER, WHOLE_SPEED) if self.whole else ("", None)
         against = f"{self.title}: our exact against exact as printed"
@@ -205,9 +206,9 @@ class Contest:
             speed_claim(against, printed, ours, conditions, unit=unit),
         ]
 
-    def not_measured(self, conditions: str, why: str) -> Claim:
-        """Say that the whole term could not be measured, and why."""
-        return Claim(self._d16, _WHOLE_PAPER, "", conditions, "not measured", why)
+    def not_measured(self, conditions: str, reason: str) -> Claim:
+        """Return the claim of the whole model as not measured."""
+        return Claim(self._d16, _WHOLE_PAPER, "", conditions, "not measured", reason)
 
     @property
     def _d16(self) -> str:
@@ -217,7 +218,7 @@ class Contest:
 def glsl_cost(
     repeats: int, backend: Backend, progress: Callable[[float], object] = lambda done: None
 ) -> dict[Contest, dict[str, Interval]]:
-    """Measure whole terms, and the lobes alone; progress as of :func:`by_slope`."""
+    """Measure the whole models and the lobes alone; ``progress`` as in :func:`by_slope`."""
     contests = [Contest(model, whole) for whole in (True, False) for model in MODELS]
     empty = {True: OF_VECTORS, False: OF_COSINE}
     costs = {}
@@ -231,7 +232,7 @@ def glsl_cost(
 
 
 def amd_claims() -> list[Claim]:
-    """Hold "more than twice" against what AMD's compiler says of whole terms."""
+    """Test the claim "more than twice as fast" with the estimates of AMD's compiler."""
     claims = []
     for contest in (Contest(model, whole=True) for model in MODELS):
         for family in amd.FAMILIES:
@@ -255,9 +256,11 @@ def speed_claim(
     needed: float | None = None,
     unit: str = "ns",
 ) -> Claim:
-    """Hold the ratio of two costs against the paper's, if it gives one. The bounds of the ratio let
-    both costs go their worst way."""
-    least = 1e-9  # noise may take a cost to zero or below
+    """Compare the ratio of two costs with ``needed``, the paper's ratio, if given.
+
+    The bounds of the ratio combine the opposite bounds of both costs.
+    """
+    least = 1e-9  # because of noise, a net cost may be zero or negative
     ratio = slow.value / max(fast.value, least)
     low, high = slow.low / max(fast.high, least), slow.high / max(fast.low, least)
     verdict: Verdict = "for comparison"

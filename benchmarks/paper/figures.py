@@ -1,5 +1,5 @@
-"""Figures 1 to 5 of Romanyuk et al. (2020), drawn anew, as PNG in memory. Needs the extra
-``measure``: matplotlib."""
+"""Figures 1 to 5 of Romanyuk et al. (2020), reproduced as PNG in memory. Needs matplotlib, in the
+extra ``measure``."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _FACES: tuple[str, str] = ("exact", "d16")
 
 
 def charts() -> dict[str, bytes]:
-    """Draw figures 1 to 4, as PNG by file."""
+    """Draw figures 1 to 4; return PNG content by file name."""
     return {
         "fig1.png": _lobes(()),
         "fig2.png": _errors("cosine"),
@@ -50,7 +50,7 @@ def charts() -> dict[str, bytes]:
 
 
 def faces(size: tuple[int, int], backend: Backend) -> bytes:
-    """Draw figure 5, the head with both models, as PNG."""
+    """Draw figure 5, the head with both models; return PNG content."""
     lights = (Light(120.0, 48.0, 6.5), Light(-60.0, 5.0, 0.9))
     head = load_mesh().with_material(m=FACE_SLOPE)
     scene = Scene(head, Camera(-15.0, zoom=1.2), lights)
@@ -62,7 +62,7 @@ def faces(size: tuple[int, int], backend: Backend) -> bytes:
             rows.append(
                 np.hstack([exact.srgb8(), d16.srgb8(), encode_srgb8(np.float32(8.0) * difference)])
             )
-    margin = 30  # pixels, on top and on the left
+    margin = 30  # pixels, at the top and on the left
     width, height = 3 * size[0] + margin, 2 * size[1] + margin
     figure = _sheet(width / _DPI, height / _DPI, layout=None)
     figure.figimage(np.vstack(rows), xo=margin)
@@ -77,7 +77,10 @@ def faces(size: tuple[int, int], backend: Backend) -> bytes:
 
 
 def _lobes(powers: Sequence[int]) -> bytes:
-    """D and its g-powers, or its cosine form where there are none; a panel for each slope."""
+    """Draw D with its g-power approximations, or with its cosine form if ``powers`` is empty.
+
+    Each value of m has its own panel.
+    """
     figure = _sheet(10.0, 2.9)
     panels = figure.subplots(1, len(SLOPES), sharey=True)
     for panel, m in zip(panels, SLOPES, strict=True):
@@ -101,7 +104,7 @@ def _lobes(powers: Sequence[int]) -> bytes:
 
 
 def _errors(name: str) -> bytes:
-    """The relative error of a lobe over the angle, a curve for each slope."""
+    """Draw the relative error of a lobe over the angle, with a curve for each m."""
     figure = _sheet(8.0, 4.4)
     axes = figure.subplots()
     axes.set(yscale="log", xlim=(0.0, 90.0), ylim=(1e-2, 1e4))
@@ -133,7 +136,7 @@ def _sheet(
 
 
 def _png(figure: Any, colors: int | None = None) -> bytes:
-    """Draw, in a palette of so many colours if it is given: a third of the bytes for a chart."""
+    """Render a figure to PNG; a palette of ``colors`` reduces a chart to a third of the bytes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 

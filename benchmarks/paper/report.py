@@ -1,4 +1,4 @@
-"""The paper's figures and claims as documents: JSON and a page."""
+"""The reproduction of the paper's figures and claims as JSON and as an HTML page."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _HEAD = ("claim", "the paper", "measured", "verdict", "conditions")
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """The figures and the claims.
+    """The reproduced figures and the measured claims.
 
     Attributes
     ----------
     environment : renderer, processor, versions, date
     claims : the rows of the table
-    cost : nanoseconds an evaluation, of everything that was timed
-    figures : PNG files by name
+    cost : nanoseconds per evaluation, by name of the timed function
+    figures : PNG content by file name
     """
 
     environment: Mapping[str, Any]
@@ -42,15 +42,16 @@ class Reproduction:
     figures: Mapping[str, bytes]
 
     def json(self) -> str:
-        """Return everything but the pixels as JSON.
+        """Return the reproduction without its images as JSON.
 
         schema       "facerender.reproduce/1"
-        paper        its citation
-        environment  as in docs/measure.schema.md, and C compiler, C library, matplotlib, repeats
+        paper        citation of the paper
+        environment  as in docs/measurements/measure-schema.md, and C compiler, C library,
+                     matplotlib, repeats
         claims       list of the fields of :class:`Claim`; values are percent by m, or the ratio of
                      two costs with the bounds low and high
-        cost         by name, nanoseconds an evaluation: value, and its 95 % interval, low to high
-        figures      captions by file
+        cost         nanoseconds per evaluation by name: value, and the 95 % interval, low to high
+        figures      captions by file name
         """
         content = {
             "schema": SCHEMA,
@@ -63,7 +64,7 @@ class Reproduction:
         return json.dumps(content, indent=2) + "\n"
 
     def html(self) -> str:
-        """Return one page with the figures inside it."""
+        """Return an HTML page with embedded figures."""
         facts = [row(escape(name), [escape(str(fact))]) for name, fact in self.environment.items()]
         body = [
             f"<p>{escape(PAPER)}</p>",
@@ -71,17 +72,17 @@ class Reproduction:
             table("claims", _HEAD, map(_row, self.claims)),
             "<h2>Figures</h2>",
             *(figure(png, CAPTIONS[name]) for name, png in self.figures.items()),
-            "<h2>Where this was measured</h2>",
+            "<h2>Environment of the measurement</h2>",
             table("facts", (), facts),
         ]
         return document("The paper's figures and claims, measured", "\n".join(body))
 
     def write(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Write the figures, reproduction.json and index.html, each whole or not at all.
+        """Write the figures, reproduction.json and index.html, each atomically.
 
         Raises
         ------
-        InputError : the folder cannot be made or written
+        InputError : the folder cannot be created or written
         """
         texts = {"reproduction.json": self.json(), "index.html": self.html()}
         encoded = {name: text.encode() for name, text in texts.items()}

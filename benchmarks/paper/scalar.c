@@ -1,14 +1,14 @@
-// Nanoseconds that D of Cook-Torrance costs one CPU core, scalar, in float: D as Romanyuk et al.
-// (2020) print it, D16 as they print it, without a clamp, and D exact with a single division.
+// Measures the cost of Cook-Torrance's lobe D on one CPU core in scalar float code: D and D16 as
+// published by Romanyuk et al. (2020), D16 without a clamp, and exact D with a single division.
 //
 //   cc -O2 -fno-tree-vectorize scalar.c -o scalar -lm && ./scalar 25
 //
-//   each         every cosine has its own m
-//   one          one m for all cosines: the compiler takes out of the loop what it may
-//   beforehand   one m, and what depends on it alone computed beforehand, so that no division remains
+//   each         each cosine has its own m
+//   one          one m for all cosines: the compiler may move code out of the loop
+//   beforehand   one m; the loop contains no division, because factors of m are computed before it
 //
-// The output: names, means of the values, and for each repeat the nanoseconds an evaluation, of this
-// process's own time.
+// Output: a line of names, a line of mean values, and a line per repeat with the nanoseconds per
+// evaluation in CPU time.
 #define _POSIX_C_SOURCE 199309L
 #include <math.h>
 #include <stdio.h>
@@ -18,7 +18,7 @@
 enum { COUNT = 4096, PASSES = 200 };
 
 static float cosines[COUNT], slopes[COUNT];
-float values[COUNT];  // not static: the compiler must store what nobody reads
+float values[COUNT];  // not static, so that the compiler must store the results
 
 // 1/(8 m^2) - 1/4, and the peak of D
 static inline float factor(float m) { return 1.0f / (8.0f * m * m) - 0.25f; }
@@ -78,7 +78,7 @@ static double nanoseconds(void) {
 int main(int count, char **arguments) {
     int repeats = count > 1 ? atoi(arguments[1]) : 15;
     for (int i = 0; i < COUNT; ++i) {
-        cosines[i] = cosf(1.0f * i / COUNT);  // 0 to 57 degrees: there D is below 1e-5 of its peak
+        cosines[i] = cosf(1.0f * i / COUNT);  // 0 to 57 degrees; at 57, D is below 1e-5 of its peak
         slopes[i] = 0.3f + 0.1f * i / COUNT;
     }
     for (int k = 0; k < LOOPS; ++k) printf("%s ", loops[k].name);

@@ -1,5 +1,9 @@
-"""The head with Mitsuba 3 (scalar, direct light, Beckmann plastic, 1 sample); Mitsuba does not read
-GLB, so geometry and albedo come through trimesh. ``mitsuba_head.py MESH.glb OUT.png``"""
+"""Render the head with Mitsuba 3: scalar variant, direct light, Beckmann plastic, 1 sample.
+
+    mitsuba_head.py MESH.glb OUT.png
+
+Mitsuba does not read GLB, so trimesh loads geometry and albedo.
+"""
 
 import sys
 

@@ -1,4 +1,7 @@
-"""The head with pyrender (metallic-roughness, 4 samples): ``pyrender_head.py MESH.glb OUT.png``."""
+"""Render the head with pyrender (metallic-roughness shading, 4 samples per pixel).
+
+pyrender_head.py MESH.glb OUT.png
+"""
 
 import os
 import sys

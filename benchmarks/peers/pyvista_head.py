@@ -1,5 +1,8 @@
-"""The head with PyVista's physically based shading: ``pyvista_head.py MESH.glb OUT.png``, or, for
-frames of a moving camera, one for each line of the input, ``pyvista_head.py MESH.glb SAMPLES``."""
+"""Render the head with PyVista's physically based shading.
+
+pyvista_head.py MESH.glb OUT.png    one image
+pyvista_head.py MESH.glb SAMPLES    a frame of a moving camera per line of standard input
+"""
 
 import sys
 
@@ -22,7 +25,7 @@ class Head:
         self.plotter.camera_position = "xy"
 
     def frame(self, turned) -> np.ndarray:
-        """Turn the camera on, and return the image."""
+        """Turn the camera by ``turned`` degrees and return the image."""
         self.plotter.camera.Azimuth(turned)
         self.plotter.render()
         return self.plotter.screenshot(return_img=True)

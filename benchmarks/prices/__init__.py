@@ -1,2 +1,2 @@
-"""Prices of shading by compilers of GPUs that are not here, and the price table of the package:
-``python -m benchmarks.prices``."""
+"""Prices of shading, estimated by the compilers of GPUs that need not be present, and the price
+table of the package: ``python -m benchmarks.prices``."""

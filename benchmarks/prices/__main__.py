@@ -1,11 +1,11 @@
-"""Prices of shading, by compilers and by measurement, from the repository's root:
+"""Prices of shading from compilers and from measurements. Run in the root of the repository:
 
-    python -m benchmarks.prices table           facerender/pricing/prices.json, in a few minutes
-    python -m benchmarks.prices parts           print the cost of each part of the fragment program
-    python -m benchmarks.prices amd OUT.json    docs/measurements/amd.json
-    python -m benchmarks.prices offline OUT.json   docs/measurements/offline.json
+    python -m benchmarks.prices table   write facerender/pricing/prices.json, in a few minutes
+    python -m benchmarks.prices parts   print the cost of each part of the fragment program
+    python -m benchmarks.prices amd docs/measurements/amd.json           write AMD's estimates
+    python -m benchmarks.prices offline docs/measurements/offline.json   write instruction counts
 
-amd.py and offline.py name the packages that they need.
+amd.py and offline.py list the packages that they need.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from facerender.pricing import fragment
 
 
 def print_parts() -> None:
-    """Print the cost of each part of the fragment program; a tool that is missing is named."""
+    """Print the cost of each part of the fragment program, or the name of a missing tool."""
     measures: dict[str, Callable[[], Mapping[str, float]]] = {
         **{f"{family}, cycles": partial(table.parts, family) for family in amd.FAMILIES},
         "here, ns": lambda: {name: each.value for name, each in fragment.by_slope().items()},
@@ -38,7 +38,7 @@ def print_parts() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; return 0, or 2 if something it needs is missing."""
+    """Run a command; return 0, or 2 if a requirement is missing."""
     parser = argparse.ArgumentParser(
         "python -m benchmarks.prices",
         description=__doc__,

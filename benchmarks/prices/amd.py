@@ -1,6 +1,7 @@
-"""Cost of GLSL expressions on AMD's GPUs as their compiler in Mesa, RADV, estimates it. No GPU is
-needed and nothing runs. Needs the Debian packages glslang-tools, mesa-vulkan-drivers and
-libvulkan1, and the extra facerender[compilers].
+"""Cost of GLSL expressions on AMD GPUs, as RADV, their compiler in Mesa, estimates it.
+
+Needs the Debian packages glslang-tools, mesa-vulkan-drivers and libvulkan1, and the extra
+facerender[compilers]. Needs no GPU: programs are compiled, not run.
 """
 
 from __future__ import annotations
@@ -42,24 +43,24 @@ void main() {
     results[i] = result;
 }
 """
-# A wave's inverse throughput is the larger of what its busiest unit takes and of its latency over
-# the waves that hide it. The second, a share of the memory's latency, would rule in a kernel as
-# short as a term. The ballast, dependent operations that cancel in the net, makes the vector ALU
-# the busiest unit, as in a whole shader.
+# RADV's inverse throughput of a wave is the maximum of two values: the cycles of its busiest unit,
+# and its latency divided by the number of waves that hide it. In a kernel as short as a term, the
+# second value, mostly memory latency, would be the larger. The ballast, a chain of dependent
+# operations, makes the vector ALU the busiest unit, as in a whole shader. The subtraction of the
+# empty kernel removes the ballast from the result.
 _BALLAST = 256 * "result = fma(result, result, 0.25);"
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """What a wave of 64 invocations adds to that of a kernel that only sums up its inputs, as the
-    compiler estimates it from the code.
+    """The estimated cost of a wave of 64 invocations, minus a kernel that only sums its inputs.
 
     Attributes
     ----------
     instructions : machine instructions
     latency : cycles of a wave that runs alone: issue and stalls
     inverse_throughput : cycles for which the wave occupies the vector ALU of its SIMD. On RDNA2 a
-        transcendental counts as any instruction: its unit, four times as slow, works beside.
+        transcendental counts like any instruction: its unit, four times as slow, works in parallel.
     """
 
     instructions: int
@@ -68,19 +69,20 @@ class Statistics:
 
 
 def statistics(terms: Mapping[str, tuple[str, str]], family: str) -> dict[str, Statistics]:
-    """Return the cost of each term on a family of GPUs, from N, L, V, m and F0 in a buffer,
-    net of a kernel that only adds up these inputs.
+    """Return the cost of each term on a GPU family, minus a kernel that only sums its inputs.
+
+    The kernels read N, L, V, m and F0 from a buffer.
 
     Parameters
     ----------
-    terms : name to prelude and expression; the prelude may include files of the library, the
-        expression is a float of vec3 n, l, v and float m, f0
+    terms : prelude and expression by name; the prelude may include files of the library, the
+        expression is a float that depends on vec3 n, l, v and float m, f0
     family : "navi21" (RDNA2) or "vega10" (GCN5)
 
     Raises
     ------
-    InputError : an unknown family, or a term that is not GLSL
-    NotMeasured : a tool is missing; the message says which, and how to get it
+    InputError : the family is unknown, or a term is not valid GLSL
+    NotMeasured : a tool is missing; the message names it and the command that installs it
     """
     kernels = [kernel(*term) for term in (("", INPUTS), *terms.values())]
     (empty, *gross) = compile_programs(kernels, family)[1]
@@ -97,13 +99,13 @@ def driver() -> str:
 
     Raises
     ------
-    NotMeasured : a tool is missing; the message says which, and how to get it
+    NotMeasured : a tool is missing; the message names it and the command that installs it
     """
     return compile_programs([], next(iter(FAMILIES)))[0]
 
 
 def table() -> dict[str, Any]:
-    """Return the driver, and the statistics by family, model and term; errors as in
+    """Return the driver, and the statistics by family, model and term; raises as
     :func:`statistics`."""
 
     def rows(model: str, family: str) -> dict[str, dict[str, int]]:
@@ -120,7 +122,7 @@ def table() -> dict[str, Any]:
 
 
 def kernel(prelude: str, expression: str, ballast: str = _BALLAST) -> tuple[bytes, ...]:
-    """Return the SPIR-V of a program that evaluates a term; InputError if it is not GLSL."""
+    """Return the SPIR-V of a kernel that evaluates a term; raise InputError if it is not GLSL."""
     source = resolve_includes(_KERNEL % (prelude, expression, ballast))
     try:
         return spirv(comp=source)
@@ -130,19 +132,19 @@ def kernel(prelude: str, expression: str, ballast: str = _BALLAST) -> tuple[byte
 
 @cache
 def spirv(**sources: str) -> tuple[bytes, ...]:
-    """Return the SPIR-V of a program's stages, as :func:`compile_programs` takes them.
+    """Return the SPIR-V of a program's stages, for :func:`compile_programs`.
 
-    Uniforms without a block become the uniform buffer 0, the textures stand behind it; attributes,
-    and what one stage hands to the next, have locations in the order of their declarations.
+    Uniforms outside a block form the uniform buffer at binding 0; textures have the bindings from
+    1. Attributes and varyings have locations in the order of their declarations.
 
     Parameters
     ----------
-    sources : GLSL without includes, by stage: comp, or vert and frag
+    sources : GLSL with resolved includes, by stage: comp, or vert and frag
 
     Raises
     ------
-    InputError : it is not GLSL
-    NotMeasured : glslangValidator is missing; the message says how to get it
+    InputError : a source is not valid GLSL
+    NotMeasured : glslangValidator is missing; the message names the command that installs it
     """
     compiler = shutil.which("glslangValidator")
     if compiler is None:
@@ -167,23 +169,24 @@ def spirv(**sources: str) -> tuple[bytes, ...]:
 def compile_programs(
     programs: Sequence[Sequence[bytes]], family: str, attributes: Sequence[int] = ()
 ) -> tuple[str, list[dict[str, int]]]:
-    """Have RADV compile for the family, in a process of its own, since the driver reads the family
-    when it is loaded.
+    """Compile programs with RADV for a GPU family.
+
+    Runs a separate process, because the driver reads the family when it is loaded.
 
     Parameters
     ----------
-    programs : each the SPIR-V of a compute program, or of a vertex and a fragment program
+    programs : each is the SPIR-V of a compute program, or of a vertex and a fragment program
     family : "navi21" (RDNA2) or "vega10" (GCN5)
-    attributes : components of a vertex program's, in the order of their declarations
+    attributes : number of components of each vertex attribute, in the order of declaration
 
     Returns
     -------
-    the driver's name and version, and of each program the statistics of its last stage by name
+    the driver's name and version, and for each program the statistics of its last stage by name
 
     Raises
     ------
-    InputError : an unknown family
-    NotMeasured : a tool is missing; the message says which, and how to get it
+    InputError : the family is unknown
+    NotMeasured : a tool is missing; the message names it and the command that installs it
     """
     if family not in FAMILIES:
         raise InputError(f"unknown family {family!r}; known: {', '.join(FAMILIES)}")
@@ -195,7 +198,7 @@ def compile_programs(
         raise NotMeasured(
             "the Python package vulkan is not installed: pip install 'facerender[compilers]'"
         )
-    # What a user sets for other programs would change what is measured.
+    # The user's settings of Mesa and Vulkan would change the measurement.
     environment = {
         name: value
         for name, value in os.environ.items()
@@ -224,5 +227,5 @@ def compile_programs(
     return name, rows
 
 
-def _not_measured(what: str, packages: str) -> NotMeasured:
-    return NotMeasured(f"{what}; on Debian or Ubuntu: apt-get install {packages}")
+def _not_measured(reason: str, packages: str) -> NotMeasured:
+    return NotMeasured(f"{reason}; on Debian or Ubuntu: apt-get install {packages}")

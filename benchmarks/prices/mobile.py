@@ -1,10 +1,10 @@
-"""Writes docs/measurements/mobile.json: the instructions of the specular terms on Adreno and Mali,
-as Mesa's compilers of Debian 13 for arm64 make them over its null drivers. Nothing is drawn.
+"""Write docs/measurements/mobile.json: instruction counts of the specular terms on Adreno and Mali.
 
     python -m benchmarks.prices.mobile FOLDER
 
-Root on Debian, with qemu-user-static, glslang-tools and facerender[compilers]. What FOLDER
-does not hold yet comes through apt: 64 MB, 310 MB unpacked.
+Compiles with Mesa of Debian 13 for arm64 on Mesa's null drivers; nothing is rendered. Needs root on
+Debian, qemu-user-static, glslang-tools and facerender[compilers]. On first use, apt downloads the
+packages to FOLDER: 64 MB, 310 MB unpacked.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ OUTPUT = Path(__file__).parents[2] / "docs" / "measurements" / "mobile.json"
 QEMU = "qemu-aarch64-static"
 PACKAGES = "mesa-vulkan-drivers mesa-drm-shim libvulkan1 python3-minimal python3-cffi"
 LIBRARIES = "/usr/lib/aarch64-linux-gnu"
-# The null driver, which is named as its Vulkan driver, and the GPU that it feigns.
+# Null driver, with the same name as its Vulkan driver, and settings of the simulated GPU.
 GPUS = {
     "adreno-630": ("freedreno", {"FD_GPU_ID": "630"}),
     "adreno-740": ("freedreno", {"FD_GPU_ID": "740"}),
@@ -34,7 +34,7 @@ GPUS = {
 
 
 def make_root(folder: Path) -> None:
-    """Unpack Debian 13's packages for arm64 into a folder, with what runs them here."""
+    """Unpack Debian 13's packages for arm64 into a folder, with QEMU and the package vulkan."""
     apt = folder / "apt"
     for name in ("lists/partial", "cache/archives/partial"):
         (apt / name).mkdir(parents=True)
@@ -71,8 +71,11 @@ def make_root(folder: Path) -> None:
 
 
 def compiled(root: Path, gpu: str, programs: str) -> tuple[str, list[tuple[int, int]]]:
-    """Return the driver, and the instructions of each program: all but those that wait, and those
-    of the unit of roots, reciprocals and transcendentals."""
+    """Return the driver and two instruction counts per program.
+
+    The counts are all instructions except waits, and the instructions of the unit for roots,
+    reciprocals and transcendentals.
+    """
     shutil.copy(Path(amd.__file__).with_name("radv.py"), root / "facerender")
     shim, feigned = GPUS[gpu]
     environment = {
@@ -92,9 +95,9 @@ def compiled(root: Path, gpu: str, programs: str) -> tuple[str, list[tuple[int, 
     ]
     run = subprocess.run(command, input=programs, capture_output=True, text=True, check=True)
     driver, rows = json.loads(run.stdout)
-    if shim == "panfrost":  # which tells more in its log; 16 of the unit's instructions a cycle
-        told = re.findall(r"shader: (\d+) inst, .* ([\d.]+) sfu", run.stderr)
-        return driver, [(int(every), round(16 * float(cycles))) for every, cycles in told]
+    if shim == "panfrost":  # only its log has the cycles of the special unit: 16 instructions each
+        found = re.findall(r"shader: (\d+) inst, .* ([\d.]+) sfu", run.stderr)
+        return driver, [(int(every), round(16 * float(cycles))) for every, cycles in found]
     return driver, [
         (row["Instruction Count"] - row["NOPs Count"], row["cat4 instructions"]) for row in rows
     ]

@@ -1,6 +1,8 @@
-"""Machine instructions of GLSL expressions on Intel's and NVIDIA's GPUs, as their own compilers of
-OpenCL C and CUDA C++ make them. No GPU and no driver is needed, and nothing runs. Needs the Debian
-package intel-opencl-icd, and the extra facerender[compilers].
+"""Machine instructions of GLSL expressions on Intel and NVIDIA GPUs, from their compilers of
+OpenCL C and CUDA C++.
+
+Needs the Debian package intel-opencl-icd and the extra facerender[compilers]. Needs neither a GPU
+nor a driver: programs are compiled, not run.
 """
 
 from __future__ import annotations
@@ -23,12 +25,13 @@ from facerender.pricing import variants
 from facerender.pricing.variants import INPUTS
 from facerender.system.signals import temporary_folder
 
-# As their compilers call them, with the architecture.
+# The compilers' names of the GPUs, and their architectures.
 INTEL = {"skl": "Intel Gen9", "acm-g10": "Intel Xe-HPG"}
 NVIDIA = {"sm_75": "NVIDIA Turing", "sm_120": "NVIDIA Blackwell"}
 GPUS = INTEL | NVIDIA
 
-# Metal's language, as far as terms use it, in those that the compilers take.
+# The library is translated to Metal's language. These definitions make the part that terms use
+# valid OpenCL C and CUDA C++.
 _OPENCL = """
 #define FUNCTION static __attribute__((overloadable))
 #define KERNEL __kernel __attribute__((intel_reqd_sub_group_size(16))) void
@@ -86,11 +89,11 @@ KERNEL kernel_%(prefix)s(const BUFFER float4 *points, BUFFER float *results) {
     results[i] = %(prefix)sfr_priced(n, l, v, a.w, b.w);
 }
 """
-# Arithmetic as GLSL leaves it to a driver: fused, denormal numbers as 0, approximate built-ins.
+# GLSL permits this arithmetic to drivers: fused operations, denormals as 0, approximate built-ins.
 _OCLOC_OPTIONS = "-cl-fast-relaxed-math -cl-denorms-are-zero"
 _NVRTC_OPTIONS = ("--use_fast_math", "--std=c++17", "--disable-warnings")
 
-# An instruction of a listing that does something: not those that wait or fill up.
+# An instruction in a listing, except waits and padding.
 _INTEL_INSTRUCTION = re.compile(r"^ *(?:\([^)]*\) *)?([a-z]\w*)[.\w]* +\(\d+\|M\d+\)", re.MULTILINE)
 _NVIDIA_INSTRUCTION = re.compile(r"^ */\*\w{4,}\*/ +(?:@!?\w+ +)?(?!NOP)(\w+)", re.MULTILINE)
 _SPECIAL = ("math", "MUFU")
@@ -98,14 +101,15 @@ _SPECIAL = ("math", "MUFU")
 
 @dataclass(frozen=True)
 class Instructions:
-    """What a term adds to the kernel that only sums up its inputs, for the 16 invocations of an
-    instruction of Intel's GPUs, and the 32 of NVIDIA's.
+    """The instruction counts of a term, minus a kernel that only sums its inputs.
+
+    An instruction processes 16 invocations on Intel GPUs, and 32 on NVIDIA GPUs.
 
     Attributes
     ----------
-    all : machine instructions, but for those that only wait or fill up
-    special : those of them for the unit of roots, reciprocals and transcendentals, which is
-        several times as slow as the others and works beside them
+    all : machine instructions, except waits and padding
+    special : the instructions among them of the unit for roots, reciprocals and transcendentals,
+        which is several times as slow as the other units and works in parallel
     """
 
     all: int
@@ -113,18 +117,20 @@ class Instructions:
 
 
 def statistics(terms: Mapping[str, tuple[str, str]], gpu: str) -> dict[str, Instructions]:
-    """Return the instructions of each term on a GPU, from N, L, V, m and F0 in a buffer.
+    """Return the instruction counts of each term on a GPU.
+
+    The kernels read N, L, V, m and F0 from a buffer.
 
     Parameters
     ----------
-    terms : name to prelude and expression; the prelude may include files of the library, the
-        expression is a float of vec3 n, l, v and float m, f0
+    terms : prelude and expression by name; the prelude may include files of the library, the
+        expression is a float that depends on vec3 n, l, v and float m, f0
     gpu : one of GPUS
 
     Raises
     ------
-    InputError : an unknown GPU, or a term that is not translated or compiled
-    NotMeasured : a tool is missing; the message says which, and how to get it
+    InputError : the GPU is unknown, or a term cannot be translated or compiled
+    NotMeasured : a tool is missing; the message names it and the command that installs it
     """
     if gpu not in GPUS:
         raise InputError(f"unknown GPU {gpu!r}; known: {', '.join(GPUS)}")
@@ -141,7 +147,7 @@ def statistics(terms: Mapping[str, tuple[str, str]], gpu: str) -> dict[str, Inst
 
 
 def compilers() -> list[str]:
-    """Return the compilers' names and versions; errors as in :func:`statistics`."""
+    """Return the compilers' names and versions; raises as :func:`statistics`."""
     with temporary_folder() as folder:
         query = "OCL_DRIVER_VERSION"
         subprocess.run([_ocloc(), "query", query], cwd=folder, capture_output=True, check=True)
@@ -151,7 +157,7 @@ def compilers() -> list[str]:
 
 
 def table() -> dict[str, Any]:
-    """Return the compilers, and the instructions by GPU, model and term; errors as in
+    """Return the compilers, and the instruction counts by GPU, model and term; raises as
     :func:`statistics`."""
 
     def rows(gpu: str, model: str) -> dict[str, dict[str, int]]:
@@ -166,7 +172,8 @@ def table() -> dict[str, Any]:
 
 
 def _program(prefix: str, prelude: str, expression: str) -> str:
-    """Return a term and its kernel for both compilers' preludes; names begin with the prefix."""
+    """Return the source of a term and its kernel for both compilers; the prefix makes the names of
+    several terms unique in one file."""
     text = translated(_TERM % (prelude, expression), "msl").removeprefix(Msl.head)
     text = re.sub(r"\b(?=fr_|FR_)", prefix, text)
     text = re.sub(r"^(?=(float|int|uint|bool|void)[234]? \w+\()", "FUNCTION ", text, flags=re.M)
@@ -175,7 +182,7 @@ def _program(prefix: str, prelude: str, expression: str) -> str:
 
 
 def _intel(program: str, gpu: str) -> dict[str, list[str]]:
-    """Return the operations of each kernel by its name."""
+    """Compile with Intel's compiler; return the operations of each kernel by its name."""
     environment = {name: value for name, value in os.environ.items() if "IGC_" not in name}
     with temporary_folder() as folder:
         Path(folder, "terms.cl").write_text(_OPENCL + program, encoding="utf-8")
@@ -199,7 +206,7 @@ def _intel(program: str, gpu: str) -> dict[str, list[str]]:
 
 
 def _nvidia(program: str, gpu: str) -> dict[str, list[str]]:
-    """Return the operations of each kernel by its name."""
+    """Compile with NVIDIA's compiler; return the operations of each kernel by its name."""
     disassembler = _wheel("nvidia-cuda-nvdisasm", "nvdisasm")
     nvrtc = ctypes.CDLL(str(_wheel("nvidia-cuda-nvrtc", "libnvrtc.so")))
 
@@ -249,7 +256,7 @@ def _ocloc() -> str:
 
 
 def _wheel(package: str, file: str) -> Path:
-    """Return the path of a package's file whose name begins like this."""
+    """Return the path of the first file of a package whose name begins with ``file``."""
     try:
         files = importlib.metadata.files(package) or []
     except importlib.metadata.PackageNotFoundError:

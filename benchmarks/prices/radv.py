@@ -1,11 +1,15 @@
-"""Compiles programs with Mesa's RADV for a GPU that is not there. ``amd`` runs this file as a
-process of its own, with RADV_FORCE_FAMILY set; nothing here knows GLSL.
+"""Compile SPIR-V with Mesa's RADV for a GPU that need not be present. ``amd`` runs this file in a
+separate process, with RADV_FORCE_FAMILY set.
 
-Reads JSON: "attributes", how many components those of vertex programs have, and "programs", each a
-list of SPIR-V modules in hexadecimal with the entry point main. One module is a compute program
-with the storage buffers 0 and 1; two are a vertex and a fragment program, which draws one float32
-colour, both with the uniform buffer 0 and the textures 1 to 3. Writes, as one line of JSON, the
-driver and the statistics of each program, of its last stage, by name.
+Reads JSON from standard input:
+
+    attributes   list of the number of components of each vertex attribute
+    programs     list of programs; each is a list of SPIR-V modules in hexadecimal, with the entry
+                 point main. One module is a compute program with storage buffers at the bindings 0
+                 and 1. Two modules are a vertex and a fragment program with one float32 colour
+                 output, a uniform buffer at binding 0 and textures at 1 to 3.
+
+Writes a line of JSON: the driver, and for each program the statistics of its last stage by name.
 """
 
 from __future__ import annotations
@@ -57,7 +61,7 @@ def compile_programs(
 
 
 class _Compute:
-    """Makes pipelines of compute programs."""
+    """A factory of pipelines for compute programs."""
 
     def __init__(self, device: Any) -> None:
         self.device = device
@@ -70,7 +74,7 @@ class _Compute:
 
 
 class _Graphics:
-    """Makes pipelines of vertex and fragment programs."""
+    """A factory of pipelines for vertex and fragment programs."""
 
     def __init__(self, device: Any, attributes: Sequence[int]) -> None:
         self.device, self.attributes = device, attributes
@@ -91,7 +95,7 @@ class _Graphics:
 
     def pipeline(self, modules: Sequence[bytes]) -> Any:
         kinds = vk.VK_SHADER_STAGE_VERTEX_BIT, vk.VK_SHADER_STAGE_FRAGMENT_BIT
-        # Named, since the array of stages is a copy that does not keep what they point to.
+        # Keep a reference: the array of stages is a copy that does not keep their modules alive.
         stages = [_stage(self.device, *each) for each in zip(kinds, modules, strict=True)]
         one_sample = vk.VkPipelineMultisampleStateCreateInfo(
             rasterizationSamples=vk.VK_SAMPLE_COUNT_1_BIT
@@ -129,7 +133,7 @@ class _Graphics:
 
 
 def _layout(device: Any, descriptors: Sequence[int]) -> Any:
-    """Return the layout of pipelines with these kinds of descriptors at the bindings from 0."""
+    """Return a pipeline layout with descriptors of these types at the bindings from 0."""
     bindings = [
         vk.VkDescriptorSetLayoutBinding(
             binding=binding,

@@ -1,5 +1,5 @@
-"""The package's price table, ``facerender/pricing/prices.json``: estimates of Mesa's compiler for
-two families of AMD's GPUs, and measurements on llvmpipe."""
+"""The package's price table, ``facerender/pricing/prices.json``: estimates by RADV for two families
+of AMD GPUs, and measurements on llvmpipe."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def all_terms() -> dict[str, Term]:
 
 
 def all_seconds() -> dict[str, Term]:
-    """Return every term whose second lobe has a price of its own, by name."""
+    """Return every term whose second lobe has a separate price, by name."""
     seconds: dict[str, Term] = {}
     for term in all_terms().values():
         seconds |= second_variants(term)
@@ -58,7 +58,7 @@ def all_seconds() -> dict[str, Term]:
 
 
 def cycles(programs: Sequence[Program], family: str) -> list[int]:
-    """Return RADV's estimate of whole programs on a family of AMD's GPUs.
+    """Return RADV's estimates of whole programs on a family of AMD GPUs.
 
     Parameters
     ----------
@@ -66,34 +66,32 @@ def cycles(programs: Sequence[Program], family: str) -> list[int]:
 
     Returns
     -------
-    cycles of a wave, the ``inverse_throughput`` of :class:`amd.Statistics`
+    cycles per wave, the ``inverse_throughput`` of :class:`amd.Statistics`
 
     Raises
     ------
-    InputError : an unknown family
-    NotMeasured : a tool is missing; the message names it, and the command that installs it
+    InputError : the family is unknown
+    NotMeasured : a tool is missing; the message names it and the command that installs it
     """
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         modules = list(pool.map(lambda program: amd.spirv(**program.sources("450")), programs))
-    attributes = list(ATTRIBUTES.values())[:3]  # of a part without values at vertices
+    attributes = list(ATTRIBUTES.values())[:3]  # position, normal and texture coordinates
     rows = amd.compile_programs(modules, family, attributes)[1]
     return [row["Inverse Throughput"] for row in rows]
 
 
 def parts(family: str, shading: Shading | None = None) -> dict[str, float]:
-    """Return the cost of each part of the fragment program; unit and errors as in :func:`cycles`.
+    """Return the cost of each part of the fragment program; unit and exceptions as :func:`cycles`.
 
-    The cost of a map is the work of the vector ALU: the compiler models neither the texture filter
-    nor the cache.
-
-    shading : see :func:`fragment.samples`
+    The cost of a map covers only the vector ALU, because the compiler models neither the texture
+    filter nor the cache. ``shading`` is a parameter of :func:`fragment.samples`.
     """
     estimates = cycles([program for _, program in fragment.samples(shading)], family)
     return dict(zip(fragment.PARTS, map(float, fragment.TO_PARTS @ estimates), strict=True))
 
 
 def scattering_parts(family: str) -> dict[str, float]:
-    """Return the cost of ``scatter.PARTS``; unit and errors as in :func:`cycles`."""
+    """Return the cost of ``scatter.PARTS``; unit and exceptions as :func:`cycles`."""
     wall = scatter.scene()
     profile = Scattering((PROFILES["skin"][2:],), (1,), 1.0, 1.0)
     passes = [scatter_pass(view_of(wall, 1.0), profile, count) for count in _SCATTER_SAMPLES]
@@ -102,15 +100,16 @@ def scattering_parts(family: str) -> dict[str, float]:
 
 
 def compiled(family: str, terms: Mapping[str, Term], seconds: Mapping[str, Term]) -> Prices:
-    """Have RADV compile the renderer's program with each term, for one light and for two.
+    """Return prices from RADV, which compiles the renderer's program with each term for one light
+    and for two.
 
     Parameters
     ----------
-    terms, seconds : as of :func:`facerender.pricing.table.measured`
+    terms, seconds : as in :func:`facerender.pricing.table.measured`
 
     Raises
     ------
-    NotMeasured : a tool is missing; the message names it, and the command that installs it
+    NotMeasured : a tool is missing; the message names it and the command that installs it
     """
     costs = parts(family)
     scenes = [fragment.scene_with(), fragment.scene_with(directional=2)]
@@ -139,18 +138,18 @@ def compiled(family: str, terms: Mapping[str, Term], seconds: Mapping[str, Term]
 
 
 def write() -> None:
-    """Write the package's price table."""
+    """Write the price table of the package."""
     terms, seconds = all_terms(), all_seconds()
     prices_of = {family: compiled(family, terms, seconds) for family in amd.FAMILIES}
     prices_of["llvmpipe"] = measured(terms, repeats=15, seconds=seconds)
     rows = {kind: _rounded(asdict(prices)) for kind, prices in prices_of.items()}
     text = json.dumps(rows, indent=1)
-    text = re.sub(r"\[\s+(\S+),\s+(\S+)\s+\]", r"[\1, \2]", text)  # a term on a line
+    text = re.sub(r"\[\s+(\S+),\s+(\S+)\s+\]", r"[\1, \2]", text)  # one term per line
     TABLE.write_text(text + "\n", encoding="utf-8")
 
 
 def _rounded(value: Any) -> Any:
-    """Return the same with numbers of four digits, more than their spread."""
+    """Return the value with numbers rounded to four digits, which is finer than their spread."""
     if isinstance(value, dict):
         return {key: _rounded(item) for key, item in value.items()}
     if isinstance(value, tuple):

@@ -1,1 +1,1 @@
-"""Batches: many jobs from a table, drawn in chunks by several workers."""
+"""Batch rendering: draws the jobs of a table in chunks with several workers."""

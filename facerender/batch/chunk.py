@@ -1,5 +1,8 @@
-"""Chunks: jobs that are drawn, written and committed together. A chunk is named by a digest of all
-that its pixels depend on; it is done if its record exists."""
+"""Chunks: groups of jobs that are drawn, written and committed together.
+
+The name of a chunk contains a digest of everything that its pixels depend on. A chunk is done if
+its record exists.
+"""
 
 from __future__ import annotations
 
@@ -24,14 +27,16 @@ if TYPE_CHECKING:
     from facerender.drawing.context import Backend
 
 Layout = Literal["files", "shards"]
-Record = dict[str, Any]  # of a job, drawn or failed
+Record = dict[str, Any]  # the record of a job, drawn or failed
 
 _PACKAGE = Path(__file__).parents[1]
-# Sources that pixels depend on.
+# Source files that the pixels depend on.
 _FOLDERS = ("terms", "glsl", "scenes", "loading", "drawing", "images")
 _MODULES = ("batch/outputs.py", "job.py", "shading.py")
-_LARGEST = 128  # jobs of a chunk
-_CHUNKS = 64  # of a batch, where it has enough jobs; and how many wait for more jobs of their mesh
+_LARGEST = 128  # most jobs per chunk
+# Least number of chunks, if there are enough jobs. At most this many full chunks of jobs wait for
+# further jobs of their mesh.
+_CHUNKS = 64
 _FILES = ("path", "albedo", "normal_map", "specular_map", "roughness_map", "lobe_map")
 
 
@@ -42,12 +47,12 @@ class Settings:
     Attributes
     ----------
     output : a folder, or a URL
-    layout : "files", a folder for each job, or "shards", a tar for each chunk
-    backend : of OpenGL, see :class:`facerender.Renderer`
+    layout : "files" (a folder per job) or "shards" (a tar per chunk)
+    backend : OpenGL backend, see :class:`facerender.Renderer`
     timeout : seconds without a message after which a worker counts as hung
-    tries : maximum attempts per job that kills or hangs its worker
-    code_version : digest of the package that draws, see :func:`code_version`
-    run : identifies the command, so that workers that outlive a killed one notice the next
+    tries : maximum number of attempts for a job that crashes or hangs its worker
+    code_version : digest of the code that draws, see :func:`code_version`
+    run : ID of the command, by which workers that outlive a killed command detect the next one
     """
 
     output: str
@@ -61,13 +66,13 @@ class Settings:
 
 @dataclass(frozen=True)
 class Chunk:
-    """Jobs, in the order of their numbers.
+    """A group of jobs.
 
     Attributes
     ----------
-    number : its position among the chunks of the batch
-    rows, keys : the jobs, and for each a digest of all that its files depend on
-    kept : by position in the chunk, records of jobs that an earlier run has drawn
+    number : position among the chunks of the batch
+    rows, keys : the jobs, and for each a digest of everything that its files depend on
+    kept : records of jobs that an earlier run has drawn, by position in the chunk
     """
 
     number: int
@@ -80,13 +85,15 @@ class Chunk:
 
     @property
     def name(self) -> str:
-        """The name of its files."""
+        """The name of the chunk's files."""
         return f"{self.number:06d}-{digest_of(*self.keys)[:16]}"
 
 
 def chunk_size(total: int) -> int:
-    """Return the number of jobs of a chunk: a function of the number of jobs alone, so that it is
-    the same for any number of workers."""
+    """Return the number of jobs per chunk.
+
+    It depends only on the total number of jobs, so that it is the same for any number of workers.
+    """
     size = 1
     while size < _LARGEST and total >= 2 * _CHUNKS * size:
         size *= 2
@@ -94,10 +101,11 @@ def chunk_size(total: int) -> int:
 
 
 def chunks(rows: Iterable[Row], size: int | None = None) -> Iterator[Chunk]:
-    """Divide rows into chunks, each of one mesh and one image size where these have enough rows.
+    """Divide rows into chunks, each with one mesh and one image size if there are enough such rows.
+
     Few rows are in memory at a time.
 
-    size : jobs of a chunk; None for that of :func:`chunk_size`
+    size : jobs per chunk; None selects it with :func:`chunk_size`
     """
     rows = iter(rows)
     if size is None:
@@ -115,7 +123,7 @@ def chunks(rows: Iterable[Row], size: int | None = None) -> Iterator[Chunk]:
         return Chunk(number - 1, tuple(group), keys)
 
     def pack() -> list[Row]:
-        """Return the groups that have waited longest, as many as fit."""
+        """Return the rows of the groups that have waited longest, as many groups as fit."""
         packed: list[Row] = []
         for name in list(waiting):
             if packed and len(packed) + len(waiting[name]) > size:
@@ -138,7 +146,7 @@ def chunks(rows: Iterable[Row], size: int | None = None) -> Iterator[Chunk]:
 
 @cache
 def code_version() -> str:
-    """Return a digest of the version, and of the sources of package and shaders that draw."""
+    """Return a digest of the package version, and of the Python and shader sources that draw."""
     paths = [path for name in _FOLDERS for path in sorted((_PACKAGE / name).rglob("*.py"))]
     paths += (_PACKAGE / name for name in _MODULES)
     paths += sorted(path for path in data_dir("shaders").rglob("*") if path.is_file())
@@ -146,14 +154,16 @@ def code_version() -> str:
 
 
 def key_of(row: Row) -> str:
-    """Return a digest of all that a job's files depend on. Files that it names are read once, until
-    :func:`forget_files`."""
+    """Return a digest of everything that a job's files depend on.
+
+    The digests of its input files are cached until :func:`forget_files`.
+    """
     facts = [row.id, _with_contents(row.tables), row.outputs, row.exposure]
     return digest_of(code_version(), json.dumps(facts, sort_keys=True))[:24]
 
 
 def _with_contents(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the tables of a job with digests of files in place of their paths."""
+    """Return the tables of a job, with digests of files instead of their paths."""
     tables = dict(tables)
     tables["mesh"] = _mesh_facts(json.dumps(tables.get("mesh", {})))
     if isinstance(environment := tables.get("environment"), dict):
@@ -162,7 +172,7 @@ def _with_contents(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def forget_files() -> None:
-    """Forget the digests of files, which may have changed."""
+    """Clear the cached digests of files, which may have changed."""
     _mesh_facts.cache_clear()
     _mesh_content.cache_clear()
     _content.cache_clear()
@@ -170,7 +180,7 @@ def forget_files() -> None:
 
 @lru_cache(100_000)
 def _mesh_facts(table: str) -> str:
-    """Return the facts of a mesh table, with digests in place of paths."""
+    """Return a mesh table as JSON, with digests instead of paths."""
     mesh = json.loads(table)
     source = mesh.get("path") or str(data_dir("assets") / "head.glb")
     files = [_content(mesh.get(name) or "") for name in _FILES[1:]]
@@ -180,17 +190,17 @@ def _mesh_facts(table: str) -> str:
 
 @lru_cache(100_000)
 def _mesh_content(path: str) -> str:
-    """Return a digest of a mesh file and of the files that it names."""
+    """Return a digest of a mesh file and of the files that it references."""
     return digest_of(_content(path), *(_content(str(each)) for each in named_files(Path(path))))
 
 
 @lru_cache(100_000)
 def _content(path: str) -> str:
-    """Return a digest of a file, or its name if it cannot be read."""
+    """Return a digest of a file's content, or its path if the file cannot be read."""
     try:
         if os.path.isfile(path):
             with open(path, "rb") as file:
                 return hashlib.file_digest(file, "blake2b").hexdigest()[:32]
     except (OSError, ValueError):
-        pass  # the loader reports it
+        pass  # the loader reports the error
     return f"absent: {path}"

@@ -1,5 +1,4 @@
-"""Sends every chunk without a record to an engine, a few for each worker at a time, and collects
-the outcomes."""
+"""The coordinator of a batch: submits the chunks to draw to an engine and collects the outcomes."""
 
 from __future__ import annotations
 
@@ -14,17 +13,17 @@ from facerender.batch.supervisor import Outcome, draw_chunk
 from facerender.batch.work import Work, with_kept
 from facerender.errors import FacerenderError, warn
 
-_AHEAD = 2  # chunks that wait for each worker
-_TRIES = 3  # of a chunk whose supervisor was lost
+_AHEAD = 2  # queued chunks per worker
+_TRIES = 3  # attempts for a chunk whose supervisor was lost
 
 
 def run(work: Work, settings: Settings, engine: Engine, progress: Progress) -> int:
-    """Draw the chunks to do, and return the number of jobs that were drawn.
+    """Draw the remaining chunks, and return the number of drawn jobs.
 
     Raises
     ------
     CannotDraw : nothing can be drawn or written
-    FacerenderError : the scheduler has ended, or workers are lost again and again
+    FacerenderError : the scheduler has ended, or a chunk was lost _TRIES times
     """
     drawn, renderers = 0, set[str]()
     waiting = with_kept(work, Storage(settings.output))
@@ -61,10 +60,10 @@ def run(work: Work, settings: Settings, engine: Engine, progress: Progress) -> i
 
 
 def _check_renderer(outcome: Outcome, known: set[str]) -> None:
-    """Warn of an OpenGL driver that differs from the others'."""
+    """Warn if this worker's OpenGL driver differs from the drivers of other workers."""
     if outcome.renderer and known and outcome.renderer not in known:
         warn(
-            f"{outcome.worker} draws with {outcome.renderer}, others with {min(known)}: their "
-            "pixels may differ in the last digits"
+            f"{outcome.worker} draws with {outcome.renderer}, others with {min(known)}: pixels "
+            "may differ in the last digits"
         )
     known |= {outcome.renderer} - {""}

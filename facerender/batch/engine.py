@@ -1,4 +1,4 @@
-"""What carries chunks to supervisors: the threads of this process, or a Dask cluster."""
+"""Engines, which run the supervisors of chunks: threads of this process, or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from pathlib import Path
 from facerender.errors import FacerenderError, InputError
 from facerender.system.memory import available
 
-_WORKER_MIB = 700  # that a worker needs at least
-_SECONDS = 30  # to find a scheduler, and a worker of it
+_WORKER_MIB = 700  # least memory per worker
+_SECONDS = 30  # timeout for finding a scheduler, and for its first worker
 
 
 @dataclass(frozen=True)
 class Engine:
-    """What runs chunks.
+    """An executor of chunks.
 
     Attributes
     ----------
-    executor : to which they are submitted
-    slots : how many it runs at once
-    workers : how many of them in threads of this process; 0 where elsewhere
+    executor : runs the submitted chunks
+    slots : returns the number of chunks that run at the same time
+    workers : number of supervisor threads in this process; 0 on a cluster
     """
 
     executor: Executor
@@ -35,7 +35,7 @@ class Engine:
 
 @contextmanager
 def local(workers: int) -> Iterator[Engine]:
-    """Threads of this process, each with a worker of its own."""
+    """Yield an engine of `workers` threads in this process, each with its own worker process."""
     executor = ThreadPoolExecutor(workers)
     try:
         yield Engine(executor, lambda: workers, workers)
@@ -45,11 +45,11 @@ def local(workers: int) -> Iterator[Engine]:
 
 @contextmanager
 def dask(address: str) -> Iterator[Engine]:
-    """The workers of a Dask scheduler, however many come and go.
+    """Yield an engine on a Dask scheduler, whose workers may join and leave.
 
     Raises
     ------
-    InputError : no scheduler there, no worker, or dask.distributed is missing
+    InputError : there is no scheduler or no worker, or dask.distributed is missing
     """
     try:
         from distributed import Client
@@ -57,13 +57,13 @@ def dask(address: str) -> Iterator[Engine]:
         raise InputError(
             f"--scheduler {address} needs dask.distributed: pip install 'facerender[batch]'"
         ) from None
-    for name in [*logging.getLogger().manager.loggerDict]:  # what they say is said here
+    for name in [*logging.getLogger().manager.loggerDict]:  # errors are reported here
         if name.startswith("distributed"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         client = Client(address, timeout=_SECONDS)
     except (OSError, ValueError) as error:
-        raise InputError(f"no scheduler at {address} ({error}); start: dask scheduler") from None
+        raise InputError(f"no scheduler at {address} ({error}); run: dask scheduler") from None
 
     def slots() -> int:
         try:
@@ -76,9 +76,9 @@ def dask(address: str) -> Iterator[Engine]:
             client.wait_for_workers(1, timeout=_SECONDS)
         except TimeoutError:
             raise InputError(
-                f"the scheduler at {address} has no worker; start: dask worker {address}"
+                f"the scheduler at {address} has no worker; run: dask worker {address}"
             ) from None
-        # Impure: a chunk that Dask remembers as done may have been deleted.
+        # Not pure: Dask would reuse the result of a chunk whose files were deleted since.
         executor = client.get_executor(pure=False, retries=2)
         yield Engine(executor, slots, 0)
     finally:
@@ -86,22 +86,24 @@ def dask(address: str) -> Iterator[Engine]:
 
 
 def scheduler_gone() -> FacerenderError:
-    """What is raised when it ends before the batch."""
-    return FacerenderError("the scheduler is gone; start it, and run the same command again")
+    """Return the error for a scheduler that ended before the batch."""
+    return FacerenderError("the scheduler has ended: restart it, and run the same command again")
 
 
 def default_workers() -> tuple[int, str]:
-    """Return how many workers this machine is for, and why: one for each core that this process may
-    use, and each with the memory that it needs."""
+    """Return the default number of workers, and the reason as text.
+
+    It is one per core that this process may use, if there is enough memory for all of them.
+    """
     cores, memory = _cores(), available()
     fit = max(1, int(memory // _WORKER_MIB))
     if fit < cores:
-        return fit, f"{memory:.0f} MiB of free memory, {_WORKER_MIB} for each"
-    return cores, f"one for each of {cores} cores"
+        return fit, f"{memory:.0f} MiB of free memory, {_WORKER_MIB} MiB per worker"
+    return cores, f"one per core ({cores} cores)"
 
 
 def _cores() -> int:
-    """Cores that this process may use, by affinity and by the quota of its control group."""
+    """Return the number of cores that CPU affinity and the cgroup quota allow this process."""
     cores = float(len(os.sched_getaffinity(0)))
     try:
         quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()

@@ -1,5 +1,7 @@
-"""The folder of a batch besides data and records: batch.json, the tables of its jobs and of those
-that failed, cameras for readers of radiance fields; its status."""
+"""The output folder of a batch: lock, batch.json, tables of drawn and failed jobs, cameras, status.
+
+``records.py`` writes the data and the records of chunks.
+"""
 
 from __future__ import annotations
 
@@ -36,11 +38,11 @@ Table = Literal["jsonl", "parquet"]
 
 @contextmanager
 def locked(settings: Settings, about: Mapping[str, Any]) -> Iterator[Storage]:
-    """Lock the folder of a batch and write batch.json. An object store cannot be locked.
+    """Lock the output folder and write batch.json. An object store cannot be locked.
 
     Raises
     ------
-    InputError : another command writes there, or nothing can be written
+    InputError : another command writes to the folder, or it is not writable
     """
     storage = Storage(settings.output)
     with ExitStack() as held:
@@ -65,45 +67,44 @@ def locked(settings: Settings, about: Mapping[str, Any]) -> Iterator[Storage]:
 
 
 def status(output: str) -> dict[str, int]:
-    """Return the number of "jobs" of a batch, and of those that are "done", "failed" and "left".
+    """Return the number of "jobs" of a batch, and how many are "done", "failed" and "left".
 
     Raises
     ------
-    InputError : there is no batch
+    InputError : the output contains no batch
     """
     storage = Storage(output)
     try:
         jobs = int(json.loads(storage.get(ABOUT))["jobs"])
         heads = [read_head(storage, name) for name in record_names(storage)]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{output} holds no batch ({ABOUT}: {error!r}); give its folder") from None
+        raise InputError(f"{output} is not a batch ({ABOUT}: {error!r}); give its folder") from None
     done, failed = (sum(head[name] for head in heads) for name in ("done", "failed"))
     return {"jobs": jobs, "done": done, "failed": failed, "left": jobs - done - failed}
 
 
 def set_aside(storage: Storage, work: Work) -> None:
-    """Remove tables that will change, then move the records of changed jobs to another folder."""
+    """Remove tables that will change, then move the records of changed jobs to folder STALE."""
     for name in TABLES if work.todo or work.stale else ():
         storage.drop(name)
     for name in work.stale & record_names(storage):
         storage.rename(f"{RECORDS}/{name}.jsonl", f"{STALE}/{name}.jsonl")
     known = record_names(storage, STALE)
     for name in work.stale & record_names(storage, BEGUN):
-        if name in known:  # the record has more facts
+        if name in known:  # its record is already there and has more data
             storage.drop(f"{BEGUN}/{name}.jsonl")
         else:
             storage.rename(f"{BEGUN}/{name}.jsonl", f"{STALE}/{name}.jsonl")
 
 
 def finish(storage: Storage, table: Table, transforms: bool) -> None:
-    """Write the tables of a batch that is done, if they are missing, and remove files that no job
-    names.
+    """Write the missing tables of a finished batch, and remove files that no job uses.
 
     Parameters
     ----------
-    table : of the jobs that were drawn: jobs.jsonl, a record a line, or jobs.parquet; those that
-        failed are in failed.jsonl
-    transforms : whether transforms.json is written too
+    table : format of the table of drawn jobs, jobs.jsonl (one record per line) or jobs.parquet.
+        Failed jobs are always in failed.jsonl
+    transforms : whether to write transforms.json
     """
     wanted = f"jobs.{table}"
     if storage.has(wanted) and (storage.has("transforms.json") or not transforms):
@@ -114,7 +115,7 @@ def finish(storage: Storage, table: Table, transforms: bool) -> None:
             for record in records_of(storage, name):
                 (bad if "error" in record else good).write(json.dumps(record) + "\n")
     _drop_stale(storage, drawn)
-    for name in storage.names(BEGUN):  # its writer ended after the record
+    for name in storage.names(BEGUN):  # left by a worker that ended after the record was written
         storage.drop(f"{BEGUN}/{name}")
     if failed.stat().st_size:
         storage.move(failed, "failed.jsonl")
@@ -138,10 +139,10 @@ def _records(lines: Path) -> Iterator[Record]:
 
 
 def _drop_stale(storage: Storage, drawn: Path) -> None:
-    """Remove stale records, and the files that only they name."""
+    """Remove stale records, and the files that only stale records name."""
     if not (stale := storage.names(STALE)):
         return
-    named = array("q")  # hashes of paths: eight bytes each
+    named = array("q")  # hashes of paths: 8 bytes each
     for record in _records(drawn):
         named.extend(hash(about["path"]) for about in record["files"].values())
     current = np.sort(np.frombuffer(named, np.int64)) if named else np.empty(0, np.int64)
@@ -156,7 +157,7 @@ def _drop_stale(storage: Storage, drawn: Path) -> None:
 
 
 def _transforms(storage: Storage, drawn: Path) -> Path:
-    """Write the cameras of all jobs, as nerfstudio and instant-ngp read them."""
+    """Write all cameras to a temporary file in the format of nerfstudio and instant-ngp."""
     target = storage.unfinished()
     with target.open("w") as file:
         file.write('{"camera_model": "OPENCV", "frames": [')

@@ -1,4 +1,4 @@
-"""Readers of tables of jobs: .jsonl, .csv, .parquet, .toml and .py, one row after the other."""
+"""Readers of tables of jobs: .jsonl, .csv, .parquet, .toml and .py; rows are read one at a time."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from facerender.errors import FacerenderError, InputError, clipped, reason, show
 from facerender.job import MESH_PATHS
 from facerender.system.files import read_file, tables_of
 
-# A row, or what is wrong with it, and the line where it ends in a file that has lines of rows.
+# The line where a row ends, None if the format has no lines; and the row or its error.
 Found = tuple[int | None, Table | InputError]
 
 _LONGEST_LINE = 2**20
-_MOST_TOML = 2**26  # bytes
+_MOST_TOML = 2**26  # Bytes.
 _NUMBER = re.compile(r"[+-]?([0-9]+|[0-9]+\.[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _WORDS = {"true": True, "false": False, "null": None}
-_TEXT = {  # columns of a .csv file that hold text whatever it looks like
+_TEXT = {  # Columns of a .csv file whose cells are always text, even if they look like numbers.
     *(
         "id",
         "outputs",
@@ -44,11 +44,11 @@ _TEXT = {  # columns of a .csv file that hold text whatever it looks like
 
 
 def found_rows(path: str | os.PathLike[str]) -> Iterator[Found]:
-    """Yield the rows of a table by the kind of its file, as :func:`nested` returns them.
+    """Yield the rows of a table as :func:`nested` returns them; the suffix selects the format.
 
     Raises
     ------
-    InputError : the file cannot be read, or not from here on
+    InputError : the file, or the rest of it, cannot be read
     """
     file = Path(path)
     try:
@@ -58,7 +58,7 @@ def found_rows(path: str | os.PathLike[str]) -> Iterator[Found]:
         raise InputError(f"{file}: unknown kind of table {file.suffix!r}; give {known}") from None
     try:
         if file.exists() and not (file.is_file() or file.is_dir()):
-            raise InputError(f"{file} is no regular file; give a table")
+            raise InputError(f"{file} is not a regular file; give a table")
         yield from read(file)
     except OSError as error:
         raise InputError(f"cannot read {file}: {reason(error)}") from None
@@ -72,11 +72,11 @@ def _nested(row: Any) -> Table | InputError:
 
 
 def _lines(path: Path) -> Generator[str, None, None]:
-    """Yield the lines of a file of text.
+    """Yield the lines of a text file.
 
     Raises
     ------
-    InputError : a line that is not UTF-8, or longer than a row can be
+    InputError : a line is not UTF-8, or longer than _LONGEST_LINE bytes
     """
     with path.open("rb") as file:
         number = 0
@@ -84,8 +84,8 @@ def _lines(path: Path) -> Generator[str, None, None]:
             number += 1
             if len(line) > _LONGEST_LINE:
                 raise InputError(
-                    f"{path.name}, line {number} has more than {_LONGEST_LINE} bytes: give a row "
-                    "a line"
+                    f"{path.name}, line {number} has more than {_LONGEST_LINE} bytes: give one "
+                    "row per line"
                 )
             try:
                 yield line.decode("utf-8-sig" if number == 1 else "utf-8")
@@ -102,7 +102,7 @@ def _jsonl(path: Path) -> Iterator[Found]:
             try:
                 row = _JSON.decode(line.strip())
             except (ValueError, RecursionError) as error:
-                yield number, InputError(f"no JSON: {_why(error)}; give an object a line")
+                yield number, InputError(f"not JSON: {_why(error)}; give one object per line")
             else:
                 yield number, _nested(row)
 
@@ -121,7 +121,7 @@ def _object(pairs: list[tuple[str, Any]]) -> Table:
 
 
 def _twice(names: Sequence[str]) -> str:
-    """Return the first name that is there more than once."""
+    """Return the first name that occurs more than once."""
     counts = Counter(names)
     return next(name for name in names if counts[name] > 1)
 
@@ -152,8 +152,8 @@ def _csv_row(
 ) -> Table | InputError:
     if len(cells) != len(names):
         return InputError(
-            f"{len(cells)} cells under {len(names)} columns: give as many, and quote cells with "
-            "commas"
+            f"{len(cells)} cells in a table of {len(names)} columns: give one cell per column, and "
+            "quote cells with commas"
         )
     try:
         each = zip(names, readers, cells, strict=True)
@@ -195,7 +195,7 @@ def _parquet(path: Path) -> Iterator[Found]:
             if isinstance(error, InputError):
                 raise
             raise InputError(
-                f"{path.name} is not Parquet that can be read: {clipped(str(error))}"
+                f"{path.name} is not a readable Parquet file: {clipped(str(error))}"
             ) from None
 
 
@@ -204,7 +204,7 @@ def read_toml(path: Path) -> Table:
 
     Raises
     ------
-    InputError : it cannot be read, or is not TOML
+    InputError : the file cannot be read, or is not TOML
     """
     return tables_of(read_file(path, "tables as TOML", _MOST_TOML), path.name)
 
@@ -220,7 +220,7 @@ def _toml(path: Path) -> Iterator[Found]:
 
 
 def _py(path: Path) -> Iterator[Found]:
-    path.open("rb").close()  # an error of its own where it cannot be read
+    path.open("rb").close()  # An unreadable file is no error of the user's program.
 
     def running(step: Callable[[], Any]) -> Any:
         try:
@@ -238,7 +238,7 @@ def _py(path: Path) -> Iterator[Found]:
 
 
 def _where(path: Path, error: BaseException) -> str:
-    """Tell an error of a user's program in one line, with the last line of it that was run."""
+    """Describe an error of a user's program in one line, with the number of its line there."""
     lines = [
         frame.lineno
         for frame in traceback.extract_tb(error.__traceback__)

@@ -1,5 +1,7 @@
-"""Rows of a .toml file: its common tables, a list of jobs, the grid of its axes' values, random
-values. Rows are made one after the other."""
+"""Rows of a .toml file: common tables, a list of jobs, a grid of axes, and random values.
+
+Rows are generated one at a time.
+"""
 
 from __future__ import annotations
 
@@ -18,19 +20,19 @@ from facerender.errors import InputError, shown
 
 MOST_ROWS = 10**9
 _MOST_AXES = 100
-_BLOCK = 1024  # rows whose random numbers are made at once
+_BLOCK = 1024  # rows whose random numbers are generated together
 
 
 def grid_rows(tables: Table) -> Iterator[Table]:
-    """Yield the rows of a file's tables, those of a mesh side by side.
+    """Yield the rows of a file's tables; rows of one mesh are neighbours.
 
-    For each mesh of the grid, each of ``jobs``, each combination of the other axes, the last one
-    fastest, as many rows as ``random`` counts. What a row has itself wins: random over grid over
-    jobs over what is common.
+    The loops are, from the outermost: meshes of the grid, ``jobs``, other axes (the last changes
+    fastest), and ``random.count`` repetitions. If several tables define a key, random wins over
+    grid, grid over jobs, and jobs over the common tables.
 
     Raises
     ------
-    InputError : an axis or a range that is none, more than MOST_ROWS rows
+    InputError : an axis, range or distribution is invalid, or there are more than MOST_ROWS rows
     """
     tables = dict(tables)
     grid, chance = (tables.pop(key, {}) for key in ("grid", "random"))
@@ -51,7 +53,7 @@ def grid_rows(tables: Table) -> Iterator[Table]:
     keys = [*(axis.key for axis in axes), *(key for key, _ in random)]
     keys = ["mesh.path" if key == "mesh" else key for key in keys]
     if twice := [key for key in keys if keys.count(key) > 1]:
-        raise InputError(f"{twice[0]} is given twice in grid and random: leave one out")
+        raise InputError(f"{twice[0]} is given twice in grid and random: remove one")
     rows = len(jobs) * count * math.prod(axis.count for axis in axes)
     if rows > MOST_ROWS:
         raise InputError(
@@ -74,7 +76,7 @@ def grid_rows(tables: Table) -> Iterator[Table]:
 
 @dataclass(frozen=True, eq=False)
 class _Axis:
-    """The values of a key, each as a row that has nothing else."""
+    """An axis of the grid: `row` returns its n-th value as a row with only this key."""
 
     key: str
     count: int
@@ -92,7 +94,10 @@ def _spread(base: Table, axes: Sequence[_Axis]) -> Iterator[Table]:
 def _leaves(
     table: Mapping[str, Any], name: str, whole: Callable[[Any], bool]
 ) -> Iterator[tuple[str, Any]]:
-    """Yield the values of a table by dotted keys, whether its own were quoted or not."""
+    """Yield the values of nested tables with their dotted keys; keys may contain dots themselves.
+
+    A table for which `whole` returns true is a value.
+    """
     for key, value in table.items():
         if isinstance(value, Mapping) and value and not whole(value):
             for rest, leaf in _leaves(value, f"{name}.{key}", whole):
@@ -150,12 +155,12 @@ def _axis(key: str, value: Any) -> _Axis:
 
 
 def _random(key: str, how: Any, seed: int) -> Callable[[int], Table]:
-    """Return a function from a row's number to a random value, as a row that has nothing else: a
-    function of the seed, the key and the row's number alone.
+    """Return a function from a row number to a random value, as a row with only this key.
 
-    The numbers are those of Philox, a generator of which every block of four words is a function
-    of its key and a counter: the counter is the row's number, the key the seed and a digest of the
-    dotted key, so that another key in the table leaves this one's values as they are.
+    The value depends only on the seed, the key and the row number. It comes from Philox, a
+    counter-based generator: every block of four words depends only on a key and a counter. The
+    counter is the row number. The generator's key consists of the seed and a digest of the dotted
+    key, so that other keys of the table do not change these values.
 
     References: Salmon et al. (2011), "Parallel random numbers: as easy as 1, 2, 3".
     """
@@ -188,7 +193,7 @@ def _random(key: str, how: Any, seed: int) -> Callable[[int], Table]:
         first, second = words(number // _BLOCK)[number % _BLOCK]
         u, v = (first >> 11) * 2.0**-53, (second >> 11) * 2.0**-53
         value = _DISTRIBUTIONS[kind](ends[0], ends[1], u, v)
-        # 12 digits, on which the exp and log of two machines agree.
+        # The exp and log of two machines agree on 12 digits.
         row: Table = placed(keys, min(max(float(f"{value:.12g}"), low), high))
         return row
 
@@ -196,11 +201,11 @@ def _random(key: str, how: Any, seed: int) -> Callable[[int], Table]:
 
 
 def _normal(mean: float, sigma: float, u: float, v: float) -> float:
-    """Return a normally distributed number by Box and Muller (1958)."""
+    """Return a normally distributed number (Box and Muller, 1958); u and v are in [0, 1)."""
     return mean + sigma * math.sqrt(-2.0 * math.log(1.0 - u)) * math.cos(2.0 * math.pi * v)
 
 
-# From two ends, or mean and deviation, and two uniform numbers in [0, 1).
+# Arguments: both ends, or mean and standard deviation; then two uniform numbers in [0, 1).
 _DISTRIBUTIONS: dict[str, Callable[[float, float, float, float], float]] = {
     "uniform": lambda low, high, u, _: (1.0 - u) * low + u * high,
     "log_uniform": lambda low, high, u, _: math.exp((1.0 - u) * math.log(low) + u * math.log(high)),

@@ -1,5 +1,7 @@
-"""Jobs of a batch: the rows of a table, read one after the other and checked. ``formats.py`` reads
-the files. No OpenGL here."""
+"""Jobs of a batch: reads the rows of a table one at a time and checks them.
+
+``formats.py`` parses the files. This module does not use OpenGL.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,7 @@ from facerender.terms.ranges import EXPOSURES, ranges_of
 
 OUTPUTS: tuple[str, ...] = ("image", *ONLY, "layers")
 TABLES = ("mesh", *(key for key in KEYS if key != "cameras"), "image")
-OWN = ("id", "outputs", "exposure", "scene")  # keys of a row beside the tables of a job
+OWN = ("id", "outputs", "exposure", "scene")  # Other keys of a row.
 TABLE_KINDS: dict[str, Any] = {
     "mesh": MeshFile,
     "camera": Camera,
@@ -40,14 +42,14 @@ TABLE_KINDS: dict[str, Any] = {
     "planned": Planned,
     "image": ImageSettings,
 }
-_TOGETHER = ("m", "second_slope", "lobe_weight")  # numbers of a material that limit each other
+_TOGETHER = ("m", "second_slope", "lobe_weight")  # Material values that limit each other.
 ID = "[A-Za-z0-9_-][A-Za-z0-9._-]{0,127}"
 
 _ID = re.compile(ID)
 _SPEC = re.compile(r"[+-]?0?[0-9]{0,2}(\.[0-9]{1,2})?[defgs]?")
-_LONGEST_FAULT = 400  # characters
-_MOST_GOOD = 4096  # digests of tables that passed the checks
-_MOST_TWICE = 10_000  # duplicate ids whose rows are described
+_LONGEST_FAULT = 400  # Characters of a message.
+_MOST_GOOD = 4096  # Cached hashes of tables that passed the checks.
+_MOST_TWICE = 10_000  # Duplicate ids that are described.
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +58,13 @@ class Row:
 
     Parameters
     ----------
-    number : its place in the table, from 0
-    id : names the job's files: letters, digits, . _ -, not . first, at most 128
-    tables : as :meth:`facerender.Job.from_dict` reads them: plain nested data, absolute paths;
-        beside an environment no lights and no ambient light where none are given. Rows share parts
-        of it: do not change it
-    outputs : names of OUTPUTS
-    exposure : of 8-bit images, in stops
+    number : index of the row in the table, from 0
+    id : name of the job's files: 1 to 128 letters, digits, ".", "_" and "-"; no "." at the start
+    tables : nested plain data for :meth:`facerender.Job.from_dict`, with absolute paths. With an
+        environment map, lights and ambient light default to none. Rows share parts of their
+        tables: do not modify them
+    outputs : names from OUTPUTS
+    exposure : exposure of the 8-bit images, in stops
     """
 
     number: int
@@ -73,21 +75,22 @@ class Row:
 
 
 class JobTable:
-    """The rows of a table of jobs, checked as they are read. An iteration yields the good rows
-    before the first bad one, and reads all of them.
+    """A table of jobs, whose rows are checked as they are read.
+
+    An iteration reads all rows. It yields the valid rows until the first invalid one.
 
     Parameters
     ----------
     path : .jsonl, .csv, .parquet, .toml or .py
-    common : values of rows that do not have their own; keys as of a row
-    most : number of bad rows that are described
+    common : default values for all rows, with the keys of a row
+    most : maximum number of invalid rows to describe
 
     Attributes
     ----------
-    rows : number of rows, with the bad ones
-    meshes : number of different mesh files of the good rows, the built-in head being one
-    faults : a line for each of the first bad rows
-    more : number of bad rows beyond these
+    rows : number of rows, including invalid ones
+    meshes : number of different mesh files in the valid rows; the built-in head counts as one
+    faults : one message for each of the first `most` invalid rows
+    more : number of further invalid rows
     """
 
     def __init__(
@@ -98,9 +101,9 @@ class JobTable:
         self.faults: list[str] = []
 
     def __iter__(self) -> Iterator[Row]:
-        """Yield the good rows; InputError for a file that cannot be read, or that has no rows."""
+        """Yield valid rows; raise InputError if the file cannot be read or has no rows."""
         meshes, good = set[int](), set[int]()
-        ids = array("q")  # hashes: eight bytes a row
+        ids = array("q")  # Hashes: 8 bytes per row.
         bad = 0
         for position, row in _rows(self._path, self._common):
             self.rows += 1
@@ -127,14 +130,16 @@ class JobTable:
         self.more = bad + len(twice) - len(self.faults)
 
     def check(self) -> JobTable:
-        """Read all rows, and return the table."""
+        """Read and check all rows, and return the table."""
         for _ in self:
             pass
         return self
 
     def _duplicates(self, hashes: set[int]) -> list[str]:
-        """Describe rows whose id another row has. The table is read a second time for this, so that
-        the ids of good tables need not be kept."""
+        """Describe the rows that repeat the id of an earlier row.
+
+        This reads the table a second time, so that a valid table never needs its ids in memory.
+        """
         first: dict[str, int] = {}
         faults: list[str] = []
         for position, row in _rows(self._path, self._common):
@@ -142,7 +147,7 @@ class JobTable:
                 if row.id in first:
                     other = first[row.id] + 1
                     faults.append(
-                        f"{position}: id = {row.id!r} is that of row {other}: give another"
+                        f"{position}: id = {row.id!r} is used by row {other}: give another"
                     )
                     if len(self.faults) + len(faults) == self._most:
                         break
@@ -153,7 +158,7 @@ class JobTable:
 def _rows(
     path: str | os.PathLike[str], common: Mapping[str, Any]
 ) -> Iterator[tuple[str, Row | InputError]]:
-    """Yield rows, or the errors of bad ones, each with its position for messages."""
+    """Yield each row, or the error of an invalid row, with its position for messages."""
     name = PurePath(path).name
     own, folder = nested(common), os.getcwd()
     base = _over_scene(own, own.pop("scene", None), folder)
@@ -176,7 +181,7 @@ def _rows(
 
 
 def _over_scene(tables: Table, scene: Any, folder: str) -> Table:
-    """Return tables over those of a scene file, if one is named."""
+    """Return tables merged over the tables of a scene file, if there is one."""
     if scene is None:
         return tables
     check_path("scene", scene)
@@ -198,7 +203,7 @@ def _row(number: int, values: Table, folder: str) -> Row:
             if name in mesh
         }
         tables["mesh"] = {**mesh, **paths}
-    if "environment" in tables:  # instead of other light, as in facerender render
+    if "environment" in tables:  # Replaces the default lights, as in facerender render.
         tables = {"lights": [], "ambient": 0.0, **tables}
     environment = tables.get("environment")
     if type(environment) is dict and environment.get("file", STUDIO) != STUDIO:
@@ -217,13 +222,18 @@ def _row(number: int, values: Table, folder: str) -> Row:
 
 @lru_cache(64)
 def _scene_tables(path: str, folder: str) -> Table:
-    """Return the tables of a scene file, such as `facerender plan` writes; `folder` is the current
-    one."""
+    """Return the tables of a scene file, such as `facerender plan` writes.
+
+    The working directory, `folder`, is part of the cache key because `path` may be relative.
+    """
     return nested(read_toml(Path(path)))
 
 
 def _absolute(path: Any, name: str, folder: str) -> Any:
-    """Return a path that a worker elsewhere understands; from_dict refuses what is not text."""
+    """Return an absolute path for workers with another working directory.
+
+    A value that is not text is returned unchanged: `Job.from_dict` rejects it.
+    """
     return _absolute_text(path, name, folder) if isinstance(path, str) else path
 
 
@@ -233,7 +243,7 @@ def _absolute_text(path: str, name: str, folder: str) -> str:
         if not path or "\0" in os.fsencode(path).decode(errors="replace"):
             raise ValueError
     except ValueError:
-        raise InputError(f"{name} = {shown(path)} is no path: give another") from None
+        raise InputError(f"{name} = {shown(path)} is not a path: give another") from None
     return path if "://" in path else os.path.normpath(os.path.join(folder, path))
 
 
@@ -249,7 +259,7 @@ def _outputs(value: Any) -> tuple[str, ...]:
 
 
 def file_name(output: str) -> str:
-    """Return the name of the file of an output."""
+    """Return the file name of an output."""
     return "layers.exr" if output == "layers" else f"{output}.png"
 
 
@@ -269,7 +279,7 @@ def _id(template: Any, number: int, tables: Table) -> str:
         try:
             parts = _parts(template)
         except ValueError as error:
-            raise InputError(f"id = {shown(template)} is no template: {error}") from None
+            raise InputError(f"id = {shown(template)} is not a template: {error}") from None
         text = "".join([_part(template, *part, number, tables) for part in parts])
     elif type(template) is int:
         text = str(template)
@@ -282,11 +292,11 @@ def _id(template: Any, number: int, tables: Table) -> str:
 
 @lru_cache(256)
 def _parts(template: str) -> list[tuple[str, str, str]]:
-    """Return literal text, the name behind it, and its format.
+    """Split a template into triples: literal text, the name that follows it, and its format.
 
     Raises
     ------
-    ValueError : something else than {NAME} or {NAME:FORMAT}
+    ValueError : a field is neither {NAME} nor {NAME:FORMAT}
     """
     parts = []
     for literal, name, spec, conversion in string.Formatter().parse(template):
@@ -311,7 +321,7 @@ def _part(template: str, literal: str, name: str, spec: str, number: int, tables
                 value = value[int(key) if isinstance(value, list) else key]
             except (LookupError, TypeError, ValueError):
                 raise InputError(
-                    f"id = {shown(template)} names {name}, which the row does not give"
+                    f"id = {shown(template)} uses {name}, which the row does not define"
                 ) from None
     if isinstance(value, bool):
         value = str(value).lower()
@@ -321,7 +331,7 @@ def _part(template: str, literal: str, name: str, spec: str, number: int, tables
         text = format(value, spec)
     except (TypeError, ValueError):
         raise InputError(
-            f"id = {shown(template)}: {name} = {shown(value)} cannot be written as {spec!r}"
+            f"id = {shown(template)}: {name} = {shown(value)} cannot be formatted as {spec!r}"
         ) from None
     return literal + re.sub("[^A-Za-z0-9._-]", "_", text.replace("+", ""))
 
@@ -330,12 +340,13 @@ def _part(template: str, literal: str, name: str, spec: str, number: int, tables
 
 
 def _check(row: Row, position: str, good: set[int]) -> None:
-    """Check the tables of a row as :meth:`facerender.Job.from_dict` does, except those whose hashes
-    are in `good`, and add theirs.
+    """Check the tables of a row as :meth:`facerender.Job.from_dict` does.
+
+    Tables whose hashes are in `good` are skipped; the hashes of valid tables are added to it.
 
     Raises
     ------
-    InputError : a value outside its range, a shading that names a light that the row does not have
+    InputError : a value is outside its range, or the shading names a light that the row lacks
     """
     try:
         for key, value in row.tables.items():
@@ -353,13 +364,16 @@ def _check(row: Row, position: str, good: set[int]) -> None:
                 good.add(name)
     except InputError as error:
         raise InputError(f"{position}: {error}") from None
-    except (TypeError, ValueError, ArithmeticError) as error:  # of a type that no check expects
+    except (TypeError, ValueError, ArithmeticError) as error:  # A type that no check expects.
         raise InputError(f"{position}: {shown(row.tables)} cannot be used: {error}") from None
 
 
 def _without_valid(key: str, table: Any) -> Any:
-    """Return a table without the numbers that are in their range, most of which differ from row to
-    row: 31 us instead of 92 for a row with a camera, a material and two lights."""
+    """Return a table without the numbers that are within their ranges.
+
+    Such numbers mostly differ between rows: without them, more tables have equal hashes. A check
+    then takes 31 us instead of 92 us for a row with a camera, a material and two lights.
+    """
     if type(table) is not dict or key not in TABLE_KINDS or "extrinsics" in table:
         return table
     ranges = ranges_of(TABLE_KINDS[key])

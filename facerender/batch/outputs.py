@@ -1,5 +1,7 @@
-"""Outputs of a job: from its plain data to the bytes of its files and the facts of its record, with
-the camera. No OpenGL here: a renderer is a parameter."""
+"""Outputs of a job: the content of its files, and the data of its record, including the camera.
+
+The renderer is a parameter: this module does not use OpenGL itself.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +26,10 @@ from facerender.scenes.view import View, view_of
 if TYPE_CHECKING:
     from facerender.drawing.renderer import Renderer
 
-# Each a drawing of its own; the others are one drawing together.
+# Each of these takes one draw; all other outputs come from one G-buffer.
 _SHADED: dict[str, Only | None] = {"image": None, "specular": "specular", "diffuse": "diffuse"}
-# What layers.exr calls the numbers of a pass. The last letter tells a compositing program how to
-# show them: Y is grey; mask.A is Nuke's own layer.
+# Channel names in layers.exr. The last letter selects how compositing programs show a channel: Y is
+# grey. mask.A is the name of Nuke's own mask layer.
 _CHANNELS = {
     "image": ("R", "G", "B", "A"),
     "specular": ("specular.R", "specular.G", "specular.B"),
@@ -40,20 +42,20 @@ _CHANNELS = {
     "mask": ("mask.A",),
     "parts": ("part.Y",),
 }
-_MOST = 65535  # in 16 bits
+_MOST = 65535  # Largest 16-bit value.
 
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """The files of a job.
+    """The drawn files of a job.
 
     Attributes
     ----------
     files : content by file name, such as "image.png"
-    facts : plain data for a record: "facerender", "GL_RENDERER", "GL_VERSION", and "camera" as of
-        :func:`camera_facts`; with the pass depth "depth_scale", the mesh's units per value; with
-        parts or layers "parts", their number; for a planned scene "planned", whether it was planned
-        for images of this size and these samples, and was drawn as planned
+    facts : plain data for the record: "facerender", "GL_RENDERER", "GL_VERSION", and "camera" from
+        :func:`camera_facts`. With output depth, "depth_scale": mesh units per pixel value. With
+        output parts or layers, "parts": the number of parts. For a planned scene, "planned":
+        whether the plan covers this size and number of samples, and was therefore applied
     """
 
     files: dict[str, bytes]
@@ -63,22 +65,22 @@ class Drawn:
 def draw(
     job: Job, mesh: Mesh, renderer: Renderer, outputs: Sequence[str], exposure: float
 ) -> Drawn:
-    """Draw outputs of a job; docs/outputs.md describes their files.
+    """Draw the outputs of a job; docs/batch.md describes their files.
 
-    The image, the specular and the diffuse term are drawn once each, and all data once together,
-    for any number of outputs. With one OpenGL driver the same job gives the same bytes.
+    The image, the specular term and the diffuse term take one draw each; all other outputs share
+    one draw. On the same OpenGL driver, the same job gives the same bytes.
 
     Parameters
     ----------
     mesh : the result of ``job.mesh.load()``
     renderer : made for the job's image settings
-    outputs : names of OUTPUTS
-    exposure : of image, specular and diffuse as PNG, in stops
+    outputs : names from OUTPUTS
+    exposure : exposure of the PNG files image, specular and diffuse, in stops
 
     Raises
     ------
-    InputError : as of :func:`check_outputs`, :meth:`facerender.Job.scene` and
-        :meth:`facerender.Renderer.render`; more parts than parts.png can number; layers.exr without
+    InputError : an error of :func:`check_outputs`, :meth:`facerender.Job.scene` or
+        :meth:`facerender.Renderer.render`; more than 65535 parts for parts.png; layers.exr without
         OpenEXR
     """
     check_outputs(outputs)
@@ -86,8 +88,8 @@ def draw(
         openexr("layers.exr")
     if "parts" in outputs and len(mesh.parts) > _MOST:
         raise InputError(
-            f"{mesh.name} has {len(mesh.parts)} parts, and parts.png numbers {_MOST}: ask for "
-            "layers in place of parts"
+            f"{mesh.name} has {len(mesh.parts)} parts, but parts.png holds at most {_MOST}: use "
+            "the output layers instead of parts"
         )
     detail = job.detail(renderer.samples)
     facts: dict[str, Any] = {
@@ -95,7 +97,8 @@ def draw(
     }
     if job.planned:
         facts["planned"] = job.planned.holds(renderer.size, renderer.samples)
-    # Before the material is set, which makes another mesh: a simplified mesh serves all jobs.
+    # Simplify before job.scene() replaces the mesh by one with the job's material: the simplified
+    # mesh is cached for its original, and all jobs share it.
     drawn = mesh if detail.triangles is None else simplified(mesh, detail.triangles)
     scene = job.scene(drawn)
     view = view_of(scene, renderer.size[0] / renderer.size[1])
@@ -119,7 +122,7 @@ def draw(
 def _frames(
     job: Job, scene: Scene, detail: LevelOfDetail, renderer: Renderer, outputs: Sequence[str]
 ) -> dict[str, Frame]:
-    """Return the frames that outputs need, by name."""
+    """Return the frames that the outputs need, by name."""
     values = replace(detail, samples=min(detail.samples, renderer.samples)).values
     frames = {
         name: renderer.render(scene, job.shading, only, **values)
@@ -137,7 +140,7 @@ def _frames(
 
 
 def _pixels(frame: Frame, name: str, exposure: float, depth_scale: float) -> NDArray[Any]:
-    """Return the values of a PNG."""
+    """Return the pixel values of a PNG file."""
     if name == "mask":
         return np.uint8(255) * (frame.linear[..., 0] > 0.0)
     if name == "parts":
@@ -149,14 +152,16 @@ def _pixels(frame: Frame, name: str, exposure: float, depth_scale: float) -> NDA
 
 
 def camera_facts(view: View, mesh: Mesh, size: tuple[int, int]) -> dict[str, Any]:
-    """Return a camera as plain data, lengths in the mesh's units.
+    """Return a camera as plain data; lengths are in mesh units.
 
     Returns
     -------
-    "width", "height"; "K", 3 x 3, and "Rt", 3 x 4, as of :meth:`View.intrinsics` and
-    :meth:`View.extrinsics`, which are OpenCV's (x right, y down, z forward; from the mesh's space);
-    "transform_matrix", 4 x 4, to the mesh's space from a camera as of OpenGL and NeRF (x right,
-    y up, z backward)
+    "width", "height" : image size in pixels
+    "K" : 3 x 3 intrinsic matrix from :meth:`View.intrinsics`
+    "Rt" : 3 x 4 matrix from :meth:`View.extrinsics`: from mesh space to OpenCV's camera space
+        (x right, y down, z forward)
+    "transform_matrix" : 4 x 4 matrix from the camera space of OpenGL and NeRF (x right, y up,
+        z backward) to mesh space
     """
     pose = view.extrinsics(mesh)
     turn = pose[:, :3].T
@@ -173,12 +178,12 @@ def camera_facts(view: View, mesh: Mesh, size: tuple[int, int]) -> dict[str, Any
 
 
 def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any]:
-    """Return an entry of "frames" in a transforms.json, as nerfstudio and instant-ngp read it.
+    """Return an entry of "frames" in a transforms.json for nerfstudio and instant-ngp.
 
     Parameters
     ----------
-    camera : what :func:`camera_facts` gave
-    file_path : of the image, relative to the folder of transforms.json
+    camera : the result of :func:`camera_facts`
+    file_path : path of the image, relative to the folder of transforms.json
     """
     (fx, _, cx), (_, fy, cy), _ = camera["K"]
     return {
@@ -194,15 +199,17 @@ def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any
 
 
 def _depth_scale(view: View, mesh: Mesh) -> float:
-    """Units of a mesh in a step of 16 bits: the farthest depth that it can have, which is that of
-    its bounding sphere, is the last step. Cameras as far away as each other share it, whatever they
-    see, on every driver."""
+    """Return the mesh units per step of a 16-bit depth value.
+
+    The largest value stands for the far side of the bounding sphere. The scale depends only on the
+    camera's distance, not on the visible surface or the driver.
+    """
     farthest = 1.0 - float(view.position @ view.forward)
-    return max(farthest, 0.0) * mesh.radius / _MOST or 1.0  # where all is behind the camera
+    return max(farthest, 0.0) * mesh.radius / _MOST or 1.0  # 1 if the mesh is behind the camera
 
 
 def _layers(frames: Mapping[str, Frame]) -> dict[str, NDArray[Any]]:
-    """The channels of layers.exr: every pass as float32."""
+    """Return the channels of layers.exr: every pass as float32."""
     return {
         channel: frames[name].linear[..., index]
         for name, channels in _CHANNELS.items()

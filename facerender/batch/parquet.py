@@ -1,4 +1,4 @@
-"""A table of records as Parquet: a column for each value, however deep it lies, named with dots."""
+"""Parquet tables of records: one column per value; nested values have dotted names."""
 
 from __future__ import annotations
 
@@ -15,18 +15,20 @@ _NUMBERS = {"int", "float"}
 
 
 def check_parquet() -> None:
-    """Raise InputError where pyarrow is missing."""
+    """Raise InputError if pyarrow is missing."""
     try:
         import pyarrow  # noqa: F401
     except ImportError:
         raise InputError(
-            "jobs.parquet needs pyarrow: pip install 'facerender[batch]', or say --table jsonl"
+            "jobs.parquet needs pyarrow: pip install 'facerender[batch]', or use --table jsonl"
         ) from None
 
 
 def write_parquet(lines: Path, target: Path) -> None:
-    """Write records, a line of JSON each, as a Parquet file. A column of several kinds of values,
-    or of lists of tables, holds JSON."""
+    """Convert a file of records, one JSON object per line, to a Parquet file.
+
+    A column with values of different kinds, or with lists of tables, contains JSON text.
+    """
     import pyarrow as pa
     from pyarrow.parquet import ParquetWriter
 
@@ -66,7 +68,7 @@ def _flat(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
 
 
 def _kinds(lines: Path) -> dict[str, str]:
-    """Of each column the kind of its values."""
+    """Return the kind of values in each column."""
     kinds: dict[str, str] = {}
     for row in _rows(lines):
         for name, value in row.items():

@@ -1,4 +1,4 @@
-"""Progress of a batch: bars on standard error, lines of JSON on standard output."""
+"""Progress of a batch: bars on standard error, JSON lines on standard output."""
 
 from __future__ import annotations
 
@@ -15,19 +15,21 @@ from facerender.batch.work import Work
 from facerender.system.progress import shows_bars
 from facerender.system.signals import if_ended
 
-_FRAME = 0.2  # seconds between those that are drawn
+_FRAME = 0.2  # seconds between two updates of a bar
 
 
 class Progress(ExitStack):
-    """Bars on a terminal: jobs done, rate, time left and failures, and the step of each worker.
-    When a signal ends the process, the number of jobs done is printed.
+    """Progress bars on a terminal, and optional JSON lines.
+
+    The bars show jobs done, rate, time left and failures, and the current step of each worker. If
+    a signal ends the process, the number of finished jobs is printed.
 
     Parameters
     ----------
-    work : the jobs of the batch, and those that are left
+    work : the work of the batch
     workers : number of workers of this process, which report every step; 0 for a cluster
-    lines : whether to print a line of JSON for each chunk and each failed job
-    quiet : no bars
+    lines : whether to print a JSON line for each chunk and each failed job
+    quiet : whether to hide the bars
     """
 
     def __init__(self, work: Work, workers: int, lines: bool, quiet: bool = False) -> None:
@@ -45,13 +47,13 @@ class Progress(ExitStack):
         self._free = [tqdm(bar_format="{desc}", position=each, leave=False) for each in positions]
         for bar in (self._bar, *self._free):
             self.callback(bar.close)
-        self._of: dict[int, tqdm[Any]] = {}  # by the supervisor's thread
+        self._of: dict[int, tqdm[Any]] = {}  # by thread ID of the supervisor
         self._workers, self._lines, self._failed = workers, lines, 0
         self._jobs, self._done = work.jobs, work.jobs - work.left
         self.enter_context(if_ended(self._ended))
 
     def report(self, worker: str, step: str, job: str) -> None:
-        """Show a step of a worker of this process; called in its supervisor's thread."""
+        """Show the step of a worker of this process. The supervisor's thread calls this."""
         if step in ("done", "kept", "failed"):
             self._bar.update()
         thread = threading.get_ident()
@@ -61,7 +63,7 @@ class Progress(ExitStack):
             self._of[thread].set_description_str(f"{worker}  {step} {job}")
 
     def finished(self, outcome: Outcome) -> None:
-        """Show a chunk that is done."""
+        """Show a finished chunk."""
         jobs = outcome.drawn + outcome.kept + len(outcome.failed)
         self._done += jobs
         if not self._workers:
@@ -83,7 +85,7 @@ class Progress(ExitStack):
         )
 
     def say(self, event: str, **facts: Any) -> None:
-        """Print a line of JSON, if wanted."""
+        """Print a JSON line if `lines` is set."""
         if not self._lines:
             return
         try:
@@ -92,4 +94,4 @@ class Progress(ExitStack):
             self._lines = False
 
     def _ended(self) -> str:
-        return f"{self._done} of {self._jobs} jobs are done; the same command goes on"
+        return f"{self._done} of {self._jobs} jobs are done; run the same command to resume"

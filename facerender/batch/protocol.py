@@ -1,4 +1,4 @@
-"""Messages between a supervisor and its worker, the process that draws."""
+"""Messages between a supervisor and its worker process, which draws the jobs."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from facerender.batch.chunk import Chunk, Record, Settings
 
 @dataclass(frozen=True)
 class Order:
-    """The jobs of a chunk that a worker draws.
+    """A request to draw the remaining jobs of a chunk.
 
     Attributes
     ----------
-    left : their positions in the chunk
+    left : positions of these jobs in the chunk
     tar, size : see :class:`facerender.batch.records.Writer`
     """
 
@@ -28,16 +28,18 @@ class Order:
 
 @dataclass(frozen=True)
 class Message:
-    """A step of a worker: it loads a job's mesh, draws the job, is done with it, keeps the files of
-    an earlier run, or failed; it cannot draw any job; it is at the end of the chunk. "starts" is
-    the supervisor's own.
+    """A worker's report of one step.
 
     Attributes
     ----------
-    position : of the job in the chunk
-    record : of a job that is done, kept or failed
-    size : bytes of the tar so far
-    text : why nothing can be drawn
+    step : "loads": the worker loads the job's mesh; "draws": it draws the job; "done": the job is
+        drawn; "kept": the files of an earlier run are reused; "failed": the job failed; "cannot":
+        no job can be drawn; "end": the chunk is finished. "starts" is never sent: the supervisor
+        uses it until the first message arrives
+    position : position of the job in the chunk
+    record : record of the job, with "done", "kept" and "failed"
+    size : size of the tar in bytes after this step
+    text : the reason, with "cannot"
     """
 
     step: Literal["starts", "loads", "draws", "done", "kept", "failed", "cannot", "end"]
@@ -48,7 +50,7 @@ class Message:
 
 
 def failure(chunk: Chunk, position: int, kind: str, text: str) -> Record:
-    """Return the record of a job that failed."""
+    """Return the record of a failed job."""
     row = chunk.rows[position]
     job = {"id": row.id, "number": row.number, "key": chunk.keys[position]}
     return {**job, "error": text, "kind": kind, "job": row.tables}

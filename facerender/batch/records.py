@@ -1,4 +1,7 @@
-"""Files of a chunk: those of its jobs, or a tar of them, and its record, which is written last."""
+"""Files of a chunk: the outputs of its jobs, or one tar of them, and the chunk's record.
+
+The record is written last: its presence marks a finished chunk.
+"""
 
 from __future__ import annotations
 
@@ -16,34 +19,36 @@ from facerender.batch.chunk import Chunk, Record, Settings
 from facerender.batch.jobs import Row, file_name
 from facerender.batch.storage import Storage
 
-ABOUT = "batch.json"  # what was asked for, by which run
-BEGUN = "begun"  # of chunks that may have no record yet: the files that they will have
+ABOUT = "batch.json"  # Settings of the batch, and the ID of the last run.
+BEGUN = "begun"  # Folder: lists of the files of chunks that may have no record yet.
 RECORDS = "records"
-STALE = "stale"  # records of jobs that are no longer asked for as they were
-_BLOCK = 512  # of a tar
+STALE = "stale"  # Folder: records of chunks whose jobs have changed.
+_BLOCK = 512  # Bytes per tar block.
 
 
 class Writer:
-    """Files of a chunk's jobs, in their order: each by itself, or one behind the other in a tar.
+    """Writer for the files of a chunk's jobs, in job order: separate files, or members of a tar.
 
     Parameters
     ----------
-    tar : the unfinished tar of layout "shards", and so many bytes of it that count; or None
+    tar : the unfinished tar of layout "shards", or None
+    size : number of valid bytes in the tar; the rest is cut off
     """
 
     def __init__(self, settings: Settings, chunk: Chunk, tar: Path | None, size: int) -> None:
         self.storage, self.chunk, self._run = Storage(settings.output), chunk, settings.run
         self.size = size
         self._tar = tar
-        self._get = lru_cache(1)(self.storage.get)  # a chunk's jobs were in one tar mostly
+        self._get = lru_cache(1)(self.storage.get)  # Neighbouring jobs mostly share a tar.
         if tar is not None:
             with tar.open("r+b" if size else "wb") as file:
                 file.truncate(size)
 
     def write(self, position: int, files: Mapping[str, bytes], facts: Record) -> Record:
-        """Write the files of a job, and return its record. OSError where they cannot be."""
+        """Write the files of a job and return its record; raise OSError on failure."""
         row = self.chunk.rows[position]
-        if self._tar is None and not self.storage.remote:  # there it would be a request a job
+        # On remote storage this check would cost one request per job.
+        if self._tar is None and not self.storage.remote:
             _check_run(self.storage, self._run)
         written: Record = {}
         for name, content in files.items():
@@ -61,8 +66,10 @@ class Writer:
         return record
 
     def keep(self, position: int) -> Record | None:
-        """Take over the files of a job that an earlier run has drawn, and return its record; None
-        where there are none."""
+        """Reuse the files of a job that an earlier run drew, and return the new record.
+
+        Return None if there are no such files, or if they have changed.
+        """
         if (kept := self.chunk.kept.get(position)) is None:
             return None
         try:
@@ -71,7 +78,7 @@ class Writer:
             return None
         digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
         if digests != {name: about["sha256"] for name, about in kept["files"].items()}:
-            return None  # another run has drawn over them
+            return None  # Another run has overwritten them.
         facts = {key: kept[key] for key in kept if key not in ("id", "number", "key", "files")}
         if self._tar is None:
             return self._record(position, facts, kept["files"])
@@ -84,21 +91,27 @@ class Writer:
 
 
 class Superseded(OSError):
-    """A later run of the batch writes there now."""
+    """Another run of the batch has started and writes to the same output."""
 
 
 def _check_run(storage: Storage, run: str) -> None:
     try:
         about = json.loads(storage.get(ABOUT))
-    except FileNotFoundError:  # no coordinator
+    except FileNotFoundError:  # Called without a coordinator.
         return
     if about["run"] != run:
-        raise Superseded("another run of the batch has begun there")
+        raise Superseded("another run of the batch has started")
 
 
 def begin(settings: Settings, chunk: Chunk) -> None:
-    """Write down which files a chunk will have, so that they can be removed where it comes to no
-    record and is not asked for again. OSError where it cannot be, or another run has begun."""
+    """List the files that a chunk will have.
+
+    If the chunk is interrupted and its jobs change, a later run removes the listed files.
+
+    Raises
+    ------
+    OSError : the list cannot be written, or another run has started
+    """
     storage = Storage(settings.output)
     _check_run(storage, settings.run)
     named: list[Record] = []
@@ -110,8 +123,11 @@ def begin(settings: Settings, chunk: Chunk) -> None:
 
 
 def commit(settings: Settings, chunk: Chunk, tar: Path | None, records: Sequence[Record]) -> None:
-    """Finish the tar of a chunk, and write its record, after which it is done: a line that counts
-    the jobs, and one for each of them. OSError as of :func:`begin`."""
+    """Finish the tar of a chunk, then write the chunk's record, which marks the chunk as done.
+
+    The first line of the record counts the jobs; each further line describes one job.
+    Raises OSError like :func:`begin`.
+    """
     storage = Storage(settings.output)
     _check_run(storage, settings.run)
     if tar is not None:
@@ -133,7 +149,7 @@ def _put_records(
 
 
 def _path(chunk: Chunk, row: Row, name: str, shards: bool) -> str:
-    """Where a file of a job lies: by itself, or in the tar of its chunk."""
+    """Return the path of a job's file, or of the tar that contains it."""
     return _shard(chunk) if shards else f"data/{row.id}/{name}"
 
 
@@ -142,7 +158,7 @@ def _shard(chunk: Chunk) -> str:
 
 
 def _read_files(get: Callable[[str], bytes], record: Record) -> dict[str, bytes]:
-    """Return the files of a drawn job; FileNotFoundError or KeyError without them."""
+    """Return the files of a drawn job; raise FileNotFoundError or KeyError if one is missing."""
     files: Mapping[str, Mapping[str, str]] = record["files"]
     paths = {name: about["path"] for name, about in files.items()}
     if all(path.startswith("data/") for path in paths.values()):
@@ -153,8 +169,11 @@ def _read_files(get: Callable[[str], bytes], record: Record) -> dict[str, bytes]
 
 
 def _append(tar: Path, pieces: Iterable[bytes]) -> int:
-    """Write to the end of a tar, which is there, and return its size: another coordinator may have
-    removed it, and a new one would lack what was written before."""
+    """Append to an existing tar and return its new size.
+
+    The tar must not be created again: if another coordinator has removed it, a new tar would lack
+    the earlier members.
+    """
     with tar.open("r+b") as file:
         file.seek(0, os.SEEK_END)
         file.writelines(pieces)
@@ -162,7 +181,7 @@ def _append(tar: Path, pieces: Iterable[bytes]) -> int:
 
 
 def _member(name: str, content: bytes) -> bytes:
-    entry = tarfile.TarInfo(name)  # owner, mode and time stay fixed
+    entry = tarfile.TarInfo(name)  # Default owner, mode and time: equal jobs give equal bytes.
     entry.size = len(content)
     return entry.tobuf(tarfile.GNU_FORMAT) + content + bytes(-len(content) % _BLOCK)
 
@@ -176,7 +195,7 @@ def read_head(storage: Storage, name: str) -> dict[str, int]:
 
 
 def records_of(storage: Storage, name: str, folder: str = RECORDS) -> Iterator[Record]:
-    """Return the records of a chunk's jobs, drawn and failed."""
+    """Yield the records of a chunk's jobs, both drawn and failed."""
     for line in storage.get(f"{folder}/{name}.jsonl").splitlines()[1:]:
         yield json.loads(line)
 

@@ -1,4 +1,4 @@
-"""JSON Schema of a row of a table of jobs, from the dataclasses, their ranges and the registry."""
+"""JSON Schema of a row of a table of jobs, made from dataclasses, their ranges and the registry."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _TYPES: dict[Any, str] = {float: "number", int: "integer", bool: "boolean", str:
 
 
 def schema() -> Schema:
-    """Return the JSON Schema, draft 2020-12, of a row: nested tables, or dotted keys."""
+    """Return the JSON Schema (draft 2020-12) of a row, with nested tables or dotted keys."""
     text = {"type": "string"}
     tables = {name: _table(name, kind) for name, kind in TABLE_KINDS.items()}
     lights = tables.pop("lights")
@@ -48,12 +48,12 @@ def schema() -> Schema:
     own: dict[str, Schema] = {
         "id": {
             "anyOf": [{"type": "integer"}, {"type": "string", "pattern": f"^({ID}|.*[{{].*)$"}],
-            "description": "names the job's files; may hold {number:08d}, {mesh.stem}, {KEY}",
+            "description": "name of the job's files; fields: {number:08d}, {mesh.stem}, {KEY}",
             "default": "{number:08d}",
         },
         "outputs": _default({"anyOf": [outputs, _NAMES_AS_TEXT]}, [OUTPUTS[0]]),
         "exposure": _default(_of_range(EXPOSURES), 0.0),
-        "scene": {"type": "string", "description": "a scene file; the row lies over its tables"},
+        "scene": {"type": "string", "description": "scene file; values of the row override it"},
     }
     dotted = {
         f"^{key}$": each
@@ -72,8 +72,8 @@ def schema() -> Schema:
 def _lights(table: Schema) -> Schema:
     text = {
         "type": "string",
-        "description": "a name, AZIMUTH,ELEVATION[,IRRADIANCE] or point:X,Y,Z[,IRRADIANCE], and "
-        "behind it ,radius=DEGREES and ,shadow",
+        "description": "a name, AZIMUTH,ELEVATION[,IRRADIANCE] or point:X,Y,Z[,IRRADIANCE]; "
+        "append ,radius=DEGREES for an area light and ,shadow for a shadow",
         "examples": [*LIGHTS],
     }
     names = [next(n for n, known in LIGHTS.items() if known == light) for light in Scene.lights]
@@ -82,7 +82,7 @@ def _lights(table: Schema) -> Schema:
 
 def _shading() -> Schema:
     terms = _fields("shading", Term)
-    # Without defaults: those of the shading count.
+    # Without defaults: the default of a light's term is the shading's value.
     lights = _object(
         {name: {key: each[key] for key in each if key != "default"} for name, each in terms.items()}
     )
@@ -142,7 +142,7 @@ def _default(own: Schema, value: Any) -> Schema:
 
 
 def _of_range(limits: Range) -> Schema:
-    """Return the numbers of a range."""
+    """Return the schema of the numbers in a range."""
     number: Schema = {"type": "integer" if isinstance(limits, IntegerRange) else "number"}
     for name, end in (("minimum", limits.low), ("maximum", limits.high)):
         if math.isfinite(end):
@@ -153,11 +153,11 @@ def _of_range(limits: Range) -> Schema:
 
 
 def _of_type(hint: Any) -> Schema:
-    """Return the plain data of a type.
+    """Return the schema of the plain data of a type.
 
     Raises
     ------
-    TypeError : an unknown type
+    TypeError : the type is unknown
     """
     if hint in _TYPES:
         return {"type": _TYPES[hint]}
@@ -172,7 +172,7 @@ def _of_type(hint: Any) -> Schema:
     if origin in (tuple, list, Sequence):
         several = inner[-1:] == [...] or len(inner) == 1
         return _array(_of_type(inner[0]), None if several else len(inner))
-    raise TypeError(f"no schema is known of {hint!r}: add one to _SPECIAL")
+    raise TypeError(f"no schema for {hint!r}: add one to _SPECIAL")
 
 
 def _vector(number: Schema) -> Schema:
@@ -193,14 +193,14 @@ def _dotted(key: str, own: Schema) -> Iterator[tuple[str, Schema]]:
             yield from _dotted(rf"{key}\.{index}", each["items"])
 
 
-_NAMES_AS_TEXT: Schema = {"type": "string", "description": "names with commas between"}
+_NAMES_AS_TEXT: Schema = {"type": "string", "description": "comma-separated names"}
 _NAMES: Schema = {"anyOf": [_array({"type": "string"}), _NAMES_AS_TEXT]}
 _INDICES: Schema = _array({"type": "integer", "minimum": 0}) | {"uniqueItems": True}
 _SIZE = _of_range(range_of(ImageSettings, "size"))
 _ROW_OF_3, _ROW_OF_4 = (_array({"type": "number"}, count) for count in (3, 4))
 _GAUSSIAN = _array({"type": "number", "minimum": 0}, 4)
 
-# Fields whose types and ranges do not define their values.
+# Fields whose valid values do not follow from their types and ranges.
 _SPECIAL: dict[str, Schema] = {
     "mesh.parts": _NAMES,
     "mesh.hide": _NAMES,

@@ -1,5 +1,7 @@
-"""Where a batch is written: a folder, or what fsspec reaches (s3://...). A file is there whole or
-not at all."""
+"""Output storage of a batch: a local folder, or a URL that fsspec supports (s3://...).
+
+Files are written atomically: each is complete or missing.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +19,15 @@ _UNFINISHED = ".unfinished"
 
 
 class Storage:
-    """A folder of files by name, with slashes between.
+    """Files below a root, addressed by relative paths with slashes.
 
     Parameters
     ----------
-    root : path of a folder, or a URL that fsspec reads
+    root : path of a folder, or a URL that fsspec supports
 
     Raises
     ------
-    InputError : a URL of an unknown kind, or whose package is missing
+    InputError : the protocol of the URL is unknown, or its package is missing
     """
 
     def __init__(self, root: str) -> None:
@@ -34,7 +36,7 @@ class Storage:
             self._system, self._path = _remote(self.root)
 
     def put(self, name: str, content: bytes) -> None:
-        """Write a file; OSError if it cannot be."""
+        """Write a file atomically; raise OSError on failure."""
         if self.remote:
             self._system.pipe_file(f"{self._path}/{name}", content)
             return
@@ -43,7 +45,7 @@ class Storage:
         self.move(temporary, name)
 
     def move(self, source: Path, name: str) -> None:
-        """Make a file of :meth:`unfinished` a file of the place."""
+        """Move a local file, usually from :meth:`unfinished`, to a name in this storage."""
         if self.remote:
             self._system.put_file(str(source), f"{self._path}/{name}")
             source.unlink()
@@ -56,34 +58,33 @@ class Storage:
             os.replace(source, target)
 
     def has(self, name: str) -> bool:
-        """Tell whether a file is there."""
+        """Return whether a file exists."""
         if self.remote:
             return bool(self._system.exists(f"{self._path}/{name}"))
         return os.path.exists(Path(self.root, name))
 
     def rename(self, name: str, other: str) -> None:
-        """Give a file another name."""
+        """Rename a file."""
         if self.remote:
             self._system.mv(f"{self._path}/{name}", f"{self._path}/{other}")
         else:
             self.move(Path(self.root, name), other)
 
     def unfinished(self) -> Path:
-        """Return a path for a file that will be moved here: nobody else's, and its folder is
-        there."""
+        """Return a unique local path for a temporary file, and create its folder."""
         folder = Path(tempfile.gettempdir() if self.remote else self.root, _UNFINISHED)
         folder.mkdir(parents=True, exist_ok=True)
         return folder / uuid4().hex
 
     def get(self, name: str, most: int | None = None) -> bytes:
-        """Return a file's content, or its first bytes; FileNotFoundError without it."""
+        """Return a file's content, or its first `most` bytes; FileNotFoundError if missing."""
         if self.remote:
             return bytes(self._system.cat_file(f"{self._path}/{name}", end=most))
         with open(f"{self.root}/{name}", "rb") as file:
             return file.read(-1 if most is None else most)
 
     def names(self, folder: str) -> list[str]:
-        """Return the names of the files in a folder, which need not be there."""
+        """Return the names of the files in a folder; empty if the folder does not exist."""
         try:
             if self.remote:
                 found = self._system.ls(f"{self._path}/{folder}", detail=False)
@@ -93,20 +94,20 @@ class Storage:
             return []
 
     def drop(self, name: str) -> None:
-        """Remove a file if it is there."""
+        """Remove a file if it exists."""
         if not self.remote:
             Path(self.root, name).unlink(missing_ok=True)
         elif self._system.exists(f"{self._path}/{name}"):
             self._system.rm_file(f"{self._path}/{name}")
 
     def prune(self, name: str) -> None:
-        """Remove the folder of a file if it is empty; nobody writes now."""
+        """Remove the folder of a file if it is empty. Call this only while no worker writes."""
         with suppress(OSError):
             if not self.remote:
                 Path(self.root, name).parent.rmdir()
 
     def sweep(self) -> None:
-        """Remove what writers have left that were cut off; nobody writes now."""
+        """Remove temporary files of interrupted writers. Call this only while no worker writes."""
         if not self.remote:
             shutil.rmtree(Path(self.root, _UNFINISHED), ignore_errors=True)
 
@@ -117,7 +118,7 @@ def _remote(root: str) -> tuple[Any, str]:
     except ImportError:
         raise InputError(f"{root} needs fsspec: pip install 'facerender[batch]'") from None
     try:
-        # A listing that is kept would miss what others have written since.
+        # A cached listing would miss files that other processes have written since.
         system, path = fsspec.core.url_to_fs(root, use_listings_cache=False)
     except (ValueError, ImportError) as error:
         raise InputError(f"{root} cannot be reached ({error}); give a folder or a URL") from None

@@ -1,5 +1,8 @@
-"""Supervises the process that draws chunks: restarts it when it crashes or hangs, names the job at
-fault, and commits the chunk. Engines call it. No OpenGL here."""
+"""The supervisor of a worker process, which the engines call.
+
+It restarts a worker that crashes or hangs, identifies the responsible job, and commits the chunk.
+It does not use OpenGL itself.
+"""
 
 from __future__ import annotations
 
@@ -26,17 +29,17 @@ from facerender.batch.storage import Storage
 from facerender.errors import FacerenderError, reason
 from facerender.system.signals import hold
 
-Report = Callable[[str, str, str], None]  # worker, step, the job's id
+Report = Callable[[str, str, str], None]  # Worker, step, job id.
 
-# A worker has one thread: a process for each core outruns threads, and bits are the same.
+# One thread per worker: a process per core is faster than threads, and pixels are identical.
 _ALONE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 _THREAD = threading.local()
 _NO_JOB = -1
-_TO_START = 60.0  # seconds until the first message of a worker
+_TO_START = 60.0  # Seconds that a new worker has for its first message.
 
 
 class CannotDraw(FacerenderError, RuntimeError):
-    """No job can be drawn or written here."""
+    """No job can be drawn or written on this machine."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +48,13 @@ class Outcome:
 
     Attributes
     ----------
-    chunk : its number
-    drawn, kept : number of jobs drawn now, and drawn by an earlier run
-    failed : records of the jobs that failed
+    chunk : number of the chunk
+    drawn, kept : number of jobs that were drawn, and that were reused from an earlier run
+    failed : records of the failed jobs
     seconds : duration
     deaths : number of workers that ended or hung
-    renderer : GL_RENDERER and GL_VERSION; "" if nothing was drawn
-    worker : host and process that drew last
+    renderer : GL_RENDERER and GL_VERSION; "" if no job was drawn
+    worker : host and process ID of the last worker
     """
 
     chunk: int
@@ -69,7 +72,7 @@ def draw_chunk(settings: Settings, chunk: Chunk, report: Report | None = None) -
 
     Raises
     ------
-    CannotDraw : nothing can be drawn here: no OpenGL, a full disk
+    CannotDraw : no job can be drawn or written, for example without OpenGL or on a full disk
     """
     if not hasattr(_THREAD, "supervisor"):
         _THREAD.supervisor = Supervisor()
@@ -78,29 +81,29 @@ def draw_chunk(settings: Settings, chunk: Chunk, report: Report | None = None) -
 
 
 class _WorkerEnded(Exception):
-    """How a worker died or hung."""
+    """A worker died or hung; the message describes how."""
 
 
 class Supervisor:
-    """Starts one worker after the other.
+    """Runs one worker process at a time, and starts a new one after a crash or a hang.
 
-    Pebble 5.2.3 was tried in place of this class: its pool starts processes by multiprocessing,
-    which refuses that in the workers of Dask ("daemonic processes are not allowed to have
-    children"); when an idle worker is killed the pool ends with "Unexpected error within the
-    Pool", without the exit status; a worker that hangs while it starts has no time limit. With 30
-    kills of 400 jobs its files were the same as these. It would save about 25 lines.
+    Pebble 5.2.3 was tried instead of this class. Its pool uses multiprocessing, which cannot start
+    processes in Dask workers ("daemonic processes are not allowed to have children"). If an idle
+    worker is killed, the pool ends with "Unexpected error within the Pool", without the exit
+    status. A worker that hangs during its start has no time limit. With 30 kills in 400 jobs, it
+    wrote the same files as this class. It would save about 25 lines.
     """
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: Connection | None = None
-        self._patience = 0.0  # seconds of silence that are allowed besides the time limit
+        self._patience = 0.0  # Least time limit of the next message, in seconds.
 
     def __del__(self) -> None:
         self.stop()
 
     def stop(self) -> None:
-        """End the worker."""
+        """Kill the worker, if there is one."""
         if self._process is not None and self._connection is not None:
             self._process.kill()
             self._process.wait()
@@ -108,7 +111,7 @@ class Supervisor:
         self._process = self._connection = None
 
     def run(self, settings: Settings, chunk: Chunk, report: Report) -> Outcome:
-        """See :func:`draw_chunk`."""
+        """Draw, write and commit a chunk; see :func:`draw_chunk`."""
         began = time.perf_counter()
         tar = Storage(settings.output).unfinished() if settings.layout == "shards" else None
         try:
@@ -117,7 +120,7 @@ class Supervisor:
             commit(settings, chunk, tar, records)
         except OSError as error:
             raise CannotDraw(
-                f"cannot write to {settings.output}: {reason(error)}; make room, and run the same "
+                f"cannot write to {settings.output}: {reason(error)}; fix this, and run the same "
                 "command again"
             ) from None
         finally:
@@ -137,8 +140,11 @@ class Supervisor:
     def _draw(
         self, settings: Settings, chunk: Chunk, tar: Path | None, report: Report
     ) -> tuple[list[Record], Counter[str], int]:
-        """Draw the jobs of a chunk, and return their records in order, the number of jobs by their
-        last step, and the number of workers that ended."""
+        """Draw the jobs of a chunk.
+
+        Return their records in order, the number of jobs by last step, and the number of workers
+        that ended or hung.
+        """
         records: dict[int, Record] = {}
         attempts, steps, size = Counter[int](), Counter[str](), 0
         for deaths in count():
@@ -165,10 +171,10 @@ class Supervisor:
             for position in _at_fault(chunk, last) - set(records):
                 records[position] = failure(chunk, position, "WorkerDied", text)
                 report(self.worker, "failed", chunk.rows[position].id)
-        raise AssertionError  # the loop has no end of its own
+        raise AssertionError  # Unreachable: the loop ends only by return or raise.
 
     def _answers(self, order: Order) -> Iterator[Message]:
-        """Send an order, and yield the worker's messages up to the last.
+        """Send an order, and yield the worker's messages until the end of the chunk.
 
         Raises
         ------
@@ -188,7 +194,7 @@ class Supervisor:
                 yield message
             return
         except (TimeoutError, BlockingIOError):
-            how = f"said nothing for {order.settings.timeout:g} s"
+            how = f"sent no message for {order.settings.timeout:g} s"
         except (EOFError, ConnectionError):
             how = self._exit()
         self.stop()
@@ -196,15 +202,15 @@ class Supervisor:
 
     @property
     def worker(self) -> str:
-        """The host and the process that draws."""
+        """Host name and process ID of the worker."""
         return f"{socket.gethostname()}:{self._process.pid if self._process else 0}"
 
     def _started(self, timeout: float) -> Connection:
-        """Return the connection to the worker, which is started if there is none."""
+        """Return the connection to the worker; start a worker if none runs."""
         if self._connection is None or self._process is None or self._process.poll() is not None:
             self.stop()
-            # A socket rather than a pipe: it has time limits, without which a worker that stops in
-            # the middle of a message would block this thread for ever.
+            # A socket, unlike a pipe, has time limits. Without them, a worker that stops in the
+            # middle of a message would block this thread for ever.
             ours, theirs = socket.socketpair()
             limit = struct.pack("ll", math.ceil(timeout), 0)
             ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
@@ -223,10 +229,14 @@ class Supervisor:
         return self._connection
 
     def _exit(self) -> str:
-        """Return how the worker has ended."""
+        """Wait for the worker to end, and return how it ended."""
         assert self._process is not None
         code = self._process.wait()
-        return f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with {code}"
+        return (
+            f"was killed by {signal.Signals(-code).name}"
+            if code < 0
+            else f"ended with exit status {code}"
+        )
 
 
 def _renderer(record: Record) -> str:
@@ -234,7 +244,10 @@ def _renderer(record: Record) -> str:
 
 
 def _at_fault(chunk: Chunk, last: Message) -> set[int]:
-    """Return the job that was being drawn, or all jobs of the mesh that was being loaded."""
+    """Return the jobs that may have ended the worker.
+
+    This is the job that was being drawn, or all jobs of the mesh that was being loaded.
+    """
     if last.step != "loads":
         return {last.position}
     mesh = chunk.rows[last.position].tables.get("mesh")

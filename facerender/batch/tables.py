@@ -1,5 +1,7 @@
-"""Rows of a table of jobs as nested plain data: dotted keys, shorthands, one table over another.
-``formats.py`` reads the files, ``jobs.py`` makes jobs of the rows."""
+"""Rows of a table of jobs as nested plain data: dotted keys, shorthands, merging.
+
+``formats.py`` reads the files; ``jobs.py`` makes jobs from the rows.
+"""
 
 from __future__ import annotations
 
@@ -18,22 +20,22 @@ from facerender.scenes.light import parse_light
 
 Table = dict[str, Any]
 
-_DEEPEST = 10  # tables in tables
+_DEEPEST = 10  # levels of nested tables and lists
 _DIGITS = frozenset("0123456789")
-_MOST_BITS = 64  # of whole numbers
+_MOST_BITS = 64  # of a whole number
 
 
 def nested(row: Any) -> Table:
-    """Return a row as tables in tables of plain data.
+    """Return a row as nested tables of plain data.
 
-    Dotted keys become tables, what is None is left out, a mesh or an environment as text becomes
-    its table, lights as text theirs. Places of lists (``lights.0.azimuth``) stay tables with
-    numbers as keys until :func:`listed`.
+    Dotted keys become nested tables, and None values are removed. A mesh, an environment or a
+    light that is given as text becomes a table. Numbered items (``lights.0.azimuth``) stay tables
+    with numbers as keys until :func:`listed` converts them.
 
     Raises
     ------
-    InputError : no table, a key given twice, a value that is no plain data, text of a light or an
-        environment that is none
+    InputError : the row is not a table, a key is given twice, a value is not plain data, or the
+        text of a light or an environment is invalid
     """
     if type(row) is not dict and not isinstance(row, Mapping):
         raise InputError(f"row = {shown(row)}: give a table")
@@ -56,15 +58,18 @@ def nested(row: Any) -> Table:
 
 
 def placed(keys: Sequence[str], value: Any) -> Any:
-    """Return a value in tables of these keys, the outermost first."""
+    """Return a value inside nested tables with these keys, the outermost first."""
     for key in reversed(keys):
         value = {key: value}
     return value
 
 
 def merged(base: Table, over: Table) -> Table:
-    """Return one table over another: tables merge, places of a list take the place of its items,
-    all else is replaced. Neither is changed; the result shares what it can."""
+    """Return the first table, updated with the second.
+
+    Tables are merged, numbered items replace the items of a list, and other values are replaced.
+    The arguments are not modified; the result may share parts with them.
+    """
     both = dict(base)
     for key, value in over.items():
         if type(value) is dict and key in both:
@@ -78,11 +83,11 @@ def merged(base: Table, over: Table) -> Table:
 
 
 def listed(value: Any, name: str) -> Any:
-    """Return a value with lists where it has tables of places: all but the terms of lights.
+    """Convert tables whose keys are the numbers from 0 to lists, except ``shading.lights``.
 
     Raises
     ------
-    InputError : a place is left out
+    InputError : a number is missing
     """
     if type(value) is dict:
         items = {
@@ -93,7 +98,7 @@ def listed(value: Any, name: str) -> Any:
             return items
         for place in range(len(items)):
             if str(place) not in items:
-                raise InputError(f"{name} lacks its item {place}: count from 0, leave none out")
+                raise InputError(f"{name} lacks item {place}: count from 0 without gaps")
         return [items[str(place)] for place in range(len(items))]
     if type(value) is list and value and type(value[0]) is dict:
         return [listed(each, f"{name}.{place}") for place, each in enumerate(value)]
@@ -115,11 +120,13 @@ def _plain(value: Any, name: str, depth: int) -> Any:
     if kind is int:
         if value.bit_length() > _MOST_BITS:
             raise InputError(
-                f"{name} = {shown(value)}: a whole number has {_MOST_BITS} bits at most"
+                f"{name} = {shown(value)}: a whole number has at most {_MOST_BITS} bits"
             )
         return value
     if depth > _DEEPEST:
-        raise InputError(f"{name.split('.')[0]} has tables or lists {depth} deep: leave them out")
+        raise InputError(
+            f"{name.split('.')[0]} has tables or lists {depth} deep: use at most {_DEEPEST} levels"
+        )
     if kind is dict or isinstance(value, Mapping):
         return _plain_table(value, name, depth)
     if kind is list or isinstance(value, list | tuple):
@@ -142,21 +149,21 @@ def _plain_table(value: Mapping[Any, Any], name: str, depth: int) -> Table:
             continue
         full = f"{name}.{key}" if name else key
         each = _plain(each, full, depth + 1)
-        if each == {} and value[key]:  # nothing but None was in it
+        if each == {} and value[key]:  # it contained only None
             continue
         if "." in key:
             key, *parts = key.split(".")
             if depth + len(parts) > _DEEPEST:
-                raise InputError(f"key {shown(full)} has too many dots: leave it out")
+                raise InputError(f"key {shown(full)} has too many dots: use at most {_DEEPEST}")
             each = placed(parts, each)
         table[key] = _joined(table[key], each, full) if key in table else each
     return table
 
 
 def _joined(one: Any, other: Any, name: str) -> Any:
-    """Return the first table with what is in the other, where no key is in both."""
+    """Add the values of the second table to the first and return it; no value may be in both."""
     if type(one) is not dict or type(other) is not dict:
-        raise InputError(f"{clipped(name)} is given twice, or beside the whole: leave one out")
+        raise InputError(f"{clipped(name)} is given twice, or as a whole and in parts: remove one")
     for key, value in other.items():
         one[key] = _joined(one[key], value, name) if key in one else value
     return one

@@ -1,4 +1,4 @@
-"""Work that is left of a batch: its chunks, compared with the records of earlier runs."""
+"""Remaining work of a batch: its chunks, compared with the records of earlier runs."""
 
 from __future__ import annotations
 
@@ -19,19 +19,22 @@ from facerender.batch.records import BEGUN, STALE, read_head, record_names, reco
 from facerender.batch.storage import Storage
 from facerender.errors import FacerenderError, InputError, reason
 
-_IN_MEMORY = 1 << 20  # bytes of chunks before they go to the disk
+_IN_MEMORY = 1 << 20  # bytes of chunks in memory before they are written to disk
 
 
 class Spool:
-    """The chunks of a batch in a temporary file: a table of jobs is read once, and few of its rows
-    are in memory.
+    """The chunks of a batch in a temporary file.
 
-    names : of all chunks in their order
+    The table of jobs is therefore read only once, with few rows in memory at a time.
+
+    Attributes
+    ----------
+    names : names of all chunks, in order
     """
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
-        self._of: dict[str, tuple[int, int]] = {}  # jobs, and where it begins
+        self._of: dict[str, tuple[int, int]] = {}  # by name: number of jobs, file offset
 
     def add(self, chunk: Chunk) -> None:
         """Write a chunk."""
@@ -43,11 +46,11 @@ class Spool:
         return self._of.keys()
 
     def jobs(self, names: Iterable[str]) -> int:
-        """Return the number of jobs of chunks."""
+        """Return the number of jobs of the named chunks."""
         return sum(self._of[name][0] for name in names)
 
     def chunks(self, names: Iterable[str]) -> Iterator[Chunk]:
-        """Read chunks."""
+        """Read the named chunks."""
         for name in names:
             self._file.seek(self._of[name][1])
             chunk: Chunk = pickle.load(self._file)
@@ -56,12 +59,12 @@ class Spool:
 
 @contextmanager
 def spooled(rows: Iterable[Row], settings: Settings, size: int | None) -> Iterator[Spool]:
-    """Read all rows, and keep them as chunks; ``size`` as of :func:`chunks`.
+    """Read all rows and store them as chunks; `size` is that of :func:`chunks`.
 
     Raises
     ------
-    FacerenderError : no room in the folder of temporary files
-    InputError : an id that the layout cannot hold
+    FacerenderError : the temporary file cannot be written
+    InputError : the layout does not allow an id
     """
     forget_files()
     with tempfile.SpooledTemporaryFile(_IN_MEMORY) as file:
@@ -71,8 +74,8 @@ def spooled(rows: Iterable[Row], settings: Settings, size: int | None) -> Iterat
                 spool.add(chunk)
         except OSError as error:
             raise FacerenderError(
-                f"cannot write the jobs to {tempfile.gettempdir()}: {reason(error)}; make room, or "
-                "set TMPDIR to another folder"
+                f"cannot write the jobs to {tempfile.gettempdir()}: {reason(error)}; free disk "
+                "space, or set TMPDIR to another folder"
             ) from None
         yield spool
 
@@ -81,22 +84,22 @@ def _with_valid_ids(rows: Iterable[Row], settings: Settings) -> Iterator[Row]:
     for row in rows:
         if settings.layout == "shards" and "." in row.id:
             raise InputError(
-                f"id {row.id!r}: readers of shards end a name at its first dot; give an id without "
-                "one, or --layout files"
+                f"id {row.id!r} has a dot, where readers of shards end the name: give an id "
+                "without a dot, or use --layout files"
             )
         yield row
 
 
 @dataclass(frozen=True)
 class Work:
-    """The work that is left of a batch.
+    """The remaining work of a batch.
 
     Attributes
     ----------
     spool : all chunks
-    todo : names of those without a record
-    jobs, left : number of jobs, of all chunks and of those
-    stale : names of chunks that were drawn or begun, and whose jobs have changed
+    todo : names of the chunks to draw
+    jobs, left : number of jobs of all chunks, and of the chunks to draw
+    stale : names of chunks that an earlier run drew or began, and whose jobs have changed
     """
 
     spool: Spool
@@ -107,9 +110,9 @@ class Work:
 
 
 def work_of(spool: Spool, storage: Storage, retry_failed: bool) -> Work:
-    """Compare chunks with the records of a batch.
+    """Find the remaining work: compare all chunks with the existing records.
 
-    retry_failed : whether chunks with failed jobs are drawn again
+    retry_failed : whether to draw chunks with failed jobs again
     """
     found = record_names(storage)
     todo = tuple(
@@ -122,8 +125,10 @@ def work_of(spool: Spool, storage: Storage, retry_failed: bool) -> Work:
 
 
 def with_kept(work: Work, storage: Storage) -> Iterator[Chunk]:
-    """Yield the chunks to draw, with the records of their jobs that are drawn already: stale ones,
-    or their own if other jobs of them have failed."""
+    """Yield the chunks to draw, each with the records of its jobs that are already drawn.
+
+    These are stale records, or the records of the same chunk if other jobs of it failed.
+    """
     known = _DrawnBefore(storage)
     names = record_names(storage)
     for chunk in work.spool.chunks(work.todo):
@@ -137,7 +142,7 @@ def with_kept(work: Work, storage: Storage) -> Iterator[Chunk]:
 
 
 class _DrawnBefore:
-    """Stale records of drawn jobs by their keys: 16 bytes in memory for each."""
+    """Index of the stale records of drawn jobs by key; it takes 16 bytes of memory per record."""
 
     def __init__(self, storage: Storage) -> None:
         self._names = sorted(record_names(storage, STALE))

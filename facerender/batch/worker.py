@@ -1,5 +1,8 @@
-"""The process that draws chunks, the only one with OpenGL. It reports each step before it begins,
-so that its supervisor knows the job at fault when it dies or hangs."""
+"""The worker process, which draws chunks; only this process uses OpenGL.
+
+It reports each step before it starts the step: if the worker crashes or hangs, the supervisor can
+identify the responsible job.
+"""
 
 from __future__ import annotations
 
@@ -26,17 +29,17 @@ from facerender.loading.references import named_files
 from facerender.scenes.mesh import Mesh
 from facerender.system.signals import heed_the_coordinator
 
-_MESHES = _RENDERERS = 2  # that a worker keeps
-_NO_MEMORY = 9  # exit status
+_MESHES = _RENDERERS = 2  # Cached by each worker.
+_NO_MEMORY = 9  # Exit status: out of memory.
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 
 
 def main(handle: int) -> None:
-    """Draw the chunks that a socket receives, until it is closed."""
+    """Draw the chunks that arrive on a socket until it is closed; `handle` is its descriptor."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
     heed_the_coordinator()
-    warnings.simplefilter("ignore", FacerenderWarning)  # records have them
+    warnings.simplefilter("ignore", FacerenderWarning)  # The records contain them.
     connection = Connection(handle)
     run = ""
     while True:
@@ -45,10 +48,10 @@ def main(handle: int) -> None:
         except (EOFError, ConnectionError):
             return
         if order.settings.code_version != code_version():
-            text = "another version of facerender draws here: install the coordinator's"
+            text = "this worker needs the coordinator's version of facerender: install it"
             connection.send(Message("cannot", text=text))
             continue
-        if order.settings.run != run:  # between two of them files may have changed
+        if order.settings.run != run:  # Files may have changed since the last run.
             forget_files()
             _mesh.cache_clear()
             run = order.settings.run
@@ -72,8 +75,8 @@ def _draw(order: Order) -> Iterator[Message]:
             mesh, warnings_of_mesh = _mesh(job.mesh)
             if key_of(row) != chunk.keys[position]:
                 raise InputError(
-                    "its mesh, maps or environment are not here what they were where the batch "
-                    "was started; give all machines the same files, and run the same command again"
+                    "its mesh, maps or environment differ from the files that the coordinator "
+                    "read: give all machines the same files, and run the same command again"
                 )
             yield Message("draws", position)
             with noting() as warned:
@@ -84,11 +87,11 @@ def _draw(order: Order) -> Iterator[Message]:
                 facts["warnings"] = texts
             try:
                 record = writer.write(position, drawn.files, facts)
-            except OSError as error:  # a full disk is no fault of the job
+            except OSError as error:  # Such as a full disk; not caused by the job.
                 yield Message("cannot", text=f"cannot write to {settings.output}: {error}")
                 return
         except MemoryError:
-            os._exit(_NO_MEMORY)  # another process may have enough
+            os._exit(_NO_MEMORY)  # A new process may have enough memory.
         except Exception as error:
             if isinstance(error, ContextError) and (why := _no_context(settings.backend)):
                 yield Message("cannot", text=why)
@@ -107,7 +110,7 @@ def _renderer(image: ImageSettings, backend: Backend) -> Renderer:
 
 
 def _no_context(backend: Backend) -> str:
-    """Return why nothing can be drawn here, or ""."""
+    """Return why this process cannot create an OpenGL context, or "" if it can."""
     if not _renderer.cache_info().currsize:
         try:
             Renderer((1, 1), samples=1, backend=backend).release()
@@ -118,8 +121,10 @@ def _no_context(backend: Backend) -> str:
 
 @lru_cache(_MESHES)
 def _mesh(file: MeshFile) -> tuple[Mesh, list[str]]:
-    """Return a mesh, and the warnings of its loader. Only the first mesh is written to the cache:
-    all meshes of a large batch would fill the disk."""
+    """Return a mesh, and the warnings of its loader.
+
+    Only the first mesh is written to the disk cache: all meshes of a large batch could fill it.
+    """
     own = [getattr(file, each) for each in MESH_PATHS]
     for path in [*filter(None, own), *(named_files(Path(file.path)) if file.path else ())]:
         _check_file(path)
@@ -129,11 +134,11 @@ def _mesh(file: MeshFile) -> tuple[Mesh, list[str]]:
 
 
 def _check_file(path: str | Path) -> None:
-    """Raise InputError for a file that may have no end; the reader reports a missing one."""
+    """Raise InputError for a pipe or a device, which may never end. The loader checks the rest."""
     if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
         raise InputError(f"{path} is a pipe or a device: give a file")
 
 
 if __name__ == "__main__":
-    with suppress(ConnectionError):  # the coordinator has ended
+    with suppress(ConnectionError):  # The coordinator has ended.
         main(int(sys.argv[1]))

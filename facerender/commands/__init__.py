@@ -1,5 +1,5 @@
-"""The command line: arguments to calls, results to standard output; a module for each command. An
-error is one line on standard error and exit status 2; warnings go to standard error as well."""
+"""The command line, one module per command. Results go to standard output. Warnings and errors go
+to standard error; an error is one line and exit status 2."""
 
 from __future__ import annotations
 
@@ -16,44 +16,45 @@ from importlib import import_module
 from typing import Any, NoReturn, TextIO
 
 from facerender import __version__
-from facerender.commands.examples import EXAMPLES
+from facerender.commands.help import EXAMPLES, commands_of, usage_of
 from facerender.commands.streams import make_usable, print_message, print_result
 from facerender.errors import FacerenderError, FacerenderWarning, InputError, clipped
 
-_COMMANDS = {
-    "render": "render a mesh file, or the built-in head",
-    "info": "what a mesh file holds: parts, materials, maps, size, what was mended",
-    "batch": "many images: on all cores, or on a Dask cluster",
-    "plan": "a cheaper frame within a budget, with its proof",
-    "measure": "what each approximation costs and loses, here",
-    "compare": "whether two renders are the same",
-    "explore": "a page to compare two shadings in, on the reader's own GPU",
-    "shaders": "the GLSL library, for programs of your own",
-    "doctor": "what OpenGL is found here, what is missing",
-    "completion": "what completes commands and options in bash, zsh or tcsh",
+COMMANDS = {
+    "render": "render a mesh to one image, several images or an animation",
+    "info": "list the parts, materials, maps and size of a mesh file",
+    "batch": "render a table of jobs on all cores or a Dask cluster",
+    "plan": "find a cheaper frame within an error budget",
+    "measure": "measure cost and error of each specular approximation",
+    "compare": "compare two images, or two folders of images",
+    "explore": "write a web page that compares two shadings of a mesh",
+    "shaders": "list, flatten and prepare files of the GLSL library",
+    "doctor": "check the OpenGL drivers and packages of this machine",
+    "completion": "print a shell-completion script",
 }
-FAULT = 70  # EX_SOFTWARE of sysexits.h; 1 is of images that differ, 3 of jobs that failed
+INTERNAL_ERROR = 70  # EX_SOFTWARE of sysexits.h; 1 means different images, 3 failed jobs
 
 
-class _Formatter(argparse.HelpFormatter):
-    """Keeps the lines of what is indented: examples."""
+class _Formatter(argparse.RawDescriptionHelpFormatter):
+    """A formatter that keeps the line breaks of descriptions and examples."""
 
-    def _fill_text(self, text: str, width: int, indent: str) -> str:
-        blocks = text.split("\n\n")
-        filled = (super(_Formatter, self)._fill_text(each, width, indent) for each in blocks)
-        pairs = zip(blocks, filled, strict=True)
-        return "\n\n".join(raw if "\n  " in raw else block for raw, block in pairs)
+    def add_argument(self, action: argparse.Action) -> None:
+        super().add_argument(action)
+        if action.nargs == argparse.PARSER:
+            # Python 3.11 ignores the indentation of commands, and breaks the line of the longest.
+            longest = 4 + max(map(len, action.choices or ("",)))
+            self._action_max_length = max(self._action_max_length, longest)
 
 
 class _Parser(argparse.ArgumentParser):
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         own = {"allow_abbrev": False, "formatter_class": _Formatter}
         super().__init__(*arguments, **{**own, **keywords})
-        # Values such as -35,10 are no options either.
+        # argparse takes -35 as a value; -35,10 must not be an option either.
         self._negative_number_matcher = re.compile(r"-[\d.]")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Has the command that does not know an argument say so, and not the one above it."""
+        """Raise the error for an unknown argument in the subcommand, whose help has the options."""
         found, unknown = super().parse_known_args(args, namespace)
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
@@ -64,17 +65,17 @@ class _Parser(argparse.ArgumentParser):
 
 
 def console() -> NoReturn:
-    """Run the command of this process, and end it."""
+    """Run the command of this process, then end the process."""
     make_usable()
-    gc.set_threshold(100_000)  # imports leave nothing to collect: 40 ms of a cold start
+    gc.set_threshold(100_000)  # saves 40 ms of a cold start: imports leave no garbage
     status: int | str | None = 2
-    # Behind threads and what others have registered: no finalizer has more to do, and a signal
-    # among them would find no handler.
+    # Runs after the threads and all other exit handlers, and skips the finalizers of the
+    # interpreter: a signal would find no handler among them.
     atexit.register(lambda: os._exit(int(status or 0)))
     try:
         status = main()
-    except SystemExit as asked:  # --help, --version
-        status = asked.code
+    except SystemExit as end:  # --help, --version
+        status = end.code
     try:
         print_result(end="")
     except FacerenderError as error:
@@ -84,8 +85,8 @@ def console() -> NoReturn:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status: 0 done, 1 images differ, 2 bad input, no OpenGL,
-    70 a fault of facerender itself."""
+    """Run a command and return its exit status: 0 done, 1 images differ, 2 bad input or no OpenGL,
+    3 some jobs failed, 70 internal error, 130 interrupted."""
     caught: list[str] = []
     with warnings.catch_warnings():
         warnings.simplefilter("always", FacerenderWarning)
@@ -107,12 +108,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except Exception as error:
             if os.environ.get("FACERENDER_DEBUG"):
                 traceback.print_exception(error)
-            what = f"{type(error).__name__}: {clipped(str(error))}".removesuffix(": ")
+            cause = f"{type(error).__name__}: {clipped(str(error))}".removesuffix(": ")
             print_message(
-                f"facerender: error: this is a fault of facerender, please report it ({what}); "
-                "FACERENDER_DEBUG=1 shows where"
+                f"facerender: error: internal error ({cause}): please report it with the traceback "
+                "that FACERENDER_DEBUG=1 prints"
             )
-            return FAULT
+            return INTERNAL_ERROR
 
 
 def _warning_printer(caught: list[str]) -> Callable[..., None]:
@@ -132,14 +133,27 @@ def _warning_printer(caught: list[str]) -> Callable[..., None]:
 
 
 def parser_of(arguments: Sequence[str]) -> argparse.ArgumentParser:
-    """Return the parser; of the commands, those among the arguments are imported."""
-    parser = _Parser(prog="facerender", description="Render face meshes with skin highlights.")
+    """Return the parser; only commands named in the arguments are imported and have options."""
+    parser = _Parser(
+        prog="facerender",
+        description="Render face meshes without a display, with Cook-Torrance or Ward highlights.",
+        epilog="facerender COMMAND --help describes a command. Defaults are in parentheses.",
+    )
     parser.add_argument("--version", action="version", version=f"facerender {__version__}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for name, text in _COMMANDS.items():
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for name, text in COMMANDS.items():
         command = commands.add_parser(name, help=text)
         if name in arguments:
             import_module(f"facerender.commands.{name}").add(command)
-            lines = "\n  ".join(["examples:", *EXAMPLES[name]])
-            command.epilog = "\n\n".join(filter(None, [command.epilog, lines]))
+            _complete(name, command)
     return parser
+
+
+def _complete(name: str, command: argparse.ArgumentParser) -> None:
+    """Add a usage line and examples to the help of a command and of its subcommands."""
+    command.epilog = "\n  ".join(["examples:", *EXAMPLES[name]])
+    inner = commands_of(command)
+    if not inner:
+        command.usage = usage_of(command)
+    for action, each in inner.items():
+        _complete(f"{name} {action}", each)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import signal
 import time
@@ -12,69 +13,96 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facerender.commands.common import add_parts, add_quiet, check_outputs
+from facerender.commands.common import (
+    SIDE,
+    add_backend,
+    add_field,
+    add_flag,
+    add_number,
+    add_parts,
+    add_quiet,
+    add_size,
+    check_outputs,
+)
+from facerender.commands.help import Help
 from facerender.commands.streams import print_message, print_result
 from facerender.errors import InputError
+from facerender.job import ImageSettings
+from facerender.scenes.scene import ONLY
+from facerender.terms.ranges import IntegerRange, Range
 
 if TYPE_CHECKING:
     from facerender.batch.engine import Engine
     from facerender.batch.jobs import JobTable
 
 _FAILED = 3
-_EPILOG = "exit status: 0 all jobs are drawn, 3 some failed, 2 nothing could start or go on"
+_TIMEOUT, _TRIES = 300.0, 3
+_LIMITS = {
+    "workers": IntegerRange(1, math.inf),
+    "tries": IntegerRange(1, math.inf),
+    "timeout": Range(1.0, math.inf, "s"),
+    "chunk": IntegerRange(1, math.inf),
+}
 
 
 def add(batch: argparse.ArgumentParser) -> None:
     batch.set_defaults(command=run)
-    batch.epilog = _EPILOG
-    batch.add_argument("jobs", nargs="?", metavar="JOBS", help=".jsonl .csv .parquet .toml .py")
-    batch.add_argument("-o", "--output", metavar="OUT", help="a folder, or a URL such as s3://...")
-    common = batch.add_argument_group("values of jobs that do not have their own")
-    common.add_argument("--scene", metavar="FILE.toml", help="a scene, also of facerender plan")
-    common.add_argument("--mesh", metavar="FILE", help="(the built-in head)")
+    batch.description = (
+        "Render every job of a table on all cores of this machine or on a Dask cluster.\n"
+        "The same command resumes an interrupted batch, and redraws changed jobs. Exit\n"
+        "status: 0 all jobs are drawn, 3 some failed, 2 the batch cannot start or continue."
+    )
+    kinds = "table of jobs: .jsonl, .csv, .parquet, .toml or .py"
+    table = Help(kinds, "required to draw or check")
+    batch.add_argument("jobs", nargs="?", metavar="JOBS", help=table)
+    output = Help("output folder, or a URL such as s3://bucket/heads", "required to draw")
+    batch.add_argument("-o", "--output", metavar="OUT", help=output)
+    common = batch.add_argument_group("values for jobs that do not set them")
+    scene = Help("scene file, for example of facerender plan", "none")
+    common.add_argument("--scene", metavar="FILE.toml", help=scene)
+    common.add_argument("--mesh", metavar="FILE", help=Help("mesh file", "the built-in head"))
     add_parts(common)
-    common.add_argument("--size", help="N or WxH in pixels (1024)")
-    common.add_argument("--samples", type=int, help="per pixel (4)")
-    common.add_argument("--outputs", metavar="LIST", help="image,mask,depth,layers,... (image)")
+    add_size(common, SIDE)
+    add_field(common, ImageSettings, "samples", "samples per pixel", metavar="N")
+    note = f"Give some of image, {', '.join(ONLY)}, layers"
+    names = Help("outputs of each job, separated by commas", "image", note=note)
+    common.add_argument("--outputs", metavar="LIST", help=names)
 
     drawing = batch.add_argument_group("workers")
-    drawing.add_argument(
-        "--workers", type=int, metavar="N", help="processes here (by cores and memory)"
-    )
-    drawing.add_argument(
-        "--scheduler", metavar="ADDRESS", help="of a Dask scheduler, instead of workers here"
-    )
-    drawing.add_argument("--backend", choices=("auto", "egl", "osmesa", "native"), default="auto")
-    drawing.add_argument(
-        "--timeout",
-        type=float,
-        default=300.0,
-        help="seconds without output before a job counts as hung (300)",
-    )
-    drawing.add_argument(
-        "--tries", type=int, default=3, help="maximum attempts per crashing or hanging job (3)"
-    )
-    drawing.add_argument(
-        "--chunk", type=int, metavar="N", help="jobs of a chunk (1 to 128, by their number)"
-    )
+
+    def add_limited(name: str, text: str, without: str, **keywords: Any) -> None:
+        add_number(drawing, name, text, _LIMITS[name], without, **keywords)
+
+    local = "worker processes on this machine"
+    add_limited("workers", local, "by cores and free memory", metavar="N")
+    note = "Requires pip install 'facerender[batch]'"
+    scheduler = Help("address of a Dask scheduler, whose workers draw", "none", note=note)
+    drawing.add_argument("--scheduler", metavar="ADDRESS", help=scheduler)
+    add_backend(drawing, ("auto", "egl", "osmesa", "native"))
+    silence = "time without output before a job counts as hung"
+    add_limited("timeout", silence, f"{_TIMEOUT:g}", default=_TIMEOUT, metavar="SECONDS")
+    attempts = "maximum attempts per crashing or hanging job"
+    add_limited("tries", attempts, f"{_TRIES}", default=_TRIES, metavar="N")
+    add_limited("chunk", "jobs per chunk", "1 to 128, by the number of jobs", metavar="N")
 
     written = batch.add_argument_group("output")
-    written.add_argument(
-        "--layout",
-        choices=("files", "shards"),
-        default="files",
-        help="a folder per job, or a tar per chunk (files)",
-    )
-    written.add_argument("--table", choices=("jsonl", "parquet"), default="jsonl", help="(jsonl)")
-    written.add_argument("--transforms", action="store_true", help="write transforms.json as well")
-    written.add_argument("--retry-failed", action="store_true", help="draw failed jobs again")
-    written.add_argument("--json", action="store_true", help="print each step as a line of JSON")
+    layout = Help("a folder per job, or a tar file per chunk", "files")
+    layouts = ("files", "shards")
+    written.add_argument("--layout", choices=layouts, default="files", help=layout)
+    kind = Help("format of the table of drawn jobs", "jsonl")
+    written.add_argument("--table", choices=("jsonl", "parquet"), default="jsonl", help=kind)
+    add_flag(written, "transforms", "also write the cameras as transforms.json, as for nerfstudio")
+    add_flag(written, "retry-failed", "also redraw jobs that failed in an earlier run")
+    add_flag(written, "json", "print a line of JSON per chunk, per failed job and at the end")
     add_quiet(written)
 
     ask = batch.add_argument_group("instead of drawing")
-    ask.add_argument("--check", action="store_true", help="read and check all jobs")
-    ask.add_argument("--status", metavar="OUT", help="count the jobs done, failed and left")
-    ask.add_argument("--schema", action="store_true", help="JSON Schema of a job")
+    add_flag(ask, "check", "read and check all rows of the table")
+    counts = Help(
+        "folder or URL of a batch whose drawn, failed and remaining jobs to count", "none"
+    )
+    ask.add_argument("--status", metavar="OUT", help=counts)
+    add_flag(ask, "schema", "print the JSON Schema of a row of the table")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -86,7 +114,7 @@ def run(options: argparse.Namespace) -> int:
     if options.status:
         return _print_status(options.status, options.json)
     if options.jobs is None:
-        raise InputError("no jobs: give a table of them, such as jobs.csv")
+        raise InputError("no jobs: give a table of jobs, such as jobs.csv")
     _check_read(options)
     table = _table(options)
     if options.check:
@@ -94,16 +122,16 @@ def run(options: argparse.Namespace) -> int:
         print_result(f"{options.jobs}: {table.rows} jobs of {table.meshes} meshes")
         return 0
     if options.output is None:
-        raise InputError("no output: say -o FOLDER")
-    for name, least in (("workers", 1), ("tries", 1), ("timeout", 1.0), ("chunk", 1)):
+        raise InputError("no output: add -o FOLDER")
+    for name, limits in _LIMITS.items():
         value = getattr(options, name)
-        if value is not None and not value >= least:
-            raise InputError(f"--{name} {value}: give at least {least:g}")
+        if value is not None and value not in limits:
+            raise InputError(f"--{name} {value}: give {limits}")
     return _draw(options, table)
 
 
 def _check_read(options: argparse.Namespace) -> None:
-    """Raise InputError if a table of the batch would replace a file that is read."""
+    """Raise InputError if a table of the batch would replace an input file."""
     if options.output is None or "://" in options.output or options.check:
         return
     from facerender.batch.folder import TABLES
@@ -115,7 +143,7 @@ def _check_read(options: argparse.Namespace) -> None:
 
 
 def _table(options: argparse.Namespace) -> JobTable:
-    """Return the table of jobs, with the values that the options give to all rows."""
+    """Return the table of jobs, with the values of the options as defaults of its rows."""
     from facerender.batch.jobs import JobTable
 
     common = {"mesh.path": options.mesh, "outputs": options.outputs, "scene": options.scene}
@@ -125,7 +153,7 @@ def _table(options: argparse.Namespace) -> JobTable:
 
 
 def _check_faults(table: JobTable) -> None:
-    """Raise InputError with the faults of the first bad rows."""
+    """Print the errors of the first invalid rows, and raise InputError with the last of them."""
     if table.faults:
         for fault in table.faults[:-1]:
             print_message(f"facerender: error: {fault}")
@@ -166,8 +194,10 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
 
 @contextmanager
 def _surviving_pipes() -> Iterator[None]:
-    """Raise an error when this process writes to a worker or a scheduler that has ended: the
-    command line's handler of SIGPIPE would end it with status 141."""
+    """Ignore SIGPIPE, so that writing to an ended worker or scheduler raises an error.
+
+    Otherwise the handler of the command line ends the process with status 141.
+    """
     before = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     try:
         yield
@@ -196,10 +226,12 @@ def _print_status(
 
     counts = status(output)
     facts: dict[str, Any] = {"output": output, **counts}
-    text = f"{output}: {counts['done']} of {counts['jobs']} jobs are done, {counts['failed']} have"
-    text += f" failed, {counts['left']} are left" if counts["left"] else " failed"
+    text = (
+        f"{output}: {counts['done']} of {counts['jobs']} jobs are done, {counts['failed']} failed"
+    )
+    text += f", {counts['left']} remain" if counts["left"] else ""
     if drawn is not None:
         facts |= {"drawn": drawn, "seconds": round(seconds, 3)}
-        text += f"; {drawn} drawn now, {drawn / seconds:.1f} a second"
+        text += f"; this run drew {drawn}, {drawn / seconds:.1f} per second"
     print_result(json.dumps({"event": "end", **facts}) if as_json else text)
     return _FAILED if counts["failed"] else 0

@@ -1,4 +1,4 @@
-"""What several commands share: options, values from text, where results go."""
+"""Functions that several commands share: options, parsing of values, checks of output files."""
 
 from __future__ import annotations
 
@@ -13,98 +13,171 @@ from typing import Any
 
 import numpy as np
 
+from facerender.commands.help import Help
 from facerender.commands.streams import print_message
 from facerender.errors import InputError
-from facerender.job import MESH_PATHS, MeshFile, parse_size
+from facerender.job import MESH_PATHS, ImageSettings, MeshFile, parse_size
 from facerender.loading.references import named_files
 from facerender.loading.source import GLTF
 from facerender.system.atomic import check_writable, remove_abandoned
 from facerender.system.progress import Bar
-from facerender.terms.ranges import IntegerRange, range_of
+from facerender.terms.ranges import IntegerRange, Range, range_of
 
 
 def parse_sizes(text: str) -> list[tuple[int, int]]:
-    """Read a size, or of a range such as 512..1024 both ends, and evenly between them so many that
-    none is more than sqrt(2) times the one before."""
+    """Parse a size such as 1024, or a range such as 512..1024.
+
+    A range gives both ends and sizes between them, spaced evenly by factors of at most sqrt(2).
+    """
     first, *rest = map(parse_size, text.split("..", 1))
     if not rest:
         return [first]
     ranges = [*zip(first, *rest, strict=True)]
     if not all(0 < low <= high for low, high in ranges):
-        raise InputError(f"sizes {text!r}: give a smaller and a larger one, such as 512..1024")
+        raise InputError(f"sizes {text!r}: give the smaller size first, such as 512..1024")
     steps = math.ceil(2.0 * max(math.log2(high / low) for low, high in ranges) - 1e-9)
     widths, heights = (np.geomspace(low, high, steps + 1).round() for low, high in ranges)
     return [(int(width), int(height)) for width, height in zip(widths, heights, strict=True)]
 
 
 def numbers_of(option: str, text: str, counts: Sequence[int]) -> list[float]:
+    """Parse numbers separated by commas; raise InputError unless their count is allowed."""
     try:
         numbers = [float(word) for word in text.split(",")]
     except ValueError:
         numbers = []
     if len(numbers) not in counts:
         wanted = " or ".join(map(str, counts))
-        raise InputError(f"--{option} {text!r}: give {wanted} numbers with commas between")
+        raise InputError(f"--{option} {text!r}: give {wanted} numbers separated by commas")
     return numbers
 
 
+def add_mesh(command: argparse.ArgumentParser) -> None:
+    """Add the positional argument MESH."""
+    formats = Help("mesh file: .glb, .gltf, .obj, .ply or .stl", "the built-in head")
+    command.add_argument("mesh", nargs="?", metavar="MESH", help=formats)
+
+
+MAPS_TITLE = "maps, which replace those of the mesh file"
+_FILES_MAP = "the mesh file's"
 _MAPS = {
-    "albedo": "image of the colour without light, sRGB-encoded",
-    "normal-map": "of normals in the space of the surface, green up",
-    "specular-map": "grey, linear: multiplies ks",
-    "roughness-map": "grey, linear: r gives m = r^2",
-    "lobe-map": "grey, linear: white where the second lobe is",
+    "albedo": Help("albedo map, sRGB", _FILES_MAP),
+    "normal-map": Help("normal map in tangent space, linear, green up", _FILES_MAP),
+    "specular-map": Help("grey map, linear, which multiplies ks", _FILES_MAP),
+    "roughness-map": Help("grey map, linear; a texel r gives m = r^2", _FILES_MAP),
+    "lobe-map": Help(
+        "grey map, linear, which multiplies the fraction of the second lobe; white is wet skin",
+        "none",
+    ),
 }
 
 
-def add_maps(command: argparse._ArgumentGroup, *names: str) -> None:
+def add_maps(group: argparse._ActionsContainer, *names: str) -> None:
     for name in names:
-        command.add_argument(f"--{name}", metavar="FILE", help=_MAPS[name])
+        group.add_argument(f"--{name}", metavar="FILE", help=_MAPS[name])
 
 
-def add_field(
-    group: argparse._ArgumentGroup,
-    kind: type,
+def add_flip_v(command: argparse._ActionsContainer) -> None:
+    add_flag(command, "flip-v", "flip the v texture coordinate, if colours are in the wrong places")
+
+
+def bounds_of(limits: Range) -> dict[str, str]:
+    """Return a range as the parameters values and unit of :class:`Help`."""
+    return {"values": str(limits).removesuffix(limits.unit).strip(), "unit": limits.unit}
+
+
+def add_number(
+    group: argparse._ActionsContainer,
     name: str,
     text: str,
-    without: str = "",
+    limits: Range,
+    without: str,
+    note: str = "",
     **keywords: Any,
 ) -> None:
-    """Add the option that sets a field of a dataclass, whose range and unit its help states.
+    """Add an option with a number, whose help has the range, the unit and the default.
 
     Parameters
     ----------
-    text : what the option does
-    without : what holds without the option, in words; "" for the field's default
+    name : name in Python, such as "lobe_weight"
+    without : text of the default
+    text, note : see :class:`Help`
+    keywords : further arguments of ``add_argument``
     """
-    limits = range_of(kind, name)
-    without = without or f"{getattr(kind, name):g}"
     group.add_argument(
         f"--{name.replace('_', '-')}",
         type=int if isinstance(limits, IntegerRange) else float,
-        help=f"{text}, {limits} ({without})",
+        help=Help(text, without, **bounds_of(limits), note=note),
         **keywords,
     )
 
 
-def add_flag(group: argparse._ActionsContainer, name: str, text: str) -> None:
+def add_field(
+    group: argparse._ActionsContainer,
+    kind: type,
+    name: str,
+    text: str,
+    without: str = "{:g}",
+    note: str = "",
+    **keywords: Any,
+) -> None:
+    """Add the option that sets a field of a dataclass, with the range of the field.
+
+    Parameters
+    ----------
+    without : text of the default, or format of the field's default
+    text, note, keywords : see :func:`add_number`
+    """
+    default = without.format(getattr(kind, name)) if "{" in without else without
+    add_number(group, name, text, range_of(kind, name), default, note, **keywords)
+
+
+def add_size(
+    group: argparse._ActionsContainer,
+    without: str,
+    note: str = "",
+    metavar: str = "N|WxH",
+    **keywords: Any,
+) -> None:
+    """Add --size; parameters as of :func:`add_number`."""
+    limits = bounds_of(range_of(ImageSettings, "size"))
+    size = Help("width and height, or N for both", without, **limits, note=note)
+    group.add_argument("--size", metavar=metavar, help=size, **keywords)
+
+
+SIDE = f"{ImageSettings.size[0]}"  # default of --size
+
+
+def add_flag(group: argparse._ActionsContainer, name: str, text: str, note: str = "") -> None:
     """Add an option without a value."""
-    group.add_argument(f"--{name}", action="store_true", help=text)
+    group.add_argument(f"--{name}", action="store_true", help=Help(text, "off", note=note))
 
 
-def add_switch(group: argparse._ActionsContainer, name: str, text: str) -> None:
-    """Add an option and its contrary, --no-NAME."""
-    group.add_argument(f"--{name}", action=argparse.BooleanOptionalAction, help=text)
+def add_switch(group: argparse._ActionsContainer, name: str, text: str, default: str) -> None:
+    """Add the options --NAME and --no-NAME."""
+    action = argparse.BooleanOptionalAction
+    group.add_argument(f"--{name}", action=action, help=Help(text, default))
+
+
+def add_backend(group: argparse._ActionsContainer, backends: Iterable[str]) -> None:
+    """Add --backend with some of the names of OpenGL backends."""
+    backends = tuple(backends)
+    note = "auto tries egl, then osmesa; on Windows and macOS it is native (WGL, CGL). "
+    note += "On Linux, native is GLX, which requires an X server"
+    if "current" in backends:
+        note += ". current is the OpenGL context of the calling program"
+    text = Help("OpenGL backend", "auto", note=note)
+    group.add_argument("--backend", choices=backends, default="auto", help=text)
 
 
 def add_quiet(command: argparse._ActionsContainer) -> None:
-    add_flag(command, "quiet", "only warnings and errors on standard error")
+    add_flag(command, "quiet", "print only warnings and errors on standard error")
 
 
 def add_verbose(command: argparse._ActionsContainer) -> None:
-    """Add --quiet and its contrary."""
+    """Add --verbose and --quiet."""
     add_quiet(command)
-    add_flag(command, "verbose", "every step and when it began, on standard error")
+    add_flag(command, "verbose", "log each step and its start time on standard error")
 
 
 def step_log(options: argparse.Namespace) -> Callable[[str], None]:
@@ -121,61 +194,68 @@ def step_log(options: argparse.Namespace) -> Callable[[str], None]:
 
 
 def progress_bar(options: argparse.Namespace) -> Bar:
-    """Return a progress bar, which logs its steps if --verbose is given."""
+    """Return a progress bar, or a log of the steps if --verbose is given."""
     log = step_log(options)
     return Bar(options.quiet, log if options.verbose else None)
 
 
 def add_allow_outside(command: argparse._ActionsContainer) -> None:
-    text = "open what the mesh file refers to wherever it lies (below its folder alone)"
+    text = "open files that the mesh file refers to even if they are outside its directory"
     add_flag(command, "allow-outside", text)
 
 
 def add_parts(command: argparse._ActionsContainer) -> None:
-    parts = (
-        "draw these parts of the mesh alone; *, ? and [...] are wildcards, and facerender info "
-        "lists the names (all)"
-    )
+    """Add --parts and --hide."""
+    names = "Names may contain the wildcards *, ? and [...]; facerender info lists the names"
+    parts = Help("render only these parts of the mesh", "all", note=names)
     command.add_argument("--parts", metavar="NAME,...", help=parts)
-    others = "draw all parts but these, named in the same way (none)"
-    command.add_argument("--hide", metavar="NAME,...", help=others)
+    hidden = Help("do not render these parts, which are named as in --parts", "none")
+    command.add_argument("--hide", metavar="NAME,...", help=hidden)
 
 
 def check_outputs(
     written: Iterable[str | Path | None], read: Iterable[str | Path | None] = ()
 ) -> None:
-    """Refuse, before any work, what cannot be written, is written twice, or is read as well, by
-    whatever name; and remove what killed runs have left beside it.
+    """Check the output files of a command before it starts to work.
 
-    read : is looked at only where a file is there already that will be written
+    Also removes unfinished files that killed commands left in the same directories.
+
+    Parameters
+    ----------
+    written : output files; None is ignored
+    read : input files; evaluated only if an output file already exists
+
+    Raises
+    ------
+    InputError : an output file cannot be written, appears twice, or is also an input file, even
+        under another name
     """
     names: dict[object, str | Path] = {}
     for name in (each for each in written if each):
         check_writable(name)
-        if (place := _identity(name)) in names:
+        if (identity := _identity(name)) in names:
             raise InputError(f"{name} is written twice: give another name")
-        names[place] = name
+        names[identity] = name
     for folder in {Path(name).parent for name in names.values()}:
         remove_abandoned(folder)
-    if not (there := {key: name for key, name in names.items() if os.path.exists(name)}):
+    if not (existing := {key: name for key, name in names.items() if os.path.exists(name)}):
         return
     for other in read:
-        if other and (replaced := there.get(_identity(other))):
-            raise InputError(f"{replaced} is read, and would be replaced: give another name")
+        if other and (replaced := existing.get(_identity(other))):
+            raise InputError(f"{replaced} is both input and output: give another output file")
 
 
 def _identity(name: str | Path) -> object:
-    """Return what two names of one file have in common."""
+    """Return a value that is equal for all names of one file."""
     try:
         facts = os.stat(name)
-    except (OSError, ValueError):  # it is not there
+    except (OSError, ValueError):  # no such file yet
         return os.path.realpath(name)
     return facts.st_dev, facts.st_ino
 
 
 def mesh_files(mesh: MeshFile) -> Iterator[str | Path | None]:
-    """Yield what is read of a mesh: the files that are given, and those that its file names, where
-    they would be looked for."""
+    """Yield the files of a mesh, and every path at which the files that it refers to may be."""
     yield from (getattr(mesh, name) for name in MESH_PATHS)
     if mesh.path is not None:
         for path in named_files(Path(mesh.path)):
@@ -183,10 +263,10 @@ def mesh_files(mesh: MeshFile) -> Iterator[str | Path | None]:
 
 
 def import_trimesh(mesh: str | None) -> None:
-    """Import trimesh, for a mesh that it reads, without scipy and networkx."""
-    # trimesh imports both if it finds them, and has no switch. Reading a file needs neither, and
-    # they make an import of 0.23 s one of 1.0 s. The process is the command's own: no other code
-    # in it misses them.
+    """Import trimesh without scipy and networkx, if trimesh reads the mesh."""
+    # trimesh imports scipy and networkx if they are installed; no switch prevents that. Reading a
+    # file needs neither, and they extend the import from 0.23 s to 1.0 s. Hiding them is safe here:
+    # no other code runs in the process of the command.
     if mesh is None or Path(mesh).suffix.lower() in GLTF:
         return
     absent = [name for name in ("scipy", "networkx") if name not in sys.modules]

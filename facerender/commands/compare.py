@@ -9,60 +9,79 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from facerender.commands.common import add_verbose, check_outputs, progress_bar
+from facerender.commands.common import (
+    add_flag,
+    add_number,
+    add_verbose,
+    check_outputs,
+    progress_bar,
+)
+from facerender.commands.help import Help
 from facerender.commands.streams import print_message, print_result
-from facerender.comparison.result import LIMITS
+from facerender.comparison.result import HIGHEST, LIMITS
 from facerender.errors import InputError, warn
 from facerender.images.read import read_image
 from facerender.system.atomic import write_text
+from facerender.terms.ranges import Range
 
+# Text and unit of each limit.
 LIMITED = {
-    "point": "excess of a pixel over what its neighbours explain",
-    "block": "change of the mean of a block, as a fraction",
-    "trend": "how far neighbouring blocks change alike",
-    "grain": "noise that the image has more, as a fraction",
-    "texture": "fine detail that the image has more, or less, as a fraction",
-    "coverage": "fraction of the pixels whose coverage changed",
-    "shift": "pixels by which the image is moved",
+    "point": ("difference of a pixel that the pixels around it do not explain", "radiance"),
+    "block": ("relative change of the mean of a block of pixels", ""),
+    "trend": ("mean product of adjacent blocks' changes, each over its standard error", ""),
+    "grain": ("added noise between adjacent pixels, relative to the level", ""),
+    "texture": ("fraction of the variance between adjacent pixels that was added or lost", ""),
+    "coverage": ("fraction of the pixels whose coverage changed", ""),
+    "shift": ("displacement of the whole image", "pixels"),
 }
 
 
 def add(compare: argparse.ArgumentParser) -> None:
     compare.set_defaults(command=run)
-    compare.description = "Exit status: 0 the same, 1 they differ, 2 they cannot be compared."
+    compare.description = (
+        "Compare two images, or the images of the same names in two folders. Differences\n"
+        "between OpenGL drivers (rounding, noise, moved edges) are below the limits.\n"
+        "Exit status: 0 the images are the same, 1 they differ, 2 no comparison is possible."
+    )
     kinds = ".exr, .npz, .npy, .png or .jpg, or a folder of them"
-    compare.add_argument("a", metavar="A", nargs="?", help=f"reference: {kinds}")
-    compare.add_argument(
-        "b", metavar="B", nargs="?", help="image, or folder with files of the same names"
+    needed = "required, except with --calibrate"
+    reference = Help(f"reference: {kinds}", needed)
+    compare.add_argument("a", metavar="A", nargs="?", help=reference)
+    image = Help("image to compare, or a folder of images with the same names", needed)
+    compare.add_argument("b", metavar="B", nargs="?", help=image)
+    limits = compare.add_argument_group("limits, above which the images differ")
+    for name, (text, unit) in LIMITED.items():
+        values = Range(0.0, HIGHEST, unit)
+        add_number(limits, name, text, values, default_of(name), metavar="LIMIT")
+    file = Help("pytest's ini file, or pyproject.toml, with limits that no option sets", "none")
+    limits.add_argument("--limits", metavar="FILE", help=file)
+    mask = Help("image that is not 0 at the pixels to compare", "all pixels")
+    limits.add_argument("--mask", metavar="FILE", help=mask)
+    own = compare.add_argument_group("limits for another renderer")
+    runs = Help(
+        "find limits, instead of comparing",
+        "off",
+        note="DIR has a folder for each run or driver. All images of the same name must pass. The "
+        "limits are printed as a section of pytest's ini file, each with the smallest change that "
+        "it still detects",
     )
-    for name, text in LIMITED.items():
-        help = f"limit: {text} ({default_of(name)})"
-        compare.add_argument(f"--{name}", type=float, help=help)
-    compare.add_argument(
-        "--limits",
-        metavar="FILE",
-        help="file with limits that no option sets: pytest's ini file, or pyproject.toml",
-    )
-    compare.add_argument(
-        "--calibrate",
-        metavar="DIR",
-        help="find limits that pairs of images pass, those of one name in two folders of DIR, one "
-        "for each run or driver, and print them as a section of pytest's ini file",
-    )
-    compare.add_argument(
-        "-o", "--output", metavar="FILE", help="with --calibrate: a new .ini, .cfg or .toml file"
-    )
-    compare.add_argument("--mask", metavar="FILE", help="image, not 0 where pixels count")
-    compare.add_argument("--heatmap", metavar="OUT.png", help="map of FLIP, for two images")
-    compare.add_argument("--report", metavar="OUT.html", help="a page to look at the images")
-    compare.add_argument("--json", action="store_true", help="every metric")
-    add_verbose(compare)
+    own.add_argument("--calibrate", metavar="DIR", help=runs)
+    output = Help("new .ini, .cfg or .toml file for the limits of --calibrate", "none")
+    own.add_argument("-o", "--output", metavar="FILE", help=output)
+    results = compare.add_argument_group("results")
+    note = "Requires pip install 'facerender[measure]'"
+    heatmap = Help("map of the FLIP metric, for two images", "none", note=note)
+    results.add_argument("--heatmap", metavar="OUT.png", help=heatmap)
+    report = Help("HTML page with all images and metrics", "none")
+    results.add_argument("--report", metavar="OUT.html", help=report)
+    add_flag(results, "json", "print every metric as JSON")
+    add_verbose(results)
 
 
 def default_of(name: str) -> str:
-    """Return a limit's default, for the help text."""
+    """Return the default of a limit, for the help text."""
     linear, encoded = (getattr(LIMITS[encoding], name) for encoding in ("linear", "srgb8"))
-    return f"{linear:g}" + (f"; 8-bit: {encoded:g} of 255" if encoded != linear else "")
+    return f"{linear:g}" + (f"; 8-bit images: {encoded:g}/255" if encoded != linear else "")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -75,14 +94,16 @@ def run(options: argparse.Namespace) -> int:
     if options.calibrate:
         return calibrate(options, mask)
     if options.output:
-        raise InputError("-o writes the limits of --calibrate: leave it out")
+        raise InputError("-o writes the limits of --calibrate: leave -o out, or add --calibrate")
     if options.b is None:
-        raise InputError("one image alone: give A and B, or --calibrate and a folder")
+        raise InputError("only one image: give A and B, or --calibrate with a folder")
     names = pairs_of(options.a, options.b)
     limits: dict[str, Any] = {name: getattr(options, name) for name in LIMITED}
     limits["limits"] = read_limits(options.limits) if options.limits else {}
     if options.heatmap and len(names) > 1:
-        raise InputError(f"--heatmap takes two images, not the {len(names)} of two folders")
+        raise InputError(
+            f"--heatmap needs two images, not folders with {len(names)} pairs: leave it out"
+        )
     read = [path for _, *paths in names for path in paths]
     check_outputs([options.heatmap, options.report], [*read, options.mask, options.limits])
     results, entries, status = [], [], 0
@@ -100,7 +121,7 @@ def run(options: argparse.Namespace) -> int:
             elif not options.json:
                 print_result(f"{pair.name}: {pair.comparison}")
             if not options.heatmap:
-                del pair  # before the next one is read
+                del pair  # frees its images before the next pair is read
         if options.report:
             progress("report", 0.0)
             write_report(options.report, entries)
@@ -112,17 +133,17 @@ def run(options: argparse.Namespace) -> int:
 
 
 def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
-    """Find limits in place of comparing."""
+    """Find limits that all pairs of images pass, and print or write them."""
     from facerender.comparison.calibration import calibration_of, runs_of, text_of
 
     for name in ("a", *LIMITED, "limits", "heatmap", "report"):
         if getattr(options, name) is not None:
             option = name.upper() if name == "a" else f"--{name}"
-            raise InputError(f"--calibrate finds limits and compares nothing: leave out {option}")
+            raise InputError(f"--calibrate finds limits instead of comparing: leave out {option}")
     pairs = runs_of(options.calibrate)
     check_outputs([options.output], [options.mask])
     if options.output and os.path.exists(options.output):
-        raise InputError(f"{options.output} exists: give a new file, and paste its sections there")
+        raise InputError(f"{options.output} exists: give a new file, and copy its sections into it")
     with progress_bar(options) as progress:
         found = calibration_of(pairs, mask, progress)
     for each in found:

@@ -7,20 +7,22 @@ from collections.abc import Iterator
 from importlib import import_module
 
 from facerender.commands import parser_of
-from facerender.commands.examples import EXAMPLES
+from facerender.commands.help import EXAMPLES, Help, commands_of, groups_of
 from facerender.commands.streams import print_result
 from facerender.errors import InputError
 
-_FILES = ("FILE", "FILE.toml", "JOBS", "IN", "A", "B")  # and what begins with OUT
+_FILES = ("MESH", "FILE", "FILE.toml", "JOBS", "IN", "A", "B")  # and names that begin with OUT
 
 
 def add(completion: argparse.ArgumentParser) -> None:
     completion.set_defaults(command=run)
     completion.description = (
-        "Print what completes facerender's commands, options and file names in a shell: run it "
-        "there, or keep it where the shell looks for such."
+        "Print a script that completes commands, options and file names in a shell.\n"
+        "Evaluate it, or write it to the shell's directory of completions.\n"
+        "Requires pip install 'facerender[completion]'."
     )
-    completion.add_argument("shell", choices=("bash", "zsh", "tcsh"))
+    shells = ("bash", "zsh", "tcsh")
+    completion.add_argument("shell", choices=shells, help=Help("shell", "required"))
 
 
 def run(options: argparse.Namespace) -> int:
@@ -32,20 +34,18 @@ def run(options: argparse.Namespace) -> int:
         ) from None
     parser = parser_of([*EXAMPLES])
     for action in _actions(parser):
-        words = str(action.metavar or ""), action.dest
-        if action.choices is None and (
-            words[0] in _FILES or words[0].startswith("OUT") or "mesh" in words
-        ):
+        name = str(action.metavar or "")
+        if action.choices is None and (name in _FILES or name.startswith("OUT")):
             action.complete = shtab.FILE  # type: ignore[attr-defined]
-        elif words[0] == "DIR":
+        elif name == "DIR":
             action.complete = shtab.DIRECTORY  # type: ignore[attr-defined]
     print_result(shtab.complete(parser, shell=options.shell))
     return 0
 
 
 def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
-    for action in parser._actions:
-        yield action
-        if isinstance(action, argparse._SubParsersAction):
-            for each in action.choices.values():
-                yield from _actions(each)
+    """Yield the options of a parser and of its commands."""
+    for _, actions in groups_of(parser):
+        yield from actions
+    for command in commands_of(parser).values():
+        yield from _actions(command)

@@ -10,11 +10,12 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from facerender import __version__
+from facerender.commands.help import Help
 from facerender.commands.streams import print_result
 from facerender.drawing.context import AUTO, Finding, probe
 from facerender.system import cache
 
-# Python packages by what needs them: "" everything, others are extras.
+# Python packages by the extra that needs them; "" is facerender itself.
 PACKAGES = {
     "": ("moderngl", "glcontext", "numpy", "trimesh", "pyrr", "Pillow", "scipy"),
     "exr": ("OpenEXR",),
@@ -30,7 +31,13 @@ PACKAGES = {
 
 def add(doctor: argparse.ArgumentParser) -> None:
     doctor.set_defaults(command=run)
-    doctor.add_argument("--json", action="store_true", help="print the findings as JSON")
+    doctor.description = (
+        "Print the versions of facerender, Python and the system, the OpenGL driver of\n"
+        "each backend, the packages of each extra, and the cache. Each missing part has a\n"
+        "remedy. Exit status: 0 an OpenGL backend works, 2 none works."
+    )
+    text = Help("print all of it except the cache as JSON", "off")
+    doctor.add_argument("--json", action="store_true", help=text)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -55,8 +62,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _lines(facts: dict[str, Any], findings: list[Finding]) -> list[str]:
     lines = [f"facerender {facts['facerender']}, Python {facts['python']}, {facts['system']}"]
-    lines += [f"{finding.backend:7} {_said(finding)}" for finding in findings]
-    lines.append(f"auto    {facts['auto'] or 'finds none that works'}")
+    lines += [f"{finding.backend:7} {_text(finding)}" for finding in findings]
+    lines.append(f"auto    {facts['auto'] or 'no backend works'}")
     for extra, versions in facts["packages"].items():
         words = [f"{name} {version or 'is missing'}" for name, version in versions.items()]
         remedy = "" if all(versions.values()) else f": pip install 'facerender[{extra}]'"
@@ -65,10 +72,10 @@ def _lines(facts: dict[str, Any], findings: list[Finding]) -> list[str]:
     return [*lines, f"cache   {cache.folder()}, {used} of at most {most} MiB"]
 
 
-def _said(finding: Finding) -> str:
+def _text(finding: Finding) -> str:
     return finding.error or (
         f"{finding.renderer}, OpenGL {finding.version}, up to {finding.samples} samples and "
-        f"{finding.size} pixels a side"
+        f"{finding.size} pixels per side"
     )
 
 

@@ -6,8 +6,11 @@ import argparse
 from pathlib import Path
 
 from facerender.commands.common import (
+    MAPS_TITLE,
     add_allow_outside,
+    add_flip_v,
     add_maps,
+    add_mesh,
     add_parts,
     add_verbose,
     check_outputs,
@@ -15,6 +18,7 @@ from facerender.commands.common import (
     mesh_files,
     progress_bar,
 )
+from facerender.commands.help import Help
 from facerender.commands.streams import print_result
 from facerender.errors import InputError
 from facerender.explorer.page import explorer_page
@@ -25,16 +29,16 @@ from facerender.system.atomic import write_text
 def add(explore: argparse.ArgumentParser) -> None:
     explore.set_defaults(command=run)
     explore.description = (
-        "Write a page that draws the mesh in a browser with any two shadings, and tells their "
-        "difference; it needs no network."
+        "Write one HTML file that draws a mesh in a browser with two shadings, and shows\n"
+        "their difference and cost. It opens from disk, needs no network, and uses the\n"
+        "GPU of its reader."
     )
-    explore.add_argument(
-        "mesh", nargs="?", help=".glb .gltf .obj .ply .stl; without it the built-in head"
-    )
-    explore.add_argument("-o", "--output", required=True, metavar="OUT.html")
-    maps = explore.add_argument_group("maps, in place of those of the mesh file")
+    add_mesh(explore)
+    output = Help("output file, which ends in .html or .htm", "required")
+    explore.add_argument("-o", "--output", required=True, metavar="OUT.html", help=output)
+    maps = explore.add_argument_group(MAPS_TITLE)
     add_maps(maps, "albedo", "normal-map", "specular-map", "roughness-map")
-    maps.add_argument("--flip-v", action="store_true", help="turn texture coordinates upside down")
+    add_flip_v(maps)
     add_allow_outside(maps)
     add_parts(explore)
     add_verbose(explore)
@@ -43,7 +47,7 @@ def add(explore: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     if Path(options.output).suffix.lower() not in (".html", ".htm"):
         raise InputError(
-            f"{options.output}: the explorer is a page; give a name that ends in .html"
+            f"{options.output}: the explorer is an HTML page; give a name that ends in .html"
         )
     file = MeshFile(
         options.mesh,

@@ -9,7 +9,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.common import add_allow_outside, import_trimesh
+from facerender.commands.common import add_allow_outside, add_flag, add_mesh, import_trimesh
 from facerender.commands.streams import print_result
 from facerender.errors import FacerenderWarning
 from facerender.loading import load_mesh
@@ -17,32 +17,26 @@ from facerender.scenes.material import MAPS, Material
 from facerender.scenes.mesh import Mesh, Part
 from facerender.system.data import data_dir
 
-_HEAD = 230.0  # mm from chin to crown, roughly: to guess a unit by
+_HEAD = 230.0  # mm from chin to crown, roughly: to guess the length of a unit
 _SRGB = ("albedo_map", "emissive_map")
-_ALWAYS = (
-    "albedo",
-    "f0",
-    "ks",
-    "alpha",
-)  # listed even where they are the default
+_ALWAYS = ("albedo", "f0", "ks", "alpha")  # listed even if they have their defaults
 
 
 def add(info: argparse.ArgumentParser) -> None:
     info.set_defaults(command=run)
     info.description = (
-        "Tell what a mesh file holds, as it would be drawn: parts with their materials and maps, "
-        "size and unit, and what was repaired or left out."
+        "List the contents of a mesh file as facerender draws them: parts, vertices,\n"
+        "triangles, materials, maps, bounds, size, length of a unit, repairs and\n"
+        "omissions. It draws nothing."
     )
-    info.add_argument(
-        "mesh", nargs="?", help=".glb .gltf .obj .ply .stl; without it the built-in head"
-    )
+    add_mesh(info)
     add_allow_outside(info)
-    info.add_argument("--json", action="store_true", help="all of it as JSON")
+    add_flag(info, "json", "print all of it, with every material factor, as JSON")
 
 
 def run(options: argparse.Namespace) -> int:
     import_trimesh(options.mesh)
-    with warnings.catch_warnings(record=True) as caught:  # they are results here
+    with warnings.catch_warnings(record=True) as caught:  # part of the result
         warnings.simplefilter("always", FacerenderWarning)
         mesh = load_mesh(options.mesh, allow_outside=options.allow_outside)
     path = Path(options.mesh) if options.mesh else data_dir("assets") / "head.glb"
@@ -58,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def facts_of(mesh: Mesh) -> dict[str, Any]:
-    """Return what a mesh is as plain data, lengths in its units but for those that say mm."""
+    """Return a mesh's description as plain data; lengths without "mm" are in mesh units."""
     size = mesh.bounds[1] - mesh.bounds[0]
     known = mesh.millimetres
     parts = [
@@ -134,12 +128,12 @@ def _size(facts: dict[str, Any]) -> str:
     if facts["millimetres"] is not None:
         size_mm = " x ".join(f"{each:.4g}" for each in facts["size_mm"])
         unit = f"{facts['millimetres']:g} mm"
-        return f"{size} units of {unit}: {size_mm} mm; a head is some {_HEAD:g} mm high"
+        return f"{size} units of {unit}: {size_mm} mm; a head is about {_HEAD:g} mm high"
     if guess is None:
-        return f"{size} units; the file does not say how long one is"
+        return f"{size} units of unknown length"
     return (
-        f"{size} units; the file does not say how long one is: if it is a head of some {_HEAD:g} "
-        f"mm, --millimetres {guess:.3g}"
+        f"{size} units of unknown length: for a head of about {_HEAD:g} mm, give --millimetres "
+        f"{guess:.3g}"
     )
 
 

@@ -7,6 +7,10 @@ import json
 
 from facerender.commands.common import (
     add_allow_outside,
+    add_backend,
+    add_field,
+    add_flag,
+    add_mesh,
     add_parts,
     add_verbose,
     check_outputs,
@@ -14,29 +18,33 @@ from facerender.commands.common import (
     mesh_files,
     progress_bar,
 )
+from facerender.commands.help import Help
 from facerender.commands.streams import print_message, print_result
 from facerender.drawing.context import BACKENDS
 from facerender.job import MeshFile
 from facerender.loading import load_mesh
+from facerender.scenes.material import Material
 from facerender.system.atomic import make_folder
 
 
 def add(measure: argparse.ArgumentParser) -> None:
     measure.set_defaults(command=run)
-    measure.add_argument("mesh", nargs="?", help="rendered; without it the built-in head")
-    measure.add_argument(
-        "-o",
-        "--output",
-        default="out/measure",
-        metavar="DIR",
-        help="for measure.json, plots and index.html (out/measure)",
+    measure.description = (
+        "Measure the cost and the error of each specular approximation on this machine.\n"
+        "Print a table; write measure.json, plots and an HTML page.\n"
+        "Requires pip install 'facerender[measure]'."
     )
+    add_mesh(measure)
+    folder = "out/measure"
+    output = Help("directory for measure.json, plots and index.html", folder)
+    measure.add_argument("-o", "--output", default=folder, metavar="DIR", help=output)
     add_allow_outside(measure)
     add_parts(measure)
-    measure.add_argument("--m", type=float, default=0.3, help="rms slope of the mesh (0.3)")
-    measure.add_argument("--quick", action="store_true", help="smaller images, fewer repeats")
-    measure.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
-    measure.add_argument("--json", action="store_true", help="print measure.json, no table")
+    slope = "RMS slope of the microfacets"
+    add_field(measure, Material, "m", slope, default=Material.m, metavar="M")
+    add_flag(measure, "quick", "use smaller images and fewer repeats")
+    add_backend(measure, BACKENDS)
+    add_flag(measure, "json", "print measure.json instead of the table")
     add_verbose(measure)
 
 

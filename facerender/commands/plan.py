@@ -8,61 +8,76 @@ import os
 from pathlib import Path
 
 from facerender.commands.common import (
+    SIDE,
+    add_backend,
     add_field,
     add_flag,
+    add_size,
     add_verbose,
     check_outputs,
     parse_sizes,
     progress_bar,
 )
-from facerender.commands.scene import add_scene, files_read, job_of, load
+from facerender.commands.help import Help
+from facerender.commands.scene import (
+    add_budget,
+    add_samples,
+    add_scene,
+    files_read,
+    job_of,
+    load,
+)
 from facerender.commands.streams import print_result
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError, reason
 from facerender.glsl.library import LANGUAGES, TARGETS
-from facerender.job import ImageSettings, Output
+from facerender.job import Output
 from facerender.system.atomic import write_text
 
 
 def add(plan: argparse.ArgumentParser) -> None:
     plan.set_defaults(command=run)
     plan.description = (
-        "A cheaper frame of a scene (samples, triangles, shading) whose error at every pixel, "
-        "or at a fraction of them, stays within a budget, against the exact lobe with all terms, "
-        "maps, samples and triangles."
+        "Find a cheaper frame of a scene: fewer samples, triangles and shading terms. The\n"
+        "error at every pixel, or at a fraction of the pixels, stays within the budget. The\n"
+        "reference has the exact lobe and all terms, maps, samples and triangles."
     )
-    budget = "1/255, 0.5%% or '0.02 flip'"
-    plan.add_argument("--budget", required=True, metavar="ERROR", help=budget)
-    within = "fraction of the pixels that each image covers that must meet the budget (100%%)"
-    plan.add_argument("--within", default="100%", metavar="FRACTION", help=within)
-    plan.add_argument(
-        "--cost",
-        default="frame",
-        metavar="OF",
-        help="frame, whole ones of which a few are measured; or of a fragment, which leaves "
-        "samples and triangles as they are: llvmpipe, navi21 (RDNA2) or vega10 (GCN5) from a "
-        "table; auto, llvmpipe where the CPU draws, RDNA2 elsewhere; or here, to measure (frame)",
+    search = plan.add_argument_group("search")
+    add_budget(search, "largest error of the planned frame", required=True, within="100%")
+    prices = Help(
+        "cost to minimise",
+        "frame",
+        note="frame is the time of whole frames, of which a few are measured. The others are the "
+        "cost of a fragment, and leave samples and triangles unchanged: llvmpipe, navi21 (RDNA2) "
+        "and vega10 (GCN5) from a table; auto is llvmpipe if the CPU draws, otherwise navi21; here "
+        "is measured on this machine",
     )
-    add_flag(plan, "verify-cost", "measure the chosen frame beside the full one, in turns")
+    search.add_argument("--cost", default="frame", metavar="COST", help=prices)
+    verify = "measure the chosen frame and the full frame alternately"
+    add_flag(search, "verify-cost", verify)
     _, scene = add_scene(plan)
-    file = "camera, lights, material, reflectance"
-    scene.add_argument("--from", dest="scene", metavar="FILE.toml", help=file)
+    file = "scene file with camera, lights, material and shading"
+    scene.add_argument("--from", dest="scene", metavar="FILE.toml", help=Help(file, "none"))
     images = plan.add_argument_group("where the error is measured")
-    sizes = "N or WxH in pixels; 512..1024 for both and what is between (1024)"
-    images.add_argument("--size", default="1024", help=sizes)
-    add_field(images, ImageSettings, "samples", "samples per pixel")
-    add_field(images, Output, "exposure", "of the display", default=Output.exposure)
-    images.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
+    note = "FROM..TO, such as 512..1024, also measures sizes between both ends"
+    add_size(images, SIDE, note, "N|WxH|FROM..TO", default=SIDE)
+    add_samples(images)
+    exposure = "exposure of the display"
+    add_field(images, Output, "exposure", exposure, default=Output.exposure, metavar="STOPS")
+    add_backend(images, BACKENDS)
 
     output = plan.add_argument_group("results")
-    add_flag(output, "json", "every figure")
-    output.add_argument("--emit", metavar="OUT.glsl", help="the shader, with these choices made")
-    target = "of the shader: begin with its #version, or another language"
+    add_flag(output, "json", "print the whole plan as JSON")
+    shader = Help("file for the shader with the chosen terms and constants", "none")
+    output.add_argument("--emit", metavar="OUT.glsl", help=shader)
+    text = "#version line or language of the shader of --emit"
+    target = Help(text, "GLSL to include, without #version")
     output.add_argument("--target", choices=(*TARGETS, *LANGUAGES), help=target)
-    pinned = "the scene with this shading, for facerender render --scene"
+    pinned = Help("file for the planned scene, which render and batch read with --scene", "none")
     output.add_argument("--scene", dest="pinned", metavar="OUT.toml", help=pinned)
-    output.add_argument("--error-map", metavar="OUT.png", help="of the camera with the largest")
+    worst = Help("image of the error at each pixel, for the camera with the largest error", "none")
+    output.add_argument("--error-map", metavar="OUT.png", help=worst)
     add_verbose(output)
 
 
@@ -73,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
     Budget.parse(options.budget, options.exposure, options.within)
     sizes = parse_sizes(options.size)
     if options.target and not options.emit:
-        raise InputError(f"--target {options.target} is of a shader: say --emit OUT.glsl")
+        raise InputError(f"--target {options.target} has no shader: add --emit OUT.glsl")
     job, cameras = job_of(options, sizes[-1])
     check_outputs([options.emit, options.pinned, options.error_map], files_read(options, job))
     if options.error_map and not options.error_map.lower().endswith(".png"):
@@ -108,7 +123,10 @@ _PINNED = "# Written by facerender plan.\n"
 
 
 def _check_pinned(name: str | None) -> None:
-    """A scene that somebody wrote is not replaced: --scene names one to read elsewhere."""
+    """Raise InputError if --scene would replace a file that facerender plan did not write.
+
+    In ``render``, --scene names an input file, so that a mix-up is likely.
+    """
     if name is None or not os.path.isfile(name):
         return
     try:
@@ -117,6 +135,6 @@ def _check_pinned(name: str | None) -> None:
         raise InputError(f"cannot read {name}: {reason(error)}") from None
     if start != _PINNED.encode():
         raise InputError(
-            f"{name} exists, and is not of facerender plan: --from {name} reads a scene; give "
-            "--scene another name"
+            f"{name} exists, and facerender plan did not write it: read a scene with --from "
+            f"{name}, or give --scene another name"
         )

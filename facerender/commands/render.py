@@ -8,65 +8,93 @@ from dataclasses import replace
 from typing import Any
 
 from facerender.commands.common import (
+    SIDE,
+    add_backend,
     add_field,
     add_flag,
+    add_number,
+    add_size,
     add_verbose,
     check_outputs,
     step_log,
 )
-from facerender.commands.scene import add_scene, files_read, job_of, load
+from facerender.commands.help import Help
+from facerender.commands.scene import (
+    add_budget,
+    add_samples,
+    add_scene,
+    files_read,
+    job_of,
+    load,
+)
 from facerender.commands.streams import print_message, print_result
-from facerender.commands.views import STANDARD_OUTPUT, Destination, check_sheet
+from facerender.commands.views import FPS, STANDARD_OUTPUT, Destination, check_sheet
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.frame import FORMATS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
-from facerender.job import ImageSettings, MeshFile, Output, parse_size
+from facerender.images.write import FRAME_RATES
+from facerender.job import MeshFile, Output, parse_size
+from facerender.scenes.camera import Camera
 from facerender.scenes.lod import LevelOfDetail
 from facerender.scenes.scene import ONLY
 from facerender.scenes.view import view_of
 from facerender.shading import OUTSIDE, Shading
 from facerender.terms import LOBES
-from facerender.terms.ranges import EXPOSURES
+from facerender.terms.ranges import EXPOSURES, MEMORY, Range, range_of
 
 
 def add(render: argparse.ArgumentParser) -> None:
     render.set_defaults(command=run)
-    render.add_argument(
-        "-o",
-        "--output",
-        required=True,
-        metavar="OUT",
-        help=".png, .exr, .jpg or .webp; of several views OUT_000.png and so on, or with {index} "
-        "and {name} in it, or one .gif, .webp or .mp4; - for standard output",
+    render.description = (
+        "Render a mesh file, or the built-in head, to an image. Several cameras give\n"
+        "several files, an animation or a sheet. Options override a scene file."
     )
+    kinds = ".png, .jpg or .webp (8-bit sRGB), .exr (linear float32), or - for standard output"
+    views = (
+        "Several views write OUT_000.png and so on, or replace {index} and {name} in OUT; a .gif, "
+        ".webp or .mp4 holds all views. Requires pip install 'facerender[exr]' for .exr, "
+        "'facerender[mp4]' for .mp4"
+    )
+    output = Help(f"output file: {kinds}", "required", note=views)
+    render.add_argument("-o", "--output", required=True, metavar="OUT", help=output)
     terms, scene = add_scene(render)
-    terms.add_argument("--lobe", choices=tuple(LOBES), help="(exact)")
-    outside = f"action if m is outside the lobe's valid range ({Shading.outside})"
-    terms.add_argument("--outside", choices=OUTSIDE, help=outside)
-    budget = "plan a cheaper frame within 1/255, 0.5%% or '0.02 flip', and draw that"
-    terms.add_argument("--budget", metavar="ERROR", help=budget)
-    within = "fraction of pixels that must meet the budget (100%%)"
-    terms.add_argument("--within", metavar="FRACTION", help=within)
-    scene.add_argument("--scene", metavar="FILE.toml", help="camera, lights, material, reflectance")
-    target = "what images have in their centre, in the mesh's units (the centre of the frame)"
-    scene.add_argument("--target", dest="looked_at", metavar="X,Y,Z", help=target)
-    add_field(scene, MeshFile, "triangles", "simplify the mesh to N", "all", metavar="N")
+    note = "facerender measure prints their errors"
+    lobe = Help("exact lobe, or an approximation", "exact", note=note)
+    terms.add_argument("--lobe", choices=tuple(LOBES), help=lobe)
+    text = (
+        "action if m is outside the lobe's valid range: stop with an error, or use the exact lobe"
+    )
+    terms.add_argument("--outside", choices=OUTSIDE, help=Help(text, Shading.outside))
+    file = "scene file with camera, lights, material and shading"
+    scene.add_argument("--scene", metavar="FILE.toml", help=Help(file, "none"))
+    values = str(range_of(Camera, "target"))
+    center = Help("point at the centre of the image", "the centre of --frame", values, "mesh units")
+    scene.add_argument("--target", dest="looked_at", metavar="X,Y,Z", help=center)
+    note = "Requires pip install 'facerender[lod]'"
+    triangles = "simplify the mesh to N triangles"
+    add_field(scene, MeshFile, "triangles", triangles, "all", note, metavar="N")
+
+    planned = render.add_argument_group("planned frame")
+    add_budget(planned, "largest error of a cheaper frame to plan and render")
 
     image = render.add_argument_group("image")
-    image.add_argument("--size", help="N or WxH in pixels (1024, or as --camera FILE says)")
-    add_field(image, ImageSettings, "samples", "samples per pixel")
-    add_field(image, Output, "exposure", "of all but an EXR", default=Output.exposure)
-    image.add_argument("--only", choices=ONLY, help="one term in place of the whole image")
-    image.add_argument("--format", choices=FORMATS, help="of standard output, -o - (png)")
-    add_flag(image, "sheet", "all views beside each other in one image")
-    fps = "views per second, of a .gif, .webp or .mp4 (12)"
-    image.add_argument("--fps", type=float, metavar="N", help=fps)
-    image.add_argument("--backend", choices=BACKENDS, default="auto", help="(auto)")
-    add_flag(image, "no-cache", "neither read nor write the cache in ~/.cache/facerender")
-    memory = "fail if the estimated memory exceeds N MiB (what the system has left)"
-    image.add_argument("--memory", type=float, metavar="N", help=memory)
-    add_flag(image, "json", "describe the image as JSON")
+    add_size(image, f"{SIDE}, or the size in the camera file")
+    add_samples(image)
+    exposure = "exposure of all formats except .exr"
+    add_field(image, Output, "exposure", exposure, default=Output.exposure, metavar="STOPS")
+    note = "parts has a colour per part; in an .exr it has the number of the part"
+    only = Help("term or data to render", "the whole image", note=note)
+    image.add_argument("--only", choices=ONLY, help=only)
+    image.add_argument("--format", choices=FORMATS, help=Help("format of -o -", "png"))
+    add_flag(image, "sheet", "arrange all views in one image")
+    rate = "views per second of a .gif, .webp or .mp4"
+    add_number(image, "fps", rate, Range(*FRAME_RATES), f"{FPS:g}", metavar="N")
+    add_backend(image, BACKENDS)
+    add_flag(image, "no-cache", "do not use the cache in ~/.cache/facerender")
+    memory, note = "limit of the estimated memory", "A scene that needs more is refused"
+    add_number(image, "memory", memory, MEMORY, "the free memory", note, metavar="MIB")
+    add_flag(image, "json", "print output files, driver, terms and warnings as JSON")
     add_verbose(image)
 
 
@@ -75,7 +103,7 @@ def _check(options: argparse.Namespace) -> None:
     if options.budget is not None and options.only is not None:
         raise InputError(f"--budget plans the whole image: leave --only {options.only} out")
     if options.within is not None and options.budget is None:
-        raise InputError(f"--within {options.within} is of a budget: say --budget ERROR")
+        raise InputError(f"--within {options.within} has no budget: add --budget ERROR")
     if options.json and options.output == STANDARD_OUTPUT:
         raise InputError("-o - and --json both write to standard output: leave one of them out")
 
@@ -85,8 +113,8 @@ def run(options: argparse.Namespace) -> int:
     job, cameras = job_of(options, parse_size(options.size) if options.size else None)
     if options.budget is not None and len(cameras) > 1:
         raise InputError(
-            f"--budget plans one view, and there are {len(cameras)}: give one --camera, or all of "
-            "them to facerender plan, and its scene to render --scene"
+            f"--budget plans one view, and there are {len(cameras)}: give one --camera, or run "
+            "facerender plan with all cameras and render its scene with --scene"
         )
     EXPOSURES.check("exposure", options.exposure)
     transparent = job.background is None
@@ -98,7 +126,7 @@ def run(options: argparse.Namespace) -> int:
     step = step_log(options)
     step("mesh")
     scene = load(job, not options.no_cache, ahead=options.memory is None)
-    step(f"OpenGL, for {scene.mesh!r}")
+    step(f"OpenGL context for {scene.mesh!r}")
     width, height = job.image.size
     if target.kind == "sheet":
         check_sheet(target.count, (width, height), options.memory)
@@ -106,7 +134,7 @@ def run(options: argparse.Namespace) -> int:
         view_of(replace(scene, camera=camera), width / height)
     plan: dict[str, Any] = {}
     with Renderer.of(job, options.backend, options.memory) as renderer:
-        step(f"image, by {renderer.context.renderer}")
+        step(f"image on {renderer.context.renderer}")
         if options.budget is not None:
             from facerender.planning.cache import cached_plan
 

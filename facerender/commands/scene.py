@@ -1,4 +1,4 @@
-"""What ``render`` and ``plan`` share: the options that a scene is made of, and their job."""
+"""The scene options of ``render`` and ``plan``, and the job that they describe."""
 
 from __future__ import annotations
 
@@ -9,16 +9,21 @@ from pathlib import Path
 from typing import Any
 
 from facerender.commands.common import (
+    MAPS_TITLE,
     add_allow_outside,
     add_field,
     add_flag,
+    add_flip_v,
     add_maps,
+    add_mesh,
     add_parts,
     add_switch,
+    bounds_of,
     import_trimesh,
     mesh_files,
     numbers_of,
 )
+from facerender.commands.help import Help
 from facerender.drawing.prepare import start_maps
 from facerender.errors import InputError, clipped
 from facerender.job import ImageSettings, Job, MeshFile
@@ -31,120 +36,177 @@ from facerender.scenes.camera import (
     orbiting,
     turntable,
 )
-from facerender.scenes.file import STUDIO, load_scene, parse_environment
-from facerender.scenes.light import LIGHTS, parse_light
+from facerender.scenes.file import STUDIO, EnvironmentFile, load_scene, parse_environment
+from facerender.scenes.light import LIGHTS, Light, parse_light
 from facerender.scenes.material import Material
 from facerender.scenes.mips import Kind
 from facerender.scenes.scene import Scene
 from facerender.shading import DIFFUSE, SCATTER_SAMPLES, Shading, Term
 from facerender.terms import FRESNEL, MASKING, MODELS
+from facerender.terms.ranges import range_of
 
 _FACTORS = (
     *("m", "f0", "ks", "kd", "second_slope", "lobe_weight", "scattering", "normal_strength"),
 )
+_OR_FILE = "{:g} or the mesh file's"  # default of a factor that mesh files may set
 WHERE = (
     f"{', '.join(AZIMUTHS_BY_NAME)}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees; turntable[:N], for "
-    "8 or N around; gltf[:NAME], of the mesh file; a .toml with [[cameras]], a .json or .npz with "
-    "K and [R|t]; repeat for several"
+    "N views around the mesh (8); gltf[:NAME], for cameras of the mesh file; or a camera file: "
+    ".toml with [[cameras]], .json or .npz with K and [R|t]"
 )
 
 
 def add_scene(
     command: argparse.ArgumentParser,
 ) -> tuple[argparse._ArgumentGroup, argparse._ArgumentGroup]:
-    """Add what a scene is made of, and return the groups on reflectance and on the scene."""
-    command.add_argument(
-        "mesh", nargs="?", help=".glb .gltf .obj .ply .stl; without it the built-in head"
-    )
+    """Add MESH and the options of a scene; return the groups "reflectance" and "scene"."""
+    add_mesh(command)
     terms = command.add_argument_group("reflectance")
-    maps = command.add_argument_group("maps, in place of those of the mesh file")
+    maps = command.add_argument_group(MAPS_TITLE)
     scene = command.add_argument_group("scene")
     _add_reflectance(terms)
     _add_maps(maps)
     add_parts(scene)
-    unit = "length of a unit of the mesh, for scattering"
-    add_field(scene, MeshFile, "millimetres", unit, "1000 in glTF", metavar="MM")
-    scene.add_argument("--camera", action="append", metavar="WHERE", help=f"{WHERE} (front)")
-    framed = f"what the image holds of the mesh, where a camera orbits ({Camera.frame})"
+    unit, known = "length of a unit of the mesh", "1000 in glTF, else unknown"
+    note = "Required for subsurface scattering"
+    add_field(scene, MeshFile, "millimetres", unit, known, note, metavar="MM")
+    orbit = ("azimuth", "elevation", "zoom")
+    note = (
+        f"Give {WHERE}. Ranges: {', '.join(f'{each} {range_of(Camera, each)}' for each in orbit)}"
+    )
+    camera = Help("camera; repeat for several views", "front", note=note)
+    scene.add_argument("--camera", action="append", metavar="CAMERA", help=camera)
+    note = "head and face are found from the shape of the mesh"
+    framed = Help("region of the mesh that an orbiting camera frames", Camera.frame, note=note)
     scene.add_argument("--frame", choices=FRAMES, help=framed)
-    add_field(scene, Camera, "fov", "vertical angle of view")
+    add_field(scene, Camera, "fov", "vertical angle of view", metavar="DEGREES")
     _add_lighting(scene)
-    scene.add_argument("--background", metavar="RGB", help="linear R,G,B, or none: transparent")
+    text = "linear background colour R,G,B, or none for transparent"
+    limits, note = (
+        bounds_of(range_of(Scene, "background")),
+        ".jpg, .gif and .mp4 cannot be transparent",
+    )
+    behind = Help(text, _numbers(Scene.background), **limits, note=note)
+    scene.add_argument("--background", metavar="R,G,B", help=behind)
     return terms, scene
 
 
+def add_budget(
+    group: argparse._ArgumentGroup, text: str, required: bool = False, within: str | None = None
+) -> None:
+    """Add --budget and --within, whose value is ``within`` if it is not given."""
+    note = "1/255 is one 8-bit level, 0.5% is relative radiance, '0.02 flip' is the FLIP metric"
+    budget = Help(text, "required" if required else "none", "at least 0", note=note)
+    group.add_argument("--budget", required=required, metavar="ERROR", help=budget)
+    text = "fraction of each image's covered pixels that must meet the budget"
+    fraction = Help(text, "100%", "above 0, at most 1 or 100%")
+    group.add_argument("--within", default=within, metavar="FRACTION", help=fraction)
+
+
+def add_samples(group: argparse._ArgumentGroup) -> None:
+    note = "Above the maximum of the driver, each sample is a shifted image of its own"
+    add_field(group, ImageSettings, "samples", "samples per pixel", note=note, metavar="N")
+
+
+def _numbers(value: Any) -> str:
+    return ",".join(f"{each:g}" for each in value)
+
+
 def _add_reflectance(terms: argparse._ArgumentGroup) -> None:
-    for name, registry in (("model", MODELS), ("fresnel", FRESNEL), ("masking", MASKING)):
-        terms.add_argument(f"--{name}", choices=tuple(registry), help=f"({getattr(Term, name)})")
-    add_field(terms, Material, "m", "rms slope of the microfacets, in place of the file's map")
-    add_field(terms, Material, "f0", "reflectance at normal incidence")
-    add_field(terms, Material, "ks", "specular weight")
-    coupled = f"coupled: what the specular term leaves ({Shading.diffuse})"
-    terms.add_argument("--diffuse", choices=DIFFUSE, help=coupled)
+    printed = "ward-printed is Ward as published by Romanyuk et al. (2020)"
+    for name, registry, text, note in (
+        ("model", MODELS, "specular model", printed),
+        ("fresnel", FRESNEL, "Fresnel term of Cook-Torrance", ""),
+        ("masking", MASKING, "masking term of Cook-Torrance", ""),
+    ):
+        term = Help(text, getattr(Term, name), note=note)
+        terms.add_argument(f"--{name}", choices=tuple(registry), help=term)
+    slope, note = "RMS slope of the microfacets", "Replaces the roughness map of the mesh file"
+    add_field(terms, Material, "m", slope, _OR_FILE, note, metavar="M")
+    add_field(terms, Material, "f0", "Fresnel reflectance at normal incidence", _OR_FILE)
+    add_field(terms, Material, "ks", "specular weight", _OR_FILE)
+    note = "coupled reduces it by the light that the specular term reflects"
+    diffuse = Help("diffuse term", Shading.diffuse, note=note)
+    terms.add_argument("--diffuse", choices=DIFFUSE, help=diffuse)
     add_field(terms, Material, "kd", "diffuse weight")
-    unresolved = "widen the lobe by what a pixel does not resolve of the normal map (on)"
-    add_switch(terms, "slope-filter", unresolved)
-    curved = "widen it by the mesh's curvature over a pixel too, for small images (off)"
-    add_switch(terms, "curvature", curved)
-    second = "m of a second lobe, as a factor on m"
-    add_field(terms, Material, "second_slope", second, "1: none", metavar="F")
-    add_field(terms, Material, "lobe_weight", "fraction of the first lobe", metavar="W")
-    scattering = "subsurface scattering (none)"
+    text = "specular antialiasing: widen the lobe by normal-map slopes smaller than a pixel"
+    add_switch(terms, "slope-filter", text, "on")
+    text = "also widen the lobe by the curvature in a pixel, for images below about 128 pixels"
+    add_switch(terms, "curvature", text, "off")
+    second = "m of a second lobe, as a factor of m"
+    add_field(terms, Material, "second_slope", second, "{:g}: one lobe", metavar="F")
+    weight = "fraction of the first lobe"
+    add_field(terms, Material, "lobe_weight", weight, "{:g}: one lobe", metavar="W")
+    note = "Requires the length of a mesh unit: see --millimetres"
+    scattering = Help("subsurface scattering", "none", note=note)
     terms.add_argument("--scattering", choices=("skin", "none"), help=scattering)
-    terms.add_argument(
-        "--scatter-samples",
-        type=int,
-        metavar="N",
-        help=f"subsurface samples per pixel: {', '.join(map(str, SCATTER_SAMPLES))}; 0 leaves "
-        f"scattering out ({Shading.scatter_samples})",
-    )
+    *most, last = SCATTER_SAMPLES
+    counts = f"{', '.join(map(str, most))} or {last}"
+    note = "0 disables subsurface scattering"
+    samples = Help("subsurface samples per pixel", f"{Shading.scatter_samples}", counts, note=note)
+    terms.add_argument("--scatter-samples", type=int, metavar="N", help=samples)
 
 
 def _add_maps(maps: argparse._ArgumentGroup) -> None:
     add_maps(maps, "albedo", "normal-map", "specular-map", "roughness-map", "lobe-map")
-    add_flag(maps, "flip-v", "turn texture coordinates upside down")
-    green = f"down: green of normal maps points down, as DirectX has it ({MeshFile.normal_map_y})"
+    add_flip_v(maps)
+    text = "direction of green in normal maps, those of the mesh file included"
+    green = Help(text, MeshFile.normal_map_y, note="down is the convention of DirectX")
     maps.add_argument("--normal-map-y", choices=NORMAL_MAP_Y, help=green)
-    add_field(maps, Material, "normal_strength", "factor on slopes of normal maps", metavar="X")
+    strength = "factor on the slopes of normal maps"
+    add_field(maps, Material, "normal_strength", strength, _OR_FILE, metavar="X")
     add_allow_outside(maps)
-    add_field(maps, ImageSettings, "anisotropy", "of texture filtering")
-    add_flag(maps, "float-albedo", "albedo as linear float16")
-    add_flag(maps, "full-maps", "keep all mip levels of maps of more than 4096 x 4096")
+    filtering = "maximum anisotropy of texture filtering"
+    add_field(maps, ImageSettings, "anisotropy", filtering, metavar="N")
+    text = "store albedo maps as linear float16, so that drivers differ only in the last digits"
+    add_flag(maps, "float-albedo", text)
+    text = "decode all mip levels of maps of more than 4096 x 4096 texels, as --float-albedo does"
+    add_flag(maps, "full-maps", text)
 
 
 def _add_lighting(scene: argparse._ArgumentGroup) -> None:
-    scene.add_argument(
-        "--light",
-        action="append",
-        metavar="LIGHT",
-        help=f"{', '.join(LIGHTS)}, AZIMUTH,ELEVATION[,IRRADIANCE] or "
-        "point:X,Y,Z[,IRRADIANCE], and behind it ,radius=DEGREES where it has a size and ,shadow "
-        "where it casts one; repeat for several (key, rim, fill)",
+    radius = range_of(Light, "radius")
+    light = Help(
+        "light; repeat for several lights",
+        "key, rim, fill; none with --environment",
+        note=f"Give {', '.join(LIGHTS)}, AZIMUTH,ELEVATION[,IRRADIANCE] in degrees, or "
+        "point:X,Y,Z[,IRRADIANCE] in mesh units. IRRADIANCE is E or R,G,B, "
+        f"{range_of(Light, 'irradiance')}. Append ,radius=DEGREES, {radius}, for the angular "
+        "radius of an area light, and ,shadow for shadows",
     )
-    add_switch(scene, "shadows", "have every light cast shadows, or none (as each light says)")
-    scene.add_argument(
-        "--environment",
-        metavar="FILE[,ROTATION[,SCALE]]",
-        help=f".hdr, .exr or {STUDIO}: environment light, in place of lights and ambient light "
-        "where none are given; rotation in degrees",
+    scene.add_argument("--light", action="append", metavar="LIGHT", help=light)
+    add_switch(scene, "shadows", "shadows of all lights", "as each light specifies")
+    rotation, scale = (range_of(EnvironmentFile, name) for name in ("rotation", "scale"))
+    around = Help(
+        f"environment map: .hdr, .exr, .npy, .npz or {STUDIO}",
+        "none",
+        note=f"ROTATION is {rotation}; SCALE, a factor on the radiance, is {scale}. An environment "
+        "map replaces the default lights and the default ambient light. Requires pip install "
+        "'facerender[hdr]' for .hdr, 'facerender[exr]' for .exr",
     )
-    directions = "directions of it that a lobe reflects, even, or 0 for its diffuse part alone"
-    add_field(scene, Shading, "environment_samples", directions, metavar="N")
-    scene.add_argument("--ambient", metavar="E", help="ambient irradiance, E or R,G,B")
-    add_flag(
-        *(scene, "occlusion"),
-        "dim ambient and environment light by what the mesh hides of it, found by rays to its "
-        "vertices, where the file has no occlusion map (off)",
-    )
+    scene.add_argument("--environment", metavar="FILE[,ROTATION[,SCALE]]", help=around)
+    directions = "directions of the environment map that each lobe reflects, an even number"
+    note = "0 disables the specular reflection of the environment"
+    add_field(scene, Shading, "environment_samples", directions, note=note, metavar="N")
+    default = f"{_numbers(Scene.ambient)}; 0 with --environment"
+    limits = bounds_of(range_of(Scene, "ambient"))
+    ambient = Help("ambient irradiance, E or R,G,B", default, **limits)
+    scene.add_argument("--ambient", metavar="E", help=ambient)
+    text = "ray-trace ambient occlusion at the vertices of parts without an occlusion map"
+    dims = "It dims ambient light and the diffuse light of the environment map"
+    add_flag(scene, "occlusion", text, f"{dims}. Requires pip install 'facerender[rays]'")
 
 
 def job_of(
     options: argparse.Namespace, size: tuple[int, int] | None
 ) -> tuple[Job, dict[str, Camera]]:
-    """Return what options and scene file say: the job, and by their names the cameras of the
-    options, or else of the file, or else the job's own.
+    """Return the job of the options and of the scene file, and the cameras by name.
 
-    size : of the images; None for that of the first camera, or else of ImageSettings
+    The options may name cameras; otherwise the scene file does, or there is one default camera.
+
+    Parameters
+    ----------
+    size : image size; None for the size of the first camera, or else the default size
     """
     if options.m is not None and options.roughness_map is not None:
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
@@ -177,19 +239,25 @@ def job_of(
 
 
 def values_of(options: argparse.Namespace, *names: str) -> dict[str, Any]:
-    """Return those of the options that were given."""
+    """Return the values of the named options that were given."""
     return {name: value for name in names if (value := getattr(options, name, None)) is not None}
 
 
 def files_read(options: argparse.Namespace, job: Job) -> Iterator[str | Path | None]:
-    """Yield what options and job say is read."""
+    """Yield the input files of the options and the job."""
     yield from mesh_files(job.mesh)
     yield from filter(None, [options.scene, job.environment and job.environment.file])
     yield from (place for place in options.camera or () if _is_file(place))
 
 
 def load(job: Job, cache: bool = False, ahead: bool = True) -> Scene:
-    """Return the scene of a job; ahead of its renderer its maps are being decoded, and kept."""
+    """Load the scene of a job.
+
+    Parameters
+    ----------
+    cache : whether the disk cache is used for the mesh and its decoded maps
+    ahead : whether threads start to decode the maps before there is a renderer
+    """
     mesh = job.mesh.cached() if cache else None
     if mesh is None:
         import_trimesh(job.mesh.path)
@@ -206,7 +274,7 @@ def _shading(options: argparse.Namespace, pinned: Mapping[str, Any]) -> Shading:
 
     Raises
     ------
-    InputError : an option of which the file's shading would take no account
+    InputError : an option would have no effect, because the file pins a value of the shading
     """
     for key, names in (
         ("m", ("m", "roughness_map")),
@@ -224,7 +292,7 @@ def _shading(options: argparse.Namespace, pinned: Mapping[str, Any]) -> Shading:
             for name in values_of(options, *names):
                 raise InputError(
                     f"{options.scene} pins {key} = {pinned[key]} of the shading: leave "
-                    f"--{name.replace('_', '-')} out, or that line"
+                    f"--{name.replace('_', '-')} out, or remove that line from the file"
                 )
     terms = ("model", "lobe", "fresnel", "masking", "diffuse", "outside")
     others = ("slope_filter", "curvature", "scatter_samples", "environment_samples")
@@ -234,8 +302,8 @@ def _shading(options: argparse.Namespace, pinned: Mapping[str, Any]) -> Shading:
 def _cameras(
     options: argparse.Namespace, settings: dict[str, Any], size: tuple[int, int] | None
 ) -> tuple[Camera, dict[str, Camera]]:
-    """Take the cameras out of the settings of a scene file, and return the job's camera and all
-    cameras by their names. Cameras of options orbit as that of the file does."""
+    """Remove the cameras from the settings of a scene file; return the job's camera, and all
+    cameras by name. An orbiting camera of an option inherits its other fields from the file."""
     path = settings.pop("cameras", ())
     camera = settings.pop("camera", path[0] if path else Camera())
     changes = values_of(options, "fov", "frame")
@@ -260,8 +328,15 @@ def _placed(
     mesh: str | None,
     size: tuple[int, int] | None,
 ) -> dict[str, Camera]:
-    """Return by their names the cameras that an option --camera names: of the kind of the given
-    one, or of files, with the changes."""
+    """Return the cameras of one --camera option by name.
+
+    Parameters
+    ----------
+    place : value of the option
+    camera : camera that orbiting cameras are derived from
+    changes : fields of :class:`Camera` to change in cameras of files
+    size : image size; None if the camera file states it
+    """
     word, _, rest = place.partition(":")
     if word == "turntable":
         if rest and not rest.isdecimal():
@@ -283,7 +358,7 @@ def _file_cameras(
     place: str, file: str | None, name: str, size: tuple[int, int] | None
 ) -> dict[str, Camera]:
     if place.startswith("gltf") and not (file or "").lower().endswith(GLTF):
-        raise InputError(f"--camera {place}: the mesh is no .glb or .gltf; give another camera")
+        raise InputError(f"--camera {place}: the mesh is not a .glb or .gltf; give another camera")
     from facerender.loading.cameras import load_cameras
 
     found = load_cameras(str(file), size)
@@ -291,7 +366,7 @@ def _file_cameras(
         return found
     if name not in found:
         known = ", ".join(map(clipped, found))
-        raise InputError(f"--camera {place}: {file} has no such camera; known: {known}")
+        raise InputError(f"--camera {place}: {file} has no such camera; it has {known}")
     return {name: found[name]}
 
 
@@ -301,12 +376,12 @@ def _orbit(place: str, camera: Camera) -> Camera:
     try:
         numbers = numbers_of("camera", place, (1, 2, 3))
     except InputError as error:
-        raise InputError(f"{error}, or {WHERE.replace(';', ',')}") from None
+        raise InputError(f"{error}, or {WHERE}") from None
     return orbiting(camera, **dict(zip(("azimuth", "elevation", "zoom"), numbers, strict=False)))
 
 
 def _scene_settings(options: argparse.Namespace) -> dict[str, Any]:
-    """The fields of Scene that options set, over those of the scene file; but for the camera."""
+    """Return the fields of Scene that the options set, except the camera."""
     settings: dict[str, Any] = {}
     if options.light:
         settings["lights"] = tuple(parse_light(text) for text in options.light)

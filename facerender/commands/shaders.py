@@ -7,38 +7,58 @@ import dataclasses
 import json
 import textwrap
 
-from facerender.commands.common import check_outputs
+from facerender.commands.common import add_flag, add_number, check_outputs
+from facerender.commands.help import Help
 from facerender.commands.streams import print_result
 from facerender.glsl.library import LANGUAGES, TARGETS, shader_dir, shader_source
 from facerender.terms import LOBES
+from facerender.terms.lobe import SLOPES
 
 
 def add(shaders: argparse.ArgumentParser) -> None:
-    actions = shaders.add_subparsers(required=True, metavar="ACTION")
-    listing = actions.add_parser("list", help="every function: signature, unit, error")
-    listing.add_argument("--json", action="store_true", help="all that the headers say, as JSON")
+    shaders.description = (
+        "Use the GLSL library in another program: list its functions, print its include\n"
+        "directory, flatten a shader into one file, or prepare a normal map for specular\n"
+        "antialiasing."
+    )
+    actions = shaders.add_subparsers(title="actions", required=True, metavar="ACTION")
+    listing = actions.add_parser("list", help="list every function with its unit and error")
+    listing.description = (
+        "List every public function of the GLSL library: signature, file, summary, unit\nand error."
+    )
+    add_flag(listing, "json", "print all facts of the shader headers as JSON")
     listing.set_defaults(command=run_list)
-    path = actions.add_parser("path", help="the include root")
+    path = actions.add_parser("path", help="print the include directory")
+    path.description = (
+        "Print the include directory of the GLSL library, in which a program finds\n"
+        "facerender/cook_torrance.glsl and the other files."
+    )
     path.set_defaults(command=run_path)
-    flatten = actions.add_parser("flatten", help="one file, with all that it includes")
-    flatten.add_argument(
-        "name",
-        metavar="NAME",
-        help="cook_torrance, lobe/exact, ...; a function; or a GLSL file of your own",
+    flatten = actions.add_parser("flatten", help="print a shader without includes")
+    flatten.description = (
+        "Print a shader as one file, which contains each included file once and only the\n"
+        "chosen terms. With --m, all coefficients of the lobe are constants."
     )
-    flatten.add_argument(
-        "--target",
-        choices=(*TARGETS, *LANGUAGES),
-        help="begin with this #version, or another language; without it: GLSL to include",
-    )
-    flatten.add_argument("--lobe", choices=tuple(LOBES), help="leave the others out")
-    flatten.add_argument("--m", type=float, help="rms slope, as a constant")
+    text = "file of the library such as cook_torrance or lobe/exact, function, or your GLSL file"
+    flatten.add_argument("name", metavar="NAME", help=Help(text, "required"))
+    versions = "330 is OpenGL 3.3, es300 OpenGL ES 3.0 and WebGL 2, vulkan GLSL 450, msl Metal"
+    default = "GLSL to include, without #version"
+    target = Help("#version line or language of the result", default, note=versions)
+    flatten.add_argument("--target", choices=(*TARGETS, *LANGUAGES), help=target)
+    lobe = Help("the only lobe in the result", "the lobe that FR_LOBE selects")
+    flatten.add_argument("--lobe", choices=tuple(LOBES), help=lobe)
+    slope = "RMS slope of the microfacets, as a constant"
+    add_number(flatten, "m", slope, SLOPES, "a parameter", metavar="M")
     flatten.set_defaults(command=run_flatten)
-    prepare = actions.add_parser(
-        "prepare-normal-map", help="a normal map with the mip levels that slope_variance.glsl reads"
+    summary = "prepare a normal map for specular antialiasing"
+    prepare = actions.add_parser("prepare-normal-map", help=summary)
+    prepare.description = (
+        "Write a normal map with all mip levels as KTX 2.0. Its alpha channel has the\n"
+        "deviation of the slopes, which slope_variance.glsl reads."
     )
-    prepare.add_argument("source", metavar="IN", help="an image: .png .jpg .tif .webp")
-    prepare.add_argument("output", metavar="OUT", help=".ktx2")
+    source = Help("normal map: .png, .jpg, .tif or .webp", "required")
+    prepare.add_argument("source", metavar="IN", help=source)
+    prepare.add_argument("output", metavar="OUT", help=Help("output file: .ktx2", "required"))
     prepare.set_defaults(command=run_prepare_normal_map)
 
 

@@ -1,5 +1,5 @@
-"""Standard output, which carries results, and standard error, which carries all else. Closed, full
-or of few letters, neither costs more than a line."""
+"""Standard output for results and standard error for messages, even if a stream is closed, is full
+or cannot encode a character."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from facerender.errors import FacerenderError, reason
 
 
 def make_usable() -> None:
-    """Open what is closed, so that no file gets its number, and have text escaped that a stream has
-    no letters for."""
+    """Open closed standard streams, so that no other file gets their numbers, and escape characters
+    that a stream cannot encode."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(number, True)
     os.close(number)
@@ -29,31 +29,31 @@ def print_result(*lines: object, end: str = "\n") -> None:
 
     Raises
     ------
-    FacerenderError : standard output takes no more
+    FacerenderError : standard output cannot be written
     """
     try:
         _print("\n".join(map(str, lines)) + end, sys.stdout)
     except OSError as error:
         _mute(sys.stdout)
         raise FacerenderError(
-            f"cannot write standard output: {reason(error)}; send it elsewhere"
+            f"cannot write standard output: {reason(error)}; redirect it to another place"
         ) from None
 
 
 def print_bytes(content: bytes) -> None:
-    """Write a result that is no text; raises as :func:`print_result`."""
+    """Write binary output to standard output; raises as :func:`print_result`."""
     try:
         sys.stdout.buffer.write(content)
         sys.stdout.buffer.flush()
     except OSError as error:
         _mute(sys.stdout)
         raise FacerenderError(
-            f"cannot write standard output: {reason(error)}; send it elsewhere"
+            f"cannot write standard output: {reason(error)}; redirect it to another place"
         ) from None
 
 
 def print_message(*lines: object) -> None:
-    """Print what is no result on standard error, if it can be."""
+    """Print messages on standard error; ignore errors of the stream."""
     try:
         _print("\n".join(map(str, lines)) + "\n", sys.stderr)
     except OSError:
@@ -61,7 +61,7 @@ def print_message(*lines: object) -> None:
 
 
 def _print(text: str, stream: TextIO) -> None:
-    bars: Any = sys.modules.get("tqdm")  # where they stand, text would run into them
+    bars: Any = sys.modules.get("tqdm")  # its write() keeps text out of progress bars
     if bars is None:
         stream.write(text)
     else:
@@ -70,6 +70,6 @@ def _print(text: str, stream: TextIO) -> None:
 
 
 def _mute(stream: TextIO) -> None:
-    """Have what is left of a stream's buffer go nowhere, or the interpreter would complain."""
+    """Discard the buffer of a stream; the interpreter would report an error when it flushes it."""
     with suppress(OSError), open(os.devnull, "wb") as nothing:
         os.dup2(nothing.fileno(), stream.fileno())

@@ -1,5 +1,4 @@
-"""Where the images of several cameras go: a file each, one file that moves, a sheet, or standard
-output."""
+"""Output files of several views: one file per view, an animation, a sheet, or standard output."""
 
 from __future__ import annotations
 
@@ -21,21 +20,22 @@ from facerender.scenes.vectors import Vector
 from facerender.system.memory import MIB, limit
 
 STANDARD_OUTPUT = "-"
+FPS = 12.0  # default of animations
 _FIELDS = {"index", "name"}
-_OF_PIXEL = 32  # bytes, of a sheet: linear, and as much at the most while it is written
+_PIXEL_BYTES = 32  # of a sheet: 16 for linear RGBA, and up to 16 while it is written
 
 
 @dataclass(frozen=True)
 class Destination:
-    """What is written.
+    """The output files of a command.
 
     Attributes
     ----------
-    files : names, or that of standard output
-    kind : "each" file an image, or "moving" or a "sheet", where one file has all images
-    count : of the images
-    format : of an image on standard output
-    fps : of a file that moves
+    files : file names, or STANDARD_OUTPUT alone
+    kind : "each": one file per image. "moving", "sheet": one file with all images
+    count : number of images
+    format : format of an image on standard output; None for files
+    fps : images per second of an animation
     """
 
     files: tuple[str, ...]
@@ -54,60 +54,62 @@ class Destination:
         fps: float | None,
         transparent: bool,
     ) -> Destination:
-        """Return where images go.
+        """Return the destination of images, before any of them is drawn.
 
         Parameters
         ----------
-        path : a file name, in which {index} and {name} stand for an image's; or standard output
-        names : of the images
-        as_sheet : whether they are put beside each other
-        format, fps : None where nobody asked
-        transparent : whether there is no background
+        path : file name, in which {index} and {name} are replaced, or STANDARD_OUTPUT
+        names : names of the images
+        as_sheet : whether all images go into one sheet
+        format, fps : values of the options; None if they are not given
+        transparent : whether the background is transparent
 
         Raises
         ------
-        InputError : what can be known to fail, before any work
+        InputError : the path, format or fps does not fit the images
         """
         kind: Literal["each", "moving", "sheet"] = "sheet" if as_sheet else "each"
         files: tuple[str, ...] = (path,)
         if path == STANDARD_OUTPUT:
             if len(names) > 1 and not as_sheet:
                 raise InputError(
-                    f"-o - takes one image, and there are {len(names)}: give --sheet, or a file"
+                    f"-o - takes one image, and there are {len(names)}: give --sheet or a file"
                 )
             format = format or "png"
         elif format is not None:
-            raise InputError(f"--format {format} is of -o -: a file's name says its own")
+            raise InputError(f"--format {format} is for -o - only: the file name sets the format")
         elif not as_sheet and _moves(path, len(names)):
             kind = "moving"
         else:
             files = file_names(path, ["sheet"] if as_sheet else names)
         if fps is not None and kind != "moving":
-            raise InputError(f"--fps {fps:g} is of a .gif, .webp or .mp4 of several views")
+            raise InputError(f"--fps {fps:g} is for a .gif, .webp or .mp4 of several views only")
         if kind == "moving":
             from facerender.images.animation import check_animation
 
-            check_animation(path, 12.0 if fps is None else fps)
+            check_animation(path, FPS if fps is None else fps)
             if not path.lower().endswith(".webp"):
                 check_opaque(path, transparent)
         elif (format or format_of(files[0])) == "jpeg":
             check_opaque("JPEG", transparent)
-        return cls(files, kind, len(names), format, 12.0 if fps is None else fps)
+        return cls(files, kind, len(names), format, FPS if fps is None else fps)
 
     def write(self, frames: Iterator[Frame], exposure: float, background: Vector | None) -> Frame:
-        """Write images as they are drawn, and return the last."""
+        """Write each image as soon as it is drawn; return the last one."""
         last: list[Frame] = []
 
-        def drawn() -> Iterator[Frame]:
+        def remembered() -> Iterator[Frame]:
             for last[:] in ([frame] for frame in frames):
                 yield last[0]
 
         if self.kind == "moving":
             from facerender.images.animation import save_animation
 
-            save_animation(self.files[0], (frame.srgb8(exposure) for frame in drawn()), self.fps)
+            save_animation(
+                self.files[0], (frame.srgb8(exposure) for frame in remembered()), self.fps
+            )
             return last[0]
-        images = drawn()
+        images = remembered()
         if self.kind == "sheet":
             images = iter([sheet(images, self.count, background)])
         for file, frame in zip(self.files, images, strict=True):
@@ -119,19 +121,21 @@ class Destination:
 
 
 def _moves(path: str, count: int) -> bool:
-    """Tell whether a file holds several images one after the other: a .gif or .mp4 does, and a
-    .webp of several whose name has no place for a number."""
+    """Return whether the file is an animation: a .gif, an .mp4, or a .webp of several images whose
+    name contains neither {index} nor {name}."""
     suffix = os.path.splitext(path)[1].lower()
     return suffix in (".gif", ".mp4") or (suffix == ".webp" and count > 1 and not _has_fields(path))
 
 
 def file_names(pattern: str, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the file of each image: by {index}, three digits or more, and {name} in the pattern;
-    without them out.png gives out_000.png and so on, and of one image itself.
+    """Return the file name of each image.
+
+    {index}, with at least three digits, and {name} in the pattern are replaced. Without them,
+    several images of out.png are named out_000.png and so on.
 
     Raises
     ------
-    InputError : something else in braces
+    InputError : the pattern has an unknown field in braces
     """
     digits = max(3, len(str(len(names) - 1)))
     if not _has_fields(pattern):
@@ -151,8 +155,7 @@ def file_names(pattern: str, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _has_fields(pattern: str) -> bool:
-    """Tell whether a file name has a place for what each image is called; one whose braces are no
-    such place is a name like others."""
+    """Return whether a file name contains {index} or {name}; other braces are ordinary letters."""
     try:
         return any(part[1] in _FIELDS for part in string.Formatter().parse(pattern))
     except ValueError:
@@ -160,34 +163,35 @@ def _has_fields(pattern: str) -> bool:
 
 
 def _plain(name: str) -> str:
-    """A name, which others may have written, as part of a file's."""
+    """Return the name of a camera, which may be from an untrusted file, as part of a file name."""
     plain = "".join(each if each.isalnum() or each in "._-+" else "_" for each in name)
     return plain.lstrip(".")[:80] or "_"
 
 
 def check_sheet(count: int, size: tuple[int, int], memory: float | None) -> None:
-    """Raise InputError where a sheet of images is too large.
+    """Raise InputError if a sheet of images is too large.
 
     Parameters
     ----------
-    count : of the images
-    size : width and height of each
-    memory : MiB that the process may have; None for what the system has left
+    count : number of images
+    size : width and height of each image, in pixels
+    memory : limit of the process's memory in MiB; None for the free memory of the system
     """
     columns, rows = _grid(count)
     width, height = columns * size[0], rows * size[1]
     most = min(limit(memory), MAX_BYTES / MIB)
-    if max(width, height) > MAX_SIDE or _OF_PIXEL * width * height > most * MIB:
+    if max(width, height) > MAX_SIDE or _PIXEL_BYTES * width * height > most * MIB:
         raise InputError(
-            f"a sheet of {count} images is {width} x {height} pixels of {_OF_PIXEL} bytes: at most "
-            f"{MAX_SIDE} a side, and {most:.0f} MiB; give a smaller size, "
-            "or fewer views"
+            f"a sheet of {count} images is {width} x {height} pixels of {_PIXEL_BYTES} bytes: at "
+            f"most {MAX_SIDE} a side, and {most:.0f} MiB; give a smaller size or fewer views"
         )
 
 
 def sheet(frames: Iterable[Frame], count: int, background: Vector | None) -> Frame:
-    """Return so many images beside each other, in as many columns as rows or one more; what is left
-    of the last row has the background. No image is kept."""
+    """Return one frame with ``count`` images in a grid; empty cells have the background.
+
+    The grid has as many columns as rows, or one more. Each image is released after it is copied.
+    """
     columns, rows = _grid(count)
     for index, frame in enumerate(frames):
         height, width = frame.linear.shape[:2]

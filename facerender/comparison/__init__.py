@@ -1,1 +1,1 @@
-"""Comparison of two images: checks, goldens, calibration of limits, the report."""
+"""Comparison of two images: checks, goldens, calibration of limits, report."""

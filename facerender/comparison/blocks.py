@@ -1,11 +1,11 @@
-"""Statistics of blocks: many small changes together reveal another lobe, weight or exposure.
+"""Statistics of blocks, which detect small changes of many pixels: a lobe, weight or exposure.
 
-Blocks of 16 x 16 pixels hold the mean change, smooth pixels weighing more than those at edges and
-in texture, less what a displacement of the whole image explains; and its standard error, from
-how cells of 4 x 4 pixels scatter within the block, and from the grain of the difference. Changes
-of drivers, cameras and codecs scatter, and neighbouring blocks do not agree on them; a lobe or a
-weight that changed is smooth over the face. The trend is the mean product of neighbouring blocks'
-changes, each over its standard error: Moran's (1950) statistic without its denominator.
+A block of 16 x 16 pixels has a mean change, in which smooth pixels weigh more than pixels at edges
+and in texture. The effect of a displacement of the whole image is subtracted. Its standard error
+comes from the scatter of the block's cells of 4 x 4 pixels, and from the grain of the difference.
+Changes by drivers, cameras and codecs are random: neighbouring blocks do not agree. A changed lobe
+or weight changes the face smoothly. The trend is the mean product of neighbouring blocks' changes,
+each divided by its standard error: Moran's (1950) statistic without its denominator.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from facerender.comparison.neighbourhoods import Float, Mask, filtered
 
 BLOCK, _CELL = 16, 4  # pixels a side
 LEAST = 48  # pixels that a block needs to be judged
-FLOOR = 0.01  # radiance below which relative differences are taken of this
-MOVED = 0.25  # pixels by which the whole image may lie elsewhere
-_WILD = 1e3  # levels beyond which steps are cut off, since their squares would overflow
-_SPREAD = 4.0  # cells that a judged block's weight has to be spread over, and more
-_FEW = 4  # changed blocks, fewer of which have no grain or texture
-_CLIPPED = 10.0  # standard errors, beyond which a block's change counts no more
+FLOOR = 0.01  # smallest radiance that relative differences are divided by
+MOVED = 0.25  # default limit of the whole image's displacement, in pixels
+_WILD = 1e3  # relative steps are clipped here, since squares of larger ones may overflow
+_SPREAD = 4.0  # a judged block's weight must be spread over more cells than this
+_FEW = 4  # grain and texture need at least this number of changed blocks
+_CLIPPED = 10.0  # a block's change is clipped to this number of standard errors
 
 
 @dataclass(frozen=True)
 class Scale:
-    """What is small in an encoding; relative to a pixel's level, or in steps of 8 bits.
+    """Scales of an encoding: relative to a pixel's level, or in 8-bit levels.
 
     Attributes
     ----------
-    noise : of a pixel, that is expected where the image is flat
-    slope : step to a neighbour, per pixel, whose displacement counts as noise, as a factor
-    edge : step to a neighbour from which on a pixel does not count
-    flat : likewise for the grain
-    error : standard error that a block has at least
-    grain : fraction of the grain that a block's mean may be off by
-    drift : by which another driver's filter of 8-bit textures moves means: 0.3 steps of 255
+    noise : expected noise of a pixel in flat areas
+    slope : factor on the step to a neighbour that counts as noise, since edges move a little
+    edge : pixels with a larger step to a neighbour do not count
+    flat : the same for the grain
+    error : smallest standard error of a block
+    grain : standard error of a block's mean per unit of the grain
+    drift : change of means by another driver's filter of 8-bit textures: 0.3 levels
     """
 
     noise: float
@@ -58,7 +58,7 @@ STEPS = Scale(0.3, 0.1, 50.0, 10.0, 0.01, 0.8, 0.3)
 
 
 def cell_sums(values: Float | Mask) -> NDArray[np.float32]:
-    """Return the sums over cells of 4 x 4 pixels, those beyond the border being 0."""
+    """Return the sums over cells of 4 x 4 pixels; pixels beyond the border count as 0."""
     padding = [(0, -side % _CELL) for side in values.shape]
     padded: NDArray[Any] = np.pad(values, padding) if np.any(padding) else values
     height, width = (side // _CELL for side in padded.shape)
@@ -68,7 +68,7 @@ def cell_sums(values: Float | Mask) -> NDArray[np.float32]:
 
 
 def block_sums(of_cells: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the sums over blocks, of sums (H, W) over cells."""
+    """Return the sums over blocks, from the sums over cells (H, W)."""
     side = BLOCK // _CELL
     padded = np.pad(of_cells, [(0, -each % side) for each in of_cells.shape])
     height, width = (each // side for each in padded.shape)
@@ -77,21 +77,24 @@ def block_sums(of_cells: NDArray[np.floating]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class BlockSums:
-    """What a strip of the images comes to: (H, W) over cells of 4 x 4 pixels, the mean of the
-    channels, and over blocks. A pixel's change and level are divided by its level, the largest of
-    its channels; in steps of 8 bits by 1.
+    """Sums over a strip of two images.
+
+    Sums over cells of 4 x 4 pixels have the shape (H, W) and average the channels. In linear images
+    a pixel's change and level are divided by its level, which is its largest channel.
 
     Attributes
     ----------
-    weight : of the pixels in each cell
-    change : times the weight, as are the others
-    across, down : the change that a displacement by a pixel makes
-    channels : (C, 4, H, W) over blocks: change, across, down and level of each channel
-    pixels : (2, H, W) over blocks: that count, and that count for the grain
-    grain : (4, H, W) over blocks, from one pixel to the next where they are flat: squares of what
-        the channels share, of the difference, reference and image; of the rest
-    texture : (2, H, W) over blocks: such squares of reference and image in all pixels that count
-    normal : (2, 3), least squares for the displacement
+    weight : weights of the pixels, over cells
+    change : weighted changes, over cells
+    across, down : weighted changes by a displacement of one pixel, over cells
+    channels : (C, 4, H, W) over blocks: weighted change, across, down and level of each channel
+    pixels : (2, H, W) over blocks: number of pixels that count, and that count for the grain
+    grain : (4, H, W) over blocks: squared differences between adjacent pixels in flat areas. The
+        common part of the channels for the difference, reference and image; and the rest of the
+        difference
+    texture : (2, H, W) over blocks: the common part for reference and image in all pixels that
+        count
+    normal : (2, 3), normal equations of the displacement
     """
 
     weight: NDArray[np.float32]
@@ -106,9 +109,9 @@ class BlockSums:
 
     @classmethod
     def of(cls, a: Float, b: Float, inside: Mask, rows: slice, scale: Scale) -> BlockSums:
-        """Return the sums over some rows of two images (H, W, C); the others lie around them.
+        """Return the sums over ``rows`` of two images (H, W, C), whose other rows are neighbours.
 
-        inside : (H, W), where an edge of the coverage is not near
+        inside : (H, W), pixels that are not near an edge of the coverage
         """
         count = a.shape[2]
         planes = [[np.ascontiguousarray(image[..., i]) for i in range(count)] for image in (a, b)]
@@ -160,7 +163,7 @@ class BlockSums:
 
     @classmethod
     def joined(cls, strips: list[BlockSums]) -> BlockSums:
-        """Return the sums of strips that lie below each other."""
+        """Return the sums of strips, joined from top to bottom."""
         *parts, normals = zip(*(vars(strip).values() for strip in strips), strict=True)
         joined = [np.concatenate(part, axis=-2) for part in parts]
         return cls(*joined, np.add.reduce(normals))  # type: ignore[call-arg]
@@ -172,11 +175,11 @@ class BlockStatistics:
 
     Attributes
     ----------
-    sums, scale : that it is drawn from
+    sums, scale : the sums over the images, and the scales of their encoding
     foreign : whether another driver drew the image
-    moved : pixels by which the whole image may lie elsewhere
-    allowed : standard error that blocks have besides
-    looser : standard error that they have besides for the trend alone
+    moved : displacement of the whole image that is subtracted, at most, in pixels
+    allowed : additional standard error of blocks
+    looser : additional standard error of blocks for the trend only
     """
 
     sums: BlockSums
@@ -188,7 +191,7 @@ class BlockStatistics:
 
     @cached_property
     def shift(self) -> tuple[float, float]:
-        """By how many pixels the image lies to the right of the reference, and below it."""
+        """Displacement of the image to the right and down, in pixels."""
         across, down, change = self.sums.normal.T
         normal = np.stack([across, down])
         ridge = 1e-6 * np.trace(normal) + 1e-12
@@ -198,24 +201,24 @@ class BlockStatistics:
     def _settled(
         self, change: NDArray[np.floating], across: NDArray[np.floating], down: NDArray[np.floating]
     ) -> NDArray[np.float64]:
-        """Return a change less what the displacement explains."""
+        """Return a change after subtracting the effect of the displacement."""
         x, y = self.shift
         factor = min(1.0, self.moved / max(float(np.hypot(x, y)), 1e-12))
         return np.asarray(change + factor * (x * across + y * down))
 
     @cached_property
     def _changes(self) -> NDArray[np.float64]:
-        """Of each cell, of all channels, times the weight."""
+        """Weighted change of each cell, over all channels."""
         return self._settled(self.sums.change, self.sums.across, self.sums.down)
 
     @cached_property
     def judged(self) -> Mask:
-        """Blocks that have enough pixels, in enough cells."""
+        """Mask of the blocks with enough pixels in enough cells."""
         return np.asarray((self._cells > _SPREAD) & (self.sums.pixels[0] >= LEAST))
 
     @cached_property
     def changed(self) -> Mask:
-        """Blocks that are judged, and not the same: a background holds no evidence."""
+        """Mask of the judged blocks that changed; equal blocks such as background are ignored."""
         return np.asarray(self.judged & (self.change != 0.0))
 
     @cached_property
@@ -224,17 +227,17 @@ class BlockStatistics:
 
     @cached_property
     def _cells(self) -> NDArray[np.float64]:
-        """How many cells a block has, by their weight."""
+        """Effective number of each block's cells, by their weights."""
         return np.asarray(self._weight**2 / np.maximum(block_sums(self.sums.weight**2), 1e-12))
 
     @cached_property
     def change(self) -> NDArray[np.float64]:
-        """Of each block's mean, of all channels."""
+        """Change of each block's mean, over all channels."""
         return block_sums(self._changes) / self._weight
 
     @cached_property
     def error(self) -> NDArray[np.float64]:
-        """Standard error of it."""
+        """Standard error of each block's change."""
         weight, side = self.sums.weight, BLOCK // _CELL
         mean = np.repeat(np.repeat(self.change, side, axis=0), side, axis=1)
         apart = self._changes - weight * mean[: weight.shape[0], : weight.shape[1]]
@@ -247,8 +250,10 @@ class BlockStatistics:
 
     @cached_property
     def channels(self) -> NDArray[np.float64]:
-        """How the mean of each block changed in its worst channel, relative to that mean, or in
-        steps; NaN where it is not judged, 0 where it is within three standard errors."""
+        """Change of each block's mean in its worst channel, relative to that mean, or in levels.
+
+        NaN if the block is not judged; 0 if the change is within three standard errors.
+        """
         change, across, down, level = np.moveaxis(self.sums.channels, 1, 0)
         of = np.maximum(level, 1e-12) if self.scale is LINEAR else self._weight
         relative = self._settled(change, across, down) / of
@@ -260,7 +265,7 @@ class BlockStatistics:
 
     @cached_property
     def _grains(self) -> NDArray[np.float64]:
-        """Medians over blocks of the sums' grain, pixel by pixel where they are flat."""
+        """Medians over blocks of the grain per flat pixel, (4,)."""
         flat = self.sums.pixels[1]
         counts = (flat >= LEAST) & self.changed
         if counts.sum() < _FEW:
@@ -270,9 +275,11 @@ class BlockStatistics:
 
     @property
     def grain(self) -> float:
-        """RMS from pixel to pixel that the image has more than the reference, or below 0 less, but
-        no more than the difference has; or of linear images what each channel has for itself, if
-        that is more."""
+        """RMS of differences between adjacent pixels: image less reference.
+
+        It is at most the RMS of the images' difference. In linear images it is the RMS of the
+        channels' independent noise if this is larger.
+        """
         difference, reference, image, own = self._grains
         more = image - reference
         common = np.copysign(np.sqrt(min(abs(more), difference)), more)
@@ -280,8 +287,8 @@ class BlockStatistics:
 
     @cached_property
     def texture(self) -> float:
-        """By which fraction the image has more variance from pixel to pixel than the reference, of
-        both together: the median over blocks."""
+        """Variance between adjacent pixels: image less reference, as a fraction of the sum of both;
+        the median over blocks."""
         if self.changed.sum() < _FEW:
             return 0.0
         one, other = self.sums.texture[:, self.changed]
@@ -290,7 +297,7 @@ class BlockStatistics:
 
     @property
     def gain(self) -> float:
-        """By how much the blocks that changed are brighter, in all: relative, or in steps."""
+        """By how much the changed blocks together are brighter: relative, or in levels."""
         change, across, down, level = self.sums.channels[:, :, self.changed].sum(axis=(0, 2))
         if self.scale is STEPS:
             level = len(self.sums.channels) * self._weight[self.changed].sum()
@@ -298,12 +305,12 @@ class BlockStatistics:
 
     @cached_property
     def trend(self) -> float:
-        """Mean product of neighbouring blocks' changes, each over its standard error."""
+        """Mean product of neighbouring blocks' changes, each divided by its standard error."""
         return float(self._products.mean()) if self._products.size else 0.0
 
     @property
     def z_score(self) -> float:
-        """The trend over its own standard error, were there none."""
+        """The trend divided by the standard error that it has without a change."""
         return self.trend * float(np.sqrt(self._products.size))
 
     @cached_property
@@ -317,7 +324,7 @@ class BlockStatistics:
 
 
 def _common(channels: list[Float]) -> Float:
-    """Return the mean product of two different channels: each one's rounding averages out."""
+    """Return the mean product of two different channels, in which their rounding averages out."""
     count = len(channels)
     if count == 1:
         return np.square(channels[0])
@@ -345,7 +352,7 @@ def _slope(x: Float, axis: int) -> Float:
 
 
 def _fine(x: Float) -> Float:
-    """Return what each pixel has over the mean of those to its left and right."""
+    """Return each pixel less the mean of its left and right neighbours; 0 at the border."""
     result = np.zeros_like(x)
     result[:, 1:-1] = x[:, 1:-1] - np.float32(0.5) * (x[:, 2:] + x[:, :-2])
     return result

@@ -1,12 +1,12 @@
-"""Limits for a renderer of one's own: from pairs of images that must pass, and what they let pass.
+"""Calibration: find limits for another renderer from pairs of images that must pass.
 
-A limit is the least that every pair passes, times MARGIN, and no less than rounding needs. What it
-sees is found by bisection too: the smallest change of a kind, made to images of the pairs, that
-fails by this limit, the others being open.
+A limit is the smallest that every pair passes, times MARGIN, and not less than rounding needs.
+Bisection also finds the smallest change that each limit detects. The change is applied to images of
+the pairs, and the other limits are disabled.
 
-Files of limits are pytest's ini file or pyproject.toml, for the pytest plugin and ``facerender
-compare --limits``. Limits for linear images stand among pytest's own settings, as
-``facerender_point`` and so on; those for 8-bit images, which no golden is, in their own section.
+Limits are stored in pytest's ini file or pyproject.toml, for the pytest plugin and ``facerender
+compare --limits``. Limits for linear images are options of pytest such as ``facerender_point``.
+Limits for 8-bit images have another section, since goldens are never 8-bit images.
 """
 
 from __future__ import annotations
@@ -39,31 +39,32 @@ NAMES = tuple(each.name for each in fields(Limits))
 PREFIX = "facerender_"
 _MOST = 1 << 20  # bytes of a file of limits
 MARGIN = 1.5
-# What rounding to half floats or steps of 8 bits needs, and a camera or samples that move by 0.1
-# pixels.
+# Smallest limits: rounding to half floats or 8-bit levels needs them, and a camera or samples that
+# move by 0.1 pixels.
 LEAST: dict[Encoding, Limits] = {
     "linear": Limits(1e-3, 1e-3, trend=0.05, grain=5e-4, texture=2e-3, coverage=2e-3, shift=0.15),
     "srgb8": replace(LIMITS["srgb8"], point=1.0, coverage=2e-3, shift=0.15),
 }
-# What each limit is to see; of the former, two beside each other, where it is smooth.
+# The change that each limit must detect, as text before an amount. The two pixels are adjacent, in
+# a smooth area.
 CHANGES = {
-    "point": "2 brighter pixels",
-    "block": "another exposure",
-    "trend": "other highlights",
-    "grain": "noise",
-    "texture": "other fine detail",
-    "coverage": "another coverage",
-    "shift": "a shift",
+    "point": "2 pixels brightened by",
+    "block": "an exposure change of",
+    "trend": "a highlight change of",
+    "grain": "noise of",
+    "texture": "a change of fine detail by",
+    "coverage": "a coverage change of",
+    "shift": "a shift of",
 }
-# Changes that a limit should not let pass; in units of Calibration.sees.
+# Amounts of change that each limit should detect, in units of Calibration.sees.
 _FRACTIONS = {"block": 0.01, "trend": 0.03, "grain": 0.02, "texture": 0.03}
 STATED: dict[Encoding, dict[str, float]] = {
     "linear": {"point": 0.1, **_FRACTIONS},
     "srgb8": {"point": 32.0, **_FRACTIONS},
 }
-ALTERED = 3  # pairs at most that changes are made to
-_EXACT = 1.05  # what a bisection ends within
-_AROUND = 3  # pixels either way that are flat around those that are made brighter
+ALTERED = 3  # largest number of pairs to which changes are applied
+_EXACT = 1.05  # a bisection ends when the ratio of its bounds is below this
+_AROUND = 3  # flat pixels on each side of the brightened pixels
 _OPEN: dict[str, Any] = dict.fromkeys(NAMES, HIGHEST)
 
 
@@ -76,13 +77,13 @@ class Calibration:
 
     Attributes
     ----------
-    pairs : how many were compared
-    limits : that all of them pass
-    least : that all of them pass, without the margin
-    needed : by limit, the pair that needs it; without, rounding does
-    sees : by limit, the smallest of its :data:`CHANGES` that fails by it in every pair that was
-        altered, infinite where none does: of pixels in radiance or steps, else as a fraction. Of
-        coverage and shift the limits themselves
+    pairs : number of compared pairs
+    limits : limits that all pairs pass
+    least : the same without the margin
+    needed : by limit, the pair that needs it; limits that rounding alone needs are missing
+    sees : by limit, the smallest of its :data:`CHANGES` that it detects in every altered pair;
+        infinite if none. In radiance or levels for pixels, otherwise a fraction. For coverage and
+        shift these are the limits
     """
 
     encoding: Encoding
@@ -94,28 +95,29 @@ class Calibration:
 
     @property
     def noted(self) -> dict[str, tuple[float, str]]:
-        """The limits by name, and of each what it sees, and why it is wider than by default."""
+        """The limits by name, each with a comment: the change that it detects, and the pair that
+        needs more than the default."""
         noted = {}
         for name, limit in asdict(self.limits).items():
             by = self.sees[name]
-            note = f"sees {CHANGES[name]} from {self._amount(name, by)}"
+            note = f"detects {CHANGES[name]} {self._amount(name, by)} or more"
             if math.isinf(by):
-                note = f"does not see {CHANGES[name]}"
+                note = f"does not detect {CHANGES[name]} any amount"
             noted[name] = limit, note + self._why(name)
         return noted
 
     @property
     def blind(self) -> list[str]:
-        """Warnings of limits that let a stated change pass."""
+        """Warnings of limits that do not detect a change of :data:`STATED`."""
         return [
-            f"limit {name} = {getattr(self.limits, name):g} lets {CHANGES[name]} by "
-            f"{self._amount(name, by)} pass{self._why(name)}"
+            f"limit {name} = {getattr(self.limits, name):g} does not detect {CHANGES[name]} "
+            f"{self._amount(name, by)}{self._why(name)}"
             for name, by in STATED[self.encoding].items()
             if self.sees[name] > by
         ]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return every number, for JSON: null where no change is seen."""
+        """Return all numbers, for JSON; null if a limit detects no change."""
         sees = {name: by if math.isfinite(by) else None for name, by in self.sees.items()}
         return {**asdict(self), "sees": sees, "blind": self.blind}
 
@@ -124,7 +126,7 @@ class Calibration:
         if getattr(self.limits, name) <= default:
             return ""
         least = getattr(self.least, name)
-        return f"; wider than {default:g}, as {self.needed[name]} needs {least:.2g}"
+        return f"; wider than the default {default:g}, since {self.needed[name]} needs {least:.2g}"
 
     def _amount(self, name: str, by: float) -> str:
         if name == "point":
@@ -133,24 +135,25 @@ class Calibration:
 
 
 def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
-    """Return name, reference and image of every two images of one name, in two of a folder's
-    folders: those of two drivers, of two runs.
+    """Return name, reference and image of all pairs of images with the same name in two subfolders.
+
+    Each subfolder of ``folder`` contains the images of one run or driver.
 
     Raises
     ------
-    InputError : it cannot be read, or there are no two folders with images
+    InputError : the folder cannot be read, or does not contain two subfolders with images
     """
     folder = Path(folder)
     try:
         runs = sorted(each for each in folder.iterdir() if each.is_dir())
     except OSError as error:
         raise InputError(
-            f"cannot read {folder}: {reason(error)}; give a folder with a folder for each run"
+            f"cannot read {folder}: {reason(error)}; give a folder with a subfolder for each run"
         ) from None
     runs = [each for each in runs if not each.name.startswith(".")]
     if len(runs) < 2:
         raise InputError(
-            f"{folder} holds no two folders to compare: give one for each run or driver, with "
+            f"{folder} holds fewer than two subfolders: give one for each run or driver, with "
             "images of the same names"
         )
     pairs = [pair for a, b in combinations(runs, 2) for pair in pairs_of(a, b)]
@@ -162,16 +165,16 @@ def calibration_of(
     mask: NDArray[Any] | None = None,
     progress: Progress = no_progress,
 ) -> list[Calibration]:
-    """Return limits that pairs of images pass, for linear and for 8-bit ones.
+    """Return limits that all pairs of images pass, separately for linear and for 8-bit images.
 
     Parameters
     ----------
-    pairs : name, reference and image, which must pass
-    mask : as of :func:`compare`
+    pairs : name, reference and image
+    mask : as in :func:`compare`
 
     Raises
     ------
-    InputError : a pair that cannot be compared, or that no limits let pass
+    InputError : a pair cannot be compared, or differs with any limits
     """
     by_encoding: dict[Encoding, _Pairs] = {}
     for number, (name, *paths) in enumerate(pairs):
@@ -179,7 +182,7 @@ def calibration_of(
         a, b = map(read_image, paths)
         result = compare(a, b, mask=mask, **_OPEN)
         if not result.same:
-            raise InputError(f"{name} differs, whatever the limits: {result}")
+            raise InputError(f"{name} differs with any limits: {result}; remove this pair")
         same = by_encoding.setdefault(result.encoding, _Pairs(LEAST[result.encoding]))
         same.paths.append(paths)
         needed = _needed(a, b, same.least, mask)
@@ -190,7 +193,7 @@ def calibration_of(
 
 @dataclass
 class _Pairs:
-    """Pairs of one encoding, the least limits that they pass, and the pair that needs each."""
+    """Pairs of one encoding, the smallest limits that they pass, and the pair that needs each."""
 
     least: Limits
     needed: dict[str, str] = field(default_factory=dict)
@@ -214,7 +217,7 @@ def _calibration(
 def _needed(
     a: ImageData, b: ImageData, limits: Limits, mask: NDArray[Any] | None
 ) -> dict[str, float]:
-    """Return the limits that have to be wider for a pair to pass, as narrow as possible."""
+    """Return the limits that must be wider for a pair to pass, as narrow as possible."""
     needed: dict[str, float] = {}
     if compare(a, b, mask=mask, **asdict(limits)).same:
         return needed
@@ -223,7 +226,8 @@ def _needed(
     def passes(name: str, limit: float) -> bool:
         return compare(a, b, mask=mask, **{**others, name: limit}).same
 
-    # What a shift explains is no change of a block, and what blocks may do is no trend.
+    # First shift, then block: a wider shift limit reduces block changes, and a wider block limit
+    # reduces the trend.
     for name in ("shift", "block", *(name for name in NAMES if name not in ("shift", "block"))):
         limit = _least(partial(passes, name), getattr(limits, name))
         if limit > getattr(limits, name):
@@ -234,8 +238,8 @@ def _needed(
 
 
 def _least(holds: Callable[[float], bool], low: float, most: float = HIGHEST) -> float:
-    """Return the least value at which something holds, that holds from there on, or low; infinity
-    beyond the most."""
+    """Return the smallest value >= ``low`` at which a monotonic condition holds; infinity if none
+    up to ``most`` does."""
     if holds(low):
         return low
     high = low
@@ -250,8 +254,8 @@ def _least(holds: Callable[[float], bool], low: float, most: float = HIGHEST) ->
 
 
 def _with_margin(least: Limits, needed: Iterable[str], defaults: Limits) -> Limits:
-    """Return limits with the margin, those that pairs need; wider than by default only where that
-    is too narrow."""
+    """Multiply the limits that pairs need by the margin, but exceed a default only if it is too
+    narrow for a pair."""
     limits = {}
     for name in needed:
         limit, default = getattr(least, name), getattr(defaults, name)
@@ -261,7 +265,7 @@ def _with_margin(least: Limits, needed: Iterable[str], defaults: Limits) -> Limi
 
 
 def _rounded(limit: float) -> float:
-    """Return a limit of two digits that is no lower."""
+    """Round a limit up to two digits."""
     step = 10.0 ** (math.floor(math.log10(limit)) - 1)
     return float(f"{math.ceil(limit / step - 1e-9) * step:.2g}")
 
@@ -272,7 +276,7 @@ def _rounded(limit: float) -> float:
 def _smallest_changes(
     a: ImageData, b: ImageData, limits: Limits, mask: NDArray[Any] | None
 ) -> dict[str, float]:
-    """Return by limit the smallest change of the image B that fails by it."""
+    """Return the smallest change of the image B that each limit detects."""
     encoded = b.encoding == "srgb8"
     color = b.pixels[..., : 3 if b.pixels.shape[2] > 2 else 1]
     radiance: NDArray[np.floating] = srgb_to_linear(color / 255.0) if encoded else color
@@ -320,8 +324,10 @@ def _smallest_changes(
 def _flattest(
     image: ImageData, mask: NDArray[Any] | None
 ) -> tuple[NDArray[np.bool_], tuple[slice, slice]]:
-    """Return where the image is lit; and two pixels, neither dark nor a highlight, whose
-    surroundings are flattest."""
+    """Return a mask of the lit pixels, and two adjacent pixels with the flattest surroundings.
+
+    The two pixels are neither dark nor highlights.
+    """
     level = image.color.mean(axis=-1)
     lit = (image.coverage >= FULL) & (level > 0.0)
     if mask is not None:
@@ -341,13 +347,13 @@ def _flattest(
 
 
 def read_limits(path: str | os.PathLike[str]) -> dict[Encoding, dict[str, float]]:
-    """Return the limits of a file by the encoding of the images that they are for.
+    """Return the limits of a file, by the images' encoding.
 
     path : .ini, .cfg or .toml
 
     Raises
     ------
-    InputError : the file cannot be read, or holds an invalid limit or none
+    InputError : the file cannot be read, has an invalid limit, or has no limit
     """
     path = Path(path)
     data = _parsed(path)
@@ -360,12 +366,12 @@ def read_limits(path: str | os.PathLike[str]) -> dict[Encoding, dict[str, float]
             if PREFIX + name in table
         }
     if not any(found.values()):
-        raise InputError(f"{path} gives no limit, such as {PREFIX}{NAMES[0]}: add one")
+        raise InputError(f"{path} has no limit: add one, such as {PREFIX}{NAMES[0]}")
     return found
 
 
 def text_of(path: str | os.PathLike[str], limits: Mapping[Encoding, Noted]) -> str:
-    """Return limits as sections of a file with the suffix of this path."""
+    """Return limits as text of a file's sections, in the syntax that the path's suffix requires."""
     path = Path(path)
     quote = '"' if path.suffix == ".toml" else ""
     rows = []
@@ -387,7 +393,7 @@ def _number(name: str, value: Any) -> float:
 
 
 def _parsed(path: Path) -> dict[str, Any]:
-    """Return the sections of a file by name; TOML's within each other."""
+    """Return the sections of a file by name; sections of TOML are nested."""
     content = read_file(path, "an ini file", _MOST)
     if path.suffix == ".toml":
         return tables_of(content, str(path))
@@ -396,16 +402,16 @@ def _parsed(path: Path) -> dict[str, Any]:
     try:
         parser.read_string(content.decode("utf-8-sig"))
     except UnicodeDecodeError:
-        raise InputError(f"{path} is not UTF-8: save it as such") from None
+        raise InputError(f"{path} is not UTF-8: save it in this encoding") from None
     except IniError as error:
         raise InputError(f"{path} cannot be read: {reason(error)}; repair it") from None
     return {name: dict(parser[name]) for name in parser.sections()}
 
 
 def _sections(path: Path, data: Mapping[str, Any]) -> dict[Encoding, tuple[str, ...]]:
-    """Return the names of the sections with limits, from the outermost, in a file of this data."""
+    """Return the path of the section with limits, by encoding, in a file with this data."""
     if path.suffix == ".toml":
-        own = set(_within(data, ("tool", "pytest"))) - {"ini_options"}  # from pytest 9 on
+        own = set(_within(data, ("tool", "pytest"))) - {"ini_options"}  # pytest 9 and later
         inner = () if own else ("ini_options",)
         return {"linear": ("tool", "pytest", *inner), "srgb8": ("tool", "facerender", "8-bit")}
     pytest = "tool:pytest" if path.suffix == ".cfg" else "pytest"

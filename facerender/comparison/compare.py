@@ -1,9 +1,12 @@
-"""Whether two renders are the same: checks that fail on a broken highlight and pass on what drivers
-do differently. Images come from arrays, frames or files; nothing here needs OpenGL.
+"""Compare two renders: fail on broken highlights, and pass differences between drivers.
 
-The point check sees a few wrong pixels, beyond what their neighbourhood explains; the block check a
-mean of 16 x 16 pixels that changed; the trend many blocks that changed by little, alike; the grain
-noise from pixel to pixel; coverage and shift another mesh or camera.
+Images are arrays, frames or files; nothing here needs OpenGL. Checks and the changes they detect:
+
+point             a few pixels that differ more than their neighbourhood explains
+block             a changed mean of 16 x 16 pixels
+trend             many blocks that changed slightly and in the same direction
+grain, texture    noise between adjacent pixels, and fine detail
+coverage, shift   another mesh or camera
 """
 
 from __future__ import annotations
@@ -29,12 +32,12 @@ from facerender.errors import InputError, warn
 from facerender.images.image import Encoding, ImageData, PixelRange, image_from_array
 from facerender.images.read import SUFFIXES, read_image
 
-MARGIN = 2  # pixels from the edge of the coverage, where a block does not look
-FADED = 0.2  # excess of coverage that counts as changed
-FULL = 0.99  # coverage from which a pixel is inside: half floats and filters miss 1
-_STRIP = 1 << 18  # pixels that are compared at once: what lies in caches, in whole blocks
-_LOOSER = 3.0  # standard errors of a block, that a looser limit for blocks adds
-_HALO = 8  # rows beyond a strip that its pixels are compared with
+MARGIN = 2  # pixels along the edge of the coverage that blocks ignore
+FADED = 0.2  # change of coverage that counts
+FULL = 0.99  # coverage of a pixel inside the mesh: half floats and filters do not reach 1
+_STRIP = 1 << 18  # pixels that are compared at once, so that they fit the processor's cache
+_LOOSER = 3.0  # standard error that a wider block limit adds to a block, per unit of the limit
+_HALO = 8  # rows above and below a strip that its pixels are compared with
 
 Comparable = ImageData | Frame | NDArray[Any] | str | os.PathLike[str]
 
@@ -56,18 +59,17 @@ def compare(
 
     Parameters
     ----------
-    reference, image : a :class:`Frame`; an array (H, W, 3 or 4), linear float or 8-bit sRGB, its
-        fourth channel being coverage; or the path of a .exr, .npz, .npy, .png or .jpg file
+    reference, image : a :class:`Frame`; an array (H, W, 3 or 4) of linear float or 8-bit sRGB with
+        coverage as fourth channel; or the path of a .exr, .npz, .npy, .png or .jpg file
     point, block, trend, grain, texture, coverage, shift : limits of the checks, see
-        :class:`Limits`; without, those of :data:`LIMITS` for the images' encoding. On one driver
-        and with float textures a block limit of 1e-3 holds
-    mask : (H, W), not 0 where the images count; without, everywhere
+        :class:`Limits`; default: :data:`LIMITS` of the images' encoding. Images of one driver with
+        float textures pass a block limit of 1e-3
+    mask : (H, W), nonzero for pixels that count; default: all pixels count
 
     Raises
     ------
-    InputError : a file that cannot be read; sizes, channels, encodings or colour spaces that
-        differ; a value anywhere that is not finite, with its place; a mask of another size, or 0
-        everywhere; a limit that is none
+    InputError : a file cannot be read; sizes, channels, encodings or colour spaces differ; a pixel
+        is not finite; the mask has another size or is 0 everywhere; a limit is invalid
     """
     a, b = as_image(reference, "A"), as_image(image, "B")
     _check_alike(a, b)
@@ -97,13 +99,14 @@ def compare(
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two images and what comparing them gave: metrics, or the error that made it impossible.
+    """Two images and the result of comparing them: metrics, or an error.
 
     Attributes
     ----------
-    name : of the pair
-    reference, image : None where it could not be read
-    comparison, error : one of the two
+    name : name of the pair
+    reference, image : None if the image could not be read
+    comparison : metrics; None after an error
+    error : message; "" without an error
     """
 
     name: str
@@ -121,8 +124,11 @@ class Pair:
         limits: Mapping[Encoding, Mapping[str, float]] = MappingProxyType({}),
         **options: Any,
     ) -> Pair:
-        """Compare two images; the options are those of :func:`compare`, and the limits take the
-        place of those that are None, by the images' encoding."""
+        """Compare two images; catch errors.
+
+        limits : limits by encoding, for options that are None
+        options : options of :func:`compare`
+        """
         images: list[ImageData | None] = [None, None]
         failure = ""
         for number, source in enumerate((reference, image)):
@@ -141,21 +147,21 @@ class Pair:
 
     @property
     def status(self) -> int:
-        """0 the same, 1 they differ, 2 they cannot be compared."""
+        """0: the same, 1: different, 2: not comparable."""
         return 2 if self.comparison is None else int(not self.comparison.same)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return name, error and every figure, for JSON."""
+        """Return name, error and all metrics, for JSON."""
         metrics = {} if self.comparison is None else self.comparison.as_dict()
         return {"name": self.name, "error": self.error, **metrics}
 
 
 def pairs_of(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
-    """Return name, reference and image of two files, or of every image in two folders.
+    """Return name, reference and image of two files, or of each image in two folders.
 
     Raises
     ------
-    InputError : a file and a folder, or folders without an image
+    InputError : one path is a file and the other a folder, or the folders contain no image
     """
     a, b = Path(a), Path(b)
     if os.path.isdir(a) != os.path.isdir(b):
@@ -181,7 +187,7 @@ def _result(
     strip: _Strip,
     statistics: BlockStatistics,
 ) -> Comparison:
-    """Return every metric, without reasons; counted is the number of pixels that are compared."""
+    """Return all metrics, without reasons; ``counted`` is the number of compared pixels."""
     blocks = np.nan_to_num(statistics.channels)
     down, across = np.unravel_index(np.abs(blocks).argmax(), blocks.shape)
     return Comparison(
@@ -213,16 +219,17 @@ def _result(
 
 @dataclass(frozen=True)
 class _Strip:
-    """What some rows of two images come to.
+    """Metrics of some rows of two images.
 
     Attributes
     ----------
-    over : (H, W), 2 where a pixel is too bright, 3 in texture, 4 at an edge, and 1 where that may
-        be a sliver; negative where it is too dark
-    worst, excess, at : the largest excess less what may be a sliver, as reported, and where
-    holes : pixels that are dark where all around are not
-    faded : pixels whose coverage changed
-    largest, total : of the pixels' absolute differences, in the worst channel
+    sums : sums over blocks
+    over : (H, W), class of each pixel, see :func:`verdict.reasons_of`
+    worst, excess, at : the largest unexplained difference less the effect of a sliver, the
+        difference as reported, and its position
+    holes : number of dark pixels with bright neighbours
+    faded : number of pixels whose coverage changed
+    largest, total : maximum and sum of the pixels' absolute differences, in the worst channel
     """
 
     sums: BlockSums
@@ -237,7 +244,7 @@ class _Strip:
 
     @classmethod
     def of_all(cls, a: ImageData, b: ImageData, counts: Mask | None, limits: Limits) -> _Strip:
-        """Return what all rows come to, found strip by strip."""
+        """Return the metrics of all rows, computed strip by strip in threads."""
         height, width = a.pixels.shape[:2]
         tall = max(_STRIP // width // BLOCK, 1) * BLOCK
 
@@ -260,7 +267,7 @@ class _Strip:
     def of(
         cls, a: ImageData, b: ImageData, counts: Mask | None, rows: slice, limits: Limits
     ) -> _Strip:
-        """Return what these rows come to; counts is of the whole images."""
+        """Return the metrics of these rows; ``counts`` is the mask of the whole images."""
         around = slice(max(rows.start - _HALO, 0), min(rows.stop + _HALO, a.pixels.shape[0]))
         own = slice(rows.start - around.start, rows.stop - around.start)
         (color_a, alpha_a), (color_b, alpha_b) = a.rows(around), b.rows(around)
@@ -305,7 +312,7 @@ class _Strip:
 
 
 def _faded(a: Float, b: Float, counted: Mask, rows: slice) -> int:
-    """Return in how many pixels the coverage passed one half, or left its neighbourhood."""
+    """Return the number of pixels whose coverage crossed 0.5 or left its neighbourhood's range."""
     low, high = (filtered(a, choose) for choose in (np.minimum, np.maximum))
     changed = (b - high > FADED) | (low - b > FADED)
     low, high = (filtered(b, choose) for choose in (np.minimum, np.maximum))
@@ -315,19 +322,18 @@ def _faded(a: Float, b: Float, counted: Mask, rows: slice) -> int:
 
 
 def _counting(mask: NDArray[Any], image: ImageData) -> Mask:
-    """Return where a mask says that pixels of an image count."""
+    """Return a mask as booleans, after checking it against the image."""
     counts: Mask = np.asarray(mask) != 0
     if counts.shape != image.pixels.shape[:2]:
         size = _size(counts) if counts.ndim == 2 else f"of shape {counts.shape}"
         raise InputError(f"the mask is {size}, the images are {_size(image.pixels)} pixels")
     if not counts.any():
-        raise InputError("the mask is 0 everywhere: nothing would be compared")
+        raise InputError("the mask is 0 everywhere: set it to 1 where images are compared")
     return counts
 
 
 def _foreign(sources: tuple[Comparable, Comparable], images: tuple[ImageData, ImageData]) -> bool:
-    """Return whether another driver drew the image. An array counts as drawn by the driver of the
-    image that it is compared with."""
+    """Return whether different drivers drew the images; for an array, assume the same driver."""
     if any(isinstance(each, np.ndarray) for each in sources):
         return False
     one, other = (
@@ -337,7 +343,7 @@ def _foreign(sources: tuple[Comparable, Comparable], images: tuple[ImageData, Im
 
 
 def as_image(source: Comparable, name: str) -> ImageData:
-    """Return an image's pixels from any source; name is for messages."""
+    """Return the image data of any source; ``name`` is for messages."""
     if isinstance(source, ImageData):
         return source
     if isinstance(source, Frame):
@@ -356,29 +362,30 @@ def _check_alike(a: ImageData, b: ImageData) -> None:
     if a.encoding != b.encoding:
         kinds = {"linear": "linear float", "srgb8": "8-bit sRGB"}
         raise InputError(
-            f"{a.name} is {kinds[a.encoding]}, {b.name} is {kinds[b.encoding]}: give two of a kind"
+            f"{a.name} is {kinds[a.encoding]}, {b.name} is {kinds[b.encoding]}: give two images of "
+            "one encoding"
         )
     if a.pixels.shape[2] != b.pixels.shape[2]:
         counts = (f"{x.name} has {x.pixels.shape[2]} channels" for x in (a, b))
         raise InputError(f"{', '.join(counts)}: save both with alpha, or both without")
     if a.color_space != b.color_space:
-        spaces = (f"{x.name} is in colour space {x.color_space or 'none named'}" for x in (a, b))
+        spaces = (f"{x.name} is in colour space {x.color_space or '(unnamed)'}" for x in (a, b))
         raise InputError(f"{', '.join(spaces)}: convert one")
 
 
 def _check_finite(image: ImageData) -> None:
     if image.encoding == "srgb8":
         return
-    good = np.abs(image.pixels) <= np.float32(HIGHEST)  # which half floats would not hold
+    good = np.abs(image.pixels) <= np.float32(HIGHEST)  # a half float cannot represent HIGHEST
     if good.all():
         return
     row, column, channel = np.unravel_index(int(good.argmin()), good.shape)
     nans, infinite = (int(test(image.pixels).sum()) for test in (np.isnan, np.isinf))
-    what = f"{nans} NaN and {infinite} infinite values"
+    values = f"{nans} NaN and {infinite} infinite values"
     if not nans + infinite:
-        what = f"values beyond {HIGHEST:g}"
+        values = f"values beyond {HIGHEST:g}"
     raise InputError(
-        f"{image.name} holds {what}, the first at pixel ({column}, {row}), channel {channel}: "
+        f"{image.name} holds {values}, the first at pixel ({column}, {row}), channel {channel}: "
         "repair its renderer"
     )
 

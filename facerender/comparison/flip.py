@@ -1,5 +1,7 @@
-"""FLIP (Andersson et al. 2020): the difference that an observer sees when two images alternate. No
-other module imports flip_evaluator."""
+"""FLIP (Andersson et al. 2020): the difference that an observer sees when two images alternate.
+
+Only this module imports flip_evaluator.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ PPD = 67.0206  # pixels per degree: 3840 pixels on 0.7 m, viewed from 0.7 m
 
 
 def errors(reference: Image, image: Image) -> NDArray[np.float64]:
-    """Return the error of each pixel (H, W), in [0, 1]; its mean is FLIP of the image.
+    """Return the error of each pixel (H, W), in [0, 1]; its mean is the FLIP value of the image.
 
     Parameters
     ----------
@@ -32,8 +34,10 @@ def errors(reference: Image, image: Image) -> NDArray[np.float64]:
 def heat_map(reference: Image, image: Image, step: int = 1) -> NDArray[np.uint8]:
     """Return the errors as 8-bit colours (H, W, 3), from black through red to pale yellow.
 
-    Parameters and what is raised as in :func:`errors`; images of every so many pixels of others,
-    step, are seen as large as those.
+    Parameters and errors are as in :func:`errors`.
+
+    step : the images contain every Nth pixel of larger images; the error is computed for the size
+        of the larger ones
     """
     colors = _evaluate(reference, image, magma=True, **({"ppd": PPD / step} if step > 1 else {}))
     return np.asarray(np.round(255.0 * colors.clip(0.0, 1.0)), dtype=np.uint8)

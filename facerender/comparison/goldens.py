@@ -1,9 +1,10 @@
-"""Goldens: reference images beside tests. This module compares one image with its golden and writes
-the golden; the pytest plugin is facerender/pytest_plugin.py.
+"""Goldens (reference images of tests): compare an image with its golden, and write the golden.
 
-A golden may keep the range of each pixel's value over 24 shifts of the image by at most 0.1 pixel.
-It explains detail finer than a pixel, which no neighbourhood does. It holds colours of covered
-pixels only: a black pixel is no uncovered background.
+The pytest plugin is facerender/pytest_plugin.py.
+
+A golden may store the range of each pixel's value over 24 shifts of the image by at most 0.1 pixel.
+The range explains detail finer than a pixel, which neighbourhoods do not explain. It contains
+colours of covered pixels only, so that a black pixel cannot pass as uncovered background.
 """
 
 from __future__ import annotations
@@ -26,14 +27,15 @@ from facerender.images.exr import save_exr
 from facerender.images.image import ImageData, PixelRange
 
 FARTHEST = 0.1  # pixels
-# Pixels to the right and down: circles of several radii, since fine detail comes and goes.
+# Shifts in pixels to the right and down, on circles of several radii: fine detail may appear at
+# some radii only.
 SHIFTS = tuple(
     (round(by * math.cos(0.25 * i * math.pi), 6), round(by * math.sin(0.25 * i * math.pi), 6))
     for by in (FARTHEST, FARTHEST * 2.0 / 3.0, FARTHEST / 3.0)
     for i in range(8)
 )
-_HIGHEST = 65504.0  # of half floats
-_FURTHER = 3.0  # times as far: detail finer than a pixel seems to move by more
+_HIGHEST = 65504.0  # largest half float
+_FURTHER = 3.0  # largest ratio of a measured to a requested shift: fine detail exaggerates shifts
 Draw = Callable[[float, float], Comparable]
 UNKNOWN = "an unknown renderer"
 
@@ -44,10 +46,10 @@ class Updates:
 
     Attributes
     ----------
-    missing : those that do not exist
-    differing : those as well that the image differs from, if this renderer recorded them
-    force : of the differing, also those of another renderer
-    alternative : beside one of another renderer, NAME@RENDERER.exr for this one
+    missing : goldens that do not exist
+    differing : also goldens that differ, if this renderer recorded them
+    force : also goldens that differ and that another renderer recorded
+    alternative : NAME@RENDERER.exr for this renderer, if another renderer recorded the golden
     """
 
     missing: bool = False
@@ -62,11 +64,11 @@ class GoldenResult:
 
     Attributes
     ----------
-    image : with the metadata that a golden carries
-    pair : it and its golden, as they were before one was written
-    golden : path of the golden, which need not exist
-    written : the golden that was written, or None
-    failure : why the image does not pass, with the remedy; "" where it does
+    image : the image with the metadata for its golden
+    pair : the image and its golden, before a golden was written
+    golden : path of the golden, which may be missing
+    written : path of the written golden, or None
+    failure : reason why the image fails, with the remedy; "" if it passes
     """
 
     image: ImageData
@@ -77,8 +79,10 @@ class GoldenResult:
 
 
 def renderer_name(gl_renderer: str) -> str:
-    """Return GL_RENDERER up to its first bracket or slash, fit for a file's name:
-    "llvmpipe (LLVM 15.0.6, 256 bits)" is llvmpipe, "NVIDIA H200/PCIe/SSE2" NVIDIA-H200."""
+    """Return GL_RENDERER up to its first bracket or slash, as a valid part of a file name.
+
+    "llvmpipe (LLVM 15.0.6, 256 bits)" gives llvmpipe, "NVIDIA H200/PCIe/SSE2" gives NVIDIA-H200.
+    """
     return re.sub(r"[^A-Za-z0-9.]+", "-", re.split(r" \(|/", gl_renderer)[0]).strip("-")
 
 
@@ -93,28 +97,28 @@ def check(
     draw: Draw | None = None,
     **options: Any,
 ) -> GoldenResult:
-    """Compare an image with its golden, and write the golden where that is allowed.
+    """Compare an image with its golden, and write the golden if allowed.
 
     Parameters
     ----------
-    name : of the pair, for the report
-    golden : FOLDER/NAME.exr; FOLDER/NAME@RENDERER.exr is taken in its place where it exists for the
-        renderer that the image's metadata names
-    written : goldens that another image has become meanwhile: they are not written again
-    metadata : to add to the image's own
-    draw : returns the image shifted by N pixels to the right and M down; a golden that is written
-        keeps the range of each pixel over such shifts. None: no range
+    name : name of the pair in the report
+    golden : FOLDER/NAME.exr. If FOLDER/NAME@RENDERER.exr exists for the renderer in the image's
+        metadata, it is used instead
+    written : goldens that were already written in this session; they are not written again
+    metadata : added to the image's metadata
+    draw : function that returns the image shifted by x pixels to the right and y pixels down. A
+        written golden stores the range of each pixel over such shifts. None: no range
     options : limits and mask, see :func:`facerender.compare`
 
     Raises
     ------
-    InputError : the image is not linear float, cannot be read, or the golden cannot be written
+    InputError : the image is not linear float or cannot be read, or the golden cannot be written
     """
     image = _linear_rgb(source, metadata or {})
     renderer = image.metadata.get("GL_RENDERER", "")
     own = golden.with_name(f"{golden.stem}@{renderer_name(renderer)}.exr")
     golden = own if os.path.isfile(own) else golden
-    exists = os.path.isfile(golden)  # before it is read: another process may write it meanwhile
+    exists = os.path.isfile(golden)  # checked before reading, since another process may write it
     pair = Pair.of(name, golden, image, **options)
     if pair.status == 0:
         return GoldenResult(image, pair, golden)
@@ -137,7 +141,7 @@ def check(
         if recorded != renderer and place == golden and not updates.force:
             failure = _of_another(golden.name, recorded, renderer)
     if not failure and place in written:
-        failure = f"{place.name} was written for another image just now: give each a name"
+        failure = f"{place.name} was just written for another image: give each image a new name"
     if failure:
         return GoldenResult(image, pair, golden, failure=failure)
     _write(place, image, draw)
@@ -147,8 +151,8 @@ def check(
 def _of_another(name: str, recorded: str | None, renderer: str) -> str:
     return (
         f"{name} was recorded on {recorded or UNKNOWN}, this is {renderer or UNKNOWN}: "
-        "--facerender-force overwrites it, --facerender-alternative writes one for this renderer "
-        "beside it"
+        "--facerender-force overwrites it, --facerender-alternative writes another golden for this "
+        "renderer"
     )
 
 
@@ -156,8 +160,8 @@ def _linear_rgb(source: Comparable, metadata: Mapping[str, str]) -> ImageData:
     image = as_image(source, "the image")
     if image.encoding != "linear":
         raise InputError(
-            f"{image.name} is 8-bit, which hides what a golden is to show: give a Frame, floats or "
-            "an EXR file"
+            f"{image.name} is 8-bit, which is too coarse for a golden: give a Frame, floats or an "
+            "EXR file"
         )
     if image.pixels.shape[2] < 3:
         raise InputError(f"{image.name} is grey: give RGB")
@@ -174,7 +178,7 @@ def _write(path: Path, image: ImageData, draw: Draw | None) -> None:
 
 
 def range_of(images: Sequence[ImageData]) -> PixelRange:
-    """Return the range of linear images of one size: of colours where they are covered."""
+    """Return the range of each pixel over linear images of one size; colours only where covered."""
     each = []
     for image in images:
         color, alpha = image.rows(slice(None))
@@ -191,18 +195,18 @@ def range_of(images: Sequence[ImageData]) -> PixelRange:
 
 
 def _shifted(image: ImageData, draw: Draw) -> list[ImageData]:
-    """Draw an image at every one of :data:`SHIFTS`.
+    """Draw an image at each of :data:`SHIFTS`.
 
     Raises
     ------
-    InputError : what is drawn cannot be compared with the image, or is shifted by more
+    InputError : a drawn image cannot be compared with the image, or is shifted too far
     """
-    drawn = [as_image(draw(x, y), f"what draw({x:g}, {y:g}) gives") for x, y in SHIFTS]
+    drawn = [as_image(draw(x, y), f"the result of draw({x:g}, {y:g})") for x, y in SHIFTS]
     shifts = np.array([compare(image, each).shift for each in drawn])
     times = float(np.vdot(shifts, SHIFTS) / np.vdot(SHIFTS, SHIFTS))
     if times > _FURTHER:
         raise InputError(
-            f"draw moves the image by {times:.2g} times its arguments: take them as pixels to the "
-            "right and down"
+            f"draw shifts the image by {times:.2g} times its arguments: interpret these as pixels "
+            "to the right and down"
         )
     return drawn

@@ -1,10 +1,11 @@
-"""Where a pixel leaves what its neighbourhood in the other image explains: a few wrong pixels.
+"""The point check: detect pixels that their neighbourhood in the other image does not explain.
 
-A value is explained that lies within the range of the 3 x 3 neighbourhood in the other image,
-widened by half the range of the 5 x 5 one, which is what a displacement of a fraction of a pixel
-or another pattern of samples makes of an edge, and by a hundredth of its level. On smooth skin
-next to nothing is explained: a pixel that is off by little is seen there, also in the dark. A
-darker pixel is held against covered neighbours alone, since beside a background any would do.
+A value is explained if it lies within the range of the 3 x 3 neighbourhood in the other image. This
+range is widened by half the range of the 5 x 5 neighbourhood, since a shift by a fraction of a
+pixel or another sample pattern changes an edge by so much. It is also widened by 1 % of the level.
+On smooth skin these ranges are narrow: there a pixel that differs slightly is detected, also in the
+dark. A darker pixel is only compared with covered neighbours, since a black background would
+explain any dark value.
 """
 
 from __future__ import annotations
@@ -21,23 +22,23 @@ from facerender.images.image import PixelRange
 Float = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
-_HALO = 4  # pixels around those whose excess is asked for
-_CONTRAST = 0.5  # of the range of 5 x 5 pixels, that an edge may move a value by
-_RELATIVE = 0.01  # of the level, likewise
-COVERED = 0.5  # coverage from which on a pixel is
-_ALPHA = 0.01  # that coverage may leave the range of a golden by
-_STEP = 0.2  # range of 5 x 5 pixels, of the highest, from which on they hold an edge
+_HALO = 4  # pixels around a window that its neighbourhoods read
+_CONTRAST = 0.5  # widens a range, as a fraction of the range of 5 x 5 pixels
+_RELATIVE = 0.01  # widens a range, as a fraction of the level
+COVERED = 0.5  # smallest coverage of a covered pixel
+_ALPHA = 0.01  # by which coverage may leave the range of a golden
+_STEP = 0.2  # 5 x 5 pixels contain an edge from this range on, as a fraction of their maximum
 
 
 @dataclass(frozen=True)
 class Slack:
-    """What slivers of light and shade, that come and go at edges, may add.
+    """Difference that thin slivers of light and shade at edges may add.
 
     Attributes
     ----------
-    rough : where 5 x 5 pixels have a range of a tenth of the highest; less in proportion, where
-        they are smoother
-    edge : where they have a range of a fifth
+    rough : where 5 x 5 pixels have a range of 1/10 of their maximum; proportionally less in
+        smoother areas
+    edge : where they have a range of at least 1/5
     """
 
     rough: float
@@ -49,22 +50,27 @@ STEPS = Slack(52.0, 53.0)
 
 
 class Excess(NamedTuple):
-    """(H, W) each: by how much the worst channel leaves what is explained, below 0 where the image
-    is the darker one; and what of that may be a sliver."""
+    """Unexplained differences of the pixels.
+
+    Attributes
+    ----------
+    value : (H, W), of the worst channel; negative where the image is darker
+    slack : (H, W), part of it that slivers may cause
+    """
 
     value: NDArray[np.float32]
     slack: NDArray[np.float32]
 
 
 def excess(a: Float, b: Float, full: Mask | None, least: float, relative: bool) -> Excess:
-    """Return what pixels of either image are beyond the other.
+    """Return the unexplained differences of two images, each pixel compared with the other image.
 
     Parameters
     ----------
     a, b : (H, W, C)
-    full : (H, W), where both are fully covered; None for everywhere
-    least : the smallest excess that is asked for; where there is none, 0 is returned
-    relative : whether the images are linear; else they are in steps of 8 bits
+    full : (H, W), pixels that both images cover fully; None: all
+    least : smallest difference of interest; areas with smaller ones get 0
+    relative : whether the images are linear; otherwise they contain 8-bit levels
     """
     value, slack = np.zeros((2, *a.shape[:2]), dtype=np.float32)
     if (window := _window(a, b, least)) is not None:
@@ -74,9 +80,9 @@ def excess(a: Float, b: Float, full: Mask | None, least: float, relative: bool) 
 
 
 def holes(a: Float, b: Float, full: Mask | None, relative: bool) -> Mask:
-    """Return where a pixel of either image has less than a quarter of the light of every covered
-    one of 7 x 7 pixels in the other; parameters as for :func:`excess`."""
-    fraction, floor = (0.25, 5e-4) if relative else (0.5, 1.0)  # sRGB has half the steps
+    """Return the pixels that have less than a quarter of the light of each covered pixel among the
+    7 x 7 neighbours in the other image; parameters as in :func:`excess`."""
+    fraction, floor = (0.25, 5e-4) if relative else (0.5, 1.0)  # sRGB encodes 1/4 as about 1/2
     result = np.zeros(a.shape[:2], dtype=bool)
     levels = [
         np.maximum.reduce([x[..., i] for i in range(x.shape[2])]).clip(np.float32(0.0))
@@ -102,13 +108,15 @@ def holes(a: Float, b: Float, full: Mask | None, relative: bool) -> Mask:
 def explained(
     shift_range: PixelRange, color: Float, alpha: Float, least: float
 ) -> tuple[Mask, Mask]:
-    """Return where a golden's range explains colour, and where coverage: (H, W) each. Colours may
-    lie in that of 3 x 3 pixels, darker ones too where the background is uncovered.
+    """Return two masks (H, W): where a golden's range explains the colour, and the coverage.
+
+    A colour may lie in the range of any of the 3 x 3 neighbours. Where the image is not covered,
+    darker colours are explained too.
 
     Parameters
     ----------
     color, alpha : (H, W, C) and (H, W)
-    least : that a colour may leave the range by, beside a hundredth of its level
+    least : by which a colour may leave the range, in addition to 1 % of its level
     """
     low, high = (end.astype(np.float32) for end in shift_range)
     channels = color.shape[2]
@@ -134,8 +142,7 @@ def difference(a: Float, b: Float) -> NDArray[np.float32]:
 
 
 def filtered(x: NDArray[Any], choose: Callable[..., Any]) -> NDArray[Any]:
-    """Apply np.maximum, np.minimum or their like over 3 x 3 pixels, those beyond the border left
-    out."""
+    """Apply np.maximum, np.minimum or a similar function over 3 x 3 pixels, fewer at the border."""
     for axis in (0, 1):
         y = np.moveaxis(x, axis, 0)
         x = x.copy()
@@ -146,8 +153,10 @@ def filtered(x: NDArray[Any], choose: Callable[..., Any]) -> NDArray[Any]:
 
 
 def _window(a: Float, b: Float, least: float) -> tuple[slice, slice] | None:
-    """Return the part of the images outside of which nothing is beyond, an excess being at most the
-    difference."""
+    """Return the rows and columns that contain all unexplained differences over ``least``.
+
+    An unexplained difference is at most the plain difference, which is fast to compute.
+    """
     apart = difference(a, b) > least
     rows, columns = (np.flatnonzero(apart.any(axis=axis)) for axis in (1, 0))
     if not rows.size:
@@ -181,8 +190,8 @@ def _excess(a: Float, b: Float, full: Mask | None, relative: bool) -> Excess:
 def _range(
     x: Float, least: Callable[..., Any], most: Callable[..., Any], relative: bool
 ) -> tuple[Float, Float, Float, Float]:
-    """Return the least and the highest value of 3 x 3 pixels, what is allowed beyond, and what a
-    sliver may add."""
+    """Return minimum and maximum of 3 x 3 pixels, by how much the range is widened, and the
+    difference that a sliver may add."""
     low, high = filtered(x, least), filtered(x, most)
     top = filtered(high, most)
     span = top - filtered(low, least)

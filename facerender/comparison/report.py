@@ -1,4 +1,4 @@
-"""The page of a comparison: its pairs, their metrics beside the limits, and the images."""
+"""The HTML report of a comparison: pairs, metrics with limits, and images."""
 
 from __future__ import annotations
 
@@ -22,26 +22,27 @@ from facerender.page.document import document, image_source, row, table
 from facerender.system.atomic import write_bytes
 
 VERDICTS = {1: "differs", 2: "error", 0: "same"}  # by status, in the page's order
-INDEX = "\N{SYMBOL FOR UNIT SEPARATOR}"  # in no name
-IMAGE = "\N{SYMBOL FOR RECORD SEPARATOR}"  # nor this
-THUMBNAIL = 160  # pixels a side
-EXACT = 25_000_000  # characters of a page up to which A and B are exact
-EXACT_SIDE = 64  # pixels a side of what is exact around a place in a page that would be longer
+# Placeholders in an entry's text; these characters do not occur in names.
+INDEX = "\N{SYMBOL FOR UNIT SEPARATOR}"
+IMAGE = "\N{SYMBOL FOR RECORD SEPARATOR}"
+THUMBNAIL = 160  # pixels per side
+EXACT = 25_000_000  # in a page of more characters, the largest images A and B are compressed
+EXACT_SIDE = 64  # pixels per side of the exact area around a place in a compressed image
 CHECKS = ("point", "slivers", "block", "trend", "grain", "texture", "shift", "coverage")
 MODES = ("side by side", "blink", "slider", "difference")
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A pair as text, which takes less memory than its images and may go from process to process.
+    """A pair as text, which takes less memory than its images and can be sent between processes.
 
     Attributes
     ----------
-    name, status : of the pair
-    row, section : of the page; INDEX in them stands for the entry's number, IMAGE and a letter
-        for an image, IMAGE alone for how they are held
+    name, status : name and status of the pair
+    row, section : HTML of its table row and its section. Placeholders: INDEX for the entry's
+        number, IMAGE with a letter for an image, IMAGE alone for "exact" or "compressed"
     images : A and B as data URLs, by their letters
-    places : x and y of what is exact in them in any page
+    places : x and y of the places around which compressed images stay exact
     """
 
     name: str
@@ -53,7 +54,7 @@ class Entry:
 
 
 def entry(pair: Pair) -> Entry:
-    """Return a pair's part of the page."""
+    """Return the entry of a pair."""
     sources = {"a": pair.reference, "b": pair.image} if pair.status else {}
     images = {key: image for key, image in sources.items() if image}
     most = max((image.pixels[..., 0].size for image in images.values()), default=0)
@@ -70,13 +71,13 @@ def entry(pair: Pair) -> Entry:
 
 
 def write_report(path: str | os.PathLike[str], entries: Sequence[Entry]) -> None:
-    """Write a page with every pair, self-contained, those that differ first.
+    """Write a self-contained page of all pairs; pairs that differ come first.
 
     Raises
     ------
     InputError : the file cannot be written
     """
-    # names may be no UTF-8
+    # Names of files may not be valid UTF-8.
     write_bytes(path, _page(entries).encode(errors="backslashreplace"))
 
 
@@ -85,36 +86,36 @@ _NOTES = """
 <h2>How to read this</h2>
 <dl class="note">
 <dt>point</dt>
-<dd>How far the worst pixel leaves what its neighbourhood in the other image explains. It sees
-fireflies and missing pixels, and lets edges pass that moved by a fraction of a pixel.</dd>
+<dd>The largest difference of a pixel from the range of its neighbourhood in the other image. It
+detects fireflies and missing pixels, and passes edges that moved by a fraction of a pixel.</dd>
 <dt>slivers</dt>
-<dd>How many pixels are over the limit of points, with those at edges, where slivers of light and
-shade may come and go.</dd>
+<dd>The number of pixels over the point limit, including pixels at edges, where thin slivers of
+light and shade may appear or vanish.</dd>
 <dt>block</dt>
-<dd>The largest change of the mean of 16 × 16 pixels inside the coverage, beyond what a shift of the
-whole image explains; of linear images relative to that mean. It sees a lobe or a weight that
-changed; noise averages out.</dd>
+<dd>The largest change of the mean of 16 × 16 pixels inside the coverage, without the effect of a
+shift of the whole image; in linear images relative to that mean. It detects a changed lobe or
+weight; noise averages out.</dd>
 <dt>trend</dt>
-<dd>How far neighbouring blocks changed alike, each by less than that; 0 where it may be
-chance.</dd>
+<dd>How consistently neighbouring blocks changed, even if each is within the block limit; 0 if this
+may be chance.</dd>
 <dt>grain, texture</dt>
-<dd>Noise from pixel to pixel, and fine detail, that B has more than A, or less.</dd>
+<dd>Noise between adjacent pixels, and fine detail, that B has more or less than A.</dd>
 <dt>shift</dt>
-<dd>Pixels by which B lies to the right of A, and below it.</dd>
+<dd>Displacement of B against A, in pixels to the right and down.</dd>
 <dt>coverage</dt>
-<dd>The fraction of the pixels whose coverage, the alpha channel, changed.</dd>
+<dd>The fraction of the pixels whose coverage (alpha channel) changed.</dd>
 <dt>heat map</dt>
-<dd>FLIP: the difference that an observer sees when the images alternate, from black for nothing to
-pale yellow. Of several pixels of a large image it sees the one that differs most.</dd>
+<dd>FLIP: the difference that an observer sees when the images alternate, from black (none) to
+pale yellow. In a large image, each cell of pixels shows the pixel that differs most.</dd>
 <dt>images</dt>
-<dd>Linear radiance 1 is white; black lies behind transparency; magenta is not finite. A click on an
-image enlarges a place, the arrow keys move it, another click shows the whole. In a page of very
-many pairs, A and B are compressed where that is written above them, and exact around the marks
-alone; the difference is exact.</dd>
+<dd>Linear radiance 1 is white; the background is black; pixels that are not finite are magenta.
+Click on an image to enlarge a place, move it with the arrow keys, and click again to show the whole
+image. In a page of very many pairs, A and B may be compressed, as their captions state; then they
+are exact around the marks only. The difference is always exact.</dd>
 </dl>
 </section>"""
 
-_MOTION = """<label class="cut">cut <input type="range" min="0" max="100" value="50"></label>
+_MOTION = """<label class="cut">split <input type="range" min="0" max="100" value="50"></label>
 <label class="blinking"><input type="checkbox" class="run">run</label>
 <button class="blinking swap" type="button">swap</button>"""
 
@@ -137,8 +138,10 @@ def _page(entries: Sequence[Entry]) -> str:
 
 
 def _to_compress(entries: Sequence[Entry]) -> set[int]:
-    """Return numbers of entries, those of the largest images, without which the page is no longer
-    than EXACT."""
+    """Return the numbers of the entries whose images are compressed, the largest first.
+
+    The rest of the page then has at most EXACT characters.
+    """
     sizes = [sum(map(len, entry.images.values())) for entry in entries]
     left = sum(sizes) + sum(len(entry.section) for entry in entries)
     chosen = set()
@@ -151,7 +154,7 @@ def _to_compress(entries: Sequence[Entry]) -> set[int]:
 
 
 def _with_images(entry: Entry, compressed: bool) -> str:
-    """Return an entry's section with A and B in it."""
+    """Return an entry's section, with the images A and B filled in."""
     section = entry.section
     for letter, source in entry.images.items():
         images = _compressed(source, letter, entry.places) if compressed else _image(source, letter)
@@ -160,7 +163,7 @@ def _with_images(entry: Entry, compressed: bool) -> str:
 
 
 def _compressed(source: str, letter: str, places: Iterable[Sequence[int]]) -> str:
-    """Return an image compressed with loss, and what lies around some places over it."""
+    """Return a lossily compressed image, with exact crops around some places on top."""
     pixels = visualization.decoded(b64decode(source.partition(",")[2]))
     height, width = pixels.shape[:2]
     images = _image(image_source(visualization.lossy(pixels), "webp"), letter)
@@ -192,10 +195,10 @@ def _section(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: bo
             f'<img class="thumbnail" src="{source}" alt="the image">{tables}</div></details>'
         )
     reasons = (pair.error,) if pair.comparison is None else pair.comparison.reasons
-    said = "".join(f"<li>{escape(reason)}</li>" for reason in reasons)
+    items = "".join(f"<li>{escape(reason)}</li>" for reason in reasons)
     return (
         f'<section id="pair-{INDEX}" class="{VERDICTS[pair.status]}"><h2>{title}</h2>'
-        f'<ul class="reasons">{said}</ul>{_viewer(pair, displayed, large)}{tables}</section>'
+        f'<ul class="reasons">{items}</ul>{_viewer(pair, displayed, large)}{tables}</section>'
     )
 
 
@@ -253,12 +256,12 @@ def _check_table(result: Comparison) -> str:
     rows = [row(check.name, [check.relation, check.where]) for check in _checks(result)]
     rows.append(row("largest difference", [_number(result.largest), ""]))
     rows.append(row("mean difference", [_number(result.mean), ""]))
-    unit = "radiance" if result.encoding == "linear" else "steps of 255"
+    unit = "radiance" if result.encoding == "linear" else "8-bit levels"
     return table("checks", ("check", "metric and limit", "B is"), rows, f"Metrics, in {unit}")
 
 
 def _facts(pair: Pair) -> str:
-    """Lay out what the images are and what drew them, rows that differ marked."""
+    """Return a table of the images' properties and metadata; rows that differ are marked."""
     images = {"A": pair.reference, "B": pair.image}
     facts = {name: _fact(image) for name, image in images.items() if image}
     rows = []
@@ -266,7 +269,7 @@ def _facts(pair: Pair) -> str:
         values = [fact.get(key, "") for fact in facts.values()]
         changed = "changed" if len(set(values)) > 1 and key != "image" else ""
         rows.append(row(escape(key), map(escape, values), changed))
-    return table("facts", ("", *facts), rows, "Images, and what drew them") if facts else ""
+    return table("facts", ("", *facts), rows, "Images and their metadata") if facts else ""
 
 
 def _fact(image: ImageData) -> dict[str, str]:
@@ -279,7 +282,7 @@ def _fact(image: ImageData) -> dict[str, str]:
 
 
 def _viewer(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: bool) -> str:
-    """Show the images there are, and how they differ if they could be compared."""
+    """Return the viewer of the available images and, if they were compared, their differences."""
     if large:
         most = visualization.MAX_PIXELS
         return f'<p class="note">Images of more than {most} pixels are not shown.</p>'
@@ -316,13 +319,13 @@ def _viewer(pair: Pair, displayed: Mapping[str, visualization.Bytes], large: boo
         controls = f'<div class="controls">{controls}</div>'
     return (
         f'<div class="viewer {IMAGE}">{controls}'
-        '<div class="stage" tabindex="0" role="group" aria-label="images; arrow keys move what is'
-        f' enlarged">{"".join(figures)}</div></div>'
+        '<div class="stage" tabindex="0" role="group" aria-label="images; arrow keys move the'
+        f' enlarged area">{"".join(figures)}</div></div>'
     )
 
 
 def _places(pair: Pair) -> dict[str, tuple[int, int, int]]:
-    """Return x, y and side of what is worth a look."""
+    """Return x, y and side of the marked places, by name."""
     places = {}
     if (result := pair.comparison) is not None:
         if result.point:
@@ -365,7 +368,7 @@ def _figure(
 
 
 def _box(*fractions: float) -> str:
-    """Return the style of what lies at left and top, with width and height if any, as fractions."""
+    """Return a CSS style from left, top and optionally width and height, as fractions."""
     names = ("left", "top", "width", "height")
     return ";".join(
         f"{name}:{100 * each:.4f}%" for name, each in zip(names, fractions, strict=False)
@@ -381,12 +384,12 @@ def _source(pixels: visualization.Bytes) -> str:
 
 
 def _legend(largest: float, encoding: Encoding) -> str:
-    """Name the colours of the difference."""
+    """Return the caption of the difference, with a legend of its colours."""
     dark, bright = (f"rgb{color}" for color in (visualization.DARKER, visualization.BRIGHTER))
     end = f"{_number(largest)}{'' if encoding == 'linear' else ' of 255'}"
     return (
-        "<b>difference</b> in the worst channel, B less A; the scale is linear below"
-        f" {visualization.FLOORS[encoding]:g} and logarithmic above; violet where coverage alone"
+        "<b>difference</b> B − A in the worst channel; the scale is linear below"
+        f" {visualization.FLOORS[encoding]:g} and logarithmic above; violet where only the coverage"
         " changed"
         f'<span class="legend" style="background:linear-gradient(90deg,{dark},#000,{bright})">'
         f'</span><span class="ends"><span>-{end}</span><span>0</span><span>+{end}</span></span>'
@@ -394,7 +397,7 @@ def _legend(largest: float, encoding: Encoding) -> str:
 
 
 def _choices(name: str, values: Mapping[str, str]) -> str:
-    """Offer values by name, the first chosen."""
+    """Return radio buttons for values by their labels; the first is checked."""
     choices = "".join(
         f'<label><input type="radio" name="{name}-{INDEX}" value="{value}"'
         f"{'' if position else ' checked'}>{label}</label>"

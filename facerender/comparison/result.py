@@ -1,5 +1,4 @@
-"""The result of comparing two images: every metric, the limits that it is checked against, and why
-the images differ."""
+"""The result of comparing two images: metrics, their limits, and the reasons of a difference."""
 
 from __future__ import annotations
 
@@ -10,30 +9,36 @@ from facerender.comparison.blocks import MOVED
 from facerender.errors import check_range
 from facerender.images.image import Encoding
 
-HIGHEST = 1e30  # of values, whose differences and sums are finite then
-FOREIGN = 6.0  # factor of the limits of trend, grain and texture, where another driver drew B
-SURE = 6.0  # standard errors of its own that a trend needs
-BLUR = 1.5  # factor of the limits of grain and texture where the image has less than the reference
-_SLIGHT = 50  # pixels that may be slivers, and
-_SLIGHT_FRACTION = 1e-4  # of all pixels
+HIGHEST = 1e30  # largest valid value: sums and differences of larger ones may overflow
+FOREIGN = 6.0  # factor on the limits of trend, grain and texture if another driver drew image B
+SURE = 6.0  # a trend counts if it exceeds this many of its standard errors
+BLUR = 1.5  # factor on the limits of grain and texture if the image has less than the reference
+# The number of pixels that may be slivers is _SLIGHT + _SLIGHT_FRACTION times all pixels.
+_SLIGHT = 50
+_SLIGHT_FRACTION = 1e-4
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What two images that count as the same may differ by.
+    """Limits of the differences between two images that count as the same.
+
+    The unit of point, block and grain depends on the encoding: radiance or a relative value for
+    linear images, 8-bit levels for sRGB images.
 
     Attributes
     ----------
-    point : excess of a pixel beyond what its neighbourhood explains; radiance, or steps of 8 bits
-    block : change of a block's mean, less what a shift explains; relative to that mean, 0.01 at
-        least, or steps
-    trend : mean product of neighbouring blocks' changes, each over its standard error; without a
-        change it is 0. A looser limit for blocks makes it smaller, so that it passes likewise
-    grain : RMS from one pixel to the next that the image may have more than the reference, and half
-        of what it may have less; relative to the level, or steps
-    texture : fraction of the variance from one pixel to the next that was added or lost, in [0, 1]
+    point : difference of a pixel beyond the range that its neighbourhood explains; radiance, or
+        levels
+    block : change of a block's mean, after removing the effect of a shift; relative to that mean
+        (at least 0.01), or levels
+    trend : mean product of neighbouring blocks' changes, each divided by its standard error; 0
+        without a change. A wider block limit reduces the trend, so that it passes too
+    grain : RMS of differences between adjacent pixels that the image may have more than the
+        reference. If the image has less, ``BLUR`` widens the limit. Relative to the pixel's level,
+        or levels
+    texture : fraction of the variance between adjacent pixels that was added or lost, in [0, 1]
     coverage : fraction of all pixels whose coverage changed, in [0, 1]
-    shift : pixels by which the whole image may be displaced
+    shift : displacement of the whole image, in pixels
     """
 
     point: float
@@ -57,32 +62,34 @@ LIMITS: dict[Encoding, Limits] = {
 
 @dataclass(frozen=True)
 class Comparison:
-    """Every metric, and why the images differ. Positions are (x, y) from the top left.
-    ``bool(comparison)`` is ``comparison.same``.
+    """Metrics of two images, and the reasons of a difference.
+
+    Positions are (x, y) from the top left. ``bool(comparison)`` is ``comparison.same``.
 
     Attributes
     ----------
-    reasons : why the images differ, in words; empty where they are the same
-    encoding : "linear" or "srgb8"; it gives the unit of point and block, as in :class:`Limits`
-    limits : that the metrics are checked against
-    foreign : whether another driver drew the image, by the files' metadata: it may filter 8-bit
-        textures differently, so that trend and grain say less
-    point, point_at : excess of the worst pixel, negative where the image is darker, and where;
-        without pixels over the limit, less what may be a sliver
-    points : pixels over the limit, by more than a sliver at an edge
-    slight : pixels over the limit, all of them
-    holes : pixels with less than a quarter of their neighbours' light in the other image
+    reasons : reasons of a difference, as text; empty if the images are the same
+    encoding : "linear" or "srgb8"; determines units, see :class:`Limits`
+    limits : the limits of the checks
+    foreign : whether another driver drew the image, by the files' metadata. Drivers may filter
+        8-bit textures differently, so the limits of trend, grain and texture are wider
+    point, point_at : unexplained difference of the worst pixel, negative if the image is darker,
+        and its position; reduced by the effect of a sliver if no pixel exceeds the limit
+    points : number of pixels that exceed the limit by more than a sliver at an edge
+    slight : number of all pixels that exceed the limit, including slivers
+    holes : number of pixels with less than a quarter of the light of their neighbours in the other
+        image
     block, block_at : change of the worst block's mean, and its top left pixel
-    blocks, blocks_judged : blocks over the limit, and all that have enough pixels
-    trend, z_score : of the blocks' changes, and the trend over its standard error
-    grain : RMS from one pixel to the next that the image has more, or less, than the reference,
-        where they are flat
-    texture : the same of variances, where they need not be, as a fraction of both
-    gain : by how much blocks that changed are brighter, mostly where they are smooth: relative, or
-        steps
-    shift : pixels by which the image lies to the right of the reference, and below it
+    blocks, blocks_judged : number of blocks over the limit, and of all blocks with enough pixels
+    trend, z_score : trend of the blocks' changes, and the trend divided by its standard error
+    grain : RMS of differences between adjacent pixels in flat areas, image less reference
+    texture : variance between adjacent pixels in all areas, image less reference, as a fraction of
+        the sum of both
+    gain : by how much the changed blocks are brighter, weighted towards smooth areas; relative, or
+        in levels
+    shift : displacement of the image to the right and down, in pixels
     coverage : fraction of the pixels whose coverage changed; 0 without an alpha channel
-    largest, mean : largest and mean absolute difference of any channel, for information
+    largest, mean : largest and mean absolute difference of any channel, for information only
     """
 
     reasons: tuple[str, ...]
@@ -116,28 +123,28 @@ class Comparison:
 
     @property
     def limit_factor(self) -> float:
-        """By what the limits of trend, grain and texture are multiplied."""
+        """Factor on the limits of trend, grain and texture."""
         return FOREIGN if self.foreign else 1.0
 
     @property
     def sliver_limit(self) -> float:
-        """How many pixels may be slivers."""
+        """Number of pixels that may be slivers."""
         width, height = self.size
         return _SLIGHT + _SLIGHT_FRACTION * width * height
 
     @property
     def changed_alike(self) -> bool:
-        """Whether the trend is over its limit, and no chance."""
+        """Whether the trend exceeds its limit and is significant."""
         return self.trend > self.limit_factor * self.limits.trend and self.z_score > SURE
 
     def __bool__(self) -> bool:
         return self.same
 
     def as_dict(self) -> dict[str, Any]:
-        """Return every metric, for JSON."""
+        """Return all metrics, for JSON."""
         return {"same": self.same, **asdict(self)}
 
     def __str__(self) -> str:
-        foreign = ", as far as another driver tells" * self.foreign
-        unjudged = "" if self.blocks_judged else ", but no block could be judged"
+        foreign = ", with wider limits for another driver" * self.foreign
+        unjudged = "" if self.blocks_judged else ", but no block has enough pixels to be checked"
         return "; ".join(self.reasons) or f"same{foreign}{unjudged}"

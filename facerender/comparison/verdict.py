@@ -1,4 +1,4 @@
-"""Why two images differ, in words: which check failed, by how much, and what that looks like."""
+"""Reasons of a difference as text: the failed check, its metric and limit, and a likely cause."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ SHAPE = "another shape, texture or light"
 LOBE = "a lobe or weight change"
 EXPOSURE = "exposure, light or colour space"
 
-# What a single pixel may be over by: where it is smooth, in texture, and at an edge.
+# Unexplained difference that a single pixel may have: in smooth areas, in texture, and at an edge.
 _LONE = {"linear": (0.0, 0.1, 0.5), "srgb8": (0.0, 53.0, 90.0)}
-_WIDELY = 0.1  # fraction of wrong pixels from which on they are not called few
-_BRIGHTER = 5e-5  # gain below which it is not stated, and
-_SHIFTED = 0.01  # pixels of a shift, below which it is not stated
-_HOLES = 2  # that cracks and hairs may leave
+_WIDELY = 0.1  # wrong pixels beyond this fraction count as a change of the whole image
+_BRIGHTER = 5e-5  # smallest gain that is reported
+_SHIFTED = 0.01  # smallest shift that is reported, in pixels
+_HOLES = 2  # holes that cracks and hairs may cause
 
 
 def reasons_of(
     result: Comparison, over: NDArray[np.int8], statistics: BlockStatistics
 ) -> tuple[str, ...]:
-    """Say why the images differ, and what that looks like.
+    """Return the reasons of a difference, with likely causes.
 
-    over : (H, W), 2 where a pixel is too bright, 3 in texture, 4 at an edge, and 1 where that may
-        be a sliver; negative where it is too dark
+    over : (H, W), class of each pixel that exceeds the point limit: 1 a possible sliver, 2 in a
+        smooth area, 3 in texture, 4 at an edge; negative if the pixel is too dark; 0 for the others
     """
     reasons = []
     wrong = _wrong(result, over)
@@ -38,7 +38,7 @@ def reasons_of(
         reasons.append(f"{_pixels(result, over[wrong])}: looks like {like}")
     elif result.holes > _HOLES:
         reasons.append(
-            f"{result.holes} pixels with less than a quarter of the light around them, limit "
+            f"{result.holes} pixels have less than a quarter of their neighbours' light, limit "
             f"{_HOLES}: looks like missing pixels"
         )
     if result.blocks:
@@ -63,7 +63,7 @@ def reasons_of(
 
 
 def _wrong(result: Comparison, over: NDArray[np.int8]) -> Mask:
-    """Return the pixels that are not forgiven: where a single one or few slivers are over, none."""
+    """Return the pixels that count as wrong; a single tolerable one or few slivers do not count."""
     place = np.abs(over)
     if result.points > 1:
         return place > 1
@@ -73,16 +73,16 @@ def _wrong(result: Comparison, over: NDArray[np.int8]) -> Mask:
 
 
 def _pixels(result: Comparison, over: NDArray[np.int8]) -> str:
-    """Describe the pixels that are not forgiven; over is that of :func:`reasons_of`, of them."""
-    pixels = f"{len(over)} pixel{'' if len(over) == 1 else 's'}"
+    """Describe the wrong pixels; ``over`` has their classes, see :func:`reasons_of`."""
+    pixels = f"{len(over)} pixel{' differs' if len(over) == 1 else 's differ'}"
     if (np.abs(over) == 1).any():
-        return f"{pixels} changed as slivers may change them, limit {result.sliver_limit:.0f}"
+        return f"{pixels} like slivers at edges, limit {result.sliver_limit:.0f}"
     point = abs(result.point)
     by = f"{point:.2g}" if result.encoding == "linear" else f"{point:.0f} of 255"
     at_edge = " at edges" if _at_edge(over) else ""
     return (
-        f"{pixels} over by up to {by}{at_edge}, worst {result.point_at}, limit "
-        f"{result.limits.point:g}"
+        f"{pixels} from the surroundings in the other image by up to {by}{at_edge}, worst at "
+        f"{result.point_at}, limit {result.limits.point:g}"
     )
 
 
@@ -91,19 +91,20 @@ def _blocks(result: Comparison) -> str:
     factor, unit = (100.0, " %") if result.encoding == "linear" else (1.0, "")
     mean = f"{_signed(factor * result.block)}{unit or ' of 255'}"
     return (
-        f"block {result.block_at}: mean {mean}, limit {factor * result.limits.block:g}{unit}, "
-        f"{result.blocks} of {result.blocks_judged} blocks over"
+        f"block at {result.block_at}: mean {mean}, limit {factor * result.limits.block:g}{unit}, "
+        f"exceeded by {result.blocks} of {result.blocks_judged} blocks"
     )
 
 
 def _explained(result: Comparison, wrong: Mask, statistics: BlockStatistics) -> bool:
-    """Return whether every block over its limit has a wrong pixel."""
+    """Return whether every block over the limit contains a wrong pixel."""
     over = np.abs(np.nan_to_num(statistics.channels)) > result.limits.block
     return bool(block_sums(cell_sums(wrong.astype(np.float32)))[over].all())
 
 
 def _subtle(result: Comparison) -> Iterator[str]:
-    """Describe what stands for itself alone: other changes have it as well."""
+    """Describe failures of grain, texture and shift; other changes cause these too, so they are
+    reported only if no other check fails."""
     limits, factor = result.limits, result.limit_factor
     grain, texture = factor * limits.grain, factor * limits.texture
     if not BLUR * -grain <= result.grain <= grain:
@@ -125,7 +126,7 @@ def _subtle(result: Comparison) -> Iterator[str]:
 def _likeness(
     result: Comparison, over: NDArray[np.int8], wrong: Mask, statistics: BlockStatistics
 ) -> str:
-    """Say what wrong pixels look like."""
+    """Return a likely cause of wrong pixels."""
     count, judged = wrong.sum(), result.blocks_judged * BLOCK**2
     if count > _WIDELY * judged > 0:
         guess = _guess(statistics)
@@ -141,12 +142,12 @@ def _likeness(
 
 
 def _at_edge(over: NDArray[np.int8]) -> bool:
-    """Return whether most of some pixels lie at edges."""
+    """Return whether most of these pixels lie at edges."""
     return bool((np.abs(over) == 4).mean() > 0.5)
 
 
 def _guess(statistics: BlockStatistics) -> str:
-    """Say what blocks that changed look like."""
+    """Return a likely cause of changed blocks."""
     changes = statistics.change[statistics.changed]
     if not changes.size:
         return SHAPE
@@ -155,13 +156,13 @@ def _guess(statistics: BlockStatistics) -> str:
 
 
 def _estimate(result: Comparison) -> str:
-    """Say by how much the image is brighter, and where it lies."""
+    """Return gain and shift of the image as text."""
     brighter = result.encoding == "linear" and abs(result.gain) > _BRIGHTER
     gain = f"gain {round(1.0 + result.gain, 4):g}" if brighter else ""
     x, y = result.shift
     moved = f"shift ({x:.2g}, {y:.2g})" if max(abs(x), abs(y)) > _SHIFTED else ""
-    said = ", ".join(filter(None, (gain, moved)))
-    return f" ({said})" if said else ""
+    estimate = ", ".join(filter(None, (gain, moved)))
+    return f" ({estimate})" if estimate else ""
 
 
 def _texture(change: float) -> str:

@@ -1,8 +1,7 @@
-"""Images to look at: an image as 8-bit sRGB, the difference of two in false colours, a heat map.
-``report.py`` makes a page of them.
+"""Images for the report: images in 8-bit sRGB, their difference in false colours, a heat map.
 
-Each is (H, W, 3) of 8-bit sRGB, linear radiance 1 being white, over black where the coverage ends;
-values that are not finite are magenta.
+Each has the shape (H, W, 3). Linear radiance 1 is white, the background is black, and pixels that
+are not finite are magenta.
 """
 
 from __future__ import annotations
@@ -25,15 +24,16 @@ from facerender.images.image import Encoding, ImageData
 from facerender.images.srgb import encode_srgb8
 from facerender.images.write import save_png
 
-MAX_PIXELS = 1 << 24  # that are displayed
-HEAT = 1 << 17  # pixels of a page's heat map: FLIP takes 1.3 s for 1024 x 1024
-LEVELS = 32  # of the difference, either way
+MAX_PIXELS = 1 << 24  # of an image that is displayed
+HEAT = 1 << 17  # pixels of a page's heat map; for 1024 x 1024 FLIP takes 1.3 s
+LEVELS = 32  # colour levels of the difference, for each sign
 DARKER, BRIGHTER, UNCOVERED = (74, 163, 255), (255, 148, 41), (190, 70, 255)
 NOT_FINITE = (255, 0, 255)
-FLOORS: dict[Encoding, float] = {"linear": 1e-3, "srgb8": 1.0}  # of the difference's scale
+# Differences up to which the colour scale is linear.
+FLOORS: dict[Encoding, float] = {"linear": 1e-3, "srgb8": 1.0}
 
 _STRIP = 256  # rows that are converted at once
-_LONGEST_WEBP = 16383  # pixels a side
+_LONGEST_WEBP = 16383  # largest width and height of a WebP file, in pixels
 
 Bytes = NDArray[np.uint8]
 
@@ -51,7 +51,7 @@ def displayed(image: ImageData) -> Bytes:
 
 
 def thumbnail(image: ImageData, side: int) -> Bytes:
-    """Return an image as 8-bit sRGB, no side longer than N pixels."""
+    """Return an image as 8-bit sRGB, scaled to at most ``side`` pixels in width and height."""
     from PIL import Image
 
     height, width = image.pixels.shape[:2]
@@ -62,8 +62,11 @@ def thumbnail(image: ImageData, side: int) -> Bytes:
 
 
 def difference(a: ImageData, b: ImageData) -> tuple[Bytes, float]:
-    """Return the signed difference in the worst channel, linear below the floor and logarithmic
-    above; and the largest difference, which has the full colour."""
+    """Return the signed difference in the worst channel as colours, and the largest difference.
+
+    The colour scale is linear below the floor and logarithmic above; the largest difference has the
+    full colour.
+    """
     floor = FLOORS[a.encoding]
     signed = np.concatenate([_signed(a, b, rows) for rows in _strips(a)])
     largest = max(float(np.abs(signed).max()), floor)
@@ -80,7 +83,7 @@ def difference(a: ImageData, b: ImageData) -> tuple[Bytes, float]:
 
 
 def _signed(a: ImageData, b: ImageData, rows: slice) -> NDArray[np.float32]:
-    """Return b less a in the worst channel."""
+    """Return b - a in the worst channel."""
     signed = b.rows(rows)[0] - a.rows(rows)[0]
     worst = np.abs(signed).argmax(axis=-1)[..., None]
     return np.asarray(np.take_along_axis(signed, worst, axis=-1)[..., 0])
@@ -92,8 +95,9 @@ def _strips(image: ImageData) -> Iterator[slice]:
 
 
 def small_heat_map(a: Bytes, b: Bytes) -> Bytes:
-    """Return FLIP of two displayed images at HEAT pixels at most: of the pixels of a cell it sees
-    the one that differs most, so that no firefly is lost.
+    """Return a FLIP heat map of two displayed images, reduced to at most HEAT pixels.
+
+    Each cell of pixels is reduced to the pixel that differs most, so that no firefly is lost.
 
     Raises
     ------
@@ -117,12 +121,12 @@ def small_heat_map(a: Bytes, b: Bytes) -> Bytes:
 
 
 def save_heat_map(path: str | os.PathLike[str], pair: Pair) -> None:
-    """Write FLIP of a pair as PNG.
+    """Write the FLIP heat map of a pair as PNG.
 
     Raises
     ------
-    InputError : flip-evaluator is missing, an image could not be read, the sizes differ or are more
-        than MAX_PIXELS, or the file is no .png or cannot be written
+    InputError : flip-evaluator is missing, an image could not be read, the sizes differ or exceed
+        MAX_PIXELS, or the file is not a .png or cannot be written
     """
     if Path(path).suffix.lower() != ".png":
         raise InputError(f"the heat map {path}: give a .png")
@@ -138,21 +142,21 @@ def save_heat_map(path: str | os.PathLike[str], pair: Pair) -> None:
 
 
 def decoded(content: bytes) -> Bytes:
-    """Return the pixels of a file of :func:`lossless`."""
+    """Return the pixels of a file that :func:`lossless` returned."""
     from PIL import Image
 
     return np.asarray(Image.open(BytesIO(content)))
 
 
 def lossless(pixels: Bytes) -> tuple[bytes, str]:
-    """Return pixels as WebP, or as PNG where a side is too long for that, and which of them."""
+    """Return pixels as a lossless file, and its format: WebP, or PNG if a side is too long."""
     if max(pixels.shape) > _LONGEST_WEBP:
         return _encoded(pixels, "png"), "png"
     return _encoded(pixels, "webp", lossless=True, method=1, quality=0), "webp"
 
 
 def lossy(pixels: Bytes) -> bytes:
-    """Return pixels as a WebP of about a seventh of the bytes."""
+    """Return pixels as a lossy WebP file, about 1/7 of the lossless size."""
     return _encoded(pixels, "webp", method=1, quality=90)
 
 

@@ -1,1 +1,1 @@
-"""Scene and shading to pixels: by OpenGL, and in float64."""
+"""Rendering of a scene: with OpenGL, and in float64 with NumPy as the reference."""

@@ -1,5 +1,5 @@
-"""An OpenGL 3.3 context without a window: EGL, OSMesa, the window system's (WGL, CGL, GLX), or the
-one that the host has current. What a process has after a fork is told here as well."""
+"""OpenGL 3.3 contexts without a window: EGL, OSMesa, the window system's (WGL, CGL, GLX), or the
+host's current context. This module also detects drivers that a fork has made unusable."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from facerender.system import IMPORTER
 Backend = Literal["auto", "egl", "osmesa", "native", "current"]
 
 BACKENDS: tuple[Backend, ...] = ("auto", "egl", "osmesa", "native", "current")
-# In the order in which auto tries them: elsewhere than on Linux there is the window system's alone.
+# Backends that "auto" tries, in this order. Windows and macOS have only the window system's.
 AUTO: tuple[Backend, ...] = (
     ("native",) if sys.platform in ("win32", "darwin") else ("egl", "osmesa")
 )
@@ -44,15 +44,15 @@ REMEDIES = {
 SOFTWARE = ("llvmpipe", "softpipe", "swr", "swiftshader", "software rasterizer", "apple software")
 _GL_VERSION = 330
 
-# Drivers that this process, and those that it was forked from, have opened: whether the CPU draws.
-# A driver's threads do not survive a fork: what was opened before the last one is lost.
+# Drivers that this process or its ancestors have opened; the value is True for software drivers.
+# A fork does not copy a driver's threads, so drivers opened before the last fork are in _lost.
 _opened: dict[str, bool] = {}
 _lost: dict[str, bool] = {}
 _FORKED = "it was in use before this process was forked"
 
 
 def _lose() -> None:
-    if "egl" not in _opened and egl_in_use():  # somebody else's
+    if "egl" not in _opened and egl_in_use():  # other code has opened EGL
         _opened["egl"] = True
     _lost.update(_opened)
 
@@ -64,13 +64,13 @@ if os.getpid() != IMPORTER:
 
 
 class _Loader(Protocol):
-    """The object behind a moderngl context."""
+    """Protocol of the context objects that moderngl uses."""
 
     def load(self, name: str) -> int: ...
 
 
 class ForeignContext:
-    """A context that is current and stays the host's: only its functions are looked up."""
+    """Access to the functions of the host's current context, which the host keeps and frees."""
 
     def __init__(self, get_proc_address: Any) -> None:
         get_proc_address.restype = ctypes.c_void_p
@@ -93,8 +93,8 @@ class ForeignContext:
 
 
 class _OSMesaContext(ForeignContext):
-    """An off-screen Mesa context of our own, drawing into one pixel of ordinary memory;
-    everything real is drawn into framebuffer objects."""
+    """An off-screen Mesa context. Its default framebuffer is one pixel in memory; images are drawn
+    into framebuffer objects."""
 
     _ATTRIBUTES = (
         (0x22, 0x1908),  # OSMESA_FORMAT: RGBA
@@ -138,8 +138,11 @@ class _OSMesaContext(ForeignContext):
 
 
 class _SurfacelessContext(ForeignContext):
-    """A context of a display of Mesa's that is not the one which other EGL contexts share, and so
-    has a software driver of its own, whose threads run."""
+    """A context of Mesa's surfaceless display, for processes that were forked after EGL was opened.
+
+    Other EGL contexts do not use this display, so it starts a separate software driver with running
+    threads.
+    """
 
     driver = "surfaceless"
     _PLATFORM_SURFACELESS, _OPENGL_API = 0x31DD, 0x30A2
@@ -161,11 +164,11 @@ class _SurfacelessContext(ForeignContext):
         self._egl("MakeCurrent", self._display, None, None, self._context)
 
     def _egl(self, name: str, *arguments: Any) -> ctypes.c_void_p:
-        """Call a function, none of which returns 0 where all is well."""
+        """Call an EGL function. All functions that this class calls return 0 on failure only."""
         function = getattr(self._library, f"egl{name}")
         function.restype = ctypes.c_void_p
         if not (result := function(*arguments)):
-            raise ContextError(f"{_FORKED}, and egl{name} failed for another display")
+            raise ContextError(f"{_FORKED}, and egl{name} failed for the surfaceless display")
         return ctypes.c_void_p(result)
 
     def __enter__(self) -> _SurfacelessContext:
@@ -180,11 +183,14 @@ class _SurfacelessContext(ForeignContext):
 
 
 def check_process(process: int) -> None:
-    """Raise ContextError where what was made in this process is of no use here."""
+    """Raise ContextError if an object was created before a fork, in another process.
+
+    process : ID of the process that created the object
+    """
     if process != os.getpid():
         raise ContextError(
-            "this renderer was made in the process that this one was forked from: make a new one "
-            "here"
+            "this renderer was created before a fork, in another process: create a new one in this "
+            "process"
         )
 
 
@@ -208,7 +214,7 @@ def _egl() -> _Loader:
     _check_not_lost("egl")
     for library in ("libEGL.so.1", "libGL.so.1"):
         _open_library(library)
-    # With the names given, glcontext starts no ldconfig and no compiler to look for them.
+    # Given the names, glcontext does not start ldconfig or a compiler to search the libraries.
     loader: _Loader = glcontext.get_backend_by_name("egl")(
         mode="standalone", glversion=_GL_VERSION, libegl="libEGL.so.1", libgl="libGL.so.1"
     )
@@ -221,7 +227,7 @@ def _native() -> _Loader:
     for library in libraries.values():
         _open_library(library)
     if libraries and not os.environ.get("DISPLAY"):
-        raise ContextError("DISPLAY names no X server: start one, such as Xvfb by xvfb-run")
+        raise ContextError("DISPLAY is not set: start an X server, such as Xvfb with xvfb-run")
     loader: _Loader = glcontext.default_backend()(
         mode="standalone", glversion=_GL_VERSION, **libraries
     )
@@ -236,21 +242,22 @@ def _current() -> _Loader:
 
 
 def is_software(renderer: str) -> bool:
-    """Tell from GL_RENDERER whether the CPU draws."""
+    """Return whether a value of GL_RENDERER names a software driver."""
     return any(name in renderer.lower() for name in SOFTWARE)
 
 
 @dataclass(frozen=True)
 class Context:
-    """An OpenGL context that works, and what it is.
+    """An OpenGL context with its properties.
 
     Attributes
     ----------
     backend : "egl", "osmesa", "native" or "current"
-    gl : the moderngl context; current within :meth:`drawing` alone
-    handle : of a host's context
-    renderer, version : GL_RENDERER and GL_VERSION, to be recorded with every figure and golden
-    process : in which it was made, and alone can be used
+    gl : the moderngl context; it is current only within :meth:`drawing`
+    loader : returns the addresses of OpenGL functions
+    handle : address of a host's context, otherwise 0
+    renderer, version : GL_RENDERER and GL_VERSION, to be recorded with every result and golden
+    process : ID of the process that created the context, the only one that can use it
     """
 
     backend: str
@@ -264,12 +271,12 @@ class Context:
 
     @property
     def most_samples(self) -> int:
-        """How many samples a pixel can have."""
+        """Largest number of samples per pixel."""
         return max(int(self.gl.info["GL_MAX_SAMPLES"]), 1)
 
     @property
     def software(self) -> bool:
-        """Whether the CPU draws."""
+        """Whether a software driver draws, on the CPU."""
         return is_software(self.renderer)
 
     def function(self, name: str, *argument_types: type, result: type | None = None) -> Any:
@@ -278,23 +285,25 @@ class Context:
 
     @contextmanager
     def drawing(self) -> Iterator[moderngl.Context]:
-        """Make the context current, and afterwards what was current before; a host's own context
-        finds its state as it was. Other threads wait for their turn.
+        """Make the context current, for one thread at a time.
+
+        Afterwards the previous context is current again. If the context is the host's, its state is
+        restored.
 
         Raises
         ------
-        ContextError : the context was released, or made in the process that this one was forked
-            from, or the host's is not current in this thread
+        ContextError : the context was released, was created before a fork, or is a host's context
+            that is not current in this thread
         """
         check_process(self.process)
         with self._lock:
             if self.released:
-                raise ContextError("this renderer was released: make a new one")
+                raise ContextError("this renderer was released: create a new one")
             host = current_context()
             if self.backend == "current":
                 if host is None or host.handle != self.handle:
                     raise ContextError(
-                        "the context in which this renderer was made is not current in this "
+                        "the context in which this renderer was created is not current in this "
                         "thread: make it current first"
                     )
                 restore = save_state(self.loader.load)
@@ -312,7 +321,8 @@ class Context:
 
     @property
     def inherited(self) -> bool:
-        """Whether it is of the process that this one was forked from, which alone may free it."""
+        """Whether another process created the context, before a fork; only it may free the
+        context."""
         return self.process != os.getpid()
 
     @property
@@ -321,7 +331,7 @@ class Context:
         return isinstance(self.gl.mglo, moderngl.InvalidObject)
 
     def release(self) -> None:
-        """Free the context, unless it is the host's or inherited; a second time does nothing."""
+        """Free the context, unless it is the host's or inherited. Further calls have no effect."""
         if not self.inherited:
             self.gl.release()
 
@@ -339,27 +349,28 @@ def create_context(backend: Backend = "auto") -> Context:
 
     Parameters
     ----------
-    backend : "auto" tries those of AUTO; "native" is WGL, CGL or GLX; "current" takes the host's
+    backend : "egl", "osmesa", "native" (WGL, CGL or GLX), "current" (the host's context), or "auto"
+        (default) for the first of AUTO that works
 
     Raises
     ------
     InputError : an unknown backend
-    ContextError : none works; the message says what was tried, what each said, and the remedy
+    ContextError : no backend works; the message lists each backend's error, and a remedy
     """
     if str(backend) not in BACKENDS:
         raise InputError(f"unknown backend {shown(backend)}; known: {', '.join(BACKENDS)}")
     tried = AUTO if backend == "auto" else (backend,)
     host = current_context()
-    said = []
+    errors = []
     for name in tried:
         try:
             return _open(name, host)
         except Exception as error:  # glcontext raises bare Exception
-            said.append(f"{name}: {error}")
+            errors.append(f"{name}: {error}")
         finally:
             if host is not None and name != "current":
                 host.rebind()
-    raise ContextError(f"no OpenGL context ({'; '.join(said)}); {_remedy(tried)}")
+    raise ContextError(f"no OpenGL context ({'; '.join(errors)}); {_remedy(tried)}")
 
 
 def _open(name: str, host: HostContext | None) -> Context:
@@ -368,7 +379,8 @@ def _open(name: str, host: HostContext | None) -> Context:
     restore = save_state(loader.load) if guest else None
     try:
         gl = moderngl.create_context(require=_GL_VERSION, standalone=not guest, context=loader)
-        # An OpenGL object that Python drops in another context would free a stranger there.
+        # Python may collect an object while another context is current. Its OpenGL number would
+        # then delete an object of that context, so context_gc delays deletions until gl.gc().
         gl.gc_mode = "context_gc"
         info = gl.info
     finally:
@@ -376,7 +388,7 @@ def _open(name: str, host: HostContext | None) -> Context:
             restore()
     if not guest:
         with gl:
-            pass  # on the way out no context of ours stays current
+            pass  # leaving the block unbinds the new context
     handle = guest.handle if guest else 0
     if not guest:
         _opened[getattr(loader, "driver", name)] = is_software(info["GL_RENDERER"])
@@ -392,7 +404,7 @@ def _remedy(tried: tuple[str, ...]) -> str:
 
 @dataclass(frozen=True)
 class Finding:
-    """What :func:`probe` found of one backend: a context's facts, or why there is none."""
+    """Result of :func:`probe` for one backend: properties of its context, or an error."""
 
     backend: str
     renderer: str = ""
@@ -403,7 +415,7 @@ class Finding:
 
 
 def probe() -> list[Finding]:
-    """Try every backend of our own, one after the other, and tell what each offers or lacks."""
+    """Try the backends "egl", "osmesa" and "native", and return the result of each."""
     findings = []
     for name in BACKENDS[1:-1]:
         try:

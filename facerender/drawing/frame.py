@@ -1,4 +1,4 @@
-"""What a renderer returns: the frame, which can be shown and saved, and the G-buffer. No OpenGL."""
+"""Results of a renderer: the frame, which can be shown and saved, and the G-buffer. No OpenGL."""
 
 from __future__ import annotations
 
@@ -31,17 +31,22 @@ class Frame:
 
     Attributes
     ----------
-    linear : (H, W, 4) float32, row 0 on top; linear RGB, unclamped, and the mesh's coverage. Colour
-        holds the background where the scene has one, and is premultiplied by coverage otherwise.
-        With ``only`` the background is 0, and colour is the specular or diffuse radiance, the
-        albedo, the normal (unit vector in the mesh's space), the depth along the viewing direction
-        in the mesh's units (three times), the cosines N.L of the first light, N.V and N.H, how
-        much of the first light that casts shadows is seen, in [0, 1] (three times), 1 where the
-        mesh is (three times), or the number of the part from 1 on (three times).
-    only : which term this is, or None for the whole image
-    transparent : whether a PNG or WebP gets an alpha channel; the scene has no background
-    metadata : facerender's version, GL_RENDERER, GL_VERSION, samples, texture format; of shaded
-        images also model, lobe and Fresnel term
+    linear : (H, W, 4) float32, row 0 on top: linear RGB, unclamped, and the mesh's coverage. If the
+        scene has a background, the colour contains it; otherwise colour is premultiplied by
+        coverage. If ``only`` is set, the background is 0 and RGB holds, by term:
+
+        - specular, diffuse: the radiance of this term
+        - albedo: linear colour
+        - normal: unit vector in the mesh's space
+        - depth: along the viewing direction, in the mesh's units, in all three channels
+        - cosines: N.L of the first light, N.V, N.H
+        - visibility: visible fraction of the first light that casts shadows, in all three channels
+        - mask: 1 on the mesh, in all three channels
+        - parts: number of the part, from 1, in all three channels
+    only : the term that the image shows; None for the whole image
+    transparent : whether a PNG or WebP gets an alpha channel, as for scenes without a background
+    metadata : facerender's version, GL_RENDERER, GL_VERSION, samples, texture format; for shaded
+        images also model, lobe, Fresnel and masking term
     """
 
     linear: NDArray[np.float32]
@@ -55,14 +60,17 @@ class Frame:
         if self.only is not None and str(self.only) not in ONLY:
             raise InputError(f"unknown term {shown(self.only)}; known: {', '.join(ONLY)}")
         check_switch("transparent", self.transparent)
-        check_type("metadata", self.metadata, Mapping, "texts by name")
+        check_type("metadata", self.metadata, Mapping, "a mapping of strings")
 
     def srgb8(self, exposure: float = 0.0) -> NDArray[np.uint8]:
-        """8-bit image for looking at: (H, W, 3), or (H, W, 4) with straight alpha if transparent.
+        """Return an 8-bit image for display: (H, W, 3), or (H, W, 4) with straight alpha if
+        transparent.
 
-        Radiance and albedo are sRGB, normals 0.5 n + 0.5, cosines, visibility and mask as they are,
-        depth from the nearest (white) to the farthest, every part has a colour of its number;
-        exposure, in stops, applies to radiance.
+        Radiance and albedo are encoded as sRGB, normals as 0.5 n + 0.5. Cosines, visibility and
+        mask are clamped to [0, 1]. Depth is white at the nearest point and dark at the farthest.
+        Each part gets a colour by its number.
+
+        exposure : in stops, for radiance and albedo; default 0
         """
         EXPOSURES.check("exposure", exposure)
         color, coverage = self.linear[..., :3], self.linear[..., 3:]
@@ -87,19 +95,20 @@ class Frame:
         exposure: float = 0.0,
         format: Format | None = None,
     ) -> None:
-        """Write .png, .jpg or .webp (8-bit sRGB) or .exr (linear float32), a file whole or not at
-        all.
+        """Write the image as .png, .jpg or .webp (8-bit sRGB), or as .exr (linear float32).
+
+        The file is written atomically: a failure leaves no incomplete file.
 
         Parameters
         ----------
-        path : the file's name, or what has a method write, such as ``io.BytesIO``
-        exposure : in stops, of the 8-bit formats
-        format : "png", "exr", "jpeg" or "webp"; None for what the name's suffix says, and PNG where
-            there is no name
+        path : path of the file, or an object with a ``write`` method, such as ``io.BytesIO``
+        exposure : in stops, for the 8-bit formats; default 0
+        format : "png", "exr", "jpeg" or "webp"; by default the path's suffix decides, and an object
+            gets PNG
 
         Raises
         ------
-        InputError : another suffix, a place that cannot be written, EXR without its package, a
+        InputError : unknown suffix, path that cannot be written, EXR without its Python package, or
             transparent JPEG
         """
         if format is not None and not (isinstance(format, str) and format in FORMATS):
@@ -115,7 +124,7 @@ class Frame:
             write_bytes(path, self.encoded(kind, exposure))
 
     def encoded(self, format: Format = "png", exposure: float = 0.0) -> bytes:
-        """Return what a file would hold; parameters and errors as of :meth:`save`."""
+        """Return the content of an image file. For parameters and errors see :meth:`save`."""
         if format == "exr":
             return exr_bytes(
                 "image.exr", {"RGBA"[: self.linear.shape[2]]: self.linear}, self.metadata
@@ -126,13 +135,13 @@ class Frame:
 
     @property
     def image(self) -> Image:
-        """What :meth:`srgb8` gives, as a Pillow image."""
+        """The result of :meth:`srgb8` as a Pillow image."""
         from PIL import Image
 
         return Image.fromarray(self.srgb8())
 
     def _repr_png_(self) -> bytes:
-        """The picture, for notebooks."""
+        """Return the image as PNG, which notebooks display."""
         return self.encoded()
 
     def __repr__(self) -> str:
@@ -146,8 +155,8 @@ def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def _part_colors(numbers: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return a colour (..., 3) for each number of a part, black for 0: neighbours have hues far
-    apart, by the golden ratio."""
+    """Return a colour (..., 3) for each part number, black for 0. Steps by the golden ratio give
+    consecutive numbers very different hues."""
     thirds = np.array([0.0, 2.0 / 3.0, 1.0 / 3.0], dtype=np.float32)
     hue = numbers[..., None] * np.float32(0.618034) + thirds
     wave = np.abs(6.0 * (hue % 1.0) - 3.0) - 1.0
@@ -168,7 +177,7 @@ def _depth_as_brightness(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GBuffer:
-    """What the fragment program shades, one sample at each pixel's centre, row 0 on top.
+    """Geometry and material values of each pixel, sampled at its centre, row 0 on top.
 
     Attributes
     ----------
@@ -178,17 +187,17 @@ class GBuffer:
     albedo : (H, W, 3) float32, linear
     m, specular_weight, occlusion : (H, W) float32
     uv : (H, W, 2) float32
-    visibility : (H, W, lights) float32, how much of each light of the scene is not in shadow
-    view : the camera that saw it
-    second_m, lobe_weight : (H, W) float32, slope of the second lobe and share of the first; None
-        where no material has two lobes
-    facing : (H, W) float32, cosine between the mesh's normal, without its map, and the view; None
-        where nothing scatters
-    emission : (H, W, 3) float32, radiance that the surface gives off itself; None where no material
-        does
-    opacity : (H, W) float32, of a blended part, 0 where it is not; None of what is not blended
-    transparent_layers : the surfaces of blended parts before all that is not blended, in the order
-        in which they lie over each other at each pixel
+    visibility : (H, W, lights) float32, fraction of each light that is not in shadow
+    view : the camera
+    second_m, lobe_weight : (H, W) float32, m of the second lobe and weight of the first; None if no
+        material has two lobes
+    facing : (H, W) float32, cosine between the view and the normal without the normal map; None if
+        no material scatters
+    emission : (H, W, 3) float32, emitted radiance; None if no material emits light
+    opacity : (H, W) float32, opacity of a blended part, 0 elsewhere; None in the G-buffer of the
+        other parts
+    transparent_layers : G-buffers of blended parts in front of the other parts, at each pixel in
+        drawing order
     """
 
     part: NDArray[np.int64]
@@ -210,7 +219,8 @@ class GBuffer:
 
     @property
     def coverage(self) -> NDArray[np.float64]:
-        """(H, W), of blended parts their opacity."""
+        """(H, W): 1 on opaque and masked parts, elsewhere the combined opacity of blended parts, 0
+        on the background."""
         clear = (self.part < 0).astype(np.float64)
         for layer in self.transparent_layers:
             clear = clear * (1.0 - layer.opacity) if layer.opacity is not None else clear
@@ -223,8 +233,10 @@ class GBuffer:
 
 
 def in_order(layers: Sequence[GBuffer], numbers: NDArray[np.float32]) -> list[GBuffer]:
-    """Return layers with their pixels changed about, so that numbers of each pixel, (layers, H, W),
-    rise from one to the next where it is covered."""
+    """Return the layers with each pixel's values sorted across layers.
+
+    numbers : (layers, H, W) sort keys, ascending in the result; uncovered layers come last
+    """
     covered = np.array([layer.part >= 0 for layer in layers])
     order = np.argsort(np.where(covered, numbers, np.inf), axis=0, kind="stable")
     found: list[dict[str, Any]] = [{} for _ in layers]
@@ -240,7 +252,7 @@ def in_order(layers: Sequence[GBuffer], numbers: NDArray[np.float32]) -> list[GB
 
 
 def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]:
-    """Return a view of the G-buffer, (H, W, 4) float32 with coverage; see ``Frame.linear``."""
+    """Return a term of the G-buffer as an image (H, W, 4) float32; see ``Frame.linear``."""
     covered = gbuffer.part >= 0
     view = np.zeros((*covered.shape, 4), dtype=np.float32)
     view[..., 3] = covered
@@ -274,6 +286,6 @@ def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]
 
 
 def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return vectors (..., 3) with a length of 1; zero vectors stay."""
+    """Return vectors (..., 3) scaled to length 1; zero vectors stay zero."""
     length = np.sqrt(np.einsum("...i,...i", vectors, vectors))[..., None]
     return np.asarray(vectors / np.maximum(length, 1e-300))

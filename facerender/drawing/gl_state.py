@@ -1,5 +1,5 @@
-"""The OpenGL of a program in which facerender is a guest: which context it has current, and the
-state that it keeps there. Nothing is drawn here."""
+"""The OpenGL of a host program: its current context, and functions that save and restore its state.
+No drawing here."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from typing import Any
 
 @dataclass(frozen=True)
 class HostContext:
-    """The context that is current in this thread.
+    """The OpenGL context that is current in this thread.
 
     Attributes
     ----------
-    handle : tells it from others
-    get_proc_address : looks its functions up
-    rebind : makes it current again, also when its window system believes that it is
+    handle : address of the context, which identifies it
+    get_proc_address : C function that returns the address of an OpenGL function
+    rebind : makes the context current again, even if the window system regards it as current
     """
 
     handle: int
@@ -28,15 +28,18 @@ class HostContext:
 
 
 def current_context() -> HostContext | None:
-    """Return the context of EGL, GLX or OSMesa that is current in this thread, if there is one; not
-    one that was current before a fork, for its driver's threads are not here."""
+    """Return the EGL, GLX or OSMesa context that is current in this thread, or None.
+
+    A context that was current before a fork is ignored: its driver's threads do not exist in the
+    child process.
+    """
     for find in (_egl, _glx, _osmesa):
         if (found := find()) is not None and found.handle not in _inherited:
             return found
     return None
 
 
-_inherited: set[int] = set()  # handles
+_inherited: set[int] = set()  # handles of contexts that were current before a fork
 
 
 def _disown() -> None:
@@ -52,8 +55,10 @@ _libraries: dict[str, ctypes.CDLL] = {}
 
 
 def _loaded(*names: str) -> ctypes.CDLL | None:
-    """A library that the process has loaded; what is not loaded has no current context. There are
-    none of these libraries on Windows."""
+    """Return the first of these libraries that the process has already loaded, or None.
+
+    A library that is not loaded has no current context. None of them exists on Windows.
+    """
     for name in names if sys.platform != "win32" else ():
         if name not in _libraries:
             try:
@@ -87,7 +92,7 @@ def _egl() -> HostContext | None:
 
 
 def egl_in_use() -> bool:
-    """Tell whether somebody in this process has opened EGL's display of a device."""
+    """Return whether any code in this process has initialised an EGL device display."""
     library = _loaded("libEGL.so.1")
     if library is None:
         return False
@@ -102,7 +107,8 @@ def egl_in_use() -> bool:
     query(found[0])(len(devices), devices, ctypes.byref(count))
     displays = [get(found[1])(0x313F, device, None) for device in devices[: count.value]]
     library.eglQueryString.argtypes = [ctypes.c_void_p, ctypes.c_int]
-    return any(_pointer(library.eglQueryString, each, 0x3054) for each in displays)  # its version
+    # EGL_VERSION: only an initialised display has one.
+    return any(_pointer(library.eglQueryString, each, 0x3054) for each in displays)
 
 
 def _glx() -> HostContext | None:
@@ -125,7 +131,8 @@ def _glx() -> HostContext | None:
 def bind_osmesa(
     library: ctypes.CDLL, context: int | None, buffer: Any, width: int, height: int
 ) -> bool:
-    """Make an OSMesa context current on a buffer of RGBA bytes, or none; return whether it is."""
+    """Make an OSMesa context current with a buffer of RGBA bytes, or no context if it is None.
+    Return whether OSMesa succeeded."""
     make_current = library.OSMesaMakeCurrent
     make_current.argtypes = [ctypes.c_void_p, ctypes.c_void_p] + [ctypes.c_int] * 3
     unsigned_byte = 0x1401
@@ -147,7 +154,7 @@ def _osmesa() -> HostContext | None:
     return HostContext(context, library.OSMesaGetProcAddress, rebind)
 
 
-# Capabilities, and what drawing needs them to be.
+# OpenGL capabilities: (number, value that drawing needs).
 CAPABILITIES = {
     "BLEND": (0x0BE2, False),
     "CULL_FACE": (0x0B44, False),
@@ -167,9 +174,9 @@ CAPABILITIES = {
     "SAMPLE_SHADING": (0x8C36, False),
 }
 
-# Values: the setter, its leading arguments, the queries that give the others and how many numbers
-# each gives, and what drawing needs (None: it sets them itself). A setter that the driver lacks is
-# passed over.
+# Integer state: (setter, its leading arguments, queries of the other arguments as (name, count),
+# values that drawing needs). None: the drawing code sets the values. Setters that the driver lacks
+# are skipped.
 STATE: tuple[tuple[str, tuple[int, ...], tuple[tuple[int, int], ...], tuple[int, ...] | None], ...]
 STATE = (
     ("glBindFramebuffer", (0x8CA9,), ((0x8CA6, 1),), None),  # draw
@@ -196,26 +203,29 @@ STATE = (
     ("glPixelStorei", (0x0D05,), ((0x0D05, 1),), None),  # pack alignment
     ("glPixelStorei", (0x0CF5,), ((0x0CF5, 1),), None),  # unpack alignment
 )
-# The same for numbers that are not whole: setter, its type, query, how many, what drawing needs.
+# Floating-point state: (setter, argument type, query, count, values that drawing needs or None).
 _FLOATS: tuple[tuple[str, Any, int, int, tuple[float, ...] | None], ...] = (
     ("glClearColor", ctypes.c_float, 0x0C22, 4, None),
     ("glDepthRange", ctypes.c_double, 0x0B70, 2, (0.0, 1.0)),
 )
 _SWITCH = ("glDisable", "glEnable")
 _TEXTURE_0, _ACTIVE_TEXTURE, _MOST_UNITS = 0x84C0, 0x84E0, 0x8B4D
-_TEXTURES = ((0x0DE1, 0x8069), (0x9100, 0x9104))  # target and binding: 2D, with several samples
+_TEXTURES = ((0x0DE1, 0x8069), (0x9100, 0x9104))  # (target, binding): 2D and 2D multisample
 _SAMPLER_BINDING = 0x8919
-_UNITS = (
-    12  # that drawing binds: maps, triangle setup, what was drawn, shadow maps, the environment
-)
+# Texture units that drawing uses: maps, triangle setup, images of passes, shadow maps, environment.
+_UNITS = 12
 
 
 def save_state(load: Callable[[str], int]) -> Callable[[], None]:
-    """Bring the current context's state to what drawing needs, and return the way back.
+    """Set the current context's state to the values that drawing needs.
 
     Parameters
     ----------
-    load : gives the address of an OpenGL function, 0 where there is none
+    load : returns the address of an OpenGL function, 0 if the driver lacks it
+
+    Returns
+    -------
+    A function that restores the previous state.
     """
 
     def function(name: str, *arguments: Any, result: Any = None) -> Any:
@@ -256,7 +266,8 @@ def save_state(load: Callable[[str], int]) -> Callable[[], None]:
     for name, kind, query, count, needed_floats in _FLOATS:
         change(name, floats(query, count), needed_floats, kind)
     active = integers(_ACTIVE_TEXTURE)
-    for unit in (*range(_UNITS), integers(_MOST_UNITS)[0] - 1):  # moderngl uploads through the last
+    # moderngl uploads through the last texture unit.
+    for unit in (*range(_UNITS), integers(_MOST_UNITS)[0] - 1):
         change("glActiveTexture", (_TEXTURE_0 + unit,), (_TEXTURE_0 + unit,))
         for target, binding in _TEXTURES:
             change("glBindTexture", (target, *integers(binding)), None)

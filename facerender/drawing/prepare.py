@@ -1,5 +1,5 @@
-"""What is drawn of a scene: without what a shading leaves out, with which maps, started ahead, and
-within which memory. No OpenGL here."""
+"""Preparation of a scene for drawing: removal of unused features, reduction of large maps, decoding
+of maps ahead of drawing, and the memory estimate. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from facerender.scenes.view import View, levels_to_spare
 from facerender.shading import Shading
 from facerender.system.memory import MIB, limit
 
-_MOST_SIMPLIFIED = 64  # of one mesh
-# Bytes, measured on llvmpipe: of the package and a context, of programs, of a triangle, of a pixel,
-# and of each of its samples.
+_MOST_SIMPLIFIED = 64  # variants of one mesh in the cache
+# Bytes, measured on llvmpipe: package and context, programs, one triangle, one pixel, one sample.
 _ALWAYS, _PROGRAMS = 110 * MIB, 90 * MIB
 _OF_TRIANGLE, _OF_PIXEL, _OF_SAMPLE = 500, 48, 20
 _simplified: WeakKeyDictionary[Mesh, dict[tuple[Any, ...], Mesh]] = WeakKeyDictionary()
 
 
 def simplify(scene: Scene, shading: Shading) -> Scene:
-    """Return the scene without the maps, the shadows, the scattering, the environment and the
-    ambient light that a shading leaves out.
+    """Return the scene without the maps, shadows, scattering, environment and ambient light that a
+    shading leaves out.
 
-    The same mesh gives the same simplified mesh again, so that a renderer keeps its maps.
+    The simplified mesh is cached: the same mesh and changes return the same object, so a renderer
+    reuses its uploaded maps.
 
     Raises
     ------
-    InputError : m or ks outside its domain, a light that the scene does not have
+    InputError : m or ks is outside its domain, or the shading names a light that the scene lacks
     """
     shading.check_lights(len(scene.lights))
     changes: dict[str, Any] = {}
@@ -65,7 +65,7 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
 
 
 def _changed(scene: Scene, key: tuple[Any, ...], change: Callable[[Mesh], Mesh]) -> Scene:
-    """Return a scene with a changed mesh, the same one for the same mesh and key."""
+    """Return a scene with a changed mesh, cached by mesh and key."""
     known = _simplified.setdefault(scene.mesh, {})
     if key not in known:
         if len(known) >= _MOST_SIMPLIFIED:
@@ -75,12 +75,13 @@ def _changed(scene: Scene, key: tuple[Any, ...], change: Callable[[Mesh], Mesh])
 
 
 def reduced(scene: Scene, view: View, size: tuple[int, int], anisotropy: float) -> Scene:
-    """Return a simplified scene whose large maps, of more than LARGE texels, lack the finest mip
-    levels that an image does not read. The same mesh gives the same reduced mesh again.
+    """Return a scene whose large maps (more than LARGE texels) lack the finest mip levels that an
+    image does not read. The reduced mesh is cached.
 
     Parameters
     ----------
-    view, size : of the image, width and height in pixels
+    scene : a simplified scene
+    view, size : camera of the image, and its width and height in pixels
     anisotropy : of texture filtering
     """
     spared: dict[Texture, int] = {}
@@ -106,7 +107,7 @@ def reduced(scene: Scene, view: View, size: tuple[int, int], anisotropy: float) 
 
 
 def _large(part: Part, material: Material) -> Iterator[tuple[str, Texture]]:
-    """Yield the large maps that a part is drawn with, and their fields."""
+    """Yield the large maps of a part, each with its field name in the material."""
     for name in MAPS:
         texture = getattr(material, name)
         if texture is None or coordinates(part, material, name) is None:
@@ -118,9 +119,12 @@ def _large(part: Part, material: Material) -> Iterator[tuple[str, Texture]]:
 def part_maps(
     part: Part, material: Material, albedo: Kind, slope_filter: bool
 ) -> list[tuple[str, Texture, Kind]]:
-    """Return the maps that a part is drawn with: name, texture, kind of mip chain.
+    """Return the maps that a part is drawn with: uniform name, texture, kind of mip chain.
 
-    albedo is the kind for maps of colour: "color" or "linear-color".
+    Parameters
+    ----------
+    albedo : kind of mip chain of colour maps: "color" or "linear-color"
+    slope_filter : whether the mip chain of the normal map stores the deviation of slopes
     """
     if part.uv is None:
         return []
@@ -144,8 +148,8 @@ def part_maps(
 
 
 def start_maps(mesh: Mesh, albedo: Kind = "color", slope_filter: bool = True) -> None:
-    """Start decoding the maps of a mesh in threads, ahead of the renderer that waits for them; not
-    large ones, which it may reduce."""
+    """Start to decode the maps of a mesh in threads, before the renderer needs them. Large maps are
+    skipped, since the renderer may reduce them."""
     for part, material in zip(mesh.parts, mesh.materials, strict=True):
         for _, texture, kind in part_maps(part, material, albedo, slope_filter):
             if not texture.coarse and math.prod(texture.size) <= LARGE:
@@ -155,14 +159,15 @@ def start_maps(mesh: Mesh, albedo: Kind = "color", slope_filter: bool = True) ->
 def check_memory(
     scene: Scene, size: tuple[int, int], samples: int, albedo: Kind, most: float | None
 ) -> None:
-    """Raise InputError if drawing a scene needs more memory than the process may have.
+    """Raise InputError if the estimated memory for drawing a scene exceeds a limit.
 
     Parameters
     ----------
-    scene : as it is drawn
-    samples : per pixel, as the driver draws them at once
-    albedo : kind of albedo maps, "color" or "linear-color"
-    most : MiB that the process may have; None for the memory that the system has left
+    scene : simplified scene, with reduced maps
+    size : width and height of the image in pixels
+    samples : per pixel, in one pass of the driver
+    albedo : kind of mip chain of albedo maps: "color" or "linear-color"
+    most : limit of the process's memory in MiB; None for the free memory of the system
     """
     mesh = scene.mesh
     maps: set[tuple[Texture, Kind]] = set()
@@ -179,6 +184,6 @@ def check_memory(
     needed = (kept + max(decoding, drawing)) / MIB
     if needed > (free := limit(most)):
         raise InputError(
-            f"{mesh.name} at {size[0]} x {size[1]} with {samples} samples takes about "
+            f"{mesh.name} at {size[0]} x {size[1]} with {samples} samples needs about "
             f"{needed:.0f} MiB of {free:.0f}: give a smaller size, fewer samples or smaller maps"
         )

@@ -1,5 +1,5 @@
-"""The host's program of a part, told once: what its GLSL depends on, the GLSL, its attributes and
-its uniforms. The renderer draws with it and ``pricing`` prices it. No OpenGL here."""
+"""The shader program of a part: its features, GLSL, attributes and uniforms. The renderer draws
+with it, and ``pricing`` measures its cost. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ATTRIBUTES = {
     **{"in_position": 3, "in_normal": 3, "in_uv": 2, "in_occlusion": 1, "in_color": 3},
     "in_uv2": 2,
 }
-SHADOW_MAP = "shadow_map"  # the texture of all maps
+SHADOW_MAP = "shadow_map"  # name of the texture with the shadow maps of all lights
 ENVIRONMENT_MAP = "environment_map"
 
 _COMMENT = re.compile(r"^ *//[^\n]*", re.MULTILINE)
@@ -34,16 +34,16 @@ Uniforms = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Program:
-    """A vertex and a fragment program of the host.
+    """A vertex and a fragment shader of the renderer.
 
     Attributes
     ----------
-    fragment, vertex : names of their files in ``shaders/host``
-    features : macros that say what there is, such as "UV", "NORMAL_MAP", "DIFFUSE"
-    lights : see :class:`Lighting`; None for a program that knows no light
-    prelude, calls : GLSL that stands before the specular terms, and that of each term; without
-        calls nothing is specular
-    environment : GLSL of what a lobe reflects of the environment; "" for nothing
+    fragment, vertex : names of the files in ``shaders/host``
+    features : macros that enable features, such as "UV", "NORMAL_MAP", "DIFFUSE"
+    lights : see :class:`Lighting`; None for a program without lights
+    prelude : GLSL before the calls: macros and includes of the specular terms
+    calls : GLSL expression of each specular term; () for no specular light
+    environment : GLSL expression of the specular reflection of the environment; "" for none
     """
 
     fragment: str
@@ -62,7 +62,7 @@ class Program:
         stages = {}
         for stage, own, file in (("vert", "", self.vertex), ("frag", light, self.fragment)):
             text = resolve_includes(f'#version {version}\n{head}{own}#include "host/{file}"\n')
-            stages[stage] = _COMMENT.sub("", text)  # half of the text, which drivers would read
+            stages[stage] = _COMMENT.sub("", text)  # comments are half of the text to compile
         return stages
 
     def _terms(self) -> str:
@@ -105,7 +105,7 @@ class Program:
 
 
 def surface_features(part: Part, material: Material, shading: Shading) -> tuple[str, ...]:
-    """Return what a part has without light."""
+    """Return the features of a part's geometry and material, without features of lights."""
     alpha = drawn_alpha(part, material)
     maps = part_maps(part, material, "color", shading.slope_filter)
     names = [name.upper() for name, _, _ in maps if name != "opacity_map" or alpha != "opaque"]
@@ -145,8 +145,8 @@ def shade_program(
 
     Parameters
     ----------
-    diffuse : whether diffuse light counts
-    emits : whether what the part gives off itself counts
+    diffuse : whether to include the diffuse term
+    emits : whether to include emitted light
     """
     scene, shading, lighting = resolved.scene, resolved.shading, resolved.lighting
     part, material, terms = own.part, own.material, own.terms
@@ -178,13 +178,14 @@ def shade_program(
 def light_visibility_program(
     part: Part, material: Material, shading: Shading, lighting: Lighting
 ) -> Program:
-    """Return the program that draws how much of each light a part of a simplified scene sees."""
+    """Return the program that draws the visible fraction of each light for a part of a simplified
+    scene."""
     features = surface_features(part, material, shading) + shadow_features(lighting)
     return Program("light_visibility.frag", features=features, lights=lighting.groups)
 
 
 def shadow_features(lighting: Lighting) -> tuple[str, ...]:
-    """Return what lights have that cast shadows."""
+    """Return the features of lights that cast shadows."""
     shadowed = [light for light in lighting.lights if light.shadow]
     if not shadowed:
         return ()
@@ -228,7 +229,7 @@ def part_uniforms(part: Part, material: Material) -> Uniforms:
 
 
 def part_columns(part: Part, mesh: Mesh) -> dict[str, np.ndarray[Any, Any]]:
-    """Return the attributes of a part that there are, (N, width) each, in the renderer's space."""
+    """Return the vertex attributes that a part has, (N, width) each, in the renderer's space."""
     columns = {
         "in_position": mesh.normalised(part.positions),
         "in_normal": part.normals,

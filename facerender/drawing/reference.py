@@ -1,4 +1,4 @@
-"""Float64 shading of a G-buffer: the reference for whole images. No OpenGL here."""
+"""The reference implementation for whole images: float64 shading of a G-buffer. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -28,16 +28,18 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Layers:
-    """Radiance of a G-buffer's pixels, apart: its sum is the image.
+    """Radiance of a G-buffer's pixels, by term; the sum of the terms is the image.
 
     Attributes
     ----------
     ambient, diffuse : (H, W, 3) float64
     specular : (lights, H, W, 3) float64
     environment : (H, W, 3) float64, diffuse and specular
-    emission : (H, W, 3) float32, what surfaces give off themselves; None where none does
-    light, albedo : (H, W, 3) float64, irradiance of the diffuse term and of the ambient one
-        together, and what makes radiance of it; None where nothing scatters
+    emission : (H, W, 3) float32, emitted radiance; None if no material emits light
+    light : (H, W, 3) float64, irradiance of the diffuse and ambient terms; None if no material
+        scatters
+    albedo : (H, W, 3) float64, diffuse BRDF, the ratio of radiance to this irradiance; None if no
+        material scatters
     """
 
     ambient: NDArray[np.float64]
@@ -49,7 +51,8 @@ class Layers:
     emission: NDArray[np.float32] | None = None
 
     def sum(self, shading: Shading) -> NDArray[np.float64]:
-        """Return the image (H, W, 3) of the lights and the ambient term that a shading has."""
+        """Return the image (H, W, 3), with the ambient term and the lights' specular terms that a
+        shading includes."""
         image = self.diffuse + self.environment
         if shading.ambient:
             image += self.ambient
@@ -62,20 +65,20 @@ class Layers:
 
 
 def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float64]:
-    """Shade every covered pixel of a G-buffer as ``shaders/host/shade.frag`` does, scatter its
-    light as ``scatter.frag`` does, and lay its blended parts over that.
+    """Shade a G-buffer as ``shaders/host/shade.frag`` does, add subsurface scattering as in
+    ``scatter.frag``, and composite the blended parts.
 
     Parameters
     ----------
-    gbuffer : as ``Renderer.gbuffer`` draws it with this scene and shading
+    gbuffer : the result of ``Renderer.gbuffer`` for this scene and shading
 
     Returns
     -------
-    (H, W, 3) float64: linear radiance times coverage, 0 where nothing is covered
+    (H, W, 3) float64: linear radiance times coverage, 0 on the background
 
     Raises
     ------
-    InputError : m lies outside the lobe's domain, and the shading asks for an error then
+    InputError : m lies outside the lobe's domain, and ``shading.outside`` is "error"
     """
     terms = layers(gbuffer, scene, shading)
     image = terms.sum(shading) + scattered(gbuffer, scene, shading, terms)
@@ -89,11 +92,10 @@ def shade(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float6
 def scattered(
     gbuffer: GBuffer, scene: Scene, shading: Shading, terms: Layers
 ) -> NDArray[np.float64]:
-    """Return how scattering changes the radiance of a whole G-buffer's pixels, (H, W, 3).
+    """Return the change of radiance by subsurface scattering, (H, W, 3) float64.
 
-    Parameters
-    ----------
-    terms : of the G-buffer, as :func:`layers` has them
+    gbuffer : G-buffer of the whole image, not of a section
+    terms : the result of :func:`layers` for this G-buffer
     """
     change = np.zeros(gbuffer.position.shape)
     height, width = gbuffer.part.shape
@@ -123,16 +125,17 @@ def scattered(
 
 @dataclass(frozen=True, eq=False)
 class _Pixels:
-    """What is shaded of a part: the pixels of a G-buffer that it covers, N of them.
+    """The N pixels of a G-buffer that a part covers.
 
     Attributes
     ----------
-    position, n, v : (N, 3), the last two unit vectors: normal, and towards the camera
-    m, second_m : (N,), slopes of the lobes, where a light's term has none of its own; the second is
-        None where there is one lobe
-    lobe_weight : (N,), fraction of the first lobe; None likewise
-    weight, occlusion : (N,), specular weight, and occlusion
-    albedo : (N, 3), what makes diffuse radiance of irradiance
+    position : (N, 3)
+    n, v : (N, 3) unit vectors: normal, and direction to the camera
+    m, second_m : (N,) m of the first and the second lobe, for terms without a constant m; second_m
+        is None for materials with one lobe
+    lobe_weight : (N,) weight of the first lobe; None for materials with one lobe
+    weight, occlusion : (N,) specular weight and occlusion
+    albedo : (N, 3) diffuse BRDF, the ratio of diffuse radiance to irradiance
     """
 
     position: Float
@@ -149,7 +152,11 @@ class _Pixels:
     def of(
         cls, gbuffer: GBuffer, covered: NDArray[np.bool_], material: Material, term: Term
     ) -> _Pixels:
-        """term : of the shading, whose m takes the place of the G-buffer's"""
+        """Return the pixels of a part.
+
+        covered : (H, W), true at the pixels of the part
+        term : the shading's term, whose constant m, if any, replaces the m of the G-buffer
+        """
 
         def values(image: NDArray[np.float32]) -> Float:
             return image[covered].astype(np.float64)
@@ -175,7 +182,8 @@ class _Pixels:
         )
 
     def coupling(self, material: Material, shading: Shading) -> _Coupling | None:
-        """Return what couples the diffuse terms with the specular ones; None where nothing does."""
+        """Return the albedos that couple the diffuse term with the specular one, or None if the
+        shading or the material does not couple them."""
         if shading.diffuse != "coupled" or material.ks <= 0.0:
             return None
         lobes = [(self.m, self.weight)]
@@ -193,10 +201,9 @@ def layers(
     shading: Shading,
     environment: NDArray[np.float64] | None = None,
 ) -> Layers:
-    """Return the terms that :func:`shade` sums up, the specular one of every light; parameters and
-    errors as there.
+    """Return the terms of the image, with a specular term for every light. See also :func:`shade`.
 
-    environment : what :func:`environment_layer` gave, where that is known
+    environment : the result of :func:`environment_layer`, if already computed
     """
     if environment is None:
         environment = environment_layer(gbuffer, scene, shading)
@@ -239,10 +246,10 @@ def _lit(
     scene: Scene,
     visible: NDArray[np.float32] | None,
 ) -> tuple[Float, Float, Float]:
-    """Return the direction towards a light, the irradiance of the diffuse term and the specular
+    """Return the direction to a light, the irradiance of the diffuse term and the specular
     radiance, (N, 3) each.
 
-    visible : (N, 1), the fraction of the light that is not in shadow; None where it casts none
+    visible : (N, 1) fraction of the light that is not in shadow; None for lights without shadows
     """
     n, v, m = pixels.n, pixels.v, pixels.m
     l, irradiance = source.kind.lighting(source, scene.mesh, pixels.position)
@@ -265,8 +272,10 @@ def _lit(
 
 
 def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float64]:
-    """Return the radiance (H, W, 3) that the environment adds; parameters and errors as of
-    :func:`shade`. No light, no lobe and no digits of small angles count."""
+    """Return the radiance from the environment, (H, W, 3) float64; see also :func:`shade`.
+
+    It does not depend on the lights, the lobe or ``small_slope``: reflections use the exact lobe.
+    """
     scene = simplify(scene, shading)
     image = np.zeros(gbuffer.position.shape)
     if scene.environment is None:
@@ -300,13 +309,14 @@ def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArr
 
 @dataclass(frozen=True, eq=False)
 class _Coupling:
-    """What specular terms leave to diffuse ones.
+    """Albedos of the specular term, which determine the factor of the coupled diffuse term.
 
     Attributes
     ----------
-    lobes : slope and weight of each lobe, (N,)
-    f0 : of the material
-    camera, mean : albedo towards the camera, and over the hemisphere, (N,)
+    lobes : m and weight of each lobe, (N,) each
+    f0 : Fresnel reflectance of the material at normal incidence
+    camera, mean : (N,) specular albedo in the direction of the camera, and its mean over the
+        hemisphere
     """
 
     lobes: list[tuple[Float, Float]]
@@ -315,10 +325,13 @@ class _Coupling:
     mean: Float
 
     def towards(self, cosine: Float) -> Float:
-        """Return the albedo towards directions."""
+        """Return the specular albedo (N,) in a direction; cosine : between normal and direction."""
         each = (w * cook_torrance_albedo(cosine, m, self.f0) for m, w in self.lobes)
         return np.asarray(np.sum([*each], axis=0))
 
     def left(self, albedo: Float) -> Float:
-        """Return the fraction that is left to light of this albedo, (N, 1)."""
+        """Return the factor of the diffuse term for a light, (N, 1).
+
+        albedo : (N,) specular albedo in the direction of the light
+        """
         return diffuse_coupled(albedo, self.camera, self.mean)[:, None]

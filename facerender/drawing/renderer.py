@@ -1,4 +1,4 @@
-"""Scene and Shading to Frame: draws the passes that a scene needs, and reads float32 back."""
+"""The renderer: draws the passes that a scene needs, and reads the float32 image back."""
 
 from __future__ import annotations
 
@@ -36,7 +36,6 @@ from facerender.drawing.resources import Resources, read
 from facerender.errors import (
     ContextError,
     InputError,
-    check_range,
     check_switch,
     check_type,
     warn,
@@ -59,7 +58,7 @@ from facerender.scenes.sources import MeshSource
 from facerender.scenes.view import View, hidden, sample_grid, view_of
 from facerender.shading import Shading
 from facerender.terms import AnyLobe
-from facerender.terms.ranges import ranges_of
+from facerender.terms.ranges import MEMORY, ranges_of
 
 if TYPE_CHECKING:
     from facerender.scenes.scattering import Scattering
@@ -69,7 +68,7 @@ _LIMITS = ranges_of(ImageSettings)
 
 @dataclass(frozen=True)
 class _Image:
-    """How an image is drawn; values as of :meth:`Renderer.render`."""
+    """Options of one image; see :meth:`Renderer.render`."""
 
     samples: int
     only: Only | None = None
@@ -78,32 +77,33 @@ class _Image:
 
 
 class Renderer:
-    """Draws scenes. Meshes, programs and framebuffers are kept for the next frame.
+    """Renderer of scenes, which caches meshes, maps, programs and framebuffers between frames.
 
-    Use it as a context manager, or call :meth:`release`; one that is dropped frees what it has, and
-    warns (ResourceWarning). Threads may share a renderer, and wait for each other. One that was
-    made before a fork is of no use in the child, which makes its own.
+    Use it as a context manager, or call :meth:`release`. A renderer that is garbage-collected
+    without release frees its objects and warns (ResourceWarning). Threads may share a renderer, but
+    only one draws at a time. After a fork, the child process must create a new renderer.
 
     Parameters
     ----------
-    size : width and height in pixels, each in [1, 16384]
-    samples : per pixel, 1 to 64. Up to what the driver offers (4 on Mesa's software driver) they
-        are shared: a pixel is shaded once for each surface that they see. More than that are as
-        many images with one each, whose mean is shaded anew at every sample
-    backend : "auto", "egl", "osmesa", "native" for WGL, CGL or GLX, or "current" for the host's
-        context
-    anisotropy : of texture filtering, 1 to 16; 8 nearly doubles a frame on a software driver
-    float_albedo : keep albedo maps as linear float16 in place of 8-bit sRGB, so that drivers agree
-        to the last digits
-    full_maps : keep maps of more than 4096 x 4096 texels whole, as float_albedo does; else they
-        are decoded without the finest mip levels, which the image does not read
-    memory : MiB that the process may have, at least 1: a scene that would take more is refused;
-        None for what the system has left
+    size : width and height in pixels, each in [1, 16384]; default 1024 x 1024
+    samples : per pixel, 1 to 64, default 4. Up to the driver's limit (4 on Mesa's software driver)
+        multisampling is used: each visible surface is shaded once per pixel. More samples are
+        rendered as separate images of one sample and averaged: each sample is shaded
+    backend : "auto" (default), "egl", "osmesa", "native" for WGL, CGL or GLX, or "current" for the
+        host's context
+    anisotropy : of texture filtering, 1 (default) to 16; 8 nearly doubles the time of a frame on a
+        software driver
+    float_albedo : store albedo maps as linear float16 instead of 8-bit sRGB, so that drivers differ
+        only in the last digits
+    full_maps : load maps of more than 4096 x 4096 texels at full size; float_albedo does so too.
+        By default they are decoded without the finest mip levels, which the image does not need
+    memory : limit of the process's memory in MiB, at least 1; a scene that needs more is refused.
+        None (default) is the free memory of the system
 
     Raises
     ------
     InputError : a value outside its domain
-    ContextError : no OpenGL context, or one without the size asked for
+    ContextError : no OpenGL context, or the driver does not support the size
     """
 
     def __init__(
@@ -122,9 +122,10 @@ class Renderer:
         _LIMITS["anisotropy"].check("anisotropy", anisotropy)
         for name, value in (("float_albedo", float_albedo), ("full_maps", full_maps)):
             check_switch(name, value)
-        self._layer_lock = threading.Lock()  # a layer is drawn by what the one before it left
+        # Depth peeling reads the target of the previous layer, which no other thread may overwrite.
+        self._layer_lock = threading.Lock()
         if memory is not None:
-            check_range("memory", memory, 1.0, 1e9)
+            MEMORY.check("memory", memory)
         self.anisotropy, self.full_maps, self.memory = anisotropy, full_maps, memory
         self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
         self.context = create_context(backend)
@@ -137,8 +138,8 @@ class Renderer:
             most = min(limits["GL_MAX_TEXTURE_SIZE"], *limits["GL_MAX_VIEWPORT_DIMS"])
             if max(self.size) > most:
                 raise ContextError(
-                    f"size {self.size[0]} x {self.size[1]}: {self.context.renderer} draws at most "
-                    f"{most} pixels a side"
+                    f"size {self.size[0]} x {self.size[1]}: {self.context.renderer} allows at most "
+                    f"{most} pixels a side; give a smaller size"
                 )
         except ContextError:
             self.release()
@@ -146,7 +147,7 @@ class Renderer:
 
     @classmethod
     def of(cls, job: Job, backend: Backend = "auto", memory: float | None = None) -> Renderer:
-        """Return a renderer for the images of a job; parameters and errors as of the class."""
+        """Return a renderer for the image settings of a job; see :class:`Renderer`."""
         check_type("job", job, Job, "a facerender.Job")
         return cls(
             job.image.size,
@@ -170,8 +171,10 @@ class Renderer:
         self.release()
 
     def release(self) -> None:
-        """Free everything on the GPU, and the context unless it is the host's; a second time does
-        nothing, nor does it in a child of the process that made the renderer."""
+        """Free all GPU objects, and the context unless the host owns it.
+
+        Further calls have no effect, nor do calls in a process forked from the renderer's process.
+        """
         if self.context.released or self.context.inherited:
             return
         _free(self.context, self._resources)
@@ -179,7 +182,7 @@ class Renderer:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """Where images come from; a frame adds what it was shaded with."""
+        """Version, driver, samples and albedo format; frames add the shading to this metadata."""
         return {
             "facerender": __version__,
             "GL_RENDERER": self.context.renderer,
@@ -201,23 +204,24 @@ class Renderer:
 
         Parameters
         ----------
-        only : one term in place of the whole image; all but specular and diffuse have one sample a
-            pixel, and see what lies behind blended parts
-        samples : per pixel, in place of the renderer's
-        cull_back_faces : leave back faces out, which show where a mesh is open or folded
-        shading_rate : "sample" to shade every triangle that a pixel's samples see; "pixel" to shade
-            a pixel of a part once, where :meth:`can_shade_per_pixel`: the triangle that most of its
-            samples see stands for all. The coverage stays as it is; an edge between two surfaces of
-            a part is as with one sample
+        only : draw one term instead of the whole image. All terms except specular and diffuse have
+            one sample per pixel and ignore blended parts
+        samples : per pixel; default: the renderer's number
+        cull_back_faces : omit back faces, which are visible where a mesh is open or folded; default
+            false
+        shading_rate : "sample" (default) shades each triangle that covers a sample of the pixel.
+            "pixel" shades each part once per pixel, at the triangle with most of its samples. Where
+            :meth:`can_shade_per_pixel` is false, "sample" is used. Coverage is the same, but edges
+            between two surfaces of one part look as with one sample
 
         Raises
         ------
-        InputError : a map is damaged, m lies outside the lobe's domain and the shading asks for an
-            error then, an unknown term, values whose image is not finite
+        InputError : a map is damaged; m lies outside the lobe's domain and ``shading.outside`` is
+            "error"; the term is unknown; a pixel is not finite
 
         Warns
         -----
-        FacerenderWarning : no pixel shows the mesh, and why
+        FacerenderWarning : no pixel shows the mesh; the message gives the reason
         """
         _check_scene(scene, shading)
         check_switch("cull_back_faces", cull_back_faces)
@@ -249,7 +253,7 @@ class Renderer:
         return Frame(linear, only, scene.background is None, metadata)
 
     def _data_frame(self, scene: Scene, shading: Shading, only: Only) -> Frame:
-        """Return a view that is data, of one sample a pixel."""
+        """Return the frame of a G-buffer term, with one sample per pixel."""
         linear = data_view(self.gbuffer(scene, shading, blended=False), scene, only)
         _check(linear, scene)
         metadata = {**self.metadata, "samples": "1"}
@@ -258,17 +262,19 @@ class Renderer:
         return Frame(linear, only, scene.background is None, metadata)
 
     def can_shade_per_pixel(self, scene: Scene, samples: int) -> bool:
-        """Tell whether a frame with N samples can have ``shading_rate="pixel"``: with several
-        samples, as many as the driver has, of up to 16 million triangles of opaque parts by one
-        kind of texture coordinates, on a background of up to 1000."""
+        """Return whether a frame with N samples can have ``shading_rate="pixel"``.
+
+        N must be the driver's limit and more than 1. The scene may have up to 16 million triangles,
+        only opaque parts, one set of texture coordinates, and a background of at most 1000.
+        """
         _check_scene(scene)
         _LIMITS["samples"].check("samples", samples)
         return samples > 1 and self._can_defer(scene, samples)
 
     def gbuffer(self, scene: Scene, shading: Shading = Shading(), blended: bool = True) -> GBuffer:
-        """Draw what shading reads at each pixel's centre; errors as in :meth:`render`.
+        """Draw the G-buffer of a scene. For errors see :meth:`render`.
 
-        blended : whether blended parts are drawn as well, a G-buffer for each of their layers
+        blended : also draw blended parts, with one G-buffer for each layer; default true
         """
         _check_scene(scene, shading)
         check_switch("blended", blended)
@@ -285,7 +291,7 @@ class Renderer:
     def _layers(
         self, resolved: ResolvedScene, view: View, blended_part: BlendedPart
     ) -> list[GBuffer]:
-        """Return all layers of a part by depth peeling, at each pixel in drawing order."""
+        """Return all layers of a blended part by depth peeling, in drawing order at each pixel."""
         layers: list[GBuffer] = []
         numbers: list[NDArray[np.float32]] = []
         while True:
@@ -299,8 +305,10 @@ class Renderer:
     def _gbuffer(
         self, resolved: ResolvedScene, view: View, blended_part: BlendedPart | None = None
     ) -> tuple[GBuffer, NDArray[np.float32]]:
-        """Return the G-buffer of all opaque parts of a scene, or of one layer of a blended part,
-        with the numbers of its triangles as they are drawn."""
+        """Return the G-buffer of all parts that are not blended, or of one layer of a blended part.
+
+        The second result holds, for a layer, each pixel's triangle number in drawing order.
+        """
         scene, lighting = resolved.scene, resolved.lighting
         visibility = self._visibility(scene, view, 1)
         scatters = blended_part is None and _scattering(scene, self.size) is not None
@@ -340,7 +348,7 @@ class Renderer:
         return gbuffer, others[-1][..., 1] if blended_part else np.empty((0, 0), np.float32)
 
     def _resolved(self, scene: Scene, shading: Shading, view: View, samples: int) -> ResolvedScene:
-        """Return what is drawn of a scene, whose maps are being decoded."""
+        """Simplify and resolve a scene, check its memory, and start the decoding of its maps."""
         scene = simplify(scene, shading)
         if not (self.full_maps or self.albedo_kind == "linear-color"):
             scene = reduced(scene, view, self.size, self.anisotropy)
@@ -352,7 +360,7 @@ class Renderer:
         return ResolvedScene(scene, shading, Lighting.of(scene, shading))
 
     def _shaded(self, resolved: ResolvedScene, view: View, image: _Image) -> NDArray[np.float32]:
-        """Draw an image of a view, with as many samples as the driver has."""
+        """Draw an image of a view; its samples must not exceed the driver's limit."""
         scene, samples, only = resolved.scene, image.samples, image.only
         visibility = self._visibility(scene, view, samples, image.shading_rate)
         scattering = None if only == "specular" else _scattering(scene, self.size)
@@ -370,7 +378,7 @@ class Renderer:
             if beside:
                 background = scene.background if only is None else None
                 area = visibility.area if visibility else None
-            else:  # several samples may see several places: the centre stands for all
+            else:  # samples may see different points, so scattering uses the pixel's centre
                 one = self._visibility(scene, view, 1)
                 light = shade_pass(resolved, view, 1, "diffuse", one, scattering, apart=True)
                 passes += _from_visibility(light, one, image.cull_back_faces)
@@ -386,7 +394,10 @@ class Renderer:
     def _visibility(
         self, scene: Scene, view: View, samples: int, shading_rate: ShadingRate = "sample"
     ) -> Visibility | None:
-        """What a scene's image is deferred to, where that is asked for or cheaper."""
+        """Return the visibility of triangles for deferred shading, or None for forward shading.
+
+        Where it is supported, deferred shading is used for per-pixel shading or if it is cheaper.
+        """
         if self._can_defer(scene, samples) and (
             shading_rate == "pixel"
             or deferred_is_cheaper(scene, self.size, samples, self.context.renderer)
@@ -395,8 +406,11 @@ class Renderer:
         return None
 
     def _can_defer(self, scene: Scene, samples: int) -> bool:
-        """Tell whether the driver can do it. Of 2 samples it may make more, and then hide how
-        many."""
+        """Return whether driver and scene support deferred shading.
+
+        Only 1 sample and the driver's limit are supported. For a number between them, a driver may
+        use more samples without reporting how many.
+        """
         rows = self.context.gl.info["GL_MAX_TEXTURE_SIZE"]
         return samples in (1, self.context.most_samples) and can_defer(scene, rows)
 
@@ -405,8 +419,10 @@ class Renderer:
     def _draw(
         self, passes: list[Pass], scene: Scene, known: Mapping[str, moderngl.Texture] = {}
     ) -> list[NDArray[np.float32]]:
-        """Draw passes in their order, which may read textures that are known, and return the images
-        of the last."""
+        """Draw passes in order, and return the images of the last one.
+
+        known : further textures that the passes may read, by uniform name
+        """
         drawn = dict(known)
         with self.context.drawing() as gl:
             self._resources.settle()
@@ -431,12 +447,15 @@ def _free(context: Context, resources: Resources) -> None:
 
 
 def _free_dropped(context: Context, resources: Resources) -> None:
-    """Free what a renderer had that nobody released. What is in a host's context which is not
-    current now stays there until the host frees it."""
+    """Free the GPU objects of a renderer that was garbage-collected without release.
+
+    If its context belongs to the host and is not current, the objects remain until the host frees
+    the context.
+    """
     if context.released or context.inherited:
         return
     warnings.warn(
-        "a Renderer was dropped without release(): make it in a with statement",
+        "a Renderer was dropped without release(): create it in a with statement",
         ResourceWarning,
         stacklevel=2,
     )
@@ -447,7 +466,7 @@ def _free_dropped(context: Context, resources: Resources) -> None:
 def _shading_metadata(
     resolved: ResolvedScene, only: Only | None, own: Mapping[str, str]
 ) -> dict[str, str]:
-    """Return what an image was shaded with, and its own metadata among that."""
+    """Return the metadata of an image: the shading's values and `own`, which takes precedence."""
     shading, terms = resolved.shading, resolved.lighting.terms
     metadata = {key: str(value) for key, value in shading.as_dict().items()} | dict(own)
     for name in ("model", "lobe", "fresnel", "masking"):
@@ -460,7 +479,7 @@ def _shading_metadata(
 
 
 def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:
-    """How a scene scatters, for which nothing is imported where it does not."""
+    """Return the scattering of a scene, or None. The module is imported only if needed."""
     if not any(material.scattering for material in scene.mesh.materials):
         return None
     from facerender.scenes.scattering import scattering_of
@@ -471,21 +490,21 @@ def _scattering(scene: Scene, size: tuple[int, int]) -> Scattering | None:
 def _from_visibility(
     shaded: Pass, visibility: Visibility | None, cull_back_faces: bool
 ) -> list[Pass]:
-    """A pass that shades, behind what it reads."""
+    """Return a shading pass, after the visibility pass that it reads, if any."""
     first, *others = [visibility.drawn(), shaded] if visibility else [shaded]
     return [replace(first, cull_back_faces=cull_back_faces), *others]
 
 
 def _check(linear: NDArray[np.float32], scene: Scene) -> None:
-    """Raise InputError where a pixel is not finite, and warn where none shows the mesh."""
+    """Raise InputError if a pixel is not finite, and warn if no pixel shows the mesh."""
     with np.errstate(over="ignore", invalid="ignore"):
-        total = linear.sum()  # three times as fast as looking at each
+        total = linear.sum()  # three times as fast as isfinite on every value
     if not np.isfinite(total) and not (finite := np.isfinite(linear).all(axis=-1)).all():
         row, column = np.unravel_index(int(finite.argmin()), finite.shape)
         raise InputError(
             f"{(~finite).sum()} pixels of {scene.mesh.name} are not finite, the first at ({column},"
             f" {row}): a light stands on the surface, a triangle has no width, or lights and "
-            "weights are too strong for float32; move it, mend the mesh, or lower them"
+            "weights are too strong for float32; move the light, repair the mesh, or lower them"
         )
     coverage = linear[..., 3]
     if not coverage[len(coverage) // 2].any() and not coverage.any():
@@ -513,15 +532,16 @@ def render(
     lights: tuple[Light, ...] | None = None,
     only: Only | None = None,
 ) -> Frame:
-    """Render one image of a mesh, of what :func:`facerender.load_mesh` takes, or the built-in head.
+    """Render one image of a mesh.
 
-    For several images, or further settings, make a :class:`Renderer`, which keeps what it uploads.
+    For several images, or further settings, use a :class:`Renderer`, which caches uploaded meshes
+    and maps.
 
     Parameters
     ----------
-    mesh : a mesh, a file or else what is loaded as one, or None for the built-in head
+    mesh : a mesh, a source that :func:`facerender.load_mesh` accepts, or None for the built-in head
     model, lobe, fresnel, masking, outside : see :class:`Shading`
-    m : rms slope for the whole mesh, in place of its roughness map
+    m : RMS slope for the whole mesh, which replaces its roughness map; default None
     size, samples, backend : see :class:`Renderer`
     camera, lights : see :class:`Scene`
     only : see :meth:`Renderer.render`

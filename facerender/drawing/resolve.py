@@ -1,10 +1,10 @@
-"""A simplified scene with its shading resolved, once for all that draws, prices or shades it: its
-lights in the order of programs, and the specular terms of each part at the slopes m that it has.
+"""Resolution of a scene with a shading: lights in the order of programs, and specular terms of each
+part for its range of m. The renderer, the reference and ``pricing`` use the same result.
 
-One rule says which m counts: a light's term has its own (``Term.m``), or else the part has
-(roughness factor times map)^2, or else ``Material.m``. ``prepare.simplify`` replaces the material's
-where every term has its own; ``Term.slope`` decides for one term, ``scenes.mesh.base_slope`` for a
-part. No OpenGL here."""
+m is the first of these values that exists: the constant of a light's term (``Term.m``), then
+(roughness factor times map)^2 of the part, then ``Material.m``. ``prepare.simplify`` replaces the
+material's m if the shading's term has a constant m. ``Term.slope`` resolves m for a term, and
+``scenes.mesh.base_slope`` for a part. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from facerender.terms.slope_variance import (
 
 @dataclass(frozen=True)
 class LightGroup:
-    """Lights of one kind that have one term.
+    """Lights of one kind that share a specular term.
 
     Attributes
     ----------
     kind : see ``scenes.light.LIGHT_KINDS``
-    term : number of their specular term, -1 for none
-    count : how many there are, at least one
-    shadows : number of the first one's shadow map; None where they cast none
+    term : index of the specular term, -1 for none
+    count : number of lights, at least one
+    shadows : index of the first light's shadow map; None if the lights cast no shadows
     """
 
     kind: str
@@ -48,14 +48,15 @@ class LightGroup:
 
 @dataclass(frozen=True)
 class Lighting:
-    """The lights of a scene in the order of programs: by kind and then by term, those without one
-    last, and by whether they cast shadows.
+    """The lights of a scene in the order of programs.
+
+    They are sorted by kind, then by term (no term comes last), then by shadow (no shadow first).
 
     Attributes
     ----------
-    order : of the scene's lights, their indices
-    lights, groups : in that order
-    terms : that the groups number
+    order : indices of the scene's lights
+    lights, groups : the lights and their groups, in this order
+    terms : specular terms, by the index in the groups
     """
 
     order: tuple[int, ...]
@@ -65,7 +66,7 @@ class Lighting:
 
     @classmethod
     def of(cls, scene: Scene, shading: Shading) -> Lighting:
-        """Sort the lights of a scene. If a light has the shading's own term, that is number 0."""
+        """Sort the lights of a scene. If any light has the shading's own term, its index is 0."""
         own = [shading.of(light) for light in range(len(scene.lights))]
         first = [shading.term] if shading.term in own else []
         terms = tuple(dict.fromkeys([*first, *(term for term in own if term is not None)]))
@@ -93,12 +94,12 @@ class Lighting:
         return tuple(index for index, light in lights if light.shadow)
 
     def spaces(self, mesh: Mesh) -> list[LightSpace]:
-        """Return the spaces of the lights that cast shadows, in the order of their maps; errors as
-        of :func:`light_space`."""
+        """Return the spaces of the lights that cast shadows, in the order of their maps. For errors
+        see :func:`light_space`."""
         return [light_space(light, mesh) for light in self.lights if light.shadow]
 
     def uniforms(self, mesh: Mesh) -> dict[str, Any]:
-        """Return the arrays of every kind of light there is."""
+        """Return the uniforms of all lights: arrays by name."""
         arrays: dict[str, Any] = {}
         for name in dict.fromkeys(group.kind for group in self.groups):
             kind = LIGHT_KINDS[name]
@@ -116,9 +117,10 @@ class ResolvedPart:
 
     Attributes
     ----------
-    part, material : of the mesh
-    smallest_m : of its lobes, where a term has no m of its own
-    terms : those of the lighting, as the part's slopes allow; none for a part without
+    part, material : part of the mesh and its material
+    smallest_m : lowest m of its lobes, for terms without a constant m
+    terms : specular terms of the lights. Where m lies outside a lobe's domain, the term has the
+        exact lobe. () if specular terms are left out
     """
 
     part: Part
@@ -129,13 +131,7 @@ class ResolvedPart:
 
 @dataclass(frozen=True, eq=False)
 class ResolvedScene:
-    """A simplified scene with its shading.
-
-    Attributes
-    ----------
-    scene, shading : see :func:`resolve`
-    lighting : of these
-    """
+    """A simplified scene with its shading and sorted lights; see :func:`resolve`."""
 
     scene: Scene
     shading: Shading
@@ -143,12 +139,13 @@ class ResolvedScene:
 
     @cached_property
     def slopes(self) -> list[tuple[float, float]]:
-        """The smallest and the largest m of each part, where a term has none of its own: what the
-        slope filter, curvature and discs of lights may add counts.
+        """The smallest and the largest m of each part, for terms without a constant m.
+
+        The largest m includes the most that the slope filter, curvature and area lights may add.
 
         Raises
         ------
-        InputError : a light that is too near for its radius
+        InputError : a light is too near for its radius
         """
         scene, shading = self.scene, self.shading
         discs = [disc for light in scene.lights if (disc := disc_of(light, scene.mesh))]
@@ -167,16 +164,19 @@ class ResolvedScene:
         return ranges
 
     def allowed(self, term: Term) -> list[Term]:
-        """Return a term as the slopes of each part let it be.
+        """Return a term for each part, with the exact lobe where m lies outside the lobe's domain.
 
         Raises
         ------
-        InputError : m lies outside the lobe's domain, and the shading asks for an error then
+        InputError : m lies outside the lobe's domain, and ``shading.outside`` is "error"
         """
         return [term.for_slopes(*ends, self.shading.outside) for ends in self.slopes]
 
     def parts(self, specular: bool = True) -> list[ResolvedPart]:
-        """Return the parts; errors as of :meth:`allowed`, unless their terms are left out."""
+        """Return the parts with their terms. For errors see :meth:`allowed`.
+
+        specular : false to leave specular terms out, and with them the check of m
+        """
         mesh = self.scene.mesh
         smallest = [low for low, _ in self.slopes] if specular else [0.0] * len(mesh.parts)
         by_term = [self.allowed(term) for term in self.lighting.terms * specular]
@@ -189,11 +189,7 @@ class ResolvedScene:
 
 
 def resolve(scene: Scene, shading: Shading) -> ResolvedScene:
-    """Simplify a scene, and resolve it; errors as of :func:`facerender.drawing.prepare.simplify`.
-
-    Parameters
-    ----------
-    shading : what it leaves out is not in the resolved scene
-    """
+    """Simplify and resolve a scene: features that the shading leaves out are removed. For errors
+    see :func:`facerender.drawing.prepare.simplify`."""
     simple = simplify(scene, shading)
     return ResolvedScene(simple, shading, Lighting.of(simple, shading))

@@ -1,5 +1,5 @@
-"""What is on the GPU: programs, targets, geometry, textures, kept for the next frame; and how a
-pass is drawn with them."""
+"""GPU objects (programs, framebuffers, geometry, textures), cached between frames, and the drawing
+of a pass with them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from facerender.system.memory import give_back
 if TYPE_CHECKING:
     from facerender.scenes.environment import Panorama
 
-# Programs that are kept beside those of the last frame; llvmpipe takes 2 MB for each.
+# Size of the program cache, which always holds the last frame's programs. llvmpipe uses 2 MB each.
 MOST_PROGRAMS = 64
 
 _TEXTURE_2D = 0x0DE1
@@ -41,7 +41,7 @@ _UNSIGNED_BYTE, _HALF_FLOAT = 0x1401, 0x140B
 _WRAP_AXES = (0x2802, 0x2803)
 _WRAPS: dict[Wrap, int] = {"repeat": 0x2901, "clamp": 0x812F, "mirror": 0x8370}
 _TO_COVERAGE = (0x809E, 0x809F)  # SAMPLE_ALPHA_TO_COVERAGE and SAMPLE_ALPHA_TO_ONE
-# kind of mip chain: (internal format, components, format, type, moderngl's name of the type)
+# Kind of mip chain: (internal format, components, format, type, moderngl's name of the type).
 _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
     "color": (_SRGB8_ALPHA8, 4, _RGBA, _UNSIGNED_BYTE, "f1"),
     "linear-color": (_RGBA16F, 4, _RGBA, _HALF_FLOAT, "f2"),
@@ -52,8 +52,15 @@ _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """A part on the GPU: centre and radius of its mesh, attributes, interleaved, the width of each,
-    and indices."""
+    """The geometry of a part on the GPU.
+
+    Attributes
+    ----------
+    space : centre and radius of the mesh, which place the vertices in the renderer's space
+    vertices, widths : interleaved vertex attributes, and the number of components of each attribute
+    indices : vertex indices of the triangles
+    arrays : cache of vertex arrays, by program
+    """
 
     space: tuple[float, ...]
     vertices: moderngl.Buffer
@@ -64,8 +71,8 @@ class Geometry:
     def array(
         self, gl: moderngl.Context, program: moderngl.Program, order: moderngl.Buffer | None = None
     ) -> moderngl.VertexArray:
-        """Return the attributes as a program reads them; kept, unless other indices give an
-        order."""
+        """Return the vertex array that a program reads. It is cached, unless `order` replaces the
+        part's indices."""
         if order is None and program in self.arrays:
             return self.arrays[program]
         layout = " ".join(
@@ -79,13 +86,12 @@ class Geometry:
 
 
 class Resources:
-    """What is on the GPU of one context, for frames of one size.
+    """Cache of the GPU objects of one context, for frames of one size.
 
     Attributes
     ----------
-    context, size : see :class:`facerender.Renderer`
-    anisotropy : of texture filtering
-    albedo_kind : of albedo maps: "color" or "linear-color"
+    context, size, anisotropy : see :class:`facerender.Renderer`
+    albedo_kind : kind of mip chain of albedo maps: "color" or "linear-color"
     """
 
     def __init__(
@@ -102,26 +108,29 @@ class Resources:
         self.tables = WeakKeyDictionary()
         self.textures: WeakKeyDictionary[Texture, dict[Kind, moderngl.Texture]]
         self.textures = WeakKeyDictionary()
-        self.programs: dict[Program, moderngl.Program] = {}  # the longest unused first
-        self._drawn: set[Program] = set()  # what the last frame used of them
+        self.programs: dict[Program, moderngl.Program] = {}  # least recently used first
+        self._drawn: set[Program] = set()  # programs of the last frame
         self.targets: dict[Target, moderngl.Framebuffer] = {}
-        # Each made once, for moderngl 5.13 frees only part of a scope.
+        # One scope for each target is reused: moderngl 5.13 frees a scope only in part.
         self.scopes: dict[Target, moderngl.Scope] = {}
-        self.held: dict[Target, Hashable] = {}  # the keys of what targets hold
+        self.held: dict[Target, Hashable] = {}  # key of the image in each target
         self.screens: dict[moderngl.Program, moderngl.VertexArray] = {}
         self._settled = True
 
     def release(self) -> None:
-        """Free everything on the GPU; the context is current."""
+        """Free all GPU objects. The context must be current."""
         caches = (self.geometries, self.tables, self.textures, self.programs, self.targets)
         for made in (*caches, self.scopes, self.screens, self.held):
             made.clear()
         self.context.gl.gc()
 
     def settle(self) -> None:
-        """Drop programs beyond MOST_PROGRAMS, and give memory back to the system that decoding,
-        uploads and compilers took and freed, once after frames that needed any: 110 MiB for the
-        built-in head, which malloc would keep. The context is current."""
+        """Drop unused programs beyond MOST_PROGRAMS, and release freed memory to the system.
+
+        Decoders, uploads and compilers freed that memory, 110 MiB for the built-in head, but malloc
+        keeps it. It is released once after frames that created GPU objects. The context must be
+        current.
+        """
         unused = [source for source in self.programs if source not in self._drawn]
         for source in unused[: max(len(self.programs) - MOST_PROGRAMS, 0)]:
             program = self.programs.pop(source)
@@ -135,11 +144,11 @@ class Resources:
     def draw(
         self, step: Pass, mesh: Mesh, drawn: Mapping[str, moderngl.Texture]
     ) -> moderngl.Framebuffer:
-        """Draw a pass into its target, and return that.
+        """Draw a pass into its target, and return the target.
 
         Parameters
         ----------
-        drawn : by the uniform's name, textures of the scene, such as what earlier passes drew
+        drawn : textures of the scene by uniform name, such as the images of earlier passes
 
         Raises
         ------
@@ -152,7 +161,7 @@ class Resources:
             self.held[step.target] = held
             return target
         with self.scopes[step.target]:
-            self._prepare(target)  # an error may have left it in another state
+            self._prepare(target)  # an earlier error may have left another state
             target.clear(*step.clear)
             for draw in step.draws:
                 self._prepare(target, draw)
@@ -164,17 +173,17 @@ class Resources:
         return target
 
     def _prepare(self, target: moderngl.Framebuffer, draw: Draw | None = None) -> None:
-        """Set where a draw goes and how it meets the depth that is there; None for a clear."""
+        """Set write masks, viewport and depth test for a draw, or for a clear if `draw` is None."""
         depth = draw.depth if draw else "test"
         colors, count = (depth not in ("mark", "hide"),) * 4, len(target.color_attachments)
         target.color_mask = colors if count == 1 else [colors] * count  # type: ignore[assignment]
         target.depth_mask = depth not in ("marked", "blend")
         target.viewport = (draw and draw.area) or (0, 0, *target.size)
-        target.use()  # takes effect
+        target.use()  # applies the masks and the viewport
         self.context.gl.depth_func = {"mark": "1", "marked": "=="}.get(depth, "<=")
 
     def _switch(self, step: Pass, draw: Draw) -> None:
-        """Set how a draw lies over what is there, and which sides of triangles it shows."""
+        """Set blending and face culling for a draw."""
         gl, over = self.context.gl, draw.depth == "blend"
         enabled = moderngl.DEPTH_TEST | moderngl.BLEND * (step.added or over)
         gl.enable_only(enabled | moderngl.CULL_FACE * step.cull_back_faces)
@@ -183,7 +192,7 @@ class Resources:
 
     @contextmanager
     def _to_coverage(self, on: bool) -> Iterator[None]:
-        """Make samples of a fragment's alpha, which becomes 1, where that is asked for."""
+        """Within the context, convert alpha to sample coverage if `on`; alpha becomes 1."""
         gl = self.context.gl
         for each in _TO_COVERAGE * on:
             gl.enable_direct(each)
@@ -206,21 +215,22 @@ class Resources:
             self.screens[program].render(vertices=3)
             return
         if draw.order is not None:
-            gl.gc()  # the order of the draw before
+            gl.gc()  # frees the index buffer of the previous draw
             order = gl.buffer(source.faces[draw.order])
         self.geometry(source, mesh).array(gl, program, order).render()
 
     def bind(
         self, program: moderngl.Program, draw: Draw, drawn: Mapping[str, moderngl.Texture]
     ) -> None:
-        """Bind a material's maps, triangle setup, and textures of the scene, to their uniforms."""
+        """Bind the material's maps, the triangle setup and the scene's textures to the uniforms of
+        a program."""
         textures = dict(drawn)
         if draw.part is not None and draw.material is not None:
             filtered = "SLOPE_FILTER" in draw.program.features
             maps = part_maps(draw.part, draw.material, self.albedo_kind, filtered)
             for name, source, kind in maps:
                 if name in program:
-                    own = self.texture(name, source, kind)  # before binding: it uses unit 0
+                    own = self.texture(name, source, kind)  # upload before binding: it uses unit 0
                     textures[name] = own
         if draw.setup is not None and draw.depth == "marked":
             textures["triangle_setup"] = self.table(draw.setup)
@@ -230,8 +240,11 @@ class Resources:
             set_uniforms(program, {name: unit})
 
     def take_coarse(self, mesh: Mesh, slope_filter: bool) -> None:
-        """Decode and upload the coarse maps of a mesh, one after another, before targets and
-        programs take memory: those first that take most of it meanwhile."""
+        """Decode and upload the reduced maps of a mesh (``Texture.coarse``), one after another.
+
+        To limit peak memory, this runs before targets and programs are allocated, and starts with
+        the maps whose decoding needs most memory.
+        """
         maps = {
             each: None
             for part, material in zip(mesh.parts, mesh.materials, strict=True)
@@ -243,7 +256,7 @@ class Resources:
             self.texture(name, source, kind)
 
     def target(self, kind: Target) -> moderngl.Framebuffer:
-        """Return a framebuffer, made once for each kind."""
+        """Return the framebuffer of a target, created on first use."""
         if kind not in self.targets:
             self._settled = False
             gl, size = self.context.gl, kind.size or self.size
@@ -264,12 +277,12 @@ class Resources:
             except moderngl.Error as error:
                 raise ContextError(
                     f"{self.context.renderer} cannot draw {size[0]} x {size[1]} pixels with "
-                    f"{kind.samples} samples ({error}); lower one of them"
+                    f"{kind.samples} samples ({error}); lower the size or the samples"
                 ) from None
         return self.targets[kind]
 
     def program(self, source: Program) -> moderngl.Program:
-        """Compile a program, once while it is in use; see :meth:`settle`."""
+        """Return a compiled program from the cache, or compile it; see :meth:`settle`."""
         self._drawn.add(source)
         if source in self.programs:
             self.programs[source] = self.programs.pop(source)
@@ -282,11 +295,14 @@ class Resources:
                     vertex_shader=stages["vert"], fragment_shader=stages["frag"]
                 )
             except moderngl.Error as error:
-                raise ContextError(f"{self.context.renderer} refused a program: {error}") from None
+                raise ContextError(
+                    f"{self.context.renderer} cannot compile a program: {error}"
+                ) from None
         return self.programs[source]
 
     def geometry(self, source: Part | TriangleSetup, mesh: Mesh) -> Geometry:
-        """Upload a part, or the positions of its triangles, once for a mesh's centre and radius."""
+        """Upload a part, or only the positions of its triangles. The cached geometry is replaced if
+        the mesh's centre or radius changes."""
         space = *mesh.center, mesh.radius
         made = self.geometries.get(source)
         if made is None or made.space != space:
@@ -303,8 +319,8 @@ class Resources:
         return made
 
     def table(self, source: TriangleSetup | Panorama) -> moderngl.Texture:
-        """Upload the numbers that deferred shading reads of triangles, or the map of a panorama,
-        once."""
+        """Upload the triangle data for deferred shading, or the map of a panorama, on first
+        use."""
         if source not in self.tables:
             self._settled = False
             self.context.gl.gc()
@@ -316,8 +332,11 @@ class Resources:
         return self.tables[source]
 
     def texture(self, name: str, source: Texture, kind: Kind) -> moderngl.Texture:
-        """Upload a mip chain. moderngl uploads level 0; its build_mipmaps would take 65 ms for
-        2048 x 2048 texels on a software driver, the chain from texture.py is there already."""
+        """Upload a mip chain on first use.
+
+        Every level comes from texture.py: moderngl's build_mipmaps takes 65 ms for 2048 x 2048
+        texels on a software driver.
+        """
         known = self.textures.setdefault(source, {})
         if kind in known:
             return known[kind]
@@ -328,8 +347,11 @@ class Resources:
         height, width = levels[0].shape[:2]
         limit = gl.info["GL_MAX_TEXTURE_SIZE"]
         if max(width, height) > limit:
-            raise InputError(f"{source.name} is {width} x {height} texels: at most {limit} here")
-        first = levels[0][:1, :1].copy()  # with an alignment of 1, which stays
+            raise InputError(
+                f"{source.name} is {width} x {height} texels: this driver allows at most {limit} a "
+                "side; give a smaller map"
+            )
+        first = levels[0][:1, :1].copy()  # sets the unpack alignment to 1 for all levels
         texture = gl.texture((1, 1), components, first, 0, 1, dtype, internal_format=internal)
         texture.use(0)
         self._reserve(internal, [level.shape for level in levels], layout, data_type)
@@ -338,8 +360,8 @@ class Resources:
             texels = np.ascontiguousarray(level)
             place = 0, 0, level.shape[1], level.shape[0]
             upload(_TEXTURE_2D, number, *place, layout, data_type, texels.ctypes.data)
-        # Properties vary slowly: between two levels nothing is seen of a step, and the second
-        # level would take 5 % of a frame on a software driver.
+        # Properties vary slowly, so a step between two mip levels is invisible. Blending of two
+        # levels would take 5 % of a frame on a software driver.
         step = name == "property_map"
         smaller = moderngl.LINEAR_MIPMAP_NEAREST if step else moderngl.LINEAR_MIPMAP_LINEAR
         if len(levels) == 1:
@@ -362,8 +384,8 @@ class Resources:
     def _reserve(
         self, internal: int, shapes: Sequence[tuple[int, ...]], layout: int, data_type: int
     ) -> None:
-        """Make place for all levels of the bound texture; at once where the driver can: Mesa would
-        hold the finest twice until it is drawn."""
+        """Allocate all levels of the bound texture, with glTexStorage2D where the driver has it:
+        with glTexImage2D, Mesa holds the finest level twice until the texture is drawn."""
         (height, width, *_), count = shapes[0], len(shapes)
         if self.context.loader.load("glTexStorage2D"):  # OpenGL 4.2, or ARB_texture_storage
             store = self.context.function("glTexStorage2D", *[ctypes.c_int] * 5)
@@ -382,13 +404,13 @@ def read(target: moderngl.Framebuffer, attachment: int = 0) -> NDArray[np.float3
 
 
 def set_uniforms(program: moderngl.Program, values: Mapping[str, Any]) -> None:
-    """Set uniforms, unless the compiler found that they do not count."""
+    """Set the uniforms that the compiler has not removed from a program."""
     for name, value in values.items():
         if name not in program:
             continue
         uniform: Any = program[name]
         if isinstance(value, np.ndarray):
-            # An array that the program does not read to its end is shorter there.
+            # The compiler shortens an array whose end the program does not read.
             size = uniform.array_length * uniform.element_size
             uniform.write(value.astype(np.float32).tobytes()[:size])
         else:

@@ -1,4 +1,4 @@
-"""Triangles as deferred shading reads them: each one's plane, and its attributes as affine
+"""Triangle data for deferred shading: the plane of each triangle, and its attributes as affine
 functions of the position. No OpenGL here."""
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from facerender.drawing.program import part_columns
 from facerender.scenes.mesh import Mesh, Part
 
-IN_ROW = 256  # of the texture
-_AT_ONCE = 1 << 12
-_ROUNDING = 2.0**-22  # of a width, from float32 positions of size 1
+IN_ROW = 256  # triangles in a row of the texture
+_AT_ONCE = 1 << 12  # triangles per block, to limit temporary memory
+_ROUNDING = 2.0**-22  # rounding error of a triangle's width, for float32 positions of size 1
 
 Floats = NDArray[np.floating[Any]]
 
@@ -27,9 +27,9 @@ class TriangleSetup:
 
     Attributes
     ----------
-    positions : (N, 3) float32, of the vertices in the renderer's space
-    faces : (F, 3) uint32
-    columns : the attributes of the vertices, from the normal on, (N, K) float32
+    positions : (N, 3) float32, vertex positions in the renderer's space
+    faces : (F, 3) uint32, indices of vertices
+    columns : (N, K) float32, attributes of the vertices, the normal first
     """
 
     positions: NDArray[np.float32]
@@ -38,30 +38,32 @@ class TriangleSetup:
 
     @classmethod
     def of(cls, part: Part, mesh: Mesh) -> TriangleSetup:
-        """Take what is drawn of a part."""
+        """Return the triangle setup of a part of a mesh."""
         columns = part_columns(part, mesh)
         positions = columns.pop("in_position").astype(np.float32)
-        columns.pop("in_uv2", None)  # deferred shading has one kind of texture coordinates
+        columns.pop("in_uv2", None)  # deferred shading supports one set of texture coordinates
         attributes = np.hstack([*columns.values()], dtype=np.float32, casting="same_kind")
         return cls(positions, np.asarray(part.faces, dtype=np.uint32), attributes)
 
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
-        """The lowest and the highest corner of what the triangles use."""
+        """The lowest and the highest corner of the triangles' bounding box."""
         used = self.positions[self.faces.ravel()]
         return used.min(axis=0), used.max(axis=0)
 
     @property
     def texels(self) -> int:
-        """How many texels a triangle takes."""
+        """Number of texels per triangle."""
         return 1 + int(self.columns.shape[1])
 
     def texture(self) -> NDArray[np.float32]:
-        """Return (rows, IN_ROW * texels, 4) float32: of each triangle the unit normal of its plane
-        with the plane's distance from the origin, and for each attribute gradient and offset.
+        """Return the texture of all triangles, (rows, IN_ROW * texels, 4) float32.
 
-        Where rounding hides how wide a triangle is, as of one that fills a T-junction, attributes
-        change along its length alone, and it faces where its first vertex does.
+        The first texel of a triangle holds the unit normal of its plane and the plane's distance
+        from the origin. Each further texel holds an attribute's gradient and offset.
+
+        Some triangles are narrower than the rounding error, for example in a filled T-junction.
+        Their attributes vary only along their length, and their first vertex determines the normal.
         """
         rows = -(-len(self.faces) // IN_ROW)
         packed = np.zeros((rows * IN_ROW, self.texels, 4), dtype=np.float32)
@@ -91,7 +93,7 @@ class TriangleSetup:
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
-    """The dot products of rows, (N, 1)."""
+    """Return the dot products of the rows, (N, 1)."""
     return np.asarray(np.einsum("ij,ij->i", a, b)[:, None])
 
 
@@ -99,7 +101,8 @@ _made: WeakKeyDictionary[Part, tuple[tuple[float, ...], TriangleSetup]] = WeakKe
 
 
 def triangle_setup_of(part: Part, mesh: Mesh) -> TriangleSetup:
-    """Return the triangle setup of a part of a mesh, made once for meshes that place it alike."""
+    """Return the triangle setup of a part of a mesh, from a cache. Meshes with the same centre and
+    radius share it."""
     place = (*mesh.center, mesh.radius)
     known = _made.get(part)
     if known is None or known[0] != place:

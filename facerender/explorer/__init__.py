@@ -1,2 +1,3 @@
-"""The explorer: one page that draws a mesh in a browser with the library's shaders and compares two
-shadings. Its scripts and styles are in ``browser``. No OpenGL here."""
+"""The explorer: an HTML page that draws a mesh with the library's GLSL and compares two shadings.
+The scripts, shaders and styles of the page are in ``browser``.
+"""

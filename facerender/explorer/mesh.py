@@ -1,4 +1,4 @@
-"""A mesh and its maps as data of the explorer's page: quantised, and compressed."""
+"""Encodes a mesh and its maps as data of the explorer's page: quantised and compressed."""
 
 from __future__ import annotations
 
@@ -20,23 +20,24 @@ from facerender.scenes.mips import Kind
 from facerender.scenes.texture import Texture
 from facerender.shading import Shading
 
-POSITION_STEPS = 2**16 - 1  # across the bounding sphere: 2.6 micrometres on a head
-NORMAL_STEPS = 2**15 - 1  # of an octahedron's coordinate: 0.003 degrees
+POSITION_STEPS = 2**16 - 1  # Across the bounding sphere: 2.6 micrometres on a head.
+NORMAL_STEPS = 2**15 - 1  # Per octahedral coordinate: 0.003 degrees.
 UV_STEPS = 2**16 - 1
-VERTEX_STEPS = 10_000  # of colours and occlusion at vertices
-LARGEST_MAP = 2048  # texels a side, which every WebGL 2 takes
+VERTEX_STEPS = 10_000  # For colours and occlusion at vertices.
+LARGEST_MAP = 2048  # Texels per side; every WebGL 2 implementation supports it.
 QUALITIES: dict[Kind, tuple[int, ...]] = {
     "color": (93, 97),
     "normal": (95, 98),
     "data": (93, 97),
 }
-LEAST_LOSS = 1.0  # mean error in 8-bit levels, below which a map may be a JPEG
+LEAST_LOSS = 1.0  # A JPEG map needs a smaller mean error, in 8-bit levels.
 
 
 def drawable(mesh: Mesh) -> Mesh:
-    """Return a mesh without the features that the page does not draw: all parts are opaque, and
-    blended ones are left out unless there are no others; there is no emission; maps have strength
-    1, use the first texture coordinates, repeat, and are smoothed.
+    """Return a mesh without the features that the page does not draw.
+
+    All parts are opaque, and blended parts are removed unless all parts are blended. There is no
+    emission. Maps have strength 1, use the first texture coordinates, repeat, and are filtered.
 
     Warns
     -----
@@ -48,9 +49,9 @@ def drawable(mesh: Mesh) -> Mesh:
     for material in mesh.materials:
         lost += ["emission"] * any(material.emissive)
         second = [name for name in MAPS if material.by_second(name)]
-        lost += ["maps by second texture coordinates"] * bool(second)
+        lost += ["maps with second texture coordinates"] * bool(second)
         default = (material.normal_strength, material.occlusion_strength) == (1.0, 1.0)
-        lost += ["strengths of maps"] * (not default)
+        lost += ["map strengths"] * (not default)
         maps = {name: getattr(material, name) for name in MAPS if name not in second}
         if not material.packs:
             maps = {name: own and own.sampled(Texture.wrap) for name, own in maps.items()}
@@ -67,8 +68,10 @@ def drawable(mesh: Mesh) -> Mesh:
 
 
 def packed(mesh: Mesh) -> tuple[dict[str, Any], bytes, list[tuple[Texture, Kind]]]:
-    """Return the facts of a mesh, its arrays compressed, and its maps with their kinds; facts have
-    the numbers of arrays and maps."""
+    """Return the facts of a mesh, its compressed arrays, and its maps with their kinds.
+
+    The facts refer to arrays and maps by index.
+    """
     columns: list[NDArray[np.int64]] = []
     textures: list[tuple[Texture, Kind]] = []
     pairs = zip(mesh.parts, mesh.materials, strict=True)
@@ -90,7 +93,7 @@ def _part(
     columns: list[NDArray[np.int64]],
     textures: list[tuple[Texture, Kind]],
 ) -> dict[str, Any]:
-    """Return the facts of a part; its arrays and maps are appended to the lists."""
+    """Return the facts of a part, and append its arrays and maps to the lists."""
     maps: dict[str, int] = {}
     for name, texture, kind in part_maps(part, material, "color", slope_filter=True):
         if (texture, kind) not in textures:
@@ -135,16 +138,20 @@ def octahedral(normals: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _planes(values: NDArray[np.int64]) -> bytes:
-    """Return whole numbers (N, K) in a form that deflate compresses well: differences of rows, the
-    sign in the lowest bit, in four planes of bytes."""
+    """Encode integers (N, K) so that deflate compresses them well.
+
+    The result contains the differences of successive rows, with the sign in the lowest bit. Four
+    planes separate their bytes.
+    """
     steps = np.diff(values, axis=0, prepend=0)
     folded = ((steps << 1) ^ (steps >> 63)).astype("<u4")
     return folded.view(np.uint8).reshape(-1, 4).T.tobytes()
 
 
 def encoded(texture: Texture, kind: Kind) -> bytes:
-    """Return a map as an image file, row 0 at the bottom: a JPEG if its mean error is below one
-    8-bit level, or else a PNG.
+    """Return a map as an image file with row 0 at the bottom.
+
+    It is a JPEG if the mean error is below one 8-bit level, otherwise a PNG.
 
     Raises
     ------

@@ -1,5 +1,4 @@
-"""The explorer's page: mesh, maps, GLSL, registry and ranges as data, and the scripts that use
-them."""
+"""Builds the explorer's page: scripts, and their data (mesh, maps, GLSL, registry, ranges)."""
 
 from __future__ import annotations
 
@@ -43,16 +42,19 @@ _G_POWER = GPower(8, 0.25, 0.5)  # the page replaces its numbers
 
 
 def explorer_page(job: Job, mesh: Mesh) -> str:
-    """Return the page. Features that it cannot draw are left out: see :func:`drawable`.
+    """Return the page as HTML.
+
+    Features that the page cannot draw are removed, see :func:`drawable`. Maps with more than 2048
+    texels per side are reduced.
 
     Parameters
     ----------
-    job : its mesh file, lights, ambient light, background and camera are the first state
-    mesh : of the job
+    job : its mesh file, lights, ambient light, background and camera are the initial state
+    mesh : mesh of the job
 
     Raises
     ------
-    InputError : a map that is damaged; maps over 2048 texels a side are reduced
+    InputError : a map is damaged
     """
     mesh = drawable(mesh)
     mesh_facts, arrays, textures = packed(mesh)
@@ -127,8 +129,10 @@ def _ranges() -> dict[str, Any]:
 
 
 def _sources() -> dict[str, Any]:
-    """Return the GLSL of the page's programs by role: flat files, and of each term its lines, as
-    numbers of ``lines``, without #version, and its call."""
+    """Return the GLSL sources of the page's programs, by role.
+
+    A term is stored as indices into ``lines``, without the #version line, and its function call.
+    """
     host = shader_dir() / "host"
     lines: dict[str, int] = {}
     terms = {}
@@ -147,7 +151,7 @@ def _sources() -> dict[str, Any]:
 
 
 def _terms() -> dict[str, tuple[Term, float]]:
-    """Return every term, and the smallest slope for which its GLSL is written, by its words."""
+    """Return, by key, every term and the smallest m that its GLSL supports."""
     lobes: dict[str, AnyLobe] = {name: name for name in LOBES} | {"g-power": _G_POWER}
     terms = {}
     for model, (name, lobe) in product(MODELS.values(), lobes.items()):
@@ -163,8 +167,10 @@ def _terms() -> dict[str, tuple[Term, float]]:
 
 
 def _light(light: Light, mesh: Mesh) -> dict[str, Any]:
-    """Return a light by its direction from the mesh's centre; of a point light with its distance
-    there, in the renderer's space."""
+    """Return a light as data, with its direction from the mesh's centre.
+
+    A point light also has its distance from the centre, in the renderer's space.
+    """
     azimuth, elevation, distance = light.azimuth, light.elevation, None
     if light.position is not None:
         x, y, z = mesh.normalised(light.position)
@@ -181,7 +187,7 @@ def _light(light: Light, mesh: Mesh) -> dict[str, Any]:
 
 
 def _words(job: Job) -> dict[str, Any]:
-    """Return the mesh's files as arguments of the command line and of Python."""
+    """Return the mesh's files as command-line and Python arguments."""
     file = job.mesh
     names = ("albedo", "normal_map", "specular_map", "roughness_map")
     maps = {name: value for name in names if (value := getattr(file, name)) is not None}

@@ -1,1 +1,1 @@
-"""The GLSL library as text: includes, files flat for a target, what its headers say."""
+"""The GLSL library as text: includes, flat files for a target, translations, and the catalogue."""

@@ -1,6 +1,7 @@
-"""What the functions of the shader library are, read from the comments of its files: a header for
-each file, and a comment over a function that is not the file's only one. The grammar is small: a
-first sentence, then lines ``//   key   text`` that go on where they are indented further."""
+"""The catalogue of the shader library's functions, parsed from the comments of its files.
+
+Each file has a header comment, and a function may have a comment above it. A comment begins with a
+sentence; lines ``//   key: text`` follow. Deeper indented lines continue the text of a key."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from functools import cache
 from facerender.glsl.library import library, shader_dir
 
 _FUNCTION = re.compile(r"((?:^//.*\n)*)^(\w+) (fr_\w+)\(([^)]*)\) \{", re.MULTILINE)
-_KEYED = re.compile(r"^   (\w+(?:, \w+)*) +(\S.*(?:\n {5,}\S.*)*)", re.MULTILINE)
+_KEYED = re.compile(r"^   (\w+(?:, \w+)*): +(\S.*(?:\n {5,}\S.*)*)", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -20,10 +21,12 @@ class Function:
 
     Attributes
     ----------
-    name, signature, file : file as an include line names it
-    summary : one line
-    parameters : name to meaning, unit and domain
-    formula, unit, result, error, source : as the comments say; result is "" where they say nothing
+    name, signature : such as "fr_ward" and its GLSL declaration
+    file : path for an include line
+    summary : first sentence of the comment
+    parameters : meaning, unit and domain of each parameter, by name
+    formula, unit, error, source : texts of these keys
+    result : text of the key "returns"; "" if the comment does not have it
     """
 
     name: str
@@ -40,7 +43,7 @@ class Function:
 
 @cache
 def functions() -> tuple[Function, ...]:
-    """Return every public function of the library, by file, in the files' order."""
+    """Return all public functions of the library, sorted by file, then in the order of the file."""
     return tuple(function for name in library() for function in _functions(name))
 
 
@@ -63,7 +66,7 @@ def _functions(name: str) -> list[Function]:
                 {name: known[name] for name in names},
                 known["formula"],
                 known["unit"],
-                known.get("result", ""),
+                known.get("returns", ""),
                 known["error"],
                 known["source"],
             )
@@ -84,5 +87,5 @@ def _keyed(comment: str) -> dict[str, str]:
 
 
 def _sentence(comment: str) -> str:
-    """Return the first sentence."""
+    """Return the first sentence of a comment."""
     return re.split(r"(?<=\.) (?=[A-Z])", " ".join(comment.split("\n\n")[0].split()))[0]

@@ -1,4 +1,4 @@
-"""Specular terms as GLSL: the macros and includes that they need, and their calls."""
+"""GLSL code of specular terms: their macros, includes and calls."""
 
 from __future__ import annotations
 
@@ -10,19 +10,22 @@ from facerender.terms import FRESNEL, MASKING, AnyLobe, lobe_entry
 
 
 def defines(macros: Mapping[str, str]) -> str:
-    """Return the lines of GLSL that define macros."""
+    """Return GLSL lines that define these macros."""
     return "".join(f"#define {name} {value}\n" for name, value in macros.items())
 
 
 def lobe_macros(lobe: AnyLobe) -> dict[str, str]:
-    """Return the macros that make ``fr_lobe`` this lobe."""
+    """Return the macros that select a lobe for ``fr_lobe``."""
     entry = lobe_entry(lobe)
     return {"FR_LOBE": entry.macro, **entry.macros}
 
 
 def term_macros(term: Term, smallest_m: float) -> dict[str, str]:
-    """Return the macros that make the model's function of few arguments, such as
-    ``fr_cook_torrance``, this term, for m >= smallest_m where it has none of its own."""
+    """Return the macros that configure the model's short function, such as ``fr_cook_torrance``,
+    for a term.
+
+    smallest_m : lowest m of the material, for terms without a constant m
+    """
     macros = _shared_macros([term], smallest_m)
     if term.entry.factors:
         macros["FR_FRESNEL"] = FRESNEL[term.fresnel].macro
@@ -33,7 +36,10 @@ def term_macros(term: Term, smallest_m: float) -> dict[str, str]:
 
 
 def prelude(terms: Sequence[Term], smallest_m: float, two_lobes: bool = False) -> str:
-    """Return what stands before the calls of terms in one program, for m >= smallest_m."""
+    """Return the macros and includes that precede the calls of terms in a program.
+
+    smallest_m : lowest m of the material, for terms without a constant m
+    """
     files = dict.fromkeys(file_of(term, two_lobes) for term in terms)
     includes = "".join(f'#include "facerender/{file}.glsl"\n' for file in files)
     macros = _shared_macros(terms, smallest_m)
@@ -48,10 +54,10 @@ def file_of(term: Term, two_lobes: bool) -> str:
 
 
 def call(term: Term, second_slope: float | None = None) -> str:
-    """Return the GLSL of a term, in 1/sr, of vec3 n, l, v and float m, f0.
+    """Return the GLSL expression of a term, in 1/sr. It uses vec3 n, l, v and float m, f0.
 
-    second_slope : of a material with two lobes, the factor on m; the call is then of float second_m
-        and lobe_weight as well
+    second_slope : ratio of the second lobe's m to the first, for materials with two lobes; the
+        expression then also uses float second_m and lobe_weight. None for one lobe
     """
     macros = {
         "lobe": lobe_entry(term.lobe).macro,
@@ -65,17 +71,18 @@ def call(term: Term, second_slope: float | None = None) -> str:
 
 
 def environment_call(term: Term, second_slope: float | None = None) -> str:
-    """Return the GLSL of the radiance (vec3) that a term reflects of an environment, of vec3 n, v
-    and float m, f0; second_slope as of :func:`call`.
+    """Return the GLSL expression of the radiance (vec3) that a term reflects from an environment.
+
+    It uses vec3 n, v and float m, f0. For second_slope see :func:`call`.
 
     Raises
     ------
-    InputError : a model of which nobody has written it
+    InputError : the model does not support environment maps
     """
     if term.entry.environment is None:
         raise InputError(
-            f"the model {term.model} has no specular term of an environment: set "
-            "environment_samples to 0, or take another model"
+            f"the model {term.model} has no specular term for environment maps: set "
+            "environment_samples to 0, or choose another model"
         )
     code = term.entry.environment.call
     macros = {"fresnel": FRESNEL[term.fresnel].macro, "masking": MASKING[term.masking].macro}
@@ -83,8 +90,8 @@ def environment_call(term: Term, second_slope: float | None = None) -> str:
 
 
 def _slopes(term: Term, second_slope: float | None) -> tuple[str, str]:
-    """Return the slopes of both lobes as GLSL, constants where the term has its own m; "" for a
-    second lobe that is not there."""
+    """Return m of both lobes as GLSL: numbers if the term has a constant m, otherwise variables.
+    The second is "" if there is one lobe."""
     second = None if second_slope is None else term.second(second_slope).slope("second_m")
     first, other = (
         each if isinstance(each, str) else repr(float(each))
@@ -94,14 +101,17 @@ def _slopes(term: Term, second_slope: float | None) -> tuple[str, str]:
 
 
 def _lobes(code: str, m: str, second: str, macros: Mapping[str, str]) -> str:
-    """Return the call of one lobe, or the mean of the calls of two."""
+    """Return the call of one lobe, or the weighted mean of the calls of two lobes."""
     first, other = (code.format(m=each, **macros) for each in (m, second))
     return f"lobe_weight * {first} + (1.0 - lobe_weight) * {other}" if second else first
 
 
 def _shared_macros(terms: Sequence[Term], smallest_m: float) -> dict[str, str]:
-    """Return those that a program has once: the lobe, or every one, the parameters of its g-power,
-    and whether small angles keep their digits, which they do if one term needs it."""
+    """Return the macros that the terms of a program share.
+
+    They select the lobe (all lobes, if the terms differ), the parameters of the g-power, and
+    accurate small angles, if at least one term needs them.
+    """
     lobes = {term: lobe_entry(term.lobe) for term in terms}
     names = {lobe.macro for lobe in lobes.values()}
     macros = {"FR_LOBE": names.pop() if len(names) == 1 else "FR_LOBE_EVERY"} if names else {}

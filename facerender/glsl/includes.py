@@ -1,5 +1,5 @@
-"""GLSL from files that include each other, each of them once. Conditions stay for the compiler;
-``preprocessor.py`` evaluates them. Nothing here knows the library."""
+"""Resolution of GLSL ``#include`` lines; each file is inserted once. Conditions remain for the
+compiler; ``preprocessor.py`` evaluates them. This module is independent of the shader library."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from typing import NamedTuple
 
 from facerender.errors import InputError, reason
 
-DEEPEST = 64  # files within each other
+DEEPEST = 64  # nested includes
 IF = ("if", "ifdef", "ifndef")
 
 _COMMENT_OR_STRING = re.compile(r'"[^"\n]*"|//(?:\\\n|[^\n])*|/\*.*?(?:\*/|\Z)', re.DOTALL)
 _DIRECTIVE = re.compile(r"^[ \t]*#[ \t]*(\w+)[ \t]*([^\n]*)", re.MULTILINE)
 _INCLUDE = re.compile(r'"([^"]+)"|<([^>]+)>')
 _NOTHING = re.compile(r"(?:\s|//[^\n]*)*")
-_Identity = tuple[int, int]  # of a file: its device and number
+_Identity = tuple[int, int]  # device and inode number of a file
 
 
 class Directive(NamedTuple):
-    """A line that begins with #.
+    """A preprocessor line.
 
     Attributes
     ----------
-    start, end : of the line in its text, without the newline
+    start, end : range of the line in its text, without the newline
     name, rest : such as "define" and "FR_LOBE 1", without comments
     """
 
@@ -43,9 +43,9 @@ class Scan(NamedTuple):
 
     Attributes
     ----------
-    text : in which no comment leads from a directive's line to a later one
-    directives : in their order
-    guarded : whether the first and the last directive are an include guard of the whole text
+    text : the text, without comments that begin on the line of a directive and end on a later line
+    directives : in the order of the text
+    guarded : whether the first and the last directive form an include guard around the whole text
     """
 
     text: str
@@ -55,8 +55,8 @@ class Scan(NamedTuple):
 
 @lru_cache(maxsize=256)
 def scan(text: str) -> Scan:
-    """Find the directives of a text. A program's stages, and many programs, include the same
-    files, which are therefore scanned once."""
+    """Find the directives of a text. Results are cached, since many programs include the same
+    files."""
     code = text
     if "/*" in text or "\\\n" in text:
         text = _COMMENT_OR_STRING.sub(_blank_behind_directive, text)
@@ -89,47 +89,53 @@ def _blanked(text: str) -> str:
 
 
 def _blank(match: re.Match[str]) -> str:
-    """Overwrite a comment with spaces; a string stays."""
+    """Replace a comment by spaces; return a string unchanged."""
     return match[0] if match[0].startswith('"') else re.sub(r"[^\n]", " ", match[0])
 
 
 def _blank_behind_directive(match: re.Match[str]) -> str:
-    """Overwrite a comment that begins on a directive's line and ends on a later one: when the
-    directive goes, the rest of the comment must not become code."""
+    """Replace a comment by spaces if it begins on a directive's line and ends on a later one.
+    Otherwise the rest of the comment would become code when the directive is removed."""
     line = match.string[match.string.rfind("\n", 0, match.start()) + 1 : match.start()]
     return _blank(match) if "\n" in match[0] and line.lstrip().startswith("#") else match[0]
 
 
 class Includes:
-    """Text from files that include each other, each of them once; an include in a branch of a
-    condition does not stand for one outside. Lines keep their numbers, by ``#line``.
+    """Text from files that include each other.
+
+    Each file is inserted once. A file that is included in a branch of a condition is inserted again
+    when it is included outside the branch. ``#line`` directives preserve line numbers.
 
     Attributes
     ----------
-    files : what was included, as include lines name it
+    files : included files, as named in include lines
     """
 
     def __init__(self, root: Path) -> None:
-        """root : of ``<file>``, and of a ``"file"`` that is not beside its includer, nor beside
-        what that links to"""
+        """Create an empty text.
+
+        root : include directory, where ``<file>`` is searched. ``"file"`` is searched in the folder
+            of the including file, then in the folder of its link target, then in root
+        """
         self.files: list[str] = []
         self._parts: list[str] = []
         self._root = os.path.realpath(root)
-        self._chain: list[tuple[_Identity, str]] = []  # of the files that are being read, and paths
-        self._scopes: list[set[_Identity]] = [set()]  # included for certain, and by open branches
+        self._chain: list[tuple[_Identity, str]] = []  # files being read, outermost first
+        # Files included outside all conditions, then files included in each open branch.
+        self._scopes: list[set[_Identity]] = [set()]
 
     @property
     def text(self) -> str:
-        """What was appended."""
+        """The resolved text."""
         return "".join(self._parts)
 
     def append_file(self, path: str | Path) -> None:
-        """Append a file.
+        """Append a file with its includes.
 
         Raises
         ------
-        InputError : it, or what it includes, cannot be read; it includes itself; conditions that
-            do not match; with file and line
+        InputError : a file cannot be read or includes itself, or #if and #endif do not match; the
+            message gives file and line
         """
         path = str(path)
         try:
@@ -146,11 +152,13 @@ class Includes:
         self._chain.pop()
 
     def append(self, text: str, path: str = "") -> None:
-        """Append text, that of the file at path if it has one; errors as of
-        :meth:`append_file`."""
+        """Append text with its includes. For errors see :meth:`append_file`.
+
+        path : path of the text's file; "" for text without a file
+        """
         text, directives, guarded = scan(text)
         source, at = len(self.files), 0
-        counts: list[int] = []  # of files before each open condition
+        counts: list[int] = []  # number of files before each open condition
         if path:
             self._parts.append(f"#line 1 {source}  // {self.files[-1]}\n")
         for each in directives[1:-1] if guarded else directives:
@@ -164,7 +172,7 @@ class Includes:
                 if each.name == "endif":
                     self._scopes.pop()
                     counts.pop()
-                if len(self.files) > before:  # a compiler reads no #line in a branch that it skips
+                if len(self.files) > before:  # a compiler ignores #line in a branch that it skips
                     self._parts += text[at : each.end], f"\n#line {_line(text, each) + 1} {source}"
                     at = each.end
             elif each.name == "include":
@@ -177,11 +185,11 @@ class Includes:
         self._check_closed(not counts, path)
 
     def _found(self, include: Directive, text: str, path: str) -> str:
-        """Return the path of the file that a line includes; "" where it is there already."""
+        """Return the path of an included file; "" if the text already contains it."""
         match = _INCLUDE.fullmatch(include.rest)
         if match is None:
-            what = f'#include {include.rest}: write #include "FILE" or <FILE>'
-            raise self._error(include, text, path, what)
+            message = f'#include {include.rest}: write #include "FILE" or <FILE>'
+            raise self._error(include, text, path, message)
         name = match[1] or match[2]
         beside = [os.path.dirname(path) or "."] if path and match[1] else []
         folders = [*beside, self._root]
@@ -193,24 +201,24 @@ class Includes:
         except OSError as error:
             raise self._error(include, text, path, f"cannot read {name}: {reason(error)}") from None
         if found is None:
-            what = f"no file {name} in {' or '.join(dict.fromkeys(folders))}"
-            raise self._error(include, text, path, what)
+            message = f"no file {name} in {' or '.join(dict.fromkeys(folders))}"
+            raise self._error(include, text, path, message)
         place, identity = found
         being_read = [each for each, _ in self._chain]
         if identity in being_read:
             cycle = [each for _, each in self._chain[being_read.index(identity) :]]
-            what = f"include cycle {' -> '.join(map(self._name, [*cycle, place]))}"
-            raise self._error(include, text, path, what)
+            message = f"include cycle {' -> '.join(map(self._name, [*cycle, place]))}"
+            raise self._error(include, text, path, message)
         if len(self._chain) == DEEPEST:
-            what = f"more than {DEEPEST} files within each other"
-            raise self._error(include, text, path, what)
+            message = f"more than {DEEPEST} nested includes"
+            raise self._error(include, text, path, message)
         if any(identity in scope for scope in self._scopes):
             return ""
         self._scopes[-1].add(identity)
         return place
 
     def _name(self, path: str) -> str:
-        """Name a file as an include line does, or by its path."""
+        """Return a file's path below the include directory, or its full path if it is elsewhere."""
         root = os.path.join(self._root, "")
         whole = os.path.normpath(path)
         if not whole.startswith(root):
@@ -222,8 +230,8 @@ class Includes:
         line = _line(text, at)
         return f"{self._name(path)}:{line}" if path else f"line {line}"
 
-    def _error(self, at: Directive, text: str, path: str, what: str) -> InputError:
-        return InputError(f"{self._place(at, text, path)}: {what}")
+    def _error(self, at: Directive, text: str, path: str, message: str) -> InputError:
+        return InputError(f"{self._place(at, text, path)}: {message}")
 
     def _check_open(self, is_open: bool, each: Directive, text: str, path: str) -> None:
         if not is_open:
@@ -239,12 +247,13 @@ def _line(text: str, directive: Directive) -> int:
 
 
 def _identity(status: os.stat_result) -> _Identity:
-    """Tell files apart, whatever links lead to them: cheaper than to resolve their paths."""
+    """Return device and inode number, which are equal for all links to a file. This is faster than
+    resolving paths."""
     return status.st_dev, status.st_ino
 
 
 def _first(name: str, folders: Sequence[str]) -> tuple[str, _Identity] | None:
-    """Return path and identity of the first file of this name."""
+    """Return path and identity of the first file with this name, or None."""
     for folder in folders:
         path = os.path.join(folder, name)
         try:

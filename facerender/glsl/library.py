@@ -1,5 +1,5 @@
-"""The GLSL library: where it lies, and its files as flat text, for a target, with the choices made.
-What its functions are, ``catalogue.py`` tells; no OpenGL here."""
+"""The GLSL library: its directory, and its files as flat text for a target, with macros resolved.
+``catalogue.py`` lists its functions. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -33,8 +33,10 @@ LANGUAGES: tuple[Language, ...] = ("hlsl", "msl", "wgsl")
 
 @cache
 def shader_dir() -> Path:
-    """Return the include root: a host adds it to its include path and writes
-    ``#include "facerender/cook_torrance.glsl"``."""
+    """Return the include directory of the library.
+
+    A host adds it to its include path and writes ``#include "facerender/cook_torrance.glsl"``.
+    """
     return data_dir("shaders")
 
 
@@ -54,28 +56,28 @@ def shader_source(
     lobe: AnyLobe | None = None,
     m: float | None = None,
 ) -> str:
-    """Return one file of the library, or of your own, as flat text: each file that it includes
-    once, in order, with a line on licence and origin.
+    """Return a library file, or a GLSL file that includes library files, as flat text.
+
+    Each included file is inserted once. The text begins with a comment on licence and origin.
 
     Parameters
     ----------
-    name : of a file of the library, such as "cook_torrance" or "lobe/exact", or of one of its
-        functions, such as "fr_cook_torrance"; or the path of a GLSL file of your own that includes
-        files of the library
+    name : name of a library file ("cook_torrance", "lobe/exact") or library function
+        ("fr_cook_torrance"), or path of a GLSL file
     target : "330" (OpenGL 3.3), "es300" (OpenGL ES 3.0, WebGL 2) or "vulkan" (GLSL 450): the text
-        begins with this ``#version``, and your code may follow. "hlsl", "msl" (Metal) or "wgsl":
-        in that language, with all choices made, by macros of your own file, lobe, m, or the
-        defaults. Without: text to include, the same for all versions of GLSL
-    lobe : what ``fr_lobe`` and the BRDFs use; others are left out. Without, the host says
-        ``#define FR_LOBE``, or gets the exact lobe
-    m : rms slope, in the domain of the lobe: the coefficients become constants, and every function
-        uses this slope whatever the caller passes
+        begins with this ``#version``, and host code may follow. "hlsl", "msl" (Metal) or "wgsl":
+        the text is translated to this language, with all macros resolved. None (default): GLSL to
+        include, the same for all versions
+    lobe : lobe for ``fr_lobe`` and the BRDFs; the code of other lobes is omitted. None (default):
+        the host may select one with ``#define FR_LOBE``; otherwise the exact lobe is used
+    m : RMS slope, in the domain of the lobe. All functions use this constant and ignore their
+        parameter m; coefficients of the lobe become constants. None (default): use the parameter
 
     Raises
     ------
-    InputError : an unknown name, target or lobe; a slope outside its domain; a file that is
-        missing, that includes itself, or that defines a macro which a choice here sets; for another
-        language, a file with samplers, arrays, or more than functions and constants
+    InputError : an unknown name, target or lobe; m outside its domain; a file that is missing,
+        includes itself, or defines a macro that lobe or m sets; for other languages, a file with
+        samplers, arrays, or declarations other than functions and constants
     """
     macros = {} if lobe is None else lobe_macros(lobe)
     if m is not None:
@@ -91,8 +93,12 @@ def term_source(
     target: Target | Language | None = None,
     two_lobes: bool = False,
 ) -> str:
-    """Return the file of a term's model with all its choices made, for m >= smallest_m; with two
-    lobes the slopes stay arguments. Target and errors as in :func:`shader_source`."""
+    """Return the file of a term's model as flat text, configured for the term.
+
+    target : see :func:`shader_source`, also for errors
+    smallest_m : lowest m of the material, for terms without a constant m
+    two_lobes : return the function of two lobes, whose slopes remain parameters
+    """
     one = replace(term, m=None) if two_lobes else term
     macros = term_macros(one, smallest_m)
     return _flat(file_of(term, two_lobes), target, macros, term.lobe, one.m)
@@ -107,7 +113,7 @@ def _flat(
 ) -> str:
     if target is not None and str(target) not in (*TARGETS, *LANGUAGES):
         raise InputError(f"unknown target {target!r}; known: {', '.join((*TARGETS, *LANGUAGES))}")
-    check_type("name", name, str, "that of a file or function of the library, or a path as text")
+    check_type("name", name, str, "the name of a library file or function, or a path, as a string")
     path = _path(name)
     chosen = {macro.split("(")[0]: value for macro, value in macros.items()}
     if m is not None:
@@ -116,7 +122,7 @@ def _flat(
     closed = target in LANGUAGES
     flat = Preprocessor(shader_dir(), chosen, guards=target is None, closed=closed)
     flat.append_file(path)
-    if len(set(flat.files)) < len(flat.files):  # one that guards keep from coming twice
+    if len(set(flat.files)) < len(flat.files):  # a file occurs twice: keep the include guards
         flat = Preprocessor(shader_dir(), chosen, closed=closed)
         flat.append_file(path)
     if lobe is not None and "facerender/lobe.glsl" not in flat.files:
@@ -127,7 +133,7 @@ def _flat(
     version = flat.version
     if target is not None:
         if version:
-            raise InputError(f"{name} says {version}: leave that line, or the target, out")
+            raise InputError(f"{name} contains {version}: leave out that line or the target")
         version = f"#version {TARGETS[target]}" if target in TARGETS else ""
     label = flat.files[0] if path.is_relative_to(shader_dir()) else path.name
     origin = f"{label.encode(errors='replace').decode()} with what it includes of facerender"
@@ -150,27 +156,28 @@ def _flat(
 
 
 def resolve_includes(text: str) -> str:
-    """Resolve the ``#include`` lines of a shader of yours: ``"file"`` and ``<file>`` below
-    :func:`shader_dir`.
+    """Resolve the ``#include`` lines of GLSL, for files below :func:`shader_dir`.
 
-    Each file comes once; conditions stay for the compiler. Line numbers in a compiler's messages
-    stay those of your text, as source string 0; those of a file of the library follow the number
-    that its ``#line`` gives it.
+    ``"file"`` and ``<file>`` are accepted. Each file is inserted once, and conditions remain for
+    the compiler. ``#line`` directives preserve line numbers in compiler messages: your text is
+    source string 0, and included files are numbered from 1.
 
     Raises
     ------
-    InputError : a file that is missing, or that includes itself; the message gives the line
+    InputError : a file is missing or includes itself; the message gives the line
     """
-    check_type("text", text, str, "GLSL as text")
+    check_type("text", text, str, "a string of GLSL")
     resolved = Includes(shader_dir())
     resolved.append(text.removeprefix("\ufeff"))
     return resolved.text
 
 
 def translated(text: str, language: Language) -> str:
-    """Translate GLSL of yours that includes files of the library: functions and constants; what
-    neither a macro of the text nor of the library defines is undefined. Errors as in
-    :func:`shader_source`."""
+    """Translate functions and constants in GLSL, which may include files of the library.
+
+    Macros that neither the text nor the library defines count as undefined. For errors see
+    :func:`shader_source`.
+    """
     from facerender.glsl.translate import translate
 
     flat = Preprocessor(shader_dir(), closed=True)
@@ -179,8 +186,8 @@ def translated(text: str, language: Language) -> str:
 
 
 def moderngl_includes(context: moderngl.Context) -> None:
-    """Make ``#include "facerender/cook_torrance.glsl"``, in quotes, and every other file of the
-    library, work in the programs of a moderngl context."""
+    """Register all library files as includes of a moderngl context. Its programs may then contain
+    lines such as ``#include "facerender/cook_torrance.glsl"``, in quotes."""
     check_type("context", getattr(context, "includes", None), dict, "a moderngl.Context")
     for name in library():
         context.includes[f"facerender/{name}.glsl"] = shader_source(name)
@@ -199,15 +206,15 @@ def _path(name: str) -> Path:
         if re.search(rf"^\w+ {re.escape(name)}\(", path.read_text(encoding="utf-8"), re.MULTILINE):
             return path
     raise InputError(
-        f"unknown shader {name!r}; known: {', '.join(library())}, their functions (facerender "
-        "shaders list), and files of your own"
+        f"unknown shader {name!r}; known: {', '.join(library())}, their functions (see facerender "
+        "shaders list), and paths of GLSL files"
     )
 
 
 def _constant_slope(
     name: str, flat: Preprocessor, lobe: AnyLobe | None, m: float
 ) -> dict[str, str]:
-    """Return the macros that make m a constant, and with it the coefficients of lobes."""
+    """Return the macros that make m and the lobe coefficients constants."""
 
     def has(entry: Entry) -> bool:
         return f"facerender/{entry.file}.glsl" in flat.files
@@ -217,8 +224,8 @@ def _constant_slope(
     used = sorted(filter(has, LOBES.values()), key=lambda each: each.name)
     if not used:
         raise InputError(f"{name} does not use a slope: leave m = {m:g} out")
-    if "facerender/lobe.glsl" in flat.files and not flat.knows("FR_LOBE"):
-        raise InputError(f"m = {m:g} without a lobe: say which, since each has its own domain")
+    if "facerender/lobe.glsl" in flat.files and not flat.is_defined("FR_LOBE"):
+        raise InputError(f"m = {m:g} without a lobe: give a lobe, which determines m's domain")
     powers = list(dict.fromkeys(model.k for model in MODELS.values() if has(model)))
     powers = powers or list(TITLES)
     for each in [lobe_entry(lobe)] if isinstance(lobe, GPower) else used:

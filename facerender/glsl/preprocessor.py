@@ -1,5 +1,4 @@
-"""Evaluates conditions in GLSL as far as known macros decide them, for flat files that have their
-choices made."""
+"""A partial GLSL preprocessor: it evaluates conditions that known macros decide, for flat files."""
 
 from __future__ import annotations
 
@@ -27,29 +26,29 @@ _COMPARE = {
 
 @dataclass
 class _Conditional:
-    """An #if up to its #endif; it stays in the text unless the macros that are known decide it."""
+    """A block from #if to #endif. It remains in the text unless known macros decide it."""
 
-    over: bool  # no branch that comes can be taken
-    guard: bool  # it is a file's include guard
-    active: bool = False  # the branch that is being read may be taken
-    stays: bool = False
-    included: set[tuple[int, int]] = field(default_factory=set)  # by the branch that is being read
+    over: bool  # no later branch can be taken
+    guard: bool  # this is the include guard of a file
+    active: bool = False  # the current branch may be taken
+    stays: bool = False  # the condition remains in the text
+    included: set[tuple[int, int]] = field(default_factory=set)  # files of the current branch
 
     @property
     def open(self) -> bool:
-        """Whether a compiler may skip what is being read."""
+        """Whether a compiler may skip the current branch."""
         return self.stays and not self.guard
 
 
 class Preprocessor(Includes):
-    """Flat text from files that include each other, each of them once, without line numbers.
+    """Flat text from files that include each other. Each file is inserted once, without ``#line``.
 
-    Branches of ``#if`` that known macros decide are left out; of the conditions, those are
-    understood that are made of comparisons, ``defined`` and names, with ``!``, ``&&`` and ``||``.
+    Conditions that known macros decide are removed, with the branches not taken. Such conditions
+    consist of comparisons, ``defined`` and names, with ``!``, ``&&`` and ``||``; others remain.
 
     Attributes
     ----------
-    version : the ``#version`` line; it is not part of the text
+    version : the ``#version`` line, which is removed from the text
     """
 
     def __init__(
@@ -59,9 +58,15 @@ class Preprocessor(Includes):
         guards: bool = True,
         closed: bool = False,
     ) -> None:
-        """root : see :class:`Includes`; chosen : macros that are set from outside; guards : the
-        files' include guards stay; closed : what is not defined here is undefined, so that no
-        condition stays"""
+        """Create an empty text.
+
+        Parameters
+        ----------
+        root : see :class:`Includes`
+        chosen : values of macros that are set outside the text
+        guards : whether include guards remain in the text
+        closed : whether other macros count as undefined, so that all conditions are decided
+        """
         super().__init__(root)
         self.version = ""
         self._chosen = dict(chosen or {})
@@ -70,16 +75,18 @@ class Preprocessor(Includes):
         self._closed = closed
         self._conditionals: list[_Conditional] = []
 
-    def knows(self, macro: str) -> bool:
-        """Whether the text, or the choice, defines a macro."""
+    def is_defined(self, macro: str) -> bool:
+        """Return whether the text or `chosen` defines a macro."""
         return macro in self._macros
 
     def append(self, text: str, path: str = "") -> None:
-        """Append text, that of the file at path if it has one.
+        """Append text with its includes.
+
+        path : path of the text's file; "" for text without a file
 
         Raises
         ------
-        InputError : as of :meth:`Includes.append_file`, or a line defines a macro that was chosen
+        InputError : see :meth:`Includes.append_file`; or a line defines a macro of `chosen`
         """
         text, directives, guarded = scan(text)
         at, depth = 0, len(self._conditionals)
@@ -105,7 +112,7 @@ class Preprocessor(Includes):
         self._check_closed(len(self._conditionals) == depth, path)
 
     def _directive(self, each: Directive, line: str, text: str, path: str) -> None:
-        """Read a directive that is no condition, in a branch that may be taken."""
+        """Process a directive that is not a condition, in a branch that may be taken."""
         if each.name == "include":
             self._scopes[1:] = [each.included for each in self._conditionals if each.open]
             if found := self._found(each, text, path):
@@ -114,11 +121,11 @@ class Preprocessor(Includes):
             return
         if each.name == "version":
             if self.version:
-                raise self._error(each, text, path, "a second #version")
+                raise self._error(each, text, path, "a second #version: remove one of them")
             self.version = line.strip()
             return
         if each.name in ("define", "undef"):
-            self._learn(each, text, path)
+            self._store(each, text, path)
         self._parts.append(line)
 
     @property
@@ -126,13 +133,13 @@ class Preprocessor(Includes):
         return all(conditional.active for conditional in self._conditionals)
 
     def _branch(self, each: Directive, line: str) -> None:
-        """Begin a branch of the last conditional."""
+        """Begin a branch of the innermost conditional."""
         current = self._conditionals[-1]
         bare = current.guard and not self._guards
         truth = False if current.over else bare or self._truth(each.name, each.rest)
         if truth is None and self._closed:
             raise InputError(
-                f"cannot decide {line.strip()}: write comparisons of macros, or defined()"
+                f"cannot evaluate {line.strip()}: use comparisons of macros, or defined()"
             )
         current.active = truth is not False
         current.over |= truth is True
@@ -145,7 +152,7 @@ class Preprocessor(Includes):
             self._parts.append("#else\n")
 
     def _truth(self, directive: str, condition: str) -> bool | None:
-        """Decide a condition of comparisons, defined() and single names; None where it is open."""
+        """Return the value of a condition, or None if known macros do not decide it."""
         if directive == "else":
             return True
         if directive in ("ifdef", "ifndef"):
@@ -174,7 +181,8 @@ class Preprocessor(Includes):
         return None if left is None or right is None else bool(_COMPARE[sign](left, right))
 
     def _undefined(self, truth: bool) -> bool | None:
-        """Return a condition's truth where a macro is not defined, if none is to come."""
+        """Return `truth`, the value of a condition on an undefined macro, or None if the host may
+        still define the macro."""
         return truth if self._closed else None
 
     def _value(self, word: str) -> int | None:
@@ -184,12 +192,12 @@ class Preprocessor(Includes):
             return 0
         return int(word) if re.fullmatch("0|[1-9][0-9]*", word) else None
 
-    def _learn(self, each: Directive, text: str, path: str) -> None:
-        """Note a macro's value, if the line is sure to be compiled."""
+    def _store(self, each: Directive, text: str, path: str) -> None:
+        """Store a macro's value, if the line is compiled in every case."""
         match = _MACRO.match(each.rest)
         if match and match[1] in self._chosen:
-            what = f"defines {match[1]}: leave the line, or that choice, out"
-            raise InputError(f"{self._place(each, text, path)} {what}")
+            message = f"defines {match[1]}, which lobe or m sets: remove the line or the argument"
+            raise InputError(f"{self._place(each, text, path)} {message}")
         if match and each.name == "undef":
             self._macros.pop(match[1], None)
         elif match and not any(conditional.open for conditional in self._conditionals):

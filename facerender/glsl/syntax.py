@@ -1,6 +1,7 @@
-"""A small GLSL parser: functions and constants as a tree that knows the type of each expression and
-keeps every token with the comments and spaces before it, so that a tree's text is the source's.
-Translations into other languages are made of it in ``translate.py``."""
+"""A small GLSL parser for functions and constants.
+
+The syntax tree stores the type of each expression. Each token includes the comments and spaces
+before it, so the text of the tree is the source text. ``translate.py`` translates the tree."""
 
 from __future__ import annotations
 
@@ -32,7 +33,7 @@ SQUARE = {f"mat{n}": f"mat{n}x{n}" for n in (2, 3, 4)}
 TYPES = {*SCALARS, *VECTORS, *MATRICES, *SQUARE}
 QUALIFIERS = {"const", "in"}
 
-# Built-in functions by the type that they return: a type, that of the widest argument, or None.
+# Return types of built-in functions: a type, or "widest" for the type of the widest argument.
 RESULTS = {
     **dict.fromkeys(["abs", "sign", "floor", "ceil", "fract", "min", "max", "clamp"], "widest"),
     **dict.fromkeys(["sqrt", "inversesqrt", "exp", "exp2", "log", "log2", "pow"], "widest"),
@@ -42,7 +43,7 @@ RESULTS = {
     **dict.fromkeys(["dot", "length", "distance"], "float"),
     **dict.fromkeys(["any", "all"], "bool"),
 }
-# Binary operators, those that bind least first.
+# Binary operators, from lowest to highest precedence.
 _LEVELS = [["||"], ["^^"], ["&&"], ["|"], ["^"], ["&"], ["==", "!="], ["<", ">", "<=", ">="],
            ["<<", ">>"], ["+", "-"], ["*", "/", "%"]]  # fmt: skip
 _COMPONENTS = str.maketrans("stpqrgba", "xyzwxyzw")
@@ -60,14 +61,14 @@ class Token:
 
 @dataclass
 class Node:
-    """Part of a program.
+    """A node of the syntax tree.
 
     Attributes
     ----------
     kind : such as "call", "ternary" or "if"
-    parts : tokens and nodes, in the source's order
-    type : of an expression, with matrices as matCxR; "" of others
-    name : of a call, a function, a variable or a parameter
+    parts : tokens and child nodes, in source order
+    type : type of an expression, with matrices as matCxR; "" for other nodes
+    name : name of a call, function, variable or parameter; "" for other nodes
     """
 
     kind: str
@@ -78,8 +79,14 @@ class Node:
 
 @dataclass
 class Function:
-    """What callers and the translation need to know of a function: its type, its parameters as
-    (qualifier, type, name), the names that its body assigns."""
+    """The signature of a function.
+
+    Attributes
+    ----------
+    type : return type
+    parameters : (qualifier, type, name) of each parameter
+    assigned : names of the variables that the body assigns
+    """
 
     type: str
     parameters: list[tuple[str, str, str]]
@@ -87,17 +94,17 @@ class Function:
 
 
 def tokens(text: str) -> list[Token]:
-    """Split text.
+    """Split text into tokens.
 
     Raises
     ------
-    InputError : what is no GLSL
+    InputError : the text contains a character that GLSL does not allow
     """
     result, before, at = [], "", 0
     while at < len(text):
         match = _TOKEN.match(text, at)
         if match is None:
-            raise InputError(f"not translated: {text[at : at + 20]!r}")
+            raise InputError(f"not translated: {text[at : at + 20]!r} is not GLSL")
         if match.lastgroup == "space":
             before = match[0]
         else:
@@ -115,8 +122,8 @@ class _Macro:
 
 
 def expanded(lines: Sequence[str]) -> list[Token]:
-    """Return the tokens of lines without conditionals, macros replaced; a number
-    becomes the declaration of a constant where it is defined."""
+    """Return the tokens of lines that contain no conditionals, with macros expanded. A macro whose
+    value is a number becomes the declaration of a constant."""
     macros: dict[str, _Macro] = {}
     result: list[Token] = []
     chunk: list[str] = []
@@ -133,7 +140,7 @@ def expanded(lines: Sequence[str]) -> list[Token]:
             continue
         directive, rest = match[1], re.sub(r"\s*//.*|/\*.*?\*/", "", match[2]).strip()
         if directive not in ("define", "undef", "line", "version"):
-            raise InputError(f"not translated: {line.strip()}: take the line out")
+            raise InputError(f"not translated: {line.strip()}: remove the line")
         define = _DEFINE.fullmatch(rest) if directive in ("define", "undef") else None
         if define is None:
             continue
@@ -152,7 +159,7 @@ def expanded(lines: Sequence[str]) -> list[Token]:
 
 
 def _exact(code: Sequence[Token]) -> Iterator[Token]:
-    """Yield tokens without what GLSL ES says of precision."""
+    """Yield the tokens without precision qualifiers and precision statements."""
     before, statement = "", False
     for token in code:
         statement |= token.text == "precision"
@@ -189,12 +196,13 @@ def _replaced(
 
 
 def _with(code: Sequence[Token], place: Token) -> list[Token]:
-    """Return tokens with what stands before another one in front of them."""
+    """Return tokens with the comments and spaces of `place` in front of the first one."""
     return [replace(each, before=each.before if i else place.before) for i, each in enumerate(code)]
 
 
 def _arguments(code: Sequence[Token], at: int) -> tuple[list[list[Token]], int]:
-    """Return a macro's arguments, and the place behind them; at : of the parenthesis."""
+    """Return a macro's arguments, and the index after them; at : index of the opening
+    parenthesis."""
     arguments: list[list[Token]] = [[]]
     depth = 0
     while at < len(code):
@@ -210,11 +218,11 @@ def _arguments(code: Sequence[Token], at: int) -> tuple[list[list[Token]], int]:
 
 
 class Parser:
-    """Reads functions and constants.
+    """Parser of functions and constants.
 
     Attributes
     ----------
-    functions : what is known of each, by its name
+    functions : signatures of the parsed functions, by name
     """
 
     def __init__(self, code: list[Token]) -> None:
@@ -222,14 +230,15 @@ class Parser:
         self._scopes: list[dict[str, str]] = [{}]
         self.functions: dict[str, Function] = {}
         self._function = Function("", [])
-        self._conditions = 0  # of which one decides whether what follows is evaluated
+        self._conditions = 0  # number of enclosing ?:, && and || operators
 
     def program(self) -> list[Node]:
-        """Return the declarations; the last node holds what stands behind them.
+        """Return the declarations; the last node holds the comments and spaces after them.
 
         Raises
         ------
-        InputError : anything but functions and constants, or what is not understood in them
+        InputError : a declaration is neither a function nor a constant, or contains unsupported
+            GLSL
         """
         nodes = []
         while self._next.kind != "end":
@@ -243,23 +252,24 @@ class Parser:
     def _take(self, *wanted: str) -> Token:
         token = self._next
         if token.kind == "end":
-            raise self._error("the end comes too early")
+            raise self._error("the text ends too early")
         if wanted and token.text not in wanted:
             raise self._error(f"{' or '.join(wanted)} is missing before {token.text!r}")
         self._at += 1
         return token
 
-    def _error(self, what: str) -> InputError:
+    def _error(self, message: str) -> InputError:
         line = "".join(
             each.before + each.text for each in self._code[max(0, self._at - 12) : self._at]
         )
-        return InputError(f"not translated: {what}; behind {' '.join(line.split())[-60:]!r}")
+        return InputError(f"not translated: {message}; after {' '.join(line.split())[-60:]!r}")
 
     def _type(self) -> str:
         token = self._take()
         if token.text not in TYPES:
             raise self._error(
-                f"{token.text!r}; only functions and constants of numbers, vectors and matrices are"
+                f"{token.text!r}; only functions and constants of numbers, vectors and matrices "
+                "are supported"
             )
         if self._next.text == "[":
             raise self._error("an array")
@@ -272,7 +282,7 @@ class Parser:
         type_ = "void" if self._next.text == "void" and self._take() else self._type()
         name = self._take()
         if name.kind != "name" or self._next.text != "(":
-            raise self._error(f"{name.text!r}; only functions and constants are")
+            raise self._error(f"{name.text!r}; only functions and constants are supported")
         self._take("(")
         parameters: list[Token | Node] = []
         known = Function(type_, [])
@@ -299,11 +309,11 @@ class Parser:
         return Node("function", [*head, body], type_, name.text)
 
     def _add(self, name: str, function: Function) -> None:
-        """Note a function, perhaps for the second time behind its prototype."""
+        """Store the signature of a function or prototype."""
         first = self.functions.setdefault(name, function)
         one, other = ([kind for _, kind, _ in each.parameters] for each in (first, function))
         if one != other:
-            raise self._error(f"a second function {name!r}: give it a name of its own")
+            raise self._error(f"an overload of the function {name!r}: give it another name")
         self.functions[name] = function
 
     # --- statements ---
@@ -333,7 +343,9 @@ class Parser:
             parts += [self._expression(), self._take(";"), self._changed(), self._take(")")]
             step = parts[5]
             if isinstance(step, Node) and any(map(_several, step.parts[:2])):
-                raise self._error("several components of a vector, assigned by for: use its body")
+                raise self._error(
+                    "several components of a vector assigned in the head of for: use its body"
+                )
             parts.append(self._statement())
             self._scopes.pop()
             return Node("for", parts)
@@ -347,11 +359,12 @@ class Parser:
         if word in QUALIFIERS or (word in TYPES and self._code[self._at + 1].kind == "name"):
             return self._variables()
         if word in _OTHER_STATEMENTS:
-            raise self._error(f"{word!r}; of statements if, for and while are")
+            raise self._error(f"{word!r}; only if, for and while are supported")
         return Node("expression", [self._changed(), self._take(";")])
 
     def _variables(self) -> Node:
-        """A declaration; its parts are tokens, and nodes with a name and perhaps a value."""
+        """Parse a declaration. Its parts are tokens and one node for each variable, with the name
+        and the value, if any."""
         start = self._at
         constant = False
         while self._next.text in QUALIFIERS:
@@ -373,8 +386,11 @@ class Parser:
     # --- expressions ---
 
     def _changed(self) -> Node:
-        """An expression that is a statement, which alone may assign: WGSL knows no other, and HLSL
-        evaluates both sides of conditions."""
+        """Parse an expression that is a statement.
+
+        Only such an expression may assign: WGSL allows no other assignments, and HLSL evaluates
+        both operands of conditions.
+        """
         if self._next.text in _STEP:
             sign, operand = self._take(), self._unary()
             self._assign(operand)
@@ -388,17 +404,17 @@ class Parser:
         return left
 
     def _expression(self) -> Node:
-        """An expression that assigns nothing, but by calls."""
+        """Parse an expression that contains no assignments, except through calls of functions."""
         expression = self._ternary()
         if self._next.text in _ASSIGN | _STEP:
             raise self._within(self._next.text)
         return expression
 
-    def _within(self, what: str) -> InputError:
-        return self._error(f"{what!r} within an expression: give it a statement of its own")
+    def _within(self, message: str) -> InputError:
+        return self._error(f"{message!r} within an expression: write a separate statement")
 
     def _assign(self, node: Node) -> None:
-        """Note that a variable, or a part of it, gets a value."""
+        """Record that a variable, or a component of it, is assigned."""
         while isinstance(node.parts[0], Node):
             node = node.parts[0]
         self._function.assigned.add(node.name)
@@ -492,13 +508,15 @@ class Parser:
                 if qualifier == "in":
                     continue
                 if argument.kind != "name":
-                    raise self._error(f"what {name.text} assigns: give it a whole variable")
+                    raise self._error(f"an output argument of {name.text}: give a whole variable")
                 if self._conditions:
-                    raise self._error(f"{name.text}, which assigns, within ?:, && or ||: use if")
+                    raise self._error(
+                        f"{name.text}, which has output arguments, within ?:, && or ||: use if"
+                    )
                 self._assign(argument)
             return Node("call", parts, function.type, name.text)
         if name.text not in RESULTS:
-            raise self._error(f"the function {name.text}, which is not known")
+            raise self._error(f"the unknown function {name.text}")
         result = RESULTS[name.text]
         if result == "widest":
             result = max((each.type for each in arguments), key=lambda kind: kind in VECTORS)

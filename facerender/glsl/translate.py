@@ -1,5 +1,5 @@
-"""GLSL functions and constants as HLSL, Metal's language and WGSL, with their comments. The tables
-say how types and functions are spelled; what is left of each language is its class."""
+"""Translation of GLSL functions and constants, with their comments, to HLSL, the Metal Shading
+Language (MSL) and WGSL. Each language is a class, with tables for names of types and functions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from facerender.glsl.syntax import (
     expanded,
 )
 
-# Words of one of the languages at least that GLSL leaves to names.
+# Words that GLSL allows as names, but that at least one of the other languages reserves.
 _RESERVED = frozenset(
     re.findall(
         r"\w+",
@@ -38,16 +38,16 @@ _RESERVED = frozenset(
 
 
 def translate(lines: Sequence[str], language: str) -> str:
-    """Return lines of GLSL, in which no conditional is left, in another language.
+    """Translate GLSL to another language.
 
     Parameters
     ----------
-    lines : functions, constants and macros
+    lines : lines of functions, constants and macros, without conditionals
     language : one of LANGUAGES
 
     Raises
     ------
-    InputError : samplers, arrays, structures, uniforms, or what else is not translated
+    InputError : samplers, arrays, structures, uniforms or other GLSL that is not supported
     """
     parser = Parser(expanded(lines))
     program = parser.program()
@@ -56,17 +56,17 @@ def translate(lines: Sequence[str], language: str) -> str:
 
 
 def _before(part: Token | Node) -> str:
-    """Return the comments and spaces that a part begins with."""
+    """Return the comments and spaces at the start of a part."""
     return part.before if isinstance(part, Token) else _before(part.parts[0])
 
 
 class Writer:
-    """What the languages share; each node's text begins with the comments before it.
+    """Base class of the languages. The text of a node begins with the comments before it.
 
     Attributes
     ----------
-    head : what a file begins with
-    types, functions : how they are spelled, where otherwise
+    head : first lines of a file
+    types, functions : names of types and functions that differ from GLSL, by GLSL name
     """
 
     head = ""
@@ -84,7 +84,7 @@ class Writer:
         return str(write(part)) if write else "".join(map(self.text, part.parts))
 
     def bare(self, part: Token | Node) -> str:
-        """Return the text of a part without what stands before it."""
+        """Return the text of a part without the comments and spaces before it."""
         return self.text(part)[len(_before(part)) :]
 
     def word(self, word: str) -> str:
@@ -94,11 +94,12 @@ class Writer:
         return [part for part in node.parts if isinstance(part, Node)]
 
     def splat(self, type_: str, text: str) -> str:
-        """Return a vector whose components are all one number."""
+        """Return a vector whose components all have the same value."""
         return f"{self.types[type_]}({text})"
 
     def write_built_in(self, node: Node) -> str:
-        """Numbers among vectors become vectors, but the share that mix and lerp may have."""
+        """Write a call of a built-in function. Scalars among vector arguments become vectors,
+        except the third argument of mix."""
         arguments = self.arguments(node)
         texts = [self.bare(each) for each in arguments]
         widest = next((each.type for each in arguments if each.type in VECTORS), "")
@@ -121,14 +122,17 @@ class Writer:
 
 
 def _joined(texts: Sequence[str]) -> str:
-    """Join arguments by commas; one that begins on a line of its own stays there."""
+    """Join arguments with commas. An argument that begins on a new line stays on it."""
     return "".join(
         ("," if text[:1] in "\n" else ", ") * bool(i) + text for i, text in enumerate(texts)
     )
 
 
 def _spelled(form: Mapping[str, str], scalars: Mapping[str, str]) -> dict[str, str]:
-    """Return how types are spelled; form : of vectors and of matrices."""
+    """Return the names of types by GLSL name.
+
+    form : format strings of "vector" and "matrix" types; scalars : names of scalar types
+    """
     vectors = {
         name: form["vector"].format(scalars[scalar], count)
         for name, (scalar, count) in VECTORS.items()
@@ -141,8 +145,8 @@ def _spelled(form: Mapping[str, str], scalars: Mapping[str, str]) -> dict[str, s
 
 
 class Hlsl(Writer):
-    """A matrix of GLSL's columns is one of rows here, so that [i] and constructors mean the same;
-    products turn round."""
+    """HLSL. A column of a GLSL matrix becomes a row, so that [i] and constructors have the same
+    meaning. Therefore products reverse the order of their operands."""
 
     types = _spelled({"vector": "{}{}", "matrix": "float{}x{}"}, {each: each for each in SCALARS})
     functions: ClassVar[Mapping[str, str]] = {
@@ -260,12 +264,13 @@ class Wgsl(Writer):
         return self.write_variables(node, "let" if self._function else "const")
 
     def write_variables(self, node: Node, fixed: str = "let") -> str:
-        """One declaration for each variable: of those that get no other value with a fixed word."""
+        """Write a declaration for each variable. Variables that are never reassigned are declared
+        with `fixed`."""
         texts = []
         for part in self.arguments(node):
             value = "".join(map(self.text, part.parts[1:]))
             word = "var" if part.name in self._assigned or not value else fixed
-            same = [each.type == part.type for each in self.arguments(part)]  # of its value
+            same = [each.type == part.type for each in self.arguments(part)]  # one item: the value
             type_ = "" if word == "let" and same == [True] else f": {self.types[part.type]}"
             texts.append(f"{word} {self.word(part.name)}{type_}{value};")
         return _before(node) + " ".join(texts)
@@ -283,7 +288,7 @@ class Wgsl(Writer):
         return self._step(_before(node), operand, self.bare(sign))
 
     def _step(self, gap: str, operand: Token | Node, sign: str) -> str:
-        """++ and -- are of whole numbers alone."""
+        """Write ++ or --. WGSL has them only for integers, so other types add or subtract 1.0."""
         if isinstance(operand, Node) and operand.type not in ("int", "uint"):
             one = Node("number", [Token("number", "1.0", " ")], "float")
             added = Node("assign", [operand, Token("sign", f"{sign[0]}=", " "), one], operand.type)

@@ -1,4 +1,4 @@
-"""Animations: GIF and WebP by Pillow, MP4 by imageio-ffmpeg (the extra ``mp4``)."""
+"""Animations: Pillow writes GIF and WebP, imageio-ffmpeg (the extra ``mp4``) writes MP4."""
 
 from __future__ import annotations
 
@@ -25,42 +25,44 @@ from facerender.errors import (
     reason,
     shown,
 )
-from facerender.images.write import QUALITY, check_opaque
+from facerender.images.write import FRAME_RATES, QUALITY, check_opaque
 from facerender.system.atomic import write_whole
 from facerender.system.standard_error import redirected_stderr
 
 MOVING = (".gif", ".webp", ".mp4")
-MOST_FPS = 100.0  # a GIF counts in hundredths of a second
-_HIGHEST = 16383  # pixels a side, of a WebP
-_CRF = "16"  # quality of the MP4
+_HIGHEST = 16383  # largest side of a WebP, in pixels
+_CRF = "16"  # constant rate factor of H.264: the quality of an MP4
 
 
 def save_animation(
     path: str | os.PathLike[str], images: Iterable[NDArray[np.uint8]], fps: float = 12.0
 ) -> None:
-    """Write images as .gif, .webp or .mp4 (H.264), whole or not at all; they repeat without end.
+    """Write an animation as .gif, .webp or .mp4 (H.264). A .gif or .webp repeats forever.
+
+    If writing fails, no partial file is left.
 
     Parameters
     ----------
-    images : 8-bit sRGB, (H, W, 3) each, as of :meth:`facerender.Frame.srgb8`; they may be made
-        one by one. Of a .webp also (H, W, 4). A black row or column makes an .mp4's sides even
-    fps : images per second, in [0.1, 100]; a GIF takes the nearest hundredth of a second for each
+    images : 8-bit sRGB arrays of one size, (H, W, 3), as :meth:`facerender.Frame.srgb8` returns
+        them; a generator is read one image at a time. A .webp also accepts (H, W, 4). An .mp4 with
+        an odd side gets one more row or column, which is black
+    fps : images per second, in [0.1, 100]; a GIF rounds delays to hundredths of a second
 
     Raises
     ------
-    InputError : another suffix, no image, transparent ones in a .gif or .mp4, a place that cannot
-        be written; an .mp4 without imageio-ffmpeg, or whose encoder fails
+    InputError : unknown suffix, no images, transparent images for a .gif or .mp4, a path that
+        cannot be written; for an .mp4 a missing imageio-ffmpeg or a failing encoder
     """
     suffix = check_animation(path, fps)
     check_type("images", images, Iterable, "several arrays (H, W, 3) of uint8")
     checked = _checked(images, os.fspath(path))
     first = next(checked, None)
     if first is None:
-        raise InputError(f"{path} would have no image: give at least one")
+        raise InputError(f"no images for {path}: give at least one")
     if suffix != ".webp":
         check_opaque(suffix, first.shape[-1] == 4)
     elif max(first.shape[:2]) > _HIGHEST:
-        raise InputError(f"a WebP has at most {_HIGHEST} pixels a side: give a smaller size")
+        raise InputError(f"a WebP has at most {_HIGHEST} pixels per side: give a smaller size")
     frames = chain([first], checked)
     if suffix == ".mp4":
         write_whole(path, lambda name: _mp4(name, frames, first.shape[:2], fps))
@@ -69,12 +71,14 @@ def save_animation(
 
 
 def check_animation(path: str | os.PathLike[str], fps: float) -> str:
-    """Return the suffix of an animation; raise InputError where it can be known to fail."""
+    """Return the suffix; raise InputError if suffix or fps is invalid or an .mp4 lacks ffmpeg."""
     check_path("image file", path)
     suffix = os.path.splitext(path)[1].lower()
     if suffix not in MOVING:
-        raise InputError(f"{shown(os.fspath(path))}: give {', '.join(MOVING)}")
-    check_range("fps", fps, 0.1, MOST_FPS)
+        raise InputError(
+            f"{shown(os.fspath(path))}: unknown animation format; give {', '.join(MOVING)}"
+        )
+    check_range("fps", fps, *FRAME_RATES)
     if suffix == ".mp4":
         _imageio_ffmpeg()
     return suffix
@@ -87,7 +91,9 @@ def _checked(images: Iterable[Any], path: str) -> Iterator[NDArray[np.uint8]]:
         if not (good and image.ndim == 3 and image.shape[2] in (3, 4)):
             raise InputError(f"image = {shown(image)}: give an array (H, W, 3) of uint8")
         if shape not in (None, image.shape):
-            raise InputError(f"images of {shape} and {image.shape} for {path}: give them one size")
+            raise InputError(
+                f"shapes {shape} and {image.shape} in {path} differ: give images of one size"
+            )
         shape = image.shape
         yield image
 
@@ -139,8 +145,8 @@ def _mp4(name: str, frames: Iterator[NDArray[np.uint8]], size: tuple[int, ...], 
         if lines := log.read().decode(errors="replace").strip().splitlines():
             failed = lines[-1]
     if failed or not _has_index(name):
-        failed = failed or "the file is not complete"
-        raise InputError(f"ffmpeg made no .mp4 ({clipped(failed)}): give .gif or .webp")
+        failed = failed or "the file is incomplete"
+        raise InputError(f"ffmpeg wrote no .mp4 ({clipped(failed)}): give .gif or .webp")
 
 
 def _has_index(name: str) -> bool:
@@ -150,7 +156,7 @@ def _has_index(name: str) -> bool:
             size, kind = struct.unpack_from(">I4s", head)
             if kind == b"moov":
                 return True
-            size = struct.unpack_from(">8xQ", head)[0] if size == 1 else size  # 1: 64 bits
+            size = struct.unpack_from(">8xQ", head)[0] if size == 1 else size  # 1: 64-bit
             if size < 8:
                 return False
             file.seek(size - len(head), os.SEEK_CUR)
@@ -159,8 +165,8 @@ def _has_index(name: str) -> bool:
 
 @contextmanager
 def _sigpipe_ignored() -> Iterator[None]:
-    """Have a write to a pipe that nobody reads raise BrokenPipeError: the command line has SIGPIPE
-    end the process, for standard output."""
+    """Make a write to a closed pipe raise BrokenPipeError if ffmpeg ends early. Otherwise SIGPIPE
+    would end the process: the command line enables that for standard output."""
     if not hasattr(signal, "SIGPIPE") or threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -172,14 +178,14 @@ def _sigpipe_ignored() -> Iterator[None]:
 
 
 def _imageio_ffmpeg() -> Any:
-    """Return the package imageio_ffmpeg; raise InputError where it or its ffmpeg is missing."""
+    """Return the package imageio_ffmpeg; raise InputError if it or its ffmpeg is missing."""
     try:
         import imageio_ffmpeg
 
         imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError) as error:
         raise InputError(
-            f"no ffmpeg for an .mp4 ({reason(error)}): pip install 'facerender[mp4]', or give .gif "
+            f"an .mp4 needs ffmpeg ({reason(error)}): pip install 'facerender[mp4]', or give .gif "
             "or .webp"
         ) from None
     return imageio_ffmpeg

@@ -1,5 +1,4 @@
-"""Images decoded by Pillow, and limits of the size of every image, checked before there is memory
-for it."""
+"""Decoding of images with Pillow. Size limits are checked before memory is allocated."""
 
 from __future__ import annotations
 
@@ -17,50 +16,50 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 MAX_SIDE = 16384  # pixels
-MAX_PIXELS = 178_956_970  # from which on Pillow as well suspects a decompression bomb
-MAX_BYTES = 1 << 31  # decoded
-_UNSUSPECTED = 64 << 20  # bytes that a file of any size may hold
-_MOST_PACKED = 2000  # times its size; deflate packs 1032 at most
+MAX_PIXELS = 178_956_970  # above this, Pillow raises DecompressionBombError
+MAX_BYTES = 1 << 31  # of a decoded image
+_UNSUSPECTED = 64 << 20  # decoded bytes; up to this size the compression ratio is not checked
+_MOST_PACKED = 2000  # largest compression ratio; deflate reaches 1032
 _STRIP = 256  # rows
 
 
 def check_pixels(name: str, width: int, height: int, bytes_each: int, of: float) -> None:
-    """Check the size of an image that a file claims to hold, before there is memory for it.
+    """Check the size of an image before memory for its pixels is allocated.
 
     Parameters
     ----------
-    bytes_each : that a pixel takes, decoded
-    of : bytes, of the file
+    bytes_each : bytes of a decoded pixel
+    of : size of the file in bytes; infinite for an image that is not from a file
 
     Raises
     ------
-    InputError : no pixel, more than MAX_SIDE a side, MAX_PIXELS or MAX_BYTES, or far more than a
-        file of so many bytes can hold
+    InputError : no pixels; more than MAX_SIDE pixels on a side, MAX_PIXELS or MAX_BYTES; or more
+        pixels than a file of this size can contain
     """
     size, content = f"{name} is {width} x {height} pixels", width * height * bytes_each
     if width < 1 or height < 1:
-        raise InputError(f"{size}: write it anew")
+        raise InputError(f"{size}: save it again")
     if max(width, height) > MAX_SIDE or width * height > MAX_PIXELS or content > MAX_BYTES:
         raise InputError(
             f"{size} of {bytes_each} bytes: at most {MAX_SIDE} a side, {MAX_PIXELS:.3g} pixels and "
             f"{MAX_BYTES >> 20} MiB; make it smaller"
         )
     if content > _UNSUSPECTED and content > _MOST_PACKED * of:
-        raise InputError(f"{size}, which {of} bytes cannot hold: it is damaged; write it anew")
+        raise InputError(f"{size}, which {of} bytes cannot hold: it is damaged; save it again")
 
 
 def open_image(content: bytes | BinaryIO, name: str, formats: tuple[str, ...], known: str) -> Image:
-    """Return a Pillow image of a file, its size checked; its pixels are decoded later.
+    """Open an image with Pillow and check its size. The pixels are decoded later.
 
     Parameters
     ----------
-    content : of the file, or the file, which stays open until then
-    formats : that it may have, as Pillow names them
-    known : those to give, in words
+    content : bytes of the file, or the file, which must stay open until the pixels are decoded
+    formats : accepted formats, by Pillow's names
+    known : the formats that the error message recommends
 
     Raises
     ------
-    InputError : it has none of them, or is damaged or too large
+    InputError : another format, a damaged file, or an image that is too large
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -77,15 +76,15 @@ def open_image(content: bytes | BinaryIO, name: str, formats: tuple[str, ...], k
         raise InputError(
             f"{name} has too many pixels: at most {MAX_PIXELS:.3g}; make it smaller"
         ) from None
-    except Exception as error:  # each decoder of Pillow fails in its own way
-        raise InputError(f"{name} is damaged ({reason(error)}); write it anew") from None
+    except Exception as error:  # Pillow's decoders raise many types
+        raise InputError(f"{name} is damaged ({reason(error)}); save it again") from None
     check_pixels(name, *image.size, 4, length)
     return image
 
 
 def texels(image: Image, mode: str) -> NDArray[np.uint8]:
-    """Return the pixels of a Pillow image in a mode, (H, W, channels), strip by strip, so that no
-    other copy of the whole is made; raises whatever Pillow does."""
+    """Return the pixels of a Pillow image, converted to a mode, as an array (H, W, channels).
+    Converts in strips to avoid a second full copy. Pillow's exceptions pass through."""
     image.load()
     pixels = np.empty((image.height, image.width, len(mode)), dtype=np.uint8)
     for top in range(0, image.height, _STRIP):

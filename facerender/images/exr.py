@@ -19,15 +19,16 @@ from facerender.images.image import HALVED, ImageData, PixelRange
 from facerender.system.atomic import write_bytes
 from facerender.system.standard_error import redirected_stderr
 
-REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # default primaries and white of EXR
+# EXR's default chromaticities: x and y of red, green, blue and white.
+REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
 _MAGIC = b"v/1\x01"
-_MULTIPART = 0x10  # of the third byte of the flags
-_HALF = 1  # as EXR numbers the kinds of a channel's values
-_PXR24, _B44, _B44A, _DWAA, _DWAB = range(5, 10)  # as it numbers compressions, the lossy ones
-_B44_LOSS, _DWA_LOSS = 0.012, 0.015  # at most, of the built-in head at 256 to 1024 pixels
-_MOVED = ("moved_least", "moved_most")  # layers of a golden
-_DWA_LEVEL = 45.0  # where the file names none
-_HIGHEST_DWA_LEVEL = 1000.0  # a higher level would explain any difference as its loss
+_MULTIPART = 0x10  # bit in byte 5 of the file
+_HALF = 1  # EXR's number for the pixel type HALF
+_PXR24, _B44, _B44A, _DWAA, _DWAB = range(5, 10)  # EXR's numbers of the lossy compressions
+_B44_LOSS, _DWA_LOSS = 0.012, 0.015  # largest errors for the built-in head at 256 to 1024 pixels
+_MOVED = ("moved_least", "moved_most")  # layers of a golden: its shift_range
+_DWA_LEVEL = 45.0  # default of the EXR attribute dwaCompressionLevel
+_HIGHEST_DWA_LEVEL = 1000.0  # with a higher level, any difference would count as compression loss
 
 
 def save_exr(
@@ -36,9 +37,9 @@ def save_exr(
     metadata: Mapping[str, str],
     shift_range: PixelRange | None = None,
 ) -> None:
-    """Write linear pixels (H, W, 3 or 4) as OpenEXR, float32; needs the extra ``exr``.
+    """Write linear pixels (H, W, 3 or 4) as OpenEXR, float32. Needs the extra ``exr``.
 
-    shift_range : of an :class:`ImageData`, in layers of half floats
+    shift_range : see :class:`ImageData`; stored in additional layers of half floats
     """
     channels: dict[str, NDArray[np.floating]] = {
         "RGBA"[: linear.shape[-1]]: linear.astype(np.float32, copy=False)
@@ -51,13 +52,14 @@ def save_exr(
 def exr_bytes(
     name: str, channels: Mapping[str, NDArray[np.floating]], metadata: Mapping[str, str]
 ) -> bytes:
-    """Return an OpenEXR file of channels (H, W), or of several in one (H, W, C), by their names:
-    half floats as such, all else as float32; needs the extra ``exr``.
+    """Return the bytes of an OpenEXR file. Needs the extra ``exr``.
 
-    name : of the file, for messages
+    name : file name for messages
+    channels : arrays (H, W), or (H, W, C) for several channels, by channel name; float16 stays
+        half float, other types become float32
 
-    The same channels and metadata give the same bytes. A file that OpenEXR writes itself can end
-    too early without a word: it does not look whether its last buffer still had room.
+    The same channels and metadata give the same bytes. The file is built in memory because
+    OpenEXR ignores a failed write of its last buffer, for example on a full disk.
     """
     OpenEXR = openexr(name)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
@@ -71,7 +73,11 @@ def exr_bytes(
 
 
 def read_exr(path: Path, start: bytes, size: int) -> ImageData:
-    """Read an EXR file of so many bytes, whose header is in its start."""
+    """Read an EXR file.
+
+    start : first bytes of the file, which contain the header
+    size : size of the file in bytes
+    """
     OpenEXR = openexr(path)
     try:
         raw = _checked_exr(path, _exr_headers(start), size)
@@ -80,9 +86,9 @@ def read_exr(path: Path, start: bytes, size: int) -> ImageData:
         names = names or sorted(kinds, reverse=True)
         if names not in (["R", "G", "B"], ["R", "G", "B", "A"], ["Y"], ["Y", "A"]):
             channels = clipped(", ".join(kinds))
-            raise InputError(f"{path} has channels {channels}: give R, G, B, and A if any")
+            raise InputError(f"{path} has channels {channels}: give R, G, B and optionally A")
         whole = len(names) > 2 and len({kinds[name] for name in names}) == 1
-        # OpenEXR prints what it thinks of a damaged file.
+        # For a damaged file OpenEXR prints to standard output and standard error.
         with open(os.devnull, "w") as nothing, redirected_stderr(nothing), redirect_stdout(nothing):
             file = OpenEXR.File(str(path), separate_channels=not whole)
             header, found = file.header(), file.channels()
@@ -102,9 +108,9 @@ def read_exr(path: Path, start: bytes, size: int) -> ImageData:
         noise = _exr_noise(raw, any(kinds[name] == _HALF for name in names))
     except InputError:
         raise
-    except Exception as error:  # of its own, and of what a damaged file makes of a header
+    except Exception as error:  # from OpenEXR, or from parsing a damaged header
         raise InputError(
-            f"{path} is no image that OpenEXR reads ({reason(error)}); write it anew"
+            f"{path} cannot be read as OpenEXR ({reason(error)}); save it again"
         ) from None
     return ImageData(
         pixels, "linear", str(path), metadata, space, noise=noise, shift_range=shift_range
@@ -112,15 +118,15 @@ def read_exr(path: Path, start: bytes, size: int) -> ImageData:
 
 
 def _exr_noise(header: Mapping[bytes, bytes], half: bool) -> float:
-    """Return the noise of an :class:`ImageData`.
+    """Return :attr:`ImageData.noise` for the compression and pixel type of an EXR.
 
-    half : whether channels hold half floats
+    half : whether a channel contains half floats
 
     Raises
     ------
-    ValueError, struct.error : a DWA level that no image has
+    ValueError, struct.error : an invalid DWA level
 
-    References: OpenEXR, "Technical Introduction"; its DWA compressor, for the level.
+    References: OpenEXR, "Technical Introduction"; source of its DWA compressor, for the level.
     """
     compression = header[b"compression"][0]
     if compression in (_DWAA, _DWAB):
@@ -135,17 +141,19 @@ def _exr_noise(header: Mapping[bytes, bytes], half: bool) -> float:
 
 
 def _exr_headers(content: bytes) -> list[dict[bytes, bytes]]:
-    """Return the attributes of each part of an EXR file. OpenEXR itself reads some damaged headers
-    with defaults in place of what is missing, as an image of 64 x 64 pixels.
+    """Return the attributes of each part of an EXR file.
+
+    Headers are parsed here because OpenEXR reads some damaged headers as an image of 64 x 64
+    pixels: it replaces missing attributes with defaults.
 
     Raises
     ------
-    ValueError, IndexError, struct.error : it is none
+    ValueError, IndexError, struct.error : the bytes are no EXR header
 
     References: OpenEXR, "OpenEXR File Layout".
     """
     if not content.startswith(_MAGIC):
-        raise ValueError("it does not start as EXR files do")
+        raise ValueError("it does not start with the EXR signature")
     headers, at = [], 8
     while True:
         header: dict[bytes, bytes] = {}
@@ -162,7 +170,7 @@ def _exr_headers(content: bytes) -> list[dict[bytes, bytes]]:
 
 
 def _exr_channels(header: Mapping[bytes, bytes]) -> dict[str, int]:
-    """Return the number of the kind of each channel's values, by its name."""
+    """Return EXR's pixel type number of each channel, by channel name."""
     channels, at, kinds = header[b"channels"], 0, {}
     while channels[at]:
         end = channels.index(0, at)
@@ -174,10 +182,10 @@ def _exr_channels(header: Mapping[bytes, bytes]) -> dict[str, int]:
 def _checked_exr(
     path: Path, headers: Sequence[Mapping[bytes, bytes]], of: int
 ) -> Mapping[bytes, bytes]:
-    """Return the header of a flat image of one part; refuse others, and what is too large, before
-    OpenEXR reads it."""
+    """Return the header of a flat single-part image. Raises InputError for deep, multi-part and too
+    large images, before OpenEXR reads the pixels."""
     if len(headers) > 1:
-        raise InputError(f"{path} has {len(headers)} parts: write the one that counts as a file")
+        raise InputError(f"{path} has {len(headers)} parts: save one part as a file")
     (header,) = headers
     if header.get(b"type", b"").startswith(b"deep"):
         raise InputError(f"{path} is a deep image: flatten it")
@@ -189,7 +197,7 @@ def _checked_exr(
 
 
 def _in_window(pixels: NDArray[Any], header: Mapping[str, Any]) -> NDArray[Any]:
-    """Place the pixels of an EXR's data window in its display window; 0 around them."""
+    """Copy the pixels of an EXR's data window into its display window; pixels outside are 0."""
     (left, top), (right, bottom) = np.asarray(header["displayWindow"]).tolist()
     size = (bottom - top + 1, right - left + 1)
     corner = np.asarray(header["dataWindow"]).tolist()[0]
@@ -208,16 +216,16 @@ def _in_window(pixels: NDArray[Any], header: Mapping[str, Any]) -> NDArray[Any]:
 def openexr(path: str | os.PathLike[str]) -> Any:
     """Return the package OpenEXR.
 
-    path : of a file that needs it, for the message
+    path : path of the EXR file, for the message
 
     Raises
     ------
-    InputError : it is not installed
+    InputError : OpenEXR is not installed
     """
     try:
         import OpenEXR
     except ImportError:
         raise InputError(
-            f"{path}: EXR needs the package OpenEXR; pip install 'facerender[exr]'"
+            f"{path}: EXR files need the package OpenEXR; pip install 'facerender[exr]'"
         ) from None
     return OpenEXR

@@ -17,7 +17,7 @@ HALVED = 2.0**-11 / 3.0**0.5  # relative RMS error of rounding to half floats
 
 
 class PixelRange(NamedTuple):
-    """What pixels lie between, (H, W, C) each: colours, and coverage if the image has it."""
+    """Lower and upper bound of each pixel, (H, W, C): colours, and coverage if present."""
 
     low: NDArray[np.float16]
     high: NDArray[np.float16]
@@ -29,18 +29,18 @@ class ImageData:
 
     Attributes
     ----------
-    pixels : (H, W, 1 to 4), row 0 on top; linear float32, or float16 where an EXR has that, or the
-        8-bit steps 0 to 255, uint8. An even number of channels ends with alpha
+    pixels : (H, W, 1 to 4), row 0 on top; linear float32 (float16 if read from a half-float EXR) or
+        uint8. With 2 or 4 channels, the last one is alpha
     encoding : "linear" or "srgb8"
-    name : for messages
-    metadata : that the file carries
-    color_space : as the file names it, "" where it names none or sRGB
-    profile : the ICC profile that its colours were converted from to sRGB, "" where they were not
-    jpeg : whether it was read from a JPEG, whose compression changed its pixels
-    noise : RMS error of a pixel by half floats or a lossy compression of EXR, relative to the
-        larger of its radiance and 0.01; by conversion of an 8-bit image, in steps of 255
-    shift_range : range of each pixel over 24 shifts of the image by at most 0.1 pixel; None where
-        the file holds none
+    name : name for messages
+    metadata : texts stored in the file
+    color_space : colour space according to the file; "" for sRGB or if the file specifies none
+    profile : name of the ICC profile from which the colours were converted to sRGB, "" for none
+    jpeg : whether the file is a JPEG, whose compression changed the pixels
+    noise : RMS error of a pixel. Linear images: from half floats or lossy EXR compression, relative
+        to max(radiance, 0.01). 8-bit images: from colour conversion, in 8-bit levels
+    shift_range : range of each pixel over 24 shifts of the image by at most 0.1 pixel; None if the
+        file contains none
     """
 
     pixels: NDArray[Any]
@@ -55,17 +55,16 @@ class ImageData:
 
     @property
     def coverage(self) -> NDArray[np.float32]:
-        """Alpha (H, W), in [0, 1]; 1 in an image without, or a linear one whose alpha is unused: 0
-        everywhere."""
+        """Alpha (H, W) in [0, 1]; 1 if there is none, or if a linear image's is 0 everywhere."""
         return self.rows(slice(None))[1]
 
     @property
     def color(self) -> NDArray[np.float32]:
-        """Colour (H, W, 1 or 3), premultiplied by coverage, as linear images are."""
+        """Colour (H, W, 1 or 3), premultiplied by coverage."""
         return self.rows(slice(None))[0]
 
     def rows(self, rows: slice) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return colour and coverage of some rows."""
+        """Return colour and coverage of a range of rows."""
         pixels = self.pixels[rows]
         channels = pixels.shape[2]
         color = pixels[..., : channels - 1 + channels % 2].astype(np.float32, copy=False)
@@ -78,17 +77,17 @@ class ImageData:
 
     @cached_property
     def _opaque(self) -> bool:
-        # Not any(), which warns of signalling NaN.
+        # numpy.any() would warn about signalling NaN.
         used = self.encoding == "srgb8" or bool(np.count_nonzero(self.pixels[..., -1]))
         return self.pixels.shape[2] % 2 == 1 or not used
 
 
 def image_from_array(values: NDArray[Any], name: str) -> ImageData:
-    """Take an array (H, W), or (H, W, 1 to 4), of floats (linear) or uint8 (sRGB), as an image.
+    """Return an image from an array (H, W) or (H, W, 1 to 4) of floats (linear) or uint8 (sRGB).
 
     Raises
     ------
-    InputError : another shape or type
+    InputError : invalid shape or type
     """
     pixels = values[..., None] if values.ndim == 2 else values
     if pixels.ndim != 3 or not 1 <= pixels.shape[2] <= 4 or 0 in pixels.shape:
@@ -96,7 +95,7 @@ def image_from_array(values: NDArray[Any], name: str) -> ImageData:
     if pixels.dtype == np.uint8:
         return ImageData(pixels, "srgb8", name)
     if not np.issubdtype(pixels.dtype, np.floating):
-        raise InputError(f"{name} holds {pixels.dtype}: give linear float, or uint8")
+        raise InputError(f"{name} has type {pixels.dtype}: give linear floats, or uint8")
     noise = HALVED if pixels.dtype == np.float16 else 0.0
     with np.errstate(over="ignore"):
         return ImageData(pixels.astype(np.float32, copy=False), "linear", name, noise=noise)

@@ -1,4 +1,4 @@
-"""Image files as :class:`ImageData`: EXR, NumPy arrays, PNG and JPEG."""
+"""Reading of image files: EXR, NumPy arrays, PNG and JPEG."""
 
 from __future__ import annotations
 
@@ -20,20 +20,21 @@ from facerender.images.image import ImageData, image_from_array
 from facerender.system.files import check_downloaded, open_file
 
 SUFFIXES = (".exr", ".npz", ".npy", ".png", ".jpg", ".jpeg")
-SRGB_GAMMA = 0.45455  # of the gAMA chunk of an sRGB PNG
-_CONVERTED = 0.5  # RMS error in steps of 255 of rounding before and after a conversion
+SRGB_GAMMA = 0.45455  # gAMA chunk of an sRGB PNG
+_CONVERTED = 0.5  # RMS error of a colour conversion's rounding before and after, in 8-bit levels
 _NPY = b"\x93NUMPY"
-_LONGEST_HEADER = 1 << 16  # of a NumPy array
-_LONGEST_EXR = 1 << 24  # bytes of the header of an EXR
+_LONGEST_HEADER = 1 << 16  # of a NumPy array, in bytes
+_LONGEST_EXR = 1 << 24  # of an EXR header, in bytes
 
 
 def read_image(path: str | os.PathLike[str]) -> ImageData:
-    """Read .exr (the extra ``exr``), .npz or .npy (linear float, or 8-bit), .png or .jpg (8-bit).
+    """Read an image file.
+
+    path : .exr (needs the extra ``exr``), .npz or .npy (linear floats, or 8-bit), .png or .jpg
 
     Raises
     ------
-    InputError : a file that is missing, damaged, too large, or of another kind; the message has the
-        remedy
+    InputError : the file is missing, damaged, too large or of another format
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -45,7 +46,7 @@ def read_image(path: str | os.PathLike[str]) -> ImageData:
         size = os.fstat(file.fileno()).st_size
         content = file.read(_LONGEST_EXR if suffix == ".exr" else size)
     if not content:
-        raise InputError(f"{path} is empty: write it anew")
+        raise InputError(f"{path} is empty: save it again")
     check_downloaded(content, f"{path} is")
     if suffix == ".exr":
         return read_exr(path, content, size)
@@ -66,7 +67,7 @@ def _read_numpy(path: Path, content: bytes) -> ImageData:
                 names = ["linear"]
             if len(names) != 1:
                 held = clipped(", ".join(names)) or "no array"
-                raise InputError(f"{path} holds {held}: name one of them linear")
+                raise InputError(f"{path} contains {held}: name one array 'linear'")
             (entry,) = (
                 each for each in file.infolist() if each.filename.removesuffix(".npy") == names[0]
             )
@@ -74,23 +75,25 @@ def _read_numpy(path: Path, content: bytes) -> ImageData:
                 return image_from_array(_array(member, str(path), len(content)), str(path))
     except InputError:
         raise
-    except Exception as error:  # NumPy, zipfile and zlib fail in many ways
-        raise InputError(f"{path} is no NumPy file ({reason(error)}); write it anew") from None
+    except Exception as error:  # NumPy, zipfile and zlib raise many types
+        raise InputError(f"{path} is not a NumPy file ({reason(error)}); save it again") from None
 
 
 def _array(file: IO[bytes], name: str, of: int) -> NDArray[Any]:
-    """Read an array, of a file of so many bytes, whose header is checked before.
+    """Read a NumPy array after a check of its header.
+
+    of : size of the file in bytes
 
     Raises
     ------
-    InputError : it holds no numbers, or is no image, or too large
+    InputError : the array contains Python objects, has no image's shape, or is too large
     """
     start = file.read(_LONGEST_HEADER)
     head = BytesIO(start)
     read = {1: npy.read_array_header_1_0, 2: npy.read_array_header_2_0}
     shape, _, kind = read[npy.read_magic(head)[0]](head)
     if kind.hasobject:
-        raise InputError(f"{name} holds objects of Python, which are not read: give floats")
+        raise InputError(f"{name} contains Python objects, which are not read: give floats")
     if len(shape) in (2, 3):
         check_pixels(name, shape[1], shape[0], kind.itemsize * math.prod(shape[2:]), of)
         file.seek(0)
@@ -99,24 +102,25 @@ def _array(file: IO[bytes], name: str, of: int) -> NDArray[Any]:
 
 
 def _read_8_bit(path: Path, content: bytes) -> ImageData:
-    if content.startswith(b"\x89PNG") and content[24:25] == b"\x10":  # Pillow drops the lower byte
+    # Pillow would silently drop the lower byte.
+    if content.startswith(b"\x89PNG") and content[24:25] == b"\x10":
         raise InputError(f"{path} is a 16-bit PNG: save as 8-bit PNG, or as EXR")
     image = open_image(content, str(path), ("PNG", "JPEG"), "PNG or JPEG")
     if image.mode not in ("L", "LA", "RGB", "RGBA"):
-        kind = {"P": "a palette image", "CMYK": "a CMYK image", "1": "an image of single bits"}
+        kind = {"P": "a palette image", "CMYK": "a CMYK image", "1": "a 1-bit image"}
         raise InputError(f"{path} is {kind.get(image.mode, image.mode)}: save it as RGB")
     if "transparency" in image.info:
-        raise InputError(f"{path} has one transparent colour: save it as RGBA")
+        raise InputError(f"{path} marks one colour as transparent: save it as RGBA")
     try:
         pixels = texels(image, image.mode)
-    except Exception as error:  # each decoder of Pillow fails in its own way
-        raise InputError(f"{path} is damaged ({reason(error)}); write it anew") from None
+    except Exception as error:  # Pillow's decoders raise many types
+        raise InputError(f"{path} is damaged ({reason(error)}); save it again") from None
     metadata = {str(key): value for key, value in image.info.items() if isinstance(value, str)}
     data = ImageData(pixels, "srgb8", str(path), metadata, jpeg=image.format != "PNG")
     if "icc_profile" in image.info:
         try:
             pixels, profile = _to_srgb(pixels, image.info["icc_profile"] or b"")
-        except Exception as error:  # LittleCMS fails in its own ways
+        except Exception as error:  # LittleCMS raises several types
             raise InputError(
                 f"{path} has an ICC profile that cannot be used ({reason(error)}): save it as sRGB"
             ) from None
@@ -128,12 +132,14 @@ def _read_8_bit(path: Path, content: bytes) -> ImageData:
 
 
 def _to_srgb(pixels: NDArray[np.uint8], content: bytes) -> tuple[NDArray[np.uint8], str]:
-    """Return 8-bit pixels (H, W, 1 to 4) with their colours in sRGB, clipped to its gamut, and the
-    name of their ICC profile; alpha stays. Where the conversion changes no pixel, the name is "".
+    """Convert 8-bit pixels (H, W, 1 to 4) from an ICC profile to sRGB, and clip to its gamut.
+
+    Return the pixels, with their alpha unchanged, and the name of the profile. The name is "" if
+    the conversion changes no pixel.
 
     Raises
     ------
-    OSError, ImageCms.PyCMSError : the profile is damaged, or for other colours
+    OSError, ImageCms.PyCMSError : the profile is damaged, or does not match the channels
     """
     from PIL import Image, ImageCms
 

@@ -1,4 +1,4 @@
-"""The sRGB transfer function (IEC 61966-2-1), and 8-bit sRGB from linear radiance."""
+"""The sRGB transfer function (IEC 61966-2-1) and 8-bit encoding of linear radiance."""
 
 from __future__ import annotations
 
@@ -23,30 +23,29 @@ def linear_to_srgb(linear: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=1)
 def _srgb_bytes() -> NDArray[np.uint8]:
-    """8-bit sRGB of every float16, by its bit pattern; NaN is black."""
+    """Return the 8-bit sRGB value of every float16, indexed by its bit pattern. NaN is black."""
     halves = np.arange(65536, dtype=np.uint16).view(np.float16).astype(np.float64)
     return np.round(255.0 * linear_to_srgb(np.nan_to_num(halves))).astype(np.uint8)
 
 
 def encode_srgb8(linear: NDArray[np.float32], exposure: float = 0.0) -> NDArray[np.uint8]:
-    """Encode linear radiance as 8-bit sRGB, radiance 1 being white.
+    """Encode linear radiance as 8-bit sRGB. Radiance 1 is white.
 
-    A table over float16 makes it four times as fast as evaluating the power; float16 has eight
-    steps or more for each step of the result, so the rounding differs from the exact one by at
-    most 0.6 steps in place of 0.5.
+    A lookup table over float16 is four times as fast as the power function. float16 has at least
+    eight values per 8-bit level, so the rounding error is at most 0.6 levels instead of 0.5.
 
     Parameters
     ----------
     linear : any shape
-    exposure : in stops, in [-100, 100]; the radiance is multiplied by 2**exposure
+    exposure : stops in [-100, 100]; the radiance is multiplied by 2**exposure
 
     Raises
     ------
-    InputError : exposure outside its domain
+    InputError : exposure outside its range
     """
     if not -100.0 <= exposure <= 100.0:
         raise InputError(f"exposure = {exposure:g} is outside [-100, 100]")
-    with np.errstate(over="ignore"):  # beyond 65504 is infinite, and white
+    with np.errstate(over="ignore"):  # values above 65504 become infinite, which is white
         scaled = linear if exposure == 0.0 else linear * np.float32(2.0**exposure)
         halves = scaled.astype(np.float16)
     return _srgb_bytes()[halves.view(np.uint16)]

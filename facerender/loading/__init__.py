@@ -1,5 +1,5 @@
-"""Mesh files: read, checked, repaired where that is safe, and placed by their scene graph.
-Materials and maps come along. No OpenGL here."""
+"""Load meshes with their materials and maps: read, check and repair files, and place instances by
+the scene graph. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -47,34 +47,34 @@ def load_mesh(
     kind: str | None = None,
     normal_map_y: str = "up",
 ) -> Mesh:
-    """Read a mesh file, what another library has read of one, or the built-in head.
+    """Load a mesh from a file or a trimesh object, or load the built-in head.
 
     Missing textures, dropped faces and repaired normals are reported as FacerenderWarning.
 
     Parameters
     ----------
-    source : .glb, .gltf, .obj (with .mtl), .ply or .stl; its content as bytes, or a file that is
-        open; a ``trimesh.Trimesh`` or ``trimesh.Scene``, which is copied; None for the built-in
-        head. Arrays are :meth:`facerender.Mesh.from_arrays`
+    source : path of a .glb, .gltf, .obj (with .mtl), .ply or .stl file; its content as bytes, or
+        an open binary file; a ``trimesh.Trimesh`` or ``trimesh.Scene``, which is copied; None for
+        the built-in head. For arrays, use :meth:`facerender.Mesh.from_arrays`
     albedo, normal_map, specular_map, roughness_map, lobe_map : image files, textures, arrays or
-        images of Pillow that replace the file's own maps; see :class:`facerender.Material` and
+        Pillow images that replace the file's own maps; see :class:`facerender.Material` and
         :meth:`facerender.Texture.from_array`
-    flip_v : turn the texture coordinates upside down, for files that store v the other way
-    millimetres : that a unit of the file is, which scattering needs; None for what the format says:
-        1000 in .glb and .gltf, nothing in others
-    cache : take the mesh with its decoded maps from ``~/.cache/facerender`` if no file has changed
-        since it was put there, or else decode all of its maps, and put it there in the background;
-        of files and bytes alone
-    allow_outside : open what the file refers to wherever it says; else only what lies below its
-        folder by name. Bytes have no folder: what they refer to is not opened
-    kind : "glb", "gltf", "obj", "ply" or "stl", where neither a name nor the bytes tell it
-    normal_map_y : where green of normal maps points: "up", as OpenGL and glTF have it, or "down",
-        as DirectX has it
+    flip_v : reverse the v axis of the texture coordinates
+    millimetres : length of a unit of the file in mm, which scattering requires. None: 1000 for .glb
+        and .gltf, the units of a trimesh object, undefined for other formats
+    cache : load the mesh with its decoded maps from ``~/.cache/facerender`` if no file has changed
+        since it was stored. Otherwise decode all of its maps, and store it in the background. Only
+        for files and bytes
+    allow_outside : open referenced files at any path. By default, only files below the mesh file's
+        folder are opened. A mesh in bytes has no folder: none of its referenced files is opened
+    kind : "glb", "gltf", "obj", "ply" or "stl"; required if neither the file name nor the bytes
+        identify the format
+    normal_map_y : direction of green in normal maps: "up" (OpenGL, glTF) or "down" (DirectX)
 
     Raises
     ------
-    InputError : the file or a map is missing, empty, damaged, of no known format, or has no faces;
-        millimetres outside [1e-6, 1e6]; another normal_map_y
+    InputError : the file or a map is missing, empty, damaged or of an unknown format; the mesh has
+        no faces; millimetres is outside [1e-6, 1e6]; normal_map_y is invalid
     """
     maps = _maps(
         albedo_map=albedo,
@@ -96,7 +96,7 @@ def cached_mesh(
     normal_map_y: str = "up",
     **maps: Path_ | None,
 ) -> Mesh | None:
-    """Return the mesh that :func:`load_mesh` would take from the cache, if it is there."""
+    """Return the mesh that :func:`load_mesh` would load from the cache; None if it is missing."""
     paths, _ = _maps(**{"albedo_map" if n == "albedo" else n: each for n, each in maps.items()})
     files = MeshFiles(source_of(source), paths, Orientation(flip_v, normal_map_y), allow_outside)
     mesh = files.find()
@@ -112,7 +112,7 @@ def _loaded(
     allow_outside: bool,
     cache: bool,
 ) -> Mesh:
-    """Return a mesh; ``paths`` and ``textures`` are maps in place of its own."""
+    """Return the mesh of a source; ``paths`` and ``textures`` replace its own maps."""
     check_switch("cache", cache)
     check_switch("allow_outside", allow_outside)
     if is_object(source):
@@ -139,7 +139,7 @@ def _scaled(mesh: Mesh, millimetres: float | None) -> Mesh:
 
 
 def _maps(**sources: Map | None) -> tuple[dict[str, Path], dict[str, Texture]]:
-    """Return, by the field of :class:`Material`, maps that are files, and others."""
+    """Split maps into image files and textures, both by field of :class:`Material`."""
     paths: dict[str, Path] = {}
     textures: dict[str, Texture] = {}
     for name, value in sources.items():
@@ -151,18 +151,18 @@ def _maps(**sources: Map | None) -> tuple[dict[str, Path], dict[str, Texture]]:
             textures[name] = Texture.from_array(value, f"the array of {name}")
         elif isinstance(value, str | os.PathLike):
             paths[name] = Path(value)
-        elif hasattr(value, "getbands"):  # of Pillow, which is not imported for this
+        elif hasattr(value, "getbands"):  # a Pillow image: isinstance would import Pillow
             textures[name] = Texture.from_image(value, f"the image of {name}")
         else:
-            check_type(name, value, (), "a path, a texture, an array or an image of Pillow")
+            check_type(name, value, (), "a path, a texture, an array or a Pillow image")
     return paths, textures
 
 
 def _read(files: MeshFiles, textures: Mapping[str, Texture]) -> tuple[Mesh, References]:
-    """Return a mesh, and the files that its file refers to."""
+    """Return the mesh of a file, and the files that it refers to."""
     source = files.source
     overrides = {name: Texture.open(file) for name, file in files.maps.items()} | {**textures}
-    with np.errstate(all="ignore"):  # what overflows is found and dropped
+    with np.errstate(all="ignore"):  # clean() drops vertices that overflow
         found, references = read(source, "albedo_map" in overrides, files.allow_outside)
         millimetres = 1000.0 if source.suffix in GLTF else None
         mesh = _assembled(found, source.name, overrides, files.orientation, millimetres)
@@ -190,8 +190,8 @@ def _assembled(
 
 
 def _override(pieces: Sequence[Piece], maps: Mapping[str, Texture], name: str) -> None:
-    """Give every piece with texture coordinates the maps that the caller named; they are sampled as
-    those in whose place they are, or else as its albedo map."""
+    """Replace maps of every piece that has texture coordinates. A new map takes the sampling of the
+    map that it replaces, or else of the albedo map."""
     if all(piece.uv is None for piece in pieces):
         raise InputError(
             f"{name} has no texture coordinates, which {next(iter(maps.values())).name} "

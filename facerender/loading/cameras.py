@@ -1,4 +1,4 @@
-"""Cameras of files: of glTF and scene files, and by their matrices in JSON and NumPy files."""
+"""Load cameras from scene files, glTF files, and JSON or NumPy files with camera matrices."""
 
 from __future__ import annotations
 
@@ -23,40 +23,40 @@ from facerender.scenes.file import MOST_BYTES, from_table, load_scene
 from facerender.scenes.view import SIZES
 from facerender.system.files import MOST, read_file
 
-_PASSED_OVER = ("name", "transform_matrix")  # of a table; the latter says what Rt does
+_IGNORED = ("name", "transform_matrix")  # keys of a camera's table; transform_matrix repeats Rt
 
 
 def load_cameras(
     path: str | os.PathLike[str], size: tuple[int, int] | None = None
 ) -> dict[str, Camera]:
-    """Return the cameras of a file by their names; without any they are numbered.
+    """Return the cameras of a file by name; cameras without a name are numbered.
 
     Parameters
     ----------
-    path : .toml with [[cameras]] or [camera], as of :func:`facerender.load_scene`; .json with one
-        table, a list of them, or such a list as "cameras"; .npz; .glb or .gltf, whose perspective
-        cameras stand as its scene says, with their vertical angle of view. Tables of a .json have
-        fields of :class:`Camera`, or "K" (3 x 3), "Rt" (3 x 4, or 4 x 4), or "R" and "t", "width"
-        and "height"; and a "name". Arrays of a .npz have these names, or one more axis for several
-        cameras
-    size : of images, for intrinsics that do not say for which they are
+    path : .toml with [[cameras]] or [camera], see :func:`facerender.load_scene`; .json with one
+        table, a list of tables, or the key "cameras" with such a list; .npz; .glb or .gltf.
+        A .json table has the fields of :class:`Camera`, or "K" (3 x 3), "Rt" (3 x 4 or 4 x 4) or
+        "R" and "t", "width" and "height"; "name" is optional. The arrays of a .npz have these
+        names; an additional first axis holds several cameras. Cameras of glTF files must be
+        perspective; they keep their pose in the scene and their vertical angle of view
+    size : width and height of the images in pixels, for intrinsics without a size
 
     Raises
     ------
-    InputError : a file that cannot be read, has no camera, or one that is not understood
+    InputError : the file cannot be read, or has no camera or an invalid one
     """
     check_path("camera file", path)
     size = None if size is None else SIZES.check("size", size)
     suffix, name = Path(path).suffix.lower(), clipped(Path(path).name)
     if suffix not in (*CAMERA_FILES, *GLTF):
         known = ", ".join((*CAMERA_FILES, *GLTF))
-        raise InputError(f"{name}: unknown format {suffix!r} of cameras; give {known}")
+        raise InputError(f"{name}: unknown camera format {suffix!r}; give {known}")
     if suffix == ".toml":
         scene = load_scene(path)
         own = [scene["camera"]] if "camera" in scene else []
         found = _named((("", each) for each in scene.get("cameras", own)), Path(path).stem)
     else:
-        content = read_file(path, "a file with cameras", MOST if suffix in GLTF else MOST_BYTES)
+        content = read_file(path, "a camera file", MOST if suffix in GLTF else MOST_BYTES)
         try:
             if suffix in GLTF:
                 return gltf_cameras(content, name)
@@ -66,17 +66,17 @@ def load_cameras(
             place = "" if name in str(error) else f"{name}: "
             raise InputError(f"{place}{error}") from None
     if not found:
-        raise InputError(f"{name} has no [[cameras]]")
+        raise InputError(f"{name} has no cameras: add [[cameras]]")
     return found
 
 
 def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
-    """Return the perspective cameras of a glTF file's scene by their names: those of their
-    nodes, or else of the cameras.
+    """Return the perspective cameras of a glTF scene, by the name of the node or else of the
+    camera.
 
     Raises
     ------
-    InputError : it is damaged, or has no camera, or one that is orthographic
+    InputError : the file is damaged, or has no camera or an orthographic one
     """
     document = document_of(chunks(content, name)[0], name)
     found = []
@@ -95,12 +95,12 @@ def gltf_cameras(content: bytes, name: str) -> dict[str, Camera]:
             raise
         raise damaged(name, str(error)) from None
     if not found:
-        raise InputError(f"{name} has no camera: give another file, or angles")
+        raise InputError(f"{name} has no camera: give another file or camera angles")
     return _named(found, "camera")
 
 
 def _looking(world: NDArray[np.float64], yfov: float) -> Camera:
-    """The camera of a node, which looks to -z and has y up."""
+    """Return the camera of a node, which looks along -z with y up."""
     axes = world[:3, :3] * (1.0, -1.0, -1.0)
     with np.errstate(all="ignore"):
         turn = (axes / np.linalg.norm(axes, axis=0)).T
@@ -109,7 +109,7 @@ def _looking(world: NDArray[np.float64], yfov: float) -> Camera:
 
 
 def _named(found: Iterable[tuple[str, Camera]], stem: str) -> dict[str, Camera]:
-    """Return cameras by names, of which none is twice."""
+    """Return cameras by unique names."""
     cameras: dict[str, Camera] = {}
     for number, (name, camera) in enumerate(found):
         own = name if name and name not in cameras else f"{name or stem}_{number:03d}"
@@ -126,7 +126,7 @@ def _json(content: bytes) -> list[Any]:
         tables = tables["cameras"]
     tables = tables if isinstance(tables, list) else [tables]
     if len(tables) > MOST_CAMERAS:
-        raise InputError(f"it has {len(tables)} cameras, of {MOST_CAMERAS} at most")
+        raise InputError(f"it has {len(tables)} cameras, but the limit is {MOST_CAMERAS}")
     return tables
 
 
@@ -138,10 +138,12 @@ def _arrays(content: bytes) -> list[dict[str, Any]]:
                 raise ValueError(f"more than {MOST_BYTES} bytes")
         with np.load(BytesIO(content), allow_pickle=False) as arrays:
             values = {key: np.asarray(arrays[key]) for key in arrays.files}
-    except Exception as error:  # NumPy, zipfile and zlib fail in many ways
-        raise InputError(f"it is no NumPy file ({reason(error)}); write it anew") from None
+    except Exception as error:  # NumPy, zipfile and zlib raise many exceptions
+        raise InputError(f"it is not a NumPy file ({reason(error)}); write it again") from None
     if not (poses := [key for key in ("Rt", "R", "extrinsics") if key in values]):
-        raise InputError(f"it holds {clipped(', '.join(values)) or 'nothing'}: give K, R and t")
+        raise InputError(
+            f"it has no pose (arrays: {clipped(', '.join(values)) or 'none'}): give K, R and t"
+        )
     several = values[poses[0]].ndim == 3
     count = len(values[poses[0]]) if several else 1
     depths = {"R": 2, "Rt": 2, "K": 2, "extrinsics": 2, "intrinsics": 2, "t": 1, "size": 1}
@@ -153,7 +155,7 @@ def _arrays(content: bytes) -> list[dict[str, Any]]:
         shared = value.ndim == each
         if not shared and not (several and value.ndim == each + 1 and len(value) == count):
             raise InputError(
-                f"{shown(key)} has {value.ndim} axes: give one matrix, or one for each camera"
+                f"{shown(key)} has {value.ndim} axes: give one matrix, or one per camera"
             )
         for i, table in enumerate(tables):
             table[key] = (value if shared else value[i]).tolist()
@@ -161,16 +163,16 @@ def _arrays(content: bytes) -> list[dict[str, Any]]:
 
 
 def _camera(table: Any, size: tuple[int, int] | None) -> tuple[str, Camera]:
-    """Return a camera and its name, of a table with matrices or with a camera's fields."""
+    """Return the name and the camera of a table with matrices or with fields of Camera."""
     if not isinstance(table, Mapping):
         raise InputError(f"camera = {shown(table)}: give a table")
-    fields = {key: value for key, value in table.items() if key not in _PASSED_OVER}
+    fields = {key: value for key, value in table.items() if key not in _IGNORED}
     if "R" in fields and "t" in fields:
         turn, shift = fields.pop("R"), fields.pop("t")
         try:
             pose = np.column_stack([np.array(turn, float), np.array(shift, float).reshape(3)])
         except (TypeError, ValueError, OverflowError):
-            raise InputError("camera R and t: give 3 x 3 and 3 numbers") from None
+            raise InputError("camera R and t: give 3 x 3 numbers and 3 numbers") from None
         fields["extrinsics"] = pose.tolist()
     if "Rt" in fields:
         pose = fields.pop("Rt")

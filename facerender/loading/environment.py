@@ -1,4 +1,4 @@
-"""Environments from .hdr, .exr and NumPy files, and the one made by code."""
+"""Load environment maps from .hdr, .exr and NumPy files, or generate the studio."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from facerender.system.files import read_file
 
 
 def load_environment(file: EnvironmentFile) -> Environment:
-    """Read an environment; the last two files that were read are kept, and what is drawn with them
-    shares what it makes of them.
+    """Load an environment map. The panoramas of the last two files are cached, with the data
+    derived from them, and shared by all environments of the same file.
 
     Raises
     ------
-    InputError : a file that is missing, damaged, of another kind or shape, or holds a radiance that
-        is no number in [0, 1e9]; .hdr without OpenImageIO, .exr without OpenEXR
+    InputError : the file is missing, damaged, or of an unknown format or shape; a radiance is not a
+        number in [0, 1e9]; OpenImageIO (.hdr) or OpenEXR (.exr) is not installed
     """
     check_type("environment", file, EnvironmentFile, "a facerender.EnvironmentFile")
     panorama = studio() if file.file == STUDIO else _panorama(file.file, *_state(file.file))
@@ -31,11 +31,11 @@ def load_environment(file: EnvironmentFile) -> Environment:
 
 
 def _state(path: str) -> tuple[int, int]:
-    """What tells a file from what it was: when it was written, in ns, and its size."""
+    """Return the modification time in ns and the size in bytes, to detect a changed file."""
     try:
         found = Path(path).stat()
     except (OSError, ValueError):
-        return 0, 0  # who reads it is told
+        return 0, 0  # reading the file reports the error
     return found.st_mtime_ns, found.st_size
 
 
@@ -67,8 +67,8 @@ def _read_hdr(path: Path) -> NDArray[np.float32]:
         raise InputError(
             f"{path}: .hdr needs the package OpenImageIO; pip install 'facerender[hdr]'"
         ) from None
-    file, why = None, "it does not start as Radiance files do"
-    if content.startswith(b"#?"):  # else another of its readers would take it
+    file, why = None, "it does not start like a Radiance file"
+    if content.startswith(b"#?"):  # otherwise OpenImageIO would try other formats
         file = oiio.ImageInput.open(str(path))
         why = oiio.geterror()
     if file:
@@ -78,4 +78,4 @@ def _read_hdr(path: Path) -> NDArray[np.float32]:
             return np.asarray(pixels, dtype=np.float32)
         why = file.geterror()
     why = clipped(why) or "damaged"
-    raise InputError(f"{path} is no image that OpenImageIO reads ({why}); write it anew")
+    raise InputError(f"OpenImageIO cannot read {path} ({why}); write the file again")

@@ -1,4 +1,4 @@
-"""Meshes and scenes of trimesh, whether it has read them or a program has made them, as pieces."""
+"""Convert trimesh meshes and scenes to pieces, whether trimesh read them or a program made them."""
 
 from __future__ import annotations
 
@@ -25,34 +25,34 @@ Instance = tuple[str, "trimesh.Trimesh", NDArray[np.float64]]
 
 
 def is_object(source: Any) -> TypeGuard[trimesh.Trimesh | trimesh.Scene]:
-    """Whether a source is a mesh or a scene of trimesh, for which nothing is imported."""
+    """Return whether a source is a trimesh mesh or scene, without importing trimesh."""
     library = sys.modules.get("trimesh")
     return library is not None and isinstance(source, library.Trimesh | library.Scene)
 
 
 def name_of(source: trimesh.Trimesh | trimesh.Scene) -> str:
-    """Return what messages call a mesh or a scene: what its metadata do, or its kind."""
+    """Return the name of a mesh or scene for messages: the name in its metadata, or its type."""
     facts = source.metadata
     found = facts.get("name") or facts.get("file_name")
     return clipped(found, 80) if isinstance(found, str) else f"a trimesh.{type(source).__name__}"
 
 
 def millimetres_of(source: trimesh.Trimesh | trimesh.Scene) -> float | None:
-    """Return how many millimetres a unit is; None where the object does not say."""
+    """Return the length of a unit in mm; None if the object does not define it."""
     import trimesh
 
     try:
         return float(trimesh.units.unit_conversion(source.units, "millimeters"))
-    except Exception:  # no units, none that are known, or several in a scene
+    except Exception:  # the units are missing, unknown, or differ within a scene
         return None
 
 
 def pieces_of(source: trimesh.Trimesh | trimesh.Scene, name: str) -> list[Piece]:
-    """Return copies of every instance of a mesh with faces.
+    """Return a copy of every mesh instance with faces.
 
     Raises
     ------
-    InputError : there are none, or arrays in them are no mesh
+    InputError : no mesh has faces, or the arrays do not form a mesh
     """
     textures: dict[int, Texture] = {}
     pieces = []
@@ -64,10 +64,10 @@ def pieces_of(source: trimesh.Trimesh | trimesh.Scene, name: str) -> list[Piece]
             check_count(len(pieces), name)
     except InputError:
         raise
-    except Exception as error:  # what others have put into the arrays
-        raise InputError(f"{name} is no mesh that can be drawn: {reason(error)}") from None
+    except Exception as error:  # the caller's arrays may hold anything
+        raise InputError(f"{name} is not a valid mesh: {reason(error)}") from None
     if not pieces:
-        raise InputError(f"there is no face in {name}; give a triangle mesh")
+        raise InputError(f"{name} has no faces; give a triangle mesh")
     return pieces
 
 
@@ -86,8 +86,8 @@ def _instances(source: trimesh.Trimesh | trimesh.Scene) -> Iterator[Instance]:
 
 
 def has_normals(geometry: trimesh.Trimesh) -> bool:
-    """Whether a geometry has normals of its own."""
-    # vertex_normals computes those that are missing, and trimesh has no public way to ask before.
+    """Return whether a geometry has stored normals."""
+    # Reading vertex_normals computes missing normals, and trimesh has no public check for them.
     return "vertex_normals" in geometry._cache.cache
 
 
@@ -98,14 +98,21 @@ def piece_of(
     lost_images: bool,
     library: Library | None = None,
 ) -> Piece:
-    """Return a geometry of a file of this name; textures by image, for Pillow decodes an image in
-    one thread only; library of an OBJ file."""
+    """Return a geometry as a piece.
+
+    Parameters
+    ----------
+    name : the file's, for messages
+    textures : by ``id`` of the image: Pillow decodes an image in one thread only
+    lost_images : whether an image of the file is missing
+    library : the materials of an OBJ file, or None
+    """
     vertices = np.asarray(geometry.vertices, dtype=np.float64)
     if vertices.shape[1:] != (3,):
-        raise ValueError("vertices without three coordinates")
+        raise ValueError("its vertices do not have three coordinates")
     faces = np.asarray(geometry.faces, dtype=np.int64)
     known = ((faces >= 0) & (faces < len(vertices))).all(axis=1)
-    if not known.all():  # colours of faces are brought to vertices
+    if not known.all():  # trimesh converts colours of its faces to vertex colours: drop them there
         geometry.update_faces(known)
         faces = np.asarray(geometry.faces, dtype=np.int64)
     normals = None
@@ -131,7 +138,7 @@ def piece_of(
             uv2 = None if look.second is None else look.second.applied(uv)
             uv = look.first.applied(uv)
     if lost_images and material.albedo_map is None and min(material.albedo) > 0.99:
-        material = replace(material, albedo=SKIN_ALBEDO)  # white was meant to multiply the image
+        material = replace(material, albedo=SKIN_ALBEDO)  # white is only the factor of the map
     if uv is None and any(getattr(material, key) for key in MAPS):
         warn(f"{name} has no texture coordinates: its texture is ignored")
     return Piece(
@@ -147,11 +154,11 @@ def piece_of(
 
 
 def _material(source: Any, has_colors: bool, file: str, textures: dict[int, Texture]) -> Material:
-    """Translate a trimesh material, of a PLY or STL file; None where there is none."""
+    """Convert a trimesh material, or None, of a trimesh object or a PLY or STL file."""
     if hasattr(source, "baseColorFactor"):
         return _of_gltf(source, file, textures)
     image = None if source is None else source.image
-    # What trimesh puts where the MTL is missing: no texture, and no colour to go by.
+    # trimesh inserts a 2 x 2 image if the MTL file is missing: ignore this image and the colour.
     stub = image is not None and image.size == (2, 2) and not getattr(image, "format", None)
     if image is None or stub:
         if has_colors:
@@ -165,7 +172,7 @@ def _material(source: Any, has_colors: bool, file: str, textures: dict[int, Text
 
 
 def _of_gltf(source: Any, file: str, textures: dict[int, Texture]) -> Material:
-    """Translate trimesh's material of a glTF file; factors are those of glTF, colours in bytes."""
+    """Convert a PBR material of trimesh, with the factors of glTF and colours in bytes."""
 
     def texture(name: str, what: str) -> Texture | None:
         if (image := getattr(source, name)) is None:
@@ -184,7 +191,7 @@ def _of_gltf(source: Any, file: str, textures: dict[int, Texture]) -> Material:
         band = source.baseColorTexture.getchannel("A")
         opacity_map = Texture.from_image(band, f"the opacity map of {file}")
     if source.metallicFactor:
-        warn(f"{file} has metallic materials: drawn as dielectrics, which skin is")
+        warn(f"{file} has metallic materials: drawn as dielectrics, like skin")
     emissive = np.zeros(3) if source.emissiveFactor is None else np.asarray(source.emissiveFactor)
     roughness, cutoff = source.roughnessFactor, source.alphaCutoff
     return Material(
@@ -194,7 +201,7 @@ def _of_gltf(source: Any, file: str, textures: dict[int, Texture]) -> Material:
         normal_map=texture("normalTexture", "normal"),
         roughness_map=properties and properties.channel(1, properties.name),
         occlusion_map=occlusion and occlusion.channel(0, occlusion.name),
-        alpha=alpha,  # type: ignore[arg-type]  # others are refused
+        alpha=alpha,  # type: ignore[arg-type]  # Material refuses others
         opacity=float(factors[3]),
         alpha_cutoff=0.5 if cutoff is None else float(cutoff),
         opacity_map=opacity_map,

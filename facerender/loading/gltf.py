@@ -1,4 +1,4 @@
-"""glTF files, text or binary: every instance of a triangle mesh, in the shape that is stored."""
+"""Read glTF files, text or binary: every instance of a triangle mesh, in its stored pose."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, clipped, reason
 from facerender.loading.gltf_buffers import Buffers
 from facerender.loading.gltf_document import Doc, chunks, damaged, document_of
-from facerender.loading.gltf_features import EXTENSIONS, not_understood
+from facerender.loading.gltf_features import EXTENSIONS, unsupported
 from facerender.loading.gltf_material import Materials, TextureTransform
 from facerender.loading.gltf_nodes import scene_nodes, transform
 from facerender.loading.materials import Look
@@ -20,25 +20,25 @@ from facerender.loading.references import References
 from facerender.scenes.material import MAPS, Material
 from facerender.scenes.repair import Piece, check_count, placed
 
-_TRIANGLES, _FAN = 4, 6  # modes; 5 are strips
+_TRIANGLES, _FAN = 4, 6  # primitive modes; 5 is a strip
 _DRACO = "KHR_draco_mesh_compression"
-_AT_ONCE = 1 << 16  # vertices at a time, of which each has a matrix
+_AT_ONCE = 1 << 16  # vertices per block: each needs a matrix
 
 Float = NDArray[np.float64]
 
 
 class Primitive:
-    """The triangles of a primitive. Methods raise ValueError for what is damaged.
+    """The triangles of a primitive. Methods raise ValueError if the data are damaged.
 
     Attributes
     ----------
-    properties : of the document
-    where : its path in the document, for messages
-    positions : (N, 3), of all vertices
-    vertices : which of them the faces use
-    faces : (F, 3), of these vertices
-    corner_count : how many vertices the indices name
-    out_of_range : number of the other faces, of vertices that are not there
+    properties : the primitive's JSON object
+    where : the primitive's path in the document, for messages
+    positions : (N, 3), all vertices
+    vertices : indices of the vertices that the faces use, or a slice
+    faces : (F, 3), indices into these vertices
+    corner_count : number of indices
+    out_of_range : number of dropped faces, whose vertices do not exist
     """
 
     def __init__(self, buffers: Buffers, properties: Doc, where: str) -> None:
@@ -65,7 +65,7 @@ class Primitive:
         return values
 
     def _corners(self) -> NDArray[Any]:
-        """Return the vertices that the primitive names one after the other."""
+        """Return the vertex index of each corner in file order."""
         if "faces" in self.decoded:
             return self.decoded["faces"].reshape(-1)
         if "indices" not in self.properties:
@@ -76,23 +76,23 @@ class Primitive:
         return indices.reshape(-1)
 
     def column(self, key: str, *widths: int) -> NDArray[Any] | None:
-        """Return an attribute, (N, one of the widths), of the vertices that the faces use."""
+        """Return an attribute of the vertices in use, (N, K) with K in ``widths``, or None."""
         values = self._attribute(key, widths)
         if values is not None and len(values) != len(self.positions):
             raise ValueError(
-                f"{self.where}: {key} has {len(values)} entries, POSITION {len(self.positions)}"
+                f"{self.where}: {key} has {len(values)} entries, POSITION has {len(self.positions)}"
             )
         return None if values is None else values[self.vertices]
 
     def uv(self, transform: TextureTransform | None) -> NDArray[np.float64] | None:
-        """Return texture coordinates, v upwards, or None where they are not there."""
+        """Return texture coordinates with v upwards, or None if they are missing."""
         if transform is None:
             return None
         uv = self.column(f"TEXCOORD_{transform.texcoord}", 2)
         return None if uv is None else transform.applied(uv)
 
     def influences(self) -> tuple[NDArray[Any], NDArray[Any]] | None:
-        """Return joints and their weights, (N, 4) or (N, 8), or None."""
+        """Return joints and their weights, both (N, 4) or (N, 8), or None."""
         accessors = self.properties["attributes"]
         sets = [i for i in (0, 1) if f"JOINTS_{i}" in accessors and f"WEIGHTS_{i}" in accessors]
         if not sets:
@@ -106,7 +106,7 @@ class Primitive:
         return joints, weights
 
     def _draco(self, draco: Doc) -> dict[str, NDArray[Any]]:
-        """Return what is compressed of a primitive: attributes by name, and faces."""
+        """Decompress the primitive: return attributes by name, and "faces" if there are any."""
         try:
             import DracoPy
         except ImportError:
@@ -117,18 +117,18 @@ class Primitive:
             decoded = DracoPy.decode(content)
             found = {each["unique_id"]: np.asarray(each["data"]) for each in decoded.attributes}
             faces = getattr(decoded, "faces", None)
-        except Exception as error:  # its decoder fails in several ways
-            raise ValueError(f"{self.where}: Draco says {reason(error)}") from None
+        except Exception as error:  # DracoPy raises several exceptions
+            raise ValueError(f"{self.where}: DracoPy failed: {reason(error)}") from None
         values = {key: found[i] for key, i in draco["attributes"].items() if i in found}
         return values if faces is None else values | {"faces": np.asarray(faces)}
 
 
 def _triangles(flat: NDArray[Any], mode: int, where: str) -> NDArray[np.int64]:
-    """Return the faces (F, 3) of a list, strip or fan of vertices."""
+    """Return the faces (F, 3) of a triangle list, strip or fan."""
     flat = flat.astype(np.int64)
     if mode == _TRIANGLES:
         if len(flat) % 3:
-            raise ValueError(f"{where}: {len(flat)} corners are no triangles")
+            raise ValueError(f"{where}: {len(flat)} corners are not a multiple of 3")
         return flat.reshape(-1, 3)
     if mode == _FAN:
         first = np.full_like(flat[2:], flat[0] if len(flat) else 0)
@@ -141,8 +141,10 @@ def _triangles(flat: NDArray[Any], mode: int, where: str) -> NDArray[np.int64]:
 def _compact(
     faces: NDArray[np.int64], count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64] | slice, int]:
-    """Return the faces of the vertices that are there, which vertices to keep, and how many faces
-    are of others. Where primitives share vertices, most of them are another's."""
+    """Return the faces with valid indices, the vertices to keep, and the number of other faces.
+
+    Primitives may share a vertex array, so most of its vertices may belong to others.
+    """
     known = (faces < count).all(axis=1)
     out_of_range = len(faces) - int(known.sum())
     if out_of_range:
@@ -155,7 +157,7 @@ def _compact(
 
 def unit_colors(colors: NDArray[Any]) -> NDArray[np.float64]:
     """Return linear RGB in [0, 1]."""
-    if colors.dtype.kind != "f":  # not said to be normalised, and meant so
+    if colors.dtype.kind != "f":  # integer colours count as normalised even without the flag
         colors = colors / np.iinfo(colors.dtype).max
     return np.clip(np.nan_to_num(colors[:, :3].astype(np.float64)), 0.0, 1.0)
 
@@ -167,24 +169,24 @@ def skinned(
     weights: NDArray[Any],
     matrices: Float,
 ) -> tuple[Float, Float | None, bool]:
-    """Return vertices where the joints put them, their normals, and whether they are mirrored.
+    """Return skinned positions and normals, and whether skinning mirrors the mesh.
 
     Parameters
     ----------
-    joints, weights : (N, K): of K joints the number, and the weight
-    matrices : (J, 4, 4), for columns: from the mesh's space by the inverse bind matrix and the
-        joint into the scene
+    joints, weights : (N, K), indices and weights of K joints per vertex
+    matrices : (J, 4, 4), for column vectors: joint matrix times inverse bind matrix, from mesh
+        space to scene space
 
     Raises
     ------
-    ValueError : joints that are not there
+    ValueError : a joint index is out of range
     """
     if joints.size and joints.max() >= len(matrices):
-        raise ValueError(f"joint {joints.max()} of {len(matrices)}")
+        raise ValueError(f"a vertex uses joint {joints.max()}, the skin has {len(matrices)}")
     fractions = np.maximum(np.nan_to_num(weights.astype(np.float64)), 0.0)
     total = fractions.sum(axis=1, keepdims=True)
     fractions = np.where(total > 0.0, fractions / np.where(total > 0.0, total, 1.0), 0.0)
-    fractions[:, 0] += total[:, 0] <= 0.0  # of no joint: the first
+    fractions[:, 0] += total[:, 0] <= 0.0  # vertices without weights follow joint 0
     moved = np.empty((len(positions), 3))
     turned = None if normals is None else np.empty((len(positions), 3))
     mirrored = 0
@@ -202,25 +204,27 @@ def skinned(
     return moved, turned, 2 * mirrored > len(positions)
 
 
-_TIMES, _MOST_REPEATED = 8, 1 << 20  # vertices and faces are drawn, and so many more at most
+# Limit of drawn vertices and faces: 8 times the stored ones plus 2^20.
+_TIMES, _MOST_REPEATED = 8, 1 << 20
 
 
 def read_gltf(data: bytes, referred: References, without_albedo: bool) -> list[Piece]:
     """Return every instance of a primitive with triangles.
 
-    referred : reads buffers and images
-    without_albedo : the albedo of the file is not wanted
+    referred : reader of buffers and images
+    without_albedo : skip the albedo maps of the file
 
     Raises
     ------
-    InputError : it is damaged, requires what is not understood, or draws no triangles
+    InputError : the file is damaged, has no mesh, requires an unsupported extension, or draws more
+        than the limits allow
     """
     name = referred.name
     text, binary = chunks(data, name)
     document = document_of(text, name)
-    if unknown := not_understood(document.get("extensionsRequired", ())):
+    if unknown := unsupported(document.get("extensionsRequired", ())):
         raise InputError(
-            f"{name} requires the extension {clipped(unknown[0], 60)}; export it without"
+            f"{name} requires the extension {clipped(unknown[0], 60)}; export it without this"
         )
     try:
         return _File(name, document, binary, referred, without_albedo).pieces()
@@ -232,10 +236,10 @@ def read_gltf(data: bytes, referred: References, without_albedo: bool) -> list[P
 
 @dataclass(frozen=True)
 class _Instance:
-    """A mesh, where a node places it.
+    """An instance of a mesh, placed by a node.
 
-    weights : of its morph targets
-    skin : the number of a skin, which places it in the node's stead, or None
+    weights : of the morph targets
+    skin : index of the skin that places the mesh instead of the node, or None
     """
 
     mesh: int
@@ -246,8 +250,8 @@ class _Instance:
 
 
 class _File:
-    """A document whose properties are sound, but not yet what they say of buffers. Methods raise
-    ValueError for what is damaged."""
+    """A glTF file whose JSON is checked, but not its buffers. Methods raise ValueError if the data
+    are damaged."""
 
     def __init__(
         self,
@@ -262,16 +266,16 @@ class _File:
         self.buffers = Buffers(name, document, binary, referred)
         self.materials = Materials(self.buffers, without_albedo)
         self.warn = self.materials.warn
-        self.worlds: dict[int, NDArray[np.float64]] = {}  # of the scene's nodes
+        self.worlds: dict[int, NDArray[np.float64]] = {}  # by index of the node
         self.skins: dict[int, NDArray[np.float64] | None] = {}
-        self.own: dict[int, int] = {}  # elements of accessors that faces are made of
-        self.drawn = 0  # vertices and faces
+        self.own: dict[int, int] = {}  # number of elements by index of the accessor
+        self.drawn = 0  # number of vertices and faces
 
     def pieces(self) -> list[Piece]:
         for each in sorted(set(self.document.get("extensionsUsed", ())) - EXTENSIONS.keys()):
-            self.warn(f"{self.name} uses {clipped(each, 60)}, which is not understood: left out")
+            self.warn(f"{self.name} uses {clipped(each, 60)}, which is not supported: ignored")
         if self.document.get("animations"):
-            self.warn(f"{self.name} has animations: drawn as its nodes and weights are stored")
+            self.warn(f"{self.name} has animations: drawn in the stored pose")
         meshes: dict[tuple[int, int | None, tuple[float, ...]], list[Piece]] = {}
         pieces = []
         for each in self._instances():
@@ -293,28 +297,27 @@ class _File:
             if piece := self._piece(primitive, where, instance.weights, matrices):
                 found.append(piece)
         if len(found) == 1:
-            found[0].name = ""  # the material's, which tells several apart
+            found[0].name = ""  # material names only distinguish several pieces
         return found
 
     def _count_drawn(self, count: int) -> None:
         self.drawn += count
         if self.drawn > _TIMES * sum(self.own.values()) + _MOST_REPEATED:
             raise InputError(
-                f"{self.name} draws what it holds more than {_TIMES} times over: export fewer "
-                "instances"
+                f"{self.name} draws its geometry more than {_TIMES} times: export fewer instances"
             )
 
     # --- nodes -----------------------------------------------------------------------------------
 
     def _instances(self) -> list[_Instance]:
-        """Every mesh that a node of the scene shows, by the node's name or else the mesh's."""
+        """Return every visible instance of a mesh, named after its node or else the mesh."""
         found: list[_Instance] = []
         count = 0
         for index, node, world, visible in scene_nodes(self.document):
             self.worlds[index] = world
             extensions = node.get("extensions", {})
             if "KHR_lights_punctual" in extensions:
-                self.warn(f"{self.name} has lights (KHR_lights_punctual): not drawn; give --light")
+                self.warn(f"{self.name} has lights (KHR_lights_punctual): ignored; use --light")
             if "mesh" not in node or not visible:
                 continue
             mesh = self.document["meshes"][node["mesh"]]
@@ -326,7 +329,7 @@ class _File:
             skin = node.get("skin")
             found += [_Instance(node["mesh"], name, each, weights, skin) for each in places]
         return [
-            replace(each, world=np.eye(4))  # joints place it alone
+            replace(each, world=np.eye(4))  # a skin ignores its node's transform
             if each.skin is not None and self._joints(each.skin) is not None
             else each
             for each in found
@@ -335,7 +338,7 @@ class _File:
     def _places(
         self, index: int, world: NDArray[np.float64], instances: Doc | None
     ) -> Sequence[NDArray[np.float64]]:
-        """Where a node's mesh is drawn: once, or as EXT_mesh_gpu_instancing says."""
+        """Return the world matrix of each instance of a node's mesh (EXT_mesh_gpu_instancing)."""
         if instances is None:
             return [world]
         columns = {
@@ -345,7 +348,7 @@ class _File:
         }
         for key, values in columns.items():
             if values.shape[1] != (4 if key == "rotation" else 3):
-                raise ValueError(f"nodes[{index}]: {key} of its instances has the wrong type")
+                raise ValueError(f"nodes[{index}]: the {key} of its instances has the wrong type")
         count = min((len(values) for values in columns.values()), default=0)
         check_count(count, self.name)
         return [
@@ -354,8 +357,8 @@ class _File:
         ]
 
     def _joints(self, index: int) -> NDArray[np.float64] | None:
-        """Return the matrices of a skin's joints (J, 4, 4); None, with a warning, where the scene
-        has not all of them."""
+        """Return the joint matrices of a skin (J, 4, 4). Warn and return None if a joint is not in
+        the scene."""
         if index not in self.skins:
             self.skins[index] = self._matrices(index)
         return self.skins[index]
@@ -364,14 +367,14 @@ class _File:
         skin = self.document["skins"][index]
         joints = skin["joints"]
         if not joints or not self.worlds.keys() >= set(joints):
-            self.warn(f"{self.name} has a skin whose joints are not in its scene: drawn without")
+            self.warn(f"{self.name} has a skin whose joints are not in its scene: skin ignored")
             return None
         worlds = np.stack([self.worlds[joint] for joint in joints])
         if "inverseBindMatrices" not in skin:
             return worlds
         inverse = self.buffers.accessor(skin["inverseBindMatrices"])
         if inverse.shape[1] != 16 or len(inverse) < len(joints):
-            raise ValueError(f"skins[{index}] has {len(inverse)} matrices of {len(joints)} joints")
+            raise ValueError(f"skins[{index}] has {len(inverse)} matrices for {len(joints)} joints")
         columns = inverse[: len(joints)].reshape(-1, 4, 4).astype(np.float64)
         return np.asarray(worlds @ columns.transpose(0, 2, 1))
 
@@ -384,17 +387,17 @@ class _File:
         weights: Sequence[float],
         matrices: NDArray[np.float64] | None,
     ) -> Piece | None:
-        """Return a primitive in its own space, or in the scene's where it has joints; None where it
-        has no triangles.
+        """Return a primitive in mesh space, or in scene space if it is skinned; None if it has no
+        triangles.
 
         Parameters
         ----------
-        weights : of its morph targets
-        matrices : of its joints, or None
+        weights : of the morph targets
+        matrices : of the joints (J, 4, 4), or None
         """
         attributes = properties["attributes"]
         if properties.get("mode", _TRIANGLES) < _TRIANGLES or "POSITION" not in attributes:
-            self.warn(f"{self.name} has points or lines, or vertices without places: not drawn")
+            self.warn(f"{self.name} has points, lines or vertices without positions: not drawn")
             return None
         primitive = Primitive(self.buffers, properties, where)
         self.own[attributes["POSITION"]] = len(primitive.positions)
@@ -403,7 +406,7 @@ class _File:
         faces = primitive.faces
         if matrices is not None:
             if "JOINTS_2" in attributes:
-                self.warn(f"{self.name} has more than eight joints for a vertex: eight count")
+                self.warn(f"{self.name} has more than eight joints per vertex: only eight are used")
             if influences := primitive.influences():
                 shape, normals, mirrored = skinned(shape, normals, *influences, matrices)
                 faces = faces[:, ::-1] if mirrored else faces
@@ -411,7 +414,7 @@ class _File:
         colors = primitive.column("COLOR_0", 3, 4)
         look = self.materials.look(number, colors is not None)
         if colors is not None and colors.shape[1] == 4 and look.material.alpha != "opaque":
-            self.warn(f"{self.name} has alpha in its vertex colours: left out")
+            self.warn(f"{self.name} has alpha in its vertex colours: ignored")
         uv, uv2 = primitive.uv(look.first), primitive.uv(look.second)
         return Piece(
             positions=np.asarray(shape, dtype=np.float64),
@@ -426,7 +429,7 @@ class _File:
         )
 
     def _drawn_material(self, look: Look[TextureTransform], first: bool, second: bool) -> Material:
-        """Return a look's material without the maps whose texture coordinates are not there."""
+        """Return a look's material without the maps whose texture coordinates are missing."""
         material = look.material
         if not first:
             if any(getattr(material, key) for key in MAPS):
@@ -434,14 +437,14 @@ class _File:
             return material
         if second or not material.second_uv:
             return material
-        self.warn(f"{self.name} has no second texture coordinates: the maps by them are left out")
+        self.warn(f"{self.name} has no second texture coordinates: maps that use them are ignored")
         without: dict[str, Any] = dict.fromkeys(material.second_uv)
         return replace(material, second_uv=(), **without)
 
     def _morphed(
         self, primitive: Primitive, weights: Sequence[float]
     ) -> tuple[NDArray[Any], NDArray[Any] | None]:
-        """Return positions and normals of a primitive's vertices, with the morph targets."""
+        """Return positions and normals of a primitive's vertices, with morph targets applied."""
         shape, normals = primitive.positions[primitive.vertices], primitive.column("NORMAL", 3)
         targets = primitive.properties.get("targets", ())
         for i, (target, weight) in enumerate(zip(targets, weights, strict=False)):
@@ -453,7 +456,7 @@ class _File:
                 self._count_drawn(len(moves))
                 if moves.shape != primitive.positions.shape:
                     raise ValueError(
-                        f"{primitive.where}.targets[{i}]: {key} has another number of entries"
+                        f"{primitive.where}.targets[{i}]: {key} has the wrong number of entries"
                     )
                 step = weight * moves[primitive.vertices].astype(np.float64)
                 if key == "POSITION":

@@ -1,5 +1,5 @@
-"""The bytes of a glTF file: buffers, views, which may be compressed, and accessors, which may be
-sparse."""
+"""Read the binary data of a glTF file: buffers, views (possibly compressed), and accessors
+(possibly sparse)."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from facerender.loading.gltf_document import COMPONENTS, TYPES, Doc
 from facerender.loading.references import References, inline
 from facerender.system.meshoptimizer import library
 
-_MOST, _SMALL, _TIMES = 1 << 30, 1 << 26, 256  # bytes, and of what is small as many times as many
-# By the mode: the function, the bytes that an element may have, of how many the count is a multiple
+# A decompressed view has at most _SMALL bytes, or _TIMES its compressed bytes, up to _MOST bytes.
+_MOST, _SMALL, _TIMES = 1 << 30, 1 << 26, 256
+# Mode: decoder, allowed bytes per element, divisor of the count.
 _MODES = {
     "ATTRIBUTES": ("decodeVertexBuffer", range(4, 257, 4), 1),
     "TRIANGLES": ("decodeIndexBuffer", (2, 4), 3),
@@ -29,29 +30,29 @@ _FILTERS = {
 
 
 def decoded(content: bytes, view: Doc, name: str) -> memoryview:
-    """Return the elements that are compressed in a view.
+    """Decompress a view of EXT_meshopt_compression.
 
-    view : the extension's object
-    name : the file's
+    view : the extension's JSON object
+    name : the file's, for messages
 
     Raises
     ------
-    ValueError : it is damaged
+    ValueError : the view is damaged
     InputError : the package meshoptimizer is not installed
 
     References: Kapoulkine (2022), EXT_meshopt_compression.
     """
     count, size = view["count"], view["byteStride"]
     mode, filter_ = view["mode"], view.get("filter", "NONE")
-    what = f"a view compressed with meshopt as {mode} of {count} x {size} bytes"
+    shown = f"a view compressed with meshopt ({mode}, {count} x {size} bytes)"
     function, sizes, multiple = _MODES.get(mode, ("", (), 1))
     own, filtered = _FILTERS.get(filter_, ("", (size,) if filter_ == "NONE" else ()))
     if size not in sizes or size not in filtered or count % multiple:
-        raise ValueError(f"{what}, filter {filter_}, is none")
+        raise ValueError(f"{shown} has an invalid mode, filter ({filter_}), count or size")
     if filter_ != "NONE" and mode != "ATTRIBUTES":
-        raise ValueError(f"{what} has a filter")
+        raise ValueError(f"{shown} must not have the filter {filter_}")
     if count * size > min(max(_TIMES * len(content), _SMALL), _MOST):
-        raise ValueError(f"{what} in {len(content)} bytes")
+        raise ValueError(f"{shown} is too large for its {len(content)} bytes")
     try:
         functions = library()
     except ImportError:
@@ -61,7 +62,7 @@ def decoded(content: bytes, view: Doc, name: str) -> memoryview:
     values = np.empty(count * size, dtype=np.uint8)
     decode = getattr(functions, f"meshopt_{function}")
     if decode(values.ctypes.data, count, size, content, len(content)):
-        raise ValueError(f"{what} is no such thing")
+        raise ValueError(f"{shown} cannot be decoded")
     if filter_ == "COLOR":
         values = _rgba(values.view(f"u{size // 4}").reshape(-1, 4)).view(np.uint8).reshape(-1)
     elif own:
@@ -70,8 +71,8 @@ def decoded(content: bytes, view: Doc, name: str) -> memoryview:
 
 
 def _rgba(encoded: NDArray[Any]) -> NDArray[Any]:
-    """Return colours (N, 4) of Y, Co, Cg and alpha, whose highest bit tells how many bits they
-    have: the filter COLOR, which the package does not have yet."""
+    """Decode the filter COLOR, which meshoptimizer for Python lacks: convert Y, Co, Cg and alpha
+    (N, 4) to RGBA. The highest set bit of alpha gives the number of bits."""
     signed = encoded.view(encoded.dtype.str.replace("u", "i")).astype(np.int32)
     y, alpha = encoded[:, 0].astype(np.int32), encoded[:, 3].astype(np.int32)
     orange, green = signed[:, 1], signed[:, 2]
@@ -80,18 +81,18 @@ def _rgba(encoded: NDArray[Any]) -> NDArray[Any]:
         most |= most >> bits
     alpha = ((alpha << 1) & most) | (alpha & 1)
     whole = np.stack([y + orange - green, y + green, y - orange - green, alpha], axis=1)
-    with np.errstate(all="ignore"):  # no bits at all, in a damaged file
+    with np.errstate(all="ignore"):  # a damaged file may have an alpha of 0 bits
         scale = np.float32(np.iinfo(encoded.dtype).max) / most.astype(np.float32)
         scaled = whole.astype(np.float32) * scale[:, None] + np.float32(0.5)
         return scaled.astype(np.int64).astype(encoded.dtype)
 
 
-_MOST_ZEROS = 1 << 26  # bytes that a sparse accessor need not hold
+_MOST_ZEROS = 1 << 26  # bytes of a sparse accessor without a view
 
 
 class Buffers:
-    """What the indices of a checked document stand for. Methods raise ValueError for what is
-    damaged, or is not there."""
+    """The views and accessors of a checked document, by index. Methods raise ValueError if the data
+    are damaged or missing."""
 
     def __init__(
         self, name: str, document: Doc, binary: memoryview | None, referred: References
@@ -101,7 +102,7 @@ class Buffers:
         self.binary = binary
         self.referred = referred
         self.buffers: dict[int, memoryview] = {}
-        self.unpacked: dict[int, memoryview] = {}  # by the number of a compressed view
+        self.unpacked: dict[int, memoryview] = {}  # by index of the compressed view
 
     def _buffer(self, index: int) -> memoryview:
         if index not in self.buffers:
@@ -109,7 +110,7 @@ class Buffers:
             content = self._buffer_content(index, declared.get("uri"))
             if len(content) < declared["byteLength"]:
                 raise ValueError(
-                    f"buffers[{index}] should have {declared['byteLength']} bytes, and has "
+                    f"buffers[{index}] should have {declared['byteLength']} bytes, but has "
                     f"{len(content)}"
                 )
             self.buffers[index] = content[: declared["byteLength"]]
@@ -151,7 +152,7 @@ class Buffers:
     def _elements(
         self, where: str, view: int, start: int, kind: str, shape: tuple[int, int]
     ) -> NDArray[Any]:
-        """Return elements (count, components) in a view."""
+        """Return elements of a view; ``shape`` is (count, components)."""
         content = self.view(view)
         item = np.dtype(kind).itemsize
         row = item * shape[1]
@@ -180,7 +181,7 @@ class Buffers:
         elif sparse is None:
             raise ValueError(f"{where} has no bufferView")
         elif shape[0] * shape[1] * np.dtype(kind).itemsize > _MOST_ZEROS:
-            raise ValueError(f"{where}.count = {shape[0]} without a bufferView")
+            raise ValueError(f"{where}.count = {shape[0]} is too large without a bufferView")
         else:
             values = np.zeros(shape, dtype=kind)
         if sparse is not None:
@@ -190,7 +191,7 @@ class Buffers:
         return values
 
     def _with_sparse(self, values: NDArray[Any], sparse: Doc, where: str) -> NDArray[Any]:
-        """Return values, some of which are replaced."""
+        """Return a copy of the values with the replacements of a sparse accessor."""
 
         def part(own: Doc, kind: str, width: int) -> NDArray[Any]:
             start, shape = own.get("byteOffset", 0), (sparse["count"], width)
@@ -200,7 +201,7 @@ class Buffers:
         indices = part(sparse["indices"], kind, 1)[:, 0]
         replacing = part(sparse["values"], values.dtype.str, values.shape[1])
         if indices.dtype.kind != "u" or (indices >= len(values)).any():
-            raise ValueError(f"{where}.sparse replaces entries that are not there")
+            raise ValueError(f"{where}.sparse replaces entries that do not exist")
         values = values.copy()
         values[indices] = replacing
         return values

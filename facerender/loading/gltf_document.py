@@ -1,6 +1,5 @@
-"""The chunks of a glTF file, and its JSON, checked against a table of what is read of it. The table
-says what the schema of glTF 2.0 (Khronos, 2021, section 5) says of these properties; others are
-passed over."""
+"""Read the chunks of a glTF file, and check its JSON against a table of the properties in use. The
+table follows the schema of glTF 2.0 (Khronos, 2021, section 5); other properties are ignored."""
 
 from __future__ import annotations
 
@@ -12,15 +11,15 @@ from typing import Any
 
 from facerender.errors import InputError, reason
 
-_JSON, _BINARY = 0x4E4F534A, 0x004E4942  # kinds of chunks
+_JSON, _BINARY = 0x4E4F534A, 0x004E4942  # chunk types
 Doc = dict[str, Any]
 
-MOST_VALUES = 2_000_000  # of a document: each takes up to 100 bytes of memory
-MOST_ENTRIES = 1 << 17  # of one of its lists: nodes, accessors
+MOST_VALUES = 2_000_000  # per document; each takes up to 100 bytes of memory
+MOST_ENTRIES = 1 << 17  # per list of the document, such as nodes or accessors
 
-# An object by its properties; ! marks those that it must have. "#nodes" is an index into nodes,
-# "[x]" a list of x, "{x}" an object of any names, "3 x" a list of so many; x may be an object of
-# this table. Of any value "presence" says whether it is something.
+# The properties of each object; ! marks required ones. "#nodes" is an index into nodes, "[x]" a
+# list of x, "{x}" an object with any keys, "3 x" a list of three; x may be an object of this table.
+# "presence" accepts any value and is replaced by bool(value).
 _OBJECTS: dict[str, dict[str, Any]] = {
     "document": {
         "extensionsRequired": "[text]",
@@ -178,60 +177,60 @@ def _is_number(value: Any) -> bool:
     return number and -1e300 < value < 1e300
 
 
-# What a value may be, and what it is called. An integer may be written as 3.0.
+# Check and description of each type of value. An integer may be written as 3.0.
 _VALUES: dict[str, tuple[Callable[[Any], bool], str]] = {
     "text": (lambda value: isinstance(value, str), "text"),
-    "name": (lambda value: True, "text"),  # for people: what is no text is none
+    "name": (lambda value: True, "text"),  # only for display: other types become ""
     "switch": (lambda value: isinstance(value, bool), "true or false"),
     "number": (_is_number, "a number"),
     "size": (
         lambda value: _is_number(value) and 0 <= value < 1 << 53 and value == int(value),
-        "a whole number from 0 on",
+        "an integer >= 0",
     ),
     "component": (
         lambda value: _is_number(value) and value in COMPONENTS,
-        "a component type of glTF",
+        "a glTF component type",
     ),
-    "type": (lambda value: isinstance(value, str) and value in TYPES, "an accessor type of glTF"),
-    "mode": (lambda value: _is_number(value) and value in range(7), "a primitive mode of glTF"),
+    "type": (lambda value: isinstance(value, str) and value in TYPES, "a glTF accessor type"),
+    "mode": (lambda value: _is_number(value) and value in range(7), "a glTF primitive mode"),
 }
 
 
 def chunks(data: bytes, name: str) -> tuple[bytes, memoryview | None]:
-    """Return the JSON and the binary chunk of a file; without the latter, a text is all JSON."""
+    """Return the JSON and the binary chunk or None. A text file is all JSON."""
     if data[:4] != b"glTF":
         return data, None
     declared = struct.unpack_from("<I", data, 8)[0] if len(data) >= 20 else 20
     if declared > len(data):
-        said = declared if len(data) >= 20 else "at least 20"
+        least = declared if len(data) >= 20 else "at least 20"
         raise InputError(
-            f"{name} is truncated: its header says {said} bytes, the file has {len(data)}"
+            f"{name} is truncated: it should have {least} bytes, but has {len(data)}; copy it again"
         )
     if (version := struct.unpack_from("<I", data, 4)[0]) != 2:
-        raise InputError(f"{name} is glTF of version {version}: export it as version 2")
+        raise InputError(f"{name} is glTF version {version}: export it as version 2")
     found: dict[int, memoryview] = {}
     start = 12
     while start + 8 <= declared:
         length, kind = struct.unpack_from("<II", data, start)
         if start + 8 + length > declared:
-            raise damaged(name, f"a chunk of {length} bytes in a file of {declared}")
+            raise damaged(name, f"a chunk has {length} bytes, the file {declared}")
         found.setdefault(kind, memoryview(data)[start + 8 : start + 8 + length])
         start += 8 + length
     if _JSON not in found:
-        raise damaged(name, "it has no chunk of JSON")
+        raise damaged(name, "it has no JSON chunk")
     return bytes(found[_JSON]), found.get(_BINARY)
 
 
 def document_of(text: bytes, name: str) -> Doc:
-    """Return the checked document of a glTF file: no more than the properties of the table, with
-    every list of the document that is missing as an empty one.
+    """Parse and check the JSON of a glTF file. Return only the properties of the table; missing
+    lists of the document become empty.
 
     Raises
     ------
-    InputError : it is no JSON, has no mesh, or holds something else than it should
+    InputError : the text is not JSON, has no mesh, has an invalid property, or exceeds a limit
     """
     if text.count(b",") + text.count(b"[") + text.count(b"{") > MOST_VALUES:
-        raise InputError(f"{name} has more than {MOST_VALUES} values in its JSON: export it anew")
+        raise InputError(f"{name} has more than {MOST_VALUES} values in its JSON: simplify it")
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -243,12 +242,12 @@ def document_of(text: bytes, name: str) -> Doc:
     if not isinstance(document, dict) or document.keys().isdisjoint({"asset", *tables}):
         raise InputError(f"{name} is not glTF but other JSON ({reprlib.repr(document)})")
     if document.get("meshes", []) == []:
-        raise InputError(f"there is no mesh in {name}; give a file with a triangle mesh")
+        raise InputError(f"{name} has no mesh; give a file with a triangle mesh")
     counts = {key: len(each) for key, each in document.items() if isinstance(each, list)}
     for key in tables.keys() & counts.keys():
         if counts[key] > MOST_ENTRIES:
             raise InputError(
-                f"{name} has {counts[key]} {key}, of {MOST_ENTRIES} at most: export it anew"
+                f"{name} has {counts[key]} {key}, but the limit is {MOST_ENTRIES}: simplify it"
             )
     try:
         checked = _checked(document, "document", "", counts)
@@ -262,7 +261,7 @@ def damaged(name: str, what: str) -> InputError:
 
 
 def _checked(value: Any, shape: str | dict[str, Any], where: str, counts: dict[str, int]) -> Any:
-    """Return a value as its shape has it; ValueError says what it is instead."""
+    """Return a value converted to its shape; raise ValueError if it does not match."""
     if isinstance(shape, dict) or shape in _OBJECTS:
         _expect(isinstance(value, dict), value, where, "an object")
         result = {}

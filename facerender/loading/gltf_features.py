@@ -1,5 +1,4 @@
-"""What of glTF 2.0 and its extensions is drawn, and what is not: the table that the reader goes by,
-and that docs/formats.md shows."""
+"""The supported features and extensions of glTF 2.0, for the reader and for docs/formats.md."""
 
 from __future__ import annotations
 
@@ -14,15 +13,15 @@ class Feature:
 
     Attributes
     ----------
-    name : as files have it
-    fate : "drawn"; "warned" of, and drawn without; "refused" where the file requires it, and warned
-        of where it does not; "passed over" for what changes nothing of the picture
-    how : what is done, for people
-    factor : of a material's extension, the property that is 0 where it changes nothing
+    name : as in files
+    fate : "drawn"; "warned": ignored with a warning; "refused": an error if the file requires it,
+        otherwise ignored with a warning; "ignored": has no effect on the image
+    how : details for users
+    factor : property of a material's extension that disables it if 0
     """
 
     name: str
-    fate: Literal["drawn", "warned", "refused", "passed over"]
+    fate: Literal["drawn", "warned", "refused", "ignored"]
     how: str
     factor: str = ""
 
@@ -32,94 +31,97 @@ class Feature:
 
 
 FEATURES = (
-    Feature("node transforms", "drawn", "every instance where the scene places it"),
+    Feature("node transforms", "drawn", "every instance is placed by the scene graph"),
     Feature(
-        "primitive.mode", "drawn", "triangles, strips and fans; points and lines with a warning"
+        "primitive.mode",
+        "drawn",
+        "triangles, strips and fans; points and lines are ignored with a warning",
     ),
     Feature("interleaved accessors", "drawn", "any byteStride and byteOffset"),
-    Feature("sparse accessors", "drawn", "of vertices, indices and morph targets"),
+    Feature("sparse accessors", "drawn", "vertices, indices and morph targets"),
     Feature(
         "morph targets",
         "drawn",
-        "positions and normals, by the weights of the node or else of the mesh",
+        "positions and normals, with the weights of the node or else of the mesh",
     ),
-    Feature("skins", "drawn", "joints as the nodes stand, up to eight for a vertex"),
-    Feature("animations", "warned", "drawn as the nodes and weights are stored"),
-    Feature("cameras", "passed over", "unless `--camera gltf` asks for them; perspective alone"),
+    Feature("skins", "drawn", "in the stored pose, up to eight joints per vertex"),
+    Feature("animations", "warned", "drawn in the stored pose"),
+    Feature("cameras", "ignored", "except with `--camera gltf`; perspective cameras only"),
     Feature(
-        "COLOR_0", "drawn", "multiplies the base colour; its alpha with a warning, where it counts"
+        "COLOR_0",
+        "drawn",
+        "multiplies the base colour; its alpha is ignored, with a warning if alphaMode uses alpha",
     ),
-    Feature("TEXCOORD_n", "drawn", "two of the sets, or of their transforms, for a material"),
-    Feature("TANGENT", "passed over", "tangents follow from the texture coordinates"),
+    Feature("TEXCOORD_n", "drawn", "up to two sets, or transforms of sets, per material"),
+    Feature("TANGENT", "ignored", "tangents are computed from the texture coordinates"),
     Feature("baseColor", "drawn", "albedo: factor and texture"),
-    Feature("alphaMode", "drawn", "mask and blend, by the base colour's alpha and alphaCutoff"),
+    Feature("alphaMode", "drawn", "mask and blend, with the base colour's alpha and alphaCutoff"),
     Feature(
         "metallic",
         "warned",
-        "the models draw dielectrics, which skin is: metal is drawn as its base colour. A factor "
-        "that the file leaves out counts with a map alone",
+        "drawn as a dielectric, like skin, with its base colour. A missing factor is 1 with a "
+        "texture and 0 without",
     ),
-    Feature(
-        "roughness", "drawn", "m = (factor x green)^2; the factor counts with its texture alone"
-    ),
+    Feature("roughness", "drawn", "m = (factor x green)^2; without a texture, it is ignored"),
     Feature("normalTexture.scale", "drawn", "in [0, 100]"),
-    Feature("occlusionTexture.strength", "drawn", "red; dims light from everywhere"),
+    Feature("occlusionTexture.strength", "drawn", "red channel; dims ambient light"),
     Feature("emissive", "drawn", "factor and texture"),
-    Feature("doubleSided", "passed over", "back faces are drawn by default"),
+    Feature("doubleSided", "ignored", "back faces are drawn by default"),
     Feature(
         "sampler",
         "drawn",
-        "wrapS, wrapT, and magFilter where it is NEAREST; maps are always reduced by mip levels",
+        "wrapS, wrapT, and magFilter if it is NEAREST; minification always uses mip levels",
     ),
-    Feature("KHR_texture_transform", "drawn", "brought into the texture coordinates"),
+    Feature("KHR_texture_transform", "drawn", "applied to the texture coordinates"),
     Feature("KHR_mesh_quantization", "drawn", "all component types"),
-    Feature("KHR_draco_mesh_compression", "drawn", "by `facerender[draco]`"),
-    Feature("EXT_meshopt_compression", "drawn", "by `facerender[lod]`"),
-    Feature("KHR_meshopt_compression", "drawn", "by `facerender[lod]`"),
-    Feature("EXT_mesh_gpu_instancing", "drawn", "a part for every instance"),
-    Feature("KHR_node_visibility", "drawn", "as stored"),
-    Feature("EXT_texture_webp", "drawn", "in place of the texture's source"),
-    Feature("EXT_texture_avif", "drawn", "where the texture has no source"),
-    Feature("MSFT_texture_dds", "drawn", "where the texture has no source"),
-    Feature("KHR_texture_basisu", "refused", "the texture's source, or no map where it has none"),
+    Feature("KHR_draco_mesh_compression", "drawn", "requires `facerender[draco]`"),
+    Feature("EXT_meshopt_compression", "drawn", "requires `facerender[lod]`"),
+    Feature("KHR_meshopt_compression", "drawn", "requires `facerender[lod]`"),
+    Feature("EXT_mesh_gpu_instancing", "drawn", "one part per instance"),
+    Feature("KHR_node_visibility", "drawn", "the stored visibility"),
+    Feature("EXT_texture_webp", "drawn", "used instead of the texture's source"),
+    Feature("EXT_texture_avif", "drawn", "used if the texture has no source"),
+    Feature("MSFT_texture_dds", "drawn", "used if the texture has no source"),
+    Feature("KHR_texture_basisu", "refused", "the texture's source is used, if it has one"),
     Feature("KHR_materials_emissive_strength", "drawn", "multiplies the emission"),
-    Feature("KHR_materials_ior", "drawn", "f0 = ((n - 1) / (n + 1))^2, in place of 0.028"),
+    Feature("KHR_materials_ior", "drawn", "f0 = ((n - 1) / (n + 1))^2 instead of 0.028"),
     Feature(
         "KHR_materials_specular",
         "drawn",
-        "factor: ks; alpha of its texture: specular map; grey of its colour: a factor on f0, tint "
-        "and colour texture with a warning",
+        "factor: ks; alpha of the texture: specular map; mean of the colour: multiplies f0. A tint "
+        "or a colour texture is ignored with a warning",
     ),
+    Feature("KHR_materials_pbrSpecularGlossiness", "warned", "only the diffuse colour is drawn"),
+    Feature("KHR_materials_unlit", "warned", "drawn with lighting"),
+    Feature("KHR_materials_clearcoat", "warned", "drawn without the coat", "clearcoatFactor"),
+    Feature("KHR_materials_sheen", "warned", "drawn without sheen", "sheenColorFactor"),
+    Feature("KHR_materials_transmission", "warned", "drawn as opaque", "transmissionFactor"),
+    Feature("KHR_materials_volume", "ignored", "has an effect only with transmission"),
+    Feature("KHR_materials_dispersion", "ignored", "has an effect only with transmission"),
     Feature(
-        "KHR_materials_pbrSpecularGlossiness", "warned", "diffuse colour drawn, specular part not"
+        "KHR_materials_diffuse_transmission",
+        "warned",
+        "drawn as opaque",
+        "diffuseTransmissionFactor",
     ),
-    Feature("KHR_materials_unlit", "warned", "lit like others"),
-    Feature("KHR_materials_clearcoat", "warned", "without the coat", "clearcoatFactor"),
-    Feature("KHR_materials_sheen", "warned", "without sheen", "sheenColorFactor"),
-    Feature("KHR_materials_transmission", "warned", "as if opaque", "transmissionFactor"),
-    Feature("KHR_materials_volume", "passed over", "counts with transmission alone"),
-    Feature("KHR_materials_dispersion", "passed over", "counts with transmission alone"),
-    Feature(
-        "KHR_materials_diffuse_transmission", "warned", "as if opaque", "diffuseTransmissionFactor"
-    ),
-    Feature("KHR_materials_anisotropy", "warned", "isotropic", "anisotropyStrength"),
-    Feature("KHR_materials_iridescence", "warned", "without the film", "iridescenceFactor"),
-    Feature("KHR_materials_variants", "passed over", "the materials of the primitives themselves"),
-    Feature("KHR_lights_punctual", "warned", "the scene's lights are the options'"),
-    Feature("KHR_animation_pointer", "passed over", "see animations"),
-    Feature("KHR_xmp_json_ld", "passed over", "facts about the file"),
-    Feature("MSFT_lod", "passed over", "the finest level, which is the node itself"),
+    Feature("KHR_materials_anisotropy", "warned", "drawn as isotropic", "anisotropyStrength"),
+    Feature("KHR_materials_iridescence", "warned", "drawn without the film", "iridescenceFactor"),
+    Feature("KHR_materials_variants", "ignored", "each primitive keeps its own material"),
+    Feature("KHR_lights_punctual", "warned", "use `--light` instead"),
+    Feature("KHR_animation_pointer", "ignored", "see animations"),
+    Feature("KHR_xmp_json_ld", "ignored", "metadata"),
+    Feature("MSFT_lod", "ignored", "the node itself is the finest level"),
     Feature(
         "any other extension",
         "refused",
-        "drawn without, with a warning; one that the file requires is an error",
+        "ignored with a warning; an error if the file requires it",
     ),
 )
 EXTENSIONS = {each.name: each for each in FEATURES if each.is_extension}
 
 
-def not_understood(required: Sequence[str]) -> list[str]:
-    """Return the extensions without which a file that requires them cannot be drawn."""
+def unsupported(required: Sequence[str]) -> list[str]:
+    """Return the required extensions that are not supported, sorted by name."""
     return sorted(
         each
         for each in set(required)

@@ -1,5 +1,4 @@
-"""Materials of glTF files: their factors, their maps, and the texture coordinates by which these
-lie."""
+"""Materials of glTF files: factors, maps and transforms of texture coordinates."""
 
 from __future__ import annotations
 
@@ -34,15 +33,15 @@ if TYPE_CHECKING:
 _WRAPS: dict[int, Wrap] = {33071: "clamp", 33648: "mirror"}
 _NEAREST = 9728
 _ALPHAS: dict[str, Alpha] = {"MASK": "mask", "BLEND": "blend"}
-_INSTEAD = ("EXT_texture_avif", "MSFT_texture_dds")  # images, where a texture has no other
-_F0 = 0.028  # where a file does not say
-_MOST_LOOKED_AT = 1 << 22  # texels of a map, to find metal
-_METAL = 0.1  # what an image of none may show of it, as JPEG has it
+_INSTEAD = ("EXT_texture_avif", "MSFT_texture_dds")  # used if a texture has no other image
+_F0 = 0.028  # default for materials without KHR_materials_ior
+_MOST_LOOKED_AT = 1 << 22  # texels; larger metallic maps are not decoded
+_METAL = 0.1  # lower values may be JPEG noise in a map without metal
 
 
 @dataclass(frozen=True)
 class TextureTransform:
-    """Where on its image a map lies: a set of texture coordinates, and what transforms it."""
+    """A set of texture coordinates and its transform."""
 
     texcoord: int = 0
     offset: tuple[float, ...] = (0.0, 0.0)
@@ -51,7 +50,7 @@ class TextureTransform:
 
     @classmethod
     def of(cls, use: Doc) -> TextureTransform:
-        """Return the transform of a material's use of a texture."""
+        """Return the transform of a material's reference to a texture."""
         own = use.get("extensions", {}).get("KHR_texture_transform", {})
         return cls(
             own.get("texCoord", use.get("texCoord", 0)),
@@ -61,7 +60,8 @@ class TextureTransform:
         )
 
     def applied(self, uv: NDArray[Any]) -> NDArray[np.float64]:
-        """Return texture coordinates (N, 2), v downwards, as they are transformed, v upwards."""
+        """Return transformed texture coordinates (N, 2). The v axis of ``uv`` points down, that of
+        the result points up."""
         u, v = (uv[:, i].astype(np.float64) * self.scale[i] for i in (0, 1))
         cos, sin = math.cos(self.rotation), math.sin(self.rotation)
         if self.rotation:
@@ -70,7 +70,7 @@ class TextureTransform:
 
 
 class Materials:
-    """The materials of a checked document. Methods raise ValueError for what is damaged."""
+    """The materials of a checked document. Methods raise ValueError if the data are damaged."""
 
     def __init__(self, buffers: Buffers, without_albedo: bool) -> None:
         self.name = buffers.name
@@ -84,7 +84,7 @@ class Materials:
         self.warn = WarnOnce()
 
     def look(self, index: int | None, has_colors: bool) -> Look[TextureTransform]:
-        """Return the look of a primitive."""
+        """Return the look of a primitive; ``has_colors``: whether it has vertex colours."""
         if (index, has_colors) not in self.looks:
             self.looks[index, has_colors] = self._look(index, has_colors)
         return self.looks[index, has_colors]
@@ -124,10 +124,10 @@ class Materials:
         albedo = (red, green, blue)
         lost = self.lost_images and maps.get("albedo_map") is None
         if lost and min(albedo) > 0.99:
-            albedo = SKIN_ALBEDO  # white was meant to multiply the image
+            albedo = SKIN_ALBEDO  # white is only the factor of the lost map
         material = Material(
             albedo=albedo,
-            # Without a map it does not count: exporters write 1 or 0.5 by default.
+            # Used only with a map: exporters write 1 or 0.5 by default.
             roughness_factor=self._factor("roughness", metallic.get("roughnessFactor", 1.0)),
             f0=self._f0(extensions),
             ks=self._factor("specular", specular.get("specularFactor", 1.0)),
@@ -148,7 +148,7 @@ class Materials:
         places: Mapping[str, TextureTransform],
         drawn: tuple[TextureTransform | None, ...],
     ) -> dict[str, Any]:
-        """Return the maps whose texture coordinates are drawn, by the fields of the material."""
+        """Return the maps with one of the ``drawn`` transforms, by field of the material."""
         maps: dict[str, Any] = {}
         for key, place in places.items():
             kind = _kind(key)
@@ -156,28 +156,25 @@ class Materials:
                 maps[key] = self._map(uses[key], kind, _CHANNELS.get(key))
             else:
                 self.warn(
-                    f"the {kind} map of {self.name} lies by texture coordinates of its own beside "
-                    "two others: left out"
+                    f"the {kind} map of {self.name} needs a third set or transform of texture "
+                    "coordinates: ignored, a material can have two"
                 )
         return maps
 
     # --- factors ---------------------------------------------------------------------------------
 
     def _warn_of(self, extensions: Mapping[str, Doc]) -> None:
-        """Warn of the layers that a material has and that are not drawn."""
+        """Warn of the material's unsupported extensions that have an effect."""
         for key, own in extensions.items():
             feature = EXTENSIONS.get(key)
             if feature is None or feature.fate != "warned":
                 continue
             if not feature.factor or np.any(own.get(feature.factor, 0.0)):
-                self.warn(f"{self.name} has {key}: drawn otherwise ({feature.how})")
+                self.warn(f"{self.name} has {key}, which is not supported: {feature.how}")
 
     def _factor(self, what: str, value: float, most: float = 1.0) -> float:
         if not 0.0 <= value <= most:
-            warn(
-                f"the {what} factor {value:.6g} of {self.name} is outside [0, {most:g}]: brought "
-                "there"
-            )
+            warn(f"the {what} factor {value:.6g} of {self.name} is outside [0, {most:g}]: clamped")
         return float(min(max(value, 0.0), most))
 
     def _strength(self, source: Doc, use: str, key: str, most: float) -> float:
@@ -196,18 +193,18 @@ class Materials:
         if ior is not None:
             n = ior.get("ior", 1.5)
             if n and n < 1.0:
-                warn(f"the ior {n:.6g} of {self.name} is below 1: brought there")
+                warn(f"the ior {n:.6g} of {self.name} is below 1: clamped to 1")
                 n = 1.0
             f0 = ((n - 1.0) / (n + 1.0)) ** 2
         specular = extensions.get("KHR_materials_specular", {})
         tint = specular.get("specularColorFactor", (1.0, 1.0, 1.0))
         if "specularColorTexture" in specular or max(tint) - min(tint) > 0.01 * max(tint):
-            self.warn(f"{self.name} has a coloured specular (KHR_materials_specular): drawn grey")
+            self.warn(f"{self.name} has a specular colour (KHR_materials_specular): drawn grey")
         grey = self._factor("specularColor", sum(tint) / 3.0, HIGHEST)
         return min(f0 * grey, 0.999)
 
     def _look_for_metal(self, metallic: Doc) -> None:
-        """Warn of metal, whose map is then decoded unless it is large."""
+        """Warn of a metallic material; its map is decoded for this unless it is large."""
         use = metallic.get("metallicRoughnessTexture")
         factor = metallic.get("metallicFactor", 0.0 if use is None else 1.0)
         if factor <= 0.0:
@@ -217,22 +214,22 @@ class Materials:
         if found is not None:
             image = found[0]
             if image.width * image.height > _MOST_LOOKED_AT:
-                self.warn(f"{self.name} has a metallic map: drawn as if it were 0")
+                self.warn(f"{self.name} has a metallic map: ignored, drawn as a dielectric")
                 return
             try:
                 image.load()
                 blue = image if image.mode == "L" else image.convert("RGB").getchannel("B")
                 factor *= float(np.asarray(blue).max()) / 255.0
-            except Exception:  # who draws it is told
+            except Exception:  # drawing the map reports the error
                 return
         if factor > _METAL:
-            self.warn(f"{self.name} has metallic materials: drawn as dielectrics, which skin is")
+            self.warn(f"{self.name} has metallic materials: drawn as dielectrics, like skin")
 
     # --- maps ------------------------------------------------------------------------------------
 
     @staticmethod
     def _source(texture: Doc) -> Any:
-        """The image of a texture that can be read."""
+        """Return the index of the image that is read for a texture, or None."""
         others = texture.get("extensions", {})
         found = others.get("EXT_texture_webp", {}).get("source", texture.get("source"))
         for key in _INSTEAD:
@@ -242,7 +239,8 @@ class Materials:
     def _map(
         self, use: Doc | None, kind: str, channel: int | Literal["alpha"] | None
     ) -> Texture | None:
-        """Return a material's map; one of those that are wanted must be an image."""
+        """Return a material's map, or None if its image is missing. An unreadable image raises
+        InputError, or warns if the caller replaces the albedo map."""
         if use is None:
             return None
         texture = self.document["textures"][use["index"]]
@@ -250,8 +248,8 @@ class Materials:
         if source is None:
             basis = "KHR_texture_basisu" in texture.get("extensions", {})
             self.warn(
-                f"the {kind} map of {self.name} has no image that is understood"
-                f"{' (KHR_texture_basisu)' * basis}: left out"
+                f"the {kind} map of {self.name} has no image in a supported format"
+                f"{' (KHR_texture_basisu)' * basis}: ignored"
             )
             self.lost_images = True
             return None
@@ -275,7 +273,7 @@ class Materials:
         return self.sampled[key]
 
     def _image(self, index: int, kind: str) -> tuple[Image, Texture, Texture | None] | None:
-        """Return an image, its texture, and one of its alpha, where it has that."""
+        """Return an image, its texture, and the texture of its alpha channel or None."""
         entry = self.document["images"][index]
         shown = f"the {kind} map of {self.name}"
         try:
@@ -303,7 +301,7 @@ class Materials:
         return image, Texture.of(content, name), alpha
 
 
-# Which channel of its image a map is; the others are of its colours.
+# The image channel that a map uses; other maps use the colours.
 _CHANNELS: dict[str, int | Literal["alpha"]] = {
     "opacity_map": "alpha",
     "specular_map": "alpha",
@@ -313,5 +311,5 @@ _CHANNELS: dict[str, int | Literal["alpha"]] = {
 
 
 def _kind(field: str) -> str:
-    """What messages call a map."""
+    """Return the name of a map for messages."""
     return {"emissive_map": "emission"}.get(field, field.removesuffix("_map"))

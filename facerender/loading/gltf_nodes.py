@@ -1,4 +1,4 @@
-"""The nodes of a glTF file's scene, and where their transforms place them."""
+"""The nodes of a glTF scene and their world matrices."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Node(NamedTuple):
 
     Attributes
     ----------
-    number, properties : of the document's nodes
-    world : (4, 4), for columns, from the node's space to the scene's
-    visible : whether it and all nodes above it are (KHR_node_visibility)
+    number, properties : index and JSON object of the node
+    world : (4, 4), for column vectors, from node space to scene space
+    visible : whether the node and all of its ancestors are visible (KHR_node_visibility)
     """
 
     number: int
@@ -30,12 +30,11 @@ class Node(NamedTuple):
 
 
 def scene_nodes(document: Doc) -> Iterator[Node]:
-    """Yield the nodes of a checked document's scene, or without scenes all, each before those below
-    it.
+    """Yield the nodes of a checked document's scene, parents first; all nodes if it has no scene.
 
     Raises
     ------
-    ValueError : a node has two parents, or is below itself
+    ValueError : a node has two parents, or is its own ancestor
     """
     nodes = document["nodes"]
     if scenes := document["scenes"]:
@@ -48,7 +47,7 @@ def scene_nodes(document: Doc) -> Iterator[Node]:
     while queue:
         index, world, visible = queue.pop()
         if index in found:
-            raise ValueError(f"nodes[{index}] has two parents, or is below itself")
+            raise ValueError(f"nodes[{index}] has two parents, or is its own ancestor")
         found.add(index)
         node = nodes[index]
         if not node.keys().isdisjoint(_TRANSFORMS):
@@ -60,7 +59,7 @@ def scene_nodes(document: Doc) -> Iterator[Node]:
 
 
 def transform(node: Doc) -> NDArray[np.float64]:
-    """Return a node's matrix (4, 4), for columns."""
+    """Return the local matrix of a node, (4, 4), for column vectors."""
     matrix = np.eye(4)
     if "matrix" in node:
         matrix = np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
@@ -75,7 +74,7 @@ def transform(node: Doc) -> NDArray[np.float64]:
 
 
 def _rotation(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix (3, 3) of a quaternion x, y, z, w of any length."""
+    """Return the rotation matrix (3, 3) of a quaternion x, y, z, w of any length."""
     length = float(np.linalg.norm(quaternion))
     if not 1e-12 < length < np.inf:
         return np.eye(3)

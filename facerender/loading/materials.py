@@ -1,5 +1,4 @@
-"""What the materials of glTF and of MTL files have in common: looks, and
-images, which are opened or left out with a warning."""
+"""Code shared by glTF and MTL materials: looks, and images that are missing or unreadable."""
 
 from __future__ import annotations
 
@@ -22,8 +21,8 @@ Transform = TypeVar("Transform")
 
 @dataclass(frozen=True)
 class Look(Generic[Transform]):
-    """A material, and what transforms the texture coordinates of its maps: of those that it names
-    as ``second_uv`` the second, of the others the first."""
+    """A material and the transforms of its texture coordinates: ``second`` for the maps named in
+    ``material.second_uv``, ``first`` for the others."""
 
     material: Material
     first: Transform
@@ -31,12 +30,12 @@ class Look(Generic[Transform]):
 
 
 def second_of(transforms: Iterable[Transform], first: Transform) -> Transform | None:
-    """Return the first of these that is another than ``first``."""
+    """Return the first of the transforms that differs from ``first``, or None."""
     return next((each for each in transforms if each != first), None)
 
 
 class WarnOnce:
-    """Warns of each thing once."""
+    """A callable that emits each warning once."""
 
     def __init__(self) -> None:
         self.warned: set[str] = set()
@@ -51,11 +50,11 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".tga")
 
 
 def image_of(content: bytes) -> Image:
-    """Return an image, which is decoded later.
+    """Open an image; its texels are decoded later.
 
     Raises
     ------
-    ValueError : it is none that is read, is damaged or too large
+    ValueError : the format is not supported, or the image is damaged or too large
     """
     try:
         return open_image(content, "it", FORMATS, "PNG, JPEG, TIFF or WebP")
@@ -64,10 +63,10 @@ def image_of(content: bytes) -> Image:
 
 
 def unreadable(shown: str, kind: str, fatal: bool) -> None:
-    """Tell of an image that cannot be opened: as InputError where it is needed."""
+    """Report an image that cannot be read: raise InputError if ``fatal``, else warn."""
     message = f"{shown} is not an image that can be read"
     if not fatal:
-        warn(f"{message}: left out")
+        warn(f"{message}: ignored")
         return
     option = {"albedo": "--albedo", "normal": "--normal-map", "roughness": "--roughness-map"}
     remedy = f", or pass {option[kind]} FILE" if kind in option else ""
@@ -75,7 +74,7 @@ def unreadable(shown: str, kind: str, fatal: bool) -> None:
 
 
 def missing_image(referred: References, name: str) -> None:
-    """Warn of an image that is not there."""
+    """Warn of a missing image, and suggest the only image in the mesh file's folder, if any."""
     near = referred.folder.iterdir() if referred.folder else ()
     beside = [each.name for each in near if each.suffix.lower() in SUFFIXES]
     hint = f"pass --albedo {clipped(beside[0], 80) if len(beside) == 1 else 'FILE'}"

@@ -1,5 +1,5 @@
-"""The cache of meshes that were loaded, with the mip chains of their maps: an entry's name is a
-digest of the files and of the code that read them. Reading one needs neither trimesh nor Pillow."""
+"""The cache of loaded meshes with the mip chains of their maps. An entry is named by a digest of
+the files and of the code that read them. Reading an entry imports neither trimesh nor Pillow."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _ALIGNMENT = 64
 _LENGTH = struct.Struct("<Q")
 _PACKAGE = Path(__file__).parents[1]
 _LIBRARIES = ("numpy", "scipy", "trimesh", "PIL", "DracoPy", "meshoptimizer")
-# What the maps of a material are drawn from.
+# The kind of mip chain that each map of a material is drawn from.
 _CHAINS: dict[str, Kind] = {
     **dict.fromkeys(("albedo_map", "emissive_map"), "color"),
     "normal_map": "normal",
@@ -47,12 +47,12 @@ _ARRAYS = tuple(each.name for each in fields(Part) if each.name != "name")
 
 @dataclass(frozen=True)
 class MeshFiles:
-    """The files that a mesh is loaded from.
+    """The files from which a mesh is loaded.
 
     Attributes
     ----------
     source : the mesh file
-    maps : by the field of :class:`Material`, image files in place of the mesh file's own maps
+    maps : image files that replace the mesh file's maps, by field of :class:`Material`
     orientation, allow_outside : see :func:`facerender.load_mesh`
     """
 
@@ -62,7 +62,7 @@ class MeshFiles:
     allow_outside: bool
 
     def digest(self) -> str | None:
-        """Return the entry's name in the cache, or None where a file cannot be read."""
+        """Return the name of the cache entry, or None if a file cannot be read."""
         names = [self.source.path.name, *((field, each.name) for field, each in self.maps.items())]
         options = self.orientation, self.allow_outside
         facts = __version__, _code(), names, self.source.suffix, options
@@ -73,22 +73,22 @@ class MeshFiles:
             return None
 
     def find(self) -> Mesh | None:
-        """Return the mesh from the cache, and warn of what was warned of when it was read; None
-        where it is not there, is damaged, or a file that the mesh file refers to is another now."""
+        """Return the mesh from the cache, and repeat the warnings of its original load. Return None
+        if the entry is missing or damaged, or a referenced file has changed."""
         name = self.digest()
         content = None if name is None else cache.read(_KIND, name)
         if content is None:
             return None
         try:
             found, warnings = self._unpacked(content)
-        except Exception:  # whatever another program has left there
+        except Exception:  # another program may have written anything
             return None
         for message in warnings:
             warn(message)
         return found
 
     def _unpacked(self, content: memoryview) -> tuple[Mesh | None, list[str]]:
-        """Return the mesh of an entry, and what was warned of."""
+        """Return the mesh and warnings of an entry; no mesh if a referenced file has changed."""
         (length,) = _LENGTH.unpack_from(content)
         facts = json.loads(bytes(content[_LENGTH.size : _LENGTH.size + length]))
         if any(self._digest_of(each) != known for each, known in facts["files"].items()):
@@ -105,27 +105,27 @@ class MeshFiles:
     def store(
         self, name: str, mesh: Mesh, referred: Mapping[str, bytes | None], warnings: Sequence[str]
     ) -> None:
-        """Put the mesh into the cache when its maps are decoded, in a thread that the process
-        waits for when it ends.
+        """Decode the maps and write the mesh to the cache in a thread. The process waits for the
+        thread when it ends.
 
         Parameters
         ----------
-        name : the digest of before the files were read
-        referred : files that the mesh file refers to, as they were read; None is not there
+        name : the digest, computed before the files were read
+        referred : contents of the files that the mesh file refers to; None if one is missing
         """
         if not cache.limit():
             return
         if None in referred.values() and "albedo_map" not in self.maps:
-            return  # the warning of it names the folder, and what lies there
+            return  # the warning of a missing image depends on the other files in the folder
         if any(math.prod(each.size) > LARGE for each in _maps(mesh)):
-            return  # all of them would be decoded
+            return  # large maps would be decoded at full resolution
         files = {each: None if data is None else digest_of(data) for each, data in referred.items()}
         chains = _start(mesh)
 
         def write() -> None:
             try:
                 pieces = _pieces(mesh, chains, {"files": files, "warnings": warnings})
-            except FacerenderError:  # a map is damaged: who draws it is told so
+            except FacerenderError:  # a damaged map: drawing it reports the error
                 return
             if self.digest() == name:
                 cache.write(_KIND, name, pieces)
@@ -134,8 +134,8 @@ class MeshFiles:
 
 
 def _code() -> list[tuple[str, int, int]]:
-    """Return what identifies the code that reads meshes and decodes images: file, size and time of
-    change of modules of this package and of libraries."""
+    """Return path, size and modification time of the modules that read meshes and decode images, in
+    this package and in libraries."""
     specs = (importlib.util.find_spec(name) for name in _LIBRARIES)
     found = [Path(spec.origin) for spec in specs if spec and spec.origin]
     for folder in ("images", "loading", "scenes"):
@@ -150,7 +150,7 @@ def _maps(mesh: Mesh) -> Iterator[Texture]:
 
 
 def _start(mesh: Mesh) -> Chains:
-    """Start decoding every map."""
+    """Start to decode every map."""
     chains: Chains = {}
     for material in mesh.materials:
         for name in (*MAPS, "property_map"):
@@ -163,7 +163,8 @@ def _start(mesh: Mesh) -> Chains:
 
 
 def _pieces(mesh: Mesh, chains: Chains, facts: dict[str, Any]) -> list[bytes | memoryview]:
-    """Return an entry: the length of the facts, the facts as JSON, arrays, which those number."""
+    """Return an entry: length of the facts, facts as JSON, arrays. The facts refer to arrays by
+    index."""
     arrays: list[NDArray[Any]] = []
 
     def number(values: NDArray[Any] | None) -> int | None:
@@ -231,7 +232,7 @@ def _mesh(facts: Mapping[str, Any], arrays: Sequence[NDArray[Any]]) -> Mesh:
         material = Material(**{**each, **dict.fromkeys(MAPS), **maps})
         if packed is not None:
             own = pack(*material.properties, textures[packed])
-            vars(material)["property_map"] = own  # as when asked for
+            vars(material)["property_map"] = own  # sets the cached property
         materials.append(material)
     columns: list[dict[str, Any]] = [
         {name: None if each[name] is None else arrays[each[name]] for name in _ARRAYS}

@@ -1,4 +1,4 @@
-"""MTL files: the materials that an OBJ file uses, and their maps."""
+"""Read MTL files: the materials of an OBJ file and their maps."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 
-# The height of white over black, by the width of the map: 2.5 mm where that goes once around a head
-# of 500 mm. MTL gives no unit.
+# Height of white above black, as a fraction of the map's width: 2.5 mm for a map that wraps once
+# around a head with a circumference of 500 mm. MTL defines no unit.
 DEPTH = 0.005
-_LOOKED_AT = 64  # texels of a side
-_GREY = 8.0  # mean difference of the channels of a grey image, as JPEG has it
-_STRIP = 256  # rows
+_LOOKED_AT = 64  # side in texels of the thumbnail that is tested
+_GREY = 8.0  # limit of the channels' mean difference in a grey image; JPEG noise is below
+_STRIP = 256  # rows per block
 
 
 class Bump(Texture):
-    """A normal map of a bump map, which is told by its colours, when it is decoded: heights are
-    grey; normals have a length of 1 and point outwards, which is blue."""
+    """A bump map as a normal map. Its colours are tested when it is decoded: grey texels are
+    heights; bluish texels of length 1 are already normals."""
 
-    _image: Image | None = None  # a copy of a pickle has texels alone
+    _image: Image | None = None  # None in unpickled copies, which have only texels
 
     def __init__(self, image: Image, name: str, green_down: bool = False) -> None:
         def decode() -> Image:
@@ -45,14 +45,14 @@ class Bump(Texture):
                 if not _is_normal_map(image):
                     return _normals(image)
                 return with_green_turned(image) if green_down else image
-            except Exception as error:  # each decoder of Pillow fails in its own way
+            except Exception as error:  # Pillow's decoders raise many exceptions
                 raise InputError(f"{name} is damaged ({reason(error)}); replace the file") from None
 
         super().__init__(decode, name, image.size)
         self._image = image
 
     def turned_green(self) -> Texture:
-        """This texture, with green upwards if it is a map of normals; heights have none."""
+        """Return this texture with the green channel flipped if it holds normals, not heights."""
         if self._image is None:
             return super().turned_green()
         return Bump(self._image, self.name, green_down=True)
@@ -71,7 +71,7 @@ def _is_normal_map(image: Image) -> bool:
 
 
 def _normals(image: Image) -> Image:
-    """Return heights in any mode as a normal map, green up."""
+    """Convert heights in any image mode to a normal map, green up."""
     from PIL import Image as images
 
     deep = image.mode.startswith(("I", "F"))
@@ -83,7 +83,7 @@ def _normals(image: Image) -> Image:
         start, end = max(top - 1, 0), min(top + _STRIP + 1, height)
         own = slice(top - start, min(top + _STRIP, height) - start)
         rows = heights[start:end].astype(np.float32) * np.float32(DEPTH / scale)
-        # Rows go down, and green up: both signs of the second are turned.
+        # Rows run down and green points up: the sign of the second component flips twice.
         slopes = np.stack([-_slope(rows, 1) * width, _slope(rows, 0) * height], axis=-1)[own]
         length = np.sqrt(1.0 + (slopes**2).sum(axis=-1, keepdims=True))
         unit = np.concatenate([slopes, np.ones_like(length)], axis=-1) / length
@@ -92,7 +92,7 @@ def _normals(image: Image) -> Image:
 
 
 def _slope(rows: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    """Return the difference per texel; none where there is one texel."""
+    """Return the difference per texel along an axis; 0 if there is only one texel."""
     if rows.shape[axis] < 2:
         return np.zeros_like(rows)
     return np.asarray(np.gradient(rows, axis=axis))
@@ -100,8 +100,8 @@ def _slope(rows: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
 
 _LIBRARIES = re.compile(rb"^[ \t]*mtllib[ \t]+(.*\S)", re.MULTILINE)
 _MOST_TILES = 100
-# By the statement, the field of the material that its map is, and what messages call it. Of several
-# for a field the first counts.
+# Statement: field of the material, name in messages. Of several statements for a field, the first
+# listed here is used.
 _MAPS = {
     "map_kd": ("albedo_map", "albedo"),
     "map_d": ("opacity_map", "opacity"),
@@ -112,30 +112,30 @@ _MAPS = {
     "map_ke": ("emissive_map", "emission"),
     "map_pr": ("roughness_map", "roughness"),
 }
-# How many words follow an option of a map, at most where they are numbers.
+# Number of words that follow an option of a map. A list of numbers may be shorter.
 _OPTIONS = {
     **dict.fromkeys(("-blendu", "-blendv", "-cc", "-clamp", "-imfchan", "-type"), 1),
     **dict.fromkeys(("-bm", "-boost", "-texres"), 1),
     "-mm": 2,
     **dict.fromkeys(("-o", "-s", "-t"), 3),
 }
-# Options that are not read, and what they say where nothing is lost by that.
+# Options that are ignored, and their values that have no effect: any other value warns.
 _UNREAD = {"-cc": "off", "-boost": "0", "-blendu": "on", "-blendv": "on"}
 _CHANNELS = {"r": 0, "g": 1, "b": 2}
-# Without effect here, or on anything but ambient light, which has no colour of its own.
-_PASSED_OVER = {"ka", "map_ka", "illum", "ni", "sharpness", "map_aat"}
+# Statements that are ignored: they have no effect here, or only change the colour of ambient light.
+_IGNORED = {"ka", "map_ka", "illum", "ni", "sharpness", "map_aat"}
 _READ = {"kd", "ks", "ns", "ke", "d", "tr", "tf", "pr", *_MAPS}
-_LAYERS = {"pm", "ps", "pc", "pcr", "aniso", "anisor"}  # which 0 leaves without effect
+_LAYERS = {"pm", "ps", "pc", "pcr", "aniso", "anisor"}  # 0 disables them
 
 
 class UvSpread(NamedTuple):
-    """What the options -s and -o of a map do to texture coordinates, v upwards."""
+    """Scale and offset of texture coordinates (options -s and -o of a map), v upwards."""
 
     scale: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)
 
     def applied(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return texture coordinates (N, 2) as they are then."""
+        """Return transformed texture coordinates (N, 2)."""
         return uv if self == _PLAIN else uv * self.scale + self.offset
 
 
@@ -144,9 +144,9 @@ _PLAIN = UvSpread()
 
 @dataclass
 class _Map:
-    """A statement of a map: its file, and what its options say.
+    """The statement of a map: file name and options.
 
-    uv : of its texture coordinates
+    uv : transform of the texture coordinates
     """
 
     name: str
@@ -161,7 +161,7 @@ class Library:
 
     Attributes
     ----------
-    text : an MTL file of their names alone
+    text : an MTL file with only the names of the materials
     """
 
     def __init__(self, data: bytes, referred: References, name: str, without_albedo: bool) -> None:
@@ -169,7 +169,7 @@ class Library:
 
         Raises
         ------
-        InputError : one of them is no file
+        InputError : one of them is not a regular file, or all files together are too large
         """
         self.referred = referred
         self.name = name
@@ -184,7 +184,7 @@ class Library:
         self.text = "".join(f"newmtl {each}\n" for each in self.materials).encode()
 
     def _contents(self, line: str) -> Iterator[str]:
-        """The MTL file of a name, or those of its words."""
+        """Yield the MTL file named by the whole line, or else the files named by its words."""
         try:
             yield _decoded(self.referred.read(line, "an MTL file"))
             return
@@ -211,9 +211,9 @@ class Library:
                 statements[key.lower()] = rest.strip()
 
     def look(self, name: str, has_colors: bool, tile: int = 0) -> Look[UvSpread]:
-        """Return the look of a material; that of a part without one where there is none.
+        """Return the look of a material, or the default look if the material is not defined.
 
-        tile : for maps of UDIM, which are left out where it is 0
+        tile : number of the UDIM tile; 0 ignores UDIM maps
         """
         statements = self.materials.get(name)
         if statements is None:
@@ -224,8 +224,8 @@ class Library:
         return self.looks[key]
 
     def tiles(self, name: str, piece: Piece) -> Mapping[int, NDArray[np.bool_]]:
-        """Return by the tile of UDIM which faces of a piece lie there; nothing where its maps are
-        not of that kind."""
+        """Return the mask of a piece's faces on each UDIM tile, by tile number; empty without UDIM
+        maps."""
         statements = self.materials.get(name, {})
         named = [statements[key] for key in _MAPS if key in statements]
         if piece.uv is None or not len(piece.faces):
@@ -239,21 +239,21 @@ class Library:
         if not any(UDIM in each for each in named):
             if len(found) > 1 and any(re.search(r"(?<!\d)1001(?!\d)", each) for each in named):
                 self.warn(
-                    f"a map of {self.name} is tile 1001 of UDIM: drawn in all of {len(found)} "
-                    f"tiles; write {UDIM} in place of 1001 for one each"
+                    f"a map of {self.name} is UDIM tile 1001: drawn on all {len(found)} tiles; "
+                    f"write {UDIM} instead of 1001 to use one map per tile"
                 )
             return {}
         if len(found) > _MOST_TILES:
             raise InputError(
-                f"{self.name} lies on {len(found)} tiles of UDIM, of {_MOST_TILES} at most"
+                f"{self.name} uses {len(found)} UDIM tiles, but the limit is {_MOST_TILES}"
             )
         return {int(tile): np.asarray(tiles == tile) for tile in found}
 
     def split(
         self, piece: Piece, name: str, tiles: Mapping[int, NDArray[np.bool_]]
     ) -> Iterator[Piece]:
-        """Yield what of a piece lies on each tile of UDIM, its texture coordinates brought into the
-        unit square."""
+        """Yield the part of a piece on each UDIM tile, with texture coordinates moved into the unit
+        square."""
         assert piece.uv is not None
         for tile, chosen in tiles.items():
             vertices, inverse = np.unique(piece.faces[chosen], return_inverse=True)
@@ -273,9 +273,9 @@ class Library:
     # --- factors ---------------------------------------------------------------------------------
 
     def _look(self, statements: Mapping[str, str], has_colors: bool, tile: int) -> Look[UvSpread]:
-        for key in statements.keys() - _READ - _PASSED_OVER:
+        for key in statements.keys() - _READ - _IGNORED:
             if key not in _LAYERS or any(self._numbers(statements, key)):
-                self.warn(f"{self.name} has {clipped(key, 40)} in its MTL: not drawn")
+                self.warn(f"{self.name} has {clipped(key, 40)} in its MTL: ignored")
         uses = self._uses(statements)
         places = {key: each.uv for key, each in uses.items()}
         first = places.get("albedo_map", next(iter(places.values()), _PLAIN))
@@ -285,14 +285,17 @@ class Library:
             if places[key] in (first, second):
                 maps[key] = self._map(key, use, tile)
             else:
-                self.warn(f"{clipped(use.name, 80)} lies as no two other maps do: left out")
+                self.warn(
+                    f"{clipped(use.name, 80)} needs a third transform of texture coordinates: "
+                    "ignored, a material can have two"
+                )
         changes: dict[str, Any] = dict(maps)
         white = (1.0, 1.0, 1.0)
         has_map = "map_kd" in statements
         albedo = self._color(statements, "kd") or white
         if has_map and maps.get("albedo_map") is None and min(albedo) > 0.99:
-            albedo = SKIN_ALBEDO  # white was meant to multiply the image
-        # With a map or colours it does not count: exporters write any grey.
+            albedo = SKIN_ALBEDO  # white is only the factor of the lost map
+        # With a map or vertex colours, Kd is ignored: exporters write an arbitrary grey.
         changes["albedo"] = white if maps.get("albedo_map") or has_colors else albedo
         emissive = self._color(statements, "ke") or (0.0, 0.0, 0.0)
         changes["emissive"] = emissive if any(emissive) or "map_ke" not in statements else white
@@ -306,13 +309,13 @@ class Library:
         return Look(Material(**changes), first, second)
 
     def _numbers(self, statements: Mapping[str, str], key: str) -> list[float]:
-        """The numbers of a statement, none where it has others."""
+        """Return the numbers of a statement; none if a word is not a finite number."""
         try:
             found = [float(each) for each in statements.get(key, "").split()]
         except ValueError:
             found = []
         if key in statements and not (found and all(map(math.isfinite, found))):
-            self.warn(f"{self.name} has {key} {clipped(statements[key], 40)} in its MTL: left out")
+            self.warn(f"{self.name} has {key} {clipped(statements[key], 40)} in its MTL: ignored")
             return []
         return found
 
@@ -320,12 +323,12 @@ class Library:
         if not low <= value <= high:
             self.warn(
                 f"{key} {value:.6g} in the MTL of {self.name} is outside [{low:g}, {high:g}]: "
-                "brought there"
+                "clamped"
             )
         return min(max(value, low), high)
 
     def _color(self, statements: Mapping[str, str], key: str) -> Vector | None:
-        """A colour as linear RGB; the file's is sRGB."""
+        """Return a colour as linear RGB; the file stores sRGB."""
         found = self._numbers(statements, key)
         if not found:
             return None
@@ -336,22 +339,22 @@ class Library:
         return float(linear[0]), float(linear[1]), float(linear[2])
 
     def _opacity(self, statements: Mapping[str, str], has_map: bool) -> dict[str, Any]:
-        """The fields of opacity: a map cuts out, a factor alone blends."""
+        """Return the fields of opacity: "blend" for a factor below 1, or else "mask" for a map."""
         found = self._numbers({"d": statements.get("d", "1").replace("-halo", "")}, "d")
         opacity = self._within("d", (found or [1.0])[0], 0.0, 1.0)
         if "d" not in statements and (tr := self._numbers(statements, "tr")):
             opacity = 1.0 - self._within("Tr", tr[0], 0.0, 1.0)
-            if not opacity:  # who writes 1 for all means d
-                self.warn(f"{self.name} has Tr 1 in its MTL, nothing to be seen: drawn as d 1")
+            if not opacity:  # exporters that write Tr 1 for all materials mean d 1
+                self.warn(f"{self.name} has Tr 1 in its MTL, fully transparent: drawn as d 1")
                 opacity = 1.0
         tf = self._numbers(statements, "tf")
         if len({*tf, 1.0}) > 1 and any(tf):
-            self.warn(f"{self.name} has Tf, light that passes through, in its MTL: not drawn")
+            self.warn(f"{self.name} has Tf (transmission) in its MTL: ignored")
         kind = "blend" if opacity < 1.0 else "mask" if has_map else "opaque"
         return {"alpha": kind, "opacity": opacity}
 
     def _highlight(self, statements: Mapping[str, str]) -> dict[str, Any]:
-        """The fields ks and m. Ns is an exponent of Blinn and Phong: m = sqrt(2 / (Ns + 2)).
+        """Return the fields ks and m. Ns is a Blinn-Phong exponent: m = sqrt(2 / (Ns + 2)).
 
         References: Walter et al. (2007), Microfacet models for refraction, section 5.2.
         """
@@ -359,8 +362,8 @@ class Library:
         ks, ns, pr = (self._numbers(statements, key) for key in ("ks", "ns", "pr"))
         if ks and not any(ks) and "map_ks" not in statements:
             self.warn(
-                f"{self.name} has no highlights in its MTL (Ks 0), as many write it: drawn with "
-                "those of skin; --ks 0 for none"
+                f"{self.name} has Ks 0 in its MTL, which many exporters write by default: drawn "
+                "with the highlights of skin; pass --ks 0 for none"
             )
             ns = []
         elif any(ks):
@@ -375,7 +378,7 @@ class Library:
     # --- maps ------------------------------------------------------------------------------------
 
     def _uses(self, statements: Mapping[str, str]) -> dict[str, _Map]:
-        """The maps by the fields of the material."""
+        """Return the statements of maps by field of the material."""
         found: dict[str, _Map] = {}
         for key, (name, _) in _MAPS.items():
             if key not in statements or name in found:
@@ -387,7 +390,7 @@ class Library:
         return found
 
     def _options(self, text: str, kind: str) -> _Map:
-        """Take the options off a statement of a map."""
+        """Parse the statement of a map."""
         use = _Map("")
         scale, offset = [1.0, 1.0], [0.0, 0.0]
         while (word := text.partition(" ")[0].lower()) in _OPTIONS:
@@ -415,7 +418,7 @@ class Library:
                 or (word == "-mm" and numbers != [0.0, 1.0])
                 or (word in _UNREAD and values[:1] != [_UNREAD[word]])
             ):
-                self.warn(f"the {kind} map of {self.name} has the option {word}: left out")
+                self.warn(f"the {kind} map of {self.name} has the option {word}: ignored")
         use.name = text.strip().strip('"')
         use.uv = UvSpread((scale[0], scale[1]), (offset[0], offset[1]))
         return use

@@ -1,5 +1,5 @@
-"""OBJ files before trimesh reads them: references of faces, which it takes as it finds them, and
-parts, which it would join by their materials."""
+"""Prepare OBJ files for trimesh, which neither resolves relative references of faces nor keeps
+groups of the same material apart."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from collections.abc import Mapping, Sequence
 
 from facerender.errors import warn
 
-# A reference that counts backwards from its line, or is 0, which is none.
+# A reference of a face that is negative, thus relative to its line, or 0, which is invalid.
 _RELATIVE = re.compile(rb"^[ \t]*f[^\n]*[ \t/][-0]", re.MULTILINE)
 _LINE = re.compile(rb"^[ \t]*(v|vt|vn|f)[ \t]([^\n]*)", re.MULTILINE)
 _FACE = re.compile(rb"^[ \t]*f[ \t]", re.MULTILINE)
-# An object, a group or a material, of the faces that follow.
+# A statement that sets the object, group or material of the following faces.
 _OWNER = re.compile(rb"^[ \t]*(o|g|usemtl)(?:[ \t]+([^\r\n]*?))?[ \t]*\r?$", re.MULTILINE)
-_MOST_GROUPS = 256  # that are parts: each is drawn by itself
+_MOST_GROUPS = 256  # parts: each needs a draw call
 _KINDS = (b"v", b"vt", b"vn")  # in the order of a corner's references
 
 
 def has_relative(data: bytes) -> bool:
-    """Whether a face of an OBJ file has references that are not plain numbers from 1 on."""
+    """Return whether a face of an OBJ file has a reference below 1."""
     return _RELATIVE.search(data) is not None
 
 
 def with_absolute(data: bytes) -> tuple[bytes, int]:
-    """Return an OBJ file whose faces have plain numbers for what is there, and how many other faces
-    were left out."""
+    """Return an OBJ file with absolute references, and the number of dropped faces, whose
+    references were invalid."""
     totals = {
         key: len(re.findall(rb"^[ \t]*" + key + rb"[ \t]", data, re.MULTILINE)) for key in _KINDS
     }
@@ -49,7 +49,7 @@ def with_absolute(data: bytes) -> tuple[bytes, int]:
 
 
 def _absolute(corner: bytes, counts: Mapping[bytes, int], totals: Mapping[bytes, int]) -> bytes:
-    """Return a corner's references as plain numbers; nothing where one is not there."""
+    """Return a corner with absolute references; empty if a reference is invalid."""
     references: list[bytes] = []
     for reference, key in zip(corner.split(b"/"), _KINDS, strict=False):
         if not reference and key != b"v":
@@ -70,14 +70,13 @@ Owners = tuple[bytes, ...]  # names of object, group and material
 
 
 def with_parts(data: bytes, file: str) -> tuple[bytes, list[str]]:
-    """Return an OBJ file in which every object, group and material with faces is an object called
-    by a number, and the names of the parts that these number.
+    """Return an OBJ file with one numbered object for each combination of object, group and
+    material that has faces, and the name of the part of each number.
 
-    A part has its group's name, or else the object's, or else the material's; where that tells it
-    not apart from another, the material's with a dot before it as well; and where that does not
-    either, the object's too.
+    A part is named after its group, or else its object, or else its material. If parts share a
+    name, it becomes group.material, and if they still do, object.group.material.
 
-    file : its name, to warn of groups that are too many to be parts
+    file : name of the file, for the warning about too many groups
     """
     owners = {b"o": b"", b"g": b"", b"usemtl": b""}
     starts, ends, keys, heads = [0], [0], [tuple(owners.values())], [b""]
@@ -90,27 +89,27 @@ def with_parts(data: bytes, file: str) -> tuple[bytes, list[str]]:
     starts.append(len(data))
     spans = [*zip(ends, starts[1:], strict=True)]
     has_faces = [_FACE.search(data, *span) is not None for span in spans]
-    drawn = _drawn(keys, has_faces)
-    if len(drawn) > _MOST_GROUPS:
+    parts = _with_faces(keys, has_faces)
+    if len(parts) > _MOST_GROUPS:
         keys = [(b"", b"", key[2]) for key in keys]
-        joined = _drawn(keys, has_faces)
-        if len(joined) < len(drawn):
+        joined = _with_faces(keys, has_faces)
+        if len(joined) < len(parts):
             warn(
-                f"{file} has {len(drawn)} groups with faces, of which at most {_MOST_GROUPS} are "
-                "parts: those of a material are joined"
+                f"{file} has {len(parts)} groups with faces, but the limit is {_MOST_GROUPS} "
+                "parts: groups of the same material are joined"
             )
-        drawn = joined
-    if len(drawn) < 2:
-        return data, _names(drawn)
-    numbers = {key: number for number, key in enumerate(drawn)}
+        parts = joined
+    if len(parts) < 2:
+        return data, _names(parts)
+    numbers = {key: number for number, key in enumerate(parts)}
     lines = [
-        b"o %d\n%b%b" % (numbers.get(key, len(drawn)), head, data[slice(*span)])
+        b"o %d\n%b%b" % (numbers.get(key, len(parts)), head, data[slice(*span)])
         for key, head, span in zip(keys, heads, spans, strict=True)
     ]
-    return b"".join(lines), _names(drawn)
+    return b"".join(lines), _names(parts)
 
 
-def _drawn(keys: Sequence[Owners], has_faces: Sequence[bool]) -> list[Owners]:
+def _with_faces(keys: Sequence[Owners], has_faces: Sequence[bool]) -> list[Owners]:
     return [*dict.fromkeys(key for key, own in zip(keys, has_faces, strict=True) if own)]
 
 

@@ -1,4 +1,4 @@
-"""Mesh files as pieces: glTF is read by this package, the other formats by trimesh."""
+"""Read mesh files as pieces: this package reads glTF, trimesh reads the other formats."""
 
 from __future__ import annotations
 
@@ -43,20 +43,20 @@ _LINES = re.compile(
 )
 _TEXTURE = re.compile(r"comment\s+texturefile\s+(.*\S)", re.I)
 _INDICES = ("vertex_index", "vertex_indices")
-_SLACK = 16  # blank lines at the end
+_SLACK = 16  # blank lines allowed at the end
 
 
 def checked_ply(data: bytes) -> tuple[bytes, str | None]:
-    """Return a PLY file without its edges, of which trimesh would make a drawing, and the name of
-    its texture.
+    """Check a PLY file. Return it with its edges renamed, because trimesh would load them as a 2D
+    drawing, and the name of its texture or None.
 
     Raises
     ------
-    ValueError : its header is damaged, or tells of more elements than its bytes can hold
+    ValueError : the header is damaged, or declares more elements than the bytes can hold
     """
     end = data.find(b"end_header", 0, _MOST_HEADER)
     if not data.startswith(b"ply") or end < 0:
-        raise ValueError("it has no header of PLY")
+        raise ValueError("it has no PLY header")
     lines = [" ".join(line.split()) for line in data[:end].decode("utf-8", "replace").splitlines()]
     lines = [line for line in lines if line]
     rest = data[end:]
@@ -65,7 +65,7 @@ def checked_ply(data: bytes) -> tuple[bytes, str | None]:
     count = rows = needed = 0
     for line in lines:
         if _LINES.fullmatch(line) is None:
-            raise ValueError(f"its header says {clipped(line, 60)!r}")
+            raise ValueError(f"its header has the invalid line {clipped(line, 60)!r}")
         words = line.split()
         if words[0] == "element":
             count = int(words[2])
@@ -75,15 +75,15 @@ def checked_ply(data: bytes) -> tuple[bytes, str | None]:
         elif (found := _TEXTURE.fullmatch(line)) is not None:
             texture = found[1]
     if needed > len(rest):
-        raise ValueError(f"its header tells of {needed} bytes or more, it has {len(rest)}")
+        raise ValueError(f"its header declares at least {needed} bytes, but it has {len(rest)}")
     if is_text and rest.count(b"\n") > rows + _SLACK:
-        raise ValueError(f"its header tells of {rows} lines, it has more")
-    kept = [line.replace("element edge ", "element line ") for line in lines]
-    return "\n".join([*kept, ""]).encode() + rest, texture
+        raise ValueError(f"its header declares {rows} lines, but it has more")
+    renamed = [line.replace("element edge ", "element line ") for line in lines]
+    return "\n".join([*renamed, ""]).encode() + rest, texture
 
 
 def _least_bytes(words: list[str], is_text: bool) -> int:
-    """How many bytes a property takes at least; the list of a face has three entries."""
+    """Return the minimum bytes of a property; the vertex list of a face has at least 3 entries."""
     if words[1] != "list":
         return 2 if is_text else _BYTES[words[1]]
     entries = 3 if words[4] in _INDICES else 0
@@ -91,14 +91,14 @@ def _least_bytes(words: list[str], is_text: bool) -> int:
 
 
 def check_faces(metadata: Mapping[str, Any]) -> None:
-    """Check the faces of a file as trimesh has read them, before it made triangles of them.
+    """Check the faces of a file as trimesh read them, before it split polygons into triangles.
 
     Raises
     ------
-    ValueError : they have other numbers of corners than the first has, or their texture coordinates
-        were taken from vertices that are not there
+    ValueError : faces have different numbers of corners, or a face has texture coordinates and a
+        negative vertex index
     """
-    # Private to trimesh, which keeps the faces of the file nowhere else once it has cut polygons.
+    # "_ply_raw" is private to trimesh, but only there are the faces stored before the split.
     elements = metadata.get("_ply_raw", {})
     faces = elements.get("face", {}).get("data")
     if isinstance(faces, np.ndarray) and faces.dtype.names:
@@ -118,29 +118,29 @@ def _check_indices(name: str, column: Any, elements: Mapping[str, Any]) -> None:
     has_uv = any(each in elements["vertex"]["properties"] for each in ("s", "u", "texture_u"))
     has_uv = has_uv or "texcoord" in elements["face"]["properties"]
     if has_uv and column.dtype != object and column.size and column.min() < 0:
-        raise ValueError(f"a face names vertex {column.min()}")
+        raise ValueError(f"a face uses vertex {column.min()}")
 
 
 _SOLIDS = re.compile(rb"endsolid", re.IGNORECASE)
 _OPTIONS = {".ply": {"skip_materials": True}, ".obj": {"split_objects": True}}  # of trimesh
-_TRIANGLE = 50  # bytes in a binary STL file, behind a header of 84
+_TRIANGLE = 50  # bytes per triangle of a binary STL file, after a header of 84 bytes
 
 
 def read(
     source: Source, without_albedo: bool, allow_outside: bool
 ) -> tuple[list[Piece], References]:
-    """Return every instance of a geometry with faces, and the files that were referred to.
+    """Return every geometry instance with faces, and the files that the source refers to.
 
-    without_albedo : the albedo of the file is not wanted
+    without_albedo : skip the albedo maps of the file
 
     Raises
     ------
-    InputError : the file, or one that it refers to and that is needed, cannot be used
+    InputError : the file, or a required file that it refers to, cannot be used
     """
     data = source.read()
     suffix, name = source.suffix, source.name
     if not data:
-        raise InputError(f"{name} is an empty file: there is no geometry in it")
+        raise InputError(f"{name} is an empty file; give a mesh file")
     check_format(data, suffix, name)
     references = References(name, source.folder, allow_outside)
     if suffix in GLTF:
@@ -149,7 +149,7 @@ def read(
             raise _no_faces(name, points=False)
         return pieces, references
     try:
-        import trimesh  # noqa: F401  # its loggers are there then
+        import trimesh  # noqa: F401  # creates the loggers that _quiet filters
 
         with _quiet():
             if suffix == ".obj":
@@ -158,14 +158,14 @@ def read(
                 pieces = _read_ply_or_stl(data, name, suffix, references, without_albedo)
     except InputError:
         raise
-    except Exception as error:  # each reader of trimesh fails in its own way on a damaged file
+    except Exception as error:  # trimesh's readers raise many exceptions for damaged files
         raise damaged(name, reason(error)) from None
     return pieces, references
 
 
 def _no_faces(name: str, points: bool) -> InputError:
-    what = "are only points and no faces" if points else "is no geometry"
-    return InputError(f"there {what} in {name}; give a triangle mesh")
+    content = "only points and no faces" if points else "no geometry"
+    return InputError(f"{name} has {content}; give a triangle mesh")
 
 
 def _read_ply_or_stl(
@@ -203,13 +203,13 @@ def _read_obj(data: bytes, name: str, references: References, without_albedo: bo
         lost = _lost_references(data, [*geometries.values()])
     except InputError:
         raise
-    except Exception:  # a reference to what is not there, which trimesh reports in several ways
+    except Exception:  # trimesh raises several exceptions for an invalid reference
         lost = True
     if lost:
         data, more = with_absolute(data)
         out_of_range += more
         if out_of_range and re.search(rb"^f[ \t]", data, re.MULTILINE) is None:
-            raise ValueError(f"no vertex of its {out_of_range} faces is there")
+            raise ValueError(f"none of its {out_of_range} faces has valid references")
         geometries = _geometries(data, ".obj", name, library)
     pieces: list[tuple[int, Piece, str]] = []
     for key, geometry in geometries.items():
@@ -235,14 +235,14 @@ def _warn_of_missing(references: References, without_albedo: bool) -> None:
 
 
 def _clear(*loaded: object) -> None:
-    """Clear objects of trimesh: they refer to themselves, and would keep vertices and maps until
-    the garbage collector comes."""
+    """Clear trimesh objects. They form reference cycles, which would keep vertices and maps in
+    memory until the garbage collector runs."""
     for each in loaded:
         vars(each).clear()
 
 
 def _with_tiles(piece: Piece, material: str, library: Library) -> Sequence[Piece]:
-    """Return a piece, or its part on each tile of UDIM, where its maps have several."""
+    """Return a piece, or its part on each UDIM tile if it has UDIM maps."""
     tiles = library.tiles(material, piece)
     return [*library.split(piece, material, tiles)] if tiles else [piece]
 
@@ -250,7 +250,7 @@ def _with_tiles(piece: Piece, material: str, library: Library) -> Sequence[Piece
 def _geometries(
     data: bytes, suffix: str, name: str, library: Library | None = None
 ) -> dict[str, trimesh.Trimesh]:
-    """Return the geometries with faces of a file, at least one, by trimesh's names."""
+    """Return the geometries that have faces by trimesh's names; InputError if there are none."""
     import trimesh
 
     scene = trimesh.load_scene(
@@ -277,7 +277,7 @@ def _geometries(
 
 
 def _lost_references(data: bytes, geometries: list[trimesh.Trimesh]) -> bool:
-    """Whether faces of an OBJ file name texture coordinates or normals that trimesh lost."""
+    """Return whether an OBJ file has texture coordinates or normals that trimesh lost."""
     uv, normals = (
         re.search(pattern, data, re.MULTILINE) is not None
         for pattern in (rb"^f[ \t]+\d+/\d", rb"^f[ \t]+\d+/\d*/\d")
@@ -289,7 +289,7 @@ def _lost_references(data: bytes, geometries: list[trimesh.Trimesh]) -> bool:
 
 
 class _MaterialNames:
-    """Gives trimesh an MTL file of the names alone: the materials are read by this package."""
+    """A resolver that gives trimesh only the names of materials; this package reads the rest."""
 
     def __init__(self, library: Library, name: str) -> None:
         self.library, self.file_name = library, name
@@ -303,9 +303,9 @@ class _MaterialNames:
 def _give_texture(
     geometries: Sequence[trimesh.Trimesh], texture: str, references: References, fatal: bool
 ) -> None:
-    """Give the geometries of a PLY file its texture.
+    """Assign the texture of a PLY file to its geometries.
 
-    fatal : whether a texture that is no image is an error
+    fatal : raise InputError if the texture is not an image; otherwise warn
     """
     try:
         image = image_of(references.read(texture, "an image file"))
@@ -323,26 +323,26 @@ def _give_texture(
 
 
 def _checked_stl(data: bytes, name: str) -> bytes:
-    """Return an STL file, without what lies behind the triangles of a binary one.
+    """Return an STL file; bytes after the triangles of a binary file are dropped.
 
     Raises
     ------
-    ValueError : it is binary and too short
+    ValueError : a binary file is too short
     """
     if len(data) < 84 or (data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:1024]):
         return data
     (count,) = struct.unpack_from("<I", data, 80)
     needed = 84 + _TRIANGLE * count
     if needed > len(data):
-        raise ValueError(f"{count} triangles need {needed} bytes, it has {len(data)}")
+        raise ValueError(f"{count} triangles need {needed} bytes, but it has {len(data)}")
     if needed < len(data):
-        warn(f"{name} has {len(data) - needed} bytes behind its {count} triangles: left out")
+        warn(f"{name} has {len(data) - needed} bytes after its {count} triangles: ignored")
     return data[:needed]
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep what trimesh logs in this thread off standard error: this package warns itself."""
+    """Suppress trimesh's log messages in this thread: this package emits its own warnings."""
     me = get_ident()
 
     def is_of_another(record: logging.LogRecord) -> bool:

@@ -1,5 +1,4 @@
-"""The files that a mesh file refers to: their names, which of them are opened, and why others are
-not."""
+"""Find, check and read the files that a mesh file refers to."""
 
 from __future__ import annotations
 
@@ -16,7 +15,7 @@ from facerender.loading.gltf_document import chunks
 from facerender.system.files import MOST, read_file
 
 ALLOW = "pass --allow-outside (allow_outside=True)"
-UDIM = "<UDIM>"  # in the name of a map stands for the number of a tile
+UDIM = "<UDIM>"  # placeholder for the tile number in the name of a map
 _TILE = 4 * "[0-9]"
 _MAP = re.compile(rb"^\s*(?:map_\w+|bump|norm|disp|decal|refl)\s+(.*\S)", re.MULTILINE | re.I)
 _LIBRARY = re.compile(rb"^\s*mtllib\s+(.*\S)", re.MULTILINE)
@@ -24,16 +23,16 @@ _TEXTURE = re.compile(rb"^comment\s+TextureFile\s+(.*\S)", re.MULTILINE)
 
 
 class References:
-    """Reads what a mesh file refers to, each file once.
+    """The files that a mesh file refers to; each is read once.
 
-    Only what lies below the mesh file's folder by its name is opened, or else a file of that name
-    beside the mesh file; a link in that folder may lead elsewhere, for it is the user's own.
+    Only paths below the mesh file's folder are opened. For other paths, a file of the same name in
+    that folder is tried. Symbolic links are followed, because the user created the folder.
 
     Attributes
     ----------
     name : of the mesh file, for messages
-    folder : of the mesh file; None of content in memory, of which nothing else is opened
-    files : by the name in the mesh file what was read; None was not
+    folder : of the mesh file; None for a mesh in memory, whose references are not opened
+    files : content by the name in the mesh file; None if the file was not read
     """
 
     def __init__(self, name: str, folder: Path | None, allow_outside: bool) -> None:
@@ -45,13 +44,13 @@ class References:
     def read(self, name: str, what: str) -> bytes:
         """Return the content of a file.
 
-        name : as the mesh file has it
-        what : that should be given in its place, for the message
+        name : as in the mesh file
+        what : description of the expected file for messages, such as "an image file"
 
         Raises
         ------
-        FileNotFoundError : it is not there, or may not be opened
-        InputError : it is no file, or all are too large together
+        FileNotFoundError : the file is missing, or its path is not allowed
+        InputError : it is not a regular file, or all files together are too large
         """
         if (known := self.files.get(name)) is not None:
             return known
@@ -67,17 +66,17 @@ class References:
         return [name for name, content in self.files.items() if content is None]
 
     def why_not(self, name: str) -> str:
-        """Why a file was not found, for behind the mesh file's name."""
+        """Return why a file was not found, as the end of a message."""
         if self.folder is None:
-            return "is not in the bytes that were given, which have no folder: give a path"
+            return "cannot be opened, because a mesh given as bytes has no folder: give a path"
         folder = clipped(str(self.folder), 120)
         if not self.allow_outside and not _is_inside(self.folder, _spellings(name)[0]):
-            return f"lies outside {folder}, and is not opened: {ALLOW}"
+            return f"lies outside {folder} and is not opened: {ALLOW}"
         return f"not found in {folder}"
 
 
 def content_of(folder: Path, name: str, allow_outside: bool) -> bytes | None:
-    """Return what a mesh file in a folder finds under a name, or None."""
+    """Return the content of the file to which a mesh file in ``folder`` refers, or None."""
     found = _place(folder, name, allow_outside)
     try:
         return None if found is None else read_file(found, "a file")
@@ -86,11 +85,11 @@ def content_of(folder: Path, name: str, allow_outside: bool) -> bytes | None:
 
 
 def inline(uri: str) -> bytes | None:
-    """Return the content of a data: URI, or None of another.
+    """Return the content of a data: URI, or None for another URI.
 
     Raises
     ------
-    ValueError : it is damaged
+    ValueError : the data are damaged
     """
     head, comma, content = uri.partition(",")
     if not head.lower().startswith("data:"):
@@ -103,13 +102,14 @@ def inline(uri: str) -> bytes | None:
 
 
 def _place(folder: Path, name: str, allow_outside: bool) -> Path | None:
-    """Where the file of a name lies: by its path, or else beside the mesh file."""
+    """Return the path of a referenced file, relative to ``folder`` or else directly in it; None if
+    it does not exist or is not allowed."""
     for each in _spellings(name):
         if allow_outside or _is_inside(folder, each):
             try:
                 if os.path.exists(folder / each):
                     return folder / each
-            except ValueError:  # a name that no file can have
+            except ValueError:  # an invalid file name
                 pass
     return None
 
@@ -121,18 +121,18 @@ def _spellings(name: str) -> tuple[str, ...]:
 
 
 def _is_inside(folder: Path, name: str) -> bool:
-    """Whether a path stays below a folder by its name, whatever links lead to."""
+    """Return whether a path lies below a folder, without resolving symbolic links."""
     base = os.path.abspath(folder)
     try:
         place = os.path.abspath(os.path.join(base, name))
         return place != base and os.path.commonpath([base, place]) == base
-    except ValueError:  # another drive
+    except ValueError:  # on another drive
         return False
 
 
 def named_files(path: Path) -> list[Path]:
-    """Return the files that a mesh file names, where they would lie; they need not be there. Of a
-    file that cannot be read there are none."""
+    """Return the paths of the files to which a mesh file refers, whether they exist or not; none if
+    the mesh file cannot be read."""
     suffix = path.suffix.lower()
     try:
         if suffix in (".gltf", ".glb"):
@@ -149,7 +149,7 @@ def named_files(path: Path) -> list[Path]:
 
 
 def _uris(path: Path) -> list[str]:
-    """The files of a glTF file that need not be valid."""
+    """Return the external URIs of a glTF file, which may be invalid."""
     document = json.loads(chunks(read_file(path, "a mesh file"), path.name)[0])
     tables = document if isinstance(document, dict) else {}
     entries = [each for key in ("buffers", "images") for each in tables.get(key) or ()]
@@ -158,7 +158,8 @@ def _uris(path: Path) -> list[str]:
 
 
 def _maps(library: Path) -> list[Path]:
-    """Maps of an MTL: the whole line after the word, and its last word, for options come before."""
+    """Return possible paths of the maps of an MTL file. Options precede the name: for each
+    statement, return all of its text and its last word."""
     try:
         lines = _names(_MAP, library)
     except InputError:

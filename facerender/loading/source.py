@@ -1,4 +1,4 @@
-"""Sources of meshes: files, bytes and open files, and which format they have."""
+"""Sources of meshes (files, bytes and open files) and their formats."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from facerender.system.files import MOST, check_downloaded, read_file
 GLTF = (".glb", ".gltf")
 NORMAL_MAP_Y = ("up", "down")
 _BEGINNINGS = (
-    (b"PK\x03\x04", "a ZIP archive, as USDZ is too", "unpack or export it"),
+    (b"PK\x03\x04", "a ZIP archive (as USDZ is)", "unpack or export it"),
     (b"\x1f\x8b", "a gzip archive", "unpack it"),
     (b"BZh", "a bzip2 archive", "unpack it"),
     (b"\xfd7zXZ", "an xz archive", "unpack it"),
@@ -30,8 +30,8 @@ _BEGINNINGS = (
     (b"#usda", "a USD file", "export it as .glb"),
     (b"BLENDER", "a Blender file", "export it as .glb"),
     (b"DRACO", "a bare Draco file", "export it as .glb"),
-    (b"\x89PNG", "a PNG image", "give it as --albedo, and a mesh"),
-    (b"\xff\xd8\xff", "a JPEG image", "give it as --albedo, and a mesh"),
+    (b"\x89PNG", "a PNG image", "give a mesh, and the image as --albedo"),
+    (b"\xff\xd8\xff", "a JPEG image", "give a mesh, and the image as --albedo"),
     (b"%PDF", "a PDF document", "give a mesh"),
     (b"\x89HDF", "an HDF5 file", "export it as .glb"),
     (b"\x93NUMPY", "a NumPy file", "export it as .glb"),
@@ -44,7 +44,7 @@ _OBJ = re.compile(rb"(?:^|\n)[ \t]*(?:v|vn|vt|f|o|g|usemtl|mtllib)[ \t]+\S")
 
 @dataclass(frozen=True)
 class Orientation:
-    """Which way a file's maps are stored; parameters and errors as of
+    """The orientation of texture coordinates and normal maps; parameters and errors as in
     :func:`facerender.load_mesh`."""
 
     flip_v: bool = False
@@ -56,7 +56,7 @@ class Orientation:
 
 
 def check_normal_map_y(value: Any) -> None:
-    """Raise InputError where a value is not where green of a normal map can point."""
+    """Raise InputError unless a value is "up" or "down"."""
     if not (isinstance(value, str) and value in NORMAL_MAP_Y):
         raise InputError(f"normal_map_y = {shown(value)}: give {' or '.join(NORMAL_MAP_Y)}")
 
@@ -67,10 +67,10 @@ class Source:
 
     Attributes
     ----------
-    path : of the file; of content a name for messages
-    suffix : .glb, .gltf, .obj, .ply or .stl, whatever the file is named
-    content : None to read the file
-    folder : where files lie that it refers to; None of content, whose folder is not known
+    path : of the file; for content in memory, a name for messages
+    suffix : .glb, .gltf, .obj, .ply or .stl, which may differ from the file's own suffix
+    content : the bytes, or None to read the file
+    folder : of the files that the mesh refers to; None if unknown
     """
 
     path: Path
@@ -87,7 +87,7 @@ class Source:
 
         Raises
         ------
-        InputError : a file that cannot be read, or of no format that is
+        InputError : the file cannot be read, or its format is not supported
         """
         if self.content is not None:
             return self.content
@@ -102,13 +102,13 @@ class Source:
 
 
 def source_of(source: Any, kind: str | None = None) -> Source:
-    """Return what :func:`facerender.load_mesh` reads; parameters and errors as there."""
+    """Return the source of :func:`facerender.load_mesh`; parameters and errors as there."""
     suffix = None
     if kind is not None:
         suffix = f".{str(kind).lower().removeprefix('.')}"
         if suffix not in FORMATS:
             known = ", ".join(each[1:] for each in FORMATS)
-            raise InputError(f"unknown kind {shown(kind)} of mesh; known: {known}")
+            raise InputError(f"unknown mesh kind {shown(kind)}; known: {known}")
     if source is None:
         source = data_dir("assets") / "head.glb"
     if isinstance(source, str | os.PathLike):
@@ -122,8 +122,8 @@ def source_of(source: Any, kind: str | None = None) -> Source:
         source = _content(source, path.name)
     if not isinstance(source, bytes | bytearray | memoryview):
         raise InputError(
-            f"mesh file = {shown(source)}: give a path, bytes, a file that is open, or a mesh or "
-            "scene of trimesh"
+            f"mesh file = {shown(source)}: give a path, bytes, an open file, or a trimesh mesh or "
+            "scene"
         )
     content = bytes(source)
     if suffix is None:
@@ -148,11 +148,11 @@ def _content(file: Any, name: str) -> bytes:
 
 
 def _suffix_of(data: bytes, name: str) -> str:
-    """Return the suffix of what some bytes are, by how they begin.
+    """Return the suffix of the format that the bytes have.
 
     Raises
     ------
-    InputError : they are none of these kinds
+    InputError : the format is unknown
     """
     start = data[: 1 << 16].removeprefix(b"\xef\xbb\xbf").lstrip()
     for beginning, suffix in _MESHES:
@@ -167,11 +167,11 @@ def _suffix_of(data: bytes, name: str) -> str:
     check_format(data, ".obj", name)
     if b"\0" not in start and _OBJ.search(start):
         return ".obj"
-    raise InputError(f"{name}: no mesh is known by these bytes; say its kind, such as kind='obj'")
+    raise InputError(f"{name}: unknown mesh format; specify it, such as kind='obj'")
 
 
 def check_format(data: bytes, suffix: str, name: str) -> None:
-    """Raise InputError where a file's content is known, and not what its suffix says."""
+    """Raise InputError if the content has a known format that differs from the suffix."""
     start = data[:512].removeprefix(b"\xef\xbb\xbf").lstrip()
     wanted = FORMATS[suffix]
     for beginning, kind, remedy in _BEGINNINGS:

@@ -1,1 +1,1 @@
-"""Measures what specular terms cost and what approximations lose."""
+"""Measures cost and error of the specular terms and their approximations."""

@@ -1,5 +1,4 @@
-"""What an approximation loses, at three levels: of the lobe, of the BRDF, of an image; always
-against float64."""
+"""Errors of an approximation against float64: of the lobe, of the BRDF, and of an image."""
 
 from __future__ import annotations
 
@@ -32,9 +31,9 @@ def lobe_error(name: AnyLobe, m: float, k: int, degrees: Array | None = None) ->
 
     Parameters
     ----------
-    m : rms slope, in the domain of the lobe
+    m : roughness, in the domain of the lobe
     k : 4 for Cook-Torrance, 0 for Ward
-    degrees : angles in degrees, (N,); 0 to 90 in steps of 1/100 where None
+    degrees : angles in degrees, (N,); None: 0 to 90 in steps of 0.01
 
     Raises
     ------
@@ -46,21 +45,25 @@ def lobe_error(name: AnyLobe, m: float, k: int, degrees: Array | None = None) ->
 
 
 def printed_lobe(c: ArrayLike, m: float, k: int, g: int) -> Array:
-    """Evaluate D4, D8 or D16 (g) as Romanyuk et al. (2020) print them, ((n/g)(c - 1) + 1)^g with
-    n = 2/m² - k, without the clamp; in units of the peak."""
+    """Return D4, D8 or D16 (g = 4, 8, 16) as published by Romanyuk et al. (2020).
+
+    The formula is ((n/g)(c - 1) + 1)^g with n = 2/m² - k, in units of the peak, without a clamp.
+    """
     n = 2.0 / m**2 - k
     return np.asarray((n / g * (np.asarray(c) - 1.0) + 1.0) ** g)
 
 
 def printed_error(m: float, k: int, g: int) -> Array:
-    """Return :func:`printed_lobe` minus the exact lobe, at 0 to 90 degrees in steps of 1/100."""
+    """Return :func:`printed_lobe` minus the exact lobe, at 0 to 90 degrees in steps of 0.01."""
     c = np.cos(np.radians(np.linspace(0.0, 90.0, 9001))).clip(0.0, 1.0)
     return printed_lobe(c, m, k, g) - lobes.exact(c, m, k)
 
 
 def brdf_error(shading: Shading, m: float, f0: float = 0.028, count: int = 24) -> float:
-    """Return the largest error of the reflected radiance f N.L over all directions, relative to the
-    largest exact one; light and camera lie at count angles to 89 degrees, and 2 count azimuths.
+    """Return the largest error of f N.L over all directions, relative to the largest exact f N.L.
+
+    Light and camera take `count` polar angles from 0 to 89 degrees; the light takes 2 `count`
+    azimuths.
 
     Raises
     ------
@@ -84,7 +87,7 @@ def _from_angles(theta: Array, phi: Array | float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Renderings:
-    """Images of one scene: float64 with the exact lobe, and what OpenGL draws with each shading."""
+    """Images of one scene: the float64 reference, and the OpenGL images with their errors."""
 
     reference: Array
     images: list[NDArray[np.float32]]
@@ -94,9 +97,9 @@ class Renderings:
 def image_errors(
     scene: Scene, shadings: Sequence[Shading], size: tuple[int, int], backend: Backend = "auto"
 ) -> Renderings:
-    """Draw a scene with each shading, one sample a pixel, and compare with float64.
+    """Draw a scene with each shading, one sample per pixel, and compare with float64.
 
-    The reference is the first shading with the exact lobe.
+    The reference uses the first shading with the exact lobe.
 
     Raises
     ------
@@ -134,8 +137,10 @@ def image_error(
 
 
 def point_error(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
-    """Return the largest excess of a pixel over the 3 x 3 neighbourhood in the other image, either
-    way; a and b are (H, W, 3)."""
+    """Return the largest difference of a pixel from the range of 3 x 3 pixels in the other image.
+
+    Each image is compared with the other; a and b are (H, W, 3).
+    """
     worst = 0.0
     for one, other in ((a, b), (b, a)):
         for channel in range(3):
@@ -148,13 +153,13 @@ def point_error(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
 def block_error(
     a: NDArray[np.floating], reference: NDArray[np.floating], coverage: NDArray[np.floating]
 ) -> float:
-    """Return the largest change of the mean of 16 x 16 pixels, relative to it, or to 0.01.
+    """Return the largest change of the mean of 16 x 16 pixels, relative to max(mean, 0.01).
 
     Parameters
     ----------
     a, reference : (H, W, 3) linear
-    coverage : (H, W) in [0, 1]; only pixels at least 3 inside of full coverage count, and blocks
-        with at least 64 of them
+    coverage : (H, W) in [0, 1]. Pixels count if all pixels within a distance of 3 are fully
+        covered; blocks count if they contain at least 64 such pixels
     """
     inside = coverage >= FULL
     for _ in range(3):

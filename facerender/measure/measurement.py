@@ -1,5 +1,4 @@
-"""What ``facerender measure`` measured, as records, and their JSON, which docs/measure.schema.md
-describes. Nothing is measured here, and nothing needs OpenGL."""
+"""Records of ``facerender measure`` and their JSON (docs/measurements/measure-schema.md)."""
 
 from __future__ import annotations
 
@@ -18,14 +17,16 @@ SCHEMA = "facerender.measure/1"
 MODELS = PRINTED
 MAGNIFIED = 8
 
-BySlope = Mapping[str, float | None]  # the slope as text, "%g" % m
+BySlope = Mapping[str, float | None]  # by m as text, "%g" % m
 Curves = Mapping[str, Mapping[str, Sequence[float]]]
 
 
 @dataclass(frozen=True)
 class Environment:
-    """Where figures come from: date and versions, OpenGL driver, processor; ``software`` where the
-    CPU draws, ``cores`` that the process may use."""
+    """The conditions of a measurement: date, versions, OpenGL driver, processor.
+
+    ``software`` is true if the CPU draws. ``cores`` is the number that the process may use.
+    """
 
     date: str
     facerender: str
@@ -40,8 +41,16 @@ class Environment:
 
 @dataclass(frozen=True)
 class Settings:
-    """What was asked for: m of the whole mesh, the size of frame and image in pixels, the repeats
-    of every measurement of time, and whether less was measured to save time."""
+    """The settings of a measurement.
+
+    Attributes
+    ----------
+    mesh : name of the mesh
+    m : roughness of the whole mesh
+    size : width and height of the images in pixels
+    repeats : number of repeats of each timing
+    quick : whether the measurement was reduced to save time
+    """
 
     mesh: str
     m: float
@@ -51,20 +60,20 @@ class Settings:
 
     @property
     def slope(self) -> str:
-        """The key of m among the errors of lobe and BRDF."""
+        """The key of m in the errors of lobe and BRDF."""
         return f"{self.m:g}"
 
 
 @dataclass(frozen=True)
 class ImageError:
-    """How far an image is from float64 exact shading of the same G-buffer.
+    """Errors of an image against exact float64 shading of the same G-buffer.
 
     Attributes
     ----------
-    point, block : of the linear image; see ``facerender.compare``
-    largest, percentile : relative to max(reference, 0.01), the second exceeded by 1 pixel in 1000
-    steps, steps_percentile : the same of the displayed image, in steps of 1/255
-    flip : mean of FLIP (Andersson et al. 2020) over the image, or None without flip-evaluator
+    point, block : errors of the linear image, see ``facerender.compare``
+    largest, percentile : relative to max(reference, 0.01); 1 pixel in 1000 exceeds the percentile
+    steps, steps_percentile : the same for the displayed image, in 8-bit levels
+    flip : mean FLIP error of the image (Andersson et al. 2020); None without flip-evaluator
     """
 
     point: float
@@ -78,8 +87,13 @@ class ImageError:
 
 @dataclass(frozen=True)
 class Costs:
-    """The cost of a variant: the lobe alone and the whole term in nanoseconds an evaluation, a
-    frame in milliseconds; None where it was not measured."""
+    """The costs of a variant; None if not measured.
+
+    Attributes
+    ----------
+    lobe_ns, term_ns : time per evaluation of the lobe alone and of the whole term, in ns
+    frame_ms : time per frame, in ms
+    """
 
     lobe_ns: Interval | None
     term_ns: Interval
@@ -88,8 +102,13 @@ class Costs:
 
 @dataclass(frozen=True)
 class Errors:
-    """What a variant loses: of lobe and BRDF the largest error in percent by slope, None outside
-    the domain; of the image at the slope of the settings, None where none was drawn."""
+    """The errors of a variant.
+
+    Attributes
+    ----------
+    lobe, brdf : largest error in percent by m; None outside the domain
+    image : error of the image at the m of the settings; None if no image was drawn
+    """
 
     lobe: BySlope
     brdf: BySlope
@@ -107,12 +126,12 @@ class MeasuredVariant:
 
 @dataclass(frozen=True)
 class DisplayError:
-    """Errors of the displayed image, as fractions of its range, of the worst channel.
+    """Errors of the displayed image in the worst channel, as fractions of its range.
 
     Attributes
     ----------
-    mean, percentile : of the pixels; the percentile is exceeded by one in 100
-    over : fraction of the pixels that err by more than 1/255
+    mean, percentile : over the pixels; 1 pixel in 100 exceeds the percentile
+    over : fraction of the pixels with an error above 1/255
     """
 
     mean: float
@@ -127,9 +146,9 @@ class SampleSetting:
     Attributes
     ----------
     samples : per pixel
-    time : of a frame with readback, over that of a frame with one sample
-    silhouette : of the pixels that the mesh covers in part with 64 samples
-    inside : of those that it covers
+    time : frame time with readback, relative to one sample
+    silhouette : error at pixels that the mesh covers partly with 64 samples
+    inside : error at pixels that the mesh covers fully
     shading_rate : see :meth:`facerender.Renderer.render`
     """
 
@@ -147,8 +166,8 @@ class PartSetting:
     Attributes
     ----------
     part, setting : names, such as "samples of scattering" and "16"
-    time : of a frame with readback, over that of the part's first setting
-    error : against its last setting, at pixels that the mesh covers
+    time : frame time with readback, relative to the part's first setting
+    error : error against the part's last setting, at pixels that the mesh covers
     """
 
     part: str
@@ -159,8 +178,11 @@ class PartSetting:
 
 @dataclass(frozen=True, eq=False)
 class Triptych:
-    """What is drawn with the exact lobe in float64, what OpenGL draws with this one, and their
-    difference ``MAGNIFIED``: 8-bit sRGB (H, W, 3)."""
+    """Three images, 8-bit sRGB (H, W, 3): exact lobe, this lobe, and their difference.
+
+    The exact image is computed in float64, the other is drawn by OpenGL. The difference is
+    multiplied by ``MAGNIFIED``.
+    """
 
     model: str
     lobe: str
@@ -171,16 +193,16 @@ class Triptych:
 
 @dataclass(frozen=True)
 class Measurement:
-    """All of it but the images.
+    """All results of a measurement except the images.
 
     Attributes
     ----------
-    samples : what numbers of samples a pixel cost and lose
+    samples : cost and error of numbers of samples per pixel
     degrees : angles γ of the half vector
-    curves : by model, lobe and slope, the lobe less the exact one in percent of the peak, one for
-        each angle; a slope outside the domain is left out
-    not_measured : what is missing, and why
-    skin : what parts of skin cost and lose
+    curves : by model, lobe and m: the lobe minus the exact lobe in percent of the peak, one value
+        per angle. Values of m outside the domain are absent
+    not_measured : missing results, with the reasons
+    skin : cost and error of the parts of skin
     """
 
     environment: Environment

@@ -1,5 +1,4 @@
-"""Which variants are worth their cost: those that no other dominates. Nothing is measured or drawn
-here."""
+"""Finds the variants that no other variant dominates in cost and error."""
 
 from __future__ import annotations
 
@@ -11,7 +10,7 @@ from facerender.measure.measurement import ImageError, MeasuredVariant, Measurem
 from facerender.pricing.interval import Interval
 from facerender.pricing.variants import Variant
 
-# Percent that float32 may leave in an image of the exact lobe: an error below it counts as none.
+# Error of the exact lobe's image that float32 may cause, in percent. Smaller errors count as 0.
 EXACT = 0.01
 
 
@@ -21,10 +20,10 @@ class CostKind:
 
     Attributes
     ----------
-    title, unit : in words
-    of : the cost of a variant, None where it was not measured
-    columns : titles of further columns of its table, and the value of a variant there; of an
-        interval its ends
+    title, unit : texts for tables and plots
+    of : returns the cost of a variant, None if it was not measured
+    columns : further columns of the table: title, and the function that returns a variant's value.
+        Of an interval, the table shows both ends
     """
 
     title: str
@@ -35,7 +34,7 @@ class CostKind:
 
 TERM = CostKind(
     "specular term",
-    "ns an evaluation",
+    "ns per evaluation",
     lambda measured: measured.cost.term_ns,
     {
         "95 % interval": lambda measured: measured.cost.term_ns,
@@ -44,7 +43,7 @@ TERM = CostKind(
 )
 FRAME = CostKind(
     "whole frame",
-    "ms a frame",
+    "ms per frame",
     lambda measured: measured.cost.frame_ms,
     {"95 % interval": lambda measured: measured.cost.frame_ms},
 )
@@ -53,15 +52,16 @@ KINDS = (TERM, FRAME)
 
 @dataclass(frozen=True)
 class Row:
-    """A variant at one kind of cost.
+    """A variant with one kind of cost.
 
     Attributes
     ----------
-    cost : in the unit of its kind; None where it was not measured
-    error : in percent, of what ``measure_of`` says; None outside the domain of the lobe
-    dominated : another variant is not dearer and not less exact, and better in one of them;
-        costs whose intervals overlap count as equal. A form of the paper is there to compare:
-        it dominates nothing
+    cost : in the unit of its kind; None if it was not measured
+    error : in percent, of the measure that :func:`measure_of` selects; None outside the lobe's
+        domain
+    dominated : another variant is at least as cheap and as exact, and better in one of the two.
+        Costs with overlapping intervals count as equal. Published forms are only for comparison:
+        they dominate no other variant
     """
 
     measured: MeasuredVariant
@@ -71,19 +71,19 @@ class Row:
 
     @property
     def variant(self) -> Variant:
-        """What is measured."""
+        """The measured variant."""
         return self.measured.variant
 
 
 def measure_of(measurement: Measurement, model: str) -> Literal["image", "lobe"]:
-    """Tell what errors of a model are compared: "image", or "lobe" where a lobe has no image."""
+    """Return the error that ranks a model's variants: "image", or "lobe" if an image is missing."""
     variants, m = measurement.of_model(model), measurement.settings.slope
     inside = {row.variant.lobe for row in variants if row.error.lobe[m] is not None}
     return "image" if inside <= _images(variants).keys() else "lobe"
 
 
 def pareto(measurement: Measurement, model: str, kind: CostKind) -> list[Row]:
-    """Return the variants of a model, cheapest first, those without a cost last."""
+    """Return the variants of a model, cheapest first; variants without a cost come last."""
     variants = measurement.of_model(model)
     images = _images(variants)
     by_image = measure_of(measurement, model) == "image"
@@ -107,12 +107,12 @@ def _dominates(a: Row, b: Row) -> bool:
     if a.variant.printed or not a.cost or not b.cost or a.error is None or b.error is None:
         return False
     error, other = max(a.error, EXACT), max(b.error, EXACT)
-    cheaper = a.cost.high < b.cost.low  # where the intervals overlap, the order is noise
+    cheaper = a.cost.high < b.cost.low  # overlapping intervals have no reliable order
     return error <= other and (cheaper or (a.cost.low <= b.cost.high and error < other))
 
 
 def _images(variants: Iterable[MeasuredVariant]) -> Mapping[str, ImageError]:
-    """Errors of the image by lobe; variants that draw none have that of their lobe."""
+    """Return image errors by lobe; variants without their own image share the lobe's error."""
     return {
         measured.variant.lobe: measured.error.image
         for measured in variants

@@ -1,5 +1,7 @@
-"""Pictures of a measurement, as PNG in memory. What they show is decided in ``pareto.py`` and
-``report.py``. Needs the extra ``measure``: matplotlib."""
+"""Plots of a measurement as PNG in memory; needs matplotlib (extra ``measure``).
+
+``pareto.py`` and ``report.py`` select the data.
+"""
 
 from __future__ import annotations
 
@@ -17,21 +19,21 @@ from facerender.measure.measurement import Curves
 from facerender.measure.pareto import EXACT, Row
 from facerender.terms import LOBES
 
-WIDTH = 6.4  # inches, at 110 dots an inch: the letters stay legible on a phone
+WIDTH = 6.4  # inches: the text stays legible on a phone
 DPI = 110
 COLOURS = {name: lobe.colour for name, lobe in LOBES.items()}
 MARKERS: dict[str, dict[str, Any]] = {
     "not dominated": {"marker": "o", "color": "#444444"},
     "dominated": {"marker": "o", "color": "#444444", "mfc": "white"},
-    "as printed": {"marker": "s", "color": "#444444", "mfc": "white"},
+    "as published": {"marker": "s", "color": "#444444", "mfc": "white"},
 }
-# Where a label may lie: points from its own point, in directions beginning with the right.
+# Candidate positions of a label: distances from its data point, in points; and directions.
 _DISTANCES = (7, 12, 18, 26, 36, 48, 64, 80)
 _DIRECTIONS = ((1, 0), (0, 1), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 def check() -> None:
-    """Raise InputError where matplotlib is missing; call it before minutes of measuring."""
+    """Raise InputError if matplotlib is missing; call this before a measurement of minutes."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:
@@ -40,12 +42,12 @@ def check() -> None:
 
 
 def trade(panels: Mapping[str, tuple[Sequence[Row], str]], cost: str) -> bytes:
-    """Draw error over cost, a panel for each model, and the line of what nothing dominates.
+    """Plot error over cost, one panel per model, with the line of variants that are not dominated.
 
     Parameters
     ----------
-    panels : by title, the rows and what their errors are, with the unit
-    cost : what it is, with the unit
+    panels : by title: the rows, and the label of the error axis
+    cost : label of the cost axis
     """
     from matplotlib.lines import Line2D
 
@@ -57,19 +59,19 @@ def trade(panels: Mapping[str, tuple[Sequence[Row], str]], cost: str) -> bytes:
             points.append(_points(axes, rows))
         keys = [Line2D([], [], ls="", label=name, **style) for name, style in MARKERS.items()]
         figure.legend(handles=keys, loc="outside upper center", ncols=3, frameon=False)
-        _lay_out(figure)  # only now can labels be measured
+        _lay_out(figure)  # labels can be measured only after the layout
         for axes, named in zip(all_axes, points, strict=True):
             _label(axes, named)
         return _png(figure)
 
 
 def angles(degrees: Sequence[float], curves: Curves, title: str) -> bytes:
-    """Draw the error of lobes over the angle, a panel for each m.
+    """Plot the errors of lobes over the angle, one panel per m.
 
     Parameters
     ----------
-    degrees : γ
-    curves : errors in percent of the peak, one for each angle
+    degrees : angles γ of the half vector
+    curves : by lobe and m: errors in percent of the peak, one for each angle
     """
     slopes = sorted({m for errors in curves.values() for m in errors}, key=float)
     with _figure(1.9 * len(slopes) + 1.0) as figure:
@@ -90,7 +92,7 @@ def angles(degrees: Sequence[float], curves: Curves, title: str) -> bytes:
         all_axes[-1].set(xlabel="angle γ of the half vector, degrees", xlim=(0.0, degrees[-1]))
         for lobe in curves:
             all_axes[0].plot([], color=COLOURS[lobe], label=lobe)
-        figure.suptitle(f"{title}: approximated less exact lobe")
+        figure.suptitle(f"{title}: approximated minus exact lobe")
         figure.supylabel("error of the lobe, % of its peak")
         figure.legend(loc="outside lower center", ncols=3, frameon=False)
         _lay_out(figure)
@@ -98,7 +100,7 @@ def angles(degrees: Sequence[float], curves: Curves, title: str) -> bytes:
 
 
 def strip(images: Sequence[NDArray[np.uint8]]) -> bytes:
-    """Encode images of one height (H, W, 3) side by side."""
+    """Encode images of equal height, (H, W, 3), side by side as PNG."""
     from PIL import Image
 
     file = io.BytesIO()
@@ -108,7 +110,7 @@ def strip(images: Sequence[NDArray[np.uint8]]) -> bytes:
 
 @contextmanager
 def _figure(height: float) -> Iterator[Any]:
-    """A figure that draws with Agg and with matplotlib's own style, whatever the user's is."""
+    """Yield a figure with the Agg backend and matplotlib's default style, not the user's style."""
     from matplotlib import style
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -121,7 +123,7 @@ def _figure(height: float) -> Iterator[Any]:
 
 
 def _lay_out(figure: Any) -> None:
-    """Place the axes, once: every drawing would do it again, which takes as long as to draw."""
+    """Lay out the axes once: otherwise every draw repeats the layout, which doubles its time."""
     figure.get_layout_engine().execute(figure)
     figure.set_layout_engine("none")
 
@@ -133,7 +135,7 @@ def _png(figure: Any) -> bytes:
 
 
 def _points(axes: Any, rows: Sequence[Row]) -> list[tuple[float, float, Row]]:
-    """Draw a point a row, its interval and the frontier; return cost, error drawn, and row."""
+    """Draw each row's point and interval, and the frontier; return cost, plotted error and row."""
     points = [
         (row.cost.value, max(row.error, EXACT), row)
         for row in rows
@@ -146,12 +148,12 @@ def _points(axes: Any, rows: Sequence[Row]) -> list[tuple[float, float, Row]]:
     ends = [(row.cost.low, row.cost.high) for _, _, row in points if row.cost]
     for (x, y, row), interval in zip(points, ends, strict=True):
         state = "dominated" if row.dominated else "not dominated"
-        state = "as printed" if row.variant.printed else state
+        state = "as published" if row.variant.printed else state
         style = MARKERS[state] | {"color": COLOURS[row.variant.lobe]}
         axes.plot(interval, (y, y), color=style["color"], lw=1, zorder=2)
         axes.plot(x, y, ls="", zorder=3, **style)
     low, high = np.min(ends), np.max(ends)
-    half = 0.6 * max(high - low, 0.1 * high)  # differences of a few percent shall look small
+    half = 0.6 * max(high - low, 0.1 * high)  # a difference of a few percent must look small
     axes.set_xlim(max(0.0, (low + high) / 2.0 - half), (low + high) / 2.0 + half)
     axes.set_ylim(EXACT / 3.0, 3.0 * max(1.0, *(y for _, y, _ in points)))
     ticks = 10.0 ** np.arange(-2, np.ceil(np.log10(axes.get_ylim()[1])))
@@ -160,7 +162,7 @@ def _points(axes: Any, rows: Sequence[Row]) -> list[tuple[float, float, Row]]:
 
 
 def _label(axes: Any, points: Sequence[tuple[float, float, Row]]) -> None:
-    """Write each name at the nearest place that is free of names, points and lines."""
+    """Write each name at the nearest position without overlap with names, points and lines."""
     from matplotlib.text import Text
 
     frame, renderer = axes.get_window_extent(), axes.figure.canvas.get_renderer()

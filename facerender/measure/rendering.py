@@ -1,5 +1,7 @@
-"""Cost and error of the renderer's settings: of numbers of samples, against 64, and of the parts of
-skin, against the finest setting of each."""
+"""Cost and error of renderer settings: samples per pixel, and the parts of skin.
+
+Samples are compared with 64 samples per pixel, each part of skin with its finest setting.
+"""
 
 from __future__ import annotations
 
@@ -21,13 +23,16 @@ from facerender.scenes.scene import SHADING_RATES, Scene
 from facerender.shading import SCATTER_SAMPLES, Shading
 from facerender.terms.lobe import MIN_SLOPE
 
-_SOFT = 5.0  # degrees
+_SOFT = 5.0  # angular radius of the area light, degrees
 
 
 def display_error(
     image: NDArray[np.float32], reference: NDArray[np.float32], where: NDArray[np.bool_]
 ) -> DisplayError:
-    """Return the error of a displayed image at some pixels; images are linear, (H, W, 4)."""
+    """Return the error of the displayed image at the pixels `where`, (H, W).
+
+    Both images are linear, (H, W, 4).
+    """
     a, b = (linear_to_srgb(each[where][:, :3].astype(np.float64)) for each in (image, reference))
     errors = np.abs(a - b).max(axis=-1)
     if not errors.size:
@@ -44,17 +49,18 @@ def antialiasing(
     shading: Shading = Shading(),
     repeats: int = 9,
 ) -> list[SampleSetting]:
-    """Measure numbers of samples, with per-pixel shading as well where the renderer has it; their
-    frames take turns.
+    """Measure cost and error of numbers of samples per pixel; their frames are drawn in turns.
+
+    Per-pixel shading is measured as well if the renderer supports it.
 
     Raises
     ------
-    InputError : the scene cannot be drawn, or sees nothing of the mesh; a number out of 1 to 64
+    InputError : the scene cannot be drawn, the mesh is not in view, or a number is not in [1, 64]
     """
     reference = renderer.render(scene, shading, samples=MAX_SAMPLES).linear
     coverage = reference[..., 3]
     if not coverage.any():
-        raise InputError(f"the camera sees nothing of {scene.mesh.name}")
+        raise InputError(f"{scene.mesh.name} is not in view: change the camera")
     silhouette, inside = (coverage > 0.0) & (coverage < 1.0), coverage == 1.0
     settings = [
         (count, rate)
@@ -83,12 +89,14 @@ class _Setting:
 
 
 def skin_parts(renderer: Renderer, scene: Scene, repeats: int = 9) -> list[PartSetting]:
-    """Measure shadows, lobes, diffuse light, scattering and environment light, a sample a pixel;
-    the frames of a part take turns. Scattering is left out of a mesh of unknown size.
+    """Measure shadows, lobes, diffuse light, scattering and environment light.
+
+    Frames have one sample per pixel; the frames of a part are drawn in turns. Scattering is
+    skipped for a mesh of unknown size.
 
     Raises
     ------
-    InputError : the scene cannot be drawn, or sees nothing of the mesh
+    InputError : the scene cannot be drawn, or the mesh is not in view
     """
     measured: list[PartSetting] = []
     for part, settings in _parts(scene):
@@ -96,7 +104,7 @@ def skin_parts(renderer: Renderer, scene: Scene, repeats: int = 9) -> list[PartS
         finest = draws[-1]().linear
         covered = finest[..., 3] == 1.0
         if not covered.any():
-            raise InputError(f"the camera sees nothing of {scene.mesh.name}")
+            raise InputError(f"{scene.mesh.name} is not in view: change the camera")
         for setting, time, draw in zip(settings, ratios(draws, repeats), draws, strict=True):
             error = display_error(draw().linear, finest, covered)
             measured.append(PartSetting(part, setting.name, time, error))
@@ -104,7 +112,7 @@ def skin_parts(renderer: Renderer, scene: Scene, repeats: int = 9) -> list[PartS
 
 
 def _parts(scene: Scene) -> Iterator[tuple[str, list[_Setting]]]:
-    """Yield each part with its settings, from without it to the finest."""
+    """Yield each part with its settings, from the simplest to the finest."""
     mesh, (key, *others) = scene.mesh, scene.lights
 
     def lit(**changes: object) -> Scene:

@@ -1,5 +1,7 @@
-"""Turns a measurement into files: ``measure.json``, plots as PNG, ``index.html``. Tables are made
-in ``tables.py``, plots drawn in ``plots.py``."""
+"""Writes a measurement to files: ``measure.json``, plots as PNG, and the page ``index.html``.
+
+``tables.py`` makes the tables, ``plots.py`` draws the plots.
+"""
 
 from __future__ import annotations
 
@@ -26,31 +28,33 @@ from facerender.page.document import table as page_table
 from facerender.system.atomic import make_folder, write_bytes
 
 METHODS = {
-    "specular term": "Nanoseconds an evaluation of the whole term from N, L and V, all cores or"
-    " units together: the slope of time over the number of evaluations, less that of an empty"
-    " loop; processor time over the number of cores where the CPU draws. The terms take turns;"
-    " given are the lower quartile of the repeats and its 95 %"
-    " interval by bootstrap, and the lobe alone likewise.",
-    "whole frame": "Milliseconds to draw the mesh and read the image back, one sample a pixel. The"
-    " variants take turns; given are the lower quartile of the repeats and its 95 % interval.",
-    "samples": "The time of a frame over that of one with one sample, in turns, the median; the"
-    " error of the displayed image against 64 samples, at pixels that the mesh covers in part, and"
-    " inside. Per-pixel shading: one triangle of a pixel for all that its samples see.",
-    "parts of skin": "The time of a frame with one sample over that of the part's first setting, in"
-    " turns, the median; the error of the displayed image against the part's last setting.",
-    "error of the lobe": "Percent of the lobe's peak: the largest difference from the exact lobe,"
-    " both in float64, over 0 to 90 degrees of the half vector's angle γ.",
-    "error of the BRDF": "Percent of the largest exact f N.L: the largest difference, in float64,"
-    " over directions of light and camera.",
-    "error of the image": "The image that OpenGL draws against float64 shading of the same G-buffer"
-    " with the exact lobe. Percent of max(reference, 0.01), linear radiance, over covered pixels;"
-    " steps are those of the displayed 8-bit image.",
+    "specular term": "The time of one evaluation of the whole term from N, L and V, on all cores or"
+    " GPU units together. It is the slope of the time over the number of evaluations, minus the"
+    " slope of an empty loop. If the CPU draws, it is processor time divided by the number of"
+    " cores. The terms are timed in turns. Shown are the lower quartile of the repeats and its 95 %"
+    " bootstrap interval. The lobe alone is measured in the same way.",
+    "whole frame": "The time to draw the mesh with one sample per pixel and to read the image back."
+    " The variants are timed in turns. Shown are the lower quartile of the repeats and its 95 %"
+    " interval.",
+    "samples": "The frame time relative to a frame with one sample: the median of frames in turns."
+    " The error of the displayed image against 64 samples, at pixels that the mesh covers partly"
+    " (silhouette) and fully (inside). Per-pixel shading evaluates one triangle per pixel and part"
+    " for all samples.",
+    "parts of skin": "The frame time with one sample, relative to the part's first setting: the"
+    " median of frames in turns. The error of the displayed image against the part's last setting.",
+    "error of the lobe": "The largest difference from the exact lobe in percent of the lobe's peak,"
+    " for angles γ of the half vector from 0 to 90 degrees. Both lobes are computed in float64.",
+    "error of the BRDF": "The largest difference from the exact f N.L over directions of light and"
+    " camera, in percent of the largest exact f N.L. Both are computed in float64.",
+    "error of the image": "The OpenGL image compared with float64 shading of the same G-buffer with"
+    " the exact lobe. Errors of linear radiance are in percent of max(reference, 0.01), over"
+    " covered pixels. Levels are 1/255 of the range of the displayed 8-bit image.",
 }
 DOMINATED = (
-    "Dominated: another variant of the model is not dearer and not less exact, and better in one of"
-    f" the two. Costs whose intervals overlap count as equal, errors up to {EXACT:g} % as none, for"
-    " float32 leaves as much. Forms as printed give NaN in some directions, and dominate nothing;"
-    " D16 as printed has no clamp."
+    "Dominated: another variant of the model is at least as cheap and as exact, and better in one"
+    " of the two. Costs with overlapping intervals count as equal. Errors up to"
+    f" {EXACT:g} % count as zero, because float32 causes errors of this size. Forms as published"
+    " return NaN in some directions, and dominate no other variant; D16 as published has no clamp."
 )
 
 
@@ -67,14 +71,14 @@ class Figure:
 
 
 def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Path) -> list[Path]:
-    """Write measure.json, plots and index.html, each whole or not at all, and return their paths.
+    """Write measure.json, plots and index.html atomically, and return their paths.
 
-    Everything is drawn before the first file is written. The directory is made where it is missing.
+    All plots are drawn before the first file is written. A missing directory is created.
 
     Raises
     ------
-    InputError : matplotlib is missing, or the directory cannot be written
-    ValueError : NaN or infinity in the measurement, which JSON does not know
+    InputError : matplotlib is missing, or the directory is not writable
+    ValueError : the measurement contains NaN or infinity, which JSON cannot represent
     """
     plots.check()
     content = json.dumps(measurement.as_dict(), indent=1, allow_nan=False) + "\n"
@@ -89,11 +93,11 @@ def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Pa
 
 
 def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
-    """Write files by name, each whole or not at all, and return their paths; the directory is made.
+    """Write files by name atomically, create their directory, and return their paths.
 
     Raises
     ------
-    InputError : the directory cannot be made or written
+    InputError : the directory cannot be created, or is not writable
     """
     make_folder(directory)
     for name, content in files.items():
@@ -102,14 +106,17 @@ def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
 
 
 def table(measurement: Measurement) -> str:
-    """Return cost beside error for a terminal: a table for each kind of cost and each model, and
-    one each for samples and for parts of skin."""
+    """Return tables of cost and error as text for a terminal.
+
+    There is a table for each kind of cost and each model, one for samples, and one for the parts
+    of skin.
+    """
     tables = [*cost_tables(measurement), sample_table(measurement), skin_table(measurement)]
     return "\n\n".join(table.text() for table in tables)
 
 
 def _trades(measurement: Measurement) -> list[Figure]:
-    """Error over cost, for each kind of cost that was measured."""
+    """Return plots of error over cost, one for each measured kind of cost."""
     figures = []
     for kind in KINDS:
         panels = {}
@@ -120,7 +127,7 @@ def _trades(measurement: Measurement) -> list[Figure]:
                 panels[title] = (rows, ERRORS[measure_of(measurement, model)])
         if panels:
             png = plots.trade(panels, f"cost, {kind.unit}")
-            caption = f"Error over cost, {kind.title}. The line joins what nothing dominates."
+            caption = f"Error over cost, {kind.title}. The line joins the variants not dominated."
             figures.append(Figure(f"trade-{kind.title.split()[-1]}.png", png, caption))
     return figures
 
@@ -130,19 +137,19 @@ def _curves(measurement: Measurement) -> list[Figure]:
     for model, curves in measurement.curves.items():
         png = plots.angles(measurement.degrees, curves, MODELS[model])
         caption = (
-            f"{MODELS[model]}: each lobe less the exact one, over the angle of the half vector. The"
-            " scale is linear around 0 and becomes logarithmic at 0.1 %."
+            f"{MODELS[model]}: each lobe minus the exact lobe, over the angle of the half vector."
+            " The scale is linear around 0, and logarithmic from about 0.1 %."
         )
         figures.append(Figure(f"angles-{model}.png", png, caption))
     return figures
 
 
 def _strip(triptych: Triptych, slope: str) -> Figure:
-    """Exact, approximated, and their difference."""
+    """Return a figure of the exact image, the approximated image, and their difference."""
     png = plots.strip([triptych.exact, triptych.image, triptych.difference])
     caption = (
-        f"{MODELS[triptych.model]}, m = {slope}: left exact, middle {triptych.lobe}, right"
-        f" {MAGNIFIED} times their difference."
+        f"{MODELS[triptych.model]}, m = {slope}: exact (left), {triptych.lobe} (middle), and"
+        f" {MAGNIFIED} times their difference (right)."
     )
     return Figure(f"images-{triptych.model}-{triptych.lobe}.png", png, caption)
 
@@ -153,15 +160,15 @@ def _page(
     curves: Iterable[Figure],
     strips: Iterable[Figure],
 ) -> str:
-    """Everything in one file of HTML that fetches nothing."""
+    """Return the page: one self-contained HTML file."""
     content, settings = measurement.as_dict(), measurement.settings
     size = {"size": "{} x {}".format(*settings.size)}
     facts = (content["environment"] | content["settings"] | size).items()
     fact_rows = [row(escape(name), [escape(_fact(value))]) for name, value in facts]
     missing = measurement.not_measured or ["nothing"]
     body = [
-        page_table("facts", (), fact_rows, "Measured on, and with"),
-        "<h2>Cost beside error</h2>",
+        page_table("facts", (), fact_rows, "Machine and settings"),
+        "<h2>Cost and error</h2>",
         f"<p>{escape(DOMINATED)}</p>",
         *(_html(table, "numbers costs") for table in cost_tables(measurement)),
         f'<div class="pair">{_figures(trades)}</div>',
@@ -174,13 +181,13 @@ def _page(
         "<h2>Images</h2>",
         _figures(strips),
         "<h2>Not measured</h2>",
-        f"<ul>{''.join(f'<li>{escape(what)}</li>' for what in missing)}</ul>",
-        "<h2>Where the figures come from</h2>",
+        f"<ul>{''.join(f'<li>{escape(each)}</li>' for each in missing)}</ul>",
+        "<h2>How the values are measured</h2>",
         "<dl>",
-        *(f"<dt>{escape(what)}</dt><dd>{escape(how)}</dd>" for what, how in METHODS.items()),
+        *(f"<dt>{escape(name)}</dt><dd>{escape(text)}</dd>" for name, text in METHODS.items()),
         "</dl>",
     ]
-    return document("What specular terms cost and lose", "\n".join(body))
+    return document("Cost and error of specular terms", "\n".join(body))
 
 
 def _fact(value: object) -> str:
@@ -194,7 +201,7 @@ def _figures(figures: Iterable[Figure]) -> str:
 
 
 def _html(table: Table, kind: str) -> str:
-    """Lay a table out, rows that are dominated in grey."""
+    """Return a table as HTML, with dominated rows in grey."""
     if not table.rows:
         return f"<p>{escape(table.title)}: {NOT_MEASURED}.</p>"
     rows = [

@@ -1,5 +1,7 @@
-"""What ``facerender measure`` measures. The records are in ``measurement.py``, files are written by
-``report.py``."""
+"""Runs the measurements of ``facerender measure``.
+
+``measurement.py`` defines the records, ``report.py`` writes the files.
+"""
 
 from __future__ import annotations
 
@@ -54,20 +56,19 @@ def measure(
     backend: Backend = "auto",
     progress: Progress = no_progress,
 ) -> tuple[Measurement, list[Triptych]]:
-    """Measure cost and error of every form and lobe of both models, of numbers of samples, and of
-    the parts of skin, on this machine.
+    """Measure cost and error of all variants, of numbers of samples, and of the parts of skin.
 
     Parameters
     ----------
-    mesh : rendered for the cost of a frame and the error of an image
-    m : rms slope of the whole mesh
-    quick : smaller images, fewer repeats, no lobes alone
-    progress : called with the current step and the fraction of it that is done
+    mesh : mesh for the cost of a frame and the error of an image
+    m : roughness of the whole mesh, in [1e-4, 2]
+    quick : use smaller images and fewer repeats, and skip the cost of lobes alone
+    progress : called with the current step and its completed fraction
 
     Raises
     ------
-    ContextError : no OpenGL context
-    InputError : m outside [1e-4, 2], or a damaged map
+    ContextError : there is no OpenGL context
+    InputError : m is outside its range, or a map is damaged
     """
     size, repeats = ((256, 256), 7) if quick else ((512, 512), 21)
     plain = mesh.with_material(m=m, roughness_map=None)
@@ -106,8 +107,8 @@ def _model(
 ) -> tuple[list[MeasuredVariant], list[Triptych]]:
     """Measure all variants of a model."""
 
-    def step(what: str) -> Callable[[float], object]:
-        return partial(progress, f"{model}: {what}")
+    def step(name: str) -> Callable[[float], object]:
+        return partial(progress, f"{model}: {name}")
 
     m, size, repeats = settings.m, settings.size, settings.repeats
     term_ns = cost.by_slope(terms(model), cost.OF_VECTORS, repeats, backend, step("terms"))
@@ -115,7 +116,7 @@ def _model(
     if not settings.quick:
         lobe_ns = cost.by_slope(lobe_terms(model), cost.OF_COSINE, repeats, backend, step("lobes"))
     rendered = [variant for variant in _standard(model) if _inside(variant, m)]
-    # Without the slope filter: a wider slope may leave a lobe's domain.
+    # Without the slope filter, which may widen m beyond a lobe's domain.
     shadings = [replace(variant.shading, slope_filter=False) for variant in rendered]
     frames = cost.frames(scene, shadings, size, repeats, backend, step("frames"))
     frame_ms = dict(zip(rendered, frames, strict=True))
@@ -134,12 +135,12 @@ def _model(
 
 
 def _slopes(m: float) -> list[float]:
-    """Return the slopes at which errors of lobe and BRDF are measured."""
+    """Return the values of m at which errors of lobe and BRDF are measured."""
     return sorted({*SLOPES, m})
 
 
 def environment(backend: Backend = "auto") -> Environment:
-    """Say where figures come from: OpenGL driver, processor, versions, date."""
+    """Return the conditions of a measurement: OpenGL driver, processor, versions, date."""
     context = create_context(backend)
     renderer, version = context.renderer, context.version
     context.release()
@@ -170,7 +171,7 @@ def _standard(model: str) -> list[Variant]:
 
 
 def _inside(variant: Variant, m: float) -> bool:
-    """Whether m lies in the domain of the lobe."""
+    """Return whether m is in the domain of the lobe."""
     return bool(LOBES[variant.lobe].belongs(m, variant.k).all())
 
 
@@ -181,7 +182,7 @@ def _errors(variant: Variant, slopes: Sequence[float], image: ImageError | None)
 
 
 def _errors_at(variant: Variant, m: float) -> tuple[float | None, float | None]:
-    """Largest error of lobe and BRDF in percent; None outside the domain."""
+    """Return the largest errors of lobe and BRDF in percent; None outside the domain."""
     if variant.unclamped:
         return _percent(error.printed_error(m, variant.k, 16)), None
     if (variant.plain and m < SMALL_SLOPE) or not _inside(variant, m):

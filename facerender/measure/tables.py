@@ -1,5 +1,7 @@
-"""A measurement as tables of text: cost beside error, and errors alone. Which variants dominate is
-decided in ``pareto.py``."""
+"""Tables of a measurement as text: cost and error, and errors alone.
+
+``pareto.py`` determines the dominated variants.
+"""
 
 from __future__ import annotations
 
@@ -22,34 +24,44 @@ ERRORS = {
     "lobe": "largest error of the lobe, % of its peak",
 }
 NOT_MEASURED = "not measured"
-_LEFT = ("variant", "lobe", "remark", "shading")  # columns of words, not of numbers
+_LEFT = ("variant", "lobe", "remark", "shading")  # columns of text, aligned to the left
 _IMAGE_HEAD = (
     "lobe",
     "largest, %",
-    "99.9 % of pixels within, %",
-    "blocks of 16 x 16, %",
+    "99.9th percentile, %",
+    "16 x 16 blocks, %",
     "beyond 3 x 3 neighbours, radiance",
-    "displayed, steps of 1/255",
-    "99.9 % of pixels within, steps",
-    "FLIP, mean",
+    "displayed, 8-bit levels",
+    "99.9th percentile, levels",
+    "mean FLIP",
 )
 SAMPLES_HEAD = (
     "samples",
-    "frame, of one sample",
+    "frame time (1 sample = 1)",
     "silhouette: mean, 1/255",
-    "99 %, 1/255",
+    "99th percentile, 1/255",
     "inside: mean, 1/255",
-    "99 %, 1/255",
-    "over 1/255, %",
+    "99th percentile, 1/255",
+    "pixels over 1/255, %",
 )
 
-SKIN_HEAD = ("part", "setting", "frame", "mean, 1/255", "99 %, 1/255", "over 1/255, %")
+SKIN_HEAD = (
+    "part",
+    "setting",
+    "frame time (first setting = 1)",
+    "mean, 1/255",
+    "99th percentile, 1/255",
+    "pixels over 1/255, %",
+)
 
 
 @dataclass(frozen=True)
 class Table:
-    """Cells as text. The first of a row is its name; without rows, nothing was measured.
-    ``dominated`` are the names of rows that another dominates."""
+    """A table of text cells. The first cell of a row is its name.
+
+    A table without rows stands for values that were not measured. ``dominated`` contains the names
+    of the dominated rows.
+    """
 
     title: str
     note: str = ""
@@ -58,7 +70,7 @@ class Table:
     dominated: Collection[str] = ()
 
     def text(self) -> str:
-        """Lay it out for a terminal."""
+        """Return the table as text for a terminal."""
         if not self.rows:
             return f"{self.title}: {NOT_MEASURED}"
         lines = [self.head, *self.rows]
@@ -69,13 +81,15 @@ class Table:
 
 
 def cost_tables(measurement: Measurement) -> list[Table]:
-    """Return one for each kind of cost and each model, cheapest first; one without rows for a kind
-    that was not measured at all."""
+    """Return a table for each kind of cost and each model, cheapest variant first.
+
+    A kind of cost that was not measured has one table without rows.
+    """
     return [table for kind in KINDS for table in tables_of(measurement, kind)]
 
 
 def tables_of(measurement: Measurement, kind: CostKind) -> list[Table]:
-    """Return the table of each model at one kind of cost; one without rows if nothing has it."""
+    """Return each model's table for a kind of cost, or a table without rows if not measured."""
     tables = []
     for model, title in MODELS.items():
         rows = pareto(measurement, model, kind)
@@ -85,7 +99,7 @@ def tables_of(measurement: Measurement, kind: CostKind) -> list[Table]:
                 Table(
                     f"{title}, m = {measurement.settings.slope}: {kind.title}",
                     f"Error: {ERRORS[measure_of(measurement, model)]}.",
-                    ["variant", "remark", kind.unit, "of exact", "error, %", *kind.columns],
+                    ["variant", "remark", kind.unit, "cost / exact", "error, %", *kind.columns],
                     [_cost_cells(row, kind, exact) for row in rows],
                     [row.variant.name for row in rows if row.dominated],
                 )
@@ -96,14 +110,14 @@ def tables_of(measurement: Measurement, kind: CostKind) -> list[Table]:
 def _cost_cells(row: Row, kind: CostKind, exact: Interval | None) -> list[str]:
     cost = row.cost.value if row.cost else None
     ratio = f"{cost / exact.value:.2f}" if cost is not None and exact else ""
-    remarks = ["as printed"] * row.variant.printed + ["dominated"] * row.dominated
+    remarks = ["as published"] * row.variant.printed + ["dominated"] * row.dominated
     error = _number(row.error, NOT_MEASURED if row.variant.printed else "outside the domain")
     extra = [_cell(value(row.measured)) if row.cost else "" for value in kind.columns.values()]
     return [row.variant.name, ", ".join(remarks), _number(cost), ratio, error, *extra]
 
 
 def error_tables(measurement: Measurement) -> list[Table]:
-    """Return, for each model, the errors of an image at one m, and of lobe and BRDF over m."""
+    """Return for each model the errors of the image at one m, and of lobe and BRDF over m."""
     tables = []
     for model, title in MODELS.items():
         errors = {
@@ -116,18 +130,18 @@ def error_tables(measurement: Measurement) -> list[Table]:
         tables += [
             Table(
                 f"{title}, m = {measurement.settings.slope}: error of the image",
-                "Relative to max(reference, 0.01) where nothing else is said.",
+                "Relative to max(reference, 0.01) unless stated otherwise.",
                 _IMAGE_HEAD,
                 [[lobe, *_image_cells(error.image)] for lobe, error in errors.items()],
             ),
             _slope_table(
                 f"{title}: error of the lobe",
-                "Largest over 0 to 90 degrees, % of the lobe's peak.",
+                "Largest error over 0 to 90 degrees, % of the lobe's peak.",
                 {lobe: error.lobe for lobe, error in errors.items()},
             ),
             _slope_table(
                 f"{title}: error of the BRDF",
-                "Largest of f N.L, % of the largest exact one.",
+                "Largest error of f N.L, % of the largest exact f N.L.",
                 {lobe: error.brdf for lobe, error in errors.items()},
             ),
         ]
@@ -135,7 +149,7 @@ def error_tables(measurement: Measurement) -> list[Table]:
 
 
 def sample_table(measurement: Measurement) -> Table:
-    """Return cost and error of numbers of samples a pixel; without rows if not measured."""
+    """Return cost and error of numbers of samples per pixel; without rows if not measured."""
     rows = []
     for each in measurement.samples:
         name = f"{each.samples}{', per-pixel shading' * (each.shading_rate == 'pixel')}"
@@ -143,22 +157,22 @@ def sample_table(measurement: Measurement) -> Table:
         values = (each.time.value, *errors, 100.0 * each.inside.over)
         rows.append([name, *map(_number, values)])
     return Table(
-        "Samples a pixel: {} x {}".format(*measurement.settings.size),
-        "Errors of the displayed image against 64 samples, each shaded by itself.",
+        "Samples per pixel: {} x {}".format(*measurement.settings.size),
+        "Errors of the displayed image against 64 samples, each shaded separately.",
         SAMPLES_HEAD,
         rows,
     )
 
 
 def skin_table(measurement: Measurement) -> Table:
-    """Return cost and error of the settings of skin's parts; without rows if not measured."""
+    """Return cost and error of each part of skin and setting; without rows if not measured."""
     rows = []
     for each in measurement.skin:
         values = (each.time.value, *_levels(each.error), 100.0 * each.error.over)
         rows.append([each.part, each.setting, *map(_number, values)])
     return Table(
         "Parts of skin: {} x {}".format(*measurement.settings.size),
-        "Frames over the part's first setting; errors of the displayed image against its last.",
+        "Errors of the displayed image against the part's last setting.",
         SKIN_HEAD,
         rows,
     )
@@ -193,7 +207,7 @@ def _cell(value: float | Interval | None) -> str:
 
 
 def _number(value: float | None, missing: str = NOT_MEASURED) -> str:
-    """Write three digits, or all of a count."""
+    """Format a value with three digits, or a count with all digits."""
     if value is None:
         return missing
     if isinstance(value, int) or value == 0.0 or abs(value) >= 100.0:

@@ -1,1 +1,1 @@
-"""Pages that stand alone: one shell, one stylesheet, light and dark, the scripts."""
+"""Self-contained HTML pages: document, style sheet for light and dark mode, and scripts."""

@@ -1,5 +1,7 @@
-"""The shell of every page, and what pages have in common: images, figures, tables. A page is one
-file of HTML that fetches nothing; its style and its script are files beside this one."""
+"""Builds HTML pages: the document, images, figures and tables.
+
+A page is one self-contained HTML file. Its style sheet and script are files in this folder.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +14,14 @@ _FOLDER = Path(__file__).parent
 
 
 def document(title: str, body: str, *files: str | Path) -> str:
-    """Return a page.
+    """Return an HTML page.
 
     Parameters
     ----------
-    title : text, of the window and of the page
-    body : HTML that follows the title; classes are those of page.css
-    files : scripts, which share one scope, and stylesheets besides page.css: of this folder, such
-        as "viewer.js", or by their paths
+    title : plain text for the window title and the heading
+    body : HTML below the heading, with classes from page.css
+    files : scripts, which share one scope, and style sheets in addition to page.css. A name such
+        as "viewer.js" is a file in this folder; paths are allowed too
     """
     paths = [_FOLDER / file for file in ("page.css", *files)]
     style = "".join(path.read_text(encoding="utf-8") for path in paths if path.suffix == ".css")
@@ -43,12 +45,12 @@ def document(title: str, body: str, *files: str | Path) -> str:
 
 
 def image_source(content: bytes, kind: str = "png") -> str:
-    """Return an image file, of a kind such as "webp", as the URL of itself."""
+    """Return an image file as a data URL; kind is its format, such as "webp"."""
     return f"data:image/{kind};base64," + b64encode(content).decode()
 
 
 def figure(png: bytes, caption: str) -> str:
-    """Return an image with its caption, as text."""
+    """Return a figure as HTML: an image with a caption of plain text."""
     text = escape(caption)
     return (
         f'<figure><img src="{image_source(png)}" alt="{text}"><figcaption>{text}</figcaption>'
@@ -57,13 +59,13 @@ def figure(png: bytes, caption: str) -> str:
 
 
 def table(kind: str, head: Iterable[str], rows: Iterable[str], caption: str = "") -> str:
-    """Return a table that scrolls where it is wider than the page.
+    """Return a table as HTML; it scrolls if it is wider than the page.
 
     Parameters
     ----------
-    kind : its classes in page.css
-    head, caption : HTML; none where empty
-    rows : of :func:`row`
+    kind : class names from page.css
+    head, caption : HTML; omitted if empty
+    rows : results of :func:`row`
     """
     cells = "".join(f'<th scope="col">{cell}</th>' for cell in head)
     top = f"<thead><tr>{cells}</tr></thead>" if cells else ""
@@ -73,7 +75,7 @@ def table(kind: str, head: Iterable[str], rows: Iterable[str], caption: str = ""
 
 
 def row(name: str, cells: Iterable[str], kind: str = "") -> str:
-    """Return a row of a table, all of it HTML; kind is its class."""
+    """Return a row of a table from HTML cells; kind is its class."""
     marked = f' class="{kind}"' if kind else ""
     values = "".join(f"<td>{cell}</td>" for cell in cells)
     return f'<tr{marked}><th scope="row">{name}</th>{values}</tr>'

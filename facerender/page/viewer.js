@@ -1,12 +1,12 @@
-// Views of two images that differ: side by side, blinking, under a slider; a place enlarged.
-const PIXEL = 8;  // least size of an enlarged pixel
+// Viewer for two images: side by side, blinking, with a slider, their difference; with a zoom.
+const PIXEL = 8;  // least size of an enlarged pixel, in CSS pixels
 const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
 for (const viewer of document.querySelectorAll(".viewer")) {
   const find = selector => viewer.querySelector(selector);
   const figures = [...viewer.querySelectorAll("figure")];
   const choices = viewer.querySelectorAll("[name^=zoom]");
   const number = (figure, name) => +figure.style.getPropertyValue(name);
-  let centre = null;  // of what is enlarged, in pixels
+  let centre = null;  // pixel in the centre of the zoom; null without a zoom
 
   function draw() {
     viewer.classList.toggle("enlarged", centre !== null);
@@ -56,7 +56,7 @@ for (const viewer of document.querySelectorAll(".viewer")) {
       if (shows("slider")) cut(100 * across(event, view)[0]);
     });
     view.addEventListener("click", event => {
-      if (Math.abs(event.clientX - pressed) > 4) return;  // a drag
+      if (Math.abs(event.clientX - pressed) > 4) return;  // this was a drag
       if (centre) return look(null);
       const [x, y] = across(event, figure.querySelector(".layer"));
       look([Math.floor(x * number(figure, "--w")), Math.floor(y * number(figure, "--h"))]);

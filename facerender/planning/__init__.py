@@ -1,2 +1,1 @@
-"""A cheaper frame of a scene within an error budget: what may be chosen, how it errs, the search,
-what it takes."""
+"""Planning: find a cheaper frame of a scene within an error budget."""

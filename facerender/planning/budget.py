@@ -1,4 +1,4 @@
-"""The error that a plan may make: its unit, how it is measured and written. No OpenGL here."""
+"""The error budget of a plan: parsing, measuring and formatting of errors. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from facerender.terms.ranges import EXPOSURES
 Unit = Literal["display", "relative", "flip"]
 Float = NDArray[np.float64]
 
-# What float32 and a driver's rounding may add to an error that float64 measured.
+# Upper bound of the error that float32 and the driver's rounding add to the float64 error.
 ROUNDING: dict[Unit, float] = {"display": 0.05 / 255.0, "relative": 5e-4, "flip": 1e-3}
 
 _GIVEN = re.compile(r"([-+.\deE]+|nan|inf)\s*(?:/\s*([.\deE+]+)|(%)|(flip))?", re.IGNORECASE)
@@ -29,16 +29,16 @@ _GIVEN = re.compile(r"([-+.\deE]+|nan|inf)\s*(?:/\s*([.\deE+]+)|(%)|(flip))?", r
 
 @dataclass(frozen=True)
 class Budget:
-    """The largest error of a pixel, or of a stated fraction of the pixels.
+    """An error limit for all pixels, or for a fraction of the pixels.
 
     Attributes
     ----------
-    limit : >= 0; of "display" a fraction of the range from black to white as sRGB encodes it,
-        before rounding to steps; of "relative" a fraction of the linear radiance, or of 0.01 where
-        that is more; of "flip" FLIP (Andersson et al. 2020) of the displayed image
-    unit : "display", "relative" or "flip"
+    limit : >= 0, in the unit
+    unit : "display": fraction of the range from black to white in sRGB encoding, before rounding
+        to 8-bit levels. "relative": fraction of the linear radiance, or of 0.01 if that is larger.
+        "flip": FLIP (Andersson et al. 2020) of the displayed image
     exposure : of the displayed image, in stops
-    within : fraction of the pixels that each image covers which err by the limit at most, in (0, 1]
+    within : fraction of each image's covered pixels that must meet the limit, in (0, 1]
     """
 
     limit: float
@@ -48,12 +48,16 @@ class Budget:
 
     @classmethod
     def parse(cls, given: str | float, exposure: float = 0.0, within: str | float = 1.0) -> Budget:
-        """Read "1/255", "0.5%" or "0.02 flip"; a number is a fraction of the display's range.
-        within is "99.9%" or 0.999.
+        """Parse a budget.
+
+        Parameters
+        ----------
+        given : "1/255", "0.5%" or "0.02 flip"; a number is a fraction of the display's range
+        within : "99.9%" or 0.999
 
         Raises
         ------
-        InputError : no such unit, a negative or infinite budget, no fraction of the pixels
+        InputError : unknown unit, negative or infinite budget, or invalid fraction of the pixels
         """
         number = str(within).strip()
         try:
@@ -73,7 +77,7 @@ class Budget:
             value, below = float(match[1]), float(match[2] or 1.0)
             limit = value / below
         except (ValueError, ZeroDivisionError):
-            raise InputError(f"budget {given!r} has no unit that is known: {remedy}") from None
+            raise InputError(f"budget {given!r} has an unknown unit: {remedy}") from None
         if isinstance(given, str) and value and not any(match.groups()[1:]):
             raise InputError(f"budget {given!r} has no unit: {remedy}")
         if not 0.0 <= limit < math.inf:
@@ -83,11 +87,11 @@ class Budget:
         return cls(limit, "flip" if match[4] else "display", exposure, fraction)
 
     def errors(self, image: Float, reference: Float) -> Float:
-        """Return the error of each pixel (H, W) of a linear image (H, W, 3), of its worst channel.
+        """Return the error of the worst channel of each pixel (H, W) of a linear image (H, W, 3).
 
         Raises
         ------
-        InputError : FLIP without its package
+        InputError : the package for FLIP is missing
         """
         if self.unit == "relative":
             return np.asarray(
@@ -99,18 +103,18 @@ class Budget:
         return flip.errors(expected, shown)
 
     def spared(self, covered: int) -> int:
-        """Return how many pixels of an image that covers so many may be over the limit."""
+        """Return how many of an image's covered pixels may exceed the limit."""
         return covered - math.ceil(Fraction(str(self.within)) * covered)
 
     @property
     def fraction(self) -> str:
-        """The fraction of the pixels in words, such as "99.9 %"."""
+        """The fraction of the pixels as text, such as "99.9 %"."""
         return f"{100.0 * self.within:.6g} %"
 
     def text(self, error: float) -> str:
-        """Write an error in the budget's unit."""
+        """Return an error as text, in the budget's unit."""
         if not math.isfinite(error):
-            return "any amount"
+            return "infinity"
         scale = {"display": 255.0, "relative": 100.0, "flip": 1.0}[self.unit]
         value = scale * error
         digits = "<0.001" if 0.0 < value < 0.001 else f"{value:.3g}"
@@ -123,7 +127,9 @@ class Budget:
 
 
 def highest_but(errors: Float, spared: int) -> float:
-    """Return the largest error beside those of so many pixels that err most; 0 without pixels. What
-    is no number counts as the largest."""
+    """Return the largest error after leaving out the ``spared`` largest ones; 0 if none is left.
+
+    NaN counts as the largest error.
+    """
     counted = errors.size - spared
     return float(np.partition(errors, counted - 1, axis=None)[counted - 1]) if counted > 0 else 0.0

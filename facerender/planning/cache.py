@@ -1,4 +1,4 @@
-"""The cache of plans: each by its mesh, maps, lights, camera, budget and prices."""
+"""Cache of plans on disk. The key is a digest of mesh, maps, lights, camera, budget and prices."""
 
 from __future__ import annotations
 
@@ -32,12 +32,14 @@ def cached_plan(
     renderer: Renderer,
     cache: bool = True,
 ) -> dict[str, Any]:
-    """Return a plan as :meth:`facerender.Plan.as_dict` has it: the one in the cache, or one
-    that is made now and, with a cache, stored there. Other parameters and errors as in
-    :func:`facerender.plan`."""
+    """Return a plan in the form of :meth:`facerender.Plan.as_dict`, from the cache if possible.
+
+    ``cache`` enables reading and storing. The other parameters and the errors are the same as in
+    :func:`facerender.plan`.
+    """
     allowed = Budget.parse(budget, exposure, within)
     name = _digest(scene, allowed, full, renderer) if cache else ""
-    with suppress(ValueError, KeyError, TypeError):  # of another form
+    with suppress(ValueError, KeyError, TypeError):  # damaged, or in another version's format
         if cache and (content := disk_cache.read("plans", name)) is not None:
             cached: dict[str, Any] = json.loads(bytes(content))
             Shading.from_dict(cached["shading"]).check_lights(len(scene.lights))
@@ -57,7 +59,7 @@ def _digest(*parts: Any) -> str:
 
 
 def _pieces(value: Any) -> Iterator[bytes]:
-    """What a value is made of, in an order that tells it from every other."""
+    """Yield the content of a value as bytes; different values yield different bytes."""
     yield type(value).__name__.encode()
     if isinstance(value, np.ndarray):
         yield repr((value.shape, value.dtype.str)).encode()

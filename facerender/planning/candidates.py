@@ -1,5 +1,7 @@
-"""The shadings that a plan chooses from: what may take the place of the exact, full one in a scene.
-No OpenGL here, and nothing of what they cost or lose."""
+"""The shadings that a plan may choose in place of the full, exact shading of a scene.
+
+Costs and errors are computed elsewhere. No OpenGL here.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +18,11 @@ from facerender.shading import SCATTER_SAMPLES, SMALL_SLOPE, Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe
 from facerender.terms.fitting import G_POWERS, fit_g_power
 
-# Without FR_SMALL_SLOPE float32 errs by 3e-7/m² of the peak: from here on less than is seen.
+# Without FR_SMALL_SLOPE the float32 error is 3e-7/m² of the peak: invisible from this slope on.
 SMALLEST_PLAIN_SLOPE = 0.1
 
-# A decision's name, and what of a shading it is about; those of a term are decided together where
-# the model changes.
+# Attribute of a shading by the decision's name. If the model changes, all decisions of TERM count
+# as one.
 DECISIONS = {
     "two lobes": "two_lobes",
     "lights": "specular_lights",
@@ -40,22 +42,23 @@ DECISIONS = {
     "small slopes": "term.small_slope",
 }
 _GET = {name: attrgetter(path) for name, path in DECISIONS.items()}
-SINGLE = ("two lobes", "slope")  # decided together: a single lobe has a slope of its own
+SINGLE = ("two lobes", "slope")  # one decision: a single lobe needs a different slope
 ENVIRONMENT_SAMPLES = (0, 8, 16, 32)
 TERM = ("model", "lobe", "Fresnel", "masking", "small slopes", "frontal")
 
 
 @dataclass(frozen=True)
 class Constants:
-    """What may stand for a map all over a mesh, and the order in which lights may go.
+    """Constants that may replace maps on the whole mesh, and the order in which lights are dropped.
 
     Attributes
     ----------
-    m, ks : slope and specular weight, the means over what is seen
-    faintest : indices of the lights by how bright their highlights are, the faintest first
-    frontal : indices of the lights by how much the term of frontal light loses, the least first
-    shadows : indices of the lights that cast shadows by how much those darken, the least first
-    single : slopes of one lobe in place of two
+    m, ks : mean slope and mean specular weight of the visible pixels
+    faintest : indices of the lights, sorted by the brightness of their highlights, faintest first
+    frontal : indices of the lights, sorted by the error of the frontal term, smallest first
+    shadows : indices of the lights with shadows, sorted by how much the shadow darkens the image,
+        weakest first
+    single : slopes of a single lobe that may replace two lobes
     """
 
     m: float
@@ -72,13 +75,14 @@ def candidates(
     constants: Constants,
     fits: Callable[[Shading], bool] = lambda _: True,
 ) -> Iterator[Shading]:
-    """Yield every shading that may take the place of the full one, which is among them.
+    """Yield every shading that may replace the full one, including the full one.
 
     Parameters
     ----------
-    full : the exact lobe, and all that is to count
-    fits : whether a single lobe, fewer samples, shadows left out and Lambert's diffuse light, each
-        by itself, may be combined with others; there are too many combinations of them all
+    full : the shading that counts as exact; has the exact lobe
+    fits : returns whether a shading with one change is within the budget. It is called for a
+        single lobe, fewer samples, omitted shadows and Lambert diffuse light; only changes that
+        fit are combined with others, which limits the number of combinations
     """
     lit = [light for light in constants.faintest if full.of(light)]
     kinds = [full.specular_lights, *(tuple(sorted(lit[n:])) for n in range(1, len(lit) + 1))]
@@ -100,7 +104,7 @@ def candidates(
 def _surfaces(
     scene: Scene, full: Shading, constants: Constants, fits: Callable[[Shading], bool]
 ) -> Iterator[Shading]:
-    """Yield the full shading with other values of all but the lights and the kind of its terms."""
+    """Yield variants of the full shading with the same specular lights, model, lobe and factors."""
     materials = scene.mesh.materials
     normal_maps, specular_maps = (
         any(getattr(each, name) is not None for each in materials)
@@ -137,7 +141,7 @@ def _surfaces(
 
 
 def shadowed(scene: Scene, shading: Shading) -> list[int]:
-    """Return the indices of the lights whose shadows count."""
+    """Return the indices of the lights whose shadows the shading draws."""
     lights = simplify(scene, shading).lights
     return [index for index, light in enumerate(lights) if light.shadow]
 
@@ -145,8 +149,7 @@ def shadowed(scene: Scene, shading: Shading) -> list[int]:
 def with_lights(
     shading: Shading, specular: Sequence[int] | None, frontal: Sequence[int]
 ) -> Shading:
-    """Return a shading with other lights that have a specular term, and that have that of frontal
-    light."""
+    """Return a shading with other sets of lights with a specular term and with a frontal term."""
     return shading.replace(specular_lights=specular, frontal_lights=frontal)
 
 
@@ -167,7 +170,7 @@ def _lobes(k: int, smallest: float, largest: float) -> list[AnyLobe]:
     ends = (smallest, largest)
     first, *others = [name for name, lobe in LOBES.items() if lobe.belongs(ends, k).all()]
     fits = [fit_g_power(k, g, *ends) for g in G_POWERS]
-    # of the same cost the first is taken: exact, then what is fitted
+    # Of equal costs the search takes the first: exact, then the fitted g-powers.
     return [first, *(lobe for lobe in fits if lobe is not None), *others]
 
 
@@ -187,8 +190,10 @@ def changed(shading: Shading, full: Shading) -> list[str]:
 
 
 def groups(shading: Shading, full: Shading) -> dict[str, tuple[str, ...]]:
-    """Return the decisions in which two shadings differ, each with those that go with it: the whole
-    term with the model, the slope with a single lobe."""
+    """Return the decisions in which two shadings differ, by name, with the decisions of each group.
+
+    The model includes the whole term; a single lobe includes the slope.
+    """
     differs = changed(shading, full)
     together = {"two lobes": SINGLE, "model": TERM}
     made = {name: together[name] for name in differs if name in together}
@@ -197,12 +202,12 @@ def groups(shading: Shading, full: Shading) -> dict[str, tuple[str, ...]]:
 
 
 def values(shading: Shading, names: Sequence[str]) -> dict[str, Any]:
-    """Return what was decided, by what it is about."""
+    """Return the values of the named decisions, by the shading's attribute."""
     return {DECISIONS[name]: _GET[name](shading) for name in names}
 
 
 def with_decisions(shading: Shading, other: Shading, names: Sequence[str]) -> Shading:
-    """Return a shading with some of the decisions of another."""
+    """Return a shading with the named decisions of another shading."""
     decided = values(other, names)
     specular = decided.pop("specular_lights", shading.specular_lights)
     frontal = decided.pop("frontal_lights", shading.frontal_lights)
@@ -213,7 +218,7 @@ def with_decisions(shading: Shading, other: Shading, names: Sequence[str]) -> Sh
 
 
 def alone(shading: Shading, full: Shading, names: Sequence[str]) -> Shading:
-    """Return the full shading with some decisions of another by themselves."""
-    # a g-power is fitted to the slope that was chosen, and means nothing at another
+    """Return the full shading with only the named decisions of another shading."""
+    # A g-power is fitted to the chosen slope and invalid for another one.
     base = with_decisions(full, shading, SINGLE) if "lobe" in names else full
     return with_decisions(base, shading, names)

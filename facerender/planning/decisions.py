@@ -1,4 +1,4 @@
-"""A plan in words: what each decision adds and saves, or why it could not be made."""
+"""Decisions of a plan as text: their error and saving, or why a cheaper choice was rejected."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ from facerender.scenes.light import LIGHTS
 from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
-# What they save is no fraction of the specular terms.
+# Their saving is a fraction of the whole cost, not of the specular cost.
 _OF_THE_WHOLE = ("normal map", "ambient", "diffuse", "shadows", "scattering")
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What was decided about one thing.
+    """A decision of a plan about one attribute.
 
     Attributes
     ----------
     name : such as "Fresnel"
-    changed : whether it differs from the full shading
-    chosen : in words
-    other : what the full shading has; where nothing was changed, the cheaper one that errs least
-    error : what the change adds, alone; where nothing was changed, the error with the other
+    changed : whether the plan differs from the full shading here
+    chosen : the chosen value, as text
+    other : the full shading's value; without a change, the cheaper value with the smallest error
+    error : error of this change alone; without a change, error of the other value
     saving : fraction of the full program's cost that the change saves, or the other would save
-    text : a line that says it
-    values : what the cheaper of the two has, by where a shading has it, such as "term.lobe"; empty
-        for what is no part of a shading
+    text : line of :meth:`Plan.explain`
+    values : of the cheaper of the two, by attribute of the shading such as "term.lobe"; empty if
+        the decision is not about the shading
     """
 
     name: str
@@ -60,11 +60,12 @@ def decisions(
     error: Callable[[Shading], float],
     otherwise: Callable[[Shading], float],
 ) -> Iterator[Decision]:
-    """Tell of each decision of a shading.
+    """Yield each decision of a shading.
 
     Parameters
     ----------
-    error, otherwise : give the error of a shading, the second one at least
+    error : returns the error of a shading
+    otherwise : returns a lower bound of the error of a shading
     """
     made = groups(shading, choice.full)
     for name in DECISIONS:
@@ -87,20 +88,21 @@ def details(choice: Choice, drawn: DrawnViews) -> Iterator[Decision]:
         own, full = (getattr(detail, name) for detail in (drawn.detail, drawn.finest))
         if own != full:
             alone_ = replace(drawn.finest, **{name: own})
-            if name == "shading_rate":  # which needs the driver's samples
+            if name == "shading_rate":  # per-pixel shading needs the chosen number of samples
                 alone_ = replace(alone_, samples=drawn.detail.samples)
             added = max(within for _, within in drawn.errors(choice.full, alone_))
             chosen, other = (_detail(name, each, drawn) for each in (own, full))
-            text = f"{chosen} instead of {other}: alone adds {choice.budget.text(added)}, "
+            text = f"{chosen} instead of {other}: error {choice.budget.text(added)} on its own, "
             text += (
-                f"{'saves' if saved >= 0.0 else 'costs'} {100.0 * abs(saved):.1f} % of the frame"
+                f"{'saves' if saved >= 0.0 else 'costs'} {100.0 * abs(saved):.1f} % "
+                "of the frame time"
             )
             yield Decision(name, True, chosen, other, added, saved, text)
             continue
         refused = (each for each in drawn.coarser if getattr(each[0], name) != own)
         for detail, error in islice(refused, 1):
             chosen, other = (_detail(name, each, drawn) for each in (own, getattr(detail, name)))
-            text = f"{chosen}: {other} would err by {choice.budget.text(error)}"
+            text = f"{chosen}: {other} would cause an error of {choice.budget.text(error)}"
             yield Decision(name, False, chosen, other, error, 0.0, text)
 
 
@@ -122,7 +124,7 @@ def _changed(
     reverted = with_decisions(shading, choice.full, names)
     saved = choice.saved(shading, reverted)
     instead = f" instead of {other}" if other != "none" else ""
-    text = f"{chosen}{instead}: alone adds {choice.budget.text(added)}, "
+    text = f"{chosen}{instead}: error {choice.budget.text(added)} on its own, "
     text += f"{'saves' if saved >= 0.0 else 'costs'} {_fraction(choice, name, abs(saved))}"
     return Decision(name, True, chosen, other, added, saved, text, values(shading, names))
 
@@ -139,7 +141,7 @@ def _unchanged(
         with_decisions(shading, each, names)
         for each in choice.refused
         if name in changed(each, choice.full)
-        and (names != SINGLE or shading.term.lobe == "exact")  # others are fitted to a slope
+        and (names != SINGLE or shading.term.lobe == "exact")  # other lobes are fitted to a slope
     ]
     others = [
         each
@@ -154,14 +156,17 @@ def _unchanged(
     nearest = others[errors.index(min(errors))]
     chosen, other = (_words(choice.scene, each, names) for each in (shading, nearest))
     saved = choice.saved(nearest, shading)
-    text = f"{chosen}: {other} would err by at least {choice.budget.text(min(errors))}, and save "
+    text = (
+        f"{chosen}: {other} would cause an error of at least {choice.budget.text(min(errors))} "
+        "and save "
+    )
     text += _fraction(choice, name, saved)
     return Decision(name, False, chosen, other, min(errors), saved, text, values(nearest, names))
 
 
 def _fraction(choice: Choice, name: str, saved: float) -> str:
     if choice.frames is not None:
-        return f"{100.0 * saved:.1f} % of the frame"
+        return f"{100.0 * saved:.1f} % of the frame time"
     cost = choice.cost(choice.full)
     if name in _OF_THE_WHOLE:
         return f"{100.0 * saved:.0f} % of the cost"

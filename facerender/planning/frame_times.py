@@ -1,4 +1,4 @@
-"""What the frames of a plan cost here: a few are measured, which tells what the others take."""
+"""Frame times of a plan on this driver, estimated from a few measured frames."""
 
 from __future__ import annotations
 
@@ -18,9 +18,11 @@ _VIEWPOINTS, _REPEATS, _VERIFY = 3, 5, 15
 
 
 def measured_frames(choice: Choice, drawn: DrawnViews) -> Frames:
-    """Measure the full frame, that of each change of detail, and of the first and the last one with
-    the cheapest shading; what others cost lies on lines through these, by the prices of their
-    fragments."""
+    """Measure a few frames and return a linear model of the time of all others.
+
+    Measured are the full frame, a frame for each change of detail, and the first and last of these
+    with the cheapest shading. The time of another shading is interpolated by its fragment price.
+    """
     full, cheap = choice.full, choice.ordered[0]
     steps = {"full": drawn.finest}
     steps["cull_back_faces"] = replace(drawn.finest, cull_back_faces=drawn.detail.cull_back_faces)
@@ -42,19 +44,19 @@ def measured_frames(choice: Choice, drawn: DrawnViews) -> Frames:
         return Line.through((prices[0], own[0]), (prices[1], own[1]))
 
     driver = drawn.viewpoints[0].renderer.context.renderer
-    source = f"by {len(frames)} frames measured on {driver}"
+    source = f"estimated from {len(frames)} frames measured on {driver}"
     taken = {name: times[detail, full] for name, detail in steps.items()}
     return Frames(line(drawn.finest), line(drawn.detail), taken, source)
 
 
 def relative_time(full: Shading, shading: Shading, drawn: DrawnViews) -> Interval:
-    """Measure a shading's frame and the full one in turns, and return the median of the ratios."""
+    """Measure a shading's frame and the full one alternately; return the median of the ratios."""
     own = _frame(drawn, drawn.detail, shading)
     return ratio(own, _frame(drawn, drawn.finest, full), _VERIFY)
 
 
 def _frame(drawn: DrawnViews, detail: LevelOfDetail, shading: Shading) -> Callable[[], object]:
-    """What draws a frame at some of the viewpoints, one after the other."""
+    """Return a function that draws a frame at up to _VIEWPOINTS of the viewpoints in succession."""
     step = max(len(drawn.viewpoints) // _VIEWPOINTS, 1)
     few = drawn.viewpoints[::step][:_VIEWPOINTS]
     return lambda: [draw(viewpoint, shading, detail) for viewpoint in few]

@@ -1,6 +1,8 @@
-"""The frame that a scene's error budget allows, samples, triangles and shading, and what that is
-based on. Which shadings there are, how they err and how they are searched is told beside this file;
-what they cost in ``pricing/table.py``, what frames cost in ``frame_times.py``."""
+"""Find a cheaper frame of a scene within an error budget: samples, triangles and shading.
+
+Other modules list the shadings (``candidates.py``), search them (``search.py``), measure errors
+(``views.py``), price fragments (``pricing/table.py``) and time frames (``frame_times.py``).
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,8 @@ from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 from facerender.system.progress import Progress, no_progress
 
-# Of an error map: where on the way to the budget, and which colour there; and beyond it.
+# Colour ramp of an error map: errors as fractions of the budget, their colours, and the colour of
+# errors beyond the budget.
 _STOPS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _COLORS = np.array([(0, 0, 0), (40, 20, 140), (200, 40, 80), (250, 190, 40), (255, 255, 255)])
 _OVER = (0, 255, 120)
@@ -44,19 +47,18 @@ _OVER = (0, 255, 120)
 
 @dataclass(frozen=True)
 class Error:
-    """How far a shading is from the full one.
+    """The error of a shading against the full one.
 
     Attributes
     ----------
-    maximum : the largest error of a pixel
-    within : the largest error of the budget's fraction of the pixels, of the worst image; the
-        maximum where that is all of them
-    percentile : exceeded by one covered pixel in 1000
-    camera, size, pixel : where the largest is: index of the camera, width and height of the image,
-        x and y
-    drawn, drawn_within : maximum and within of the images as the renderer draws them, with the
-        samples and triangles of the plan; None where only fragments are priced and a pixel has one
-        sample
+    maximum : the largest error of a pixel, in float64
+    within : the largest error within the budget's fraction of the pixels, in the worst image;
+        equal to the maximum if the fraction is 1
+    percentile : error that one covered pixel in 1000 exceeds
+    camera, size, pixel : place of the largest error: index of the camera, width and height of the
+        image, x and y
+    drawn, drawn_within : ``maximum`` and ``within`` of the rendered images, with the plan's samples
+        and triangles; None if only fragments are priced and a pixel has one sample
     """
 
     maximum: float
@@ -75,22 +77,21 @@ class Plan:
 
     Attributes
     ----------
-    scene : what was planned for
-    shading : for :meth:`facerender.Renderer.render`
-    full : the shading that it stands for
-    error, cost, decisions : see there
-    budget : as parsed
-    cameras : whose pixels were measured
-    sizes : width and height in pixels of the images that were measured, of every camera
-    samples : of each pixel of them
-    detail : how finely the frame is drawn that stands for the full one; None where the cost is
-        that of a fragment
-    measured : the frame's time over that of the full one, where it was asked for
-    constants : what could stand for maps, and the order in which lights could go
-    candidates, tried : how many shadings cost less than the full one, and how many were evaluated
-        at every pixel
-    error_map : (H, W), of the image with the largest error, as drawn where samples or triangles
-        were taken away
+    scene : the scene of the plan
+    shading : the chosen shading, for :meth:`facerender.Renderer.render`
+    full : the full shading, which it replaces
+    error, cost, decisions : see their classes
+    budget : the parsed budget
+    cameras : the cameras at which errors were measured
+    sizes : width and height in pixels of the measured images, for every camera
+    samples : samples per pixel of the measured images
+    detail : level of detail of the chosen frame; None if only fragments are priced
+    measured : the frame's time divided by the full frame's; None without ``verify_cost``
+    constants : constants that could replace maps, and the order in which lights could be dropped
+    candidates, tried : number of shadings that cost less than the full one, and number of shadings
+        that were evaluated at every pixel
+    error_map : (H, W), errors of the image with the largest error; of the rendered image if
+        the level of detail was reduced
     """
 
     scene: Scene
@@ -111,35 +112,36 @@ class Plan:
     error_map: NDArray[np.float64] = field(repr=False)
 
     def explain(self) -> str:
-        """Return the plan in words: what was measured, a line for each decision, error and cost."""
+        """Return the plan as text: basis, a line for each decision, error and cost."""
         lines = self.lines
         width = max(map(len, lines)) + 2
         return "\n".join(f"{name:{width}}{text}" for name, text in lines.items())
 
     @property
     def lines(self) -> dict[str, str]:
-        """What :meth:`explain` says, by the names of its lines."""
+        """The lines of :meth:`explain` by their names."""
         limit, rounding = self.budget.limit, ROUNDING[self.budget.unit]
-        part = "of it kept for" if limit > rounding else "may come from"
-        fraction = f" at {self.budget.fraction} of the pixels" if self.budget.within < 1.0 else ""
-        kept = f"{self.budget.text(rounding)} {part} rounding"
+        part = "of which rounding may use" if limit > rounding else "but rounding may cause"
+        fraction = f" for {self.budget.fraction} of the pixels" if self.budget.within < 1.0 else ""
+        reserve = f"{part} {self.budget.text(rounding)}"
         lines = {
-            "budget": f"{self.budget.text(limit)}{fraction}, {kept}",
+            "budget": f"{self.budget.text(limit)}{fraction}, {reserve}",
             "basis": self._basis(),
             **({d.name: d.text for d in self.decisions} if limit > rounding else {}),
-            **({} if self.shading != self.full else {"shading": "nothing cheaper fits: exact"}),
+            **({} if self.shading != self.full else {"shading": "exact: nothing cheaper fits"}),
             "error": self._error(),
             "cost": str(self.cost),
         }
         if self.measured:
-            ends = f"{self.measured.low:.2f} to {self.measured.high:.2f}"
-            lines["measured"] = f"{self.measured.value:.2f} of the full frame ({ends}), in turns"
+            ends = f"95 % interval {self.measured.low:.2f} to {self.measured.high:.2f}"
+            lines["measured"] = f"{self.measured.value:.2f} of the full frame's time ({ends})"
         return lines
 
     def shader(self, target: Target | Language | None = None) -> str:
-        """Return the library's file with the chosen terms alone, its constants folded; target as in
-        :func:`facerender.shader_source`. Comments tell what a host must leave out besides, and what
-        to call for each light.
+        """Return a GLSL file with only the chosen terms and with folded constants.
+
+        Its comments contain the plan and the function call for each light. ``target`` is as in
+        :func:`facerender.shader_source`.
 
         Raises
         ------
@@ -158,16 +160,15 @@ class Plan:
         return "\n".join(filter(None, [version, *notes, rest]))
 
     def scene_toml(self) -> str:
-        """Return the scene with its shading pinned, and for which images it was planned, for
-        ``facerender render --scene``."""
-        lines = ["Mesh and maps are not in here: name them again.", *self.explain().splitlines()]
+        """Return a scene file for ``facerender render --scene``, with the chosen shading and the
+        images that it was planned for."""
+        lines = ["Give mesh and maps again: they are not in here.", *self.explain().splitlines()]
         notes = [f"# {line}\n" for line in lines]
         return "".join(notes) + "\n" + scene_toml(self.scene, self.shading, self.planned)
 
     @property
     def planned(self) -> Planned | None:
-        """For which images it holds, and how finely they are drawn; None where nothing was taken
-        away."""
+        """The images for which the plan holds, and the level of detail; None for the full frame."""
         if self._is_full:
             return None
         detail = self.detail or LevelOfDetail(self.samples, None)
@@ -176,7 +177,7 @@ class Plan:
         return Planned(self.sizes, self.samples, *fine)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return every figure, for JSON."""
+        """Return all values of the plan, for JSON."""
         facts: dict[str, Any] = {
             "text": self.explain(),
             "shading": self.shading.as_dict(),
@@ -196,15 +197,17 @@ class Plan:
         return {key: _finite(value) for key, value in facts.items()}
 
     def save_error_map(self, path: str | os.PathLike[str]) -> None:
-        """Write a PNG of the errors of the image with the largest one: black none, then blue, red
-        and yellow to white at the budget; green beyond it.
+        """Write a PNG of the errors of the image with the largest error.
+
+        Colours range from black (no error) over blue, red and yellow to white (the budget); errors
+        beyond the budget are green.
 
         Raises
         ------
-        InputError : another suffix; a place that cannot be written
+        InputError : the suffix is not .png, or the file cannot be written
         """
         if os.path.splitext(path)[1].lower() != ".png":
-            raise InputError(f"{path}: an error map is a .png")
+            raise InputError(f"{path}: an error map is a PNG file: give a name that ends in .png")
         at = self.error_map / max(self.budget.limit, 1e-12)
         heat = np.stack([np.interp(at, _STOPS, ramp) for ramp in _COLORS.T], axis=-1)
         heat[at > 1.0] = _OVER
@@ -219,8 +222,8 @@ class Plan:
     def _basis(self) -> str:
         sizes = ", ".join(f"{width} x {height}" for width, height in self.sizes)
         count = f"{len(self.cameras)} cameras" if len(self.cameras) > 1 else "1 camera"
-        shown = f", {self.budget.exposure:+g} stops" if self.budget.exposure else ""
-        return f"{count} of {sizes} pixels{shown}; no guarantee for others"
+        shown = f", exposure {self.budget.exposure:+g} stops" if self.budget.exposure else ""
+        return f"{count}, {sizes} pixels{shown}; no guarantee for other cameras and sizes"
 
     def _error(self) -> str:
         error, text, fraction = self.error, self.budget.text, self.budget.fraction
@@ -229,12 +232,12 @@ class Plan:
         every = self.budget.within == 1.0
         drawn = ""
         if error.drawn is not None and error.drawn_within is not None:
-            drawn = f"; {text(error.drawn)} as drawn"
+            drawn = f"; {text(error.drawn)} as rendered"
             drawn += "" if every else f", {fraction} within {text(error.drawn_within)}"
         if self.shading == self.full:
             return drawn.removeprefix("; ")
         if error.maximum == 0.0:
-            return f"{text(0.0)}: nothing changes but rounding{drawn}"
+            return f"{text(0.0)} except for rounding{drawn}"
         at = "at pixel ({}, {})".format(*error.pixel)
         at += f" of camera {error.camera}" if len(self.cameras) > 1 else ""
         at += " of {} x {}".format(*error.size) if len(self.sizes) > 1 else ""
@@ -243,7 +246,7 @@ class Plan:
 
 
 def _finite(value: Any) -> Any:
-    """The same with None for what is not finite: JSON has no other word for it."""
+    """Replace non-finite numbers by None, since JSON cannot represent them."""
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -265,35 +268,39 @@ def plan(
     renderer: Renderer | None = None,
     progress: Progress = no_progress,
 ) -> Plan:
-    """Find a cheaper frame of a scene whose error stays within a budget: the fewest samples,
-    pixels shaded once and the fewest triangles with these, and the cheapest shading with all that.
+    """Find a cheaper frame of a scene whose error stays within a budget.
+
+    Choose in this order, each with the choices before: the fewest samples, per-pixel shading, the
+    fewest triangles, and the cheapest shading.
 
     Parameters
     ----------
     budget : the largest error of a pixel: "1/255" of the displayed image, "0.5%" of the linear
         radiance, "0.02 flip"; see :class:`facerender.planning.budget.Budget`
-    full : what counts as exact; its lobe is the exact one
-    cameras : where the error is measured, such as :func:`facerender.turntable`; the scene's own
-    sizes : width and height of the images that are measured, of every camera; the renderer's
-    within : fraction of the pixels that each image covers at which the budget must hold: 0.999 or
-        "99.9%"; the error of the worst pixel is told as well
-    cost : "frame", of whole frames on this driver, by a few that are measured; or of a fragment,
-        which leaves samples and triangles as they are: "auto", "llvmpipe", "navi21" (RDNA2),
-        "vega10" (GCN5) or "here"; see :func:`facerender.pricing.table.load_prices`
-    verify_cost : measure the chosen frame beside the full one, in turns
+    full : the shading that counts as exact; it must have the exact lobe
+    cameras : cameras at which errors are measured, such as :func:`facerender.turntable`;
+        default: the scene's camera
+    sizes : width and height of the measured images, for every camera; default: the renderer's size
+    within : fraction of each image's covered pixels that must meet the budget: 0.999 or "99.9%"
+    cost : "frame": time of whole frames on this driver, estimated from a few measured ones. Other
+        values price a fragment and leave samples and triangles unchanged: "auto", "llvmpipe",
+        "navi21" (RDNA2), "vega10" (GCN5) or "here", see
+        :func:`facerender.pricing.table.load_prices`
+    verify_cost : measure the chosen frame and the full one alternately
     exposure : of the displayed image, in stops
-    renderer : draws, also with several samples a pixel; a :class:`facerender.Renderer` of its own
-    progress : called with the step that is done now and the fraction of it that is done
+    renderer : renderer whose size and samples are planned for; default: a new
+        :class:`facerender.Renderer`
+    progress : called with the current step and its completed fraction
 
     Raises
     ------
-    InputError : a value that cannot be used, a scene without lights, cameras that see nothing,
-        another lobe than the exact one, FLIP without its package
+    InputError : an invalid value, a scene without lights, cameras that see nothing, an inexact
+        lobe, or a missing package for FLIP
     ContextError : no OpenGL context
 
     Warns
     -----
-    FacerenderWarning : a part is blended: what shading changes of it is not counted
+    FacerenderWarning : a part is blended: the plan ignores changes of its shading
     """
     _check_types(scene, budget, full, cost, renderer)
     check_switch("verify_cost", verify_cost)
@@ -308,7 +315,7 @@ def plan(
 
 @dataclass(frozen=True)
 class _Task:
-    """What is planned; attributes as the parameters of :func:`plan`."""
+    """The parameters of :func:`plan`, checked and parsed."""
 
     scene: Scene
     budget: Budget
@@ -323,27 +330,30 @@ def _check_types(scene: Any, budget: Any, full: Any, cost: Any, renderer: Any) -
     check_type("scene", scene, Scene, "a facerender.Scene")
     check_type("budget", budget, str | float | int, 'an error with its unit, such as "1/255"')
     check_type("full", full, Shading, "a facerender.Shading")
-    check_type("cost", cost, str, f'where prices come from, such as "{FRAME}"')
+    check_type("cost", cost, str, f'the source of prices, such as "{FRAME}"')
     check_type("renderer", renderer, Renderer | None, "a facerender.Renderer")
 
 
 def _checked(scene: Scene, full: Shading) -> Shading:
-    """Return the shading with small slopes as m needs them; errors and warnings of :func:`plan`."""
+    """Return the shading with automatic ``small_slope``; raise and warn as :func:`plan`."""
     if full.term.lobe != "exact":
-        raise InputError(f"a plan chooses the lobe: leave {full.term.lobe} out")
+        raise InputError(f"a plan chooses the lobe: omit {full.term.lobe}")
     if full != full.replace(lights={}, frontal_lights=full.frontal_lights):
-        raise InputError("a plan chooses the lights' terms: leave lights out of the shading")
+        raise InputError("a plan chooses the lights' terms: omit lights from the shading")
     if not scene.lights and scene.environment is None:
-        raise InputError("the scene has no lights: there is no shading to plan")
+        raise InputError("the scene has no lights: add one, there is no shading to plan")
     if "blend" in map(drawn_alpha, scene.mesh.parts, scene.mesh.materials):
-        warn(f"parts of {scene.mesh.name} are blended: the plan counts what lies behind them")
+        warn(
+            f"parts of {scene.mesh.name} are blended: the plan only counts errors of the parts "
+            "behind them"
+        )
     return replace(full, term=replace(full.term, small_slope=None))
 
 
 def _renderers(
     renderer: Renderer | None, sizes: Sequence[tuple[int, int]] | None, stack: ExitStack
 ) -> list[Renderer]:
-    """Return a renderer for each size, which differ in nothing else; the stack closes new ones."""
+    """Return a renderer for each size with the same options; the stack closes new ones."""
     if sizes is not None:
         sizes = each_of("sizes", sizes, tuple | list, "widths and heights, such as [(512, 512)]")
     first = renderer or stack.enter_context(Renderer())
@@ -377,7 +387,7 @@ def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
         progress("views", number / len(viewpoints))
         views.append(Region.of_viewpoint(viewpoint, task.full, task.budget))
     if not any(view.counted.any() for view in views):
-        raise InputError(f"the cameras see nothing of {scene.mesh.name}")
+        raise InputError(f"the cameras see nothing of {scene.mesh.name}: give others")
     constants = constants_of(scene, task.full, views)
     progress("prices", 0.0)
     software = renderers[0].context.software
@@ -385,7 +395,7 @@ def _planned(task: _Task, renderers: Sequence[Renderer]) -> Plan:
     samples, drawn = renderers[0].samples, None
     if samples > 1 or task.cost == FRAME or task.verify_cost:
         drawn = DrawnViews(viewpoints, choice.full, choice.budget)
-    framed = drawn if task.cost == FRAME else None  # whose level of detail is chosen
+    framed = drawn if task.cost == FRAME else None  # set if the level of detail is chosen too
     if framed and choice.limit >= 0.0:
         progress("samples and triangles", 0.0)
         framed.coarsen()
@@ -438,7 +448,7 @@ def _error(
     sizes: Sequence[tuple[int, int]],
     drawn: Sequence[tuple[float, float]],
 ) -> Error:
-    """Return the error of the views, which are those of every camera at each size."""
+    """Return the error over all views; the views of all cameras follow each other for each size."""
     worst = _worst(maps)
     y, x = np.unravel_index(np.argmax(maps[worst]), maps[worst].shape)
     covered = np.concatenate([each[view.counted] for each, view in zip(maps, views, strict=True)])

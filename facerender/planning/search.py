@@ -1,11 +1,13 @@
-"""The search of a plan: what may be chosen, the cheapest first, and where it is tried.
+"""The search for the cheapest shading of a plan.
 
-A shading is tried on few pixels first, those where others failed: more pixels over the limit than
-the budget spares in their whole image rule it out, one where every pixel counts. What passes there
-is evaluated in float64 at every pixel of every image, and drawn where a pixel has several samples.
-As shadings are tried in the order of their costs, the first that passes is the cheapest that fits.
-FLIP looks around each pixel, and cannot be told of a few: there only those are tried that no
-cheaper one excels in the display's error of such pixels.
+Shadings are tried in the order of their costs, so the first that passes is the cheapest that fits.
+A shading is tried first on a few pixels at which others failed. It is ruled out if more of these
+exceed the limit than the budget allows in the whole image. A shading that passes is evaluated in
+float64 at every pixel of every image. It is also drawn by OpenGL if a pixel has several samples or
+if whole frames are priced.
+
+FLIP compares neighbourhoods and cannot be evaluated at a few pixels. There the display error at the
+few pixels preselects shadings: a shading is tried only if it errs less than every cheaper one.
 """
 
 from __future__ import annotations
@@ -38,21 +40,22 @@ from facerender.system.progress import Progress
 
 Float = NDArray[np.float64]
 
-# Pixels of a witness, and those of them with the largest errors, beside those that are spared.
+# Pixels of a region: random pixels, and pixels with the largest errors beyond the spared ones.
 _SPREAD, _WORST = 256, 64
-_KEPT = 2**18  # pixels of all that is kept of a witness
-_ENVIRONMENTS = 8  # what the environment adds is kept so many times more often: most terms share it
+_KEPT = 2**18  # pixels of all cached terms of a region
+# Cached environment layers per cached term: most terms share the environment's light.
+_ENVIRONMENTS = 8
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What shading a fragment costs, or a frame, by the prices of the plan.
+    """Cost of a fragment or of a frame, by the prices of the plan.
 
     Attributes
     ----------
-    total, specular : of the whole fragment program or frame, and of its specular terms
-    full_total, full_specular : of the full shading and frame
-    unit, source : of the prices, and where they are from
+    total, specular : cost of the whole fragment program or frame, and of its specular terms
+    full_total, full_specular : the same for the full shading and frame
+    unit, source : unit and origin of the prices
     """
 
     total: float
@@ -64,26 +67,26 @@ class Cost:
 
     @property
     def relative(self) -> float:
-        """The cost over that of the full shading or frame."""
+        """The cost divided by the cost of the full shading or frame."""
         return self.total / self.full_total
 
     def __str__(self) -> str:
         return (
             f"{self.total:.4g} of {self.full_total:.4g} {self.unit}, "
-            f"{self.relative:.2f}; {self.source}"
+            f"ratio {self.relative:.2f}; {self.source}"
         )
 
 
 class Choice:
-    """What may be chosen for a scene, the cheapest first, and what each choice costs.
+    """The shadings that may be chosen for a scene, in the order of their costs.
 
     Attributes
     ----------
-    ordered : the shadings that cost less than the full one, and the full one
-    count : how many cost less
-    refused : the full shading with changes that are too large by themselves
-    limit : of the error in float64, which rounding may raise to the budget
-    frames : what frames cost by what a fragment costs; None where fragments alone are priced
+    ordered : the shadings that cost less than the full one, cheapest first, then the full one
+    count : number of the shadings that cost less
+    refused : the full shading with single changes that exceed the limit
+    limit : limit of the error in float64; with the error of rounding it gives the budget
+    frames : frame times as functions of fragment prices; None if only fragments are priced
     """
 
     frames: Frames | None = None
@@ -98,7 +101,10 @@ class Choice:
         software: bool,
         views: Sequence[Region] = (),
     ) -> None:
-        """views : where changes that are too large by themselves are ruled out; none to try all"""
+        """Collect and price the shadings.
+
+        views : pixels at which single changes that exceed the limit are ruled out; empty: try all
+        """
         self.scene, self.full, self.budget, self.constants = scene, full, budget, constants
         self.limit = budget.limit - ROUNDING[budget.unit]
         self.refused: list[Shading] = []
@@ -115,13 +121,13 @@ class Choice:
         full_cost = self.total(full)
         priced = filter(self.is_priced, listed)
         cheaper = [each for each in priced if self.total(each) < full_cost]
-        # of the same cost, those with the fewest changes first
+        # Of equal costs, the shadings with the fewest changes come first.
         cheaper.sort(key=lambda each: (self.total(each), len(changed(each, full))))
         self.ordered = [*cheaper, full]
         self.count = len(cheaper)
 
     def is_priced(self, shading: Shading) -> bool:
-        """Tell whether there are prices of all that it has."""
+        """Return whether every term and light of a shading has a price."""
         try:
             self.total(shading)
         except NoPrice:
@@ -129,13 +135,13 @@ class Choice:
         return True
 
     def total(self, shading: Shading) -> float:
-        """Return what a fragment costs."""
+        """Return the cost of a fragment."""
         if shading not in self.costs:
             self.costs[shading] = self.prices.cost(self.scene, shading)[0]
         return self.costs[shading]
 
     def cost(self, shading: Shading) -> Cost:
-        """Return what a fragment costs, or a frame, beside the full one."""
+        """Return the cost of a fragment or a frame, and of the full one."""
         own, full = (self.prices.cost(self.scene, each) for each in (shading, self.full))
         if self.frames is None:
             return Cost(*own, *full, f"{self.prices.unit} a fragment", self.prices.source)
@@ -143,14 +149,17 @@ class Choice:
         return Cost(*priced[0], *priced[1], "ms a frame", self.frames.source)
 
     def saved(self, shading: Shading, other: Shading) -> float:
-        """Return what a shading costs less than another, as a fraction of the full cost."""
+        """Return by how much a shading is cheaper than another, as a fraction of the full cost."""
         less = self.total(other) - self.total(shading)
         if self.frames is not None:
             less *= self.frames.own.slope
         return less / self.cost(self.full).full_total
 
     def first(self, fits: Callable[[Shading], bool], progress: Progress) -> Shading:
-        """Return the first that fits; nothing but the full one is as near as rounding."""
+        """Return the first shading that fits.
+
+        If the budget is smaller than the error of rounding, only the full shading fits.
+        """
         for number, each in enumerate(self.ordered if self.limit >= 0.0 else ()):
             progress("shadings", number / len(self.ordered))
             if each is self.full or fits(each):
@@ -159,12 +168,12 @@ class Choice:
 
 
 class Witnesses:
-    """Pixels of the views at which shadings were ruled out, those that did so last first.
+    """Pixels of the views at which shadings were ruled out.
 
     Attributes
     ----------
-    regions : the pixels of each view; none with FLIP
-    tried : how many shadings were evaluated at every pixel
+    regions : regions of pixels, the one that last ruled out a shading first; empty with FLIP
+    tried : number of shadings that were evaluated at every pixel
     """
 
     def __init__(self, views: Sequence[Region], choice: Choice, drawn: DrawnViews | None) -> None:
@@ -175,7 +184,7 @@ class Witnesses:
             self.regions = []
 
     def accepts(self, shading: Shading) -> bool:
-        """Tell whether a shading is within the limit, at every pixel."""
+        """Return whether a shading is within the limit in every image."""
         if self.drawn is not None and self.drawn.rejects(shading):
             return False
         for index, region in enumerate(self.regions):
@@ -192,11 +201,11 @@ class Witnesses:
         return self.drawn is None or self.drawn.accepts(shading)
 
     def error(self, shading: Shading) -> float:
-        """Return the error that the budget counts, at least; with FLIP, just as much."""
+        """Return a lower bound of the error that the budget counts; with FLIP the exact error."""
         return max(region.error(shading) for region in self.regions or self.views)
 
     def _best(self, ordered: Sequence[Shading]) -> list[Shading]:
-        """Return those that err less than every one before."""
+        """Return the shadings that have a smaller error than all shadings before them."""
         best, least = [], np.inf
         for shading in ordered:
             if (error := self.error(shading)) < least:
@@ -206,7 +215,7 @@ class Witnesses:
 
 
 class Region:
-    """Pixels of one camera, with what the candidates read there, and the full shading of them."""
+    """Pixels of one camera: G-buffers, evaluated terms, and the full shading of these pixels."""
 
     def __init__(
         self,
@@ -221,10 +230,16 @@ class Region:
         most_known: int = 1,
         scattered: Callable[[Shading], Float] | None = None,
     ) -> None:
-        """mapped and plain have normals with and without the normal map; of the pixels that are
-        counted errors are told, but of so many spared as the whole image has; of the terms that
-        were evaluated most_known are kept, those of the full shading first. scattered gives how
-        scattering changes the pixels, which depends on others; None where nothing scatters."""
+        """Evaluate the full shading.
+
+        Parameters
+        ----------
+        mapped, plain : G-buffers with and without the normal map
+        counted : (H, W), the pixels whose errors count
+        spared : number of pixels of the whole image that may exceed the budget
+        most_known : number of evaluated terms to cache; the full shading's come first
+        scattered : returns the change of the pixels by scattering; None if nothing scatters
+        """
         self.scene, self.mapped, self.plain, self.counted = scene, mapped, plain, counted
         self.full, self.budget, self.spared, self.most_known = full, budget, spared, most_known
         self.scattered = scattered
@@ -235,7 +250,7 @@ class Region:
 
     @classmethod
     def of_viewpoint(cls, viewpoint: Viewpoint, full: Shading, budget: Budget) -> Region:
-        """Return all pixels of a viewpoint."""
+        """Return a region of all pixels of a viewpoint."""
         renderer, scene = viewpoint.renderer, viewpoint.scene
         mapped = renderer.gbuffer(scene, full, blended=False)
         plain = mapped
@@ -248,7 +263,7 @@ class Region:
         return cls(scene, mapped, plain, counted, full, budget, spared, scattered=scattered)
 
     def layers(self, shading: Shading) -> Layers:
-        """Return the terms of a shading, of all lights and the ambient one, none frontal."""
+        """Return the terms of a shading for all lights and ambient light, without frontal terms."""
         whole = with_lights(replace(shading, ambient=True, scatter_samples=0), None, ())
         if whole in self.known:
             return self.known[whole]
@@ -284,23 +299,23 @@ class Region:
         return image
 
     def errors(self, shading: Shading) -> Float:
-        """Return the error of each pixel, (H, W); 0 where it does not count."""
+        """Return the error of each pixel, (H, W); 0 for pixels that do not count."""
         image = self.image(shading)
         return np.where(self.counted, self.budget.errors(image, self.exact), 0.0)
 
     def error(self, shading: Shading) -> float:
-        """Return the error that the budget counts: the largest beside those that are spared."""
+        """Return the error that the budget counts: the largest, without the spared pixels."""
         return highest_but(self.errors(shading), self.spared)
 
     def spread(self) -> Region:
-        """Return a few pixels from all over, and the brightest highlights."""
+        """Return a region of a few random pixels and the brightest highlights."""
         shine = np.where(self.counted, self.terms.specular.sum(axis=(0, -1)), -1.0)
         inside = np.flatnonzero(self.counted)
         chance = np.random.default_rng(0).permutation(inside)[:_SPREAD]
         return self._pixels(np.union1d(chance, self._highest(shine)))
 
     def around(self, errors: Float) -> Region:
-        """Return the pixels with the largest errors."""
+        """Return a region of the pixels with the largest errors."""
         return self._pixels(self._highest(errors))
 
     def _highest(self, values: Float) -> NDArray[np.int64]:
@@ -326,8 +341,10 @@ def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:
 
 
 def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Constants:
-    """Return what stands for the maps, their means weighted by the highlights, and how bright those
-    of each light are."""
+    """Return constants that may replace maps, and the order in which lights are dropped.
+
+    The constants are means, weighted by the highlights.
+    """
     single = resolve(scene, replace(full, two_lobes=False))
     ends = {end for slopes in single.slopes for end in slopes}
     peaks, losses, darkened = np.zeros((3, len(scene.lights)))
@@ -357,8 +374,11 @@ def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Consta
 
 
 def _single(views: Sequence[Region], weights: Float) -> tuple[float, ...]:
-    """Slopes of one lobe in place of two, from the narrow one of the same peak to the broad one of
-    the same variance of slopes, of means so weighted."""
+    """Return slopes of a single lobe that may replace two lobes.
+
+    They range from the narrow lobe of the same peak to the broad lobe of the same slope variance.
+    ``weights`` (one per counted pixel) weight the means.
+    """
     if any(view.mapped.second_m is None for view in views):
         return ()
     fraction, first, second = (

@@ -1,4 +1,4 @@
-"""Frames as OpenGL draws them: how finely, and how far they are from the full ones."""
+"""Frames drawn by OpenGL: choice of the level of detail, and errors against the full frames."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from facerender.shading import Shading
 Float = NDArray[np.float64]
 
 _FEWEST = 500  # triangles of a level of detail
-_MOST_SCATTERED = 8  # images of a viewpoint that are kept
+_MOST_SCATTERED = 8  # images of scattering that a viewpoint caches
 
 
 @dataclass(frozen=True, eq=False)
 class Viewpoint:
-    """Where errors are measured: a scene with its camera, and what draws it, at its size."""
+    """A place where errors are measured: a scene with its camera, and a renderer with its size."""
 
     scene: Scene
     renderer: Renderer
@@ -40,15 +40,17 @@ def draw(viewpoint: Viewpoint, shading: Shading, detail: LevelOfDetail) -> NDArr
 
 
 def _saves_shading(viewpoint: Viewpoint, samples: int) -> bool:
-    """Tell whether per-pixel shading is possible, and known to be cheaper."""
+    """Return whether per-pixel shading is possible and was measured to be cheaper."""
     scene, renderer = viewpoint.scene, viewpoint.renderer
     known = deferred_is_cheaper(scene, renderer.size, samples, renderer.context.renderer)
     return known and renderer.can_shade_per_pixel(scene, samples)
 
 
 class ScatteredLight:
-    """How scattering changes the pixels of a viewpoint, drawn: a pixel's light depends on others,
-    and float64 would take seconds for them."""
+    """The change of a viewpoint's pixels by subsurface scattering, drawn with OpenGL.
+
+    A pixel's light depends on other pixels; computing it in float64 would take seconds.
+    """
 
     def __init__(self, viewpoint: Viewpoint) -> None:
         self.viewpoint = viewpoint
@@ -57,7 +59,7 @@ class ScatteredLight:
     def __call__(self, shading: Shading) -> Float:
         """Return the change of the radiance, (H, W, 3)."""
         names, m = ["scatter_samples", "shadow_lights", "normal_map", "ambient", "diffuse"], None
-        if shading.diffuse == "coupled":  # by an albedo that depends on nothing else of the term
+        if shading.diffuse == "coupled":  # its albedo depends on these attributes of the term only
             names, m = [*names, "ks", "two_lobes", "slope_filter", "curvature"], shading.term.m
         light = Shading(**{name: getattr(shading, name) for name in names}, m=m)
         if light not in self.known:
@@ -74,14 +76,16 @@ class ScatteredLight:
 
 
 class DrawnViews:
-    """The views as OpenGL draws them: with several samples a pixel it shades at silhouettes what no
-    pixel's centre sees. A change that fails there by itself is not tried again with others.
+    """The views drawn by OpenGL.
+
+    With several samples per pixel OpenGL also shades silhouettes that no pixel's centre sees. A
+    change that exceeds the budget there alone is not tried again in combinations.
 
     Attributes
     ----------
-    triangles : of the mesh
-    finest, detail : of the full frame, and of the frames that are tried
-    coarser : details that were over the budget, each with its error
+    triangles : number of the mesh's triangles
+    finest, detail : level of detail of the full frame, and of the frames that are tried
+    coarser : levels of detail that exceeded the budget, each with its error
     """
 
     def __init__(self, viewpoints: Sequence[Viewpoint], full: Shading, budget: Budget) -> None:
@@ -95,15 +99,18 @@ class DrawnViews:
         self.failed: list[tuple[Sequence[str], dict[str, Any]]] = []
 
     def coarsen(self) -> None:
-        """Take away back faces, samples, all but one shading of a pixel, and then half of
-        the triangles again and again, as long as the full shading stays within the budget."""
+        """Choose the coarsest level of detail at which the full shading stays within the budget.
+
+        Try in this order: cull back faces, take fewer samples, shade per pixel, and halve the
+        triangles repeatedly.
+        """
         self._first([replace(self.detail, cull_back_faces=True)])
         samples = [count for count in (4, 1) if count < self.finest.samples]
         self._first(replace(self.detail, samples=count) for count in reversed(samples))
         if all(_saves_shading(viewpoint, self.detail.samples) for viewpoint in self.viewpoints):
             self._first([replace(self.detail, shading_rate="pixel")])
         count = self.triangles // 2
-        with suppress(InputError):  # without their package there are no levels of detail
+        with suppress(InputError):  # the package for levels of detail may be missing
             while count >= _FEWEST and self._first([replace(self.detail, triangles=count)]):
                 count //= 2
 
@@ -117,7 +124,7 @@ class DrawnViews:
         return False
 
     def accepts(self, shading: Shading) -> bool:
-        """Tell whether a shading is within the budget."""
+        """Return whether a shading is within the budget; remember its single changes that fail."""
         if self._within(shading):
             return True
         for names in groups(shading, self.full).values():
@@ -126,7 +133,7 @@ class DrawnViews:
         return False
 
     def rejects(self, shading: Shading) -> bool:
-        """Tell whether a shading has a change that failed."""
+        """Return whether a shading has a change that failed."""
         return any(values(shading, names) == failed for names, failed in self.failed)
 
     def _within(self, shading: Shading) -> bool:
@@ -135,17 +142,18 @@ class DrawnViews:
     def errors(
         self, shading: Shading, detail: LevelOfDetail | None = None
     ) -> Iterator[tuple[float, float]]:
-        """Yield of each image the largest error, and the one that the budget counts. Errors beside
-        what the full frame covers count as well: FLIP looks around each pixel.
+        """Yield for each image the largest error, and the error that the budget counts.
 
-        detail : in place of the own
+        Errors of pixels that the full frame does not cover count too: FLIP compares neighbourhoods.
+
+        detail : level of detail; default: ``self.detail``
         """
         for errors, exact in zip(self.maps(shading, detail), self.exact, strict=True):
             spared = self.budget.spared(int(np.count_nonzero(exact[..., 3])))
             yield float(errors.max()), highest_but(errors, spared)
 
     def maps(self, shading: Shading, detail: LevelOfDetail | None = None) -> Iterator[Float]:
-        """Yield the error of every pixel (H, W) of each image; detail as of :meth:`errors`."""
+        """Yield the error of every pixel (H, W) of each image; ``detail`` as in :meth:`errors`."""
         for viewpoint, exact in zip(self.viewpoints, self.exact, strict=True):
             image = draw(viewpoint, shading, detail or self.detail)[..., :3].astype(np.float64)
             yield self.budget.errors(image, exact[..., :3])

@@ -1,1 +1,1 @@
-"""What shading a fragment costs: measured here, compiled for absent GPUs, and as a table."""
+"""Cost of shading: measured on this machine, or read from a table that includes other GPUs."""

@@ -1,5 +1,7 @@
-"""Cost measured here: nanoseconds an evaluation of a GLSL term, and milliseconds a frame. What a
-compiler says of a GPU that is not here is in ``benchmarks/prices``."""
+"""Costs measured on this machine: nanoseconds per evaluation of a term, milliseconds per frame.
+
+``benchmarks/prices`` estimates costs on other GPUs by their compilers.
+"""
 
 from __future__ import annotations
 
@@ -22,16 +24,16 @@ from facerender.scenes.scene import Scene
 from facerender.shading import Shading
 
 SIZE = (512, 256)
-# Other work on the machine only ever adds time: the lower quartile of the repeats is steadier than
-# their median, and unlike their minimum no matter of luck.
+# Other processes only add time: the lower quartile of the repeats is steadier than the median and
+# depends less on chance than the minimum.
 QUANTILE = 0.25
 
 _VERTEX = """#version 330 core
 in vec2 corner;
 void main() { gl_Position = vec4(corner, 0.0, 1.0); }
 """
-# Directions, c and m differ at every turn, so that nothing can be taken out of the loop; turning
-# keeps unit vectors unit.
+# Directions, c and m change in every iteration, so that a compiler can hoist nothing out of the
+# loop. A rotation keeps the vectors' length.
 _FRAGMENT = """#version 330 core
 %s
 uniform int count;
@@ -56,7 +58,7 @@ void main() {
     }
 }
 """
-# What of a turn is not the term's: expressions that use the same inputs.
+# Expressions that use the same inputs as the term; their cost is subtracted.
 OF_VECTORS = "(l.x + v.y) * m + f0"
 OF_COSINE = "c + m"
 
@@ -70,27 +72,27 @@ def by_slope(
 ) -> dict[str, Interval]:
     """Measure terms by the slope of time over the number of evaluations, net of an empty loop.
 
-    A fragment evaluates the term n times, for three n; the terms take turns, so that what slows
-    the machine down meets all of them. GPU timer queries where a GPU draws. Where the CPU
-    does, the processor time of this process up to ``glFinish``, over the threads that draw: the
-    wall clock's time on an idle machine, and nearly so on a busy one.
+    A fragment evaluates the term n times, for three values of n. The terms are measured
+    alternately, so that a slow phase of the machine affects all of them. On a GPU, timer queries
+    measure the time. On a CPU, it is the processor time of this process up to ``glFinish``, divided
+    by the number of drawing threads: about the time of the wall clock, also on a busy machine.
 
     Parameters
     ----------
-    terms : prelude (with includes of the library) and float expression of vec3 n, l, v and float
-        c (cosine of the half vector's angle), m, f0
-    empty : expression whose cost is taken off: OF_VECTORS for whole terms, OF_COSINE for lobes
-    repeats : of every measurement
-    progress : called with the fraction that is done
+    terms : by name: prelude (with includes of the library), and float expression of vec3 n, l, v
+        and float c (cosine of the half vector's angle), m, f0
+    empty : expression whose cost is subtracted: OF_VECTORS for whole terms, OF_COSINE for lobes
+    repeats : number of measurements
+    progress : called with the completed fraction
 
     Returns
     -------
-    nanoseconds an evaluation, of all pixels' evaluations together
+    nanoseconds per evaluation: total time divided by the number of evaluations of all pixels
 
     Raises
     ------
     ContextError : no OpenGL context
-    moderngl.Error : a term that is not GLSL
+    moderngl.Error : a term is not valid GLSL
     """
     context = create_context(backend)
     try:
@@ -106,7 +108,7 @@ def by_slope(
 
                 def seconds(count: int) -> float:
                     program["count"] = count
-                    program["step"] = 0.05 / count  # c and m stay in their domains
+                    program["step"] = 0.05 / count  # keeps c and m in their domains
                     with clock(gl) as elapsed:
                         kernel.render()
                     return elapsed[0]
@@ -129,15 +131,15 @@ def slopes(
     repeats: int,
     progress: Callable[[float], object] = lambda done: None,
 ) -> list[Interval]:
-    """Return weighted sums of the runs' slopes of seconds over counts; the runs take turns.
+    """Return weighted sums of the runs' slopes of seconds over counts; the runs alternate.
 
     Parameters
     ----------
-    runs : each draws a number of times and returns the seconds
-    first : the smallest count; as much more as the clock needs
-    weights : of each run's slope (N, runs)
-    repeats : of every measurement
-    progress : called with the fraction that is done
+    runs : functions that draw a given number of times and return the seconds
+    first : the smallest count; raised if the clock is too coarse for it
+    weights : weight of each run's slope in each sum, (N, runs)
+    repeats : number of measurements
+    progress : called with the completed fraction
     """
     for run in runs:
         run(1)  # compiles
@@ -163,7 +165,7 @@ def frames(
     backend: Backend = "auto",
     progress: Callable[[float], object] = lambda done: None,
 ) -> list[Interval]:
-    """Measure milliseconds a frame, readback included, one sample a pixel; the shadings take turns.
+    """Measure milliseconds per frame with readback, one sample per pixel; the shadings alternate.
 
     Raises
     ------
@@ -179,18 +181,18 @@ def frames(
 def clock_of(
     context: Context,
 ) -> Callable[[moderngl.Context], AbstractContextManager[list[float]]]:
-    """Return what times drawing in a context: its list has the seconds, once it is left."""
+    """Return a context manager that times drawing; its list contains the seconds after the exit."""
     if context.software:
         return partial(_cpu_clock, threads=_threads(context.renderer))
     return _gpu_clock
 
 
 def _threads(renderer: str) -> int:
-    """How many threads of the CPU a software driver draws with."""
+    """Return the number of CPU threads that a software driver draws with."""
     if "softpipe" in renderer.lower():
         return 1
     cores = len(os.sched_getaffinity(0))
-    wanted = os.environ.get("LP_NUM_THREADS", "")  # llvmpipe's; 0 is the caller's thread alone
+    wanted = os.environ.get("LP_NUM_THREADS", "")  # of llvmpipe; 0: only the calling thread
     return max(1, min(cores, int(wanted))) if wanted.isdecimal() else cores
 
 

@@ -1,5 +1,7 @@
-"""The cost of the parts of the renderer's fragment program, apart from specular terms. ``by_slope``
-measures them here; ``samples`` are the programs whose costs give those of the parts."""
+"""Cost of the parts of the renderer's fragment program, without the specular terms.
+
+``by_slope`` measures them on this machine, from the costs of the programs of ``samples``.
+"""
 
 from __future__ import annotations
 
@@ -38,12 +40,12 @@ from facerender.scenes.view import View
 from facerender.shading import Shading
 
 SIZE = (512, 256)
-FEW = 2  # samples of the environment: so few that compilers unroll their loop
+FEW = 2  # environment samples; compilers unroll a loop of so few
 SHADOWS = tuple(sorted({kind.shadow_price for kind in LIGHT_KINDS.values()}))
-Timed = Callable[[int], float]  # draws a number of times and returns the seconds
+Timed = Callable[[int], float]  # draws N times and returns the seconds
 
-# A triangle that fills the target with a patch of a curved surface, clockwise, as the host draws
-# its front; a texel and a half to a pixel.
+# A triangle that fills the target as a patch of a curved surface, with 1.5 texels per pixel. It is
+# clockwise, since the renderer draws images upside down and culls accordingly.
 _PATCH = Part(
     positions=np.array([(-1.0, -1.0, 0.1), (-1.0, 3.0, -0.2), (3.0, -1.0, 0.2)]),
     normals=np.array([(-0.5, -0.4, 1.0), (-0.4, 0.6, 1.0), (0.7, -0.3, 1.0)]),
@@ -61,14 +63,14 @@ def scene_with(
     environment: bool = False,
     **lights: int,
 ) -> Scene:
-    """Return a patch with some of a material's maps, of 1024 x 1024 texels.
+    """Return a scene of a patch with the named maps of 1024 x 1024 texels.
 
     Parameters
     ----------
     ambient : whether there is ambient light
     shadow : whether the lights cast shadows
-    environment : whether there is light from all around
-    lights : by kind, how many there are; one directional light where nothing is said
+    environment : whether there is an environment map
+    lights : number of lights by kind; default: one directional light
     """
     textures: dict[str, Any] = {name: _texture(name) for name in maps}
     material = Material((1.0, 1.0, 1.0), 0.4, ks=0.3, kd=0.7, **textures)
@@ -93,8 +95,8 @@ def program_of(
 
     Parameters
     ----------
-    shading : of the scene; with None every light has the stub
-    stub : GLSL in place of specular terms; "" for a program without where there is no shading
+    shading : shading of the scene; None: every light has the stub
+    stub : GLSL in place of specular terms; "": no specular terms if ``shading`` is None
     """
     chosen = shading or Shading()
     lighting = Lighting.of(scene, chosen)
@@ -117,8 +119,10 @@ def _texture(name: str) -> Texture:
 
 
 def parts_of(program: Program) -> dict[str, int]:
-    """Return how many of each part a program has. Terms after the first share with it what depends
-    on the fragment alone."""
+    """Return how many times a program contains each part.
+
+    Further specular terms are a separate part: they share values of the fragment with the first.
+    """
     groups = program.lights or ()
     specular = sum(group.count for group in groups if group.term >= 0) if program.calls else 0
     counts: Counter[str] = Counter()
@@ -143,26 +147,25 @@ def parts_of(program: Program) -> dict[str, int]:
 
 
 def environment_samples(program: Program) -> int:
-    """Return how many samples of the environment all lobes of a program take."""
+    """Return the number of environment samples of all lobes of a program."""
     own = (each.split()[1:] for each in program.features if each.startswith("ENVIRONMENT_SAMPLES"))
     lobes = program.environment.count("environment_map")
     return lobes * sum(int(count) for (count,) in own)
 
 
 def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
-    """Return as many scenes and programs as there are parts, so that the costs of these give the
-    costs of those.
+    """Return one scene and program per part; their costs determine the costs of the parts.
 
-    A part is measured where it counts: the property map under a specular and an ambient term, which
-    read it; other maps beside an albedo map, which has paid for the interpolation of the texture
-    coordinates.
+    Each part is measured in a program that uses it. Property maps need a specular and an ambient
+    term, which read them. Other maps need an albedo map, which pays for the interpolation of the
+    texture coordinates.
 
     Parameters
     ----------
-    shading : whose specular terms the programs have. With None ``INPUTS`` is in their place,
-        which keeps the inputs of a specular term alive and which a term's own cost is net of:
-        the cost of a specular part is that of the program without the term, whose own cost comes
-        on top; this overrates several terms by the work that they share
+    shading : shading whose specular terms the programs have. With None they evaluate ``INPUTS``
+        instead, which keeps the inputs of a specular term alive. Then the cost of a specular part
+        excludes the term, whose net cost must be added. This overestimates several terms by the
+        work that they share
     """
     albedo = ("albedo_map",)
     others: list[dict[str, Any]] = [{kind: 1} for kind in LIGHT_KINDS if kind != "directional"]
@@ -191,14 +194,16 @@ def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
     ]
 
 
-# The names of the parts, and the matrix from the costs of the samples to the costs of the parts.
+# The names of the parts, and the matrix that converts costs of the samples to costs of the parts.
 PARTS = tuple(parts_of(program_of(scene_with())))
 TO_PARTS = np.linalg.inv([list(parts_of(program).values()) for _, program in samples()])
 
 
 def estimate(program: Program, parts: Mapping[str, float]) -> float:
-    """Return a program's cost from the costs of the parts; where those are without a shading, each
-    specular term's own cost comes on top."""
+    """Return a program's cost from the costs of the parts.
+
+    If the parts were measured without a shading, the caller adds the cost of each specular term.
+    """
     return sum(count * parts[name] for name, count in parts_of(program).items())
 
 
@@ -208,21 +213,21 @@ def by_slope(
     progress: Callable[[float], object] = lambda done: None,
     shading: Shading | None = None,
 ) -> dict[str, Interval]:
-    """Measure the parts here, by the slope of time over the number of fragments.
+    """Measure the parts on this machine by the slope of time over the number of fragments.
 
-    Every program fills the target n times, for three n; clocks as in ``cost.by_slope``. The colours
-    are added up, so that no driver may leave out what a later triangle covers. An empty program
-    tells what that and the rasteriser take, which is taken off.
+    Every program fills the target n times, for three values of n; ``cost.by_slope`` describes the
+    clocks. Additive blending prevents drivers from skipping fragments that later ones cover. The
+    cost of blending and of the rasteriser is measured with an empty program and subtracted.
 
     Parameters
     ----------
-    repeats : of every measurement
-    progress : called with the fraction that is done
+    repeats : number of measurements
+    progress : called with the completed fraction
     shading : see :func:`samples`
 
     Returns
     -------
-    nanoseconds a fragment, of all fragments together
+    nanoseconds per fragment: total time divided by the number of all fragments
 
     Raises
     ------
@@ -252,7 +257,7 @@ def by_slope(
 def _timed(
     context: Context, resources: Resources, scene: Scene, source: Program, program: moderngl.Program
 ) -> Timed:
-    """Return a function that draws the first part of a scene with a program."""
+    """Return a function that draws the part of a scene N times and returns the seconds."""
     (part,), (material,) = scene.mesh.parts, scene.mesh.materials
     lighting = Lighting.of(scene, Shading())
     set_uniforms(program, scene_uniforms(scene, _VIEW, lighting))

@@ -1,5 +1,5 @@
-"""What whole frames cost on the driver at hand, readback included: measured in turns, and a model
-between what was measured."""
+"""Frame times on the current driver with readback: measurement, and interpolation between measured
+frames."""
 
 from __future__ import annotations
 
@@ -18,8 +18,11 @@ Draw = Callable[[], object]
 def seconds(
     draws: Sequence[Draw], repeats: int, progress: Callable[[float], object] = lambda done: None
 ) -> NDArray[np.float64]:
-    """Return the duration of each draw, (repeats, draws) in seconds; they take turns, after one
-    that compiles and uploads. progress is called with the fraction that is done."""
+    """Return the duration of each draw, (repeats, draws) in seconds.
+
+    The draws alternate, after an unmeasured round that compiles and uploads. ``progress`` is called
+    with the completed fraction.
+    """
     for draw in draws:
         draw()
     times = np.empty((repeats, len(draws)))
@@ -33,26 +36,26 @@ def seconds(
 
 
 def ratios(draws: Sequence[Draw], repeats: int) -> list[Interval]:
-    """Return of each draw the median of the ratios of its time to the first one's within a turn."""
+    """Return the median ratio of each draw's time to the first draw's time in the same round."""
     times = seconds(draws, repeats)
     over_first = times / times[:, :1]
     return bootstrap(lambda turns: np.median(over_first[turns], axis=0), repeats)
 
 
 def ratio(draw: Draw, full: Draw, repeats: int) -> Interval:
-    """Return the median of the ratios of two frames' times within a turn."""
+    """Return the median ratio of two frames' times in the same round."""
     own, other = seconds([draw, full], repeats).T
     return bootstrap(lambda turns: np.median((own / other)[turns], keepdims=True), repeats)[0]
 
 
 @dataclass(frozen=True)
 class Line:
-    """Milliseconds of a frame, by what a fragment of it costs.
+    """Milliseconds of a frame as a linear function of its fragment price.
 
     Attributes
     ----------
-    fixed : of what no shading changes: geometry, coverage, maps, readback
-    slope : of the whole frame, for one of the prices' units
+    fixed : milliseconds that no shading changes: geometry, coverage, maps, readback
+    slope : milliseconds of the whole frame per unit of the fragment price
     """
 
     fixed: float
@@ -60,28 +63,30 @@ class Line:
 
     @classmethod
     def through(cls, full: tuple[float, float], cheap: tuple[float, float]) -> Line:
-        """Return the line through two frames' prices of a fragment and milliseconds; where the
-        cheaper one was not faster, the price counts for nothing."""
+        """Return the line through two frames' fragment prices and milliseconds.
+
+        The slope is 0 if the cheaper frame was not faster.
+        """
         (price, time), (low_price, low_time) = full, cheap
         slope = (time - low_time) / (price - low_price) if price > low_price else 0.0
         slope = max(slope, 0.0)
         return cls(time - slope * price, slope)
 
     def cost(self, total: float, specular: float) -> tuple[float, float]:
-        """Return milliseconds of a frame, and of its specular terms."""
+        """Return milliseconds of a frame and of its specular terms, from their fragment prices."""
         return self.fixed + self.slope * total, self.slope * specular
 
 
 @dataclass(frozen=True)
 class Frames:
-    """What frames cost.
+    """Frame times of a plan.
 
     Attributes
     ----------
-    full, own : by shading, with the full detail and with the one that was chosen
-    taken : milliseconds with the full shading: "full", with the "cull_back_faces" that was chosen,
-        then with "samples", "shading_rate" and "triangles"
-    source : where they are from, in words
+    full, own : time by fragment price, with the full and with the chosen level of detail
+    taken : milliseconds with the full shading: "full"; then, each with the choices before, with
+        the chosen "cull_back_faces", "samples", "shading_rate" and "triangles"
+    source : origin of the times, as text
     """
 
     full: Line

@@ -1,4 +1,4 @@
-"""An estimate and its 95 % interval, by bootstrap over the repeats of a measurement."""
+"""Bootstrap intervals of measurements."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Interval:
-    """An estimate and its 95 % interval, by bootstrap over the repeats."""
+    """An estimate and its 95 % interval, by bootstrap over the repeats of a measurement."""
 
     value: float
     low: float
@@ -21,7 +21,7 @@ class Interval:
 def bootstrap(
     estimate: Callable[[NDArray[np.int64]], NDArray[np.float64]], repeats: int
 ) -> list[Interval]:
-    """Return an estimate (N,) of all turns, with its 95 % interval over resampled turns."""
+    """Return estimates (N,) with 95 % intervals; ``estimate`` computes them for given repeats."""
     draws = np.random.default_rng(0).integers(repeats, size=(500, repeats))
     low, high = np.percentile([estimate(turns) for turns in draws], [2.5, 97.5], axis=0)
     value = estimate(np.arange(repeats))

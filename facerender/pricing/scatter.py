@@ -1,5 +1,5 @@
-"""What scattering costs for each pixel, beside the fragment program that shades it: in all, and for
-each pixel that it looks at."""
+"""Cost of subsurface scattering per pixel, without the fragment program: a fixed part, and a part
+for each sample."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SIZE = 512
 
 
 def scene() -> Scene:
-    """Return a wall of skin that fills a square image, four pixels a millimetre."""
+    """Return a scene of a skin wall that fills a square image at four pixels per millimetre."""
     corners = np.array(
         [(-80.0, -80.0, 0.0), (80.0, -80.0, 0.0), (80.0, 80.0, 0.0), (-80.0, 80.0, 0.0)]
     )
@@ -32,7 +32,7 @@ def scene() -> Scene:
 
 
 def by_frames(repeats: int = 9) -> dict[str, float]:
-    """Measure the cost of PARTS here, in nanoseconds; errors as of
+    """Measure the cost of PARTS on this machine, in nanoseconds; raise as
     :func:`facerender.pricing.cost.frames`."""
     shadings = [Shading(scatter_samples=count) for count in (0, *_MEASURED)]
     none, *both = frames(scene(), shadings, (_SIZE, _SIZE), repeats)
@@ -40,6 +40,6 @@ def by_frames(repeats: int = 9) -> dict[str, float]:
 
 
 def parts(samples: tuple[int, int], costs: list[float]) -> dict[str, float]:
-    """Return the cost of PARTS from the costs of two numbers of samples."""
+    """Return the cost of PARTS from the costs at two numbers of samples."""
     each = (costs[1] - costs[0]) / (samples[1] - samples[0])
     return dict(zip(PARTS, (max(costs[0] - samples[0] * each, 0.0), each), strict=True))

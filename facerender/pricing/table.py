@@ -1,7 +1,9 @@
-"""The cost of a shading per fragment, as a sum: the renderer's program, its maps and lights
-(``fragment.py``), and the specular term of the first light and of each further one, which shares
-intermediate values with the first. The table ``prices.json`` is written by
-``python -m benchmarks.prices table`` in the repository; ``measured`` prices this machine.
+"""Price of a shading per fragment, as a sum of the prices of its parts.
+
+The parts are the renderer's program, its maps and lights (``fragment.py``), the specular term of
+the first light, and the term of each further light, which shares intermediate values with the
+first. ``python -m benchmarks.prices table`` writes the table ``prices.json`` in the repository;
+``measured`` prices this machine.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from facerender.shading import Shading, Term
 from facerender.terms import lobe_entry
 
 TABLE = Path(__file__).with_name("prices.json")
-FRAME = "frame"  # of whole ones, as ``planning/frame_times.py`` prices them
+FRAME = "frame"  # prices whole frames; see ``planning/frame_times.py``
 HERE = "here"
 
 Pair = tuple[float, float]
@@ -33,7 +35,7 @@ P = TypeVar("P")
 
 
 class NoPrice(InputError):
-    """A term, or a kind of light, that the table of prices does not have."""
+    """The prices lack a term, or another part such as a kind of light."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +44,11 @@ class Prices:
 
     Attributes
     ----------
-    source : what they are and where they are from, in words
-    unit : of all of them
-    parts : those of ``fragment.PARTS`` apart from specular terms
-    terms : by :func:`term_name`, of a specular term in the first light that has one, and in
-        another; by :func:`second_name`, of its second lobe
+    source : origin of the prices, as text
+    unit : unit of all prices
+    parts : prices of ``fragment.PARTS`` without the specular terms, and of ``scatter.PARTS``
+    terms : two prices of each specular term, by :func:`term_name`: for the first light that has
+        a term, and for a further light. The same for second lobes, by :func:`second_name`
     """
 
     source: str
@@ -55,12 +57,13 @@ class Prices:
     terms: Terms
 
     def cost(self, scene: Scene, shading: Shading) -> tuple[float, float]:
-        """Return the cost of a fragment of the scene, and the specular part of it; of several mesh
-        parts the mean, weighted by their faces.
+        """Return the cost of a fragment of the scene, and its specular part.
+
+        With several mesh parts, return the mean weighted by their numbers of faces.
 
         Raises
         ------
-        NoPrice : a term that is not priced
+        NoPrice : a term has no price
         """
         resolved = resolve(scene, shading)
         simple, lighting = resolved.scene, resolved.lighting
@@ -99,11 +102,11 @@ class Prices:
         terms: Sequence[Term],
         smallest: float,
     ) -> tuple[float, float]:
-        """Return the cost of a fragment of one mesh part, and the specular part of it.
+        """Return the cost of a fragment of one mesh part, and its specular part.
 
         lights : cost of all lights without their terms
-        terms : of the lights that have one
-        smallest : slope m of the part
+        terms : the lights' specular terms
+        smallest : smallest slope m of the part
         """
         shine = 0.0
         if material.ks:
@@ -139,8 +142,8 @@ class Prices:
     def _priced(self, prices: Mapping[str, P], name: str) -> P:
         if name not in prices:
             raise NoPrice(
-                f"no price of {name} among {self.source}: measure it with --cost here, or update "
-                "the table in a checkout: python -m benchmarks.prices table"
+                f"{name} has no price in {self.source}: measure it with --cost here, or update the "
+                "table in a checkout with python -m benchmarks.prices table"
             )
         return prices[name]
 
@@ -156,7 +159,7 @@ class Prices:
         }
         cost = sum(self.parts[name] for name, is_there in has.items() if is_there)
         if shines and material.two_lobes and material.lobe_map is not None:
-            cost += self.parts["property map"]  # another texture of the kind
+            cost += self.parts["property map"]  # for the lobe map
         return cost
 
 
@@ -167,9 +170,9 @@ def load_prices(
 
     Parameters
     ----------
-    kind : of the table "llvmpipe", "navi21" (RDNA2) or "vega10" (GCN5); "auto" and "frame", the
-        table's for llvmpipe where the CPU draws, and for RDNA2 elsewhere; "here" to measure on this
-        machine, for up to a minute
+    kind : "llvmpipe", "navi21" (RDNA2) or "vega10" (GCN5) of the table; "auto" and "frame" choose
+        llvmpipe if the CPU draws, otherwise navi21; "here" measures on this machine, which takes
+        up to a minute
     software : whether the CPU draws
 
     Raises
@@ -198,13 +201,13 @@ def load_prices(
 
 
 def shipped() -> dict[str, Prices]:
-    """Return the table, by target."""
+    """Return the prices of the table ``prices.json``, by target."""
     table = json.loads(TABLE.read_text(encoding="utf-8"))
     return {kind: Prices(**prices) for kind, prices in table.items()}
 
 
 def term_name(term: Term, smallest_m: float) -> str:
-    """Name a specular term, as far as its cost depends on it."""
+    """Return the name under which a specular term is priced; terms of equal cost share a name."""
     lobe = lobe_entry(term.lobe)
     words = [term.model, lobe.price]
     if term.entry.factors:
@@ -217,8 +220,10 @@ def term_name(term: Term, smallest_m: float) -> str:
 
 
 def second_name(term: Term, smallest_m: float) -> str:
-    """Name the second lobe of a term, as far as its cost depends on it: it shares the Fresnel and
-    the masking term."""
+    """Return the name under which a term's second lobe is priced.
+
+    The second lobe shares the Fresnel and masking terms, so the name excludes these.
+    """
     return f"second lobe of {term_name(_unfactored(term), smallest_m)}"
 
 
@@ -227,21 +232,21 @@ def _unfactored(term: Term) -> Term:
 
 
 def variants(term: Term) -> dict[str, Term]:
-    """Return a term with a constant slope and without, and of the exact lobe with small slopes and
-    without, by name."""
+    """Return variants of a term by name: with constant and varying slope; the exact lobe also with
+    and without support of small slopes."""
     small = (True, False) if lobe_entry(term.lobe).of_tan2 else (None,)
     terms = [replace(term, m=m, small_slope=each) for m in (None, term.m) for each in small]
     return {term_name(each, SLOPE): each for each in terms}
 
 
 def second_variants(term: Term) -> dict[str, Term]:
-    """Return the terms whose second lobes cost what those of a term's variants do, by name."""
+    """Return terms whose second lobes cost the same as the second lobes of a term's variants, by
+    name."""
     return {second_name(each, SLOPE): _unfactored(each) for each in variants(term).values()}
 
 
 def second_lobes(two: Terms, one: Terms, seconds: Mapping[str, Term]) -> dict[str, Pair]:
-    """Return the cost that each second lobe adds, from the costs of terms with two lobes and with
-    one."""
+    """Return the cost of each second lobe: costs of terms with two lobes less costs with one."""
     added = {}
     for name, term in seconds.items():
         first, further = one[term_name(term, SLOPE)]
@@ -250,7 +255,7 @@ def second_lobes(two: Terms, one: Terms, seconds: Mapping[str, Term]) -> dict[st
 
 
 def without_specular(parts: Mapping[str, float]) -> dict[str, float]:
-    """Return the costs of the parts that a table has: a specular term's part is in its price."""
+    """Return the costs of the parts without specular ones, which the terms' prices include."""
     return {name: cost for name, cost in parts.items() if name not in _SPECULAR}
 
 
@@ -261,8 +266,8 @@ def measured(
 
     Parameters
     ----------
-    terms : by :func:`term_name`
-    seconds : by :func:`second_name`: terms, all of them in ``terms``, whose second lobes are priced
+    terms : terms by :func:`term_name`
+    seconds : terms whose second lobes are priced, by :func:`second_name`; all are in ``terms`` too
 
     Raises
     ------
@@ -289,6 +294,6 @@ def measured(
     return Prices(source, "ns", without_specular(parts) | scatter.by_frames(repeats), prices)
 
 
-# Stand in for the uniforms of a second lobe.
+# Macros in place of the uniforms of a second lobe.
 _LOBES = "#define second_m (1.5 * m)\n#define lobe_weight (0.5 + f0)\n"
 _SPECULAR = ("first specular term", "further specular term")

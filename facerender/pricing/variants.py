@@ -1,5 +1,5 @@
-"""The specular terms and lobes whose cost is measured, as GLSL: the forms that Romanyuk et al.
-(2020) print, and the library's. Nothing is measured here."""
+"""GLSL of the specular terms and lobes whose cost is measured: the forms as published by Romanyuk
+et al. (2020), and the library's forms."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from facerender.glsl.code import defines, lobe_macros
 from facerender.shading import SMALL_SLOPE, Shading
 from facerender.terms import LOBES, MODELS
 
-SLOPE = 0.3  # of the terms that are priced
-# The inputs of a term, added up: the cost of a term is net of the cost of this sum.
+SLOPE = 0.3  # slope m of the priced terms
+# A sum of the inputs of a term; its cost is subtracted from the cost of a term.
 INPUTS = "dot(l, v) + n.x + m * f0"
 
-# The models that the paper prints, and what texts call them.
+# The models that the paper contains, with their titles.
 PRINTED = {model.name: model.title for model in MODELS.values() if model.printed}
-# Their lobes alone: E/c^4, and E from the angle.
+# Their lobes: E/c^4, and E computed from the angle.
 _PRINTED_EXACT = {
     "cook-torrance": "exp((c * c - 1.0) / (m * m * c * c)) / (c * c * c * c)",
     "ward": "exp(-tan(acos(c)) * tan(acos(c)) / (m * m))",
@@ -30,9 +30,9 @@ class Variant:
     Attributes
     ----------
     model, lobe : names
-    printed : as the paper prints it, not as the library has it
-    plain : without the digits of small angles, which the exact lobe can do without from
-        m = SMALL_SLOPE on
+    printed : the form as published, not the library's form
+    plain : without the extra precision at small angles, which the exact lobe does not need for
+        m >= SMALL_SLOPE
     """
 
     model: str
@@ -42,34 +42,34 @@ class Variant:
 
     @property
     def name(self) -> str:
-        """The label, which no other variant of the model has."""
+        """The label, unique among the variants of the model."""
         if self.printed:
             return f"printed, {self.lobe}"
         return f"{self.lobe}, m >= {SMALL_SLOPE:g}" if self.plain else self.lobe
 
     @property
     def standard(self) -> bool:
-        """Whether it is what a renderer draws with its shading."""
+        """Whether a renderer draws this variant for its shading."""
         return not (self.printed or self.plain)
 
     @property
     def unclamped(self) -> bool:
-        """Whether it is a power that lacks the clamp: the paper prints none."""
+        """Whether this is a power without a clamp, as published."""
         return self.printed and self.lobe != "exact"
 
     @property
     def k(self) -> int:
-        """The power of 1/cos γ in the model's lobe."""
+        """The power k of 1/cos γ in the model's lobe."""
         return MODELS[self.model].k
 
     @property
     def shading(self) -> Shading:
-        """The choice of its model and lobe."""
+        """A shading with this model and lobe."""
         return Shading(self.model, self.lobe)
 
     @property
     def term(self) -> tuple[str, str]:
-        """Prelude and expression of the whole term, in 1/sr."""
+        """GLSL prelude and expression of the whole term, in 1/sr."""
         model = MODELS[self.model]
         call = model.printed if self.printed else model.printed.replace("printed_", "")
         folder = "printed" if self.printed else "facerender"
@@ -81,7 +81,7 @@ class Variant:
 
     @property
     def lobe_term(self) -> tuple[str, str]:
-        """Prelude and expression of the lobe alone, of float c and m, without a unit."""
+        """GLSL prelude and expression of the lobe in float c and m; dimensionless."""
         if self.unclamped:
             power = f"fr_printed_g_power(c, 2.0 / (m * m) - {self.k}.0, 16)"
             return '#include "printed/g_power.glsl"', power
@@ -92,7 +92,7 @@ class Variant:
 
 
 def of_model(model: str) -> tuple[Variant, ...]:
-    """Return the variants of a model, the printed ones first."""
+    """Return the variants of a model, the published ones first."""
     printed = [Variant(model, lobe, printed=True) for lobe in _PRINTED_LOBES]
     library = [
         Variant(model, lobe, plain=plain)
@@ -103,10 +103,10 @@ def of_model(model: str) -> tuple[Variant, ...]:
 
 
 def terms(model: str) -> dict[str, tuple[str, str]]:
-    """Return prelude and expression of each whole term by the variant's name."""
+    """Return GLSL prelude and expression of each whole term by the variant's name."""
     return {variant.name: variant.term for variant in of_model(model)}
 
 
 def lobe_terms(model: str) -> dict[str, tuple[str, str]]:
-    """Return prelude and expression of each lobe alone by the variant's name."""
+    """Return GLSL prelude and expression of each lobe by the variant's name."""
     return {variant.name: variant.lobe_term for variant in of_model(model) if not variant.plain}

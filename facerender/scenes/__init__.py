@@ -1,1 +1,1 @@
-"""What is rendered, as values: mesh, material, textures, camera, lights. No OpenGL."""
+"""Scene descriptions as values: mesh, material, textures, camera, lights. No OpenGL."""

@@ -1,5 +1,5 @@
-"""Cameras, which orbit the mesh or stand where they are told. Angles are in degrees, lengths in the
-mesh's units."""
+"""Cameras that orbit the mesh or have a given position. Angles are in degrees, lengths in mesh
+units."""
 
 from __future__ import annotations
 
@@ -19,31 +19,30 @@ FRAMES: tuple[Frame, ...] = get_args(Frame)
 AZIMUTHS_BY_NAME = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
 CAMERA_FILES = (".toml", ".json", ".npz")
 MOST_CAMERAS = 100_000
-_NOT_ROTATED = 1e-3  # of the nine numbers of a rotation, by rounding
-_PLACED = ("azimuth", "elevation", "zoom", "target", "position", "frame")  # by extrinsics
+_NOT_ROTATED = 1e-3  # tolerance for elements of R R^T - I, because users may round rotations
+_PLACED = ("azimuth", "elevation", "zoom", "target", "position", "frame")  # exclude extrinsics
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A perspective camera, which orbits the mesh and frames it, or stands where it is told.
+    """A perspective camera that orbits and frames the mesh, or has a given position.
 
     Parameters
     ----------
     azimuth, elevation : degrees; 0, 0 looks at the face, azimuth 90 sees the side at +x
-    fov : vertical angle of view, degrees in [1, 150]
-    zoom : magnification relative to the framing that holds what ``frame`` says at every azimuth
-    target : what the centre of the image shows; None for the centre of what ``frame`` says
-    position : the eye; None for the orbit
-    frame : "all" of the mesh, its "head", or its "face": ``facerender.scenes.framing``
-        tells how they are found
-    extrinsics : [R|t], (3, 4), from the mesh's space to the camera's as OpenCV has it: the eye at
-        0, x to the right, y down, z forward, t in the mesh's units. In place of azimuth, elevation,
-        zoom, target, position and frame
-    intrinsics : K, (3, 3), from that space to pixels of an image of ``size``, in place of fov. The
-        corner of the top left pixel is (0, 0) and its centre (0.5, 0.5): where a calibration
-        has its centre at (0, 0), as OpenCV's, add 0.5 to the principal point
-    size : width and height of the images that intrinsics are for; other images have to be of this
-        shape
+    fov : vertical field of view, degrees in [1, 150]
+    zoom : magnification; at 1, the framed region fits into the image at every azimuth
+    target : point at the centre of the image; None for the centre of the framed region
+    position : position of the camera; None to orbit the target
+    frame : region to frame: "all" of the mesh, "head" or "face"; see ``facerender.scenes.framing``
+    extrinsics : [R|t], (3, 4), from mesh space to OpenCV's camera space: camera at 0, x to the
+        right, y down, z forward, t in mesh units. Replaces azimuth, elevation, zoom, target,
+        position and frame
+    intrinsics : K, (3, 3), from camera space to pixels of an image of ``size``; replaces fov. The
+        top left pixel has its corner at (0, 0) and its centre at (0.5, 0.5). Add 0.5 to the
+        principal point of a calibration that has the centre at (0, 0), such as OpenCV's
+    size : width and height of the image that intrinsics refer to; rendered images need the same
+        aspect ratio
     """
 
     azimuth: float = ranged(AZIMUTHS, 0.0)
@@ -79,13 +78,13 @@ class Camera:
         if off > _NOT_ROTATED or np.linalg.det(turn) < 0.0:
             raise InputError(
                 f"camera extrinsics = {shown(self.extrinsics)}: give [R|t] with a rotation R, "
-                "whose rows are unit vectors at right angles, x to the right, y down, z forward"
+                "whose rows are orthogonal unit vectors: x to the right, y down, z forward"
             )
         for each in fields(self):
             if each.name in _PLACED and (value := getattr(self, each.name)) != each.default:
                 raise InputError(
                     f"camera {each.name} = {shown(value)} and extrinsics exclude each other: leave "
-                    "one of them out"
+                    "one out"
                 )
 
     def _check_intrinsics(self) -> None:
@@ -107,12 +106,12 @@ class Camera:
         if not ((focal >= 1e-3) & (focal <= 1e4)).all() or np.abs(middle).max() > 1e3:
             raise InputError(
                 f"camera intrinsics = {shown(self.intrinsics)}: give fx and fy from 0.001 to 10000 "
-                f"times the image of {width} x {height} pixels, cx and cy up to 1000 times"
+                f"times the image size of {width} x {height} pixels, and cx and cy up to 1000 times"
             )
 
 
 def _matrix(name: str, value: Any, columns: int) -> tuple[tuple[float, ...], ...]:
-    """Return three rows of so many numbers."""
+    """Check a matrix of 3 rows; return it as tuples."""
     rows = value.tolist() if isinstance(value, np.ndarray) else value
     good = isinstance(rows, tuple | list) and len(rows) == 3
     if not good or not all(
@@ -126,11 +125,13 @@ def _matrix(name: str, value: Any, columns: int) -> tuple[tuple[float, ...], ...
 
 
 def turntable(camera: Camera = Camera(), count: int = 8) -> tuple[Camera, ...]:
-    """Return cameras all around, beginning with this one, at its elevation.
+    """Return cameras at equal angles around the mesh, at the elevation of the given camera.
+
+    The first camera is the given one.
 
     Raises
     ------
-    InputError : no camera, a count that is no whole number in [1, 100000]
+    InputError : camera is not a Camera, or count is not a whole number in [1, 100000]
     """
     check_type("camera", camera, Camera, "a facerender.Camera")
     count = IntegerRange(1, MOST_CAMERAS).check("count", count)
@@ -139,6 +140,6 @@ def turntable(camera: Camera = Camera(), count: int = 8) -> tuple[Camera, ...]:
 
 
 def orbiting(camera: Camera, **orbit: Any) -> Camera:
-    """Return a camera of the same kind that orbits: at these angles, with this zoom."""
+    """Return the camera as an orbiting one, with changed fields such as azimuth or zoom."""
     placed: dict[str, Any] = dict.fromkeys(("position", "extrinsics", "intrinsics", "size"))
     return replace(camera, **placed, **orbit)

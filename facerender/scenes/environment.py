@@ -1,5 +1,5 @@
-"""Light from all around a mesh: a panorama, what shading reads of it (a map with its levels, and
-nine coefficients), and a studio made by code. Files are read in ``loading/environment.py``."""
+"""Environment maps: a panorama, its octahedral mip levels and irradiance coefficients for shading,
+and a procedural studio. ``loading/environment.py`` reads the files."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from facerender.terms.ranges import Range, check_fields, ranged
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
-SIDE = 256  # texels of the map's first level; of the last one 4
+SIDE = 256  # side of the map's first level in texels; the last level has 4
 LEVELS = 7
-_INSIDE = 4  # places a side at which a texel of the map looks at the panorama
+_INSIDE = 4  # a texel of the map averages 4 x 4 samples of the panorama
 
 
 @dataclass(frozen=True, eq=False)
 class Panorama:
-    """Radiance from every direction.
+    """Radiance from every direction, as a latitude-longitude image.
 
     Parameters
     ----------
-    name : for messages and scene files: a file, or "studio"
-    radiance : (H, 2 H, 3), linear, latitude and longitude: the top row is above, the middle column
-        is what a face that looks along +z sees before it, as it sees it
+    name : file or "studio", for messages and scene files
+    radiance : (H, 2 H, 3), linear. The top row is straight up, the middle column is +z, where the
+        face looks. Columns run from left to right as the face sees them
 
     Raises
     ------
-    InputError : another shape, or a radiance that is no number in [0, 1e9]
+    InputError : invalid shape, or a radiance that is not a number in [0, 1e9]
     """
 
     name: str
@@ -47,28 +47,28 @@ class Panorama:
             values = np.asarray(self.radiance, dtype=np.float32)
         except (TypeError, ValueError, OverflowError):
             raise InputError(
-                f"environment {self.name} has the radiance {shown(self.radiance)}: give an array "
+                f"environment {self.name} has radiance {shown(self.radiance)}: give an array "
                 "of numbers"
             ) from None
         if values.ndim != 3 or values.shape[1:] != (2 * len(values), 3) or len(values) < 2:
             shape = " x ".join(map(str, values.shape[1::-1] + values.shape[2:]))
             raise InputError(
-                f"environment {self.name} has {shape} values: give twice as many columns as rows, "
-                "of red, green and blue"
+                f"environment {self.name} has {shape} values: give an RGB image, twice as wide as "
+                "high"
             )
         inside = (values >= 0.0) & (values <= HIGHEST)
         if not inside.all():
             row, column, _ = np.unravel_index(int(inside.argmin()), values.shape)
             worst = values[row, column].tolist()
             raise InputError(
-                f"environment {self.name} has the radiance {worst} in column {column} of row {row}:"
+                f"environment {self.name} has radiance {worst} in column {column} of row {row}:"
                 f" give numbers in [0, {HIGHEST:g}]"
             )
         object.__setattr__(self, "radiance", values)
 
     @cached_property
     def coefficients(self) -> Float:
-        """(9, 3): factors of the harmonics of a normal, whose sum is the irradiance."""
+        """Coefficients (9, 3) of the irradiance in spherical harmonics of the normal."""
         radiance, directions, solid_angle = self._resampled
         received = np.tensordot(
             harmonics(directions) * solid_angle[..., None], radiance, ((0, 1), (0, 1))
@@ -77,8 +77,8 @@ class Panorama:
 
     @cached_property
     def map(self) -> Float32:
-        """(SIDE + 2, W, 3): octahedral levels of half the side each, side by side, each within a
-        border of one texel that repeats what lies across its edge."""
+        """Octahedral levels side by side, (SIDE + 2, W, 3). Each level has half the side of the
+        previous one, and a border of one texel that is copied from across its edges."""
         level, solid_angle = self._octahedron()
         levels = [_bordered(level)]
         for _ in range(LEVELS - 1):
@@ -92,7 +92,7 @@ class Panorama:
 
     @cached_property
     def _resampled(self) -> tuple[Float, Float, Float]:
-        """Radiance in at most 2 SIDE rows, with the direction and the solid angle of each value."""
+        """Radiance reduced to at most 2 SIDE rows, with direction and solid angle of each pixel."""
         height, rows = len(self.radiance), min(len(self.radiance), 2 * SIDE)
         own, ends = (-np.cos(np.pi * np.arange(count + 1) / count) for count in (height, rows))
         radiance = _means(self.radiance, own, ends).swapaxes(0, 1)
@@ -103,7 +103,7 @@ class Panorama:
         return radiance, _directions(rows), solid_angle
 
     def _octahedron(self) -> tuple[Float, Float]:
-        """The first level (SIDE, SIDE, 3), and the solid angle of each texel."""
+        """Return the first level (SIDE, SIDE, 3) and the solid angle of each texel."""
         radiance = np.pad(self._resampled[0], ((1, 1), (0, 0), (0, 0)), "edge")
         rows = len(radiance) - 2
         radiance = np.pad(radiance, ((0, 0), (1, 1), (0, 0)), "wrap")
@@ -121,17 +121,17 @@ class Panorama:
 
 @dataclass(frozen=True)
 class Environment:
-    """Light from all around.
+    """An environment map with its rotation and scale.
 
     Parameters
     ----------
-    panorama : what is there
-    rotation : degrees about the vertical axis, which add to azimuths
-    scale : factor on the radiance; a radiance of 1 from everywhere shows a white surface as 1
+    panorama : the image
+    rotation : rotation about the vertical axis in degrees, which is added to azimuths
+    scale : factor on the radiance; a uniform radiance of 1 shows a white surface as 1
 
     Raises
     ------
-    InputError : a value outside its domain
+    InputError : a value outside its range
     """
 
     panorama: Panorama
@@ -144,15 +144,15 @@ class Environment:
 
     @property
     def turn(self) -> Float:
-        """(3, 3): takes directions of the mesh to those of the panorama."""
+        """Rotation matrix (3, 3) from directions of the mesh to directions of the panorama."""
         cos, sin = np.cos(np.radians(self.rotation)), np.sin(np.radians(self.rotation))
         return np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
 
 
 @lru_cache(maxsize=1)
 def studio() -> Panorama:
-    """Return a studio made by code: a dim room with a large soft box above on the left of the
-    picture, a strip on its right and a rim light behind."""
+    """Return a procedural studio: a dim room with three lights. In the image, a large soft box is
+    at the upper left and a strip light at the right. A rim light is behind the face."""
     directions = _directions(128)
     room = np.array([0.060, 0.066, 0.072]) * (1.2 + 0.8 * directions[..., 1:2])
     for azimuth, elevation, width, height, color in (
@@ -175,7 +175,7 @@ def studio() -> Panorama:
 
 
 def _directions(rows: int) -> Float:
-    """Return the directions of a panorama's values, (rows, 2 rows, 3)."""
+    """Return the directions of a panorama's pixels, (rows, 2 rows, 3)."""
     elevation = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)[:, None]
     azimuth = np.pi * (1.0 - (np.arange(2 * rows) + 0.5) / rows)
     across, up = np.cos(elevation), np.sin(elevation) + 0.0 * azimuth
@@ -183,7 +183,8 @@ def _directions(rows: int) -> Float:
 
 
 def _unfolded(x: Float, z: Float) -> tuple[Float, Float, Float, Float]:
-    """The direction at places of an octahedron's map, from -1 to 1, and the length that it had."""
+    """Return x, y, z of unit directions at points of an octahedral map in [-1, 1], and lengths. The
+    lengths are distances from the centre of the octahedron to its surface."""
     y = 1.0 - np.abs(x) - np.abs(z)
     folded = y < 0.0
     x, z = (
@@ -195,7 +196,8 @@ def _unfolded(x: Float, z: Float) -> tuple[Float, Float, Float, Float]:
 
 
 def _means(values: NDArray[np.floating], own: Float, ends: Float) -> Float:
-    """Means of the rows of values, which meet at the places own, between other places."""
+    """Return the means of rows of values over the intervals between consecutive ends. Row i of
+    values is constant from own[i] to own[i + 1]."""
     if len(ends) == len(own):
         return values.astype(np.float64)
     means = np.empty((len(ends) - 1, *values.shape[1:]))
@@ -215,12 +217,12 @@ def _between(values: Float, row: Float, column: Float) -> Float:
 
 
 def _blocks(values: Float) -> Float:
-    """Sums of two by two texels."""
+    """Return the sums of blocks of 2 x 2 texels."""
     half = len(values) // 2
     return np.asarray(values.reshape(half, 2, half, 2, -1).sum(axis=(1, 3)))
 
 
 def _bordered(level: Float) -> Float:
-    """Beyond an edge of the map lies what is beside it, mirrored at the edge's middle."""
+    """Add a border of one texel. An edge of the map adjoins itself, mirrored at its middle."""
     beside = np.concatenate([level[:, :1][::-1], level, level[:, -1:][::-1]], axis=1)
     return np.concatenate([beside[:1, ::-1], beside, beside[-1:, ::-1]])

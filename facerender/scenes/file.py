@@ -1,4 +1,4 @@
-"""Scenes as TOML files. Mesh and maps are not in them."""
+"""Scene files in TOML, without mesh and maps."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ KEYS = (
     *("camera", "cameras", "lights", "environment", "material", "shading", "planned"),
     *("ambient", "background"),
 )
-MOST_BYTES = 1 << 24  # of a file
-STUDIO = "studio"  # an environment that is no file
+MOST_BYTES = 1 << 24  # of a scene file
+STUDIO = "studio"  # name of the procedural environment
 
 
 @dataclass(frozen=True)
 class EnvironmentFile:
-    """An environment by its file.
+    """Path, rotation and scale of an environment map.
 
     Parameters
     ----------
-    file : .hdr, .exr, .npy or .npz, or "studio" for one made by code
-    rotation : degrees about the vertical axis, which add to azimuths
+    file : .hdr, .exr, .npy or .npz, or "studio" for the procedural environment
+    rotation : rotation about the vertical axis in degrees, which is added to azimuths
     scale : factor on the radiance
     """
 
@@ -56,11 +56,11 @@ class EnvironmentFile:
 
 
 def parse_environment(text: str) -> EnvironmentFile:
-    """Read an environment from ``FILE[,ROTATION[,SCALE]]``.
+    """Parse an environment from ``FILE[,ROTATION[,SCALE]]``.
 
     Raises
     ------
-    InputError : no such words, or a value outside its domain
+    InputError : text of another form, or a value outside its range
     """
     file, *numbers = text.split(",")
     try:
@@ -71,8 +71,8 @@ def parse_environment(text: str) -> EnvironmentFile:
         if isinstance(error, InputError):
             raise
         raise InputError(
-            f"environment {shown(text)}: give FILE or {STUDIO}, and behind it ,ROTATION in "
-            "degrees and ,SCALE"
+            f"environment {shown(text)}: give FILE[,ROTATION[,SCALE]], where FILE may be {STUDIO} "
+            "and ROTATION is in degrees"
         ) from None
 
 
@@ -81,14 +81,14 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
 
     Returns
     -------
-    dict with any of: camera (Camera), cameras (tuple of Camera, a path for ``facerender plan``),
-    lights (tuple of Light), environment (EnvironmentFile), ambient, background, material (dict of
-    the factors of :class:`Material`), shading (dict for :meth:`Shading.from_dict`), planned
-    (Planned: the images that the shading was planned for)
+    dict with the keys that the file contains: camera (Camera), cameras (tuple of Camera, the camera
+    path of ``facerender plan``), lights (tuple of Light), environment (EnvironmentFile), ambient,
+    background, material (dict of the factors of :class:`Material`), shading (dict for
+    :meth:`Shading.from_dict`), planned (Planned)
 
     Raises
     ------
-    InputError : the file cannot be read, or has an unknown key or a value outside its domain
+    InputError : the file cannot be read, or has an unknown key or a value outside its range
     """
     check_path("scene file", path)
     name = clipped(Path(path).name)
@@ -100,11 +100,11 @@ def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def scene_value(key: str, value: Any) -> Any:
-    """Return what a key of a scene means, of plain data.
+    """Convert the plain value of a scene file's key to the type that :func:`load_scene` returns.
 
     Raises
     ------
-    InputError : an unknown key or a value outside its domain
+    InputError : an unknown key or a value outside its range
     """
     if key in ("camera", "planned"):
         return from_table(Camera if key == "camera" else Planned, key, value)
@@ -135,9 +135,11 @@ def scene_value(key: str, value: Any) -> Any:
 
 
 def scene_toml(scene: Scene, shading: Shading, planned: Planned | None = None) -> str:
-    """Return the text of a TOML file that :func:`load_scene` reads: camera, lights, environment,
-    ambient, background, shading, the images that it was planned for, and the factors of the
-    material that all parts share. Mesh and maps are not in it."""
+    """Return a scene as TOML for :func:`load_scene`, without mesh and maps.
+
+    The table ``material`` contains the factors that are equal for all parts. The table ``planned``
+    contains the images that the shading was planned for.
+    """
     background = "none" if scene.background is None else scene.background
     dark: dict[str, Any] = {} if scene.lights else {"lights": []}
     tables: list[tuple[str, Mapping[str, Any]]] = [
@@ -153,7 +155,7 @@ def scene_toml(scene: Scene, shading: Shading, planned: Planned | None = None) -
 
 
 def toml_text(tables: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
-    """Return TOML: of each table its head and what is not None."""
+    """Return the TOML text of tables, which are pairs of header and values. Omit None values."""
     blocks = []
     for head, table in tables:
         lines = [f"{key} = {_toml(value)}" for key, value in table.items() if value is not None]
@@ -162,7 +164,7 @@ def toml_text(tables: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
 
 
 def _changes(value: Camera | Light) -> dict[str, Any]:
-    """The fields that are not the default."""
+    """Return the fields that differ from their defaults."""
     return {
         each.name: getattr(value, each.name)
         for each in fields(value)
@@ -195,21 +197,21 @@ def _toml(value: Any) -> str:
 
 
 def from_table(kind: type[Any], key: str, table: Any, without: Collection[str] = ()) -> Any:
-    """Return a dataclass of a table.
+    """Return a dataclass from a TOML table.
 
     Parameters
     ----------
-    without : fields that are no keys
+    without : fields that the table must not contain
 
     Raises
     ------
-    InputError : no table, an unknown or a missing key, a value outside its domain
+    InputError : not a table, an unknown or a missing key, a value outside its range
     """
     known = [each.name for each in fields(kind) if each.name not in without]
     if not isinstance(table, Mapping) or (unknown := [name for name in table if name not in known]):
-        what = f"key {shown(unknown[0])}" if isinstance(table, Mapping) else f"value {shown(table)}"
-        raise InputError(f"unknown {what} in {key}; known: {', '.join(known)}")
+        bad = f"key {shown(unknown[0])}" if isinstance(table, Mapping) else f"value {shown(table)}"
+        raise InputError(f"unknown {bad} in {key}; known: {', '.join(known)}")
     needed = [each.name for each in fields(kind) if each.default is MISSING]
     if lacking := [name for name in needed if name not in table]:
-        raise InputError(f"{key} {shown(dict(table))} lacks {lacking[0]}")
+        raise InputError(f"{key} {shown(dict(table))} lacks {lacking[0]}: add it")
     return kind(**table)

@@ -1,14 +1,15 @@
-"""Where head and face of a mesh are, found in its geometry alone: y is up, and the face looks to
-+z. No network, no texture.
+"""Detection of head and face from the geometry of a mesh, which must have y up and look along +z.
 
-The mesh is looked at from the front, as rows of a depth image. From the top down, the head ends at
-its neck: the narrowest row below the widest, of a height that heads have, before the rows widen to
-shoulders. Where hair hides the neck, it ends at the shoulders, and a mesh that has neither is a
-head as a whole. What is above a neck, small and without a nose is a bun of hair, and the head ends
-at the next neck. The nose is where the front of the head stands out most beside its neighbours, as
-wide as a nose is; the chin is where the front falls back below it. From nose and chin follow the
-hairline and the sides, by the proportions of faces (Farkas (1994), "Anthropometry of the head and
-face"). What is not found, such as the nose of an egg, has its usual place in the head."""
+The algorithm scans rows of a front view from the top down. The head ends at the neck: the narrowest
+row below the widest one, within plausible head heights, before the rows widen to the shoulders. If
+hair hides the neck, the head ends at the shoulders. A mesh with neither is a head as a whole. If
+the part above a neck is small and has no nose, it is a hair bun. The head then ends at the next
+neck.
+
+The nose is the row whose middle protrudes most, compared with points at the distance of a nose's
+width. The chin is the row below which the front recedes. Nose and chin determine the hairline and
+the sides by the proportions of faces (Farkas (1994), "Anthropometry of the head and face"). If nose
+or chin are not found, as on an egg, they get their usual position in the head."""
 
 from __future__ import annotations
 
@@ -23,29 +24,30 @@ from facerender.scenes.mesh import Mesh, Region
 Float = NDArray[np.float64]
 
 _SAMPLES = 300_000  # points on the surface
-_ROWS, _FACE_ROWS = 256, 96  # of the whole mesh, and of its head
-_SHOULDERS = 1.55  # times the width of the head
-_NECK, _WIDENED = 0.88, 1.2  # times the size of the head, at most; and of the neck, below it
-_HEAD = (0.8, 2.0)  # height of a head down to its neck, over its size
-_BREADTH = 0.75  # of the head's height, at most: what is around it is hair
-_NOSE = (0.3, 0.82)  # of the head's height from the top down
+_ROWS, _FACE_ROWS = 256, 96  # number of rows of the whole mesh and of its head
+# Ratios of lengths:
+_SHOULDERS = 1.55  # minimum: width of the shoulders / width of the head
+# Maximum: size of the neck / size of the head. Minimum: size below the neck / size of the neck.
+_NECK, _WIDENED = 0.88, 1.2
+_HEAD = (0.8, 2.0)  # range: height of the head / its size
+_BREADTH = 0.75  # maximum: width of the head / its height; hair may be wider
+_NOSE = (0.3, 0.82)  # range: distance from top to nose / height of the head
 _USUAL_NOSE = 0.6
-_RIDGE = 0.16  # to each side of the nose, times the width of the head
-_RIDGE_LEAST, _RIDGE_MOST = 0.35, 1.0  # rise over that distance, of a nose; more does not count
-_CHIN = (0.3, 0.95)  # below the nose, times the nose's distance from the top
+_RIDGE = 0.16  # distance from the middle to the nose's sides / width of the head
+_RIDGE_LEAST, _RIDGE_MOST = 0.35, 1.0  # range: protrusion of the nose / distance to its sides
+_CHIN = (0.3, 0.95)  # range: distance from nose to chin / distance from top to nose
 _USUAL_CHIN = 0.52
-_FALL = 0.4  # in three rows below the chin, times the distance to the nose's sides
-_HAIRLINE, _SIDE = 1.35, 0.95  # above and beside the nose, times the chin's distance below it
+_FALL = 0.4  # minimum: recession in three rows below the chin / distance to the nose's sides
+_HAIRLINE, _SIDE = 1.35, 0.95  # distances from the nose / distance from nose to chin
 _MARGIN = 1.1
-_MOST_HEADS = 2  # one above the other: a bun of hair, and the head
-_BUN = 0.35  # height of a bun, at most, over that of head and bun
+_MOST_HEADS = 2  # one above the other: a hair bun, and the head
+_BUN = 0.35  # maximum: height of a hair bun / height of bun and head
 
 _known: WeakKeyDictionary[Mesh, Mapping[str, Region]] = WeakKeyDictionary()
 
 
 def find_regions(mesh: Mesh) -> Mapping[str, Region]:
-    """Return "head" and "face" of a mesh, which are found once; all of it where there is no more to
-    tell."""
+    """Return the cached regions "head" and "face" of a mesh; both are the whole of a flat mesh."""
     if mesh.regions is not None:
         return mesh.regions
     if mesh not in _known:
@@ -54,8 +56,8 @@ def find_regions(mesh: Mesh) -> Mapping[str, Region]:
 
 
 def _surface(mesh: Mesh) -> Float:
-    """Return points all over the surface, (N, 3), in the renderer's space: as many to an area
-    everywhere, at least one to a triangle."""
+    """Return points on the surface, (N, 3), in the renderer's space. The points have uniform
+    density, with at least one point per triangle."""
     corners = np.concatenate([mesh.normalised(part.positions[part.faces]) for part in mesh.parts])
     a, b, c = np.moveaxis(corners, 1, 0)
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
@@ -63,7 +65,7 @@ def _surface(mesh: Mesh) -> Float:
     counts = 1 + (areas * (_SAMPLES / total if total > 0.0 else 0.0)).astype(np.int64)
     triangle = np.repeat(np.arange(len(corners)), counts)
     index = np.arange(len(triangle)) - np.repeat(np.cumsum(counts) - counts, counts)
-    # Evenly in a square by Roberts' sequence, and the square folded to a triangle.
+    # Roberts' sequence fills a square evenly. Its upper half is folded onto the lower triangle.
     u, v = np.modf((index[:, None] + 0.5) * (0.7548776662466927, 0.5698402909980532))[0].T
     over = u + v > 1.0
     u, v = np.where(over, 1.0 - u, u)[:, None], np.where(over, 1.0 - v, v)[:, None]
@@ -84,14 +86,14 @@ def _found(points: Float) -> dict[str, Region]:
 
 
 def _rows(y: Float, count: int) -> tuple[NDArray[np.int64], float]:
-    """Return the rows of heights, from the highest down to the lowest, and how high a row is."""
+    """Return the row number of each height, counted from the top, and the height of a row."""
     step = float(np.ptp(y)) / count or 1.0
     return ((y.max() - y) / step).astype(np.int64).clip(0, count - 1), step
 
 
 def _region(points: Float) -> Region:
-    """The upright cylinder about points."""
-    # A column at a time: numpy's least of rows takes eighty times as long.
+    """Return the bounding upright cylinder of points."""
+    # By columns: numpy's minimum over rows takes eighty times as long.
     low, high = (np.array([end(column) for column in points.T]) for end in (np.min, np.max))
     center = (low + high) / 2.0
     radius = float(np.hypot(*(points - center)[:, [0, 2]].T).max())
@@ -99,7 +101,7 @@ def _region(points: Float) -> Region:
 
 
 def _ends(points: Float) -> Iterator[tuple[float, float]]:
-    """Yield at which height the head may end, and where its middle is in x then."""
+    """Yield candidates for the lower end of the head: its height, and the head's middle in x."""
     rows, step = _rows(points[:, 1], _ROWS)
     low, high = np.full((2, _ROWS), np.inf), np.full((2, _ROWS), -np.inf)
     for axis, column in enumerate((0, 2)):
@@ -120,8 +122,9 @@ def _ends(points: Float) -> Iterator[tuple[float, float]]:
 
 
 def _connected(x: Float, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell which points have no gap between them and the middle in their row: hands have."""
-    cells = 64  # to a side
+    """Return a mask of the points that connect to the middle of their row without a gap. This
+    excludes hands and other parts at the side of the body."""
+    cells = 64  # per side
     extent = float(np.abs(x).max()) or 1.0
     place = (np.abs(x) * (cells / extent)).astype(np.int64).clip(0, cells - 1)
     side = (x > 0.0).astype(np.int64)
@@ -134,14 +137,17 @@ def _connected(x: Float, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _neck(wide: Float, size: Float, step: float) -> int:
-    """Return the row at which the head ends, of rows from the top down: how wide they are, and how
-    large as the side of a square."""
+    """Return the row at which the head ends.
+
+    wide : width of each row, from the top down
+    size : geometric mean of each row's width and depth
+    """
     largest, narrowest, at = 0.0, np.inf, -1
     for row, own in enumerate(size):
         height = (row + 1) * step
         if height < _HEAD[0] * largest or (own > largest and narrowest > _NECK * largest):
             if height > largest > 0.0 and wide[row] > _SHOULDERS * np.median(wide[: row + 1]):
-                return row  # shoulders, and no neck
+                return row  # shoulders without a visible neck
             largest, narrowest, at = max(largest, own), np.inf, -1
             continue
         if own < narrowest:
@@ -154,8 +160,10 @@ def _neck(wide: Float, size: Float, step: float) -> int:
 
 
 def _face(body: Float, neck: float, middle: float) -> tuple[Region, float, bool]:
-    """Return the face of a head that ends at a height, at which height its chin is, and whether it
-    has a nose."""
+    """Return the face of a head, the height of its chin, and whether a nose was found.
+
+    neck : height of the lower end of the head
+    """
     head = body[body[:, 1] >= neck]
     high = float(head[:, 1].max())
     step = (high - neck) / _FACE_ROWS
@@ -178,8 +186,13 @@ def _face(body: Float, neck: float, middle: float) -> tuple[Region, float, bool]
 
 
 def _front(body: Float, middle: float, top: float, step: float, side: float) -> tuple[Float, Float]:
-    """Return of rows from the top down, on below the head, how far the middle reaches to the front,
-    and by how much that is farther than beside it, over the distance to there."""
+    """Return the depth of the face in each row from the top down, also below the head.
+
+    Returns
+    -------
+    front : largest z near the middle
+    ridge : protrusion of the middle over points at the distance side from it, divided by side
+    """
     count = 2 * _FACE_ROWS
     rows = ((top - body[:, 1]) / step).astype(np.int64)
     away = np.abs(body[:, 0] - middle)
@@ -188,19 +201,19 @@ def _front(body: Float, middle: float, top: float, step: float, side: float) -> 
         column = np.full(count, -np.inf)
         there = (away >= near * side) & (away <= far * side) & (rows < count)
         np.maximum.at(column, rows[there], body[there, 2])
-        known = np.isfinite(column)
+        filled = np.isfinite(column)
         columns.append(
-            np.interp(every, every[known], column[known])
-            if known.any()
+            np.interp(every, every[filled], column[filled])
+            if filled.any()
             else np.full(count, body[:, 2].max())
         )
-    front, beside = columns
-    return front[: rows.max() + 1], (front - beside) / side
+    front, sides = columns
+    return front[: rows.max() + 1], (front - sides) / side
 
 
 def _chin(front: Float, nose: int, fall: float) -> int:
-    """Return the row of the chin: the first, not too near the nose, below which the front falls
-    back by so much within three rows."""
+    """Return the row of the chin: the first below which the front recedes by fall in three rows.
+    Searches a range of rows below the nose. Returns the usual row if none is found."""
     usual, first, last = (
         min(nose + round(fraction * nose), len(front) - 1) for fraction in (_USUAL_CHIN, *_CHIN)
     )

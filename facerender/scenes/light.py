@@ -1,5 +1,5 @@
-"""Lights, and the kinds of them: each kind is one entry, and one file in ``shaders/host/light``.
-Angles are in degrees, lengths in the mesh's units."""
+"""Lights and light kinds. Each kind has an entry here and a file in ``shaders/host/light``. Angles
+are in degrees, lengths in mesh units."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ if TYPE_CHECKING:
 
 Float = NDArray[np.float64]
 
-NEAREST = 1.05  # a point light with a shadow, in radii of the mesh's bounding sphere
+NEAREST = 1.05  # smallest distance of a point light with a shadow, in radii of the mesh
 
 
 @dataclass(frozen=True)
 class Light:
-    """A distant light, or a point light when it has a position.
+    """A distant light, or a point light if it has a position.
 
     Parameters
     ----------
-    azimuth, elevation : degrees, the direction in which a distant light stands, as for the camera
-    irradiance : what a surface facing the light receives, one number or linear RGB in [0, 1e9]; of
-        a point light: at the centre of the mesh. pi shows a white diffuse surface as 1.
-    position : of a point light, in the mesh's units; azimuth and elevation then do not count
-    radius : degrees, at most 20: the angle between the centre and the rim of the disc as which the
-        light is seen, of a point light from the mesh's centre; 0 for a light without size
-    shadow : whether the mesh casts shadows in it; one of a light with size grows soft with distance
+    azimuth, elevation : direction to a distant light in degrees, as for the camera
+    irradiance : irradiance of a surface that faces the light, one number or linear RGB in [0, 1e9].
+        For a point light: at the centre of the mesh. pi shows a white diffuse surface as 1.
+    position : position of a point light in mesh units; replaces azimuth and elevation
+    radius : angular radius in degrees, in [0, 20]; for a point light, as seen from the mesh's
+        centre. 0 for a light without area.
+    shadow : whether the mesh casts shadows. Shadows of area lights are soft.
     """
 
     azimuth: float = ranged(AZIMUTHS, 0.0)
@@ -65,27 +65,28 @@ class Light:
 
     @property
     def kind(self) -> LightKind:
-        """Its entry in LIGHT_KINDS."""
+        """The light's entry in LIGHT_KINDS."""
         return next(kind for kind in LIGHT_KINDS.values() if kind.matches(self))
 
 
 @dataclass(frozen=True, eq=False)
 class LightKind:
-    """A kind of light. Its file ``host/light/NAME.glsl`` declares uniform arrays of NAME_LIGHTS
-    elements and ``Light NAME_light(int i, vec3 position)``.
+    """A kind of light.
+
+    Its file ``host/light/NAME.glsl`` declares uniform arrays of NAME_LIGHTS elements and the
+    function ``Light NAME_light(int i, vec3 position)``.
 
     Attributes
     ----------
-    name : of its file, such as "point"
-    example : one to price it with
-    matches : whether a light is of this kind; the first kind that does counts
-    arrays : names of the arrays
-    elements : of a light and its mesh, its element of each array, (1,) to (3,), in the renderer's
-        space
-    lighting : of a light, its mesh and positions (..., 3) in the renderer's space: unit vectors
-        towards it and its irradiance there, in float64
-    sine : of one that is seen as a disc, its mesh and positions (..., 3): the sine of its radius
-        there, (..., 1), or one for all; None for kinds without size
+    name : name of the file, such as "point"
+    example : light that cost measurements use
+    matches : returns whether a light is of this kind; a light has the first kind that matches
+    arrays : names of the uniform arrays
+    elements : returns a light's element of each array, (1,) to (3,), in the renderer's space
+    lighting : returns unit vectors to the light and its irradiance at positions (..., 3) in the
+        renderer's space, in float64
+    sine : returns the sine of the angular radius at positions (..., 3), as (..., 1) or one value
+        for all; None for kinds without area
     """
 
     name: str
@@ -97,28 +98,29 @@ class LightKind:
     sine: Callable[[Light, Mesh, Float], Float] | None = None
 
     def uniforms(self, lights: Sequence[Light], mesh: Mesh) -> dict[str, Float]:
-        """Return the arrays by name, (N, 1) to (N, 3), of lights of this kind."""
+        """Return the uniform arrays of lights of this kind by name, (N, 1) to (N, 3) each."""
         columns = zip(*(self.elements(light, mesh) for light in lights), strict=True)
         return {name: np.array(each) for name, each in zip(self.arrays, columns, strict=True)}
 
     @property
     def price(self) -> str:
-        """What tables of prices call it."""
+        """Name of the light's cost in price tables."""
         return f"{self.name} light"
 
     @property
     def shadow_price(self) -> str:
-        """What tables of prices call a shadow in it."""
+        """Name of the cost of the light's shadow in price tables."""
         return "hard shadow" if self.sine is None else "soft shadow"
 
 
 def _point(light: Light, mesh: Mesh) -> tuple[Float, Float]:
-    """Return position and intensity in the renderer's space, (3,) each. The intensity is the
-    irradiance at the mesh's centre, times the square of the distance from there.
+    """Return position and intensity in the renderer's space, (3,) each.
+
+    The intensity is the irradiance at the mesh's centre times the squared distance from it.
 
     Raises
     ------
-    InputError : the light stands at the centre itself, or 1e6 radii of the mesh away
+    InputError : the light is at the mesh's centre, or more than 1e6 mesh radii away
     """
     assert light.position is not None
     position = within_reach(f"point light {light.position}", mesh.normalised(light.position))
@@ -136,7 +138,7 @@ def _point_lighting(light: Light, mesh: Mesh, position: Float) -> tuple[Float, F
 
 
 def half_sum(sine: Float) -> Float:
-    """Return (1 + cos R)/2 of the sine of a radius: the k of ``slope_variance.glsl``."""
+    """Return k = (1 + cos R)/2 of ``slope_variance.glsl`` from the sine of the angular radius R."""
     return np.asarray(0.5 + 0.5 * np.sqrt(1.0 - sine**2))
 
 
@@ -145,12 +147,11 @@ def _sine(light: Light) -> Float:
 
 
 def _sphere(light: Light, mesh: Mesh) -> tuple[Float, Float, Float]:
-    """Return position, intensity and size in the renderer's space, in which the mesh lies within
-    the unit sphere.
+    """Return position, intensity and radius of a sphere light in the renderer's space.
 
     Raises
     ------
-    InputError : somewhere on the mesh its radius may be too large
+    InputError : the angular radius may exceed MAX_RADIUS somewhere on the mesh
     """
     position, intensity = _point(light, mesh)
     distance = float(np.linalg.norm(position))
@@ -158,7 +159,7 @@ def _sphere(light: Light, mesh: Mesh) -> tuple[Float, Float, Float]:
     if size > (distance - 1.0) * math.sin(math.radians(MAX_RADIUS)) * (1.0 + 1e-9):
         raise InputError(
             f"point light {light.position} with radius {light.radius:g} is too near: parts of the "
-            f"mesh may see it with a radius above {MAX_RADIUS:g}; give a smaller one, or move it"
+            f"mesh may see a radius above {MAX_RADIUS:g}; give a smaller radius, or move it away"
         )
     return position, intensity, size
 
@@ -216,7 +217,7 @@ LIGHT_KINDS: dict[str, LightKind] = {
 }
 
 
-# Key and rim are high and oblique, where the highlight of skin shows.
+# Key and rim light are high and oblique, so that skin shows its specular highlights.
 LIGHTS: Mapping[str, Light] = {
     "key": Light(azimuth=-50.0, elevation=42.0, irradiance=(3.6, 3.4, 3.1)),
     "rim": Light(azimuth=100.0, elevation=33.0, irradiance=(2.4, 2.5, 2.7)),
@@ -227,8 +228,8 @@ LIGHTS: Mapping[str, Light] = {
 
 
 def disc_of(light: Light, mesh: Mesh) -> tuple[float, float] | None:
-    """Return the s and k of ``slope_variance.glsl`` of the widest disc as which any place of a mesh
-    sees a light; None where it has no size; errors as of drawing it."""
+    """Return s and k of ``slope_variance.glsl`` for a light's largest angular radius on a mesh.
+    Return None for a light without area. Raises the same errors as drawing the light."""
     if light.kind.sine is None:
         return None
     nearest = np.zeros(3)
@@ -241,14 +242,13 @@ def disc_of(light: Light, mesh: Mesh) -> tuple[float, float] | None:
 
 @dataclass(frozen=True, eq=False)
 class LightSpace:
-    """Where a light sees the renderer's space, in which the mesh lies within the unit sphere.
+    """Projection of the renderer's space for a light's shadow map. The mesh is in the unit sphere.
 
     Attributes
     ----------
-    matrix : (4, 4) float64, for row vectors; the first three are to be divided by the fourth
-    tan_radius : tangent of the angle between the centre and the rim of the light, seen from the
-        centre of the mesh
-    top : the largest z of the unit sphere
+    matrix : (4, 4) float64, for row vectors, with a perspective division
+    tan_radius : tangent of the light's angular radius, seen from the mesh's centre
+    top : largest projected z of the unit sphere
     """
 
     matrix: Float
@@ -257,12 +257,11 @@ class LightSpace:
 
 
 def light_space(light: Light, mesh: Mesh) -> LightSpace:
-    """Return the space of a light.
+    """Return the shadow projection of a light.
 
     Raises
     ------
-    InputError : a point light stands within the mesh's bounding sphere, or nearly so, or 1e6 radii
-        away
+    InputError : a point light is nearer than NEAREST or farther than 1e6 mesh radii
     """
     tan_radius = math.tan(math.radians(light.radius))
     if light.position is None:
@@ -273,8 +272,8 @@ def light_space(light: Light, mesh: Mesh) -> LightSpace:
     distance = float(np.linalg.norm(place))
     if distance < NEAREST:
         raise InputError(
-            f"point light {light.position} casts no shadow from within the sphere around the mesh: "
-            f"it is {distance:.3g} radii from the centre, give {NEAREST:g} or more, or no shadow"
+            f"point light {light.position} is too near to cast a shadow: it is {distance:.3g} mesh "
+            f"radii from the mesh's centre; give {NEAREST:g} or more, or no shadow"
         )
     axes = light_axes(light, mesh)
     scale = distance * math.sqrt(1.0 - 1.0 / distance**2)
@@ -286,8 +285,8 @@ def light_space(light: Light, mesh: Mesh) -> LightSpace:
 
 
 def light_axes(light: Light, mesh: Mesh) -> Float:
-    """Return two vectors across the direction in which a light stands as seen from the centre of a
-    mesh, and that itself, as columns (3, 3)."""
+    """Return an orthonormal basis as columns (3, 3). The third is the direction to the light from
+    the centre of the mesh."""
     towards = light.direction if light.position is None else mesh.normalised(light.position)
     towards = towards / np.linalg.norm(towards)
     across = np.cross(np.eye(3)[int(np.abs(towards).argmin())], towards)
@@ -296,13 +295,13 @@ def light_axes(light: Light, mesh: Mesh) -> Float:
 
 
 def parse_light(text: str) -> Light:
-    """Read a light from ``NAME``, ``AZIMUTH,ELEVATION[,IRRADIANCE]`` or
-    ``point:X,Y,Z[,IRRADIANCE]``, the irradiance being E or R,G,B, and behind any of them
+    """Parse a light from ``NAME``, ``AZIMUTH,ELEVATION[,IRRADIANCE]`` or
+    ``point:X,Y,Z[,IRRADIANCE]``. IRRADIANCE is one number or R,G,B. Each form may end with
     ``,radius=DEGREES`` and ``,shadow``.
 
     Raises
     ------
-    InputError : neither a known name nor numbers of that form
+    InputError : an unknown name or another form
     """
     first, *behind = re.split(r",(?=radius=|shadow\b)", text)
     kind, _, rest = first.rpartition(":")
@@ -319,8 +318,8 @@ def parse_light(text: str) -> Light:
     except (KeyError, ValueError):
         raise InputError(
             f"unknown light {shown(text)}; give {', '.join(LIGHTS)}, or AZIMUTH,ELEVATION"
-            "[,IRRADIANCE], or point:X,Y,Z[,IRRADIANCE], and behind it ,radius=DEGREES where it has"
-            " a size and ,shadow where it casts one"
+            "[,IRRADIANCE], or point:X,Y,Z[,IRRADIANCE], then optionally ,radius=DEGREES for an "
+            "area light and ,shadow"
         ) from None
     if first in LIGHTS:
         return replace(LIGHTS[first], **own)

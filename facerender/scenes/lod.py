@@ -1,5 +1,4 @@
-"""Levels of detail: a mesh with fewer triangles, for images that cannot show them all; for which
-images the shading of a scene was planned."""
+"""Levels of detail: simplified meshes, and the images for which a scene's shading was planned."""
 
 from __future__ import annotations
 
@@ -22,34 +21,35 @@ from facerender.terms.ranges import IntegerRange, check_fields, ranged
 
 Float = NDArray[np.float64]
 
-# What errors count beside a distance of the mesh's extent: of normals; of places on a map, measured
-# on the surface in radii; of linear colours, of occlusion, and of places by second coordinates.
-# Chosen by images such as those of docs/measurements/levels.md.
+# Weights of attribute errors relative to position errors, which are in extents of the mesh. Texture
+# coordinates are measured on the surface, in radii of the mesh. _COLOR is for linear colours and
+# occlusion. The weights are chosen by comparison of images, as in docs/measurements/levels.md.
 _NORMAL, _PLACE, _COLOR = 1.0, 20.0, 1.0
 _WEIGHTS = [_NORMAL] * 3 + [_PLACE] * 2 + [_COLOR] * 4 + [_PLACE] * 2
 
-_SAME_SHAPE = 1.01  # width over height, of rounded sizes
+_SAME_SHAPE = 1.01  # tolerance of the aspect ratio, for rounded sizes
 
 _simplified: WeakKeyDictionary[Mesh, dict[int, Mesh]] = WeakKeyDictionary()
 
 
 def simplified(mesh: Mesh, triangles: int) -> Mesh:
-    """Return the mesh with at most so many triangles, where that can be.
+    """Return the mesh with at most the given number of triangles, if possible.
 
-    Edges collapse in the order of their quadric error (Garland and Heckbert 1997), which counts
-    normals, texture coordinates, colours and occlusion beside distances (Hoppe 1999). The vertices
-    that are left stay as they are. Open borders, seams of texture coordinates and normals, and
-    borders between parts collapse along themselves, both sides at once: no crack opens. Materials,
-    the number of parts, bounds, radius, profile, head and face stay, so that a camera sees both
-    meshes alike. Triangles are in the order of the vertex cache.
+    Edges collapse in the order of their quadric error (Garland and Heckbert 1997), which includes
+    normals, texture coordinates, colours and occlusion (Hoppe 1999). Remaining vertices do not
+    move. Borders of the mesh, seams and borders between parts collapse along themselves, on both
+    sides together, so that no cracks open. Materials, number of parts, bounds, radius, profile,
+    head and face do not change, so that cameras frame both meshes alike. Triangles are ordered for
+    the vertex cache.
 
-    The result is the same in every process, and the same object for the same arguments. Kapoulkine
-    (2016-2026), meshoptimizer: meshopt_simplifyWithAttributes.
+    The result is deterministic across processes; equal arguments give the same object.
+
+    Reference: Kapoulkine (2016-2026), meshoptimizer: meshopt_simplifyWithAttributes.
 
     Parameters
     ----------
     mesh : from :func:`facerender.load_mesh`
-    triangles : of all parts together, at least 1; the mesh itself where it has no more
+    triangles : limit for all parts together, at least 1; a smaller mesh is returned unchanged
 
     Raises
     ------
@@ -57,7 +57,7 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
 
     Warns
     -----
-    FacerenderWarning : seams and parts need more triangles
+    FacerenderWarning : the mesh still has more triangles, because of its seams or parts
     """
     check_type("mesh", mesh, Mesh, "a facerender.Mesh")
     TRIANGLES.check("triangles", triangles)
@@ -67,12 +67,12 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     if triangles not in known:
         known[triangles] = _simplify(mesh, triangles)
     if (left := sum(len(part.faces) for part in known[triangles].parts)) > triangles:
-        warn(f"{mesh.name} cannot be simplified to {triangles} triangles: it keeps {left}")
+        warn(f"{mesh.name} cannot be simplified to {triangles} triangles: {left} remain")
     return known[triangles]
 
 
 def _simplify(mesh: Mesh, triangles: int) -> Mesh:
-    """All parts at once, so that their common borders stay common and the worst goes last."""
+    """Simplify all parts together: common borders stay closed, and errors compare across parts."""
     try:
         meshoptimizer.library()
     except ImportError:
@@ -82,7 +82,7 @@ def _simplify(mesh: Mesh, triangles: int) -> Mesh:
     starts = np.cumsum([0, *(len(part.positions) for part in mesh.parts)])
     faces = [part.faces + start for part, start in zip(mesh.parts, starts, strict=False)]
     rows = np.concatenate([_vertices(mesh, number) for number in range(len(mesh.parts))])
-    # Some files share no vertex.
+    # In some files, triangles do not share vertices.
     rows, first, numbers = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     corners = numbers.reshape(-1)[np.concatenate(faces)]
     columns = rows.astype(np.float32)
@@ -109,9 +109,12 @@ def _simplify(mesh: Mesh, triangles: int) -> Mesh:
 
 
 def _vertices(mesh: Mesh, index: int) -> Float:
-    """Return number of the part, position, normal, scaled place on the maps, colour: (N, 12),
-    occlusion where a part of the mesh has it or what follows: (N, 13), and where a part has it the
-    scaled second place on the maps: (N, 15)."""
+    """Return the vertex attributes of a part as rows.
+
+    Columns: part number, position, normal, scaled texture coordinates, colour (12). If any part has
+    occlusion or second texture coordinates, also occlusion (13). If any part has second texture
+    coordinates, also these, scaled (15).
+    """
     part = mesh.parts[index]
     count = len(part.positions)
     columns = [
@@ -130,7 +133,7 @@ def _vertices(mesh: Mesh, index: int) -> Float:
 
 
 def _on_surface(mesh: Mesh, part: Part, uv: Float | None) -> Float:
-    """Return places on a part's maps, (N, 2), as lengths on its surface in radii of the mesh."""
+    """Return texture coordinates (N, 2), scaled to lengths on the surface in radii of the mesh."""
     if uv is None:
         return np.zeros((len(part.positions), 2))
     flat = np.concatenate([uv, np.zeros((len(uv), 1))], axis=1)
@@ -141,19 +144,19 @@ def _on_surface(mesh: Mesh, part: Part, uv: Float | None) -> Float:
 
 
 def _double_areas(corners: Float) -> Float:
-    """Return twice the areas of triangles, (F, 3, 3) to (F,)."""
+    """Return the doubled areas (F,) of triangles (F, 3, 3)."""
     sides = corners[:, 1:] - corners[:, :1]
     return np.asarray(np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1))
 
 
 @dataclass(frozen=True)
 class LevelOfDetail:
-    """How finely a frame is drawn.
+    """Samples and triangles of a rendered frame.
 
     Attributes
     ----------
-    samples : per pixel
-    triangles : of the mesh, at most; None for all
+    samples : samples per pixel
+    triangles : limit for the mesh; None for all triangles
     cull_back_faces, shading_rate : see :meth:`facerender.Renderer.render`
     """
 
@@ -164,11 +167,11 @@ class LevelOfDetail:
 
     @property
     def values(self) -> dict[str, Any]:
-        """The parameters of :meth:`facerender.Renderer.render` but for the triangles."""
+        """Keyword arguments for :meth:`facerender.Renderer.render`: all fields but triangles."""
         return {name: value for name, value in vars(self).items() if name != "triangles"}
 
     def of(self, scene: Scene) -> Scene:
-        """Return a scene whose mesh has no more triangles; errors as of :func:`simplified`."""
+        """Return a scene with the simplified mesh; raises the errors of :func:`simplified`."""
         if self.triangles is None:
             return scene
         return replace(scene, mesh=simplified(scene.mesh, self.triangles))
@@ -176,19 +179,19 @@ class LevelOfDetail:
 
 @dataclass(frozen=True)
 class Planned:
-    """The images at which the error of a shading was measured.
+    """The images for which a plan measured its error, and the settings that it chose for them.
 
     Parameters
     ----------
-    sizes : width and height of each, in pixels
-    samples : of each pixel
-    drawn_samples, triangles : with how many samples and at most how many triangles the frame is
-        drawn that stands for such an image; None for all
-    cull_back_faces, shading_rate : how it is drawn, see :meth:`facerender.Renderer.render`
+    sizes : width and height of each image in pixels
+    samples : samples per pixel of the images
+    drawn_samples : samples per pixel that the plan draws instead; None for the same number
+    triangles : largest number of triangles that the plan draws; None for all
+    cull_back_faces, shading_rate : see :meth:`facerender.Renderer.render`
 
     Raises
     ------
-    InputError : no such sizes or samples
+    InputError : invalid sizes or samples
     """
 
     sizes: tuple[tuple[int, int], ...]
@@ -208,16 +211,19 @@ class Planned:
             raise InputError(
                 f"planned sizes = {shown(self.sizes)}, samples = {shown(self.samples)}: give "
                 f"widths and heights up to {MAX_SIDE}, such as [[512, 512], [1024, 1024]], and a "
-                "number"
+                "number of samples"
             )
         check_fields(self, "planned ")
         check_shading_rate("planned shading_rate", self.shading_rate)
         object.__setattr__(self, "sizes", sizes)
 
     def holds(self, size: tuple[int, int], samples: int) -> bool:
-        """Tell whether an image is of the planned samples, and neither smaller nor larger nor of
-        another shape than the planned ones. One sample is, with all triangles and
-        their back faces: it is the pixel's centre, where every plan is measured."""
+        """Return whether the plan covers an image.
+
+        Samples must be the planned number; size and aspect ratio must be in the planned ranges.
+        One sample is also covered if the plan draws all triangles and back faces: it is at the
+        pixel's centre, where every plan is measured.
+        """
         centres = self.triangles is None and not self.cull_back_faces
         widths, heights = zip(*self.sizes, strict=True)
         shapes = [width / height for width, height in self.sizes]
@@ -230,7 +236,7 @@ class Planned:
 
     @property
     def detail(self) -> LevelOfDetail:
-        """How finely the frame is drawn that stands for a planned one."""
+        """Samples and triangles that the plan draws for an image."""
         samples = self.drawn_samples or self.samples
         return LevelOfDetail(samples, self.triangles, self.cull_back_faces, self.shading_rate)
 

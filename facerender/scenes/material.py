@@ -1,4 +1,4 @@
-"""Reflectance of a part of a mesh: factors, and the maps that they multiply."""
+"""Materials: reflectance factors of a part, and the maps that they multiply."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from facerender.terms.ranges import FRACTION, Range, check_fields, ranged
 if TYPE_CHECKING:
     from facerender.terms.scattering import Gaussians
 
-SKIN_ALBEDO: Vector = (0.48, 0.28, 0.21)  # linear; where a mesh brings no colour of its own
+SKIN_ALBEDO: Vector = (0.48, 0.28, 0.21)  # linear; default of meshes without colours
 
 
 Alpha = Literal["opaque", "mask", "blend"]
 
-PROPERTY_MAPS = ("occlusion_map", "roughness_map", "specular_map")  # in red, green and blue of one
+# Maps that can be packed in red, green and blue of one texture.
+PROPERTY_MAPS = ("occlusion_map", "roughness_map", "specular_map")
 MAPS = (
     *("albedo_map", "normal_map", "roughness_map", "specular_map", "occlusion_map"),
     *("lobe_map", "opacity_map", "emissive_map"),
@@ -38,31 +39,31 @@ class Material:
     Parameters
     ----------
     albedo : linear RGB
-    m : rms slope of the microfacets, in [1e-4, 2], where there is no roughness map
-    roughness_factor : in [0, 1], of the roughness map: m is (factor times texel)^2, as in glTF
+    m : roughness, the RMS slope of the microfacets, in [1e-4, 2]; unused with a roughness map
+    roughness_factor : factor on the roughness map, in [0, 1]; m = (factor * texel)^2, as in glTF
     f0 : Fresnel reflectance at normal incidence, in [0, 1)
-    ks, kd : specular and diffuse weights, >= 0. 1 is a bare dielectric; 0.18, from GPU Gems 3
-        chapter 14, suits powdered skin
-    second_slope, lobe_weight : of a second lobe, the factor on m, in [0.01, 100], and the fraction
-        of the first lobe, in [0, 1]; with 1 for either there is one lobe
-    albedo_map, normal_map, roughness_map, specular_map, occlusion_map : textures or None; only the
-        albedo is sRGB-encoded; green of the normal map points up; occlusion dims ambient light
-    lobe_map : texture or None; its red multiplies the fraction of the second lobe, 1 - lobe_weight:
-        white where sweat or oil is, black where there is none
-    scattering : how light enters and leaves beside: "skin", or Gaussians, each as its variance in
-        mm^2 and its weights of red, green and blue, which add up to 1 at most; what they lack to 1
-        leaves where it enters. None or "none" for a surface that does not scatter
-    alpha : what the opacity does: nothing ("opaque"); cut away what is below ``alpha_cutoff``
-        ("mask"); show what lies behind ("blend"): such a part is drawn after all others, casts no
-        shadow, and does not scatter
+    ks, kd : specular and diffuse weights, >= 0. A bare dielectric has ks = 1; 0.18, from GPU Gems
+        3 chapter 14, suits powdered skin.
+    second_slope : factor on m for a second specular lobe, in [0.01, 100]; 1 for no second lobe
+    lobe_weight : fraction of the first lobe, in [0, 1]; 1 for no second lobe
+    albedo_map, normal_map, roughness_map, specular_map, occlusion_map : textures or None. Only the
+        albedo map is sRGB-encoded. Green of the normal map points up. Occlusion dims ambient light.
+    lobe_map : texture or None. Its red channel multiplies the fraction of the second lobe,
+        1 - lobe_weight: white for sweat or oil, black for dry skin.
+    scattering : subsurface scattering: "skin", Gaussians, or None or "none" for no scattering. A
+        Gaussian has a variance in mm^2 and weights of red, green and blue. For each colour the sum
+        of weights is at most 1; the remaining light leaves where it enters.
+    alpha : use of the opacity: "opaque" ignores it; "mask" discards fragments below
+        ``alpha_cutoff``; "blend" makes the part transparent. A transparent part is drawn after all
+        others, casts no shadow and does not scatter.
     opacity : in [0, 1]
-    alpha_cutoff : >= 0; above the opacity nothing is left
-    opacity_map : grey texture or None, which multiplies the opacity
-    emissive : linear radiance, >= 0, that the part gives off itself; it lights nothing else
-    emissive_map : texture or None, sRGB-encoded, which multiplies it
+    alpha_cutoff : >= 0; a cutoff above the opacity discards the whole part
+    opacity_map : grey texture or None; multiplies the opacity
+    emissive : emitted linear radiance, >= 0; it does not light other surfaces
+    emissive_map : sRGB-encoded texture or None; multiplies emissive
     normal_strength : factor on x and y of the normal map's texels, in [0, 100]
-    occlusion_strength : fraction of the occlusion map, in [0, 1]: 1 + strength (texel - 1) counts
-    second_uv : names of the maps that lie by the part's second texture coordinates
+    occlusion_strength : s in [0, 1]; the occlusion is 1 + s (texel - 1)
+    second_uv : names of the maps that use the part's second texture coordinates
     """
 
     albedo: Vector = ranged(COLORS, SKIN_ALBEDO)
@@ -116,7 +117,7 @@ class Material:
             object.__setattr__(self, "scattering", own)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Pickles no more than the parameters."""
+        """Pickle only the parameters, not the cached properties."""
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @property
@@ -125,7 +126,7 @@ class Material:
         return self.second_slope != 1.0 and self.lobe_weight < 1.0
 
     def with_second(self, low: float, high: float) -> tuple[float, float]:
-        """Return the smallest and largest slope of the lobes, of those of the first."""
+        """Return the range of m over both lobes, from the range [low, high] of the first lobe."""
         if not self.two_lobes:
             return low, high
         second = (max(end * self.second_slope, MIN_SLOPE) for end in (low, high))
@@ -134,8 +135,7 @@ class Material:
 
     @cached_property
     def slopes(self) -> tuple[float, float]:
-        """The smallest and largest m of all lobes, of the roughness map if there is one, which is
-        then decoded."""
+        """Smallest and largest m over all lobes. Decodes the roughness map if there is one."""
         if self.roughness_map is None:
             return self.with_second(self.m, self.m)
         packed = self.property_map
@@ -146,30 +146,29 @@ class Material:
 
     @cached_property
     def property_map(self) -> Texture | None:
-        """Occlusion, roughness and specular weight as one texture, so that one fetch serves; None
-        where there are none, and where they stay apart: they are sampled in several ways, or by
-        several texture coordinates."""
+        """Occlusion, roughness and specular map packed in one texture, to save texture fetches.
+        None without such maps, or if their wrapping, filtering or texture coordinates differ."""
         return pack(*self.properties) if self.packs else None
 
     @property
     def properties(self) -> tuple[Texture | None, Texture | None, Texture | None]:
-        """What one texture may hold: see PROPERTY_MAPS."""
+        """The maps named in PROPERTY_MAPS."""
         return self.occlusion_map, self.roughness_map, self.specular_map
 
     @property
     def packs(self) -> bool:
-        """Whether there is a property map."""
+        """Whether the maps in PROPERTY_MAPS are packed in one texture."""
         pairs = zip(PROPERTY_MAPS, self.properties, strict=True)
         return len({(name in self.second_uv, m.sampling) for name, m in pairs if m}) == 1
 
     def by_second(self, name: str) -> bool:
-        """Tell whether a map, or "property_map", lies by the part's second texture coordinates."""
+        """Return whether a map, or "property_map", uses the second texture coordinates."""
         names = PROPERTY_MAPS if name == "property_map" else (name,)
         return any(each in self.second_uv and getattr(self, each) is not None for each in names)
 
     @cached_property
     def solid(self) -> bool:
-        """Whether the opacity, whose map is then decoded, changes nothing of what is drawn."""
+        """Whether the opacity has no visible effect. Decodes the opacity map if necessary."""
         if self.alpha == "opaque":
             return True
         least = 1.0
@@ -179,13 +178,13 @@ class Material:
 
 
 def check_maps(name: str, materials: Sequence[Material]) -> None:
-    """Raise InputError where the maps of a mesh have more than MOST_TEXELS together."""
+    """Raise InputError if the maps of a mesh have more than MOST_TEXELS in total."""
     maps: set[Texture | None] = set()
     for each in materials:
         names = set(MAPS) - set(PROPERTY_MAPS) | {"property_map"} if each.packs else MAPS
         maps.update(getattr(each, name) for name in names)
     if (total := sum(math.prod(texture.size) for texture in maps if texture)) > MOST_TEXELS:
         raise InputError(
-            f"the maps of {name} have {total / 1e6:.0f} million texels together, of "
-            f"{MOST_TEXELS / 1e6:.0f} at most: make them smaller"
+            f"the maps of {name} have {total / 1e6:.0f} million texels, more than "
+            f"{MOST_TEXELS / 1e6:.0f} million: make them smaller"
         )

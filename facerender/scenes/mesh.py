@@ -1,4 +1,4 @@
-"""Meshes: triangles with their materials. Files are read in ``loading``."""
+"""Meshes: triangles with their materials. The package ``loading`` reads the files."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from facerender.scenes.repair import Piece, clean, used
 from facerender.scenes.vectors import check_array
 from facerender.terms.ranges import IntegerRange, Range, check_fields, ranged
 
-TRIANGLES = IntegerRange(1, math.inf)  # of a simplified mesh
+TRIANGLES = IntegerRange(1, math.inf)  # limit for the triangles of a simplified mesh
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Triangles of one material, in the mesh's space.
+    """Triangles of one material, in mesh space.
 
     Attributes
     ----------
@@ -33,11 +33,11 @@ class Part:
     faces : (F, 3) uint32, counter-clockwise seen from outside
     uv : (N, 2) float64 with v upwards, or None
     colors : (N, 3) linear RGB, or None
-    occlusion : (N,) in [0, 1], what reaches a vertex of a light that is the same from everywhere,
-        or None; see :func:`facerender.with_occlusion`
-    uv2 : (N, 2) float64, further texture coordinates beside uv, for the maps that
-        :attr:`Material.second_uv` names; or None
-    name : what files call it, or ""; see docs/formats.md
+    occlusion : (N,) in [0, 1], fraction of uniform ambient light that reaches a vertex, or None;
+        see :func:`facerender.with_occlusion`
+    uv2 : (N, 2) float64, second texture coordinates for the maps in :attr:`Material.second_uv`, or
+        None
+    name : name from the file, or ""; see docs/formats.md
     """
 
     positions: NDArray[np.float64]
@@ -69,12 +69,12 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Something of a mesh that a camera frames: an upright cylinder.
+    """An upright cylinder around a part of a mesh that a camera frames, in the renderer's space.
 
     Attributes
     ----------
-    center : (3,) float64, in the renderer's space
-    radius, height : half of its width and half of its height, there
+    center : (3,) float64
+    radius, height : half of the width and half of the height
     """
 
     center: NDArray[np.float64]
@@ -83,27 +83,26 @@ class Region:
 
     @property
     def profile(self) -> NDArray[np.float64]:
-        """As that of :class:`Mesh`, about the region's own axis."""
+        """Outline of the cylinder; see the profile of :class:`Mesh`."""
         return np.array([(self.radius, self.height), (self.radius, -self.height)])
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """What a mesh file holds.
+    """Parts with their materials, as read from a mesh file.
 
     Attributes
     ----------
-    name : the file's name, for messages
+    name : file name, for messages
     parts : at least one
     materials : one for each part
-    bounds : (2, 3) float64, the lowest and the highest corner of what the faces use
-    radius : the largest distance of a vertex from the centre of the bounds
-    profile : (K, 2) float64, the outline that the mesh has when it turns about the vertical axis
-        through its centre: distance from the axis and height, in the renderer's space
-    millimetres : that a unit of its space is, as a glTF file says; None where no file has said so.
-        Scattering needs it
-    regions : head and face of the mesh that this one is simplified of; None where they are found in
-        its own parts, see :func:`facerender.scenes.framing.find_regions`
+    bounds : (2, 3) float64, lowest and highest corner of the vertices that faces use
+    radius : largest distance of such a vertex from the centre of the bounds
+    profile : (K, 2) float64, outline of the mesh rotated about the vertical axis through its
+        centre: distance from the axis and height, in the renderer's space
+    millimetres : millimetres per unit of mesh space; None if unknown. Scattering needs it
+    regions : for a simplified mesh, head and face of the original; None to find them in this mesh,
+        see :func:`facerender.scenes.framing.find_regions`
     """
 
     name: str
@@ -121,8 +120,8 @@ class Mesh:
         materials = each_of("materials", self.materials, Material, "several facerender.Material")
         if not 0 < len(parts) == len(materials):
             raise InputError(
-                f"{self.name} has {len(parts)} parts and {len(materials)} materials: give one for "
-                "each, and one part at least"
+                f"{self.name} has {len(parts)} parts and {len(materials)} materials: give at least "
+                "one part, and one material for each"
             )
         object.__setattr__(self, "parts", parts)
         object.__setattr__(self, "materials", materials)
@@ -151,8 +150,7 @@ class Mesh:
         materials: Sequence[Material],
         millimetres: float | None = None,
     ) -> Mesh:
-        """Return a mesh of parts whose faces name vertices that are there; what of bounds, radius
-        and profile follows of them is computed."""
+        """Return a mesh of parts with valid face indices. Computes bounds, radius and profile."""
         drawn = np.concatenate([each.positions[used(each.positions, each.faces)] for each in parts])
         bounds = np.array([drawn.min(axis=0), drawn.max(axis=0)])
         offsets = drawn - bounds.mean(axis=0)
@@ -163,8 +161,8 @@ class Mesh:
 
     @classmethod
     def assembled(cls, pieces: Sequence[Piece], name: str, millimetres: float | None) -> Mesh:
-        """Return a mesh of pieces that are clean: :func:`facerender.scenes.repair.clean`. A piece
-        without a name is called by its number, where there are several."""
+        """Return a mesh of pieces that :func:`facerender.scenes.repair.clean` has repaired. If
+        there are several pieces, unnamed ones are called by their number, such as ``part3``."""
         several = len(pieces) > 1
         names = (each.name or f"part{i}" * several for i, each in enumerate(pieces, 1))
         parts = [
@@ -194,45 +192,47 @@ class Mesh:
         name: str = "arrays",
         millimetres: float | None = None,
     ) -> Mesh:
-        """Return a mesh of one part, of copies of arrays or of nested lists, repaired as one of a
-        file is: what cannot be drawn is dropped and faces are turned outwards, with a warning.
+        """Return a mesh of one part from copies of arrays or nested lists.
+
+        Repairs the mesh like one from a file, with warnings: drops faces that cannot be drawn, and
+        turns faces outwards.
 
         Parameters
         ----------
         positions : (N, 3), y up
-        faces : (F, 3) whole numbers from 0 on, counter-clockwise seen from outside
-        uv : (N, 2), v upwards; a vertex at a seam is there once for each side of it
-        normals : (N, 3), of any length; None to compute smooth ones
-        colors : (N, 3) or (N, 4), of which alpha is dropped: floats, linear in [0, 1]; or uint8 or
-            uint16, sRGB-encoded
-        material : None for skin, or for the colours
-        name : of the mesh and of its part
-        millimetres : that a unit is, which scattering needs
+        faces : (F, 3) vertex indices from 0, counter-clockwise seen from outside
+        uv : (N, 2), v upwards; repeat the vertices of a seam for each side of it
+        normals : (N, 3), of any length; None to compute smooth normals
+        colors : (N, 3) or (N, 4): linear floats in [0, 1], or sRGB-encoded uint8 or uint16; alpha
+            is dropped
+        material : None for skin, or for white if colors are given
+        name : name of the mesh and of its part
+        millimetres : millimetres per unit; scattering needs it
 
         Raises
         ------
-        InputError : another shape, values that are no numbers, a face of a vertex that is not
-            there, maps without texture coordinates
+        InputError : invalid shape, values that are not finite numbers, a face index out of range,
+            maps without texture coordinates
         """
         check_type("name of a mesh", name, str, "text")
         piece = _piece_of(positions, faces, uv, normals, colors, material)
         piece.name = name
-        with np.errstate(all="ignore"):  # what overflows is found and dropped
+        with np.errstate(all="ignore"):  # clean() drops faces that overflow
             return cls.assembled(clean([piece], name), name, millimetres)
 
     def select(self, parts: str | Iterable[str] = (), hide: str | Iterable[str] = ()) -> Mesh:
-        """Return a mesh of some parts: those of these names, or all, without the hidden ones.
+        """Return a mesh of the named parts, or of all parts, without the hidden ones.
 
-        Bounds, and with them what a camera frames, are those of what is left.
+        Bounds and camera framing refer to the remaining parts.
 
         Parameters
         ----------
-        parts, hide : names, in which ``*``, ``?`` and ``[...]`` are wildcards as in names of files;
-            several, or a text with commas between them
+        parts, hide : part names, as several texts or one text with commas; ``*``, ``?`` and
+            ``[...]`` are wildcards as in file names
 
         Raises
         ------
-        InputError : a name that no part has, or no part is left
+        InputError : no part matches a name, or no part remains
         """
         wanted, hidden = names_of("parts", parts), names_of("hide", hide)
         chosen = {i for name in wanted for i in self._called(name)} or {*range(len(self.parts))}
@@ -243,13 +243,13 @@ class Mesh:
             return self
         return Mesh.of(
             self.name,
-            [replace(self.parts[i]) for i in left],  # renderers keep a part as its mesh places it
+            [replace(self.parts[i]) for i in left],  # new objects: renderers cache parts per mesh
             [self.materials[i] for i in left],
             self.millimetres,
         )
 
     def _called(self, name: str) -> list[int]:
-        """Return the numbers of the parts of a name."""
+        """Return the indices of the parts that match a name."""
         pairs = enumerate(part.name for part in self.parts)
         if not (found := [i for i, own in pairs if own == name or fnmatchcase(own, name)]):
             raise InputError(f"no part of {self.name} is called {shown(name)}: {self._known()}")
@@ -262,28 +262,26 @@ class Mesh:
 
     @property
     def center(self) -> NDArray[np.float64]:
-        """(3,) float64: the middle of the bounds."""
+        """Centre of the bounds, (3,) float64."""
         return np.asarray(self.bounds.mean(axis=0))
 
     def normalised(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Map points, (..., 3), to the renderer's space: centre at the origin, radius 1.
-
-        In float64, so that millimetres, micrometres and large offsets survive the step to float32.
-        """
+        """Map points (..., 3) from mesh space to the renderer's space: centre at 0, radius 1.
+        Computes in float64: in float32, large offsets and small units would lose precision."""
         return np.asarray((np.asarray(points, dtype=np.float64) - self.center) / self.radius)
 
     def to_mesh_space(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Map points, (..., 3), of the renderer's space back to the mesh's."""
+        """Map points (..., 3) from the renderer's space back to mesh space."""
         return np.asarray(np.asarray(points, dtype=np.float64) * self.radius + self.center)
 
     def with_material(self, **changes: Any) -> Mesh:
-        """Return the mesh with fields of every material replaced; geometry and maps are shared.
+        """Return the mesh with fields of every material replaced. Geometry and maps are shared.
 
-        A new ``m`` takes the place of a roughness map.
+        A new ``m`` also removes the roughness maps.
 
         Raises
         ------
-        InputError : a value outside its domain
+        InputError : a value outside its range
         """
         if "m" in changes:
             changes = {"roughness_map": None, **changes}
@@ -291,40 +289,39 @@ class Mesh:
 
 
 def coordinates(part: Part, material: Material, name: str) -> NDArray[np.float64] | None:
-    """Return the texture coordinates that a map of a part lies by; None where the part has none,
-    and the map does not count."""
+    """Return the texture coordinates of a part's map; None if the part lacks them. A map without
+    texture coordinates is ignored."""
     return part.uv2 if material.by_second(name) else part.uv
 
 
 def drawn_alpha(part: Part, material: Material) -> Alpha:
-    """Return what the opacity of a part does as it is drawn, which is nothing where it is 1
-    everywhere; its map is then decoded."""
+    """Return the alpha mode with which a part is drawn: "opaque" if its opacity has no effect.
+    Decodes the opacity map if necessary."""
     if material.opacity_map is not None and coordinates(part, material, "opacity_map") is None:
         material = replace(material, opacity_map=None)
     return "opaque" if material.solid else material.alpha
 
 
 def base_slope(part: Part, material: Material) -> float:
-    """Return the m of a part's first lobe, or the factor on its squared roughness map where that
-    counts."""
+    """Return m of a part's first lobe, or the factor on the squared texels of its roughness map."""
     mapped = material.roughness_map and coordinates(part, material, "roughness_map") is not None
     return material.roughness_factor**2 if mapped else material.m
 
 
 def slope_range(part: Part, material: Material) -> tuple[float, float]:
-    """Return the smallest and the largest m of all lobes; without texture coordinates no map
-    counts."""
+    """Return the smallest and largest m of a part over all lobes. A roughness map without texture
+    coordinates is ignored."""
     if coordinates(part, material, "roughness_map") is None:
         return material.with_second(material.m, material.m)
     return material.slopes
 
 
 def names_of(option: str, names: Any) -> tuple[str, ...]:
-    """Return names of parts, of a text with commas between them or of several.
+    """Return part names from one text with commas or from several texts.
 
     Raises
     ------
-    InputError : something else than text
+    InputError : a value that is not text
     """
     names = names.split(",") if isinstance(names, str) else names
     found = each_of(option, names, str, "names of parts")
@@ -332,7 +329,7 @@ def names_of(option: str, names: Any) -> tuple[str, ...]:
 
 
 def _unique(names: Iterable[str]) -> Iterator[str]:
-    """Yield names on one line, a number behind those that were there before."""
+    """Yield names on one line each. Repeated names get a number: the second eye is ``eye.2``."""
     used = {""}
     for full in names:
         plain = name = clipped(full, 80)
@@ -345,8 +342,8 @@ def _unique(names: Iterable[str]) -> Iterator[str]:
 
 
 def _within(part: Part, bounds: NDArray[np.float64]) -> Part:
-    """Return a part whose vertices beyond the bounds, which are of no face, are in their middle:
-    float32 need not hold them."""
+    """Return a part with its vertices outside the bounds moved to their centre. No face uses these
+    vertices, but in float32 they could overflow."""
     inside = ((part.positions >= bounds[0]) & (part.positions <= bounds[1])).all(axis=1)
     if inside.all():
         return part
@@ -355,7 +352,7 @@ def _within(part: Part, bounds: NDArray[np.float64]) -> Part:
 
 
 def _profile(positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The widest vertex in each of 512 slices of the height."""
+    """Return the widest vertex in each of 511 horizontal slices."""
     widths, heights = np.hypot(positions[:, 0], positions[:, 2]), positions[:, 1]
     slices = np.round(heights * 255.0).astype(np.int64)
     order = np.lexsort((widths, slices))
@@ -376,15 +373,15 @@ def _piece_of(
     corners = _rows("faces", faces, (3,), "; cut polygons into triangles")
     count = len(places)
     if (corners != np.floor(corners)).any():
-        raise InputError("faces are no whole numbers: give indices of vertices")
+        raise InputError("faces are not whole numbers: give vertex indices")
     if ((corners < 0) | (corners >= count)).any():
         bad = int(corners.min()) if (corners < 0).any() else int(corners.max())
-        raise InputError(f"a face names vertex {bad} of {count}: number them from 0 on")
+        raise InputError(f"a face uses vertex {bad} of {count}: give indices from 0 on")
     if material is None:
         material = Material(albedo=SKIN_ALBEDO if colors is None else (1.0, 1.0, 1.0))
     maps = [each for each in MAPS if getattr(material, each) is not None]
     if uv is None and maps:
-        raise InputError(f"the material has {maps[0]}, and the mesh no uv: give it as well")
+        raise InputError(f"the material has {maps[0]}, but the mesh has no uv: give uv")
     return Piece(
         places,
         corners.astype(np.int64),
@@ -398,7 +395,11 @@ def _piece_of(
 def _rows(
     name: str, array: ArrayLike, widths: tuple[int, ...], hint: str = "", count: int | None = None
 ) -> NDArray[np.float64]:
-    """Return a copy of rows of finite numbers, as many as there are vertices if that is known."""
+    """Return a float64 copy of an array after checking its shape and that all numbers are finite.
+
+    widths : allowed numbers of columns
+    count : required number of rows; None for any
+    """
     try:
         values = np.asarray(array)
     except (ValueError, TypeError, RuntimeError) as error:
@@ -406,7 +407,7 @@ def _rows(
     if values.dtype.kind not in "fiu" or values.ndim != 2 or values.shape[1] not in widths:
         wanted = " or ".join(map(str, widths))
         raise InputError(
-            f"{name} has the shape {values.shape} of {values.dtype}: give rows of {wanted} "
+            f"{name} has the shape {values.shape} and type {values.dtype}: give rows of {wanted} "
             f"numbers{hint}"
         )
     if not len(values) or count not in (None, len(values)):
@@ -429,7 +430,7 @@ def _linear_colors(colors: ArrayLike, count: int) -> NDArray[np.float64]:
         return srgb_to_linear(rows / np.iinfo(dtype).max)
     if rows.min() < 0.0 or rows.max() > 1.0:
         raise InputError(
-            f"colors reach from {rows.min():.4g} to {rows.max():.4g}: give linear ones in [0, 1], "
-            "or uint8 that are sRGB-encoded"
+            f"colors range from {rows.min():.4g} to {rows.max():.4g}: give linear values in [0, 1] "
+            "or sRGB-encoded uint8"
         )
     return rows

@@ -1,5 +1,5 @@
-"""Mip chains: texels of a map, halved again and again, as each kind of map is averaged. Strips of a
-large map give the same as its whole. No OpenGL here."""
+"""Mip chains of maps, with an averaging method for each kind of map. Large maps are reduced in
+strips, with the same result as the whole map. No OpenGL."""
 
 from __future__ import annotations
 
@@ -19,26 +19,28 @@ if TYPE_CHECKING:
 
 Kind = Literal["color", "linear-color", "normal", "data"]
 Levels = list[NDArray[Any]]
-Rows = Callable[[int, int], "Image"]  # of an image in mode RGB, from the lowest one on
+Rows = Callable[[int, int], "Image"]  # returns rows low to high; row 0 is at the bottom
 
 _STRIP = 32  # rows
 
 
 def chain(kind: Kind, image: Image) -> Levels:
-    """Return all levels of an image in mode RGB, row 0 at the bottom; see
-    :meth:`facerender.Texture.levels`."""
+    """Return all mip levels of an image in mode RGB with row 0 at the bottom. See
+    :meth:`facerender.Texture.levels` for the kinds."""
     return _CHAINS[kind](image)
 
 
 def coarse_base(
     kind: Literal["color", "normal", "data"], rows: Rows, size: tuple[int, int], drop: int
 ) -> NDArray[Any] | tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Return what :func:`coarse_chain` makes a chain of, in the memory of a strip and the result.
+    """Return the base level from which :func:`coarse_chain` computes a chain.
+
+    Needs memory for one strip and the result only.
 
     Parameters
     ----------
     size : width and height of the finest level
-    drop : how many levels to leave out, at least 1; the next has two texels a side at least
+    drop : number of finest levels to skip, at least 1; the base has at least 2 x 2 texels
     """
     if kind == "data":
         return coarse_data(rows, size, drop)
@@ -59,16 +61,16 @@ def coarse_base(
 
 
 def coarse_chain(base: NDArray[Any] | tuple[NDArray[np.uint8], NDArray[np.float32]]) -> Levels:
-    """Return what :func:`chain` gives without its finest levels, of their base; "data" may be off
-    by 1 of 255, as Pillow rounds."""
+    """Return the mip chain of a base from :func:`coarse_base`. It equals :func:`chain` without the
+    skipped levels. Values of "data" may differ by 1 of 255, because Pillow rounds."""
     if isinstance(base, tuple):
         return [base[0], *_normal_chain(base[1])]
     return _data_chain(base) if base.shape[2] == 3 else _color_chain(base)
 
 
 def coarse_data(rows: Rows, size: tuple[int, int], drop: int) -> NDArray[np.uint8]:
-    """Return the finest level of "data" that is left; (H, W) where rows are grey; parameters as of
-    :func:`coarse_base`."""
+    """Return the base level of "data", (H, W, 3), or (H, W) for grey rows. See :func:`coarse_base`
+    for the parameters."""
     width, height = (side >> drop for side in size)
     bands = len(rows(0, 1).getbands())
     finest = np.empty((height, width, bands)[: 2 + (bands > 1)], dtype=np.uint8)
@@ -78,8 +80,10 @@ def coarse_data(rows: Rows, size: tuple[int, int], drop: int) -> NDArray[np.uint
 
 
 def _coarse_strips(rows: Rows, height: int, drop: int) -> Iterator[tuple[int, Image]]:
-    """Yield strips of an image, and the first row of each in the level of this height, which is
-    even."""
+    """Yield strips of an image, each with the index of its first row in the base level.
+
+    height : height of the base level; the indices are even
+    """
     step = max(_STRIP >> drop, 2)
     for top in range(0, height, step):
         yield top, rows(top << drop, min(top + step, height) << drop)
@@ -105,7 +109,7 @@ def _halved(image: Image, times: int) -> Image:
 
 
 def _even(texels: NDArray[Any]) -> NDArray[Any]:
-    """Make both sides even: a side of 1 is doubled, the last texel of another odd one dropped."""
+    """Make both sides even: double a side of 1, drop the last row or column of other odd sides."""
     for axis in (0, 1):
         if texels.shape[axis] == 1:
             texels = np.repeat(texels, 2, axis)
@@ -114,7 +118,8 @@ def _even(texels: NDArray[Any]) -> NDArray[Any]:
 
 @lru_cache(maxsize=1)
 def _light_tables() -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
-    """sRGB byte to a quarter of linear light, and the sum of four quarters to sRGB byte."""
+    """Return tables from an sRGB byte to a quarter of its linear value, and from the sum of four
+    quarters to an sRGB byte."""
     quarter = 16383
     decode = np.round(srgb_to_linear(np.arange(256) / 255.0) * quarter).astype(np.uint16)
     encode = np.round(linear_to_srgb(np.arange(65536) / (4 * quarter)) * 255.0).astype(np.uint8)
@@ -126,7 +131,7 @@ def _halve_srgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     height, width, channels = texels.shape
     halved = np.empty((height // 2, width // 2, channels), dtype=np.uint8)
     for top, strip in _strips(texels):
-        # Four channels of 16 bits side by side are added as one number, without a carry.
+        # Adds four 16-bit channels as one uint64. The sums fit in 16 bits, so nothing carries over.
         light = decode[strip].view(np.uint64)[..., 0]
         rows = light[0::2] + light[1::2]
         blocks = rows[:, 0::2] + rows[:, 1::2]
@@ -172,12 +177,12 @@ def _linear_color_levels(image: Image) -> Levels:
 
 
 def _strips(rows: NDArray[Any]) -> list[tuple[int, NDArray[Any]]]:
-    """Return some rows at a time, which stay in the cache, and the number of the first."""
+    """Return strips of rows that fit in the CPU cache, each with its first row's index."""
     return [(top, rows[top : top + _STRIP]) for top in range(0, len(rows), _STRIP)]
 
 
 def _halve_planes(planes: NDArray[Any]) -> NDArray[np.float32]:
-    """Return means of blocks of 2 x 2, of (C, H, W) with even sides."""
+    """Return the means of 2 x 2 blocks of planes (C, H, W) with even sides."""
     rows = planes[:, 0::2] + planes[:, 1::2]
     blocks = rows[..., 0::2] + rows[..., 1::2]
     blocks *= np.float32(0.25)
@@ -185,27 +190,27 @@ def _halve_planes(planes: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def _unit_planes(texels: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return normals (3, H, W) of unit length."""
+    """Return texels of a normal map as unit vectors (3, H, W)."""
     planes = np.moveaxis(texels, -1, 0).astype(np.float32, order="C")
-    planes -= np.float32(127.5)  # no byte stands for 0, nor three for a zero vector
+    planes -= np.float32(127.5)  # no byte becomes 0, so no vector has length 0
     planes *= 1.0 / np.sqrt(planes[0] ** 2 + planes[1] ** 2 + planes[2] ** 2)
     return planes
 
 
 def _with_deviation(means: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return the texels of a level: directions of mean vectors (3, H, W), and their deviation."""
+    """Return the texels of a level: directions of mean vectors (3, H, W), and slope deviation."""
     length = np.sqrt(means[0] ** 2 + means[1] ** 2 + means[2] ** 2).clip(1e-6, 1.0)
     texels = np.empty((*length.shape, 4), dtype=np.uint8)
     scale = np.float32(127.5) / length
     for channel, plane in enumerate(means):
-        texels[..., channel] = plane * scale + np.float32(128.0)  # is cut off
+        texels[..., channel] = plane * scale + np.float32(128.0)  # truncated to uint8
     deviation = np.sqrt((1.0 - length) / length)
     texels[..., 3] = np.minimum(deviation * np.float32(255.0 / MAP_DEVIATION), 255.0) + 0.5
     return texels
 
 
 def _halved_normals(image: Image, times: int) -> NDArray[np.float32]:
-    """Return mean vectors (3, H, W)."""
+    """Return the mean normal vectors (3, H, W) after a number of halvings."""
     means = _halve_planes(_unit_planes(_even(texels(image, "RGB"))))
     for _ in range(times - 1):
         means = _halve_planes(_even_planes(means))

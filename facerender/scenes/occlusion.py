@@ -1,5 +1,5 @@
-"""Ambient occlusion at vertices, by rays, for meshes whose file brings no map of it. The rays are
-those of Embree, which embreex runs."""
+"""Ambient occlusion at vertices, for meshes without occlusion maps. Embree traces the rays, through
+the package embreex."""
 
 from __future__ import annotations
 
@@ -17,25 +17,28 @@ from facerender.system.files import digest_of
 Floats = NDArray[np.float32]
 Numbers = NDArray[np.int64]
 
-DIRECTIONS = 512  # half of them above the plane of each vertex
-_OFFSET = 1e-4  # of rays from the surface, in radii of the mesh; float32 knows places to 1e-7
+DIRECTIONS = 512  # over the whole sphere; half of them are above the plane of a vertex
+# Distance of ray origins from the surface, in radii of the mesh; float32 resolves 1e-7.
+_OFFSET = 1e-4
 _AT_ONCE = 1 << 16  # rays
 
 
 def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
-    """Return the mesh with what reaches each vertex of a light that is the same from everywhere,
-    where no occlusion map tells it; ambient and environment light are dimmed by that.
+    """Return the mesh with baked ambient occlusion at vertices, for parts without an occlusion map.
 
-    Of every vertex, rays to the same 512 directions over the whole sphere, of which those above the
-    plane of its normal count, weighted by their cosine: as good as 256 rays spread by the cosine
-    about each normal, the same in every process, and without noise between neighbours. Vertices
-    with a place and a normal in common, as at a seam of texture coordinates, have one value. All
-    opaque parts stand in the way, of both sides; others are neither in the way nor dimmed.
+    The occlusion is the fraction of uniform ambient light that reaches a vertex. It dims ambient
+    light and environment maps.
+
+    All vertices use the same 512 ray directions over the whole sphere. Rays above the plane of the
+    vertex normal count, weighted by their cosine. The result is as accurate as with 256
+    cosine-distributed rays, but deterministic and without noise between neighbours. Vertices with
+    equal position and normal, for example at seams of texture coordinates, share one value. Opaque
+    parts block rays from both sides. Other parts do not block rays and get no occlusion.
 
     Parameters
     ----------
     mesh : from :func:`facerender.load_mesh`; :func:`facerender.simplified` keeps the values
-    cache : take the values from ``~/.cache/facerender``, or put them there
+    cache : whether to read and write the values in ``~/.cache/facerender``
 
     Raises
     ------
@@ -43,8 +46,8 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
 
     Warns
     -----
-    FacerenderWarning : every part has an occlusion map, or is not opaque: the mesh is returned as
-        it is
+    FacerenderWarning : every part has an occlusion map or is not opaque; the mesh is returned
+        unchanged
     """
     check_type("mesh", mesh, Mesh, "a facerender.Mesh")
     check_switch("cache", cache)
@@ -56,7 +59,7 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
         for own, (part, material) in zip(solid, pairs, strict=True)
     ]
     if not any(bare):
-        warn(f"{mesh.name} brings occlusion maps for all of its parts: none is baked")
+        warn(f"{mesh.name} has occlusion maps for all opaque parts: no occlusion is baked")
         return mesh
     rows = [np.hstack([mesh.normalised(part.positions), part.normals]) for part in mesh.parts]
     starts = np.cumsum([0, *map(len, rows)])
@@ -73,8 +76,8 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
 def _values(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], cache: bool
 ) -> NDArray[np.float64]:
-    """Return what reaches vertices, places and normals (N, 6), by way of the cache; 1 for those
-    that no face uses."""
+    """Return the occlusion of vertices, given as rows (N, 6) of position and normal. Vertices that
+    no face uses get 1. With cache, results are read from and written to the cache."""
     facts = repr((__version__, DIRECTIONS, _OFFSET, vertices.shape, faces.shape))
     name = digest_of(facts, vertices.data, faces.data) if cache else ""
     if cache and (content := disk_cache.read("occlusion", name)) is not None:
@@ -93,20 +96,20 @@ def _values(
 def _open_fraction(
     positions: Floats, faces: Numbers, vertices: Floats, corners: Numbers
 ) -> NDArray[np.float64]:
-    """Return the fraction of ambient light that triangles let through, in [0, 1].
+    """Return the fraction of ambient light that reaches vertices, in [0, 1].
 
     Parameters
     ----------
-    positions, faces : what stands in the way
-    vertices : places and normals (N, 6) that the light is to reach
-    corners : of the faces, among the vertices
+    positions, faces : triangles that block the light
+    vertices : rows (N, 6) of position and normal
+    corners : the faces as indices into vertices
     """
     try:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
     except ImportError:
         raise InputError(
-            "baked occlusion needs the package embreex; pip install 'facerender[rays]'"
+            "baking occlusion needs the package embreex; pip install 'facerender[rays]'"
         ) from None
     scene = EmbreeScene()
     TriangleMesh(scene, np.ascontiguousarray(positions), faces.astype(np.int32))
@@ -129,22 +132,24 @@ def _open_fraction(
 
 
 def _off_surface(positions: Floats, faces: Numbers, vertices: Floats, corners: Numbers) -> Floats:
-    """Return where rays of vertices start from them: along the normal, and towards the middle of
-    their faces, so that none starts in the plane of a face behind a sharp edge."""
+    """Return the offset directions of ray origins from vertices.
+
+    A direction is the normal plus a component towards the middle of the vertex's faces. Without
+    it, a ray at a sharp edge could start in the plane of the face behind the edge.
+    """
     sums, lengths = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
     middles = positions[faces].mean(axis=1)
-    for its, face in zip(corners.T, faces.T, strict=True):
+    for vertex, face in zip(corners.T, faces.T, strict=True):
         inwards = middles - positions[face]
-        np.add.at(sums, its, inwards)
-        np.add.at(lengths, its, np.linalg.norm(inwards, axis=1))
+        np.add.at(sums, vertex, inwards)
+        np.add.at(lengths, vertex, np.linalg.norm(inwards, axis=1))
     normals = vertices[:, 3:]
     sums -= normals * np.einsum("ij,ij->i", normals, sums)[:, None]
     return (normals + sums / np.maximum(lengths, 1e-30)[:, None]).astype(np.float32)
 
 
 def _directions() -> Floats:
-    """Return unit vectors spread evenly over the sphere, by a spiral of the golden ratio:
-    (DIRECTIONS, 3)."""
+    """Return unit vectors (DIRECTIONS, 3), evenly distributed on a golden-ratio spiral."""
     numbers = np.arange(DIRECTIONS) + 0.5
     heights = 1.0 - 2.0 * numbers / DIRECTIONS
     angles = numbers * (np.pi * (3.0 - np.sqrt(5.0)))

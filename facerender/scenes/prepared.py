@@ -1,4 +1,4 @@
-"""Normal maps with their slope deviation, for other programs, as KTX files: Khronos Group, "KTX
+"""KTX 2 files of normal maps with slope deviation, for other programs. Format: Khronos Group, "KTX
 File Format Specification", version 2."""
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ _CHANNELS = (0, 1, 2, 15)  # red, green, blue, alpha
 
 
 def prepare_normal_map(source: str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
-    """Write the mip chain of a normal map with its slope deviation, for ``fr_slope_variance_map``.
+    """Write the mip chain of a normal map with slope deviation, for ``fr_slope_variance_map``.
 
     Parameters
     ----------
-    source : an image, as of :meth:`Texture.open`
-    path : .ktx2, of RGBA with 8 bits; rows from the top down, linear
+    source : path of an image that :meth:`Texture.open` reads
+    path : output path, .ktx2; 8-bit linear RGBA with rows from the top down
 
     Raises
     ------
-    InputError : the image is missing, damaged or too large; another suffix; a place that cannot be
-        written
+    InputError : the image is missing, damaged or too large; the output has another suffix or cannot
+        be written
     """
     if Path(path).suffix.lower() != ".ktx2":
         raise InputError(f"{path}: unknown format {Path(path).suffix!r}; give .ktx2")
@@ -41,7 +41,7 @@ def prepare_normal_map(source: str | os.PathLike[str], path: str | os.PathLike[s
     start = 80 + 24 * len(levels)
     at = start + len(described) + len(metadata)
     places = []
-    for each in reversed(texels):  # the smallest comes first
+    for each in reversed(texels):  # KTX 2 stores the smallest level first
         places.append(struct.pack("<3Q", at, len(each), len(each)))
         at += len(each)
     head = struct.pack("<9I", _R8G8B8A8_UNORM, 1, width, height, 0, 0, 1, len(levels), 0)
@@ -51,7 +51,7 @@ def prepare_normal_map(source: str | os.PathLike[str], path: str | os.PathLike[s
 
 
 def _description() -> bytes:
-    """What a texel is made of: the basic block of a Khronos data format descriptor."""
+    """Return the texel format as the basic block of a Khronos data format descriptor."""
     samples = [
         struct.pack("<HBB4BII", 8 * i, 7, channel, 0, 0, 0, 0, 0, 255)
         for i, channel in enumerate(_CHANNELS)

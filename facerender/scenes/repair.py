@@ -1,4 +1,4 @@
-"""Mesh geometry repaired where that is safe: bad faces, normals, winding."""
+"""Safe repairs of mesh geometry: bad faces, missing normals, winding."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, warn
 from facerender.scenes.material import Material
 
-# Areas, their squares and their products with positions are finite and not 0 in between.
+# Limits of coordinates and extents. Within them, areas, squared areas and products of areas with
+# positions neither overflow nor become 0 in float64.
 _HUGE, _TINY = 1e60, 1e-60
-_MOST_UV = 1e6  # float32 has no texels any more long before
-_MOST_PIECES = 1024  # parts with a material each: a draw call in every pass
-_FAR = 32.0  # times as far from the middle as nine tenths of the vertices: these are drawn tiny
+_MOST_UV = 1e6  # float32 loses the resolution of a texel far below this value
+_MOST_PIECES = 1024  # every part with its material needs a draw call in each pass
+_FAR = 32.0  # outlier distance, relative to the distance that includes 90 % of the vertices
 
 
 @dataclass
 class Piece:
-    """A part on its way: normals may be absent, faces may be bad.
+    """A part before repair. Normals may be missing and faces may be bad.
 
-    out_of_range : number of faces that were left out because they name vertices that are not there
-    name : what its file calls it, which another piece may be called too
+    out_of_range : number of faces that the loader dropped for invalid vertex indices
+    name : name from the file; not necessarily unique
     """
 
     positions: NDArray[np.float64]
@@ -40,13 +41,13 @@ class Piece:
 
 
 def check_count(count: int, name: str) -> None:
-    """Raise InputError where a file has too many parts."""
+    """Raise InputError if a file has too many parts."""
     if count > _MOST_PIECES:
-        raise InputError(f"{name} has over {_MOST_PIECES} parts with a material each: join some")
+        raise InputError(f"{name} has more than {_MOST_PIECES} parts with materials: join some")
 
 
 def placed(piece: Piece, transform: NDArray[np.float64]) -> Piece:
-    """Return a piece where a transform (4, 4) puts it."""
+    """Return a piece transformed by a matrix (4, 4)."""
     linear = transform[:3, :3]
     determinant = float(np.linalg.det(linear)) if np.isfinite(transform).all() else 0.0
     normals = None
@@ -62,7 +63,7 @@ def placed(piece: Piece, transform: NDArray[np.float64]) -> Piece:
 
 
 def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
-    """Drop what cannot be drawn, complete the normals, and turn the faces outwards."""
+    """Drop faces that cannot be drawn, compute missing normals, and turn the faces outwards."""
     _drop_bad_faces(pieces, name)
     pieces = [piece for piece in pieces if len(piece.faces)]
     if not pieces:
@@ -80,33 +81,36 @@ def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
 
 
 def _corners(piece: Piece) -> NDArray[np.float64]:
-    """The positions of the faces' corners, (F, 3, 3)."""
-    return np.take(piece.positions, piece.faces, axis=0)  # positions[faces] takes twice as long
+    """Return the positions of the faces' corners, (F, 3, 3)."""
+    return np.take(piece.positions, piece.faces, axis=0)  # twice as fast as positions[faces]
 
 
 def used(positions: NDArray[np.float64], faces: NDArray[Any]) -> NDArray[np.bool_]:
-    """Which vertices the faces use; np.unique of the faces would take fifty times as long."""
+    """Return a mask of the vertices that faces use. Fifty times as fast as np.unique."""
     found = np.zeros(len(positions), dtype=bool)
     found[faces] = True
     return found
 
 
 def _face_normals(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Twice the area times the unit normal of triangles (F, 3, 3)."""
+    """Return the unit normals of triangles (F, 3, 3), multiplied by twice their areas."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def _has_area(corners: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell which triangles (F, 3, 3) have an area, however they are wound: beside coordinates of
-    1e25 rounding may leave one where the cross product is of one corner, and none of the other."""
+    """Return a mask of the triangles (F, 3, 3) that have an area with either winding.
+
+    Both windings are tested because rounding of large coordinates (1e25) can give a cross product
+    of 0 at one corner and not at another.
+    """
     wound = corners, corners[:, ::-1]
     lengths = [np.linalg.norm(_face_normals(each), axis=1) for each in wound]
     return np.asarray(np.minimum(*lengths) > 0.0)
 
 
 def _outwardness(corners: NDArray[np.float64]) -> float:
-    """Mean cosine between the faces' normals and the directions from the centre, by area: near 1
-    for a closed head or an open mask, near -1 when they are inside out."""
+    """Return the area-weighted mean cosine between face normals and directions from the centre. It
+    is near 1 for a closed head or an open mask, and near -1 for one that is inside out."""
     normals = _face_normals(corners)
     areas = np.linalg.norm(normals, axis=1)
     middles = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
@@ -115,7 +119,7 @@ def _outwardness(corners: NDArray[np.float64]) -> float:
 
 
 def _drop_bad_faces(pieces: Sequence[Piece], name: str) -> None:
-    """Drop faces of vertices that are not there, or are no numbers, and those without area."""
+    """Drop faces with invalid indices, with non-finite or huge vertices, and without area."""
     out_of_range = sum(piece.out_of_range for piece in pieces)
     infinite = huge = bad_faces = huge_faces = flat_faces = 0
     for piece in pieces:
@@ -131,32 +135,32 @@ def _drop_bad_faces(pieces: Sequence[Piece], name: str) -> None:
     _check_extent([piece for piece in pieces if len(piece.faces)], name)
     for piece in pieces:
         flat_faces += _keep_faces(piece, _has_area(_corners(piece))[:, None])
-    for count, what in (
-        (out_of_range, "faces of vertices that are not there: dropped"),
+    for count, problem in (
+        (out_of_range, "faces with invalid vertex indices: dropped"),
         (infinite, f"non-finite vertices: {bad_faces} faces dropped"),
         (huge, f"vertices beyond {_HUGE:g}: {huge_faces} faces dropped"),
         (flat_faces, "degenerate faces: dropped"),
     ):
         if count:
-            warn(f"{name} has {count} {what}")
+            warn(f"{name} has {count} {problem}")
 
 
 def _keep_faces(piece: Piece, good: NDArray[np.bool_]) -> int:
-    """Drop the faces that are not good at all of their corners, (F, 3); return their number."""
+    """Drop faces with a bad corner, by a mask (F, 3); return the number of dropped faces."""
     keep = good.all(axis=1)
     piece.faces = piece.faces[keep]
     return int((~keep).sum())
 
 
 def _check_extent(pieces: Sequence[Piece], name: str) -> None:
-    """Refuse a mesh too small to compute areas of, and warn of vertices so far out that the rest
-    would be a dot in the picture."""
+    """Raise InputError for a mesh that is too small to compute areas, and warn about outliers. If
+    the camera frames outliers, the rest of the mesh is only a dot in the image."""
     if not pieces:
         return
     drawn = np.concatenate([each.positions[used(each.positions, each.faces)] for each in pieces])
     extent = float(np.ptp(drawn, axis=0).max())
     if 0.0 < extent < _TINY:
-        raise InputError(f"{name} is {extent:g} units wide, of {_TINY:g} at least: scale it up")
+        raise InputError(f"{name} is {extent:g} units wide, below {_TINY:g}: scale it up")
     middle = np.median(drawn, axis=0)
     distances = np.linalg.norm(drawn - middle, axis=1)
     near = float(np.quantile(distances, 0.9, method="lower"))
@@ -165,13 +169,13 @@ def _check_extent(pieces: Sequence[Piece], name: str) -> None:
         x, y, z = drawn[np.argmax(distances)]
         warn(
             f"{name} has {int(far.sum())} vertices far out, one at ({x:.4g}, {y:.4g}, {z:.4g}); "
-            f"nine tenths are within {near:.4g} of ({', '.join(f'{v:.4g}' for v in middle)}), and "
-            "are drawn tiny: remove what lies outside"
+            f"90 % are within {near:.4g} of ({', '.join(f'{v:.4g}' for v in middle)}) and will "
+            "appear tiny: remove the outer vertices"
         )
 
 
 def _drop_bad_uv(pieces: Sequence[Piece], name: str) -> None:
-    """Put texture coordinates that are no numbers, or of no use as float32, at 0."""
+    """Set texture coordinates to 0 if they are not finite or too large for float32."""
     count = 0
     for piece in pieces:
         for key in ("uv", "uv2"):
@@ -181,11 +185,11 @@ def _drop_bad_uv(pieces: Sequence[Piece], name: str) -> None:
                     count += int((bad & used(piece.positions, piece.faces)).sum())
                     setattr(piece, key, np.where(bad[:, None], 0.0, uv))
     if count:
-        warn(f"{name} has {count} texture coordinates that are not in [-1e6, 1e6]: taken as 0")
+        warn(f"{name} has {count} texture coordinates outside [-1e6, 1e6]: set to 0")
 
 
 def _complete_normals(pieces: Sequence[Piece], name: str) -> None:
-    """Unit normals for every piece: the file's own where they are good, computed otherwise."""
+    """Normalise the normals of each piece; compute them if they are missing or bad."""
     without = []
     for piece in pieces:
         if piece.normals is not None:
@@ -195,24 +199,24 @@ def _complete_normals(pieces: Sequence[Piece], name: str) -> None:
                 piece.normals = piece.normals / np.where(good, length, 1.0)[:, None]
                 _wind_by_normals(piece)
                 continue
-            warn(f"{name} has {int((~good).sum())} normals of zero length: all computed anew")
+            warn(f"{name} has {int((~good).sum())} normals of zero length: all recomputed")
         without.append(piece)
     if without:
         _compute_normals(without, name)
 
 
 def _wind_by_normals(piece: Piece) -> None:
-    """Turn the faces whose winding contradicts their vertices' normals."""
+    """Turn faces whose winding contradicts the normals of their vertices."""
     a, b, c = (np.take(np.asarray(piece.normals), corner, axis=0) for corner in piece.faces.T)
     agreement = (_face_normals(_corners(piece)) * (a + b + c)).sum(axis=1)
     piece.faces = np.where((agreement < 0.0)[:, None], piece.faces[:, ::-1], piece.faces)
 
 
 def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
-    """Smooth normals over vertices welded by position, across seams and materials.
+    """Compute smooth normals over vertices welded by position, across seams and materials.
 
     Face normals are weighted by the angle at the vertex (Thuermer and Wuethrich, 1998), so that
-    the result does not depend on how flat polygons are cut into triangles.
+    the result does not depend on the triangulation of flat polygons.
     """
     starts = np.cumsum([0] + [len(piece.positions) for piece in pieces])
     positions = np.concatenate([piece.positions for piece in pieces])
@@ -237,7 +241,7 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
                 welded[faces[:, corner]], angle * unit[:, axis], len(normals)
             )
     length = np.linalg.norm(normals, axis=1)
-    # Where opposite faces cancel out any direction is as good, as long as it is a unit vector.
+    # If opposite faces cancel out, any unit vector will do.
     normals = np.where((length > 0.0)[:, None], normals, (0.0, 0.0, 1.0))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
 
@@ -248,10 +252,10 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
 
 
 def _weld(positions: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Number the positions so that equal ones, to 2^-21 of the extent, share a number."""
+    """Number the positions. Positions that are equal to 2^-21 of the extent share a number."""
     low = positions.min(axis=0)
     extent = float((positions.max(axis=0) - low).max()) or 1.0
-    # An even number of cells: the plane of symmetry lies inside one, not between two.
+    # The factor is even, so that a plane of symmetry is rounded to the middle of a cell.
     cells = np.round((positions - low) * ((2**21 - 2) / extent)).astype(np.int64)
     keys = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
     return np.asarray(np.unique(keys, return_inverse=True)[1].reshape(-1))
@@ -260,11 +264,12 @@ def _weld(positions: NDArray[np.float64]) -> NDArray[np.int64]:
 def _wind_consistently(
     faces: NDArray[np.int64], welded: NDArray[np.int64], positions: NDArray[np.float64], name: str
 ) -> NDArray[np.int64]:
-    """Return the faces wound alike within each connected surface, and outwards.
+    """Return the faces with consistent winding in each connected surface, facing outwards.
 
-    Consistent neighbours run along their common edge in opposite directions, so a directed edge
-    that occurs twice reveals a contradiction. Then each face gets two nodes, kept and turned;
-    neighbours join the nodes that agree, and a connected component is one choice for a surface.
+    Consistent neighbours traverse their common edge in opposite directions, so a directed edge that
+    occurs twice reveals a contradiction. In that case each face gets two graph nodes, one for
+    each winding. Edges connect nodes of neighbours that agree. A connected component is then one
+    possible winding of a surface.
     """
     first, second = welded[:, [0, 1, 2]].ravel(), welded[:, [1, 2, 0]].ravel()
     count = int(welded.max()) + 1
@@ -278,7 +283,7 @@ def _wind_consistently(
     edge = np.minimum(first, second) * count + np.maximum(first, second)
     order = np.argsort(edge, kind="stable")
     _, start, uses = np.unique(edge[order], return_index=True, return_counts=True)
-    start = start[uses == 2]  # at an edge of three faces nothing can be told
+    start = start[uses == 2]  # an edge with three faces defines no consistent winding
     a, b = order[start], order[start + 1]
     disagree = (first[a] == first[b]).astype(np.int64)
     face_a, face_b, n = a // 3, b // 3, len(faces)

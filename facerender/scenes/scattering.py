@@ -1,4 +1,4 @@
-"""What of a scene scatters light, and by which profiles, in an image of a size."""
+"""Selection of a scene's subsurface scattering profiles for an image size."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from facerender.scenes.scene import Scene
 from facerender.scenes.view import target_of, view_of
 from facerender.terms.scattering import Gaussians, wide_gaussians
 
-_HEADS = (40.0, 1200.0)  # mm, of radii around heads and whole people
-_told: WeakSet[Mesh] = WeakSet()
+_HEADS = (40.0, 1200.0)  # plausible radii in mm, from a small head to a whole person
+_warned: WeakSet[Mesh] = WeakSet()
 
 
 @dataclass(frozen=True)
 class Scattering:
-    """Profiles of the parts of a scene.
+    """Scattering profiles of the parts of a scene.
 
     Attributes
     ----------
-    profiles : the Gaussians of each that are wider than half a pixel
-    numbers : of each part its profile's, from 1; -1 for one that does not scatter
-    millimetres : of a unit of the renderer's space
-    pixels : of such a unit across the view, at a depth of 1
+    profiles : profiles, each with its Gaussians that are wider than half a pixel
+    numbers : for each part the number of its profile, from 1; -1 for a part without scattering
+    millimetres : millimetres per unit of the renderer's space
+    pixels : pixels per unit across the view, at depth 1
     """
 
     profiles: tuple[Gaussians, ...]
@@ -37,12 +37,13 @@ class Scattering:
 
 
 def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
-    """Return how a scene scatters in an image; None where nothing does that pixels resolve, at the
-    distance of the camera's target.
+    """Return the scattering profiles of a scene for an image size.
+
+    Return None if nothing scatters over more than half a pixel at the camera target's distance.
 
     Raises
     ------
-    InputError : nobody has said how long a unit of the mesh is
+    InputError : the size of the mesh in millimetres is unknown
     """
     mesh = scene.mesh
     profiles_of_parts = [each.scattering if each.kd > 0.0 else None for each in mesh.materials]
@@ -50,15 +51,15 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
         return None
     if mesh.millimetres is None:
         raise InputError(
-            f"scattering needs the size of {mesh.name}, which does not say how long its unit is: "
+            f"scattering needs the size of {mesh.name}, which does not specify its unit: "
             "give --millimetres, such as 1 or 1000 (load_mesh(..., millimetres=1))"
         )
     millimetres = mesh.radius * mesh.millimetres
-    if not _HEADS[0] <= millimetres <= _HEADS[1] and mesh not in _told:
-        _told.add(mesh)
+    if not _HEADS[0] <= millimetres <= _HEADS[1] and mesh not in _warned:
+        _warned.add(mesh)
         warn(
             f"{mesh.name} is {2.0 * millimetres:.3g} mm across if its unit is {mesh.millimetres:g} "
-            "mm, and scatters as such: give --millimetres if it is not"
+            "mm, unusual for a head: give --millimetres if the unit is wrong"
         )
     camera, view = scene.camera, view_of(scene, size[0] / size[1])
     distance = float(np.linalg.norm(view.position - target_of(mesh, camera)))

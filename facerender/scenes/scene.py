@@ -1,4 +1,4 @@
-"""A mesh under lights before a camera."""
+"""Scenes: a mesh with camera, lights, environment map and background."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ Only = Literal[
     "specular", "diffuse", "albedo", "normal", "depth", "cosines", "visibility", "mask", "parts"
 ]
 
-# How often a pixel of a part is shaded: at each of its samples, or once.
+# Shading of a pixel: at each of its samples, or once per part.
 ShadingRate = Literal["sample", "pixel"]
 SHADING_RATES: tuple[ShadingRate, ...] = get_args(ShadingRate)
 
-# What an image may show in place of a whole scene, and what of it is data of one sample a pixel.
+# Images of one term or layer of a scene. Images in DATA have one sample per pixel.
 ONLY: tuple[Only, ...] = get_args(Only)
 DATA = tuple(name for name in ONLY if name not in ("specular", "diffuse"))
 
 
 def check_shading_rate(name: str, value: object) -> None:
-    """Raise InputError unless a value is one of SHADING_RATES."""
+    """Raise InputError if a value is not in SHADING_RATES."""
     if not isinstance(value, str) or value not in SHADING_RATES:
         raise InputError(f"{name} = {shown(value)}: give {' or '.join(SHADING_RATES)}")
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A mesh under lights before a camera.
+    """A mesh with camera, lights, environment map and background.
 
     Parameters
     ----------
-    mesh : from :func:`facerender.load_mesh`, or what that takes
-    camera, lights : see there
-    ambient : irradiance from everywhere, one number or linear RGB
+    mesh : a :class:`Mesh`, or any source that :func:`facerender.load_mesh` accepts
+    camera, lights : see :class:`Camera` and :class:`Light`
+    ambient : irradiance of uniform ambient light, one number or linear RGB
     background : linear RGB behind the mesh, or None for transparent
-    environment : light from all around, or None; it is not seen behind the mesh
+    environment : environment map, or None; it is not visible behind the mesh
     """
 
     mesh: Mesh

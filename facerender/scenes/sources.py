@@ -1,4 +1,4 @@
-"""What :class:`facerender.Scene` takes in place of a mesh."""
+"""Types that :class:`facerender.Scene` accepts in place of a mesh."""
 
 from __future__ import annotations
 
@@ -13,5 +13,5 @@ if TYPE_CHECKING:
 else:
     MeshSource = Any
 
-# facerender.load_mesh, set by the package: loading imports scenes, and scenes may not import it.
+# facerender.load_mesh, set by the package: loading imports scenes, so scenes cannot import loading.
 reader: Callable[[Any], Any] | None = None

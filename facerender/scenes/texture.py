@@ -1,5 +1,4 @@
-"""Maps: images that are decoded, converted and reduced to mip levels in the background. No OpenGL
-here."""
+"""Textures: images that are decoded and reduced to mip levels in background threads. No OpenGL."""
 
 from __future__ import annotations
 
@@ -37,34 +36,34 @@ if TYPE_CHECKING:
 Wrap = Literal["repeat", "clamp", "mirror"]
 
 FORMATS = (*("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"), "AVIF")
-MOST_TEXELS = 6 * 8192**2  # of the maps of a mesh together: 4 GiB with mip levels, twice
-_MOST_KEPT = 1 << 20  # bytes of a file; a larger one is read again when it is decoded
-LARGE = 4096**2  # texels; a map of more is drawn as coarse as a picture can show it
+MOST_TEXELS = 6 * 8192**2  # in all maps of a mesh: 4 GiB for two copies with mip levels
+_MOST_KEPT = 1 << 20  # bytes; larger files are not kept in memory but read again for decoding
+LARGE = 4096**2  # texels; larger maps omit mip levels that are too fine for the image
 
 
 class Texture:
-    """An image that is decoded, once, when it is first needed.
+    """An image that is decoded once, when it is first needed.
 
     Parameters
     ----------
-    decode : returns the Pillow image, in any mode; runs in a thread
-    name : what messages call it: the file, or the map and the mesh file that holds it
-    size : width and height, where they are known
-    coarser : of a texture that is made of others, what :meth:`coarser` returns; ``decode`` returns
-        an image in mode RGB then, with row 0 at the bottom, which is not kept
+    decode : function that returns the Pillow image, in any mode; runs in a thread
+    name : name in messages: the file, or the map and its mesh file
+    size : width and height, if known
+    coarser : implementation of :meth:`coarser` for a texture that is made of others. ``decode``
+        must then return an image in mode RGB with row 0 at the bottom; it is not cached.
 
     Attributes
     ----------
-    wrap : what lies beyond the image's edges, in u and in v: "repeat", "clamp" or "mirror"
-    nearest : whether the nearest texel counts alone, of the nearest mip level, and none between
-    coarse : whether it lacks the finest mip levels of its image
+    wrap : wrap modes in u and v: "repeat", "clamp" or "mirror"
+    nearest : whether to sample the nearest texel of the nearest mip level, without interpolation
+    coarse : whether the finest mip levels of the image are omitted
     """
 
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
     nearest: bool = False
     coarse: bool = False
-    _source: Texture | None = None  # whose image this one samples otherwise
-    _fine: tuple[Texture, int] | None = None  # which lacks so many of its finest levels here
+    _source: Texture | None = None  # texture with the same image and another sampling
+    _fine: tuple[Texture, int] | None = None  # full texture, and number of levels omitted here
 
     def __init__(
         self,
@@ -77,7 +76,7 @@ class Texture:
         check_type("decode", decode, Callable, "a function that returns a Pillow image")
         self.name = name
         self._size, self._derived = size, coarser is not None
-        self._decode: Callable[[], Image] | None = decode  # until it has been asked
+        self._decode: Callable[[], Image] | None = decode  # None once the image is decoded
         self._lock = threading.Lock()
         self._levels_lock = threading.Lock()
         self._rgb: Image | None = None
@@ -87,7 +86,7 @@ class Texture:
         self._coarser: WeakValueDictionary[int, Texture] = WeakValueDictionary()
 
     def __getstate__(self) -> tuple[str, Image, tuple[Wrap, Wrap], bool]:
-        """Pickles the decoded image, whatever it is decoded from."""
+        """Pickle the decoded image instead of its source."""
         return self.name, self.rgb(), self.wrap, self.nearest
 
     def __setstate__(self, state: tuple[str, Image, tuple[Wrap, Wrap], bool]) -> None:
@@ -97,7 +96,7 @@ class Texture:
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Texture:
-        """Read an image file; it is decoded later.
+        """Return the texture of an image file. The file is decoded later.
 
         Raises
         ------
@@ -118,18 +117,18 @@ class Texture:
 
     @classmethod
     def of(cls, content: bytes, name: str) -> Texture:
-        """Take the content of an image file; it is decoded later.
+        """Return a texture from the bytes of an image file. They are decoded later.
 
         Raises
         ------
-        InputError : it is not an image, or too large
+        InputError : the content is not an image, or too large
         """
         return cls(lambda: _opened(content, name), name, _opened(content, name).size)
 
     @classmethod
     def alpha_of(cls, content: bytes, name: str) -> Texture | None:
-        """Return the alpha of an image file as a grey texture; None where it has none; errors as of
-        :meth:`of`."""
+        """Return the alpha of an image file as a grey texture, or None if the image has no alpha.
+        Raises the errors of :meth:`of`."""
         opened = _opened(content, name)
         if not opened.has_transparency_data:
             return None
@@ -141,18 +140,20 @@ class Texture:
 
     @classmethod
     def from_array(cls, texels: ArrayLike, name: str = "an array") -> Texture:
-        """Return a texture of the numbers that an image file would hold: those of an albedo are
-        sRGB-encoded, all others linear. They are copied, and brought to 8 bits, as of a file.
+        """Return a texture from an array of texels, which are copied and converted to 8 bits.
+
+        The values are encoded as in an image file: sRGB for an albedo or emissive map, linear for
+        all other maps.
 
         Parameters
         ----------
         texels : (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), row 0 on top: uint8, uint16, or floats
-            in [0, 1]; alpha is dropped, ``from_array(texels[..., 3])`` is an opacity map of it
-        name : what messages call it
+            in [0, 1]. Alpha is dropped; use ``from_array(texels[..., 3])`` as an opacity map.
+        name : name in messages
 
         Raises
         ------
-        InputError : another shape or kind of numbers, values outside [0, 1], or too many texels
+        InputError : invalid shape or type, values outside [0, 1], or too many texels
         """
         values = _bytes_of(texels, name)
         check_pixels(name, values.shape[1], values.shape[0], 4, math.inf)
@@ -166,19 +167,19 @@ class Texture:
 
     @classmethod
     def from_image(cls, image: Image, name: str = "an image") -> Texture:
-        """Return a texture of a copy of a Pillow image of any mode.
+        """Return a texture from a copy of a Pillow image of any mode.
 
         Raises
         ------
-        InputError : it is none, or cannot be decoded
+        InputError : not a Pillow image, or one that cannot be decoded
         """
         from PIL import Image as images
 
-        check_type("image", image, images.Image, "an image of Pillow")
+        check_type("image", image, images.Image, "a Pillow image")
         check_pixels(name, *image.size, 4, math.inf)
         try:
             copy = image.copy()
-        except Exception as error:  # each decoder of Pillow fails in its own way
+        except Exception as error:  # Pillow's decoders raise many types
             raise InputError(f"{name} is damaged ({reason(error)}); replace it") from None
         return cls(lambda: copy, name)
 
@@ -188,8 +189,10 @@ class Texture:
 
     @classmethod
     def known(cls, texels: NDArray[np.uint8], name: str, levels: Mapping[Kind, Levels]) -> Texture:
-        """Return a texture of texels, (H, W) or (H, W, 3), row 0 at the bottom, whose mip chains
-        are there already."""
+        """Return a texture with precomputed mip chains.
+
+        texels : (H, W) or (H, W, 3), row 0 at the bottom
+        """
 
         def decode() -> Image:
             from PIL import Image
@@ -204,12 +207,13 @@ class Texture:
         return texture
 
     def sampled(self, wrap: tuple[Wrap, Wrap], nearest: bool = False) -> Texture:
-        """Return a texture of the same image, decoded once for both, that is sampled otherwise;
-        parameters as the attributes.
+        """Return a texture of the same image with other sampling; both share the decoded image.
+
+        wrap, nearest : see the attributes
 
         Raises
         ------
-        InputError : no such words
+        InputError : unknown wrap mode
         """
         known = get_args(Wrap)
         if not (isinstance(wrap, tuple | list) and len(wrap) == 2):
@@ -226,15 +230,15 @@ class Texture:
 
     @property
     def sampling(self) -> tuple[tuple[Wrap, Wrap], bool]:
-        """How it is sampled: what two maps must have in common to be one."""
+        """Wrap modes and filtering. Only maps with equal sampling can be packed in one texture."""
         return self.wrap, self.nearest
 
     def rgb(self) -> Image:
-        """The image in mode RGB, row 0 at the bottom as OpenGL has it; alpha is dropped.
+        """Return the image in mode RGB, without alpha, with row 0 at the bottom as in OpenGL.
 
         Raises
         ------
-        InputError : the image is damaged or too large: see
+        InputError : the image is damaged, or too large for
             :func:`facerender.images.decode.check_pixels`
         """
         if self._source:
@@ -251,7 +255,7 @@ class Texture:
             return image
 
     def band(self, index: int) -> Image:
-        """One channel of :meth:`rgb`, in mode L."""
+        """Return one channel of :meth:`rgb`, in mode L."""
         if self._source:
             return self._source.band(index)
         if self._fine:
@@ -265,22 +269,22 @@ class Texture:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height, which a file tells before it is decoded."""
+        """Width and height. For a file they are available before decoding."""
         if self._source:
             return self._source.size
         if self._size is None:
-            image, decode = self._rgb, self._decode  # one of both, until a chain alone is left
+            image, decode = self._rgb, self._decode  # both None if only a mip chain is left
             self._size = (image or (decode() if decode else self.rgb())).size
         return self._size
 
     @property
     def decoded_size(self) -> tuple[int, int]:
-        """Width and height of the image that is decoded: of a coarse texture, of all of it."""
-        known = self._source or (self._fine and self._fine[0])
-        return known.decoded_size if known else self.size
+        """Width and height of the decoded image; for a coarse texture, of the full image."""
+        full = self._source or (self._fine and self._fine[0])
+        return full.decoded_size if full else self.size
 
     def channel(self, index: int, name: str) -> Texture:
-        """One channel of this texture as a grey texture of its own, sampled as this one."""
+        """Return one channel of this texture as a grey texture with the same sampling."""
 
         def decode() -> Image:
             return self.band(index).convert("RGB")
@@ -292,8 +296,12 @@ class Texture:
         return grey.sampled(*self.sampling) if self.sampling != grey.sampling else grey
 
     def coarser(self, levels: int) -> Texture:
-        """Return a texture of the same image without so many of its finest mip levels. What it
-        decodes is not kept beside them, and large images are decoded one after another."""
+        """Return a texture of the same image without its finest mip levels.
+
+        levels : number of levels to omit
+
+        To save memory, the image is not cached, and large images are decoded one at a time.
+        """
         if not levels:
             return self
         if self._fine:
@@ -321,7 +329,7 @@ class Texture:
 
     @contextmanager
     def _rows(self) -> Iterator[Rows]:
-        """Yield the rows of the image, row 0 at the bottom, of which no copy is kept."""
+        """Yield a function that returns rows of the image. It does not cache the image."""
         with _decoding:
             with self._lock:
                 known, decode = self._rgb, self._decode
@@ -341,7 +349,7 @@ class Texture:
             give_back()
 
     def forget(self) -> None:
-        """Drop the mip chains of a coarse texture: they can be had again."""
+        """Drop the mip chains of a coarse texture. They are computed again on demand."""
         if self._source:
             self._source.forget()
         elif self.coarse:
@@ -351,7 +359,7 @@ class Texture:
                 self._levels.clear()
 
     def ends(self) -> NDArray[np.uint8]:
-        """Return the smallest and the largest texel of "data", (2, 3); waits for it."""
+        """Return the minimum and maximum texel of "data", (2, 3). Waits until it is computed."""
         if self._source:
             return self._source.ends()
         if self._ends is None:
@@ -360,7 +368,7 @@ class Texture:
         return self._ends
 
     def turned_green(self) -> Texture:
-        """This texture, a normal map whose green points down, with green upwards."""
+        """Return a normal map with green pointing up, from this one with green pointing down."""
         if self._source:
             return self._source.turned_green().sampled(*self.sampling)
 
@@ -371,12 +379,13 @@ class Texture:
         return Texture(decode, self.name, self.size)
 
     def levels(self, kind: Kind) -> Future[Levels]:
-        """Start computing the mip chain in a thread, once, and return its future.
+        """Return the future of a mip chain. A thread computes each chain once.
 
-        "color" gives sRGB-encoded uint8 (H, W, 4), averaged in linear light; "linear-color" the
-        same decoded, in float16, for comparisons to the last digit; "normal" uint8 (H, W, 4), of a
-        normal map, averaged as unit vectors, with the slope deviation of what a texel stands for as
-        alpha (``fr_slope_variance_map``), 0 in the finest; "data" uint8 (H, W, 3).
+        - "color": sRGB-encoded uint8 (H, W, 4), averaged in linear light
+        - "linear-color": the same as linear float16, for exact comparisons
+        - "normal": uint8 (H, W, 4), averaged as unit vectors. Alpha is the slope deviation within
+          a texel (``fr_slope_variance_map``), 0 in the finest level.
+        - "data": uint8 (H, W, 3)
         """
         if self._source:
             return self._source.levels(kind)
@@ -386,7 +395,7 @@ class Texture:
                     future = _executor().submit(lambda: self._chain(kind))
                 self._levels[kind] = future
                 if kind != "linear-color":
-                    drop = WeakMethod(self._drop_image)  # a future keeps what it has called
+                    drop = WeakMethod(self._drop_image)  # a future keeps its callbacks alive
                     future.add_done_callback(lambda chain: (own := drop()) and own(chain))
             return self._levels[kind]
 
@@ -401,17 +410,17 @@ class Texture:
         except MemoryError:
             width, height = self.size
             raise InputError(
-                f"no memory for {self.name} of {width} x {height} texels: make it smaller"
+                f"not enough memory for {self.name} of {width} x {height} texels: make it smaller"
             ) from None
 
     def _drop_image(self, chain: Future[Levels]) -> None:
-        """Keep the image once: an 8-bit chain holds it as well."""
+        """Drop the decoded image, since an 8-bit chain also contains it."""
         if chain.exception() is None:
             with self._lock:
                 self._rgb = None
 
     def _finest(self) -> Image:
-        """The image, of a chain that holds it."""
+        """Return the image from the finest level of a finished chain."""
         from PIL import Image
 
         chains = (
@@ -427,11 +436,13 @@ _packed: WeakValueDictionary[tuple[Texture | None, ...], Texture] = WeakValueDic
 def pack(
     red: Texture | None, green: Texture | None, blue: Texture | None, known: Texture | None = None
 ) -> Texture:
-    """Merge three grey textures into one, at the largest of their sizes; absent ones are white.
+    """Merge three grey textures into one with the largest of their widths and heights.
 
-    The same three give the same texture while somebody holds it, so that materials which differ in
-    a factor alone share one. ``known`` is what they gave when it was kept. They are sampled alike,
-    and so is what they give; maps that are not stay apart (:attr:`Material.property_map`).
+    Missing textures become white. The textures must have equal sampling, see
+    :attr:`Material.property_map`; the result has the same sampling. Equal arguments give the same
+    texture while it is in use, so that materials which differ only in factors share it.
+
+    known : a packed texture from the cache, to return instead of a new one
     """
     if (found := _packed.get((red, green, blue))) is not None:
         return found
@@ -463,11 +474,11 @@ def _opened(content: bytes | BinaryIO, name: str) -> Image:
 
 
 def _bytes_of(texels: ArrayLike, name: str) -> NDArray[np.uint8]:
-    """Return a copy of texels in 8 bits, (H, W), (H, W, 3) or (H, W, 4)."""
+    """Return a copy of texels as uint8, (H, W), (H, W, 3) or (H, W, 4)."""
     try:
         values = np.asarray(texels)
     except (ValueError, TypeError, RuntimeError) as error:
-        raise InputError(f"{name} is no array ({reason(error)}): give (H, W, 3)") from None
+        raise InputError(f"{name} cannot be used ({reason(error)}): give (H, W, 3)") from None
     if values.ndim == 3 and values.shape[2] == 1:
         values = values[..., 0]
     if values.ndim not in (2, 3) or values.shape[2:] not in ((), (3,), (4,)) or not values.size:
@@ -479,7 +490,7 @@ def _bytes_of(texels: ArrayLike, name: str) -> NDArray[np.uint8]:
         if not ((values >= 0.0) & (values <= 1.0)).all():
             low, high = values.min(), values.max()
             raise InputError(
-                f"{name} has floats from {low:.4g} to {high:.4g}: bring them to [0, 1], or give "
+                f"{name} has floats from {low:.4g} to {high:.4g}: scale them to [0, 1], or give "
                 "uint8"
             )
         return np.round(values * 255.0).astype(np.uint8)
@@ -489,13 +500,13 @@ def _bytes_of(texels: ArrayLike, name: str) -> NDArray[np.uint8]:
         return values * np.uint8(255)
     if values.dtype != np.uint8:
         raise InputError(
-            f"{name} has numbers of type {values.dtype}: give uint8, uint16, or floats in [0, 1]"
+            f"{name} has values of type {values.dtype}: give uint8, uint16, or floats in [0, 1]"
         )
     return values.copy()
 
 
 def with_green_turned(image: Image) -> Image:
-    """Return an image in mode RGB whose green is 255 less what it was."""
+    """Return an image in mode RGB with inverted green: 255 - green."""
     same = range(256)
     return image.convert("RGB").point([*same, *reversed(same), *same])
 
@@ -510,7 +521,7 @@ def _loaded(image: Image, name: str) -> Image:
     check_pixels(name, *image.size, 4, math.inf)
     try:
         image.load()
-    except Exception as error:  # each decoder of Pillow fails in its own way
+    except Exception as error:  # Pillow's decoders raise many types
         raise InputError(f"{name} is damaged ({reason(error)}); replace the file") from None
     return image
 
@@ -519,7 +530,7 @@ def _upright_rgb(image: Image, name: str) -> Image:
     from PIL import Image as images
 
     try:
-        if image.mode.startswith("I"):  # 16-bit grey, which Pillow's convert would clip at 255
+        if image.mode.startswith("I"):  # 16-bit grey, which Pillow's convert() clips at 255
             image = images.fromarray((np.clip(np.asarray(image), 0, 65535) // 257).astype(np.uint8))
         return _flipped(image if image.mode == "RGB" else image.convert("RGB"))
     except Exception as error:
@@ -532,11 +543,11 @@ def _executor() -> ThreadPoolExecutor:
 
 
 _starting = threading.Lock()
-_decoding = threading.Lock()  # of what is too large to have several of
+_decoding = threading.Lock()  # decodes one large image at a time, to limit memory
 
 
 def _finish() -> None:
-    """Finish what has been started, before a fork: its threads would not be in the child."""
+    """Finish running tasks before a fork, because threads do not exist in the child process."""
     with _starting:
         if _executor.cache_info().currsize:
             _executor().shutdown()

@@ -1,4 +1,4 @@
-"""Three numbers from what a user gave, and directions from angles. Angles in degrees."""
+"""Checked vectors and arrays, and directions from angles in degrees."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from facerender.terms.ranges import Range, VectorRange
 
 Vector = tuple[float, float, float]
 
-FARTHEST = 1e30  # of places, in the mesh's units
-HIGHEST = 1e9  # of radiance, irradiance and albedo: what is drawn stays in float32
-MOST_RADII = 1e6  # of the mesh, between its centre and what sees or lights it
+FARTHEST = 1e30  # largest coordinate of a position, in mesh units
+HIGHEST = 1e9  # limit of radiance, irradiance and albedo, so that images do not overflow float32
+MOST_RADII = 1e6  # largest distance of camera and lights from the mesh's centre, in mesh radii
 
 POSITIONS = VectorRange(-FARTHEST, FARTHEST)
 COLORS = VectorRange(0.0, HIGHEST)  # linear RGB, also of irradiance
@@ -24,22 +24,22 @@ ELEVATIONS = Range(-90.0, 90.0, "degrees")
 
 
 def within_reach(name: str, place: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a place in the renderer's space, (3,), that float32 tells from its neighbours.
+    """Return a position (3,) in the renderer's space, after a check that float32 can resolve it.
 
     Raises
     ------
-    InputError : it is more than MOST_RADII from the mesh's centre
+    InputError : a coordinate exceeds MOST_RADII
     """
     if not (np.abs(place) <= MOST_RADII).all():
         raise InputError(
-            f"{name} is {np.abs(place).max():.3g} radii of the mesh from its centre: give "
-            f"{MOST_RADII:g} at most"
+            f"{name} is {np.abs(place).max():.3g} mesh radii from the mesh's centre: give at most "
+            f"{MOST_RADII:g}"
         )
     return place
 
 
 def check_array(name: str, value: Any, columns: int) -> None:
-    """Raise InputError where a value is no array (N, columns) of numbers, or (N,) for 0 columns."""
+    """Raise InputError if a value is not a numeric array (N, columns), or (N,) for columns = 0."""
     shape = (columns,) if columns else ()
     if not (isinstance(value, np.ndarray) and value.dtype.kind in "fiu"):
         raise InputError(f"{name} = {shown(value)}: give an array of numbers")
@@ -49,6 +49,6 @@ def check_array(name: str, value: Any, columns: int) -> None:
 
 
 def direction_to(azimuth: float, elevation: float) -> NDArray[np.float64]:
-    """Unit vector from the subject: azimuth 0 is +z (in front), 90 is +x; elevation 90 is +y."""
+    """Return a unit vector from angles: azimuth 0 is +z (front), 90 is +x; elevation 90 is +y."""
     a, e = math.radians(azimuth), math.radians(elevation)
     return np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])

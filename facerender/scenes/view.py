@@ -1,4 +1,4 @@
-"""Where a scene's camera stands in the renderer's space, and what it projects."""
+"""Views: position and projection of a scene's camera in the renderer's space."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from facerender.scenes.vectors import direction_to, within_reach
 from facerender.terms.ranges import range_of
 
 FRAMING_MARGIN = 1.04
-_SAME_SHAPE = 0.005  # of width over height, by rounding
+_SAME_SHAPE = 0.005  # relative tolerance of the aspect ratio, for rounding
 SIZES = range_of(Camera, "size")
-_UNSEEN = 2e-4  # of the triangles' pixels: a chart's few stretched triangles do not count
-_XYW = [0, 1, 3]  # of clip coordinates, without the depth buffer's
+_UNSEEN = 2e-4  # fraction of pixels to ignore, for a few stretched triangles of a UV chart
+_XYW = [0, 1, 3]  # indices of clip x, y and w
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ class View:
     ----------
     position : (3,) float64
     forward : (3,) float64, unit vector of the viewing direction
-    matrix : (4, 4) float64, view times projection for row vectors; image row 0 is on top, that is
-        at clip y = -1, so that a framebuffer is read in the order of image rows
+    matrix : (4, 4) float64, view times projection for row vectors. Clip y = -1 is the top of the
+        image, so that the rows of a framebuffer are in image order
     """
 
     position: NDArray[np.float64]
@@ -41,27 +41,31 @@ class View:
     matrix: NDArray[np.float64]
 
     def shifted(self, pixels: tuple[float, float], size: tuple[int, int]) -> View:
-        """Return the view whose image, of this size, lies so many pixels to the right and down."""
+        """Return the view with its image moved right and down by pixels (x, y).
+
+        size : width and height of the image
+        """
         move = np.eye(4)
         move[3, :2] = 2.0 * np.asarray(pixels) / size
         return replace(self, matrix=self.matrix @ move)
 
     def intrinsics(self, size: tuple[int, int]) -> NDArray[np.float64]:
-        """Return K, (3, 3), of images of this size: from the camera's space, see
-        :meth:`extrinsics`, to pixels x to the right and y down.
+        """Return K, (3, 3), from camera space to pixels of an image of this size.
 
-        The corner of the top left pixel is (0, 0) and its centre (0.5, 0.5). Rounded to 1e-9 of a
-        pixel, so that a principal point in the middle is there to the last digit.
+        Pixel x points right, y down. The top left pixel has its corner at (0, 0) and its centre at
+        (0.5, 0.5). Values are rounded to 1e-9 pixels, so that a central principal point is exact.
+        See :meth:`extrinsics` for camera space.
         """
         width, height = np.divide(SIZES.check("size", size), 2.0)
         pixels = np.array([[width, 0.0, width], [0.0, height, height], [0.0, 0.0, 1.0]])
         return np.round(pixels @ self._lens, 9)
 
     def extrinsics(self, mesh: Mesh) -> NDArray[np.float64]:
-        """Return [R|t], (3, 4), from a mesh's space to the camera's: the eye at 0, x to the right,
-        y down, z forward, lengths in the mesh's units.
+        """Return [R|t], (3, 4), from mesh space to camera space.
 
-        mesh : whose bounds are those of the scene that the camera sees
+        Camera space has the camera at 0, x to the right, y down, z forward, and mesh units.
+
+        mesh : the scene's mesh, or one with the same bounds
         """
         check_type("mesh", mesh, Mesh, "a facerender.Mesh")
         pose = np.asarray(np.linalg.solve(self._lens, self.matrix[:, _XYW].T), np.float64)
@@ -70,8 +74,8 @@ class View:
 
     @property
     def _lens(self) -> NDArray[np.float64]:
-        """The matrix (3, 3) from the camera's space to clip x, y and w: w is the depth, and what
-        else is in x and y is the camera's own x and y, scaled."""
+        """Matrix (3, 3) from camera space to clip x, y and w. w is the depth; x and y are the
+        scaled x and y of camera space plus a multiple of the depth."""
         x, y, w = self.matrix[:3, _XYW].T
         lens = np.eye(3)
         for row, axis in enumerate((x, y)):
@@ -81,8 +85,11 @@ class View:
 
 
 def sample_grid(count: int) -> NDArray[np.float64]:
-    """Return points of a pixel that cover it evenly, (count, 2) in [-0.5, 0.5]: Hammersley's, after
-    Niederreiter (1992), "Random number generation and quasi-Monte Carlo methods", section 3.1."""
+    """Return evenly distributed sample positions in a pixel, (count, 2) in [-0.5, 0.5].
+
+    These are Hammersley points; see Niederreiter (1992), "Random number generation and quasi-Monte
+    Carlo methods", section 3.1.
+    """
     index = np.arange(count)
     turned, digit = np.full(count, 0.5 / count), 0.5
     for bit in range(int(count - 1).bit_length()):
@@ -92,12 +99,12 @@ def sample_grid(count: int) -> NDArray[np.float64]:
 
 
 def view_of(scene: Scene, aspect: float) -> View:
-    """Place the camera of a scene for images of the given aspect ratio, width over height.
+    """Return the view of a scene's camera for images with an aspect ratio of width / height.
 
     Raises
     ------
-    InputError : the eye stands at the target, or either is 1e6 radii of the mesh away; the camera's
-        intrinsics are for images of another shape
+    InputError : the camera is at its target, one of them is more than 1e6 mesh radii away, or the
+        camera's intrinsics are for another aspect ratio
     """
     check_type("scene", scene, Scene, "a facerender.Scene")
     check_range("aspect", aspect, 1e-6, 1e6)
@@ -125,11 +132,11 @@ def view_of(scene: Scene, aspect: float) -> View:
 
 
 def shifted(scene: Scene, x: float, y: float, size: tuple[int, int]) -> Scene:
-    """Return the scene whose image, of this size, lies x pixels to the right and y down.
+    """Return the scene with its image of this size moved right by x pixels and down by y pixels.
 
     Raises
     ------
-    InputError : a side of the size is none, x or y is beyond 1e6, or as of :func:`view_of`
+    InputError : an invalid size, x or y outside [-1e6, 1e6], or an error of :func:`view_of`
     """
     width, height = size = SIZES.check("size", size)
     for name, value in (("x", x), ("y", y)):
@@ -140,8 +147,7 @@ def shifted(scene: Scene, x: float, y: float, size: tuple[int, int]) -> Scene:
 
 
 def target_of(mesh: Mesh, camera: Camera) -> NDArray[np.float64]:
-    """Return what a camera that is not placed by extrinsics looks at, (3,), in the renderer's
-    space."""
+    """Return the target (3,) of a camera without extrinsics, in the renderer's space."""
     if camera.target is not None:
         return within_reach(f"camera target {camera.target}", mesh.normalised(camera.target))
     if camera.frame == "all":
@@ -150,19 +156,19 @@ def target_of(mesh: Mesh, camera: Camera) -> NDArray[np.float64]:
 
 
 def _placed(mesh: Mesh, camera: Camera, aspect: float) -> View:
-    """The view of a camera that is given by its matrices."""
+    """Return the view of a camera with extrinsics and, optionally, intrinsics."""
     pose = np.array(camera.extrinsics)
     left, _, right = np.linalg.svd(pose[:, :3])
-    turn = left @ right  # the rotation next to what was rounded
-    eye = within_reach("the eye of camera extrinsics", mesh.normalised(-turn.T @ pose[:, 3]))
+    turn = left @ right  # nearest rotation: the given one may be rounded
+    eye = within_reach("position in camera extrinsics", mesh.normalised(-turn.T @ pose[:, 3]))
     forward = turn[2]
     lens = _projection(camera.fov, aspect, eye, forward)
     if camera.intrinsics is not None and camera.size is not None:
         width, height = camera.size
         if not math.isclose(width / height, aspect, rel_tol=_SAME_SHAPE):
             raise InputError(
-                f"camera intrinsics are for images of {width} x {height} pixels: give a size of "
-                "that shape"
+                f"camera intrinsics are for images of {width} x {height} pixels: give a size with "
+                "this aspect ratio"
             )
         k = np.array(camera.intrinsics)
         lens[0, 0], lens[1, 1] = 2.0 * k[0, 0] / width, -2.0 * k[1, 1] / height
@@ -173,7 +179,7 @@ def _placed(mesh: Mesh, camera: Camera, aspect: float) -> View:
 def _look(
     position: NDArray[np.float64], target: NDArray[np.float64], up: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The matrix from the renderer's space to the camera's, for row vectors."""
+    """Return the matrix from the renderer's space to camera space, for row vectors."""
     from pyrr import matrix44
 
     look: NDArray[np.float64] = matrix44.create_look_at(position, target, up)
@@ -183,8 +189,8 @@ def _look(
 def _projection(
     fov: float, aspect: float, position: NDArray[np.float64], forward: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The matrix from the camera's space to clip space, y downwards, for row vectors. Its planes
-    hold the unit sphere."""
+    """Return the matrix from camera space to clip space, with y down, for row vectors. The unit
+    sphere lies between the near plane and the far plane."""
     from pyrr import matrix44
 
     depth = float(position @ -forward)  # of the mesh's centre
@@ -195,7 +201,7 @@ def _projection(
 
 
 def hidden(scene: Scene, size: tuple[int, ...]) -> str:
-    """Tell why an image of this size shows nothing of the mesh, and what helps."""
+    """Return the reason why an image of this size shows nothing of the mesh, with a remedy."""
     width, height = size
     view = view_of(scene, width / height)
     places = np.concatenate([scene.mesh.normalised(each.positions) for each in scene.mesh.parts])
@@ -207,10 +213,10 @@ def hidden(scene: Scene, size: tuple[int, ...]) -> str:
     extents = (x.max() - x.min()) * width / 2.0, (y.max() - y.min()) * height / 2.0
     if (inside := (np.abs(x) <= 1.0) & (np.abs(y) <= 1.0)).any():
         if max(extents) < 2.0:
-            return f"it is {max(extents):.2g} pixels large; come nearer, or zoom in"
+            return f"it is {max(extents):.2g} pixels large; move the camera nearer, or zoom in"
         return (
             f"{inside.sum()} of its vertices are in the frame, but no triangle covers a "
-            "pixel there; show more of it, or give more pixels"
+            "pixel; frame more of the mesh, or give more pixels"
         )
     outside = x.max() < -1.0, x.min() > 1.0, y.max() < -1.0, y.min() > 1.0
     ways = compress(("left of", "right of", "above", "below"), outside)
@@ -226,16 +232,17 @@ def levels_to_spare(
     size: tuple[int, int],
     anisotropy: float = 1.0,
 ) -> int:
-    """Return how many of the finest mip levels of a map an image does not read.
+    """Return the number of finest mip levels of a map that an image does not read.
 
-    A triangle reads the level log2 of the texels that a pixel covers along its longer side (OpenGL
-    3.3, section 3.8.11), with anisotropy along a part of it (EXT_texture_filter_anisotropic);
-    triangles that hide each other all count.
+    A triangle reads the level log2(t), where t is the number of texels along the longer axis of a
+    pixel's footprint (OpenGL 3.3, section 3.8.11). Anisotropic filtering divides t by the
+    anisotropy (EXT_texture_filter_anisotropic). Hidden triangles also count.
 
     Parameters
     ----------
-    part, uv : of the mesh, and its texture coordinates
-    texels, size : width and height of the map, and of the image
+    part, uv : part of the mesh, and its texture coordinates
+    texels : width and height of the map
+    size : width and height of the image
     """
     clip = np.column_stack([mesh.normalised(part.positions), np.ones(len(part.positions))])
     x, y, w = (clip @ view.matrix[:, [0, 1, 3]]).T
@@ -250,7 +257,7 @@ def levels_to_spare(
     across, along = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     double = across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
-        # Of the box around a triangle, as much of the triangle is in the frame.
+        # Estimates the visible fraction of a triangle by the visible fraction of its bounding box.
         area = np.abs(double) * np.nan_to_num(np.prod(shown / (high - low), axis=1))
         first, second = (coordinates[:, i] - coordinates[:, 0] for i in (1, 2))
         by_x = (first * along[:, 1:] - second * across[:, 1:]) / double[:, None]
@@ -262,18 +269,18 @@ def levels_to_spare(
     area, read = area[visible], read[visible]
     order = np.argsort(read)
     finest = read[order][np.searchsorted(np.cumsum(area[order]), _UNSEEN * area.sum())]
-    most = min(texels).bit_length() - 2  # two texels are left on a side
+    most = min(texels).bit_length() - 2  # the coarsest level has at least 2 x 2 texels
     return max(min(math.floor(math.log2(max(finest, 1.0))), most), 0)
 
 
 def _framing_distance(
     profile: NDArray[np.float64], elevation: float, fov: float, aspect: float
 ) -> float:
-    """Distance at which all of a profile, turned to any azimuth, lies inside the view, with a
-    margin.
+    """Return the camera distance at which a profile fits into the view at every azimuth.
 
-    A vertex at height y and distance r from the axis runs through a circle; each bound below is
-    the largest value on that circle of what must stay under the distance.
+    Includes a margin. As the camera orbits, a vertex at height y and distance r from the axis moves
+    on a circle. top, bottom and side are the distances at which the circle touches that edge of
+    the view.
     """
     r, y = profile.T
     sine, cosine = math.sin(math.radians(elevation)), math.cos(math.radians(elevation))

@@ -1,7 +1,7 @@
-"""Files, the cache, memory, signals and progress."""
+"""Files, cache, memory, signals and progress."""
 
 import os
 
-# The process that imported the package. A module that is imported later, in a child, compares it
-# with its own to learn of a fork that no hook of its own has seen.
+# The process that imported the package. A module that is imported after a fork compares this with
+# os.getpid() to detect the fork.
 IMPORTER = os.getpid()

@@ -1,4 +1,4 @@
-"""Output files, written whole or not at all."""
+"""Write output files completely or not at all."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pathlib import Path
 from facerender.errors import InputError, reason
 from facerender.system.signals import if_ended
 
-ABANDONED = 3600.0  # seconds after which an unfinished file is nobody's any more
-_UNFINISHED = ".facerender-"  # how its name begins
+ABANDONED = 3600.0  # seconds until a temporary file counts as abandoned
+_UNFINISHED = ".facerender-"  # prefix of temporary files
 
 
 def check_writable(path: str | os.PathLike[str]) -> Path:
@@ -22,8 +22,8 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
 
     Raises
     ------
-    InputError : the folder is missing or not writable, the name is too long, or there is something
-        else than a file
+    InputError : the folder is missing or not writable, the name is too long, or the path exists and
+        is not a regular file
     """
     target, mode = Path(path), stat.S_IFREG
     try:
@@ -37,31 +37,31 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
             f"cannot write {target}: {reason(error)}; give a file in a writable folder"
         ) from None
     if not stat.S_ISREG(mode):
-        kind = "a directory" if stat.S_ISDIR(mode) else "no regular file"
+        kind = "a directory" if stat.S_ISDIR(mode) else "not a regular file"
         raise InputError(f"cannot write {target}: it is {kind}; give a file name")
     return target
 
 
 def make_folder(path: str | os.PathLike[str]) -> Path:
-    """Make a folder for results, with those above it, and return its path.
+    """Create a folder for results, with its parents, and return its path.
 
     Raises
     ------
-    InputError : it cannot be made
+    InputError : the folder cannot be created
     """
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"cannot make {path}: {reason(error)}; give a writable folder") from None
+        raise InputError(f"cannot create {path}: {reason(error)}; give a writable folder") from None
     return Path(path)
 
 
 def write_whole(path: str | os.PathLike[str], write: Callable[[str], object]) -> None:
-    """Call write with a temporary name beside path, and rename it to path when it succeeded.
+    """Call ``write`` with a temporary name in the same folder, then rename that file to ``path``.
 
     Raises
     ------
-    InputError : as of :func:`check_writable`, or the disk is full
+    InputError : as in :func:`check_writable`, or writing fails, for example on a full disk
     """
     target = check_writable(path)
     temporary = target.with_name(f"{_UNFINISHED}{os.urandom(8).hex()}")
@@ -77,14 +77,14 @@ def write_whole(path: str | os.PathLike[str], write: Callable[[str], object]) ->
         except OSError as error:
             why = reason(error)
             raise InputError(
-                f"cannot write {target}: {why}; make room there, or give another place"
+                f"cannot write {target}: {why}; free space there, or give another path"
             ) from None
         finally:
             remove()
 
 
 def remove_abandoned(folder: str | os.PathLike[str]) -> None:
-    """Remove what :func:`write_whole` has left in a folder where its process was killed."""
+    """Remove the temporary files that :func:`write_whole` left in a folder when it was killed."""
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             if entry.name.startswith(_UNFINISHED):
@@ -94,10 +94,11 @@ def remove_abandoned(folder: str | os.PathLike[str]) -> None:
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write a file, whole or not at all; errors as in :func:`write_whole`."""
+    """Write a file completely or not at all; errors as in :func:`write_whole`."""
     write_whole(path, lambda name: Path(name).write_bytes(content))
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write UTF-8, what of a file's name is none escaped; as :func:`write_bytes`."""
+    """Write text as UTF-8; errors as in :func:`write_whole`. Invalid bytes of file names are
+    escaped."""
     write_bytes(path, text.encode(errors="backslashreplace"))

@@ -1,7 +1,7 @@
-"""Files that only save time: entries by the digest of what they depend on, in
-$XDG_CACHE_HOME/facerender or ~/.cache/facerender. An entry is there whole or not at all; a place
-that cannot be read or written is passed over. The least recently used go when all together take
-more than $FACERENDER_CACHE_MIB."""
+"""The cache on disk, in $XDG_CACHE_HOME/facerender or ~/.cache/facerender. An entry is named by a
+digest of its inputs, and is written completely or not at all. A folder that cannot be read or
+written is ignored. The least recently used entries are removed when all exceed
+$FACERENDER_CACHE_MIB."""
 
 from __future__ import annotations
 
@@ -23,51 +23,51 @@ _LIMIT = "FACERENDER_CACHE_MIB"
 _DEFAULT_LIMIT = 1024
 _HEAD = struct.Struct("<12sI")  # magic, CRC-32 of the content
 _MAGIC = b"facerender 1"
-_START = 64  # of the content: what is aligned in it is aligned in memory
+_START = 64  # offset of the content in bytes: its arrays stay aligned in memory
 
 
 def folder() -> Path:
-    """Return where the entries lie; it need not be there."""
+    """Return the folder of the entries, which may not exist."""
     base = os.environ.get("XDG_CACHE_HOME", "")
     home = os.path.expanduser("~/.cache")
     return Path(base if os.path.isabs(base) else home, "facerender")
 
 
 def limit() -> int:
-    """Return how many bytes all entries may take together.
+    """Return the maximum bytes of all entries together.
 
     Raises
     ------
-    InputError : FACERENDER_CACHE_MIB is no number from 0 on
+    InputError : FACERENDER_CACHE_MIB is not an integer >= 0
     """
     text = os.environ.get(_LIMIT) or str(_DEFAULT_LIMIT)
     if not text.isdecimal():
-        raise InputError(f"{_LIMIT} = {text!r}: give a whole number of MiB; 0 keeps nothing")
+        raise InputError(f"{_LIMIT} = {text!r}: give a whole number of MiB; 0 disables the cache")
     return int(text) << 20
 
 
 def size() -> int:
-    """Return how many bytes the entries take."""
+    """Return the bytes of all entries together."""
     return sum(count for _, count, _ in _entries())
 
 
 def read(kind: str, name: str) -> memoryview | None:
-    """Return the content of an entry, or None if it is absent or damaged, or nothing is kept.
+    """Return the content of an entry; None if it is missing or damaged, or the cache is disabled.
 
     Raises
     ------
-    InputError : as of :func:`limit`
+    InputError : as in :func:`limit`
     """
     if not limit():
         return None
     path = folder() / kind / name
     try:
         with open_file(path, "an entry") as file:
-            data = np.fromfile(file, dtype=np.uint8).data  # not set to 0 first, as a bytearray is
+            data = np.fromfile(file, dtype=np.uint8).data  # a bytearray would first be set to 0
     except InputError:
         return None
-    with suppress(OSError):  # another user's
-        os.utime(path)  # it was used now
+    with suppress(OSError):  # the file of another user
+        os.utime(path)  # mark the entry as recently used
     if len(data) < _START:
         return None
     content = data[_START:]
@@ -76,11 +76,11 @@ def read(kind: str, name: str) -> memoryview | None:
 
 
 def write(kind: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
-    """Keep an entry, of pieces one after the other, and let go what is too much.
+    """Write an entry, the concatenation of pieces, and remove old entries beyond the limit.
 
     Raises
     ------
-    InputError : as of :func:`limit`
+    InputError : as in :func:`limit`
     """
     if _START + sum(memoryview(piece).nbytes for piece in pieces) > limit():
         return
@@ -100,24 +100,23 @@ def write(kind: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
         write_whole(path, write_pieces)
     except (OSError, InputError):
         return
-    _let_go(path)
+    _evict(path)
 
 
 def _entries() -> list[tuple[float, int, Path]]:
-    """When each was used last, its bytes, its path."""
+    """Return the time of last use, size and path of each entry."""
     found = []
     for path in folder().glob("*/*"):
         try:
             facts = path.stat()
-        except OSError:  # another process has removed it
+        except OSError:  # another process removed it
             continue
         found.append((facts.st_mtime, facts.st_size, path))
     return found
 
 
-def _let_go(newest: Path) -> None:
-    """Remove the least recently used entries beyond the limit, and what writers that were cut off
-    have left."""
+def _evict(newest: Path) -> None:
+    """Remove the least recently used entries beyond the limit, and abandoned temporary files."""
     total = 0
     for used, count, path in sorted(_entries(), reverse=True):
         total += count

@@ -1,4 +1,4 @@
-"""Folders of files that are not code."""
+"""Folders of data files."""
 
 from pathlib import Path
 
@@ -6,6 +6,6 @@ _PACKAGE = Path(__file__).parents[1]
 
 
 def data_dir(name: str) -> Path:
-    """Return the folder ``name`` of the wheel's data; in a checkout, that beside the package."""
+    """Return the data folder ``name``: in the installed package, or next to it in a checkout."""
     installed = _PACKAGE / name
     return installed if installed.is_dir() else _PACKAGE.parent / name

@@ -1,4 +1,4 @@
-"""Files that others made, opened with care: only regular ones, of a size that was declared."""
+"""Read untrusted files safely: only regular files, up to a limit of bytes."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from typing import Any, BinaryIO
 from facerender.errors import InputError, clipped, reason
 
 MOST = 1 << 30  # bytes
-# More names than any table has above each other: the parser's time and memory grow with the square.
+# A dotted key that is deeper than any valid table: the parser's time and memory grow quadratically
+# with the depth.
 _DEEP_KEY = re.compile(
     r"""(?<![\w"'.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}"""
 )
-# What a file may hold in place of its content: how it begins in lower case, kind and remedy.
+# Placeholders that a file may hold instead of its content: first bytes in lower case, kind, remedy.
 _NOT_DOWNLOADED = (
     (b"version https://git-lfs", "a Git LFS pointer", "fetch it with git lfs pull"),
     (b"<!doctype html", "an HTML page", "download the file itself"),
@@ -35,43 +36,44 @@ _KINDS = {
 
 @contextmanager
 def open_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> Iterator[BinaryIO]:
-    """Open a regular file; nothing else is opened, for a pipe may never begin and a device never
-    end.
+    """Open a regular file. Other files are refused: a pipe may block, and a device may never end.
 
     Parameters
     ----------
-    what : that should be given in its place, for the message: "an image file"
-    most : bytes that it may have
+    what : description of the expected file for messages, such as "an image file"
+    most : maximum size in bytes
 
     Raises
     ------
-    InputError : it is missing, may not be read, is no regular file, or is larger; also what reading
-        it raises
+    InputError : the file is missing, unreadable, too large or not a regular file, or reading it
+        fails
     """
     shown = clipped(os.fsdecode(path))
     try:
         facts = os.stat(path)
         if not stat.S_ISREG(facts.st_mode):
-            kind = _KINDS.get(stat.S_IFMT(facts.st_mode), "no regular file")
+            kind = _KINDS.get(stat.S_IFMT(facts.st_mode), "not a regular file")
             raise InputError(f"{shown} is {kind}; give {what}")
         if facts.st_size > most:
-            raise InputError(f"{shown} has {facts.st_size} bytes, of {most} at most; give {what}")
+            raise InputError(
+                f"{shown} has {facts.st_size} bytes, but the limit is {most}; give {what}"
+            )
         with Path(path).open("rb") as file:
             yield file
     except InputError:
         raise
-    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+    except (OSError, ValueError) as error:  # ValueError: an invalid file name
         raise InputError(f"cannot read {shown}: {reason(error)}; give {what}") from None
 
 
 def read_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> bytes:
-    """Return the content of a regular file; parameters and errors as of :func:`open_file`."""
+    """Return the content of a regular file; parameters and errors as in :func:`open_file`."""
     with open_file(path, what, most) as file:
         return file.read(os.fstat(file.fileno()).st_size)
 
 
 def digest_of(*pieces: str | bytes | memoryview) -> str:
-    """Return a digest of pieces, as 32 hexadecimal digits; their lengths count."""
+    """Return a digest of pieces and of their lengths, as 32 hexadecimal digits."""
     whole = hashlib.blake2b(digest_size=16)
     for piece in pieces:
         content = memoryview(piece.encode() if isinstance(piece, str) else piece).cast("B")
@@ -81,9 +83,9 @@ def digest_of(*pieces: str | bytes | memoryview) -> str:
 
 
 def check_downloaded(content: bytes, subject: str) -> None:
-    """Raise InputError where a Git LFS pointer or an HTML page lies in place of a file's content.
+    """Raise InputError if the content of a file is only a Git LFS pointer or an HTML page.
 
-    subject : begins the message: "a.png is", "head.glb is not glTF but"
+    subject : start of the message, such as "a.png is" or "head.glb is not glTF but"
     """
     start = content[:64].removeprefix(b"\xef\xbb\xbf").lstrip().lower()
     for beginning, kind, remedy in _NOT_DOWNLOADED:
@@ -92,11 +94,11 @@ def check_downloaded(content: bytes, subject: str) -> None:
 
 
 def tables_of(content: bytes, name: str) -> dict[str, Any]:
-    """Return the tables of a TOML file, with a byte order mark or without.
+    """Return the tables of a TOML file, with or without a byte order mark.
 
     Raises
     ------
-    InputError : it is none, is nested too deep, or has a number of thousands of digits
+    InputError : the file is not TOML, is nested too deep, or has an integer of thousands of digits
     """
     import tomllib
 
@@ -107,6 +109,6 @@ def tables_of(content: bytes, name: str) -> dict[str, Any]:
         return tomllib.loads(text)
     except RecursionError:
         why = "nested too deep"
-    except ValueError as error:  # Python reads no numbers of 5000 digits
+    except ValueError as error:  # also an integer with more digits than Python parses
         why = reason(error)
-    raise InputError(f"{name} is not TOML: {why}; mend it")
+    raise InputError(f"{name} is not valid TOML: {why}; correct it")

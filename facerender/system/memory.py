@@ -1,4 +1,4 @@
-"""Memory of the process: what it has, may still take, and gives back to the system."""
+"""Used and available memory of this process, and the release of free memory to the system."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pathlib import Path
 
 
 def give_back() -> None:
-    """Give what is free to the system, where glibc would keep it."""
+    """Return freed memory to the system; glibc would keep it."""
     if trim := _malloc_trim():
         trim(0)
 
 
 @cache
 def _malloc_trim() -> Callable[[int], object] | None:
-    """What glibc alone has."""
+    """Return glibc's ``malloc_trim``; None with another C library."""
     return getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
 
 
@@ -28,18 +28,18 @@ MIB = 1 << 20
 
 
 def limit(mebibytes: float | None) -> float:
-    """Return the MiB that this process may have: the argument, or what it has and can still get."""
+    """Return the memory limit in MiB: the argument, or resident plus available memory if None."""
     return available() + resident() if mebibytes is None else mebibytes
 
 
 def available() -> float:
-    """Return the MiB that this process may still take, of the machine and of its control group;
-    infinite where neither says."""
+    """Return the MiB that this process can still allocate, limited by the machine and its control
+    group; infinite if both are unknown."""
     free = math.inf
     with suppress(OSError, ValueError, StopIteration):
         lines = Path("/proc/meminfo").read_text().splitlines()
         free = next(float(line.split()[1]) for line in lines if line.startswith("MemAvailable"))
-    with suppress(OSError, ValueError):  # no such limit
+    with suppress(OSError, ValueError):  # the control group has no limit
         most = float(Path("/sys/fs/cgroup/memory.max").read_text())
         used = float(Path("/sys/fs/cgroup/memory.current").read_text())
         free = min(free, (most - used) / 1024.0)
@@ -47,7 +47,7 @@ def available() -> float:
 
 
 def resident() -> float:
-    """Return the MiB that this process has; 0 where the system does not say."""
+    """Return the resident memory of this process in MiB; 0 if it is unknown."""
     with suppress(OSError, ValueError, IndexError):
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / float(MIB)

@@ -1,4 +1,4 @@
-"""The functions of meshoptimizer (Kapoulkine, 2016-2026), of the extra ``lod``, through ctypes."""
+"""Functions of meshoptimizer (Kapoulkine, 2016-2026) through ctypes; requires the extra ``lod``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 _POINTER, _SIZE, _FLOAT = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_float
 _DECODER = ctypes.c_int, [_POINTER, _SIZE, _SIZE, _POINTER, _SIZE]
 _FILTER = None, [_POINTER, _SIZE, _SIZE]
-# Result and arguments, as src/meshoptimizer.h of version 0.23 declares them.
+# Types of result and arguments, as declared in src/meshoptimizer.h of version 0.23.
 _TYPES: dict[str, tuple[Any, list[Any]]] = {
     "simplifyWithAttributes": (
         _SIZE,
@@ -33,10 +33,10 @@ _TYPES: dict[str, tuple[Any, list[Any]]] = {
 
 @cache
 def library() -> ctypes.CDLL:
-    """Return the compiled library of the Python package meshoptimizer, its types declared.
+    """Return the compiled library of the Python package meshoptimizer with declared types.
 
-    The package's own wrappers declare no types of simplify_with_attributes and of the filters: they
-    hand 64-bit sizes on as 32-bit integers, and crash. They are not imported.
+    The package's wrappers are not imported: they declare no types for simplify_with_attributes and
+    the filters, pass 64-bit sizes as 32-bit integers, and crash.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def library() -> ctypes.CDLL:
     places = package.submodule_search_locations if package else None
     found = PathFinder.find_spec("_meshoptimizer", places) if places else None
     if found is None or found.origin is None:
-        raise ImportError("no package meshoptimizer")
+        raise ImportError("the package meshoptimizer is not installed")
     functions = ctypes.CDLL(found.origin)
     for name, (result, arguments) in _TYPES.items():
         function = getattr(functions, f"meshopt_{name}")
@@ -61,14 +61,14 @@ def collapsed(
     weights: NDArray[np.float32],
     triangles: int,
 ) -> NDArray[np.uint32]:
-    """Return at most so many faces (F, 3) of the same vertices, if these allow it, whatever the
-    error.
+    """Collapse edges: return at most ``triangles`` faces (F, 3) of the same vertices, if possible,
+    whatever the error.
 
     Parameters
     ----------
     faces, positions : (F, 3) and (N, 3)
-    attributes, weights : (N, K), and (K,): how much an attribute's error counts beside a distance
-    triangles : the number to collapse edges to
+    attributes, weights : (N, K) and (K,); a weight relates an attribute's error to a distance
+    triangles : target number of faces
     """
     faces, weights = np.ascontiguousarray(faces), np.ascontiguousarray(weights)
     positions, attributes = np.ascontiguousarray(positions), np.ascontiguousarray(attributes)
@@ -77,14 +77,14 @@ def collapsed(
         *(left.ctypes.data, faces.ctypes.data, faces.size),
         *(positions.ctypes.data, len(positions), positions.strides[0]),
         *(attributes.ctypes.data, attributes.strides[0], weights.ctypes.data, len(weights)),
-        *(None, 3 * triangles, np.finfo(np.float32).max, 0, None),  # no vertex locked, no option
+        *(None, 3 * triangles, np.finfo(np.float32).max, 0, None),  # no locked vertices, no options
     )
     return left[: count // 3]
 
 
 def in_cache_order(faces: NDArray[np.uint32], vertices: int) -> NDArray[np.uint32]:
-    """Return faces (F, 3) in an order in which a GPU transforms few vertices twice (Sander et al.
-    2007)."""
+    """Return faces (F, 3) in an order in which a GPU's vertex cache avoids repeated transforms
+    (Sander et al. 2007)."""
     faces = np.ascontiguousarray(faces)
     ordered = np.empty_like(faces)
     library().meshopt_optimizeVertexCache(

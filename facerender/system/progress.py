@@ -1,5 +1,5 @@
-"""Progress of long work: it calls a function with the name of the current step and the fraction of
-it that is done. Without such a function none is reported."""
+"""Progress of long operations. They call a function with the name of the current step and its
+completed fraction."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ Progress = Callable[[str, float], object]
 
 
 def no_progress(what: str, done: float) -> None:
-    """Where nobody asks."""
+    """Ignore progress; used if the caller gives no function."""
 
 
 def shows_bars(quiet: bool) -> bool:
-    """Whether bars are: on a terminal."""
+    """Return whether progress bars are shown: on a terminal, unless ``quiet``."""
     return not quiet and sys.stderr.isatty()
 
 
 class Bar(ExitStack):
-    """A bar of tqdm on standard error, of what is done now; it vanishes at the end. Where a signal
-    ends the process, a line says how far the work has come, on a terminal or not.
+    """A tqdm bar on standard error that shows the current step and disappears at the end. If a
+    signal ends the process, a line reports the progress, also without a terminal.
 
-    quiet : no bar
-    on_step : is called with each step as it begins, in place of a bar
+    quiet : show no bar
+    on_step : function called with the name of each step when it starts; replaces the bar
     """
 
     def __init__(self, quiet: bool = False, on_step: Callable[[str], object] | None = None) -> None:
@@ -67,6 +67,6 @@ class Bar(ExitStack):
     def _ended(self) -> str:
         self._close()
         if not self._what:
-            return "before it began"
+            return "before the first step"
         now = f"{100.0 * self._fraction:.0f} % of {self._what}"
         return f"done: {', '.join([*self._done, now])}"

@@ -1,5 +1,5 @@
-"""How the command ends when a signal tells it to: children first, then what is half done is undone,
-and nothing of Python goes on. A program that imports the package keeps its own signals."""
+"""End the command on signals: end child processes, remove unfinished output, and exit without
+running more Python code. A program that imports the package keeps its own signal handlers."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 
 _WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
-_PATIENCE = 2.0  # seconds that children have to end
+_PATIENCE = 2.0  # maximum seconds to wait for children to end
 _ending = False
 _actions: list[Callable[[], str | None]] = []
 
 
 def heed_signals() -> None:
-    """Have SIGINT, SIGTERM and a reader of the output that has gone end the process, with status
-    130, 143 and 141. An exception would not: trimesh catches and forgets a KeyboardInterrupt."""
+    """Let SIGINT, SIGTERM and SIGPIPE end the process, with status 130, 143 and 141. A
+    KeyboardInterrupt might not: trimesh catches and discards it."""
     for name in ("SIGINT", "SIGTERM", "SIGPIPE"):
-        if hasattr(signal, name):  # not all of them on Windows
+        if hasattr(signal, name):  # Windows lacks some of them
             signal.signal(getattr(signal, name), _end)
 
 
 def heed_the_coordinator() -> None:
-    """Have SIGTERM end the process as it does by default, once what is half done is undone. SIGINT
-    is for the driver, which passes it on as SIGTERM."""
+    """Let SIGTERM end the process as by default, after unfinished output is removed. Ignore SIGINT:
+    the coordinator receives it and sends SIGTERM."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _end_unsaid)
+    signal.signal(signal.SIGTERM, _end_silently)
 
 
 def hold() -> None:
-    """Keep a thread from what it is about to begin, once the process is being ended."""
+    """Block the calling thread forever if the process is ending, so that it starts nothing new."""
     if _ending:
         from threading import Event
 
@@ -42,7 +42,8 @@ def hold() -> None:
 
 @contextmanager
 def if_ended(action: Callable[[], str | None]) -> Iterator[None]:
-    """Call action if a signal ends the process meanwhile; what it returns is said."""
+    """Call ``action`` if a signal ends the process within the context. The final message includes
+    the text that it returns."""
     hold()
     _actions.append(action)
     try:
@@ -53,7 +54,7 @@ def if_ended(action: Callable[[], str | None]) -> Iterator[None]:
 
 @contextmanager
 def temporary_folder() -> Iterator[str]:
-    """A folder of its own, which is removed at the end."""
+    """Create a private temporary folder, and remove it at the end."""
     import shutil
     import tempfile
 
@@ -71,41 +72,41 @@ def temporary_folder() -> Iterator[str]:
 
 
 def _end(number: int, frame: FrameType | None) -> None:
-    said = _undo()
+    reports = _undo()
     if number in _WORDS:
-        with suppress(Exception):  # whatever the main thread was about to do with it
+        with suppress(Exception):  # the main thread may be writing to it
             sys.stdout.flush()
-        line = ": ".join(filter(None, [_WORDS[signal.Signals(number)], *said]))
+        line = ": ".join(filter(None, [_WORDS[signal.Signals(number)], *reports]))
         with suppress(OSError):
             os.write(2, f"facerender: {line}\n".encode(errors="backslashreplace"))
     os._exit(128 + number)
 
 
-def _end_unsaid(number: int, frame: FrameType | None) -> None:
+def _end_silently(number: int, frame: FrameType | None) -> None:
     _undo()
     signal.signal(number, signal.SIG_DFL)
     os.kill(os.getpid(), number)
 
 
 def _undo() -> list[str | None]:
-    """End the children, then undo what is half done; return what is said of it."""
+    """End the children, then call the registered actions; return their texts."""
     global _ending
     _ending = True
     with suppress(Exception):
         _end_children()
-    said = []
+    reports = []
     for action in reversed(_actions):
         with suppress(Exception):
-            said.append(action())
-    return said
+            reports.append(action())
+    return reports
 
 
 def _end_children() -> None:
-    """End the processes below this one, as far as /proc knows them, and wait for them."""
+    """Send SIGTERM to all descendants listed in /proc, and wait for the direct children."""
     parents = {}
     for name in filter(str.isdecimal, os.listdir("/proc")):
         with suppress(OSError), open(f"/proc/{name}/stat", "rb") as file:
-            # Behind the name, which may hold anything: state, parent.
+            # State and parent follow the last parenthesis: the name may contain any character.
             parents[int(name)] = int(file.read().rpartition(b")")[2].split()[1])
     below = {os.getpid()}
     while more := {child for child, parent in parents.items() if parent in below} - below:
@@ -123,5 +124,5 @@ def _end_children() -> None:
 def _runs(child: int) -> bool:
     try:
         return os.waitpid(child, os.WNOHANG) == (0, 0)
-    except ChildProcessError:  # somebody else has waited for it
+    except ChildProcessError:  # other code waited for it
         return False

@@ -1,4 +1,4 @@
-"""Standard error of the whole process: what C libraries and child processes write, too."""
+"""Standard error of the whole process, including C libraries and child processes."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ _LOCK = threading.Lock()
 
 @contextmanager
 def redirected_stderr(file: IO[Any]) -> Iterator[None]:
-    """Write file descriptor 2 to an open file meanwhile, one thread after another."""
+    """Redirect file descriptor 2 to an open file within the context; one thread at a time."""
     with _LOCK:
         try:
             original = os.dup(2)
-        except OSError:  # closed
+        except OSError:  # standard error is closed
             yield
             return
         try:

@@ -1,6 +1,7 @@
-"""The registry: each lobe, Fresnel term, masking term and model is one entry, which names its GLSL,
-its float64 twin beside it, its domain and its bounds. All that lists terms enumerates it: the
-command line, documents, prices, the planner, tests."""
+"""Registry of lobes, Fresnel terms, masking terms and models.
+
+Each entry names its GLSL, its float64 reference, its domain and its error bounds. The command line,
+the documents, the prices, the planner and the tests enumerate the entries."""
 
 from facerender.terms.fresnel import FRESNEL, Fresnel
 from facerender.terms.lobe import LOBES, AnyLobe, GPower, Lobe, lobe_entry

@@ -1,5 +1,5 @@
-"""Directional albedo of Cook-Torrance, by a fit (``tools/fits/albedo.py``), and the factor that
-couples a diffuse term with it."""
+"""Directional albedo of Cook-Torrance from a fit (``tools/fits/albedo.py``), and the factor of an
+energy-conserving diffuse term."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from numpy.typing import ArrayLike, NDArray
 
 Float = NDArray[np.float64]
 
-ENDS = (0.05, 1.0)  # of m; what lies outside counts as the nearer one
-LOWEST = 0.02  # square root of the cosine; the same
-RAISED = 0.0061  # by which the fit was raised, so that it is nowhere below the integral
-# Of s^i t^j, s = 2 sqrt(cosine) - 1 and t = m scaled to -1 to 1, row i and column j: what f0
-# multiplies, and the rest.
+ENDS = (0.05, 1.0)  # of m; values outside are clamped
+LOWEST = 0.02  # square root of the cosine; smaller values are clamped
+RAISED = 0.0061  # offset in the fit, so that it is nowhere below the integral
+# Coefficients of s^i t^j in row i and column j, with s = 2 sqrt(cosine) - 1 and t = m scaled to
+# [-1, 1]: first the factor of f0, then the rest.
 FITS = np.array(
     [
         [
@@ -37,19 +37,21 @@ FITS = np.array(
         ],
     ]
 )
-# The mean of s^i over the hemisphere, weighted by the cosine: of 4 x^3 (2 x - 1)^i from 0 to 1.
+# Cosine-weighted mean of s^i over the hemisphere: the integral of 4 x^3 (2 x - 1)^i from 0 to 1.
 MEANS = np.array([1, 3 / 5, 7 / 15, 13 / 35, 11 / 35, 17 / 63, 5 / 21, 7 / 33])
 
 
 def cook_torrance_albedo(n_dot_v: ArrayLike, m: ArrayLike, f0: ArrayLike) -> Float:
-    """Return the share of the light from a direction that Cook-Torrance reflects, with the exact
-    lobe, Schlick's Fresnel term and V-cavities, by a fit: 0 to 0.0125 above the integral.
+    """Return the fraction of the light from one direction that Cook-Torrance reflects.
+
+    The value is a fit for the exact lobe, Schlick's Fresnel term and V-cavities. It is 0 to 0.0125
+    above the integral.
 
     Parameters
     ----------
-    n_dot_v : cosine of the direction and the normal, in [0, 1]; below 4e-4 it counts as that
-    m : rms slope; outside [0.05, 1] it counts as the nearer end
-    f0 : Fresnel reflectance at normal incidence, in [0, 0.1]; what is larger adds 0.008 f0
+    n_dot_v : cosine of the angle between direction and normal, in [0, 1]; clamped to at least 4e-4
+    m : roughness: RMS slope of the microfacets; clamped to [0.05, 1]
+    f0 : Fresnel reflectance at normal incidence, in [0, 0.1]; above, up to 0.008 f0 more error
 
     References: Kelemen and Szirmay-Kalos (2001), who tabulate it.
     """
@@ -59,19 +61,21 @@ def cook_torrance_albedo(n_dot_v: ArrayLike, m: ArrayLike, f0: ArrayLike) -> Flo
 
 
 def cook_torrance_albedo_mean(m: ArrayLike, f0: ArrayLike) -> Float:
-    """Return the mean of :func:`cook_torrance_albedo` over the hemisphere, weighted by the cosine,
-    with the same parameters."""
+    """Return the cosine-weighted mean of :func:`cook_torrance_albedo` over the hemisphere, with the
+    same parameters."""
     return np.asarray(_coefficients(m, f0) @ MEANS)
 
 
 def diffuse_coupled(albedo_l: ArrayLike, albedo_v: ArrayLike, mean: ArrayLike) -> Float:
-    """Return by what a Lambertian term is multiplied so that it has what a specular term leaves,
-    (1 - albedo_l) (1 - albedo_v)/(1 - mean), which is as good in both directions.
+    """Return the factor on a Lambertian term that makes it energy-conserving.
+
+    The factor is (1 - albedo_l) (1 - albedo_v)/(1 - mean); it is reciprocal.
 
     Parameters
     ----------
-    albedo_l, albedo_v, mean : of the specular term towards light and eye, and over the hemisphere,
-        times its weight; above 1, and a mean above 0.5, they count as that
+    albedo_l, albedo_v : directional albedos of the specular term for the directions to the light
+        and to the camera, times the specular weight; clamped to at most 1
+    mean : mean of this albedo over the hemisphere; clamped to at most 0.5
 
     References: Kelemen and Szirmay-Kalos (2001).
     """
@@ -80,7 +84,7 @@ def diffuse_coupled(albedo_l: ArrayLike, albedo_v: ArrayLike, mean: ArrayLike) -
 
 
 def _coefficients(m: ArrayLike, f0: ArrayLike) -> Float:
-    """Of the powers of s, (..., 8)."""
+    """Return the coefficients of the powers of s, (..., 8)."""
     slope = np.clip(np.asarray(m, dtype=np.float64), *ENDS)
     t = (2.0 * slope - sum(ENDS)) / (ENDS[1] - ENDS[0])
     powers = t[..., None] ** np.arange(FITS.shape[2])

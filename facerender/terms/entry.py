@@ -1,4 +1,4 @@
-"""What every entry of the registry has: a name, and where and how GLSL evaluates it."""
+"""Base class of the registry's entries: the name of a term, its GLSL file and its GLSL call."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class Entry:
 
     Attributes
     ----------
-    name : as users write it, such as "v-cavity"
-    file : of the library, that defines it, such as "masking/v_cavity"
-    call : GLSL that evaluates it; of which variables, the kind says
+    name : name in options and scene files, for example "v-cavity"
+    file : file of the shader library that defines the term, for example "masking/v_cavity"
+    call : GLSL expression of the term; the subclass lists its variables
     """
 
     name: str
@@ -28,7 +28,7 @@ class Entry:
 
     @property
     def word(self) -> str:
-        """The name as GLSL writes it in capitals."""
+        """Name in the GLSL macros, for example "V_CAVITY"."""
         return self.name.upper().replace("-", "_")
 
 
@@ -36,12 +36,12 @@ E = TypeVar("E", bound=Entry)
 
 
 def registry(*entries: E) -> dict[str, E]:
-    """Return entries by name, in their order."""
+    """Return the entries by name, in the given order."""
     return {entry.name: entry for entry in entries}
 
 
 def named(kind: str, entries: Mapping[str, E], name: object) -> E:
-    """Return the entry of a name.
+    """Return the entry with a name.
 
     Raises
     ------

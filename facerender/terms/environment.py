@@ -1,9 +1,10 @@
-"""Light from all around in float64: the reference for ``shaders/facerender/environment.glsl``. Maps
-and coefficients are made in ``scenes/environment.py``.
+"""Environment lighting in float64: the reference for ``shaders/facerender/environment.glsl``.
+
+``scenes/environment.py`` computes the maps and coefficients.
 
 Vectors are arrays of shape (..., 3) that broadcast against one another, m of shape (...).
-``brdf.f`` is ``fr_f`` in GLSL, with the same arguments in the same order; the number of samples
-takes the place of a macro.
+``brdf.f`` is ``fr_f`` in GLSL, with the same arguments in the same order; the parameter ``samples``
+replaces a macro.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ from facerender.terms.model import (
 Float = NDArray[np.float64]
 
 SAMPLES = 32  # FR_ENVIRONMENT_SAMPLES
-_COARSEST = 2  # log2 of a side of the last level
-_NEAR = 1e-3  # a sine between eye and normal below which no direction is told from it
-_TURN = 1.94161104  # radians from slope to slope: pi over the golden ratio
+_COARSEST = 2  # log2 of the side of the last level in texels
+_NEAR = 1e-3  # sine between camera direction and normal; below it the tangent is arbitrary
+_TURN = 1.94161104  # radians between consecutive slopes: pi over the golden ratio
 
 
 def harmonics(n: ArrayLike) -> Float:
@@ -40,7 +41,7 @@ def harmonics(n: ArrayLike) -> Float:
 
 
 def environment_irradiance(sh: ArrayLike, n: ArrayLike) -> Float:
-    """Return the irradiance (..., 3) of surfaces, by nine coefficients (9, 3); not below 0.
+    """Return the irradiance (..., 3) of surfaces from nine coefficients (9, 3); at least 0.
 
     References: Ramamoorthi and Hanrahan (2001), "An efficient representation for irradiance
     environment maps".
@@ -49,14 +50,14 @@ def environment_irradiance(sh: ArrayLike, n: ArrayLike) -> Float:
 
 
 def environment_radiance(map: ArrayLike, size: int, l: ArrayLike, solid_angle: ArrayLike) -> Float:
-    """Return the mean radiance (..., 3) of so many steradians around directions.
+    """Return the mean radiance (..., 3) within a solid angle around directions.
 
     Parameters
     ----------
-    map : (size + 2, W, 3), all levels side by side, as ``scenes.environment.atlas`` has them
+    map : all levels side by side, (size + 2, W, 3), see ``scenes.environment.atlas``
     size : side of the first level in texels, a power of two
-    l : unit vectors
-    solid_angle : (...)
+    l : unit vectors (..., 3)
+    solid_angle : in sr, (...)
     """
     x, y, z = np.moveaxis(np.asarray(l, dtype=np.float64), -1, 0)
     norm = np.abs(x) + np.abs(y) + np.abs(z)
@@ -73,7 +74,7 @@ def environment_radiance(map: ArrayLike, size: int, l: ArrayLike, solid_angle: A
 
 
 def level_at(map: NDArray[np.generic], size: int, place: Float, level: NDArray[np.int64]) -> Float:
-    """Return what levels (...) of a map hold at places (..., 2) in [0, 1]: (..., 3)."""
+    """Return the values (..., 3) of levels (...) of a map at positions (..., 2) in [0, 1]."""
     side = size >> level
     texel = place * side[..., None] + 0.5
     low = np.floor(texel)
@@ -104,10 +105,10 @@ def environment_cook_torrance(
     Parameters
     ----------
     map, size : see :func:`environment_radiance`
-    n, v : unit vectors: normal, and towards the eye
-    m : rms slope, in [1e-4, 2]
+    n, v : unit vectors: normal, direction to the camera
+    m : roughness: RMS slope of the microfacets, in [1e-4, 2]
     f0, fresnel_term, masking_term : see :func:`facerender.brdf.cook_torrance`
-    samples : an even number
+    samples : number of samples, even
     """
     factors = {"fresnel_term": fresnel_term, "masking_term": masking_term}
     brdf = partial(cook_torrance, f0=f0, **factors)
@@ -123,8 +124,10 @@ def environment_ward(
     *,
     samples: int = SAMPLES,
 ) -> Float:
-    """Return the radiance (..., 3) that Ward's BRDF with the exact lobe reflects; parameters as of
-    :func:`environment_cook_torrance`."""
+    """Return the radiance (..., 3) that Ward's BRDF with the exact lobe reflects.
+
+    For the parameters see :func:`environment_cook_torrance`.
+    """
     return reflected(map, size, n, v, m, ward, samples)
 
 
@@ -137,14 +140,16 @@ def reflected(
     brdf: Callable[[Float, Float, Float, Float], Float],
     samples: int = SAMPLES,
 ) -> Float:
-    """Return the radiance (..., 3) that a BRDF with the exact lobe reflects: the mean of BRDF (N.L)
-    radiance over the density of the samples, E/(4 π m² (N.H)³ (V.H)).
+    """Return the radiance (..., 3) that a BRDF with the exact lobe reflects.
+
+    It is the mean of BRDF (N.L) radiance divided by the density E/(4 π m² (N.H)³ (V.H)) of the
+    samples.
 
     Parameters
     ----------
-    brdf : of n, l, v and m, which are (K, 3) and (K,)
+    brdf : function of n, l, v (K, 3) and m (K,)
 
-    Others as of :func:`environment_cook_torrance`.
+    For the other parameters see :func:`environment_cook_torrance`.
     """
     normal, eye = np.broadcast_arrays(checked_unit("n", n), checked_unit("v", v))
     slope = np.broadcast_to(check_slope(m, "exact", K_COOK_TORRANCE), normal.shape[:-1])
@@ -164,8 +169,11 @@ def reflected(
 
 
 def environment_axes(n: Float, v: Float) -> tuple[Float, Float]:
-    """Return axes across normals (..., 3): along what the eye sees of them, and across; where it
-    looks along the normal, others."""
+    """Return two tangent axes of normals (..., 3).
+
+    The first axis points along the tangential part of the camera direction. It is arbitrary where
+    the camera looks along the normal.
+    """
     aside = v - dot(n, v)[..., None] * n
     length = np.sqrt(dot(aside, aside))[..., None]
     side = np.where(np.abs(n[..., :1]) < 0.5, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
@@ -185,9 +193,14 @@ def environment_sample(
     *,
     samples: int = SAMPLES,
 ) -> tuple[Float, Float]:
-    """Return the direction (..., 3) of one of a lobe's samples, and how many steradians (...) it
-    stands for; axes as of :func:`environment_axes`, and where the slope of number i points in them,
-    (2,)."""
+    """Return the direction (..., 3) of one sample of the lobe, and its solid angle (...) in sr.
+
+    Parameters
+    ----------
+    axes : result of :func:`environment_axes`
+    towards : direction of the slope in these axes, (2,)
+    i : number of the slope
+    """
     rest = 1.0 - (i + 0.5) / (samples // 2)
     radius = m * np.sqrt(-np.log(rest))
     h = n + radius[..., None] * (towards[0] * axes[0] + towards[1] * axes[1])

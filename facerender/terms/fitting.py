@@ -1,5 +1,5 @@
-"""G-powers fitted to slopes: the planner's candidates among lobes. No OpenGL here; the constants of
-the fitted lobes come from ``tools/fits/lobes.py``."""
+"""Fits of g-power lobes to slopes, which the planner tries. ``tools/fits/lobes.py`` computes the
+constants of the fitted lobes."""
 
 from __future__ import annotations
 
@@ -10,23 +10,25 @@ import numpy as np
 from facerender.terms import lobe as lobes
 from facerender.terms.lobe import GPower
 
-G_POWERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 24)  # few products each
+G_POWERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 24)  # each needs few products
 
 
 @lru_cache(maxsize=1024)
 def fit_g_power(k: int, g: int, smallest: float, largest: float) -> GPower | None:
-    """Return the g-power that is best for slopes from smallest to largest: of one slope the best
-    uniform approximation, of several the nearest to their best ones; None where none serves.
+    """Return the best g-power lobe for a range of slopes, or None if its domain excludes an end.
+
+    For one slope it is the best uniform approximation. For a range it is the fit that is closest to
+    the best approximations of five slopes.
 
     Parameters
     ----------
     k : 4 for Cook-Torrance, 0 for Ward
-    g : the power, in 1 to 31
-    smallest, largest : rms slopes in the domain of the exact lobe
+    g : power, in 1 to 31
+    smallest, largest : range of the RMS slopes, in the domain of the exact lobe
     """
     slopes = np.unique(np.geomspace(smallest, largest, 5)) if smallest < largest else [smallest]
     best = np.array([_steepness(k, g, m) for m in slopes])
-    # steepness = factor/m² - offset, in relative least squares
+    # relative least squares for steepness = factor/m² - offset
     terms = np.stack([np.asarray(slopes) ** -2.0, -np.ones(len(slopes))], axis=-1)
     columns = 2 if len(slopes) > 1 else 1
     relative = terms[:, :columns] / best[:, None]
@@ -37,9 +39,9 @@ def fit_g_power(k: int, g: int, smallest: float, largest: float) -> GPower | Non
 
 
 def _steepness(k: int, g: int, m: float) -> float:
-    """The steepness at which a g-power is as far above the exact lobe as below: a steeper one is
-    lower at every angle."""
-    c = np.cos(np.linspace(0.0, np.arctan(5.0 * m), 800))  # beyond, nothing is left
+    """Return the steepness of the g-power whose largest errors above and below the exact lobe are
+    equal. Bisection finds it, because a steeper lobe is lower at every angle."""
+    c = np.cos(np.linspace(0.0, np.arctan(5.0 * m), 800))  # the lobe is negligible at larger angles
     exact = lobes.exact(c, m, k)
     low, high = 0.0, 40.0 / (g * m * m)
     for _ in range(50):

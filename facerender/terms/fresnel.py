@@ -1,4 +1,4 @@
-"""Fresnel terms: an entry for each, with its float64 twin beside it."""
+"""Fresnel terms: registry entries and float64 references."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Fresnel(Entry):
-    """A Fresnel term; its call is of float f0 and v_dot_h, its macro FR_FRESNEL_NAME.
+    """A Fresnel term. Its call uses float f0 and v_dot_h; its macro is FR_FRESNEL_NAME.
 
     Attributes
     ----------
-    number : of its macro, unlike every other's
-    evaluate : the same in float64; checks its domain
-    rounding : of f0 and V.H, how far float32 may be from it: relative to it, and absolute
-    exactness : a plan may put terms of the same or a smaller one in its place
+    number : value of the macro, unique
+    evaluate : float64 reference; checks the domain
+    rounding : float32 error bounds, relative and absolute, as a function of f0 and V.H
+    exactness : a plan may replace the term by terms of equal or lower exactness
     """
 
     number: int
@@ -40,17 +40,18 @@ def _check_f0(f0: ArrayLike) -> Float:
     value = np.asarray(f0, dtype=np.float64)
     inside = (value >= 0.0) & (value < 1.0)
     if not inside.all():
-        raise InputError(f"f0 = {value[~inside].flat[0]:g} is outside [0, 1); skin: 0.028")
+        raise InputError(f"f0 = {value[~inside].flat[0]:g} is outside [0, 1): give 0.028 for skin")
     return value
 
 
 def fresnel_schlick(f0: ArrayLike, v_dot_h: ArrayLike) -> Float:
-    """Approximate Fresnel reflectance, f0 + (1 - f0)(1 - V.H)^5, in [0, 1].
+    """Return Schlick's Fresnel reflectance f0 + (1 - f0)(1 - V.H)^5, in [0, 1].
 
     Parameters
     ----------
     f0 : reflectance at normal incidence, in [0, 1)
-    v_dot_h : cosine between eye and unit half vector, clamped to [0, 1]
+    v_dot_h : cosine of the angle between the direction to the camera and the unit half vector;
+        clamped to [0, 1]
 
     Raises
     ------
@@ -64,9 +65,9 @@ def fresnel_schlick(f0: ArrayLike, v_dot_h: ArrayLike) -> Float:
 
 
 def fresnel_dielectric(f0: ArrayLike, v_dot_h: ArrayLike) -> Float:
-    """Exact Fresnel reflectance of a dielectric in air for unpolarised light, in [0, 1].
+    """Return the exact Fresnel reflectance of a dielectric in air for unpolarised light, in [0, 1].
 
-    Parameters and errors as in :func:`fresnel_schlick`; the index of refraction is
+    For the parameters and exceptions see :func:`fresnel_schlick`. The index of refraction is
     (1 + sqrt(f0)) / (1 - sqrt(f0)).
 
     References: Cook and Torrance (1982).
@@ -75,8 +76,8 @@ def fresnel_dielectric(f0: ArrayLike, v_dot_h: ArrayLike) -> Float:
     q = 4.0 * root / (1.0 - root) ** 2  # eta^2 - 1
     c = np.clip(np.asarray(v_dot_h, dtype=np.float64), 0.0, 1.0)
     g = np.sqrt(q + c**2)  # eta times the cosine of the refracted ray
-    # (c - g)/(c + g) and (eta^2 c - g)/(eta^2 c + g), with c - g = -q/(c + g): nothing cancels. At
-    # c = 0 and f0 = 0 both are 0/0; the limit from c > 0 is no reflection.
+    # Amplitudes (c - g)/(c + g) and (eta^2 c - g)/(eta^2 c + g): with c - g = -q/(c + g) nothing
+    # cancels. At c = 0 and f0 = 0 both are 0/0; the limit for c > 0 is no reflection.
     total = np.maximum(c + g, 1e-300)
     s = q / total / total
     p = q * (c - 1.0 / total) / np.maximum((1.0 + q) * c + g, 1e-300)
@@ -103,7 +104,7 @@ FRESNEL: dict[str, Fresnel] = registry(
         file="fresnel/dielectric",
         call="fr_fresnel_dielectric(f0, v_dot_h)",
         evaluate=fresnel_dielectric,
-        # square root, division, square: 10 ulp; the loss of a difference is absolute
+        # square root, division and square: 10 ulp; cancellation in the difference is absolute
         rounding=lambda f0, v_dot_h: (16.0 * ULP, 16.0 * ULP * f0),
         exactness=2,
     ),
@@ -120,5 +121,5 @@ FRESNEL: dict[str, Fresnel] = registry(
 
 
 def fresnel(f0: ArrayLike, v_dot_h: ArrayLike, kind: str = "schlick") -> Float:
-    """Evaluate the named Fresnel term; "constant" is f0 itself."""
+    """Return the reflectance of a Fresnel term by name; "constant" is f0."""
     return named("Fresnel term", FRESNEL, kind).evaluate(f0, v_dot_h)

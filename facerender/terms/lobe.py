@@ -1,9 +1,8 @@
-"""The one-dimensional lobe E/c^k and its approximations: an entry for each, with its float64 twin
-beside it. BRDFs are in ``model.py``; nothing here knows vectors or OpenGL.
+"""The lobe E/c^k and its approximations: registry entries and float64 references.
 
-All models need the same function, the slope factor E = exp(-tan² γ / m²) over a power of
-c = cos γ: k = 4 in Cook-Torrance, k = 0 in Ward. Every function here has its peak, 1, at c = 1;
-the model multiplies by its scale. ``lobes.f`` is ``fr_lobe_f`` in GLSL.
+All models use the slope factor E = exp(-tan² γ / m²) divided by a power of c = cos γ: k = 4 in
+Cook-Torrance, k = 0 in Ward. All functions are 1 at c = 1; the models (``model.py``) multiply by
+their scale. ``lobes.f`` is ``fr_lobe_f`` in GLSL.
 """
 
 from __future__ import annotations
@@ -27,31 +26,32 @@ Rounding = Callable[[Float, Float, int], tuple[Float | float, Float | float]]
 MIN_SLOPE = 1e-4
 MAX_SLOPE = 2.0
 SLOPES = Range(MIN_SLOPE, MAX_SLOPE)
-TINY = 1.2e-38  # where float32's full precision ends; drivers may flush what is smaller to zero
-TITLES = {4: "Cook-Torrance", 0: "Ward"}  # of models, by k
+TINY = 1.2e-38  # smallest normal float32; drivers may flush smaller values to zero
+TITLES = {4: "Cook-Torrance", 0: "Ward"}  # names of the models, by k
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Lobe(Entry):
-    """A lobe; its call is of float c, m and int k, its macro FR_LOBE_NAME.
+    """A lobe. Its call uses float c, m and int k; its macro is FR_LOBE_NAME.
 
     Attributes
     ----------
-    number : of its macro, unlike every other's
-    evaluate : the same in float64; checks its domain
-    ends : upper end of the domain of m, by k; the lower one is MIN_SLOPE
-    open_ends : the k whose end does not belong to the domain
+    number : value of the macro, unique
+    evaluate : float64 reference; checks the domain
+    ends : upper end of the domain of m, by k; the lower end is MIN_SLOPE
+    open_ends : values of k whose upper end is outside the domain
     errors : largest difference from the exact lobe in percent of the peak, by k: at m = 0.1, 0.2,
-        ... 0.6, or one number for every slope; None where nothing is stated
-    rounding : of c, m, k, how far float32 may be from ``evaluate``: relative to it, and absolute
-    amplified : what a relative error of 1/m² (1 - c) becomes in the lobe, in units of its peak
-    colour : in plots
-    macro, macros : the macro that stands for it, and further ones that its GLSL needs
-    price : what tables of prices call it; its name, or several lobes' that cost the same
-    constants : the macro that gives its GLSL coefficients where m is a constant, and their float64
-        function of m and k
-    of_tan2 : of the exact lobe alone, which models treat apart: evaluates from tan² γ in place of
-        c, which keeps digits
+        ... 0.6, or one number for all slopes; None if no error is stated
+    rounding : float32 error bounds, relative and absolute, as a function of c, m and k
+    amplified : error of the lobe, in units of its peak, as a function of the relative error of
+        1/m² (1 - c)
+    colour : colour in plots
+    macro, macros : macro that selects the lobe, and further macros of its GLSL
+    price : name in tables of prices; lobes of the same cost share one name
+    constants : macro of the coefficients for a constant m, and the float64 function of m and k that
+        computes them
+    of_tan2 : only for the exact lobe: float64 reference as a function of tan² γ instead of c, which
+        keeps the digits of small angles
     """
 
     number: int
@@ -73,8 +73,10 @@ class Lobe(Entry):
         object.__setattr__(self, "price", self.price or self.name)
 
     def belongs(self, m: ArrayLike, k: int) -> NDArray[np.bool_]:
-        """Tell which slopes lie in the domain, to a millionth at ends that belong to it: a G-buffer
-        holds m as float32."""
+        """Return which slopes are in the domain.
+
+        At closed ends the tolerance is 1e-6, because a G-buffer stores m as float32.
+        """
         slope = np.asarray(m, dtype=np.float64)
         end = self.end(k)
         below_end = slope < end if k in self.open_ends else slope <= end * (1.0 + 1e-6)
@@ -85,14 +87,14 @@ class Lobe(Entry):
 
         Raises
         ------
-        InputError : no model has this k
+        InputError : k is neither 4 nor 0
         """
         if k not in self.ends:
             raise InputError(f"k = {k} is neither 4 (Cook-Torrance) nor 0 (Ward)")
         return self.ends[k]
 
     def check(self, m: ArrayLike, k: int) -> Float:
-        """Return m as float64, or raise InputError where a value lies outside the domain."""
+        """Return m as float64, or raise InputError if a value is outside the domain."""
         slope = np.asarray(m, dtype=np.float64)
         inside = self.belongs(slope, k)
         if not inside.all():
@@ -108,13 +110,13 @@ class Lobe(Entry):
 
 @dataclass(frozen=True)
 class PowerPolynomial:
-    """The lobe max(P(u), 0)^power with P = 1 + a₁ u + a₂ u² + ..., u = 1 - cos γ.
+    """A lobe max(P(u), 0)^power with P = 1 + a₁ u + a₂ u² + ..., u = 1 - cos γ.
 
     Attributes
     ----------
-    power : of the clamped polynomial
+    power : exponent of the clamped polynomial
     max_slope : upper end of the domain of m
-    table : row j holds the factors of m^(2j) in a₁ m², a₂ m⁴, a₃ m⁶, ...
+    table : row j contains the factors of m^(2j) in a₁ m², a₂ m⁴, a₃ m⁶, ...
     """
 
     power: int
@@ -122,19 +124,19 @@ class PowerPolynomial:
     table: tuple[tuple[float, ...], ...]
 
     def coefficients(self, m: ArrayLike) -> Float:
-        """Return a₁, a₂, ... at slopes m of shape (...), as (..., degree)."""
+        """Return the coefficients a₁, a₂, ... (..., degree) for slopes m (...)."""
         w = np.asarray(m, dtype=np.float64)[..., None] ** 2
         table = np.array(self.table)
         scaled = sum(row * w**j for j, row in enumerate(table))
         return np.asarray(scaled / w ** np.arange(1, table.shape[1] + 1))
 
     def magnitudes(self, m: ArrayLike) -> Float:
-        """Return the sums of |constants| in a₁ m², a₂ m⁴, ..., of which rounding is a share."""
+        """Return the sums of the absolute terms of a₁ m², a₂ m⁴, ..., which scale the rounding."""
         w = np.asarray(m, dtype=np.float64)[..., None] ** 2
         return np.asarray(sum(np.abs(row) * w**j for j, row in enumerate(self.table)))
 
     def __call__(self, u: ArrayLike, m: ArrayLike) -> Float:
-        """Evaluate at u and m, which broadcast; no check of their domains."""
+        """Return the lobe at u and m, which broadcast. Domains are not checked."""
         x = np.asarray(u, dtype=np.float64)
         p = np.zeros(np.broadcast(x, m).shape)
         for a in np.moveaxis(self.coefficients(m), -1, 0)[::-1]:
@@ -144,17 +146,17 @@ class PowerPolynomial:
 
 @dataclass(frozen=True)
 class GPower:
-    """The g-power with g and steepness free: max(1 - s (1 - cos γ), 0)^g, s = factor/m² - offset.
+    """A g-power lobe with free steepness s: max(1 - s (1 - cos γ), 0)^g, s = factor/m² - offset.
 
     Parameters
     ----------
-    g : in 1 to 31; the paper's lobes have 4, 8, 16, the factor 2/g and the offset k/g
+    g : power, in 1 to 31; D4, D8 and D16 of the paper have the factor 2/g and the offset k/g
     factor : in [1e-9, 1e6]
-    offset : in [-1e6, 1e6]; the lobe's domain ends where s = 0
+    offset : in [-1e6, 1e6]; the domain of m ends at s = 0
 
     Raises
     ------
-    InputError : a value outside its domain
+    InputError : a value is outside its range
 
     References: Romanyuk et al. (2020); Lyon (1993) for the clamp.
     """
@@ -172,7 +174,7 @@ class GPower:
         return f"g-power {self.g} ({self.factor:.5g}/m^2{offset})"
 
 
-# The same constants stand in shaders/facerender/lobe/fitted.glsl.
+# shaders/facerender/lobe/fitted.glsl contains the same constants.
 FITTED: dict[tuple[str, int], PowerPolynomial] = {
     ("fitted", 4): PowerPolynomial(
         5,
@@ -228,29 +230,29 @@ def _check_cosine(c: ArrayLike) -> Float:
 
 
 def _exact(tan2: NDArray[np.floating], m: Float, k: int) -> Float:
-    # A relative error e of the exponent x becomes e x in the result, and x reaches 690 before
-    # the result leaves float64: extended precision, where the platform has it, keeps 1e-13.
+    # A relative error e of the exponent x becomes e x in the result, and x reaches 690 in the range
+    # of float64. Extended precision keeps the error at 1e-13, if the platform supports it.
     exponent = tan2 / np.asarray(m, dtype=np.longdouble) ** 2
-    exponent = np.minimum(exponent, 1e4)  # exp(-1e4) is 0, and infinity - infinity is not
+    exponent = np.minimum(exponent, 1e4)  # exp(-1e4) is 0; infinity - infinity is NaN
     head = exponent.astype(np.float64)
     tail = (exponent - head).astype(np.float64)
     slope_factor = np.exp(-head) * np.exp(-tail)
-    sec2 = 1.0 + np.minimum(tan2, 1e100).astype(np.float64)  # E is 0 long before
+    sec2 = 1.0 + np.minimum(tan2, 1e100).astype(np.float64)  # E is already 0 there
     return np.asarray(slope_factor * sec2 ** (k // 2), dtype=np.float64)
 
 
 def exact_tan2(tan2: ArrayLike, m: ArrayLike, k: int) -> Float:
-    """Evaluate E/c^k from the squared tangent of the angle between normal and half vector.
+    """Return E/c^k from the squared tangent of the angle between normal and half vector.
 
     Parameters
     ----------
     tan2 : tan² γ, >= 0, infinity allowed; any shape
-    m : rms slope of the microfacets, in [1e-4, 2]; broadcasts with tan2
+    m : RMS slope of the microfacets, in [1e-4, 2]; broadcasts with tan2
     k : 4 for Cook-Torrance, 0 for Ward
 
     Raises
     ------
-    InputError : tan2 or m outside its domain
+    InputError : tan2 or m is outside its domain
 
     References: Beckmann and Spizzichino (1963); Cook and Torrance (1982); Ward (1992), eq. 4.
     """
@@ -262,20 +264,20 @@ def exact_tan2(tan2: ArrayLike, m: ArrayLike, k: int) -> Float:
 
 
 def exact(c: ArrayLike, m: ArrayLike, k: int) -> Float:
-    """Evaluate E/c^k from the cosine of the angle between normal and half vector.
+    """Return E/c^k from the cosine of the angle between normal and half vector.
 
-    Relative error at most 1e-13 where the result is above 1e-300 and ``numpy.longdouble`` has 64
-    bits of mantissa or more; 5e-13 elsewhere.
+    The relative error is at most 1e-13 for results above 1e-300 if ``numpy.longdouble`` has 64
+    bits of mantissa or more; 5e-13 otherwise.
 
     Parameters
     ----------
     c : cos γ, in [0, 1]; any shape
-    m : rms slope of the microfacets, in [1e-4, 2]; broadcasts with c
+    m : RMS slope of the microfacets, in [1e-4, 2]; broadcasts with c
     k : 4 for Cook-Torrance, 0 for Ward
 
     Raises
     ------
-    InputError : c or m outside its domain
+    InputError : c or m is outside its domain
     """
     slope = LOBES["exact"].check(m, k)
     x = _check_cosine(c).astype(np.longdouble)
@@ -290,12 +292,12 @@ def cosine(c: ArrayLike, m: ArrayLike, k: int) -> Float:
     Parameters
     ----------
     c : cosine of the angle between normal and half vector, in [0, 1]; any shape
-    m : rms slope, in [1e-4, sqrt(2/k)), at most 2; broadcasts with c
+    m : RMS slope, in [1e-4, sqrt(2/k)), at most 2; broadcasts with c
     k : 4 for Cook-Torrance, 0 for Ward
 
     Raises
     ------
-    InputError : c or m outside its domain
+    InputError : c or m is outside its domain
 
     References: Romanyuk et al. (2020), section 3.
     """
@@ -304,18 +306,18 @@ def cosine(c: ArrayLike, m: ArrayLike, k: int) -> Float:
 
 
 def g_power(c: ArrayLike, m: ArrayLike, k: int, g: int) -> Float:
-    """Approximate E/c^k by one clamped linear factor to the power g, max((n/g)(c - 1) + 1, 0)^g.
+    """Approximate E/c^k by a clamped linear factor to the power g, max((n/g)(c - 1) + 1, 0)^g.
 
     Parameters
     ----------
     c : cosine of the angle between normal and half vector, in [0, 1]; any shape
-    m : rms slope, in [1e-4, sqrt(2/k)), at most 2; broadcasts with c
+    m : RMS slope, in [1e-4, sqrt(2/k)), at most 2; broadcasts with c
     k : 4 for Cook-Torrance, 0 for Ward
     g : 4, 8 or 16
 
     Raises
     ------
-    InputError : c, m or g outside its domain
+    InputError : c, m or g is outside its domain
 
     References: Romanyuk et al. (2020), D4, D8, D16; Lyon (1993) for the clamp.
     """
@@ -326,17 +328,17 @@ def g_power(c: ArrayLike, m: ArrayLike, k: int, g: int) -> Float:
 
 
 def clamped_power(c: ArrayLike, steepness: ArrayLike, g: int) -> Float:
-    """Evaluate max(1 - s (1 - c), 0)^g, which g-powers are made of.
+    """Return max(1 - s (1 - c), 0)^g, a g-power lobe with steepness s.
 
     Parameters
     ----------
     c : cosine of the angle between normal and half vector, in [0, 1]; any shape
     steepness : s, >= 0; broadcasts with c
-    g : in 1 to 31
+    g : power, in 1 to 31
 
     Raises
     ------
-    InputError : c outside its domain
+    InputError : c is outside its domain
 
     References: Lyon (1993).
     """
@@ -345,52 +347,54 @@ def clamped_power(c: ArrayLike, steepness: ArrayLike, g: int) -> Float:
 
 
 def fitted(c: ArrayLike, m: ArrayLike, k: int) -> Float:
-    """Approximate E/c^k by a cubic to the power 5: at most 0.19 % of the peak off for
-    Cook-Torrance, 0.13 % for Ward, at every angle and slope.
+    """Approximate E/c^k by a clamped cubic to the power 5.
+
+    The error is at most 0.19 % of the peak for Cook-Torrance and 0.13 % for Ward, at all angles and
+    slopes.
 
     Parameters
     ----------
     c : cosine of the angle between normal and half vector, in [0, 1]; any shape
-    m : rms slope, in [1e-4, 0.7] for Cook-Torrance, to 1 for Ward; broadcasts with c
+    m : RMS slope, in [1e-4, 0.7] for Cook-Torrance, in [1e-4, 1] for Ward; broadcasts with c
     k : 4 for Cook-Torrance, 0 for Ward
 
     Raises
     ------
-    InputError : c or m outside its domain
+    InputError : c or m is outside its domain
 
-    References: Lyon (1993) for the clamped power; the constants are from
-    ``tools/fits/lobes.py``.
+    References: Lyon (1993) for the clamped power. ``tools/fits/lobes.py`` computes the constants.
     """
     slope = LOBES["fitted"].check(m, k)
     return FITTED["fitted", k](1.0 - _check_cosine(c), slope)
 
 
 def fitted_fine(c: ArrayLike, m: ArrayLike, k: int) -> Float:
-    """Approximate E/c^k by a quartic to the power 8: at most 0.04 % of the peak off.
+    """Approximate E/c^k by a clamped quartic to the power 8.
 
-    Parameters, errors and references as in :func:`fitted`.
+    The error is at most 0.04 % of the peak. For the parameters, exceptions and references see
+    :func:`fitted`.
     """
     slope = LOBES["fitted-fine"].check(m, k)
     return FITTED["fitted-fine", k](1.0 - _check_cosine(c), slope)
 
 
 def fitted_coefficients(m: ArrayLike, k: int) -> Float:
-    """Return the factors (..., 3) of u, u², u³, with u = 1 - c, in the cubic of :func:`fitted`.
+    """Return the coefficients (..., 3) of u, u², u³ in the cubic of :func:`fitted`, with u = 1 - c.
 
     Raises
     ------
-    InputError : m outside the domain of :func:`fitted`
+    InputError : m is outside the domain of :func:`fitted`
     """
     slope = LOBES["fitted"].check(m, k)
     return FITTED["fitted", k].coefficients(slope)
 
 
 def fitted_fine_coefficients(m: ArrayLike, k: int) -> Float:
-    """Return the factors (..., 4) of u to u⁴ in the quartic of :func:`fitted_fine`.
+    """Return the coefficients (..., 4) of u, u², u³, u⁴ in the quartic of :func:`fitted_fine`.
 
     Raises
     ------
-    InputError : m outside the domain of :func:`fitted_fine`
+    InputError : m is outside the domain of :func:`fitted_fine`
     """
     slope = LOBES["fitted-fine"].check(m, k)
     return FITTED["fitted-fine", k].coefficients(slope)
@@ -399,8 +403,8 @@ def fitted_fine_coefficients(m: ArrayLike, k: int) -> Float:
 def _exact_rounding(c: Float, m: Float, k: int) -> tuple[Float, Float]:
     x = c.clip(1e-3)
     exponent = np.minimum((1.0 / x**2 - 1.0) / m**2, 100.0)
-    # m² and the division: 3 ulp of the exponent; exp2: 3 + 2 x; 1/c⁴: 2; tan²: five operations; 2
-    # ulp more of each, as denser samples come to 98 % of less
+    # 3 ulp of the exponent for m² and the division, 3 + 2 x for exp2, 2 for 1/c⁴, five operations
+    # for tan². Each term has a margin of 2 ulp: dense samples reach 98 % of the bound without it.
     return ULP * (12.0 + 11.0 * exponent), TINY / np.maximum(x, 0.03) ** 4
 
 
@@ -408,14 +412,14 @@ def _cosine_rounding(c: Float, m: Float, k: int) -> tuple[Float, float]:
     n = 2.0 / m**2 - k
     x = c.clip(1e-30)
     power = np.minimum(n * -np.log2(x), 130.0)
-    n_error = ULP * (3.0 * 2.0 / m**2 + k) / n  # 4 ulp, more where 2/m² - k cancels
+    n_error = ULP * (3.0 * 2.0 / m**2 + k) / n  # 4 ulp, more if 2/m² - k cancels
     log_error = np.where(x >= 0.5, 2.0**-21, 3.0 * ULP * -np.log2(x))
     exponent_error = np.log(2.0) * (power * n_error + n * log_error)
     return np.expm1(np.minimum(exponent_error, 80.0)) + ULP * (3.0 + 3.0 * power), TINY
 
 
 def power_error(base: Float, base_error: Float, power: int) -> Float:
-    """Return what an error of the base makes of max(base, 0)^power."""
+    """Return the error of max(base, 0)^power for an error of the base."""
     return np.asarray(power * np.maximum(base + base_error, 0.0) ** (power - 1) * base_error)
 
 
@@ -423,7 +427,7 @@ def _g_power_rounding(
     c: Float, m: Float, k: int, g: int, factor: float, offset: float
 ) -> tuple[float, Float]:
     steepness = factor / m**2 - offset
-    # the base 1 - s u: s by 4 ulp of its terms, the product by 3.5 more, the sum by 0.5
+    # error of the base 1 - s u: 4 ulp of the terms of s, 3.5 of the product, 0.5 of the sum
     error = 4.0 * ULP * (factor / m**2 + np.abs(steepness)) * (1.0 - c) + ULP
     return ULP * g, power_error(1.0 - steepness * (1.0 - c), error, g) + TINY
 
@@ -431,7 +435,7 @@ def _g_power_rounding(
 def _fitted_rounding(c: Float, m: Float, k: int, name: str) -> tuple[float, Float]:
     lobe = FITTED[name, k]
     powers = np.arange(1, len(lobe.table[0]) + 1)
-    # a coefficient: 4 products and sums of its constants, 1/m² and its powers, times a power of u
+    # each coefficient has 4 products and sums of constants, 1/m² and its powers, and a power of u
     sums = lobe.magnitudes(m) * ((1.0 - c) / m**2)[:, None] ** powers
     error = 20.0 * ULP * sums.sum(axis=-1) + ULP
     base = 1.0 + (lobe.coefficients(m) * (1.0 - c)[:, None] ** powers).sum(axis=-1)
@@ -453,7 +457,7 @@ def _g_power(g: int, number: int, colour: str, errors: Mapping[int, tuple[float,
     )
 
 
-# Colours after Okabe and Ito (2008), which the colour-blind can tell apart; darker, to write in.
+# Colours of Okabe and Ito (2008), for colour-blind readers; darker, because they also colour text.
 LOBES: dict[str, Lobe] = registry(
     Lobe(
         name="exact",
@@ -531,7 +535,7 @@ AnyLobe = str | GPower
 
 
 def lobe_entry(lobe: AnyLobe) -> Lobe:
-    """Return the entry of a name, or one for a g-power.
+    """Return the entry of a lobe, given by name or as a GPower.
 
     Raises
     ------
@@ -568,21 +572,21 @@ def _of_g_power(lobe: GPower) -> Lobe:
 
 
 def lobe(name: AnyLobe, c: ArrayLike, m: ArrayLike, k: int) -> Float:
-    """Evaluate the named lobe; parameters as in :func:`exact` and the function of that name."""
+    """Return the value of a lobe by name; for the other parameters see :func:`exact`."""
     return lobe_entry(name).evaluate(c, m, k)
 
 
 def max_slope(name: AnyLobe, k: int) -> float:
-    """Return the upper end of a lobe's domain of m.
+    """Return the upper end of the domain of m of a lobe.
 
-    It belongs to the domain but for the cosine power and the g-powers in Cook-Torrance, whose
-    exponent n = 2/m² - k must be positive.
+    The end belongs to the domain, except for the cosine power and D4, D8 and D16 in Cook-Torrance:
+    their exponent n = 2/m² - k must be positive.
     """
     return lobe_entry(name).end(k)
 
 
 def in_domain(m: ArrayLike, name: AnyLobe, k: int) -> NDArray[np.bool_]:
-    """Tell which slopes lie in the lobe's domain; see :meth:`Lobe.belongs`.
+    """Return which slopes are in the domain of a lobe; see :meth:`Lobe.belongs`.
 
     Raises
     ------
@@ -592,5 +596,5 @@ def in_domain(m: ArrayLike, name: AnyLobe, k: int) -> NDArray[np.bool_]:
 
 
 def check_slope(m: ArrayLike, name: AnyLobe, k: int) -> Float:
-    """Return m as float64, or raise InputError when a value lies outside the lobe's domain."""
+    """Return m as float64, or raise InputError if a value is outside the domain of the lobe."""
     return lobe_entry(name).check(m, k)

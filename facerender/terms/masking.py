@@ -1,4 +1,4 @@
-"""Masking and shadowing of microfacets: an entry for each term, with its float64 twin beside it."""
+"""Masking and shadowing of microfacets: registry entries and float64 references."""
 
 from __future__ import annotations
 
@@ -17,14 +17,17 @@ MIN_COSINE = 1e-6  # FR_MIN_COSINE of shaders/facerender/constants.glsl
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Masking(Entry):
-    """A masking term; its macro is FR_MASKING_NAME, its call a vec2 of float n_dot_h, h_dot_h,
-    n_dot_l, n_dot_v, for h = l + v of any length: G/((N.L)(N.V)) is x/(y h_dot_h).
+    """A masking term; its macro is FR_MASKING_NAME.
+
+    Its call uses float n_dot_h, h_dot_h, n_dot_l and n_dot_v for h = l + v, not normalised. It is a
+    vec2 (x, y) with G/((N.L)(N.V)) = x/(y h_dot_h).
 
     Attributes
     ----------
-    number : of its macro, unlike every other's
-    cut : of N.L and N.V, up to which a BRDF with it is exactly 0
-    evaluate : G in float64, of n_dot_h, v_dot_h, n_dot_l, n_dot_v, with a unit half vector
+    number : value of the macro, unique
+    cut : the BRDF is exactly 0 if N.L or N.V is at most this cosine
+    evaluate : G in float64 as a function of n_dot_h, v_dot_h, n_dot_l, n_dot_v, for a unit half
+        vector
     """
 
     number: int
@@ -39,12 +42,12 @@ class Masking(Entry):
 def masking_v_cavity(
     n_dot_h: ArrayLike, v_dot_h: ArrayLike, n_dot_l: ArrayLike, n_dot_v: ArrayLike
 ) -> Float:
-    """Masking and shadowing by V-shaped cavities, min(1, 2 N.H N.V/V.H, 2 N.H N.L/V.H), in [0, 1].
+    """Return masking by V-shaped cavities, min(1, 2 N.H N.V/V.H, 2 N.H N.L/V.H), in [0, 1].
 
     Parameters
     ----------
     n_dot_h, v_dot_h : cosines with the half vector (of any length), v_dot_h > 0
-    n_dot_l, n_dot_v : cosines of light and eye, in (0, 1]
+    n_dot_l, n_dot_v : cosines of the directions to the light and to the camera, in (0, 1]
 
     References: Torrance and Sparrow (1967); Cook and Torrance (1982).
     """
@@ -53,13 +56,15 @@ def masking_v_cavity(
 
 
 def masking_kelemen(v_dot_h: ArrayLike, n_dot_l: ArrayLike, n_dot_v: ArrayLike) -> Float:
-    """Approximate masking and shadowing by (N.L)(N.V)/(V.H)², which cancels the BRDF's divisor;
-    from half of :func:`masking_v_cavity` to all of it.
+    """Return Kelemen masking (N.L)(N.V)/(V.H)², which cancels the divisor of the BRDF.
+
+    It is between half of :func:`masking_v_cavity` and all of it.
 
     Parameters
     ----------
-    v_dot_h : cosine of eye and unit half vector, at least (N.L + N.V)/2 as of any directions
-    n_dot_l, n_dot_v : cosines of light and eye, in (0, 1]
+    v_dot_h : cosine of the angle between the direction to the camera and the unit half vector; at
+        least (N.L + N.V)/2, which is true of all directions
+    n_dot_l, n_dot_v : cosines of the directions to the light and to the camera, in (0, 1]
 
     References: Kelemen and Szirmay-Kalos (2001); for skin: d'Eon and Luebke (2007), GPU Gems 3,
     chapter 14.

@@ -1,12 +1,10 @@
-"""Specular BRDFs: an entry for each model, with its float64 twin beside it: the reference for the
-BRDFs of ``shaders/facerender``. ``brdf.f`` is ``fr_f`` in GLSL, with the same arguments in the same
-order.
+"""Specular BRDFs: registry entries and float64 references for the BRDFs of ``shaders/facerender``.
 
-Directions are arrays of shape (..., 3) that broadcast against one another: ``n`` the normal, ``l``
-towards the light, ``v`` towards the eye, unit vectors. BRDFs are in 1/sr, without N.L, for a
-specular weight of 1, and exactly 0 below the surface, as in the shaders: where N.L or N.V is not
-above 0; in Cook-Torrance with Kelemen's masking or none, 1e-6; in Ward where (N.L)(N.V) is not
-above 1e-12 either.
+``brdf.f`` is ``fr_f`` in GLSL, with the same arguments in the same order. Directions are unit
+vectors (..., 3) that broadcast against one another: ``n`` is the normal, ``l`` the direction to
+the light, ``v`` the direction to the camera. BRDFs are in 1/sr, without N.L, for a specular weight
+of 1. As in the shaders, they are exactly 0 if N.L or N.V is at most 0. Cook-Torrance with Kelemen
+masking or without masking is 0 for cosines up to 1e-6, Ward also for (N.L)(N.V) up to 1e-12.
 """
 
 from __future__ import annotations
@@ -31,25 +29,27 @@ K_WARD = 0
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Model(Entry):
-    """A model; its call is of vec3 n, l, v, float f0, of ``{m}``, the slope, and of ``{lobe}``,
-    ``{fresnel}``, ``{masking}``, for which the macros of terms stand.
+    """A specular model.
+
+    Its call uses vec3 n, l, v, float f0, and placeholders: ``{m}`` for the slope, ``{lobe}``,
+    ``{fresnel}`` and ``{masking}`` for the macros of the terms.
 
     Attributes
     ----------
-    title : as texts write it
-    k : power of 1/cos γ in its lobe
-    evaluate : in float64, of n, l, v, m and ``lobe``; with ``factors`` of f0 behind m, of
-        ``fresnel_term`` and ``masking_term`` too, and else without the f0 of the call; checks its
-        domain
-    factors : whether it has a Fresnel and a masking term
-    family : models of one stand for each other in a plan; they agree where normal, light and eye
-        coincide
-    printed : call of the paper's literal form of it, where it is another
-    two : the same with two lobes in one, also of ``{second}``, the second slope, and of float
-        lobe_weight; None where the mean of two calls is as good
-    environment : the radiance (vec3) that it reflects of ``environment_map``, with the exact lobe,
-        of the call's variables but l and the lobe, and of environment_size; None where nobody has
-        written it: an environment then has no specular part
+    title : name in texts
+    k : power of 1/cos γ in the lobe
+    evaluate : float64 reference as a function of n, l, v, m and ``lobe``; checks the domain. With
+        ``factors``, f0 follows m, and ``fresnel_term`` and ``masking_term`` are further parameters.
+        Without ``factors``, the result excludes the f0 of the call
+    factors : whether the model has a Fresnel term and a masking term
+    family : a plan may replace a model by another of the same family. Models of one family agree if
+        the directions to the light and to the camera are the normal
+    printed : call of the literal form as published; "" if there is none
+    two : entry of the model with two lobes; its call also uses ``{second}``, the second slope, and
+        float lobe_weight. None if the weighted mean of two calls costs the same
+    environment : entry of the reflected radiance (vec3) of ``environment_map`` with the exact lobe.
+        Its call uses the variables of the model without l and ``{lobe}``, and environment_size.
+        None if not implemented: the environment then has no specular part
     """
 
     title: str
@@ -63,7 +63,7 @@ class Model(Entry):
 
 
 def checked_unit(name: str, vectors: ArrayLike) -> Float:
-    """Return vectors (..., 3) as float64, or raise InputError where one is no unit vector."""
+    """Return vectors (..., 3) as float64, or raise InputError if one is not a unit vector."""
     array = np.asarray(vectors, dtype=np.float64)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise InputError(f"{name} has shape {array.shape}: its last axis must hold x, y, z")
@@ -80,7 +80,7 @@ def dot(a: Float, b: Float) -> Float:
 
 
 class _Geometry:
-    """The cosines that the BRDFs share; placeholders of 1 where the result is 0."""
+    """Cosines that the BRDFs share. They are 1 where the BRDF is 0, to avoid divisions by 0."""
 
     def __init__(
         self, n: ArrayLike, l: ArrayLike, v: ArrayLike, cut: float, product: float = 0.0
@@ -94,7 +94,7 @@ class _Geometry:
         self.n_dot_v = np.where(self.above, n_dot_v, 1.0)
         self.n_dot_h = np.minimum(np.where(self.above, n_dot_h / length, 1.0), 1.0)
         self.v_dot_h = np.where(self.above, 0.5 * length, 1.0)  # |l + v| = 2 V.H
-        # From the cross product: 1 - c^2 would lose the digits of a small angle.
+        # 1 - c^2 would lose the digits of small angles; the cross product keeps them.
         cross = np.cross(normal, half)
         self.tan2 = np.where(self.above, dot(cross, cross), 0.0) / (self.n_dot_h * length) ** 2
 
@@ -120,20 +120,21 @@ def cook_torrance(
     fresnel_term: str = "schlick",
     masking_term: str = "v-cavity",
 ) -> Float:
-    """Cook-Torrance specular BRDF F G D/(π (N.L)(N.V)), D = E/(4 m² c⁴), in 1/sr.
+    """Return the Cook-Torrance specular BRDF F G D/(π (N.L)(N.V)), D = E/(4 m² c⁴), in 1/sr.
 
     Parameters
     ----------
-    n, l, v : unit vectors (..., 3): normal, towards the light, towards the eye
-    m : rms slope, in the domain of the lobe; broadcasts with the directions' leading axes
-    f0 : Fresnel reflectance at normal incidence, in [0, 1); skin: 0.028
+    n, l, v : unit vectors (..., 3): normal, direction to the light, direction to the camera
+    m : roughness: RMS slope of the microfacets, in the domain of the lobe; broadcasts with the
+        leading axes of the directions
+    f0 : Fresnel reflectance at normal incidence, in [0, 1); 0.028 for skin
     lobe : name of the lobe, or a GPower
-    fresnel_term : "schlick", "dielectric", or "constant": f0
-    masking_term : "v-cavity", "kelemen", or "none": 1, with which it grows as 1/(N.V)
+    fresnel_term : "schlick", "dielectric", or "constant" for f0
+    masking_term : "v-cavity", "kelemen", or "none" for 1; with "none" the BRDF grows as 1/(N.V)
 
     Raises
     ------
-    InputError : a vector that is no unit vector, or a value outside its domain
+    InputError : a vector is not a unit vector, or a value is outside its domain
 
     References: Cook and Torrance (1982); Walter et al. (2007) for the normalisation.
     """
@@ -157,15 +158,16 @@ def cook_torrance_two(
     fresnel_term: str = "schlick",
     masking_term: str = "v-cavity",
 ) -> Float:
-    """Cook-Torrance specular BRDF with two lobes, F G (w D(m0) + (1 - w) D(m1))/(π (N.L)(N.V)), in
-    1/sr.
+    """Return the Cook-Torrance specular BRDF with two lobes, in 1/sr.
+
+    The formula is F G (w D(m0) + (1 - w) D(m1))/(π (N.L)(N.V)).
+
+    For the other parameters and the exceptions see :func:`cook_torrance`.
 
     Parameters
     ----------
-    m0, m1 : rms slopes of the lobes, in the domain of the lobe
-    weight : share w of the first lobe, in [0, 1]
-
-    Others and errors as in :func:`cook_torrance`.
+    m0, m1 : RMS slopes of the two lobes, in the domain of the lobe
+    weight : fraction w of the first lobe, in [0, 1]
     """
     w = np.asarray(weight, dtype=np.float64)
     check_range("weight", float(w.min()), 0.0, 1.0)
@@ -187,9 +189,9 @@ def ward(
     *,
     lobe: AnyLobe = "exact",
 ) -> Float:
-    """Ward's isotropic specular BRDF E/(4 π m² sqrt((N.L)(N.V))), in 1/sr.
+    """Return Ward's isotropic specular BRDF E/(4 π m² sqrt((N.L)(N.V))), in 1/sr.
 
-    Parameters and errors as in :func:`cook_torrance`; m is Ward's alpha.
+    For the parameters and exceptions see :func:`cook_torrance`; m is Ward's alpha.
 
     References: Ward (1992), eq. 4.
     """
@@ -207,10 +209,11 @@ def ward_printed(
     *,
     lobe: AnyLobe = "exact",
 ) -> Float:
-    """Ward as Romanyuk et al. (2020) print it, E/(4 π m² sqrt(N.V + L.H)), in 1/sr.
+    """Return Ward's BRDF as published by Romanyuk et al. (2020), in 1/sr.
 
-    Not reciprocal, and 0.707 times Ward at normal incidence: it serves to reproduce the paper.
-    Parameters and errors as in :func:`cook_torrance`.
+    The formula is E/(4 π m² sqrt(N.V + L.H)). It serves only to reproduce the paper: the BRDF is
+    not reciprocal, and at normal incidence it is 0.707 times Ward's BRDF. For the parameters and
+    exceptions see :func:`cook_torrance`.
     """
     at = _Geometry(n, l, v, 0.0, MIN_COSINE**2)
     scale = 4.0 * np.pi * np.asarray(m, dtype=np.float64) ** 2

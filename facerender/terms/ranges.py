@@ -1,5 +1,7 @@
-"""Ranges of values. Each stands once, on the field of the dataclass that it limits; constructors,
-the command line, the schema and the checks of batches, and the explorer read it from there."""
+"""Ranges of values.
+
+Each range is defined once, on the field of the dataclass that it limits. Constructors, the command
+line, the schema and the checks of batches, and the explorer read it there."""
 
 from __future__ import annotations
 
@@ -19,8 +21,8 @@ class Range:
 
     Parameters
     ----------
-    low, high : the ends; high may be infinite
-    unit : such as "degrees", or "" for a number without one
+    low, high : ends of the range; high may be infinite
+    unit : for example "degrees", or "" without a unit
     """
 
     low: float
@@ -28,7 +30,7 @@ class Range:
     unit: str = ""
 
     def __contains__(self, value: Any) -> bool:
-        """Tell whether a value is one number of the range."""
+        """Return whether a value is a number in the range."""
         number = isinstance(value, Real) and not isinstance(value, bool)
         return bool(number and self.low <= value <= self.high)
 
@@ -38,11 +40,11 @@ class Range:
         return f"{ends} {self.unit}".strip()
 
     def check(self, name: str, value: Any) -> Any:
-        """Return the value, in the form that a field holds.
+        """Return the value in the type of the field.
 
         Raises
         ------
-        InputError : the value is outside the range, or of another type
+        InputError : the value is outside the range or has another type
         """
         if value not in self:
             raise InputError(f"{name} = {shown(value)} is outside [{self.low:g}, {self.high:g}]")
@@ -50,7 +52,7 @@ class Range:
 
 
 class IntegerRange(Range):
-    """The whole numbers from low to high; a field holds an int."""
+    """The whole numbers from low to high. The field is an int."""
 
     def __contains__(self, value: Any) -> bool:
         return isinstance(value, Integral) and super().__contains__(value)
@@ -59,13 +61,13 @@ class IntegerRange(Range):
         if value not in self:
             bounded = isinstance(value, Integral) and self.high < math.inf
             of = "" if bounded else "of " if self.high == math.inf else "from "
-            what = f"{'' if bounded else 'a whole number '}{of}{self}"
-            raise InputError(f"{name} = {shown(value)}: give {what}")
+            wanted = f"{'' if bounded else 'a whole number '}{of}{self}"
+            raise InputError(f"{name} = {shown(value)}: give {wanted}")
         return int(value)
 
 
 class SizeRange(IntegerRange):
-    """Sides of an image, in pixels; a field holds width and height."""
+    """Width and height of an image in pixels. The field is a pair (width, height)."""
 
     def check(self, name: str, value: Any) -> Any:
         sides = value.tolist() if hasattr(value, "tolist") else value
@@ -81,7 +83,7 @@ class SizeRange(IntegerRange):
 
 
 class VectorRange(Range):
-    """Three numbers of the range; one number stands for three equal ones."""
+    """Three numbers in the range. One number stands for three equal numbers."""
 
     def check(self, name: str, value: Any) -> tuple[float, float, float]:
         several = value.tolist() if hasattr(value, "tolist") else value
@@ -94,37 +96,37 @@ class VectorRange(Range):
 
 
 FRACTION = Range(0.0, 1.0)
-EXPOSURES = Range(-100.0, 100.0, "stops")  # of images for a display
+EXPOSURES = Range(-100.0, 100.0, "stops")  # of images that are encoded for a display
+MEMORY = Range(1.0, 1e9, "MiB")  # limit of the process
 
 
 def ranged(limits: Range, default: Any = MISSING) -> Any:
-    """Return a field of a dataclass with the range of its values; None is allowed as well where
-    the field's type says so."""
+    """Return a dataclass field with a range. None is also allowed if the type of the field includes
+    it."""
     return field(default=default, metadata={"range": limits})
 
 
 @cache
 def ranges_of(kind: type) -> Mapping[str, Range]:
-    """Return the ranges of a dataclass, by the names of its fields."""
+    """Return the ranges of a dataclass by field name."""
     return {each.name: each.metadata["range"] for each in fields(kind) if "range" in each.metadata}
 
 
 def range_of(kind: type, name: str) -> Range:
-    """Return the range of a field, such as ``range_of(Light, "radius")``."""
+    """Return the range of a field, for example ``range_of(Light, "radius")``."""
     return ranges_of(kind)[name]
 
 
 def check_fields(value: object, prefix: str = "") -> None:
-    """Check those fields of a frozen dataclass that have a range or are switches, and give them the
-    form that they have there.
+    """Check the fields of a frozen dataclass that have a range or are switches, and convert them.
 
     Parameters
     ----------
-    prefix : what the names of the fields have before them in messages, such as "light "
+    prefix : text before the field names in messages, for example "light "
 
     Raises
     ------
-    InputError : a value outside its range, a switch that is neither true nor false
+    InputError : a value is outside its range, or a switch is neither true nor false
     """
     kind: Any = type(value)
     for name, limits, optional in _checked(kind):

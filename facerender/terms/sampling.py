@@ -1,9 +1,9 @@
-"""Directions drawn as the models reflect light, and their densities, in float64: the reference for
-``shaders/facerender/*_sample.glsl``. Of the exact lobe; of Cook-Torrance with V-cavities.
+"""Importance sampling of the models in float64: the reference for
+``shaders/facerender/*_sample.glsl``.
 
-Vectors and random numbers are arrays of shape (..., 3) or (..., 2) that broadcast against one
-another, m of shape (...). ``brdf.f`` is ``fr_f`` in GLSL, with the same arguments in the same
-order.
+The models have the exact lobe; Cook-Torrance has V-cavity masking. Vectors and random numbers are
+arrays of shape (..., 3) or (..., 2) that broadcast against one another, m has the shape (...).
+``brdf.f`` is ``fr_f`` in GLSL, with the same arguments in the same order.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ from facerender.terms.model import K_COOK_TORRANCE, checked_unit, dot
 
 Float = NDArray[np.float64]
 
-_LAST = 2.0**-24  # the least that 1 - x is for a float32 x < 1
+_LAST = 2.0**-24  # smallest 1 - x for a float32 x < 1
 
 
 def slope_sample(n: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:
-    """Return slopes of the Beckmann distribution as vectors (..., 3) across the normal: n plus one
-    points along a microfacet's normal.
+    """Return random slopes of the Beckmann distribution as tangent vectors (..., 3).
+
+    The sum of n and a slope points along the normal of a microfacet.
 
     Parameters
     ----------
-    n : unit vectors, normal
-    m : rms slope, in [1e-4, 2]
-    u : two random numbers, even in [0, 1)
+    n : unit vectors (..., 3): normal
+    m : RMS slope, in [1e-4, 2]
+    u : two random numbers (..., 2), uniform in [0, 1)
 
     References: Walter et al. (2007), eq. 28; Duff et al. (2017) for the frame.
     """
@@ -48,16 +49,15 @@ def slope_sample(n: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:
 
 
 def cook_torrance_sample(n: ArrayLike, v: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:
-    """Return unit vectors (..., 3) towards the light, drawn by the visible normals of V-cavities.
+    """Return random directions to the light (..., 3), from the visible normals of V-cavities.
 
-    Those with N.L <= 0 are lost: the BRDF is 0 there. BRDF times N.L over the density is F G/G1, at
-    most F.
+    The BRDF is 0 for directions with N.L <= 0. The weight BRDF (N.L)/density is F G/G1, at most F.
 
     Parameters
     ----------
-    n, v : unit vectors: normal, and towards the eye, with N.V > 0
-    m : rms slope, in [1e-4, 2]
-    u : three random numbers, even in [0, 1)
+    n, v : unit vectors: normal, direction to the camera, with N.V > 0
+    m : RMS slope, in [1e-4, 2]
+    u : three random numbers (..., 3), uniform in [0, 1)
 
     References: Heitz and d'Eon (2014).
     """
@@ -71,13 +71,14 @@ def cook_torrance_sample(n: ArrayLike, v: ArrayLike, m: ArrayLike, u: ArrayLike)
 
 
 def cook_torrance_pdf(n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike) -> Float:
-    """Return the density of :func:`cook_torrance_sample` at l, in 1/sr: G1 D/(4 N.V); 0 where N.V
-    or N.H is not above 1e-6.
+    """Return the density G1 D/(4 N.V) of :func:`cook_torrance_sample` at l, in 1/sr.
+
+    It is 0 if N.V or N.L + N.V is at most 1e-6.
 
     Parameters
     ----------
-    n, l, v : unit vectors: normal, towards the light, towards the eye
-    m : rms slope, in [1e-4, 2]
+    n, l, v : unit vectors: normal, direction to the light, direction to the camera
+    m : RMS slope, in [1e-4, 2]
     """
     n_dot_v, n_dot_h, h_dot_h, tan2, slope = _half(n, l, v, m)
     above = np.minimum(n_dot_v, n_dot_h) > MIN_COSINE
@@ -87,15 +88,15 @@ def cook_torrance_pdf(n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike) ->
 
 
 def ward_sample(n: ArrayLike, v: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:
-    """Return unit vectors (..., 3) towards the light, by half vectors of Ward's distribution.
+    """Return random directions to the light (..., 3), from half vectors of Ward's distribution.
 
-    Those with N.L <= 0 are lost: the BRDF is 0 there; so is -n, where the half vector is turned
-    away.
+    The BRDF is 0 for directions with N.L <= 0, including -n, which is returned if the half vector
+    points away from the camera.
 
     Parameters
     ----------
-    n, v, m : as of :func:`cook_torrance_sample`
-    u : two random numbers, even in [0, 1)
+    n, v, m : see :func:`cook_torrance_sample`
+    u : two random numbers (..., 2), uniform in [0, 1)
 
     References: Walter (2005).
     """
@@ -106,8 +107,10 @@ def ward_sample(n: ArrayLike, v: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float
 
 
 def ward_pdf(n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike) -> Float:
-    """Return the density of :func:`ward_sample` at l, in 1/sr: E/(4 π m² c³ (V.H)); 0 where N.L or
-    N.V is not above 1e-6. Parameters as of :func:`cook_torrance_pdf`."""
+    """Return the density E/(4 π m² c³ (V.H)) of :func:`ward_sample` at l, in 1/sr.
+
+    It is 0 if N.L or N.V is at most 1e-6. For the parameters see :func:`cook_torrance_pdf`.
+    """
     n_dot_v, n_dot_h, _, tan2, slope = _half(n, l, v, m)
     above = np.minimum(n_dot_v, n_dot_h - n_dot_v) > MIN_COSINE
     e = np.exp(-tan2 / slope**2) * (1.0 + tan2)
@@ -117,8 +120,8 @@ def ward_pdf(n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike) -> Float:
 def _half(
     n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike
 ) -> tuple[Float, Float, Float, Float, Float]:
-    """N.V; of h = l + v, which keeps its length, N.h, h.h and tan² γ; m. Of what lies below the
-    surface tan² is 0."""
+    """Return N.V, N.h, h.h, tan² γ and m for h = l + v, not normalised; tan² γ is 0 below the
+    surface."""
     normal, light, eye = checked_unit("n", n), checked_unit("l", l), checked_unit("v", v)
     h = light + eye
     n_dot_v, n_dot_h = dot(normal, eye), dot(normal, light) + dot(normal, eye)

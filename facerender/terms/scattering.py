@@ -1,4 +1,4 @@
-"""Light that enters skin and leaves it beside: profiles of diffusion, and the float64 twin of
+"""Subsurface scattering: diffusion profiles, and the float64 reference for
 ``shaders/facerender/scatter.glsl``."""
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from facerender.errors import InputError, shown
 
 Float = NDArray[np.float64]
-Gaussians = tuple[tuple[float, float, float, float], ...]  # variance in mm^2; red, green, blue
+Gaussians = tuple[tuple[float, float, float, float], ...]  # variance in mm^2; RGB weights
 
-# What a material may call by a name. d'Eon and Luebke (2007), GPU Gems 3, chapter 14: three layers
-# of skin.
+# Named profiles of materials. Skin with three layers: d'Eon and Luebke (2007), GPU Gems 3, chapter
+# 14.
 PROFILES: dict[str, Gaussians] = {
     "skin": (
         (0.0064, 0.233, 0.455, 0.649),
@@ -28,21 +28,21 @@ PROFILES: dict[str, Gaussians] = {
         (7.41, 0.078, 0.0, 0.0),
     )
 }
-MOST = 16  # Gaussians of a profile
+MOST = 16  # Gaussians in a profile
 MOST_VARIANCE = 1e4  # mm^2
-NARROW = 0.5  # pixels: Gaussians whose deviation is less stay where they are
+NARROW = 0.5  # pixels: Gaussians with a smaller standard deviation are not scattered
 _OWN = 1e-3
 _WORD = 1 << 32  # of GLSL's uint
 _ANGLE = 2.39996323
-_LAST = 0.98  # of the distribution of radii: the rest is too far away to be noise
+_LAST = 0.98  # quantile of the radii; samples of the rest are too far away and would add noise
 
 
 def profile_of(given: Any) -> str | Gaussians:
-    """Return what a material scatters by, as it holds it: a name, or Gaussians.
+    """Return the scattering profile of a material: a name, or Gaussians.
 
     Raises
     ------
-    InputError : an unknown name, variances or weights outside their domains
+    InputError : the name is unknown, or a variance or weight is outside its domain
     """
     if isinstance(given, str):
         if given not in PROFILES:
@@ -62,8 +62,8 @@ def profile_of(given: Any) -> str | Gaussians:
         )
     if not ((weights >= 0.0).all() and (weights.sum(axis=0) <= 1.0 + 1e-6).all()):
         raise InputError(
-            f"scattering = {shown(given)}: give weights of at least 0, and in each channel of no "
-            "more than 1 together"
+            f"scattering = {shown(given)}: give weights of at least 0 whose sum in each channel is "
+            "at most 1"
         )
     return tuple((row[0], row[1], row[2], row[3]) for row in rows)
 
@@ -73,7 +73,7 @@ def wide_gaussians(given: str | Gaussians, pixel: float) -> Gaussians:
 
     Parameters
     ----------
-    pixel : millimetres
+    pixel : size of a pixel in millimetres
     """
     gaussians = PROFILES[given] if isinstance(given, str) else given
     narrow = (NARROW * pixel) ** 2
@@ -81,7 +81,7 @@ def wide_gaussians(given: str | Gaussians, pixel: float) -> Gaussians:
 
 
 def scatter_profile(r2: ArrayLike, gaussians: Gaussians) -> Float:
-    """Return the share of the light that leaves at a distance, for each mm^2 there: (..., 3).
+    """Return the fraction of the light that leaves at a distance, per mm^2 there: (..., 3).
 
     Parameters
     ----------
@@ -93,14 +93,17 @@ def scatter_profile(r2: ArrayLike, gaussians: Gaussians) -> Float:
 
 
 def rest(gaussians: Gaussians) -> Float:
-    """Return the share of each channel that these Gaussians do not scatter, (3,)."""
+    """Return the fraction of each channel that the Gaussians do not scatter, (3,)."""
     return np.asarray(np.maximum(1.0 - _columns(gaussians)[1].sum(axis=0), 0.0))
 
 
 @lru_cache(maxsize=64)
 def spiral(gaussians: Gaussians, samples: int) -> Float:
-    """Return places around a pixel and 1 over the density of places there, (samples, 3) in mm and
-    mm^2: their radii are distributed as the light of the channel that scatters farthest."""
+    """Return the offsets of samples around a pixel in mm, and 1/density of the samples in mm^2.
+
+    The shape is (samples, 3). The radii have the distribution of the channel that scatters
+    farthest.
+    """
     variance, weight = _columns(gaussians)
     share = weight[:, int(np.argmax(variance @ weight / np.maximum(weight.sum(axis=0), 1e-30)))]
     share = share / share.sum()
@@ -114,12 +117,17 @@ def spiral(gaussians: Gaussians, samples: int) -> Float:
 
 
 def scatter_area(c: ArrayLike) -> Float:
-    """Return how much more surface a pixel shows than if it faced the eye, of N.V in [-1, 1]."""
+    """Return the surface area in a pixel, relative to a surface that faces the camera.
+
+    Parameters
+    ----------
+    c : N.V, in [-1, 1]
+    """
     return np.asarray(1.0 / np.maximum(np.abs(np.asarray(c, dtype=np.float64)), 0.2))
 
 
 def scatter_turn(x: ArrayLike, y: ArrayLike) -> Float:
-    """Return the angle of a pixel, in [-pi, pi]; x and y are its column and row."""
+    """Return the rotation angle of a pixel, in [-pi, pi]; x and y are its column and row."""
     column, row = (np.asarray(each, dtype=np.int64) for each in (x, y))
     inner = (column * 288237660 + row * 25070368) % _WORD
     outer = (inner * 53 - inner // 59) % _WORD
@@ -130,18 +138,19 @@ def scatter(
     light: Float, place: Float, number: NDArray[Any], area: Float, pixels: NDArray[np.bool_],
     *, scale: Float, unit: float, gaussians: Gaussians, samples: int,
 ) -> Float:  # fmt: skip
-    """Return the irradiance of some pixels after scattering, (N, 3).
+    """Return the irradiance of N pixels after scattering, (N, 3).
 
     Parameters
     ----------
     light : irradiance (H, W, 3)
     place : positions (H, W, 3)
-    number : (H, W), the same for surfaces that scatter into each other
-    area : (H, W), how much more surface a pixel shows than if it faced the eye
-    pixels : (H, W), N of them
-    scale : pixels of a millimetre (N,)
-    unit : millimetres of a unit of the positions
-    gaussians, samples : of the profile; number of pixels that are sampled
+    number : equal for surfaces that scatter into each other, (H, W)
+    area : result of :func:`scatter_area`, (H, W)
+    pixels : mask of the N pixels, (H, W)
+    scale : pixels per millimetre, (N,)
+    unit : millimetres per unit of the positions
+    gaussians : Gaussians of the profile
+    samples : number of samples per pixel
     """
     height, width = number.shape
     y, x = np.nonzero(pixels)

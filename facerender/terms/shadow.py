@@ -1,5 +1,5 @@
-"""How much of a light a place sees, from the map of what stands nearest to the light: the float64
-twin of ``shaders/facerender/shadow.glsl``, which tells what the light's space is."""
+"""Shadow mapping: the float64 reference for ``shaders/facerender/shadow.glsl``, which defines light
+space."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _TURN = 2.39996323
 
 
 def shadow_lit(map: ArrayLike, tile: Tile, at: ArrayLike, z: ArrayLike) -> Float:
-    """Return whether places of a map are lit at a depth, 0 or 1, interpolated between four texels.
+    """Return the visibility of the light at a depth, interpolated between 0 or 1 of four texels.
 
     Parameters
     ----------
-    map : (H, W), z of what is nearest to the light
-    tile : column and row of the light's first texel, and how many it has a side
-    at : (..., 2), x and y in the light's space
-    z : (...) there
+    map : z of the surface nearest to the light, (H, W)
+    tile : column and row of the first texel of the light, and its side in texels
+    at : x and y in light space, (..., 2)
+    z : z in light space, (...)
     """
     texel = (0.5 * np.asarray(at, dtype=np.float64) + 0.5) * tile[2] - 0.5
     low = np.floor(texel)
@@ -35,13 +35,13 @@ def shadow_lit(map: ArrayLike, tile: Tile, at: ArrayLike, z: ArrayLike) -> Float
 
 
 def shadow_hard(map: ArrayLike, tile: Tile, p: ArrayLike, bias: float) -> Float:
-    """Return how much of a light without size places see.
+    """Return the visible fraction of a light without angular radius.
 
     Parameters
     ----------
     map, tile : see :func:`shadow_lit`
-    p : (..., 3), places in the light's space
-    bias : by how much more z counts
+    p : points in light space, (..., 3)
+    bias : offset added to z
     """
     place = np.asarray(p, dtype=np.float64)
     return shadow_lit(map, tile, place[..., :2], place[..., 2] + bias)
@@ -57,17 +57,17 @@ def shadow_disc(
     bias: float,
     turn: ArrayLike,
 ) -> Float:
-    """Return how much of a disc or a sphere of light places see.
+    """Return the visible fraction of a disc light or a sphere light.
 
     Parameters
     ----------
     map, tile, p, bias : see :func:`shadow_hard`
-    plane : (..., 2), change of z with x and y on the surface
-    tan_radius : tangent of the light's radius, in (0, tan(20 degrees)]
-    top : largest z of what casts shadows; all of the light is seen where z is not below it
-    turn : radians, of the spiral of samples
+    plane : change of z with x and y on the surface, (..., 2)
+    tan_radius : tangent of the angular radius of the light, in (0, tan(20 degrees)]
+    top : largest z of the occluders; the light is fully visible if z is at least this value
+    turn : rotation of the spiral of samples, in radians
     """
-    place = np.asarray(p, dtype=np.float64)[..., None, :]  # before the samples
+    place = np.asarray(p, dtype=np.float64)[..., None, :]  # adds an axis for the samples
     slope = np.asarray(plane, dtype=np.float64)[..., None, :]
     angle = _TURN * np.arange(SAMPLES) + np.asarray(turn, dtype=np.float64)[..., None]
     spiral = np.stack([np.cos(angle), np.sin(angle)], axis=-1)

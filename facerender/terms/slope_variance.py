@@ -1,6 +1,7 @@
-"""What a pixel, a texel or the size of a light leaves unresolved, as slopes of microfacets: the
-float64 twin of ``shaders/facerender/slope_variance.glsl``. Variances are of slopes, along each of
-two axes; those of independent slopes add."""
+"""Slope variance of unresolved detail: the float64 reference for
+``shaders/facerender/slope_variance.glsl``.
+
+A variance is the variance of slopes along each of two axes. Variances of independent slopes add."""
 
 from __future__ import annotations
 
@@ -13,33 +14,33 @@ Float = NDArray[np.float64]
 
 MAP_DEVIATION, MAP_SHARE = 0.35, 0.5  # FR_MAP_DEVIATION, FR_MAP_SHARE
 MAX_PIXEL_VARIANCE = 0.1  # FR_MAX_PIXEL_VARIANCE
-MAX_RADIUS = 20.0  # degrees, of a disc
+MAX_RADIUS = 20.0  # degrees: angular radius of a disc
 _LEAST_V_DOT_H2 = 0.05
 
 
 def slope_filtered(m: ArrayLike, variance: ArrayLike) -> Float:
-    """Return the slope that stands for m together with slopes of a variance, from 1e-4 to 2.
+    """Return the RMS slope for m and an additional slope variance, clamped to [1e-4, 2].
 
     Parameters
     ----------
-    m : rms slope of the microfacets, in [0, 2]
-    variance : of what is unresolved, >= 0; broadcasts with m
+    m : RMS slope of the microfacets, in [0, 2]
+    variance : unresolved slope variance, >= 0; broadcasts with m
     """
     slope = np.asarray(m, dtype=np.float64)
     return np.clip(np.sqrt(slope**2 + 2.0 * np.asarray(variance)), MIN_SLOPE, MAX_SLOPE)
 
 
 def slope_variance_map(alpha: ArrayLike) -> Float:
-    """Return the variance by which a prepared normal map's alpha, in [0, 1], widens the lobe."""
+    """Return the slope variance for the alpha channel, in [0, 1], of a prepared normal map."""
     return np.asarray(MAP_SHARE * (MAP_DEVIATION * np.asarray(alpha, dtype=np.float64)) ** 2)
 
 
 def slope_variance_pixel(n_x: ArrayLike, n_y: ArrayLike) -> Float:
-    """Return the variance of a curved mesh over a pixel, at most 0.1.
+    """Return the slope variance of a curved mesh over a pixel, at most 0.1.
 
     Parameters
     ----------
-    n_x, n_y : (..., 3), how much the unit normal changes from a pixel to the next
+    n_x, n_y : change of the unit normal from one pixel to the next, (..., 3)
     """
     x, y = np.asarray(n_x, dtype=np.float64), np.asarray(n_y, dtype=np.float64)
     variance = ((x * x).sum(axis=-1) + (y * y).sum(axis=-1)) / 24.0
@@ -47,13 +48,14 @@ def slope_variance_pixel(n_x: ArrayLike, n_y: ArrayLike) -> Float:
 
 
 def slope_variance_disc(s: ArrayLike, k: ArrayLike, v_dot_h: ArrayLike) -> Float:
-    """Return the variance that a light of the shape of a disc adds.
+    """Return the slope variance that a disc light adds.
 
     Parameters
     ----------
-    s, k : sin R and (1 + cos R)/2 of the angle R between the disc's centre and its rim, which is
-        at most 20 degrees
-    v_dot_h : cosine of eye and unit half vector, in [0, 1]; broadcasts with these
+    s, k : sin R and (1 + cos R)/2 for the angle R between the centre and the rim of the disc, at
+        most 20 degrees
+    v_dot_h : cosine of the angle between the direction to the camera and the unit half vector, in
+        [0, 1]; broadcasts with s and k
     """
     width = np.asarray(s, dtype=np.float64) / np.asarray(k, dtype=np.float64)
     along = np.maximum(np.asarray(v_dot_h, dtype=np.float64) ** 2, _LEAST_V_DOT_H2)
@@ -61,12 +63,12 @@ def slope_variance_disc(s: ArrayLike, k: ArrayLike, v_dot_h: ArrayLike) -> Float
 
 
 def cosine_disc(c: ArrayLike, s: ArrayLike, k: ArrayLike) -> Float:
-    """Return the mean of max(N.L, 0) over the directions of a disc.
+    """Return the mean of max(N.L, 0) over the directions of a disc light.
 
     Parameters
     ----------
-    c : N.L of its centre, in [-1, 1]
-    s, k : as of :func:`slope_variance_disc`; broadcast with c
+    c : N.L of the centre of the disc, in [-1, 1]
+    s, k : see :func:`slope_variance_disc`; broadcast with c
     """
     cosine, sine = np.asarray(c, dtype=np.float64), np.asarray(s, dtype=np.float64)
     above = np.maximum(cosine + sine, 0.0)

@@ -1,26 +1,30 @@
-// Directional albedo of Cook-Torrance with the exact lobe, Schlick's Fresnel term and V-cavities:
-// the share of the light from a direction that it reflects. A fit, evaluated in two steps: the
-// first is of the material alone, and serves every light.
+// Directional albedo of Cook-Torrance with the exact lobe, Schlick's Fresnel term and V-cavities.
+// The albedo is the fraction of the light from one direction that the surface reflects. A fit gives
+// it in two steps; the first step depends only on the material and serves all lights.
 //
-//   formula   the integral of BRDF (N.L) over the hemisphere, as a polynomial of degree 7 in the
-//             square root of the cosine and 4 in m
-//   n_dot_v   cosine between normal and direction, in [0, 1]; below 4e-4 it counts as that
-//   m         rms slope; outside [0.05, 1] it counts as the nearer end
-//   f0        Fresnel reflectance at normal incidence, in [0, 0.1]
-//   fit       from fr_albedo_fit, or sums of such: of two lobes mix(fit1, fit0, weight), with a
-//             specular weight ks ks fit
-//   unit      none, in [0, 1.02]
-//   error     0 to 0.0125 too much, never too little, so that what is coupled with it gains no
-//             light; for f0 > 0.1 up to 0.008 f0 more either way; too little for m < 0.05 at N.V < 0.1
-//   source    Kelemen and Szirmay-Kalos (2001), who tabulate it; written by tools/fits/albedo.py
+//   formula:  integral of BRDF (N.L) over the hemisphere, fitted by a polynomial of degree 7 in the
+//             square root of the cosine and of degree 4 in m
+//   n_dot_v:  Cosine between normal and direction, in [0, 1]; clamped to at least 4e-4.
+//   m:        Roughness: RMS slope of the microfacets; clamped to [0.05, 1].
+//   f0:       Fresnel reflectance at normal incidence, in [0, 0.1].
+//   fit:      Result of fr_albedo_fit, or a linear combination: mix(fit1, fit0, weight) for two
+//             lobes, ks fit for a specular weight ks.
+//   unit:     none
+//   returns:  In [0, 1.02].
+//   error:    For f0 <= 0.1: 0 to 0.0125 too high and never too low, so that an energy-conserving
+//             diffuse term adds no light. For f0 > 0.1: up to 0.008 f0 more in either direction.
+//             For m < 0.05 and N.V < 0.1: too low.
+//   source:   Kelemen and Szirmay-Kalos (2001), who tabulate the albedo; the coefficients are
+//             computed by tools/fits/albedo.py.
 #ifndef FR_ALBEDO_GLSL
 #define FR_ALBEDO_GLSL
 
 #include "constants.glsl"
 
-// Coefficients of the powers 0 to 7 of 2 sqrt(cosine) - 1, in the order of two columns.
+// Polynomial coefficients of the albedo of one material.
 //
-//   result    finite
+//   returns:  Finite coefficients of the powers 0 to 7 of 2 sqrt(cosine) - 1: powers 0 to 3 in the
+//             first column, 4 to 7 in the second.
 mat2x4 fr_albedo_fit(float m, float f0) {
     float t = (2.0 * clamp(FR_SLOPE(m), 0.05, 1.0) - 1.05) * (1.0 / 0.95);
     vec4 first_low = vec4(0.863348, 0.0726275, -0.313448, 0.189434)
@@ -46,14 +50,14 @@ mat2x4 fr_albedo_fit(float m, float f0) {
     return mat2x4(f0 * first_low + rest_low, f0 * first_high + rest_high);
 }
 
-// Albedo of a fit towards a direction.
+// Directional albedo from a fit.
 float fr_albedo_of(mat2x4 fit, float n_dot_v) {
     float s = 2.0 * max(sqrt(clamp(n_dot_v, 0.0, 1.0)), 0.02) - 1.0;
     vec4 powers = vec4(1.0, s, s * s, s * s * s);
     return dot(fit[0], powers) + powers.z * powers.z * dot(fit[1], powers);
 }
 
-// Mean albedo of a fit over the hemisphere, weighted by the cosine.
+// Cosine-weighted mean of the albedo over the hemisphere, from a fit.
 float fr_albedo_mean(mat2x4 fit) {
     return dot(fit[0], vec4(1.0, 3.0 / 5.0, 7.0 / 15.0, 13.0 / 35.0))
         + dot(fit[1], vec4(11.0 / 35.0, 17.0 / 63.0, 5.0 / 21.0, 7.0 / 33.0));
@@ -64,19 +68,22 @@ float fr_cook_torrance_albedo(float n_dot_v, float m, float f0) {
     return fr_albedo_of(fr_albedo_fit(m, f0), n_dot_v);
 }
 
-// Mean of fr_cook_torrance_albedo over the hemisphere, weighted by the cosine.
+// Cosine-weighted mean of fr_cook_torrance_albedo over the hemisphere.
 float fr_cook_torrance_albedo_mean(float m, float f0) {
     return fr_albedo_mean(fr_albedo_fit(m, f0));
 }
 
-// What a Lambertian term is multiplied by, so that it gets the light that a specular one leaves.
+// Factor on a Lambertian BRDF that makes the diffuse term energy-conserving.
 //
-//   formula   (1 - albedo_l) (1 - albedo_v)/(1 - mean)
-//   albedo_l, albedo_v, mean   of the specular term, times its weight: towards light and eye, and
-//             over the hemisphere; albedos above 1, and a mean above 0.5, count as that
-//   unit      none, in [0, 2]
-//   error     none; both terms together reflect at most all light where no albedo is too low
-//   source    Kelemen and Szirmay-Kalos (2001)
+//   formula:             (1 - albedo_l) (1 - albedo_v)/(1 - mean)
+//   albedo_l, albedo_v:  Directional albedos of the specular term for the directions to the light
+//                        and to the camera, times the specular weight; clamped to at most 1.
+//   mean:                mean of this albedo over the hemisphere; clamped to at most 0.5.
+//   unit:                none
+//   returns:             In [0, 2].
+//   error:               none. The diffuse and the specular term together reflect at most all light
+//                        if no albedo is too low.
+//   source:              Kelemen and Szirmay-Kalos (2001).
 float fr_diffuse_coupled(float albedo_l, float albedo_v, float mean) {
     return (1.0 - min(albedo_l, 1.0)) * (1.0 - min(albedo_v, 1.0)) / (1.0 - min(mean, 0.5));
 }

@@ -1,23 +1,27 @@
-// Cook-Torrance specular BRDF, with the lobe, the Fresnel term (FR_FRESNEL) and the masking term
-// (FR_MASKING) that the host chose.
+// Cook-Torrance specular BRDF.
+// The host selects the lobe (FR_LOBE), the Fresnel term (FR_FRESNEL) and masking (FR_MASKING).
 //
-//   formula   F G D/(pi (N.L)(N.V)), D = E/(4 m^2 c^4), E = exp(-tan^2(gamma)/m^2)
-//   n, l, v   unit vectors: normal, towards the light, towards the eye
-//   m         rms slope, in the domain of the chosen lobe (FR_LOBE)
-//   f0        Fresnel reflectance at normal incidence, in [0, 1)
-//   unit      1/sr, for a specular weight ks = 1; N.L is not included, 1/pi is
-//   result    of finite vectors finite and >= 0, also for m below its domain; exactly 0 where N.L or
-//             N.V, as float32 rounds it, is not above 0 (with FR_MASKING_KELEMEN and _NONE not above
-//             FR_MIN_COSINE). A vector that is NaN gives NaN
-//   error     that of the lobe; float32 adds, of what the lobe's highest value and F + 2e-6 give in
-//             the same directions, 1e-5 + 2e-7/(N.L) + 2e-7/(N.V) and, with
-//             e = 4e-7 (1 + 1/(N.L + N.V)), e/m for the exact lobe, e/m^2 for the others and where
-//             FR_SMALL_SLOPE is 0 (the cosine power: 7e-7/m^2 more, from log2; FR_STEEPNESS
-//             a/m^2 - b: e a g/(2 m^2)). For cosines above 1.3e-6, and for the vectors as they
-//             are: that they were rounded correctly adds a quarter of that, and a length that is
-//             off by d > 1e-7 adds 2 d to e, and 3 d/(f0 + 2e-6)^0.2 beside it
-//   source    Cook and Torrance (1982), in the normalisation used since: Walter et al. (2007),
-//             F G D'/(4 (N.L)(N.V)) with D' = 4 D/pi
+//   formula:  F G D/(pi (N.L)(N.V)), D = E/(4 m^2 c^4), E = exp(-tan^2(gamma)/m^2)
+//   n, l, v:  Unit vectors: normal, direction to the light, direction to the camera.
+//   m:        Roughness: RMS slope of the microfacets, in the domain of the lobe (FR_LOBE).
+//   f0:       Fresnel reflectance at normal incidence, in [0, 1).
+//   unit:     1/sr, for a specular weight ks = 1; includes 1/pi, excludes N.L
+//   returns:  Finite and >= 0 for finite vectors, also for m below its domain. Exactly 0 if N.L or
+//             N.V in float32 is at most 0; with FR_MASKING_KELEMEN and FR_MASKING_NONE, if one of
+//             them is at most FR_MIN_COSINE. NaN if a vector is NaN.
+//   error:    Error of the lobe, plus float32 rounding: r times a reference value. The reference
+//             value is the BRDF in the same directions with the highest value of the lobe, and with
+//             F + 2e-6 in place of F.
+//             r = 1e-5 + 2e-7/(N.L) + 2e-7/(N.V) + s, with e = 4e-7 (1 + 1/(N.L + N.V)) and:
+//             s = e/m for the exact lobe with FR_SMALL_SLOPE 1;
+//             s = e/m^2 for the exact lobe with FR_SMALL_SLOPE 0, and for the other lobes, except:
+//             s = (e + 7e-7)/m^2 for the cosine power, because of log2;
+//             s = e a g/(2 m^2) for a g-power with FR_STEEPNESS a/m^2 - b.
+//             The bound applies to cosines above 1.3e-6 and to the float32 vectors as they are.
+//             Correct rounding of the vectors adds a quarter of the bound. A vector whose length is
+//             off by d > 1e-7 adds 2 d to e, and 3 d/(f0 + 2e-6)^0.2 to r.
+//   source:   Cook and Torrance (1982), normalised as in Walter et al. (2007):
+//             F G D'/(4 (N.L)(N.V)) with D' = 4 D/pi.
 #ifndef FR_COOK_TORRANCE_GLSL
 #define FR_COOK_TORRANCE_GLSL
 
@@ -27,27 +31,28 @@
 #include "fresnel.glsl"
 #include "masking.glsl"
 
-// What the constants of Cook-Torrance make, which a Fresnel term takes in: see fresnel.glsl.
+// Constant factor of the Cook-Torrance BRDF; the Fresnel functions multiply by it (fresnel.glsl).
 //
-//   formula   ln 2/(4 pi) for the exact lobe, whose 1/m^2 is 1/(m^2 ln 2); 1/(4 pi) for the others
-//   lobe      FR_LOBE_EXACT or another macro of lobe.glsl, a constant
-//   unit      1/sr
-//   result    in (0, 1)
-//   error     none
+//   formula:  ln 2/(4 pi) for the exact lobe, whose 1/m^2 is 1/(m^2 ln 2); 1/(4 pi) for other lobes
+//   lobe:     FR_LOBE_EXACT or another macro of lobe.glsl, a constant.
+//   unit:     1/sr
+//   returns:  In (0, 1).
+//   error:    None.
 float fr_cook_torrance_scale(int lobe) {
     return lobe == FR_LOBE_EXACT ? 0.25 * FR_LN_2 / FR_PI : 0.25 / FR_PI;
 }
 
-// Cook-Torrance specular BRDF without its Fresnel term and constants, and the cosine of that term.
+// Cook-Torrance BRDF without Fresnel term and constant factor, and the cosine for the Fresnel term.
 //
-//   formula   G D/(pi (N.L)(N.V)) over fr_cook_torrance_scale; V.H
-//   lobe      FR_LOBE_EXACT or another macro of lobe.glsl, a constant
-//   masking   FR_MASKING_V_CAVITY, _KELEMEN or _NONE, a constant
-//   unit      none, both >= 0
+//   formula:  x = G D/(pi (N.L)(N.V)) divided by fr_cook_torrance_scale, y = V.H
+//   lobe:     FR_LOBE_EXACT or another macro of lobe.glsl, a constant.
+//   masking:  FR_MASKING_V_CAVITY, _KELEMEN or _NONE, a constant.
+//   unit:     none
+//   returns:  x and y, both >= 0; x is finite, 0 and NaN in the same cases as fr_cook_torrance.
 vec2 fr_cook_torrance_parts(vec3 n, vec3 l, vec3 v, float m, int lobe, int masking) {
     float n_dot_l = clamp(dot(n, l), 0.0, 1.0);
     float n_dot_v = clamp(dot(n, v), 0.0, 1.0);
-    vec3 h = l + v;  // keeps its length: V.H = |h|/2
+    vec3 h = l + v;  // not normalised: V.H = |h|/2
     float n_dot_h = n_dot_l + n_dot_v;
     float slope2 = FR_SLOPE(m) * FR_SLOPE(m);
 #if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
@@ -59,7 +64,7 @@ vec2 fr_cook_torrance_parts(vec3 n, vec3 l, vec3 v, float m, int lobe, int maski
         float inverse = 1.0 / (masked.y * along * w);
         float x = squares.y * masked.y * inverse;
         float sec2 = x * w + 1.0;
-        // E first, which may be 0 where the product of the others overflows
+        // E comes first: it may be 0 where the product of the other factors overflows
         return vec2(exp2(-x) * sec2 * (masked.x * inverse), 0.5 * sqrt(squares.x));
     }
 #endif
@@ -81,13 +86,13 @@ vec2 fr_cook_torrance_parts(vec3 n, vec3 l, vec3 v, float m, int lobe, int maski
     return vec2(value * (masked.x * inverse), 0.5 * h_dot_h * inverse_length);
 }
 
-// Cook-Torrance specular BRDF with terms of its own, for programs that treat lights differently, or
-// have two lobes.
+// Cook-Torrance specular BRDF with the terms as arguments.
+// For programs with different terms per light, or with two lobes.
 //
-//   lobe      FR_LOBE_EXACT or another macro of lobe.glsl, in place of FR_LOBE; all are there with
-//             #define FR_LOBE FR_LOBE_EVERY; a constant, which the compiler folds
-//   fresnel   FR_FRESNEL_SCHLICK, _DIELECTRIC or _CONSTANT, in place of FR_FRESNEL; a constant
-//   masking   FR_MASKING_V_CAVITY, _KELEMEN or _NONE, in place of FR_MASKING; a constant
+//   lobe:     Replaces FR_LOBE: FR_LOBE_EXACT or another macro of lobe.glsl, a constant that the
+//             compiler folds. #define FR_LOBE FR_LOBE_EVERY makes all lobes available.
+//   fresnel:  Replaces FR_FRESNEL: FR_FRESNEL_SCHLICK, _DIELECTRIC or _CONSTANT, a constant.
+//   masking:  Replaces FR_MASKING: FR_MASKING_V_CAVITY, _KELEMEN or _NONE, a constant.
 float fr_cook_torrance_terms(
     vec3 n, vec3 l, vec3 v, float m, float f0, int lobe, int fresnel, int masking
 ) {
@@ -95,14 +100,14 @@ float fr_cook_torrance_terms(
     return parts.x * fr_fresnel_times(fr_cook_torrance_scale(lobe), f0, parts.y, fresnel);
 }
 
-// Cook-Torrance specular BRDF, with the terms that the host chose.
+// Cook-Torrance specular BRDF with the terms that the host's macros select.
 float fr_cook_torrance(vec3 n, vec3 l, vec3 v, float m, float f0) {
     return fr_cook_torrance_terms(n, l, v, m, f0, FR_DEFAULT_LOBE, FR_FRESNEL, FR_MASKING);
 }
 
-// Cook-Torrance specular BRDF in colour, with Schlick's Fresnel term and a reflectance at 90 degrees.
+// Cook-Torrance specular BRDF in RGB, with Schlick's Fresnel term and a reflectance at 90 degrees.
 //
-//   f0, f90   reflectances at normal incidence and at 90 degrees, in [0, 1] each
+//   f0, f90:  RGB reflectances at normal incidence and at 90 degrees, each in [0, 1].
 vec3 fr_cook_torrance_rgb(vec3 n, vec3 l, vec3 v, float m, vec3 f0, vec3 f90) {
     vec2 parts = fr_cook_torrance_parts(n, l, v, m, FR_DEFAULT_LOBE, FR_MASKING);
     float scale = fr_cook_torrance_scale(FR_DEFAULT_LOBE);

@@ -1,17 +1,19 @@
-// Cook-Torrance specular BRDF for GPUs whose mediump is half precision, with the exact lobe,
-// Schlick's Fresnel term and V-cavities: products of vectors keep their digits, all that follows does
-// with 10 bits and stays below 2^14, which GLSL ES asks of mediump. Where mediump is float, and in
-// other languages than GLSL, all of it is.
+// Cook-Torrance specular BRDF in half precision: exact lobe, Schlick's Fresnel term, V-cavities.
+// For GPUs whose mediump has half precision. Products of vectors use highp. All later values use 10
+// bits and stay below 2^14, the range that GLSL ES requires of mediump. If mediump is float32, or
+// in other languages than GLSL, all values are float32.
 //
-//   formula   F G D/(pi (N.L)(N.V)), D = E/(4 m^2 c^4), E = exp(-tan^2(gamma)/m^2)
-//   n, l, v   unit vectors: normal, towards the light, towards the eye
-//   m         rms slope, in [0.1, 1]; outside it counts as the nearer end
-//   f0        Fresnel reflectance at normal incidence, in [0, 1)
-//   unit      1/sr, for a specular weight ks = 1; N.L is not included, 1/pi is
-//   result    finite and >= 0; 0 where N.L or N.V is not above FR_MIN_COSINE
-//   error     for N.L and N.V from 0.05 on 1 % of what the lobe's highest value gives in the same
-//             directions; smaller cosines count as 0.05 in the divisor, which is too low there
-//   source    as of cook_torrance.glsl; G/((N.L)(N.V)) is min(1/low, 4 n.h/h.h)/high of both cosines
+//   formula:  F G D/(pi (N.L)(N.V)), D = E/(4 m^2 c^4), E = exp(-tan^2(gamma)/m^2)
+//   n, l, v:  Unit vectors: normal, direction to the light, direction to the camera.
+//   m:        Roughness: RMS slope of the microfacets; clamped to [0.1, 1].
+//   f0:       Fresnel reflectance at normal incidence, in [0, 1).
+//   unit:     1/sr, for a specular weight ks = 1; includes 1/pi, excludes N.L
+//   returns:  Finite and >= 0; 0 if N.L or N.V is at most FR_MIN_COSINE.
+//   error:    For N.L and N.V >= 0.05: 1 % of the BRDF in the same directions with the highest
+//             value of the lobe. The divisor clamps smaller cosines to 0.05; the result is too low
+//             there.
+//   source:   See cook_torrance.glsl. G/((N.L)(N.V)) is min(1/low, 4 n.h/h.h)/high, with low and
+//             high the smaller and the larger of both cosines.
 #ifndef FR_COOK_TORRANCE_HALF_GLSL
 #define FR_COOK_TORRANCE_HALF_GLSL
 
@@ -27,7 +29,7 @@ float fr_cook_torrance_half(vec3 n, vec3 l, vec3 v, float m, float f0) {
     float along = max(n_dot_h, 0.1);
     float h_dot_h = along * along + across2;
 
-    mediump float tan2 = min(across2 / (along * along), 100.0);  // where exp(-tan2/m^2) is 0
+    mediump float tan2 = min(across2 / (along * along), 100.0);  // exp(-tan2/m^2) is 0 there
     mediump float slope = clamp(FR_SLOPE(m), 0.1, 1.0);
     mediump float m2 = slope * slope;
     mediump float sec2 = 1.0 + tan2;

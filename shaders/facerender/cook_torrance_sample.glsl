@@ -1,21 +1,20 @@
-// Directions drawn as Cook-Torrance with the exact lobe and V-cavities reflects them, and their
-// density: importance sampling for path tracers.
+// Importance sampling of Cook-Torrance with the exact lobe and V-cavities, for path tracers.
 //
-//   formula   half vectors from the normals that v sees of V-cavities, l = 2 (V.H) H - V; density
-//             G1 D/(4 (N.V)), D = exp(-tan^2(gamma)/m^2)/(pi m^2 c^4) and
+//   formula:  half vector H: a normal of the V-cavities that is visible from v; l = 2 (V.H) H - V.
+//             Density: G1 D/(4 (N.V)), D = exp(-tan^2(gamma)/m^2)/(pi m^2 c^4),
 //             G1 = min(1, 2 (N.H)(N.V)/(V.H))
-//   n, v      unit vectors: normal, and towards the eye, where light comes from in a path tracer;
-//             N.V above FR_MIN_COSINE
-//   l         unit vector towards the light
-//   m         rms slope, in [1e-4, 2]
-//   u         three random numbers, even in [0, 1)
-//   unit      none; of the density 1/sr
-//   result    of the sample a unit vector, below the surface where N.L <= 0: the BRDF is 0 there.
-//             The weight, BRDF (N.L)/density, is F G/G1, at most F
-//   error     of the sample's components in float32 1e-5, or where sine and cosine are as Vulkan asks
-//             for 2^-10, but where the choice of a cavity's side is that close
-//   source    Heitz and d'Eon (2014), "Importance sampling microfacet-based BSDFs using the
-//             distribution of visible normals"; frame: Duff et al. (2017)
+//   n, v:     Unit vectors: normal, direction to the camera (in a path tracer, to the previous
+//             vertex of the path); N.V above FR_MIN_COSINE.
+//   l:        Unit vector: direction to the light.
+//   m:        Roughness: RMS slope of the microfacets, in [1e-4, 2].
+//   u:        Three random numbers, uniform in [0, 1).
+//   unit:     none for the sample; 1/sr for the density
+//   returns:  The sample: a unit vector, below the surface if N.L <= 0; the BRDF is 0 there. Its
+//             weight BRDF (N.L)/density is F G/G1, at most F.
+//   error:    Per component of the sample: 1e-5 in float32, or 2^-10 if sine and cosine are only as
+//             accurate as Vulkan requires. No bound where rounding decides the side of the cavity.
+//   source:   Heitz and d'Eon (2014), "Importance sampling microfacet-based BSDFs using the
+//             distribution of visible normals"; tangent frame: Duff et al. (2017).
 #ifndef FR_COOK_TORRANCE_SAMPLE_GLSL
 #define FR_COOK_TORRANCE_SAMPLE_GLSL
 
@@ -33,12 +32,12 @@ vec3 fr_cook_torrance_sample(vec3 n, vec3 v, float m, vec3 u) {
     return normalize(2.0 * dot(v, h) / dot(h, h) * h - v);
 }
 
-// Density of fr_cook_torrance_sample.
+// Probability density of fr_cook_torrance_sample.
 //
-//   unit      1/sr
-//   result    finite and >= 0; 0 where N.V or N.H is not above FR_MIN_COSINE
-//   error     float32 adds, of the highest density in the same directions, what it adds to
-//             fr_cook_torrance
+//   unit:     1/sr
+//   returns:  Finite and >= 0; 0 if N.V or n.h = N.L + N.V is at most FR_MIN_COSINE.
+//   error:    float32 rounding r of fr_cook_torrance (cook_torrance.glsl), times the highest
+//             density in the same directions.
 float fr_cook_torrance_pdf(vec3 n, vec3 l, vec3 v, float m) {
     float n_dot_v = dot(n, v);
     vec3 h = l + v;

@@ -1,15 +1,15 @@
-// Cook-Torrance specular BRDF with two lobes, such as a broad and a sharp one of skin, or a sharp
-// one of oil or sweat on it. They share half vector, Fresnel and masking term.
+// Cook-Torrance specular BRDF with two lobes that share half vector, Fresnel term and masking.
+// Examples: a broad and a sharp lobe of skin, or a sharp lobe of oil or sweat on skin.
 //
-//   formula   F G (w D(m0) + (1 - w) D(m1))/(pi (N.L)(N.V)), with F, G and D of cook_torrance.glsl
-//   n, l, v   unit vectors: normal, towards the light, towards the eye
-//   m0, m1    rms slopes of the lobes, in the domain of the chosen lobe (FR_LOBE)
-//   weight    share w of the first lobe, in [0, 1]; the second one has 1 - w
-//   f0        Fresnel reflectance at normal incidence, in [0, 1)
-//   unit      1/sr, for a specular weight ks = 1; N.L is not included, 1/pi is
-//   result    as of cook_torrance.glsl
-//   error     the sum of fr_cook_torrance's at m0, times w, and at m1, times 1 - w
-//   source    Jimenez et al. (2015), "Next-generation character rendering", GDC: two lobes for skin
+//   formula:  F G (w D(m0) + (1 - w) D(m1))/(pi (N.L)(N.V)), with F, G and D of cook_torrance.glsl
+//   n, l, v:  Unit vectors: normal, direction to the light, direction to the camera.
+//   m0, m1:   Roughness of the two lobes: RMS slopes, in the domain of the lobe (FR_LOBE).
+//   weight:   Fraction w of the first lobe, in [0, 1]; the second lobe has 1 - w.
+//   f0:       Fresnel reflectance at normal incidence, in [0, 1).
+//   unit:     1/sr, for a specular weight ks = 1; includes 1/pi, excludes N.L
+//   returns:  See cook_torrance.glsl.
+//   error:    w times the error of fr_cook_torrance at m0, plus 1 - w times its error at m1.
+//   source:   Jimenez et al. (2015), "Next-generation character rendering", GDC (two skin lobes).
 #ifndef FR_COOK_TORRANCE_TWO_GLSL
 #define FR_COOK_TORRANCE_TWO_GLSL
 
@@ -19,20 +19,21 @@
 #include "fresnel.glsl"
 #include "masking.glsl"
 
-// Cook-Torrance specular BRDF with two lobes and terms of its own, for programs that treat lights
-// differently.
+// Cook-Torrance specular BRDF with two lobes and the terms as arguments.
+// For programs with different terms per light.
 //
-//   lobe      FR_LOBE_EXACT or another macro of lobe.glsl, of both lobes, in place of FR_LOBE; all
-//             are there with #define FR_LOBE FR_LOBE_EVERY; a constant, which the compiler folds
-//   fresnel   FR_FRESNEL_SCHLICK, _DIELECTRIC or _CONSTANT, in place of FR_FRESNEL; a constant
-//   masking   FR_MASKING_V_CAVITY, _KELEMEN or _NONE, in place of FR_MASKING; a constant
+//   lobe:     Replaces FR_LOBE: FR_LOBE_EXACT or another macro of lobe.glsl for both lobes, a
+//             constant that the compiler folds. #define FR_LOBE FR_LOBE_EVERY makes all lobes
+//             available.
+//   fresnel:  Replaces FR_FRESNEL: FR_FRESNEL_SCHLICK, _DIELECTRIC or _CONSTANT, a constant.
+//   masking:  Replaces FR_MASKING: FR_MASKING_V_CAVITY, _KELEMEN or _NONE, a constant.
 float fr_cook_torrance_two_terms(
     vec3 n, vec3 l, vec3 v, float m0, float m1, float weight, float f0,
     int lobe, int fresnel, int masking
 ) {
     float n_dot_l = clamp(dot(n, l), 0.0, 1.0);
     float n_dot_v = clamp(dot(n, v), 0.0, 1.0);
-    vec3 h = l + v;  // keeps its length: V.H = |h|/2
+    vec3 h = l + v;  // not normalised: V.H = |h|/2
     float n_dot_h = n_dot_l + n_dot_v;
     vec2 slope = vec2(FR_SLOPE(m0), FR_SLOPE(m1));
     vec2 inverse_m2 = 1.0 / (slope * slope + FR_FLOOR);
@@ -62,13 +63,13 @@ float fr_cook_torrance_two_terms(
         masked_over = masked.x / (masked.y * h_dot_h);
         v_dot_h = 0.5 * h_dot_h * inverse_length;
     }
-    // not mix: where it is x + a (y - x), a high lobe of share 0 would take the digits of the other
+    // Not mix(): computed as x + a (y - x), a high lobe of weight 0 cancels the digits of the other
     vec2 shares = vec2(weight * inverse_m2.x, inverse_m2.y - weight * inverse_m2.y);
     float value = dot(shares, lobes) * masked_over;
     return value * fr_fresnel_times(0.25 / FR_PI, f0, v_dot_h, fresnel);
 }
 
-// Cook-Torrance specular BRDF with two lobes, with the terms that the host chose.
+// Cook-Torrance specular BRDF with two lobes and the terms that the host's macros select.
 float fr_cook_torrance_two(
     vec3 n, vec3 l, vec3 v, float m0, float m1, float weight, float f0
 ) {

@@ -1,22 +1,23 @@
-// Light from all around: what a diffuse surface receives by nine coefficients, and what a specular
-// one reflects by filtered samples of the lobe.
+// Environment lighting: irradiance by spherical harmonics, specular radiance by filtered samples.
 //
-//   unit      radiance in that of the map, irradiance in as much times sr
-//   error     of 32 samples 0.5 % of all light in the mean, of the irradiance 3 % in the mean and
-//             10 % at worst (docs/measurements/skin.md); float32 adds 1e-4 of the radiance that is
-//             reflected, and 1e-6 of the map's highest value
-//   source    Ramamoorthi and Hanrahan (2001), "An efficient representation for irradiance
+//   unit:     radiance: unit of the map; irradiance: unit of the map times sr
+//   error:    With 32 samples, specular light: 0.5 % of the total light on average. Irradiance: 3 %
+//             on average, 10 % at most (docs/measurements/skin.md). Float32 rounding: 1e-4 of the
+//             reflected radiance, plus 1e-6 of the highest value of the map.
+//   source:   Ramamoorthi and Hanrahan (2001), "An efficient representation for irradiance
 //             environment maps"; Krivanek and Colbert (2008), "Real-time shading with filtered
-//             importance sampling"; map: Praun and Hoppe (2003), "Spherical parametrization"
+//             importance sampling"; map: Praun and Hoppe (2003), "Spherical parametrization".
 //
-//   map       radiance over the octahedron |x| + |y| + |z| = 1, seen from +y, its lower half folded
-//             out: x to the right, z upwards in the rows. Levels lie side by side from the lower left,
-//             each of half the side of the one before, down to 4 texels, the means of four texels
-//             weighted by their solid angles; around each is a border of one texel that repeats
-//             what lies across the edge. A float texture without filtering and levels of its own
-//   size      side of the first level in texels, a power of two from 8 on
-//   n, v, l   unit vectors in the map's space: normal, towards the eye, towards the light
-//   m         rms slope, in [1e-4, 2]
+//   map:      Float texture without filtering and mip levels: radiance over the octahedron
+//             |x| + |y| + |z| = 1, seen from +y, with its lower half folded out; x increases to the
+//             right, z upwards. The levels lie side by side from the lower left. Each has half the
+//             side of the previous level, down to 4 texels; a texel is the mean of four texels
+//             weighted by their solid angles. A border of one texel around each level repeats the
+//             texels across the edge.
+//   size:     Side of the first level in texels: a power of two, at least 8.
+//   n, v:     Unit vectors in map space: normal, direction to the camera.
+//   l:        Unit vector in map space: direction to the light.
+//   m:        Roughness: RMS slope of the microfacets, in [1e-4, 2].
 #ifndef FR_ENVIRONMENT_GLSL
 #define FR_ENVIRONMENT_GLSL
 
@@ -28,20 +29,20 @@
 precision highp sampler2D;
 #endif
 
-// From one slope of the samples to the next: 1.94161104 radians, pi over the golden ratio.
+// Rotation from one slope to the next: 1.94161104 radians, pi over the golden ratio.
 #define FR_ENVIRONMENT_TURN mat2(-0.36237489, 0.93203242, -0.93203242, -0.36237489)
 
-// How many directions a lobe looks at: an even number.
+// Number of sampled directions per lobe: an even number.
 #ifndef FR_ENVIRONMENT_SAMPLES
 #define FR_ENVIRONMENT_SAMPLES 32
 #endif
 
-// Irradiance of a surface, from all around.
+// Irradiance of a surface from the environment.
 //
-//   formula   the sum of sh[i] times 1, y, z, x, xy, yz, 3 z^2 - 1, xz, x^2 - y^2 of n
-//   sh        of the map's harmonics to the second degree
-//   result    >= 0
-//   error     float32 adds 1e-6 of the sum of the coefficients' sizes
+//   formula:  sum of sh[i] times 1, y, z, x, xy, yz, 3 z^2 - 1, xz, x^2 - y^2 of n
+//   sh:       Nine spherical-harmonic coefficients of the map, up to degree 2.
+//   returns:  >= 0.
+//   error:    float32 rounding: 1e-6 of the sum of the absolute values of the coefficients.
 vec3 fr_environment_irradiance(vec3[9] sh, vec3 n) {
     vec3 first = sh[0] + n.y * sh[1] + n.z * sh[2] + n.x * sh[3];
     vec3 mixed = n.x * n.y * sh[4] + n.y * n.z * sh[5] + n.x * n.z * sh[7];
@@ -49,13 +50,14 @@ vec3 fr_environment_irradiance(vec3[9] sh, vec3 n) {
     return max(first + mixed + second, 0.0);
 }
 
-// One level of a map at a place of it, interpolated between four texels.
+// Value of one level of the map at a position.
 //
-//   formula   bilinear
-//   place     from the lower left to the upper right of the level, in [0, 1]
-//   level     its number, from 0 on
-//   error     float32 adds 3e-7 times the side of the level, of the largest difference between two
-//             texels that meet
+//   formula:  bilinear interpolation between four texels
+//   place:    Position in the level, from lower left to upper right, in [0, 1].
+//   level:    Number of the level, from 0.
+//   returns:  Within the range of values of the map.
+//   error:    float32 rounding: 3e-7 times the side of the level, times the largest difference of
+//             adjacent texels.
 vec3 fr_environment_level(sampler2D map, int size, vec2 place, int level) {
     int side = size >> level;
     vec2 texel = place * float(side) + 0.5;
@@ -71,20 +73,21 @@ vec3 fr_environment_level(sampler2D map, int size, vec2 place, int level) {
     return mix(left, right, share.x);
 }
 
-// Mean radiance around a direction.
+// Mean radiance within a solid angle around a direction.
 //
-//   formula       of the level whose texels are as large, and the next one
-//   solid_angle   in sr, of what is around
-//   result        within the range of the map
-//   error         float32 adds 2e-6 times the side of the level, of the largest difference between
-//                 two texels that meet
+//   formula:      linear interpolation between the two levels whose texels are closest to this
+//                 solid angle
+//   solid_angle:  Solid angle in sr.
+//   returns:      Within the range of values of the map.
+//   error:        float32 rounding: 2e-6 times the side of the level, times the largest difference
+//                 of adjacent texels.
 vec3 fr_environment_radiance(sampler2D map, int size, vec3 l, float solid_angle) {
     float inverse = 1.0 / (abs(l.x) + abs(l.y) + abs(l.z));
     vec2 place = l.xz * inverse;
     vec2 folded = (1.0 - abs(place.yx)) * vec2(place.x < 0.0 ? -1.0 : 1.0, place.y < 0.0 ? -1.0 : 1.0);
     place = 0.5 * (l.y < 0.0 ? folded : place) + 0.5;
-    // a texel of 2/size a side at the distance 1/inverse of the octahedron is seen under
-    // 4/size^2 / distance^3
+    // A texel has the side 2/size. Its distance from the centre of the octahedron is the value of
+    // inverse; its solid angle is 4/size^2 / distance^3.
     float texels = solid_angle * (0.25 * float(size * size)) * (inverse * inverse * inverse);
     float last = floor(log2(float(size)) - 1.5);
     float level = clamp(0.5 * log2(max(texels, 1e-30)), 0.0, last);
@@ -94,12 +97,13 @@ vec3 fr_environment_radiance(sampler2D map, int size, vec3 l, float solid_angle)
     return mix(near, far, level - float(low));
 }
 
-// Axes across a normal.
+// Tangent axes of a normal, aligned with the camera.
 //
-//   formula   the first one along v - (N.V) n, the second one across both; where the eye looks along
-//             the normal to 1e-3, others
-//   unit      none: two columns of length 1
-//   error     float32 adds 2e-7 over the sine between n and v
+//   formula:  first axis: v - (N.V) n, normalised; second axis: n x first axis. Arbitrary axes if
+//             the sine between n and v is at most 1e-3
+//   unit:     none
+//   returns:  Two columns of length 1.
+//   error:    float32 rounding: 2e-7 divided by the sine between n and v.
 mat2x3 fr_environment_axes(vec3 n, vec3 v) {
     vec3 aside = v - dot(n, v) * n;
     float length_ = length(aside);
@@ -108,19 +112,20 @@ mat2x3 fr_environment_axes(vec3 n, vec3 v) {
     return mat2x3(tangent, cross(n, tangent));
 }
 
-// One of the samples of a lobe: slopes of the Beckmann distribution on a spiral, each with its
-// opposite, which is the other side of the cavity.
+// One sample of the lobe: direction and solid angle.
+// The slopes of the samples follow the Beckmann distribution on a spiral. Each slope has a partner
+// in the opposite direction: the other side of the cavity.
 //
-//   formula   half vector n + s, |s|^2 = -m^2 ln(rest), and l = 2 (V.H) H - V, which stands for
-//             4 pi m^2 (V.H) (N.H)^3/(N rest) sr; rest = 1 - (i + 1/2)/(N/2)
-//   axes      from fr_environment_axes
-//   towards   unit vector, where the slope points in those axes: at an angle of 1.94161104 i, and
-//             opposite. Turned from slope to slope, for no driver owes digits of sin and cos
-//   i         number of the slope, from 0 to N/2 - 1, N = FR_ENVIRONMENT_SAMPLES
-//   unit      none, and sr
-//   result    l, and how many sr it stands for; not above 0 where half vector and eye are turned
-//             away from one another
-//   error     float32 adds 2e-6, of the sr their share
+//   formula:  half vector n + s with |s|^2 = -m^2 ln(rest), l = 2 (V.H) H - V,
+//             solid angle 4 pi m^2 (V.H) (N.H)^3/(N rest), rest = 1 - (i + 1/2)/(N/2)
+//   axes:     Result of fr_environment_axes.
+//   towards:  Unit vector: direction of the slope in these axes, at the angle 1.94161104 i or
+//             opposite. The caller rotates it from slope to slope, because drivers need not compute
+//             sin and cos accurately.
+//   i:        Number of the slope, from 0 to N/2 - 1, with N = FR_ENVIRONMENT_SAMPLES.
+//   unit:     l none, solid angle sr
+//   returns:  l in xyz, its solid angle in w; w <= 0 if the half vector faces away from the camera.
+//   error:    float32 rounding: 2e-6 for l, 2e-6 relative for the solid angle.
 vec4 fr_environment_sample(vec3 n, vec3 v, float m, mat2x3 axes, vec2 towards, int i) {
     float rest = 1.0 - (float(i) + 0.5) / float(FR_ENVIRONMENT_SAMPLES / 2);
     float radius = m * sqrt(-log(rest));
@@ -133,14 +138,14 @@ vec4 fr_environment_sample(vec3 n, vec3 v, float m, mat2x3 axes, vec2 towards, i
     );
 }
 
-// Radiance that Cook-Torrance with the exact lobe reflects to the eye, for a specular weight of 1.
+// Environment light that Cook-Torrance with the exact lobe reflects, for a specular weight of 1.
 //
-//   formula   the mean over the samples of F G (V.H)/((N.V)(N.H)) times the radiance around l
-//   f0        Fresnel reflectance at normal incidence, in [0, 1)
-//   fresnel   FR_FRESNEL_SCHLICK, _DIELECTRIC or _CONSTANT, a constant
-//   masking   FR_MASKING_V_CAVITY, _KELEMEN or _NONE, a constant
-//   result    finite and >= 0, of V-cavities at most twice the map's highest value; 0 where N.V is
-//             not above FR_MIN_COSINE
+//   formula:  mean over the samples of F G (V.H)/((N.V)(N.H)) times the radiance around l
+//   f0:       Fresnel reflectance at normal incidence, in [0, 1).
+//   fresnel:  FR_FRESNEL_SCHLICK, _DIELECTRIC or _CONSTANT, a constant.
+//   masking:  FR_MASKING_V_CAVITY, _KELEMEN or _NONE, a constant.
+//   returns:  Finite and >= 0, with V-cavities at most twice the highest value of the map; 0 if N.V
+//             is at most FR_MIN_COSINE.
 vec3 fr_environment_cook_torrance(
     sampler2D map, int size, vec3 n, vec3 v, float m, float f0, int fresnel, int masking
 ) {
@@ -166,11 +171,10 @@ vec3 fr_environment_cook_torrance(
     return total / float(FR_ENVIRONMENT_SAMPLES);
 }
 
-// Radiance that Ward's BRDF with the exact lobe reflects to the eye, for a reflectance of 1.
+// Environment light that Ward's BRDF with the exact lobe reflects, for a specular reflectance of 1.
 //
-//   formula   the mean over the samples of (N.H)^3 (V.H) sqrt((N.L)/(N.V)) times the radiance
-//             around l
-//   result    finite and >= 0; 0 where N.V is not above FR_MIN_COSINE
+//   formula:  mean over the samples of (N.H)^3 (V.H) sqrt((N.L)/(N.V)) times the radiance around l
+//   returns:  Finite and >= 0; 0 if N.V is at most FR_MIN_COSINE.
 vec3 fr_environment_ward(sampler2D map, int size, vec3 n, vec3 v, float m) {
     vec3 total = vec3(0.0);
     float slope = max(FR_SLOPE(m), FR_MIN_SLOPE);

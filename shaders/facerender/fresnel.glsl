@@ -1,13 +1,17 @@
-// Fresnel reflectance of a dielectric in air, for unpolarised light. The host chooses the one that
-// fr_fresnel calls: #define FR_FRESNEL FR_FRESNEL_DIELECTRIC. Default: Schlick.
+// Fresnel reflectance of a dielectric in air for unpolarised light.
+// The host selects the term of fr_fresnel: #define FR_FRESNEL FR_FRESNEL_DIELECTRIC. Default:
+// FR_FRESNEL_SCHLICK.
 //
-//   formula   of the chosen one: see fresnel/*.glsl; with FR_FRESNEL_CONSTANT f0
-//   f0        reflectance at normal incidence, in [0, 1); skin: 0.028, index of refraction 1.4
-//   v_dot_h   cosine between the eye (or the light) and the unit half vector, in [0, 1]
-//   fresnel   FR_FRESNEL_SCHLICK, _DIELECTRIC, _CONSTANT, a constant
-//   unit      none, in [0, 1]
-//   error     of the chosen one; f0 alone is 1 - f0 too low at 90 degrees
-//   source    of the chosen one
+//   formula:  see fresnel/*.glsl; f0 for FR_FRESNEL_CONSTANT
+//   f0:       Fresnel reflectance at normal incidence, in [0, 1); 0.028 for skin, with index of
+//             refraction 1.4.
+//   v_dot_h:  Cosine of the angle between the direction to the camera (or to the light) and the
+//             unit half vector, in [0, 1].
+//   fresnel:  FR_FRESNEL_SCHLICK, _DIELECTRIC or _CONSTANT, a constant.
+//   unit:     none
+//   returns:  In [0, 1].
+//   error:    See fresnel/*.glsl; FR_FRESNEL_CONSTANT is 1 - f0 too low at 90 degrees.
+//   source:   See fresnel/*.glsl.
 #ifndef FR_FRESNEL_GLSL
 #define FR_FRESNEL_GLSL
 
@@ -23,24 +27,24 @@
 #define FR_FRESNEL FR_FRESNEL_SCHLICK
 #endif
 
-// Fresnel reflectance, of the kind that the caller names by a constant.
+// Fresnel reflectance; a constant argument selects the term.
 float fr_fresnel_of(float f0, float v_dot_h, int fresnel) {
     if (fresnel == FR_FRESNEL_CONSTANT) return f0;
     if (fresnel == FR_FRESNEL_DIELECTRIC) return fr_fresnel_dielectric(f0, v_dot_h);
     return fr_fresnel_schlick(f0, v_dot_h);
 }
 
-// Fresnel reflectance times a constant, of the kind that the caller names by another.
+// Fresnel reflectance times a constant; a constant argument selects the term.
 //
-//   scale     in (0, 1], a constant
-//   unit      none, in [0, scale]
+//   scale:    Constant factor, in (0, 1].
+//   returns:  In [0, scale].
 float fr_fresnel_times(float scale, float f0, float v_dot_h, int fresnel) {
     if (fresnel == FR_FRESNEL_CONSTANT) return scale * f0;
     if (fresnel == FR_FRESNEL_DIELECTRIC) return scale * fr_fresnel_dielectric(f0, v_dot_h);
     return fr_fresnel_schlick_times(scale, f0, v_dot_h);
 }
 
-// Fresnel reflectance, as the host chose it: #define FR_FRESNEL FR_FRESNEL_DIELECTRIC.
+// Fresnel reflectance; FR_FRESNEL selects the term.
 float fr_fresnel(float f0, float v_dot_h) {
     return fr_fresnel_of(f0, v_dot_h, FR_FRESNEL);
 }

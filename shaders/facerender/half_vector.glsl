@@ -1,18 +1,20 @@
-// Squares of the half vector h = L + V, which keeps its length: nothing here is normalised.
+// Squared lengths of the half vector h = L + V and of its tangential part, without normalisation.
 //
-//   formula   (|h|^2, |n x h|^2), so that cos^2(gamma) = 1 - y/x, tan^2(gamma) = y/(n.h)^2
-//   n         normal, a unit vector
-//   h         l + v, of any length
-//   n_dot_h   dot(n, h), from the caller, who has it as dot(n, l) + dot(n, v)
-//   unit      none, both >= 0
-//   error     in float32, with e = 3e-7 (1 + 1/dot(n, h)): e of sin(gamma) = sqrt(y/x) with
-//             FR_SMALL_SLOPE; without, the difference of two squares cancels where gamma is small,
-//             and e is the error of sin^2(gamma) = y/x
-//   source    |n x h|^2 = (n.n)(h.h) - (n.h)^2: Lagrange's identity
+//   formula:  x = |h|^2, y = |n x h|^2; then cos^2(gamma) = 1 - y/x, tan^2(gamma) = y/(n.h)^2
+//   n:        Unit vector: normal.
+//   h:        l + v, of any length.
+//   n_dot_h:  dot(n, h); the caller has it as dot(n, l) + dot(n, v).
+//   unit:     none
+//   returns:  x and y, both >= 0.
+//   error:    float32 rounding, with e = 3e-7 (1 + 1/dot(n, h)):
+//             e for sin(gamma) = sqrt(y/x) with FR_SMALL_SLOPE 1;
+//             e for sin^2(gamma) = y/x with FR_SMALL_SLOPE 0, because the difference of two squares
+//             cancels for small gamma.
+//   source:   Lagrange's identity: |n x h|^2 = (n.n)(h.h) - (n.h)^2.
 //
-// The exact lobe multiplies tan^2(gamma) by 1/m^2: FR_SMALL_SLOPE is what keeps it accurate for
-// small m. It costs up to 8 % of a whole specular term (facerender measure); a host whose m stays
-// above 0.2 may save them: #define FR_SMALL_SLOPE 0.
+// The exact lobe multiplies tan^2(gamma) by 1/m^2. FR_SMALL_SLOPE 1 keeps the product accurate for
+// small m. It costs up to 8 % of a whole specular term (facerender measure). A host whose m stays
+// above 0.2 may disable it: #define FR_SMALL_SLOPE 0.
 #ifndef FR_HALF_VECTOR_GLSL
 #define FR_HALF_VECTOR_GLSL
 
@@ -22,10 +24,11 @@
 #define FR_SMALL_SLOPE 1
 #endif
 
-// Square of the half vector's length alone.
+// Squared length of the half vector.
 //
-//   formula   |h|^2, and FR_FLOOR more, so that it may be divided by
-//   error     in float32 3e-7 of it, and FR_FLOOR
+//   formula:  |h|^2 + FR_FLOOR, so that it can be a divisor
+//   returns:  > 0.
+//   error:    float32 rounding: 3e-7 relative, plus FR_FLOOR.
 float fr_half_vector_square(vec3 h) {
     return h.x * h.x + (h.y * h.y + (h.z * h.z + FR_FLOOR));
 }
@@ -33,13 +36,13 @@ float fr_half_vector_square(vec3 h) {
 vec2 fr_half_vector(vec3 n, vec3 h, float n_dot_h) {
     float along = n_dot_h * n_dot_h;
 #if FR_SMALL_SLOPE == 1
-    // Where n is off unit length by e, this errs by 2 e dot(n, h) along n: e^2 in the square.
+    // If the length of n is off by e, the error is 2 e dot(n, h) along n: e^2 in the square.
     vec3 across = h - n_dot_h * n;
     float across2 = dot(across, across);
     return vec2(along + across2, across2);
 #else
     float h_dot_h = dot(h, h);
-    return vec2(h_dot_h, abs(h_dot_h - along));  // a rounded difference below 0 would lift the lobe
+    return vec2(h_dot_h, abs(h_dot_h - along));  // a rounded difference below 0 raises the lobe
 #endif
 }
 

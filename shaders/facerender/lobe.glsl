@@ -1,18 +1,18 @@
-// The lobe that the host chooses: at compile time, #define FR_LOBE FR_LOBE_D16, or call by call,
-// with a constant that the compiler folds. Default: exact.
+// Lobe that the host selects by FR_LOBE at compile time, or by a constant argument. Default: exact.
 //
-//   formula E/c^k, E = exp(-tan^2(gamma)/m^2), or what the chosen lobe puts in its place
-//   c       cosine of the angle between normal and half vector, in [0, 1]
-//   m       rms slope, in the domain of the chosen lobe
-//   k       FR_K_COOK_TORRANCE or FR_K_WARD
-//   lobe    FR_LOBE_EXACT or another of the macros below, a constant. Only the lobe that FR_LOBE
-//           says is there: another gives -1. With #define FR_LOBE FR_LOBE_EVERY all are there, and
-//           functions without this argument have the exact one
-//   unit    none: peak 1 at c = 1; the caller multiplies by the model's scale
-//   error   of the chosen lobe: see lobe/*.glsl
-//   source  see lobe/*.glsl
+//   formula:  E/c^k, E = exp(-tan^2(gamma)/m^2), or its approximation by the selected lobe
+//   c:        Cosine of the angle between normal and half vector, in [0, 1].
+//   m:        Roughness: RMS slope of the microfacets, in the domain of the selected lobe.
+//   k:        Power of 1/c in the lobe: FR_K_COOK_TORRANCE or FR_K_WARD.
+//   lobe:     FR_LOBE_EXACT or another macro below, a constant that the compiler folds. Only the
+//             lobe of FR_LOBE is available; others return -1. #define FR_LOBE FR_LOBE_EVERY makes
+//             all lobes available; functions without this argument then use the exact lobe.
+//   unit:     none
+//   returns:  1 at c = 1; the caller multiplies by the scale of the model.
+//   error:    See lobe/*.glsl.
+//   source:   See lobe/*.glsl.
 //
-// A lobe of the host's own: declare float my_lobe(float c, float m, int k), and before the include
+// To use your own lobe, declare float my_lobe(float c, float m, int k), and before the include
 // #define FR_LOBE_FUNCTION my_lobe.
 #ifndef FR_LOBE_GLSL
 #define FR_LOBE_GLSL
@@ -30,7 +30,7 @@
 #define FR_LOBE_OWN 90
 #define FR_LOBE_EVERY 91
 
-// Numbers: preprocessors that compare macros as text (Babylon.js, PlayCanvas) see through no name.
+// Numbers, because Babylon.js and PlayCanvas compare macros as text and do not expand names.
 #if defined(FR_LOBE_FUNCTION) && !defined(FR_LOBE)
 #define FR_LOBE 90
 #endif
@@ -40,10 +40,10 @@
 
 #if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_COSINE || FR_LOBE == FR_LOBE_D4 || FR_LOBE == FR_LOBE_D8 || FR_LOBE == FR_LOBE_D16 || FR_LOBE == FR_LOBE_FITTED || FR_LOBE == FR_LOBE_FITTED_FINE || FR_LOBE == FR_LOBE_G_POWER || FR_LOBE == FR_LOBE_OWN || FR_LOBE == FR_LOBE_EVERY
 #else
-#error FR_LOBE is none of 1 FR_LOBE_EXACT, 2 FR_LOBE_COSINE, 4 FR_LOBE_D4, 8 FR_LOBE_D8, 16 FR_LOBE_D16, 3 FR_LOBE_FITTED, 5 FR_LOBE_FITTED_FINE, 6 FR_LOBE_G_POWER, 90 FR_LOBE_OWN, 91 FR_LOBE_EVERY: give the number where a host compares macros as text
+#error FR_LOBE is none of 1 FR_LOBE_EXACT, 2 FR_LOBE_COSINE, 4 FR_LOBE_D4, 8 FR_LOBE_D8, 16 FR_LOBE_D16, 3 FR_LOBE_FITTED, 5 FR_LOBE_FITTED_FINE, 6 FR_LOBE_G_POWER, 90 FR_LOBE_OWN, 91 FR_LOBE_EVERY: use the number if your host compares macros as text
 #endif
 #if FR_LOBE == FR_LOBE_OWN && !defined(FR_LOBE_FUNCTION)
-#error FR_LOBE_OWN is the lobe that FR_LOBE_FUNCTION names: define it too
+#error FR_LOBE_OWN needs FR_LOBE_FUNCTION: define it as the name of your lobe function
 #endif
 #if FR_LOBE == FR_LOBE_EVERY
 #define FR_DEFAULT_LOBE FR_LOBE_EXACT
@@ -64,8 +64,7 @@
 #include "lobe/fitted.glsl"
 #endif
 
-// With FR_LOBE_G_POWER the power, in 1 to 31, and the steepness that the host fitted; by default
-// those of D8.
+// Power, 1 to 31, and steepness of FR_LOBE_G_POWER, which the host fits. Default: D8.
 #ifndef FR_G
 #define FR_G 8
 #endif
@@ -73,9 +72,9 @@
 #define FR_STEEPNESS(m, k) ((2.0 / ((m) * (m)) - float(k)) / float(FR_G))
 #endif
 
-// Lobe within a BRDF, which has 1/m^2 already, of the kind that the caller names by a constant.
+// Lobe for callers that already have 1/m^2, such as a BRDF; a constant argument selects it.
 //
-//   inverse_m2  1/m^2
+//   inverse_m2:  1/m^2.
 float fr_lobe_within(float c, float m, float inverse_m2, int k, int lobe) {
 #if FR_LOBE == FR_LOBE_EXACT || FR_LOBE == FR_LOBE_EVERY
     if (lobe == FR_LOBE_EXACT) return fr_lobe_exact(c, m, k);
@@ -107,12 +106,12 @@ float fr_lobe_within(float c, float m, float inverse_m2, int k, int lobe) {
     return -1.0;
 }
 
-// Lobe, of the kind that the caller names by a constant.
+// Lobe that a constant argument selects.
 float fr_lobe_of(float c, float m, int k, int lobe) {
     return fr_lobe_within(c, m, 1.0 / (FR_SLOPE(m) * FR_SLOPE(m)), k, lobe);
 }
 
-// Lobe, as the host chose it: #define FR_LOBE FR_LOBE_D16.
+// Lobe that the host selects: #define FR_LOBE FR_LOBE_D16.
 float fr_lobe(float c, float m, int k) {
     return fr_lobe_of(c, m, k, FR_DEFAULT_LOBE);
 }

@@ -1,15 +1,17 @@
-// Masking and shadowing of microfacets. The host chooses the one that fr_cook_torrance has within
-// its one division: #define FR_MASKING FR_MASKING_KELEMEN, or FR_MASKING_NONE, which is 1 and lets
-// the BRDF grow as 1/(N.V) towards the silhouette. Default: V-cavities.
+// Masking and shadowing of microfacets, divided by the (N.L)(N.V) of a BRDF.
+// The host selects the term of fr_cook_torrance: #define FR_MASKING FR_MASKING_KELEMEN. Default:
+// FR_MASKING_V_CAVITY. FR_MASKING_NONE is G = 1; the BRDF then grows as 1/(N.V) towards the
+// silhouette.
 //
-//   formula            G/((N.L)(N.V)) = x/(y h.h), of the chosen one
-//   n_dot_h, h_dot_h   dot(n, h) and dot(h, h) of h = l + v, which keeps its length
-//   n_dot_l, n_dot_v   cosines of light and eye, in [-1, 1]
-//   masking            FR_MASKING_V_CAVITY, _KELEMEN, _NONE, a constant
-//   unit               none; x >= 0, and 0 where a cosine is not above 0 (with FR_MASKING_KELEMEN
-//                      and _NONE, FR_MIN_COSINE); y > 0
-//   error              of each: see masking/*.glsl
-//   source             of each: see there
+//   formula:           G/((N.L)(N.V)) = x/(y h.h) for the selected term
+//   n_dot_h, h_dot_h:  dot(n, h) and dot(h, h) of h = l + v, not normalised.
+//   n_dot_l, n_dot_v:  Cosines of the directions to the light and to the camera, in [-1, 1].
+//   masking:           FR_MASKING_V_CAVITY, _KELEMEN or _NONE, a constant.
+//   unit:              none
+//   returns:           x >= 0 and y > 0. x is 0 if a cosine is at most 0, or with
+//                      FR_MASKING_KELEMEN and FR_MASKING_NONE at most FR_MIN_COSINE.
+//   error:             See masking/*.glsl.
+//   source:            See masking/*.glsl.
 #ifndef FR_MASKING_GLSL
 #define FR_MASKING_GLSL
 
@@ -25,8 +27,8 @@
 #define FR_MASKING FR_MASKING_V_CAVITY
 #endif
 
-// Masking over the divisor of a BRDF, as numerator and denominator, of the kind that the caller
-// names by a constant.
+// Masking divided by (N.L)(N.V), as numerator and denominator; a constant argument selects the
+// term.
 vec2 fr_masking_of(float n_dot_h, float h_dot_h, float n_dot_l, float n_dot_v, int masking) {
     if (masking == FR_MASKING_NONE) return vec2(min(n_dot_l, n_dot_v) > FR_MIN_COSINE ? h_dot_h : 0.0, abs(n_dot_l * n_dot_v) + FR_FLOOR);
     if (masking == FR_MASKING_KELEMEN) return fr_masking_kelemen_ratio(n_dot_l, n_dot_v);

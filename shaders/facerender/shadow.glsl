@@ -1,24 +1,24 @@
-// Shadows: how much of a light a place sees, from a map of what stands nearest to the light.
+// Shadow mapping: visible fraction of a light at a point, from the depth map of the light.
 //
-//   unit      none, in [0, 1]
-//   error     against rays: docs/measurements/skin.md; each function's own in float32 is none but
-//             where a depth equals that of the map within rounding, and the answer is 0 or 1
-//   source    Williams (1978), "Casting curved shadows on curved surfaces"; discs: Fernando (2005),
-//             "Percentage-closer soft shadows"
+//   unit:     none
+//   returns:  In [0, 1].
+//   error:    Against ray tracing: docs/measurements/skin.md. Float32 rounding: none, except where
+//             a depth equals the depth in the map within rounding; the result is then 0 or 1.
+//   source:   Williams (1978), "Casting curved shadows on curved surfaces"; discs: Fernando (2005),
+//             "Percentage-closer soft shadows".
 //
-// Places are in the light's space: x and y across its direction, from -1 to 1 over the map; z grows
-// towards the light, by as much as x and y for the same length. Of a point light at distance d from
-// the centre of a mesh in the unit sphere, with its z along the axis and s = sqrt(1 - 1/d^2), it is
-// s d (x, y, z)/(d - z): seen in it, rays are parallel, planes plane, and a sphere's shadow widens
-// as that of a distant disc.
+// Points are in light space. x and y are across the direction of the light, from -1 to 1 over the
+// map. z grows towards the light, with the same scale as x and y. For a point light at distance d
+// from the centre of a mesh in the unit sphere, light space is s d (x, y, z)/(d - z), with z along
+// the axis and s = sqrt(1 - 1/d^2). In light space rays are parallel, planes stay planes, and the
+// shadow of a sphere widens as with a distant disc light.
 //
-//   map      its red channel is the z of what is nearest to the light in each texel, less than any
-//            place's where nothing is; a float texture without filtering
-//   tile     the first texel of the light's map and how many it has a side, so that one texture may
-//            hold those of several lights; nothing outside of it casts shadows
-//   p        the place in the light's space, moved by 1.25 texels, 2.5/tile.z, along the normal
-//            of the mesh
-//   bias     by how much more z counts, such as 0.004
+//   map:      Float texture without filtering: red is the z of the surface nearest to the light, or
+//             less than the z of every point where there is no surface.
+//   tile:     First texel of the map of the light, and its side in texels. One texture may hold the
+//             maps of several lights; nothing outside the tile casts shadows.
+//   p:        Point in light space, moved by 1.25 texels (2.5/tile.z) along the normal of the mesh.
+//   bias:     Offset added to z, for example 0.004.
 #ifndef FR_SHADOW_GLSL
 #define FR_SHADOW_GLSL
 
@@ -28,16 +28,16 @@
 precision highp sampler2D;
 #endif
 
-// How many places fr_shadow_disc looks at for what stands before the light, and again for how much
-// of it is seen.
+// Number of samples of fr_shadow_disc for the search of occluders, and again for the visible
+// fraction.
 #ifndef FR_SHADOW_SAMPLES
 #define FR_SHADOW_SAMPLES 12
 #endif
 
-// Whether a place of the map is lit at a depth, 0 or 1, interpolated between four texels.
+// Visibility of the light at a depth, 0 or 1 per texel, interpolated between four texels.
 //
-//   formula   step(map, z), bilinear
-//   at, z     place and depth in the light's space
+//   formula:  step(map, z), bilinear
+//   at, z:    Position and depth in light space.
 float fr_shadow_lit(sampler2D map, ivec3 tile, vec2 at, float z) {
     vec2 texel = (at * 0.5 + 0.5) * float(tile.z) - 0.5;
     vec2 share = fract(texel);
@@ -56,28 +56,28 @@ float fr_shadow_lit(sampler2D map, ivec3 tile, vec2 at, float z) {
     return mix(mix(lit.x, lit.y, share.x), mix(lit.z, lit.w, share.x), share.y);
 }
 
-// How much of a light without size a place sees.
+// Visible fraction of a light without angular radius.
 //
-//   formula   fr_shadow_lit at p, with the bias
+//   formula:  fr_shadow_lit at p, with the bias
 float fr_shadow_hard(sampler2D map, ivec3 tile, vec3 p, float bias) {
     return fr_shadow_lit(map, tile, p.xy, p.z + bias);
 }
 
-// How much of a disc or a sphere of light a place sees.
+// Visible fraction of a disc light or a sphere light.
 //
-//   formula      with the mean z of what stands before the light, within the tangent times the
-//                largest difference of z: the mean of fr_shadow_lit over the disc that the light
-//                becomes when it is seen from p through a hole there; of both, at points of a spiral
-//                (Vogel 1979), at sqrt((i + 1/2)/N) and the angle 2.39996 i + turn. 1 where nothing
-//                stands before the light, and 0 where something does at every point
-//   plane        change of z with x and y on the plane through p that touches the surface, of at
-//                most 8
-//   tan_radius   tangent of the angle between the centre and the rim of the light, as seen from the
-//                centre of the mesh, in (0, tan(20 degrees)]
-//   top          largest z of what casts shadows: 1 for a distant light, s d/(d - 1) for a point
-//                light; p.z where nothing needs to be looked at, and the answer is 1
-//   turn         radians, of the spiral; another one at each pixel makes noise of what else were
-//                bands
+//   formula:     mean of fr_shadow_lit over the disc that the light covers, seen from p through a
+//                hole at the mean z of the occluders
+//   plane:       Change of z with x and y on the tangent plane at p, at most 8.
+//   tan_radius:  Tangent of the angle between the centre and the rim of the light, seen from the
+//                centre of the mesh, in (0, tan(20 degrees)].
+//   top:         Largest z of the occluders: 1 for a distant light, s d/(d - 1) for a point light.
+//                If it is p.z, the function skips the search and returns 1.
+//   turn:        Rotation of the spiral in radians; a different angle at each pixel turns banding
+//                into noise.
+//   returns:     In [0, 1]: 1 without occluders, 0 if every sample of the search finds one. The
+//                radius of the search is tan_radius times the largest difference of z. Search and
+//                mean use samples on a spiral (Vogel 1979): radius sqrt((i + 1/2)/N), angle
+//                2.39996 i + turn.
 float fr_shadow_disc(
     sampler2D map, ivec3 tile, vec3 p, vec2 plane, float tan_radius, float top, float bias,
     float turn
@@ -86,7 +86,7 @@ float fr_shadow_disc(
     float z = p.z + bias;
     float reach = tan_radius * clamp(top - p.z, 0.0, 1.0);
     vec2 start = vec2(cos(turn), sin(turn)) * inversesqrt(float(FR_SHADOW_SAMPLES));
-    // Loops of no turns, for drivers that execute what a branch leaves out as well.
+    // Loops with 0 iterations instead of branches: some drivers execute both sides of a branch.
     int turns = reach > 0.0 ? FR_SHADOW_SAMPLES : 0;
     int blocked = 0;
     float depth = 0.0;

@@ -1,48 +1,51 @@
-// Slope variance: what a pixel, a texel or the size of a light leaves unresolved, as microfacets.
+// Slope variance: unresolved detail of a pixel, a texel or a light, treated as microfacets.
 //
-//   unit      none; variances are of slopes, along each of two axes
-//   error     each function's own, in float32 beside it
-//   source    variances of independent slopes add, as in Olano and Baker (2010), "LEAN mapping"
+//   unit:     none: variance of the slopes along each of two axes
+//   returns:  >= 0.
+//   error:    Each function states its error and its float32 rounding.
+//   source:   Variances of independent slopes add, as in Olano and Baker (2010), "LEAN mapping".
 //
-// Each of these widens the lobe by its variance, added up before fr_slope_filtered: the normal map's
-// in its texels, the mesh's curvature over a pixel, a light's disc, light by light.
+// Three variances widen the lobe: the normal map within its texels, the curvature of the mesh over
+// a pixel, and the disc of each light. The caller adds them before fr_slope_filtered.
 #ifndef FR_SLOPE_VARIANCE_GLSL
 #define FR_SLOPE_VARIANCE_GLSL
 
 #include "constants.glsl"
 
-// The deviation of slopes that alpha = 1 stands for in a prepared normal map.
+// Standard deviation of the slopes that alpha = 1 encodes in a prepared normal map.
 #define FR_MAP_DEVIATION 0.35
 
-// The share of a map's variance that widens the lobe. Relief such as pores is mostly flat with few
-// steep walls: the normal distribution of all its variance has a lower peak than its highlight.
+// Fraction of the variance of a normal map that widens the lobe. Relief such as pores is mostly
+// flat with few steep walls: a normal distribution with the full variance has a lower peak than the
+// real highlight.
 #define FR_MAP_SHARE 0.5
 
-// The largest variance that fr_slope_variance_pixel gives: at a silhouette the normal turns without
-// end, and lobes have a domain.
+// Largest result of fr_slope_variance_pixel. At a silhouette the normal changes without bound, but
+// m must stay in the domain of the lobe.
 #define FR_MAX_PIXEL_VARIANCE 0.1
 
-// Slope of microfacets that have the slope m and, unresolved, slopes of a variance.
+// Roughness m after adding unresolved slope variance.
 //
-//   formula    sqrt(m^2 + 2 variance), between FR_MIN_SLOPE and FR_MAX_SLOPE: Beckmann's slopes have
-//              variance m^2/2
-//   m          rms slope, in [0, 2]
-//   variance   in [0, 1e18]
-//   error      none for independent normal slopes; float32 adds 4e-7 of the result
+//   formula:   sqrt(m^2 + 2 variance), clamped to [FR_MIN_SLOPE, FR_MAX_SLOPE]; Beckmann's slopes
+//              have the variance m^2/2
+//   m:         Roughness: RMS slope of the microfacets, in [0, 2].
+//   variance:  Unresolved slope variance, in [0, 1e18].
+//   returns:   RMS slope, in [FR_MIN_SLOPE, FR_MAX_SLOPE].
+//   error:     None for independent, normally distributed slopes; float32 rounding: 4e-7 relative.
 float fr_slope_filtered(float m, float variance) {
-    // The root last: where only the square of the result is used, compilers leave it out.
+    // The root comes last: compilers drop it if only the square of the result is used.
     float least = FR_MIN_SLOPE * FR_MIN_SLOPE;
     return sqrt(clamp(m * m + 2.0 * variance, least, FR_MAX_SLOPE * FR_MAX_SLOPE));
 }
 
-// Slope variance of the texels that one of a prepared normal map's levels stands for (facerender
-// shaders prepare-normal-map).
+// Slope variance of the texels that a mip level of a prepared normal map averages.
+// The command facerender shaders prepare-normal-map writes such maps.
 //
-//   formula   0.5 (0.35 alpha)^2, alpha = sqrt((1 - |N|)/|N|)/0.35 of the mean N of unit normals
-//   alpha     of the map, filtered with its red, green and blue, in [0, 1]
-//   error     docs/measurements/skin.md has what remains of a highlight's error; float32 adds 3e-7
-//             of the result
-//   source    Toksvig (2005), "Mipmapping normal maps", with the variance kept in place of |N|
+//   formula:  0.5 (0.35 alpha)^2, alpha = sqrt((1 - |N|)/|N|)/0.35 with N the mean of unit normals
+//   alpha:    Alpha channel of the map, filtered together with red, green and blue, in [0, 1].
+//   error:    Remaining error of a highlight: docs/measurements/skin.md; float32 rounding: 3e-7
+//             relative.
+//   source:   Toksvig (2005), "Mipmapping normal maps", with the variance stored instead of |N|.
 float fr_slope_variance_map(float alpha) {
     float deviation = FR_MAP_DEVIATION * alpha;
     return FR_MAP_SHARE * deviation * deviation;
@@ -50,41 +53,45 @@ float fr_slope_variance_map(float alpha) {
 
 // Slope variance of a curved mesh over a pixel.
 //
-//   formula    (|n_x|^2 + |n_y|^2)/24, at most 0.1: half of it an axis, times the variance 1/12 of a
-//              place in a box
-//   n_x, n_y   how much the unit normal of the mesh, without its map, changes from a pixel to the
-//              next, such as dFdx(n) and dFdy(n)
-//   error      that of the normal as a linear function over the pixel; float32 adds 5e-7 of the
-//              result
-//   source     Kaplanyan et al. (2016), Tokuyoshi and Kaplanyan (2019), with a box of one pixel
+//   formula:   (|n_x|^2 + |n_y|^2)/24, at most 0.1: half of the sum per axis, times the variance
+//              1/12 of a position in a box
+//   n_x, n_y:  Change of the unit normal of the mesh, without normal map, from one pixel to the
+//              next, for example dFdx(n) and dFdy(n).
+//   error:     Error of a linear normal over the pixel; float32 rounding: 5e-7 relative.
+//   source:    Kaplanyan et al. (2016), Tokuyoshi and Kaplanyan (2019), with a box of one pixel.
 float fr_slope_variance_pixel(vec3 n_x, vec3 n_y) {
     return min((dot(n_x, n_x) + dot(n_y, n_y)) / 24.0, FR_MAX_PIXEL_VARIANCE);
 }
 
-// Slope variance that a light of the shape of a disc adds, as seen from the surface.
+// Slope variance that a disc light adds, seen from the surface.
 //
-//   formula   (s/k)^2/32 (1 + 1/(V.H)^2), s/k = 2 tan(R/2): a disc of radius R has variance R^2/4 an
-//             axis, of which the half vector takes 1/4 in the plane of L and V, and 1/(4 (V.H)^2)
-//             across
-//   s         sin(R), R the angle between the disc's centre and its rim; R in [0, 20 degrees]
-//   k         (1 + cos(R))/2
-//   v_dot_h   cosine of eye and unit half vector, in [0, 1]; one below sqrt(0.05) counts as that
-//   error     of the specular light, in the mean, for m = 0.15 and 0.3: 3 % with the light 20 degrees
-//             from the eye, 7 % at 60, and to R = 10 degrees 10 % at 110; float32 adds 1e-6
+//   formula:  (s/k)^2/32 (1 + 1/(V.H)^2), s/k = 2 tan(R/2)
+//   s:        sin(R), with R the angle between the centre and the rim of the disc, in
+//             [0, 20 degrees].
+//   k:        (1 + cos(R))/2.
+//   v_dot_h:  Cosine of the angle between the direction to the camera and the unit half vector, in
+//             [0, 1]; clamped to at least sqrt(0.05).
+//   returns:  >= 0. A disc of radius R has the variance R^2/4 per axis; the half vector has 1/4 of
+//             it in the plane of L and V, and 1/(4 (V.H)^2) of it across.
+//   error:    mean error of the specular light for m = 0.15 and 0.3: 3 % with the light 20 degrees
+//             from the camera, 7 % at 60 degrees; 10 % at 110 degrees for R up to 10 degrees.
+//             Float32 rounding: 1e-6 relative.
 float fr_slope_variance_disc(float s, float k, float v_dot_h) {
     float width = s / k;
     return width * width * (0.03125 + 0.03125 / max(v_dot_h * v_dot_h, 0.05));
 }
 
-// Cosine at which a surface receives the light of a disc: the mean of max(N.L, 0) over it.
+// Cosine term of a disc light: the mean of max(N.L, 0) over the disc.
 //
-//   formula   k c for c >= s, 0 for c <= -s, between them k (c + s)^2/(4 s)
-//   c         N.L of the disc's centre, in [-1, 1]
-//   s         sin(R), R the angle between the disc's centre and its rim; R in [0, 30 degrees]
-//   k         (1 + cos(R))/2
-//   unit      none, in [0, 1]
-//   error     none for c >= s or c <= -s; between them 0.0063 to R = 10 degrees, 0.010 to 30; float32
-//             adds 4e-7
+//   formula:  k c for c >= s, 0 for c <= -s, between them k (c + s)^2/(4 s)
+//   c:        N.L of the centre of the disc, in [-1, 1].
+//   s:        sin(R), with R the angle between the centre and the rim of the disc, in
+//             [0, 30 degrees].
+//   k:        (1 + cos(R))/2.
+//   unit:     none
+//   returns:  In [0, 1].
+//   error:    None for c >= s or c <= -s; between them 0.0063 for R up to 10 degrees, 0.010 up to
+//             30. Float32 rounding: 4e-7.
 float fr_cosine_disc(float c, float s, float k) {
     float above = max(c + s, 0.0);
     return k * (c >= s ? c : above * above / (4.0 * max(s, 1e-30)));

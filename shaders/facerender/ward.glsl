@@ -1,14 +1,16 @@
 // Ward's isotropic specular BRDF.
+// The host selects the lobe (FR_LOBE).
 //
-//   formula   E/(4 pi m^2 sqrt((N.L)(N.V))), E = exp(-tan^2(gamma)/m^2)
-//   n, l, v   unit vectors: normal, towards the light, towards the eye
-//   m         rms slope (Ward's alpha), in the domain of the chosen lobe (FR_LOBE)
-//   unit      1/sr, for a specular reflectance of 1; N.L is not included, 1/pi is
-//   result    of finite vectors finite and >= 0, also for m below its domain; exactly 0 where N.L or
-//             N.V, as float32 rounds it, is not above 0, or their product not above 1e-12, the
-//             square of FR_MIN_COSINE
-//   error     as of cook_torrance.glsl, without F
-//   source    Ward (1992), eq. 4
+//   formula:  E/(4 pi m^2 sqrt((N.L)(N.V))), E = exp(-tan^2(gamma)/m^2)
+//   n, l, v:  Unit vectors: normal, direction to the light, direction to the camera.
+//   m:        Roughness: RMS slope of the microfacets (Ward's alpha), in the domain of the lobe
+//             (FR_LOBE).
+//   unit:     1/sr, for a specular reflectance of 1; includes 1/pi, excludes N.L
+//   returns:  Finite and >= 0 for finite vectors, also for m below its domain. Exactly 0 if N.L or
+//             N.V in float32 is at most 0, or if their product is at most 1e-12, the square of
+//             FR_MIN_COSINE.
+//   error:    See cook_torrance.glsl, without F.
+//   source:   Ward (1992), eq. 4.
 #ifndef FR_WARD_GLSL
 #define FR_WARD_GLSL
 
@@ -16,14 +18,16 @@
 #include "half_vector.glsl"
 #include "lobe.glsl"
 
-// Ward's isotropic specular BRDF with a lobe of its own, for programs that treat lights differently.
+// Ward's isotropic specular BRDF with the lobe as an argument.
+// For programs with different lobes per light.
 //
-//   lobe      FR_LOBE_EXACT or another macro of lobe.glsl, in place of FR_LOBE; all are there with
-//             #define FR_LOBE FR_LOBE_EVERY; a constant, which the compiler folds
+//   lobe:     Replaces FR_LOBE: FR_LOBE_EXACT or another macro of lobe.glsl, a constant that the
+//             compiler folds. #define FR_LOBE FR_LOBE_EVERY makes all lobes available.
 float fr_ward_terms(vec3 n, vec3 l, vec3 v, float m, int lobe) {
     float n_dot_l = dot(n, l);
-    float n_dot_v = clamp(dot(n, v), 0.0, 1.0);  // so that the product is not above 0 below the surface
-    vec3 h = l + v;  // keeps its length
+    // Clamped, so that the product is at most 0 if both cosines are negative.
+    float n_dot_v = clamp(dot(n, v), 0.0, 1.0);
+    vec3 h = l + v;  // not normalised
     float n_dot_h = n_dot_l + n_dot_v;
     float product = n_dot_l * n_dot_v;
     float m2 = FR_SLOPE(m) * FR_SLOPE(m) + FR_FLOOR;
@@ -33,7 +37,7 @@ float fr_ward_terms(vec3 n, vec3 l, vec3 v, float m, int lobe) {
         float along = n_dot_h * n_dot_h + FR_FLOOR;
         float w = FR_LN_2 * m2;  // E = 2^-x, x = tan^2(gamma)/w
         float x = fr_half_vector(n, h, n_dot_h).y / (along * w);
-        // log2(ln 2/(4 pi)) is the scale
+        // log2(ln 2/(4 pi)) is the constant factor
         value = exp2(-4.1802625 - x) * inversesqrt(w * w * product);
     } else
 #endif
@@ -47,7 +51,7 @@ float fr_ward_terms(vec3 n, vec3 l, vec3 v, float m, int lobe) {
     return product > FR_MIN_COSINE * FR_MIN_COSINE ? value : 0.0;
 }
 
-// Ward's isotropic specular BRDF, with the lobe that the host chose.
+// Ward's isotropic specular BRDF with the lobe that the host selects.
 float fr_ward(vec3 n, vec3 l, vec3 v, float m) {
     return fr_ward_terms(n, l, v, m, FR_DEFAULT_LOBE);
 }

@@ -1,19 +1,18 @@
-// Directions drawn for Ward's BRDF with the exact lobe, and their density: importance sampling for
-// path tracers.
+// Importance sampling of Ward's BRDF with the exact lobe, for path tracers.
 //
-//   formula   half vectors from the slopes' distribution, l = 2 (V.H) H - V; density
-//             E/(4 pi m^2 c^3 (V.H)), E = exp(-tan^2(gamma)/m^2)
-//   n, v      unit vectors: normal, and towards the eye; N.V above FR_MIN_COSINE
-//   l         unit vector towards the light
-//   m         rms slope (Ward's alpha), in [1e-4, 2]
-//   u         two random numbers, even in [0, 1)
-//   unit      none; of the density 1/sr
-//   result    of the sample a unit vector, below the surface where N.L <= 0: there the BRDF is 0;
-//             -n where the half vector is turned away. The weight, BRDF (N.L)/density, is
-//             c^3 (V.H) sqrt((N.L)/(N.V)), which grows without bound only at grazing N.V
-//   error     of the sample's components in float32 1e-5, or where sine and cosine are as Vulkan asks
-//             for 2^-10
-//   source    Ward (1992); Walter (2005), "Notes on the Ward BRDF"
+//   formula:  half vectors from the distribution of slopes, l = 2 (V.H) H - V.
+//             Density: E/(4 pi m^2 c^3 (V.H)), E = exp(-tan^2(gamma)/m^2)
+//   n, v:     Unit vectors: normal, direction to the camera; N.V above FR_MIN_COSINE.
+//   l:        Unit vector: direction to the light.
+//   m:        Roughness: RMS slope of the microfacets (Ward's alpha), in [1e-4, 2].
+//   u:        Two random numbers, uniform in [0, 1).
+//   unit:     none for the sample; 1/sr for the density
+//   returns:  The sample: a unit vector, below the surface if N.L <= 0; the BRDF is 0 there. Its
+//             weight BRDF (N.L)/density is c^3 (V.H) sqrt((N.L)/(N.V)), unbounded only for grazing
+//             N.V. If the half vector points away from the camera, the sample is -n.
+//   error:    Per component of the sample: 1e-5 in float32, or 2^-10 if sine and cosine are only as
+//             accurate as Vulkan requires.
+//   source:   Ward (1992); Walter (2005), "Notes on the Ward BRDF".
 #ifndef FR_WARD_SAMPLE_GLSL
 #define FR_WARD_SAMPLE_GLSL
 
@@ -27,12 +26,13 @@ vec3 fr_ward_sample(vec3 n, vec3 v, float m, vec2 u) {
     return v_dot_h > 0.0 ? normalize(2.0 * v_dot_h / dot(h, h) * h - v) : -n;
 }
 
-// Density of fr_ward_sample.
+// Probability density of fr_ward_sample.
 //
-//   unit      1/sr
-//   result    finite and >= 0; 0 where N.V or N.L is not above FR_MIN_COSINE: below the surface it
-//             would have a pole at l = -v
-//   error     float32 adds, of the highest density in the same directions, what it adds to fr_ward
+//   unit:     1/sr
+//   returns:  Finite and >= 0; 0 if N.V or N.L is at most FR_MIN_COSINE, which excludes the pole at
+//             l = -v below the surface.
+//   error:    float32 rounding r of fr_ward (cook_torrance.glsl), times the highest density in the
+//             same directions.
 float fr_ward_pdf(vec3 n, vec3 l, vec3 v, float m) {
     float n_dot_l = dot(n, l);
     float n_dot_v = dot(n, v);

@@ -1,5 +1,6 @@
-// How opaque the point under a fragment is: with ALPHA_MASK what is below alpha_cutoff is cut away, with
-// ALPHA_BLEND what lies behind shows through.
+// Opacity of a fragment.
+// ALPHA_MASK discards fragments below alpha_cutoff. ALPHA_BLEND blends fragments with the surfaces
+// behind them.
 #ifndef HOST_ALPHA_GLSL
 #define HOST_ALPHA_GLSL
 
@@ -19,11 +20,11 @@ float opacity_here() {
 }
 
 #ifdef DEPTH_PEELING
-// Depth in the layer before in red, its triangle's number in green, and in alpha whether there is any.
+// Previous layer. red: depth; green: number of the triangle; alpha: 0 if there is no layer.
 uniform sampler2D previous_layer;
 
-// Leaves what lies behind the layer before, or as deep and was drawn before it: at equal depth the
-// last that is drawn stays.
+// Discard all fragments except those behind the previous layer.
+// At equal depth the triangle that is drawn last is in front.
 void discard_previous_layers() {
     vec4 before = texelFetch(previous_layer, ivec2(gl_FragCoord.xy), 0);
     bool behind = gl_FragCoord.z > before.r;
@@ -35,9 +36,10 @@ void discard_previous_layers() {
 #ifdef ALPHA_MASK
 uniform float alpha_cutoff;
 
-// Share of a fragment that is left. With TO_COVERAGE samples a pixel it may be a part, over the pixel
-// in which the opacity crosses the cutoff, and OpenGL makes samples of it (alpha to coverage): as many
-// as there are n, whether a driver rounds to the nearest number or, as Mesa, to the next above.
+// Return the fraction of a fragment that remains after the alpha cutoff.
+// With TO_COVERAGE samples per pixel the fraction may be partial in the pixel where the opacity
+// crosses the cutoff. OpenGL converts it to n covered samples (alpha to coverage). The offset of
+// 0.25 gives n samples whether a driver rounds to the nearest number or, like Mesa, up.
 float share_left() {
     float alpha = opacity_here();
 #ifdef TO_COVERAGE

@@ -1,4 +1,4 @@
-// An image before its background.
+// Composite an image over the background colour.
 uniform sampler2D image;
 uniform vec3 background;
 out vec4 radiance;

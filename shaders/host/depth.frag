@@ -1,4 +1,4 @@
-// Nothing but depth.
+// Draw depth only.
 #ifdef UV
 in vec2 uv;
 #endif

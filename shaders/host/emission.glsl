@@ -1,4 +1,4 @@
-// Light that a surface gives off itself.
+// Emissive radiance of a surface.
 uniform vec3 emissive;  // radiance
 #ifdef EMISSIVE_MAP
 uniform sampler2D emissive_map;

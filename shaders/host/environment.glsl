@@ -1,11 +1,12 @@
-// Light from all around. ENVIRONMENT_SAMPLES is how many a lobe takes of it; without, none.
+// Environment lighting. ENVIRONMENT_SAMPLES is the number of samples per lobe; without it, there is
+// no specular environment light.
 #ifdef ENVIRONMENT_SAMPLES
 #define FR_ENVIRONMENT_SAMPLES ENVIRONMENT_SAMPLES
 #endif
 #include "facerender/environment.glsl"
 
 uniform vec3 environment_sh[9];
-uniform mat3 environment_turn;  // from the mesh's space to that of the map
+uniform mat3 environment_turn;  // from mesh space to map space
 uniform float environment_scale;
 
 vec3 environment_irradiance(vec3 n) {

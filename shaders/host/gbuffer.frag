@@ -1,4 +1,5 @@
-// Everything that shading reads at a pixel's centre, for the float64 reference and the data views.
+// G-buffer: all shading inputs at the centre of a pixel, for the float64 reference and the data
+// views.
 #include "facerender/constants.glsl"
 #include "host/surface.glsl"
 #if defined(ALPHA_MASK) || defined(ALPHA_BLEND)
@@ -16,10 +17,10 @@ layout(location = 3) out vec4 uv_occlusion;
 #ifdef TWO_LOBES
 layout(location = 4) out vec4 second_slope_weight;
 #endif
-#ifdef EMITTED  // its number among the images
+#ifdef EMITTED  // index of the render target
 layout(location = EMITTED) out vec4 emitted;
 #endif
-#ifdef LAYER  // its number among the images
+#ifdef LAYER  // index of the render target
 layout(location = LAYER) out vec4 layer;
 #endif
 

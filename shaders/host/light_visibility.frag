@@ -1,4 +1,4 @@
-// How much of each light that casts shadows a point sees, for the float64 reference.
+// Visible fraction at a point of each light that casts shadows, for the float64 reference.
 #include "facerender/constants.glsl"
 #include "host/light/light.glsl"
 #include "host/surface.glsl"

@@ -1,15 +1,16 @@
-// An image before its background, with what scattering changes in its diffuse light, where
-// scatter_mask.frag marked it.
+// Subsurface scattering: adds the change of the diffuse light to an image, and composites the
+// background.
+// The program draws only where scatter_mask.frag marked pixels.
 #include "facerender/constants.glsl"
 #include "facerender/scatter.glsl"
 #include "host/scattering.glsl"
 
-uniform sampler2D light;  // as facerender/scatter.glsl has it
+uniform sampler2D light;  // see facerender/scatter.glsl
 uniform sampler2D albedo;
 uniform vec3 background;
 uniform vec3 camera_position;
 uniform vec3 forward;  // unit vector
-uniform float pixels;  // of a unit of length across the view, at a depth of 1
+uniform float pixels;  // per unit of length across the view, at depth 1
 uniform vec4[FR_SCATTER_GAUSSIANS] gaussians;
 uniform vec3 rest;
 uniform vec3[FR_SCATTER_SAMPLES] spiral;

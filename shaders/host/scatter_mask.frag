@@ -1,4 +1,5 @@
-// Marks, by its depth, which pixels scatter by a profile, so that nothing is begun elsewhere.
+// Marks the pixels that a profile scatters, by depth.
+// The depth test then skips scatter.frag at all other pixels.
 #include "host/scattering.glsl"
 
 void main() {

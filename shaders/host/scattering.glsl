@@ -1,11 +1,11 @@
-// Which pixels scatter, and by what: a texture of places, as facerender/scatter.glsl has it. SEVERAL
-// says that a pixel has several samples.
+// Pixels that scatter, and their profile: the texture of positions of facerender/scatter.glsl.
+// SEVERAL is defined if a pixel has several samples.
 uniform sampler2D image;
 uniform sampler2D place;
 uniform float profile;
 
-// The pixel that stands for one: itself, or, where its centre sees nothing and its other samples do,
-// a neighbour.
+// Return the pixel that stands in for a pixel: the pixel itself in general.
+// It is a neighbour if the centre of the pixel sees nothing but other samples do.
 ivec2 stand_in(ivec2 pixel) {
 #ifdef SEVERAL
     if (texelFetch(image, pixel, 0).a == 0.0) return pixel;

@@ -1,8 +1,12 @@
-// Radiance of a point: the sum over the lights of irradiance x N.L x BRDF, and the ambient term.
-// drawing/program.py writes what stands before: the lights' kinds, EVERY_LIGHT, which calls
-// add_light for each of them with the number of its term, -1 for none, and, where a light has a term,
-// SPECULAR and specular_term(term, n, l, v, m, f0), with TWO_LOBES of second_m and lobe_weight before
-// f0; with ENVIRONMENT_SAMPLES, ENVIRONMENT_RADIANCE, which is what they reflect, of n, v and those.
+// Radiance of a point: the sum of irradiance x N.L x BRDF over all lights, plus the ambient term.
+// drawing/program.py writes the text before this file:
+// - the kinds of lights;
+// - EVERY_LIGHT, which calls add_light for each light with the number of its specular term, -1 for
+//   none;
+// - if a light has a specular term: SPECULAR and specular_term(term, n, l, v, m, f0); with
+//   TWO_LOBES the arguments second_m and lobe_weight precede f0;
+// - with ENVIRONMENT_SAMPLES: ENVIRONMENT_RADIANCE, the reflected environment light as an
+//   expression of n, v and the same arguments.
 #include "facerender/constants.glsl"
 #ifdef COUPLED
 #include "facerender/albedo.glsl"
@@ -34,7 +38,7 @@ uniform vec3 ambient;  // irradiance, the same from every direction
 uniform vec3 background;
 #endif
 #ifdef SCATTER
-// What scatter.frag reads besides the radiance; APART from it, the radiance is another pass's.
+// Inputs of scatter.frag in addition to the radiance. With APART, another pass draws the radiance.
 #include "facerender/scatter.glsl"
 #ifdef APART
 vec4 radiance;
@@ -43,9 +47,9 @@ layout(location = 0) out vec4 albedo;
 layout(location = 0) out vec4 radiance;
 layout(location = 3) out vec4 albedo;
 #endif
-layout(location = 1) out vec4 light;  // as facerender/scatter.glsl has it
+layout(location = 1) out vec4 light;  // see facerender/scatter.glsl
 layout(location = 2) out vec4 place;
-uniform float profile;  // number of what the part scatters by, -1 for none
+uniform float profile;  // number of the scattering profile of the part, -1 for none
 #else
 out vec4 radiance;
 #endif
@@ -53,12 +57,12 @@ out vec4 radiance;
 vec3 diffuse;
 vec3 specular;
 #ifdef COUPLED
-mat2x4 specular_albedo;  // as fr_albedo_fit has it
+mat2x4 specular_albedo;  // see fr_albedo_fit
 float camera_albedo;
 float mean_albedo;
 #endif
 
-// Adds light from l, of which a diffuse surface receives the share `spread`.
+// Add the light from direction l. `spread` is the fraction that the diffuse term receives.
 void add(Surface s, vec3 v, vec3 l, vec3 irradiance, float spread, int term) {
     float cosine = dot(s.normal, l);
 #ifdef COUPLED
@@ -142,7 +146,7 @@ vec3 shaded(Point p) {
     albedo = vec4(diffuse_brdf * s.albedo, 1.0);
 #endif
 #ifdef ENVIRONMENT
-    add_environment(s, v);  // it varies slowly, and does not scatter
+    add_environment(s, v);  // after SCATTER: it varies slowly and is not scattered
 #endif
     vec3 result = vec3(0.0);
 #ifdef DIFFUSE
@@ -158,8 +162,8 @@ vec3 shaded(Point p) {
 }
 
 #ifdef PIXEL_RATE
-// What the part adds to the background where visible.frag marked it: of the triangles that the pixel's
-// samples see, the one that most of them see stands for all.
+// Per-pixel shading where visible.frag marked the part. Shades only the triangle that most samples
+// of the pixel see. Adds the difference from the background, weighted by coverage.
 void main() {
     uint count = uint(triangle_count);
     uint seen[SAMPLES];
@@ -180,8 +184,9 @@ void main() {
     radiance = weight * vec4(shaded(point(triangle)) - background, 1.0);
 }
 #elif defined(VISIBLE)
-// What the part adds to the background where visible.frag marked it: each triangle that the pixel's
-// samples see is shaded once, at the pixel's centre, as OpenGL does with several samples.
+// Shading where visible.frag marked the part. Shades each triangle that the samples of the pixel
+// see once, at the centre of the pixel, as OpenGL does for multisampling. Adds the difference from
+// the background, weighted by coverage.
 void main() {
     uint count = uint(triangle_count);
     uint seen[SAMPLES];
@@ -209,7 +214,7 @@ void main() {
 #elif defined(ALPHA_MASK)
 void main() {
     radiance = vec4(shaded(point()), 1.0);
-    radiance.a = share_left();  // of several samples OpenGL makes it 1 then (alpha to one)
+    radiance.a = share_left();  // with multisampling OpenGL then sets it to 1 (alpha to one)
 }
 #elif defined(ALPHA_BLEND)
 void main() { radiance = opacity_here() * vec4(shaded(point()), 1.0); }

@@ -1,18 +1,18 @@
-// How much of the lights that cast shadows a point sees. SHADOWS says how many there are, and
-// SHADOW_DISCS that some have a size.
+// Visibility at a point of the lights that cast shadows.
+// SHADOWS is the number of these lights. SHADOW_DISCS is defined if some of them are area lights.
 #include "facerender/shadow.glsl"
 
-uniform sampler2D shadow_map;  // a square tile for each light, side by side
-uniform mat4 shadow_view[SHADOWS];   // from the renderer's space to that of the light
+uniform sampler2D shadow_map;  // one square tile per light, side by side
+uniform mat4 shadow_view[SHADOWS];   // from the renderer's space to light space
 uniform vec2 shadow_size[SHADOWS];   // tangent of the light's radius, largest z
 
 const float BIAS = 0.004;
-// Jimenez (2014), "Next generation post processing in Call of Duty: Advanced Warfare".
+// Noise: Jimenez (2014), "Next generation post processing in Call of Duty: Advanced Warfare".
 const vec2 NOISE = vec2(0.06711056, 0.00583715);
 
 #ifdef SHADOW_DISCS
-// Change of z with x and y on the plane of the triangle, in the space of a light: 8 at most, for
-// seen edge on it may be any.
+// Return the change of z with x and y on the plane of the triangle, in light space. It is clamped
+// to 8, because it is unbounded for edge-on triangles.
 vec2 plane_of(mat4 view, vec3 at, Point p) {
     vec4 x = view * vec4(p.position_x, 0.0);
     vec4 y = view * vec4(p.position_y, 0.0);
@@ -22,7 +22,8 @@ vec2 plane_of(mat4 view, vec3 at, Point p) {
 }
 #endif
 
-// What a surface sees of a light, which is seen to `below` its horizon, as a sine.
+// Return the visible fraction of a light. `below` is the sine of the angle below the horizon down
+// to which the light is visible.
 float visibility(int i, Surface s, Point p, vec3 direction, float below) {
     bool dark = dot(s.normal, direction) <= -below;
     int texels = textureSize(shadow_map, 0).y;

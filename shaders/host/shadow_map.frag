@@ -1,4 +1,4 @@
-// The map of a light that casts shadows: what is nearest to it.
+// Shadow map of a light: z of the nearest surface, in light space.
 in vec4 place;
 #ifdef UV
 in vec2 uv;

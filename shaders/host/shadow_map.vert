@@ -1,4 +1,4 @@
-// Places in the space of a light that casts shadows: see facerender/shadow.glsl.
+// Vertex positions in light space: see facerender/shadow.glsl.
 in vec3 in_position;
 #ifdef UV
 in vec2 in_uv;
@@ -10,7 +10,7 @@ out vec2 uv2;
 #endif
 
 uniform mat4 to_light;
-uniform float top;  // largest z there
+uniform float top;  // largest z in light space
 
 out vec4 place;
 

@@ -1,5 +1,6 @@
-// What lies at a point: geometry and maps, without light. Shared by shade.frag and gbuffer.frag, so
-// that the NumPy reference reads exactly what is shaded.
+// Surface at a point: geometry and maps, without light.
+// shade.frag and gbuffer.frag share this code, so that the NumPy reference reads exactly the shaded
+// values.
 #include "host/texture_coordinates.glsl"
 uniform vec3 camera_position;
 #ifdef VISIBLE
@@ -10,8 +11,8 @@ uniform vec3 camera_position;
 #ifdef ALBEDO_FACTOR
 uniform vec3 albedo_factor;
 #endif
-uniform float slope;            // m; the factor on roughness^2 where there is a map
-uniform float specular_weight;  // ks; the factor where there is a map
+uniform float slope;            // m; with a map, the factor on roughness^2
+uniform float specular_weight;  // ks; with a map, the factor on its value
 #ifdef ALBEDO_MAP
 uniform sampler2D albedo_map;
 #endif
@@ -36,14 +37,14 @@ uniform sampler2D specular_map;
 #endif
 #endif
 #ifdef OCCLUSION_STRENGTH
-uniform float occlusion_strength;  // share of the occlusion map
+uniform float occlusion_strength;  // weight of the occlusion map
 #endif
 #ifdef TWO_LOBES
 uniform float second_slope;  // factor on m
-uniform float lobe_weight;   // of the first lobe
+uniform float lobe_weight;   // weight of the first lobe
 #endif
 #ifdef LOBE_MAP
-uniform sampler2D lobe_map;  // in red the factor on the second lobe's share, 1 - lobe_weight
+uniform sampler2D lobe_map;  // red: factor on the weight 1 - lobe_weight of the second lobe
 #endif
 
 #if defined(SLOPE_FILTER) || defined(CURVATURE)
@@ -52,7 +53,7 @@ uniform sampler2D lobe_map;  // in red the factor on the second lobe's share, 1 
 
 struct Surface {
     vec3 position;
-    vec3 view;  // towards the camera, a unit vector
+    vec3 view;  // unit vector to the camera
     vec3 normal;
     vec3 albedo;
     float m;
@@ -66,16 +67,16 @@ struct Surface {
 
 #ifdef NORMAL_MAP
 // Tangent frame from screen-space derivatives: Schueler (2006), "Normal mapping without precomputed
-// tangents", with the sign of the determinant, so that mirrored charts and a flipped screen work.
-// It depends neither on the normal's length nor on its sign, which is that of `facing`.
+// tangents". The sign of the determinant handles mirrored charts and a flipped screen. The frame
+// does not depend on the length or the sign of the normal; `facing` is the sign.
 vec3 mapped_normal(Point p, float square, float facing) {
     vec3 across_y = cross(p.position_y, p.normal);
     vec3 across_x = cross(p.normal, p.position_x);
     vec3 tangent = across_y * p.uv_x.x + across_x * p.uv_y.x;
     vec3 bitangent = across_y * p.uv_x.y + across_x * p.uv_y.y;
-    // 1e-30: a chart of zero area has a zero frame, and keeps the vertex normal.
+    // A chart of zero area has a zero frame; 1e-30 then keeps the vertex normal.
     float longest = max(max(dot(tangent, tangent), dot(bitangent, bitangent)), 1e-30);
-    float scale = square * inversesqrt(square * longest);  // to the length of the vertex normal
+    float scale = square * inversesqrt(square * longest);  // for the length of the vertex normal
     if (dot(p.position_x, across_y) < 0.0) scale = -scale;
     vec3 texel = TEXEL(normal_map, p, NORMAL_MAP_UV).xyz;  // in [0, 1], for [-1, 1]
     vec2 along = texel.xy * (2.0 * scale) - scale;
@@ -90,10 +91,10 @@ vec3 mapped_normal(Point p, float square, float facing) {
 Surface surface(Point p) {
     vec3 v = normalize(camera_position - p.position);
     float square = dot(p.normal, p.normal);
-    // The inside of an open mesh shows its back. A triangle that is only just turned away, whose
-    // normal still lies near the silhouette's, peeks out by rounding of depth, and is no inside: the
-    // more it is curved, the shorter its normals are between the vertices, and the further off it may
-    // lie.
+    // Inside open meshes back faces are visible, and their normals are flipped. A triangle just
+    // behind the silhouette may also be visible, because depth is rounded; its normal is not
+    // flipped. The test uses the unnormalised normal: interpolation shortens it in curved
+    // triangles, whose normals may point further away from the camera.
     float facing = p.inside && dot(p.normal, v) < -0.2 ? -1.0 : 1.0;
     vec3 n = facing * inversesqrt(square) * p.normal;
 #if defined(SLOPE_FILTER) || defined(CURVATURE)
@@ -164,7 +165,7 @@ Surface surface(Point p) {
 #endif
 #endif
 #ifdef VERTEX_OCCLUSION
-    s.occlusion *= clamp(p.occlusion, 0.0, 1.0);  // beyond a triangle's edge it is extrapolated
+    s.occlusion *= clamp(p.occlusion, 0.0, 1.0);  // extrapolated beyond the edge of a triangle
 #endif
 #ifdef TWO_LOBES
     s.second_m = s.m * second_slope;

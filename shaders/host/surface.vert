@@ -1,4 +1,5 @@
-// The package's vertex program. Positions are centred and scaled by the mesh's bounding sphere.
+// Vertex program of the renderer. Positions are centred and scaled by the bounding sphere of the
+// mesh.
 in vec3 in_position;
 in vec3 in_normal;
 uniform mat4 view_projection;

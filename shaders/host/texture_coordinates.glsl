@@ -1,4 +1,4 @@
-// Which of a point's texture coordinates each map lies by: uv, or what the program's head says.
+// Texture coordinates of each map: uv, unless the program defines others before this file.
 #ifndef HOST_TEXTURE_COORDINATES_GLSL
 #define HOST_TEXTURE_COORDINATES_GLSL
 

@@ -1,4 +1,4 @@
-// What lies over an image: colour times coverage, and coverage.
+// Transparent layers over an image: colour times coverage, and coverage.
 uniform sampler2D transparent;
 out vec4 radiance;
 

@@ -1,5 +1,6 @@
-// Which triangle a sample sees: its number in the part, after those of the parts before. Float32 has all
-// whole numbers up to 2^24.
+// Number of the triangle that a sample sees. The parts of a mesh are numbered consecutively, from
+// `first`.
+// Float32 represents all whole numbers up to 2^24.
 uniform int first;
 out float triangle;
 

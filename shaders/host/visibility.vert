@@ -1,4 +1,4 @@
-// Where a vertex is seen.
+// Projected vertex positions.
 in vec3 in_position;
 uniform mat4 view_projection;
 

@@ -1,4 +1,5 @@
-// Marks, by its depth, where a part is visible, so that what shades the part is not begun elsewhere.
+// Marks the pixels where a part is visible, by depth.
+// The depth test then skips the shading of the part at all other pixels.
 #include "host/visible.glsl"
 
 void main() {

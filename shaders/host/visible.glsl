@@ -1,13 +1,13 @@
-// Which triangles of a part the samples of a pixel see, as visibility.frag wrote them.
+// Triangles of a part that the samples of a pixel see, from the output of visibility.frag.
 #if SAMPLES > 1
 uniform sampler2DMS visible;
 #else
 uniform sampler2D visible;
 #endif
-uniform int first;        // of the part
-uniform int triangle_count;  // of the part
+uniform int first;        // number of the first triangle of the part
+uniform int triangle_count;  // triangles of the part
 
-// The triangle that a sample sees; at or above triangle_count if it is none of the part.
+// Return the triangle that a sample sees; triangle_count or more if it belongs to another part.
 uint triangle_at(int index) {
     return uint(int(texelFetch(visible, ivec2(gl_FragCoord.xy), index).r) - first);
 }

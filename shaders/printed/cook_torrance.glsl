@@ -1,10 +1,13 @@
-// Cook-Torrance as Romanyuk et al. (2020) print it, in the literal form: normalised half vector,
-// exp, divisions, powers, no guard. To measure the paper's claims, and for nothing else: NaN and
-// infinity at the horizon, and with a g-power no clamp. Use facerender/cook_torrance.glsl.
+// Cook-Torrance as published by Romanyuk et al. (2020), literally.
+// It normalises the half vector, uses exp, divisions and powers, and has no guards. Only for
+// measuring the claims of the paper: it returns NaN and infinity at the horizon, and g-powers have
+// no clamp. Use facerender/cook_torrance.glsl.
 //
-//   n, l, v, m, f0, unit   as there, with the 1/pi that the paper leaves out
-//   FR_LOBE                exact, D4, D8 or D16
-//   error                  as there where that one is accurate; unbounded elsewhere
+//   n, l, v, m, f0, unit:  See facerender/cook_torrance.glsl; includes the 1/pi that the paper
+//                          omits.
+//   FR_LOBE:               Exact, D4, D8 or D16.
+//   error:                 See facerender/cook_torrance.glsl, where that file is accurate;
+//                          unbounded elsewhere.
 #ifndef FR_PRINTED_COOK_TORRANCE_GLSL
 #define FR_PRINTED_COOK_TORRANCE_GLSL
 
@@ -13,7 +16,7 @@
 #include "printed/g_power.glsl"
 
 #if FR_LOBE != FR_LOBE_EXACT && FR_LOBE != 4 && FR_LOBE != 8 && FR_LOBE != 16
-#error the paper prints FR_LOBE_EXACT, FR_LOBE_D4, FR_LOBE_D8, FR_LOBE_D16
+#error FR_LOBE must be a lobe of the paper: FR_LOBE_EXACT, FR_LOBE_D4, FR_LOBE_D8 or FR_LOBE_D16
 #endif
 
 float fr_printed_cook_torrance(vec3 n, vec3 l, vec3 v, float m, float f0) {

@@ -1,10 +1,10 @@
-// Ward as Romanyuk et al. (2020) print it, in the literal form: acos, tan, exp, no guard. To measure
-// the paper's claims, and for nothing else. Use facerender/ward.glsl, or for the same values
-// facerender/ward_printed.glsl.
+// Ward as published by Romanyuk et al. (2020), literally: acos, tan and exp without guards.
+// Only for measuring the claims of the paper. Use facerender/ward.glsl;
+// facerender/ward_printed.glsl has the same values as this file.
 //
-//   n, l, v, m, unit   as there
-//   FR_LOBE            exact, D4, D8 or D16
-//   error              as there where that one is accurate; unbounded elsewhere
+//   n, l, v, m, unit:  See facerender/ward.glsl.
+//   FR_LOBE:           Exact, D4, D8 or D16.
+//   error:             See facerender/ward.glsl, where that file is accurate; unbounded elsewhere.
 #ifndef FR_PRINTED_WARD_GLSL
 #define FR_PRINTED_WARD_GLSL
 
@@ -13,7 +13,7 @@
 #include "printed/g_power.glsl"
 
 #if FR_LOBE != FR_LOBE_EXACT && FR_LOBE != 4 && FR_LOBE != 8 && FR_LOBE != 16
-#error the paper prints FR_LOBE_EXACT, FR_LOBE_D4, FR_LOBE_D8, FR_LOBE_D16
+#error FR_LOBE must be a lobe of the paper: FR_LOBE_EXACT, FR_LOBE_D4, FR_LOBE_D8 or FR_LOBE_D16
 #endif
 
 float fr_printed_ward(vec3 n, vec3 l, vec3 v, float m) {

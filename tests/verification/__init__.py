@@ -1,2 +1,2 @@
-"""What both the tests and the documents measure: cases of every shader function, the targets they
-run on, renders broken on purpose, pairs of images, the scenes of the plans, and two heads."""
+"""Measurements that the tests and the documents share: cases of every shader function and their
+targets, deliberately broken renders, pairs of images, scenes for plans, and two heads."""

@@ -1,9 +1,9 @@
-"""Cases of every public function of the shader library: an expression, its inputs, what float64
-makes of them, and how far a target may be from it. Terms are those of the registry.
+"""Cases of every public function of the shader library and every term of the registry. A case has
+an expression, its inputs, the float64 values and error bounds.
 
-The bounds come from the precision that OpenGL and Vulkan ask of drivers, in units of the last place
-(2^-23): division 2.5, inversesqrt 2, exp2(x) 3 + 2|x|, log2 3 and 2^-21 absolute in [0.5, 2]; sums
-and products 0.5.
+The bounds follow from the precision that OpenGL and Vulkan require of drivers, in units of the last
+place (2^-23): division 2.5, inversesqrt 2, exp2(x) 3 + 2|x|, log2 3 and 2^-21 absolute in [0.5, 2];
+sums and products 0.5.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from tests.verification.evaluate import WIDTH, Inputs
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-DIRECTIONS = 10_000  # for each BRDF
-PLACES = 4096  # of a map: rows repeat them where the twin takes long
+DIRECTIONS = 10_000  # per BRDF
+PLACES = 4096  # distinct inputs of functions with a slow reference; further inputs repeat them
 FLOOR = 4e-13  # FR_FLOOR
 F0 = 0.028
 
@@ -54,14 +54,14 @@ COSINES = singles(
 
 
 class Each(Protocol):
-    """Evaluates expressions of the same inputs, such as an Evaluator."""
+    """Interface of Evaluator: evaluates expressions of the same inputs."""
 
     def each(self, prelude: str, expressions: list[str], inputs: Inputs, /) -> Singles: ...
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """An expression of inputs, what float64 makes of them, and how far the GPU may be from it."""
+    """An expression, its inputs, the expected float64 values and the error bounds of a target."""
 
     prelude: str
     expression: str
@@ -71,14 +71,16 @@ class Case:
     absolute: Floats | float = 0.0
 
     def share(self, result: Singles) -> Floats:
-        """How much of its bound each result uses: up to 1."""
+        """Return each result's error as a fraction of its bound; at most 1 is within the bound."""
         error = np.abs(result - self.expected)
         bound = self.relative * self.expected + self.absolute
         return np.divide(error, bound, out=np.where(error > 0.0, np.inf, 0.0), where=bound > 0.0)
 
     def fault(self, result: Singles) -> str:
-        """Tell the worst of the results that are not finite, negative or beyond their bound; ""
-        where none is."""
+        """Return a message about the worst result, or "" if all are valid.
+
+        A result is valid if it is finite, not negative and within its bound.
+        """
         share = np.where(np.isfinite(result) & (result >= 0.0), self.share(result), np.inf)
         worst = int(share.argmax())
         at = {name: values[worst].tolist() for name, values in self.inputs.items()}
@@ -94,18 +96,18 @@ CASES: dict[str, Callable[[], Case]] = {}
 
 
 def add(name: str, make: Callable[..., Case], *values: object) -> None:
-    """Add a case, whose name begins with its group."""
+    """Add a case; its name begins with its group."""
     assert name not in CASES, name
     CASES[name] = partial(make, *values)
 
 
 def add_of(group: str, make: Callable[..., Case], *values: object) -> None:
-    """Add a case that is named after its group and values."""
+    """Add a case with a name made of its group and values."""
     add(" ".join([group, *map(str, values)]), make, *values)
 
 
 def case(*parameters: tuple[object, ...]) -> Callable[[Callable[..., Case]], Callable[..., Case]]:
-    """Add a case of the function of a maker's name for each of its parameters."""
+    """Add a case for each tuple of parameters; its group is ``fr_`` and the decorated name."""
 
     def register(make: Callable[..., Case]) -> Callable[..., Case]:
         for values in parameters or ((),):
@@ -122,8 +124,7 @@ def cases_of(group: str) -> dict[str, Case]:
 
 
 def evaluated(cases: Mapping[str, Case], target: Each) -> dict[str, Singles]:
-    """Return what a target makes of cases; those of one prelude and the same inputs are drawn
-    together."""
+    """Return the results of cases on a target; it draws cases with equal inputs together."""
     together: dict[tuple[str, int], dict[str, Case]] = {}
     for name, each in cases.items():
         together.setdefault((each.prelude, id(each.inputs)), {})[name] = each
@@ -139,7 +140,7 @@ flat = cache(resolve_includes)
 
 
 def include(name: str, **macros: str) -> str:
-    """Return a file of the library as flat text, behind macros."""
+    """Return macros, followed by a file of the library with its includes resolved."""
     return code.defines(macros) + flat(f'#include "facerender/{name}.glsl"\n')
 
 
@@ -148,7 +149,7 @@ def grid(*axes: ArrayLike) -> list[Singles]:
 
 
 def repeated(values: NDArray[Any], count: int) -> NDArray[Any]:
-    """Return as many rows, of these again and again."""
+    """Return ``count`` rows that repeat those of ``values``."""
     return np.resize(values, (count, *values.shape[1:]))
 
 
@@ -157,7 +158,7 @@ def repeated(values: NDArray[Any], count: int) -> NDArray[Any]:
 
 @cache
 def slopes(end: float) -> Singles:
-    """From end to end of a lobe's domain."""
+    """Return slopes over the whole domain of a lobe."""
     return singles([1e-4, 1e-3, 0.01, 0.05, *np.linspace(0.1, 0.99, 8) * end, 0.9999 * end])
 
 
@@ -172,7 +173,7 @@ ALL_LOBES: tuple[AnyLobe, ...] = (*LOBES, OWN, STEEP)
 
 
 def lobe_case(file: str, macros: Mapping[str, str], call: str, lobe: AnyLobe, k: int) -> Case:
-    """A call of a file that is a lobe of c and m, within its bound in the registry."""
+    """Return the case of a call that evaluates a lobe of c and m; the registry has its bound."""
     entry = lobe_entry(lobe)
     inputs = cosines_and_slopes(entry.end(k))
     c, m = (values.astype(float) for values in inputs.values())
@@ -186,7 +187,7 @@ for _lobe in ALL_LOBES:
     _alone, _within = _entry.call.split("(")[0], "(c, m, 1.0 / (m * m)"
     for _k in _entry.ends:
         for _group, _file, _macros, _call in (
-            # as a BRDF calls it, which has 1/m^2; alone; by the host's choice; as an argument
+            # Called by a BRDF with 1/m^2; alone; chosen by the host's macro; by an argument.
             ("fr_lobe_within", "lobe", _own | EVERY, f"{_within}, {_k}, {_entry.macro})"),
             (_alone, _entry.file, {}, re.sub(r"\bk\b", str(_k), _entry.call[len(_alone) :])),
             ("fr_lobe", "lobe", _own, f"(c, m, {_k})"),
@@ -196,7 +197,7 @@ for _lobe in ALL_LOBES:
                 _all = _file, _macros, _group + _call, _lobe, _k
                 add(f"{_group} {_lobe} {_k}", lobe_case, *_all)
 
-# Of the macros of a g-power, one or none: D8, or its steepness with another power.
+# Without FR_G a g-power is D8; FR_G alone changes its power and keeps the steepness of D8.
 for _k in (0, 4):
     for _g in (None, 5):
         _macros = {"FR_LOBE": "FR_LOBE_G_POWER"} | ({"FR_G": str(_g)} if _g else {})
@@ -205,7 +206,7 @@ for _k in (0, 4):
 
 
 def lobe_of_the_host(chosen: str) -> Case:
-    """A function of the host's own, by the macros or, where every lobe is there, as an argument."""
+    """Return the case of a lobe function of the host, chosen by a macro or by an argument."""
     own = "highp float own(highp float c, highp float m, int k) { return c * m + float(k); }\n"
     macros = {"FR_LOBE_FUNCTION": "own"} | ({"FR_LOBE": chosen} if chosen else {})
     call = "fr_lobe_of(c, m, 4, FR_LOBE_OWN)" if "EVERY" in chosen else "fr_lobe(c, m, 4)"
@@ -238,8 +239,8 @@ def lobe_exact_tan2(k: int) -> Case:
     inputs = tangents_and_slopes()
     tan2, m = inputs.values()
     exponent = np.minimum(tan2 / m.astype(float) ** 2, 100.0)
-    # m^2 and the division: 3 ulp of the exponent; exp2: 3 + 2 x; 1/c^4: 2
-    smallest = TINY * (1.0 + np.minimum(tan2, 1e3)) ** 2  # E flushed to zero, times 1/c^4
+    # Errors in ulp: m^2 and the division 3 of the exponent; exp2 3 + 2 x; 1/c^4 2.
+    smallest = TINY * (1.0 + np.minimum(tan2, 1e3)) ** 2  # E may be flushed to 0; times 1/c^4
     expected = lobes.exact_tan2(tan2, m, k)
     relative = ULP * (5.0 + 6.0 * exponent)
     call = f"fr_lobe_exact_tan2(tan2, m, {k})"
@@ -256,7 +257,7 @@ def cosines_and_steepness() -> dict[str, Singles]:
 def lobe_clamped_power(g: int) -> Case:
     inputs = cosines_and_steepness()
     c, steepness = (values.astype(float) for values in inputs.values())
-    # the base 1 - s u: the product by 0.5 ulp, the differences by 0.5 each
+    # Error of the base 1 - s u: 0.5 ulp for the product and for each difference.
     error = ULP * steepness * (1.0 - c) + ULP
     absolute = power_error(1.0 - steepness * (1.0 - c), error, g) + TINY
     expected = lobes.clamped_power(c, steepness, g)
@@ -270,7 +271,7 @@ def slopes_alone(end: float) -> dict[str, Singles]:
 
 
 def coefficient(name: str, k: int, i: int, call: str, above: float, digits: float) -> Case:
-    """A fitted lobe's coefficient times m^(2 i + 2), and a number that keeps it from 0."""
+    """Return the case of a fitted lobe's coefficient times m^(2 i + 2), offset from 0 by a sum."""
     lobe = lobes.FITTED[name, k]
     inputs = slopes_alone(lobe.max_slope)
     m = inputs["m"].astype(float)
@@ -284,7 +285,7 @@ for _name, _k in lobes.FITTED:
     _call = f"{_function}_within(c, m, 1.0 / (m * m), {_k})"
     add(f"fr_lobe_fitted_within {_name} {_k}", lobe_case, "lobe/fitted", {}, _call, _name, _k)
     for _i in range(len(lobes.FITTED[_name, _k].table[0])):
-        # scaled back by the same powers of m^2, in an order that cannot overflow
+        # Scaled back by m^2, one factor after the other: this order cannot overflow.
         _scaled = f"{_function}_coefficients(m, {_k})[{_i}]" + " * (m * m)" * (_i + 1)
         for _what, _call, _bounds in (
             ("coefficients", _scaled, (3.0, 16.0)),
@@ -326,7 +327,7 @@ def reflectances_and_cosines() -> dict[str, Singles]:
 
 
 def fresnel_case(name: str, file: str, macros: Mapping[str, str], call: str) -> Case:
-    """A call of a file that is a Fresnel term of f0 and c, within its bound in the registry."""
+    """Return the case of a call that evaluates a Fresnel term of f0 and c."""
     inputs, entry = reflectances_and_cosines(), FRESNEL[name]
     f0, c = (values.astype(float) for values in inputs.values())
     bounds = entry.rounding(f0, c)
@@ -343,7 +344,7 @@ for _name, _fresnel in FRESNEL.items():
         if _chosen == _name:
             _term = "fresnel", _macros, "fr_fresnel(f0, c)"
             add(f"fr_fresnel {_name}", fresnel_case, _name, *_term)
-        else:  # whatever the host chose for fr_fresnel
+        else:  # an argument takes precedence over the host's macro
             _term = "fresnel", _macros, f"fr_fresnel_of(f0, c, {_fresnel.macro})"
             add(f"fr_fresnel_of {_name} {_chosen}", fresnel_case, _name, *_term)
 
@@ -359,7 +360,7 @@ def fresnel_times(name: str) -> Case:
 
 @case(("grazing", ""), ("times", "f0, "), ("rgb", "vec3(f0), vec3(0.7), "))
 def fresnel_schlick_scaled(name: str, arguments: str) -> Case:
-    """fr_fresnel_schlick_grazing, _times and _rgb."""
+    """Return the case of fr_fresnel_schlick_grazing, _times or _rgb."""
     inputs = reflectances_and_cosines()
     f0, c = (values.astype(float) for values in inputs.values())
     u5 = (1.0 - c) ** 5
@@ -370,7 +371,7 @@ def fresnel_schlick_scaled(name: str, arguments: str) -> Case:
 
 
 def masking_case(name: str, count: int, words: str, ulps: float) -> Case:
-    """A masking term of cosines that are given one by one."""
+    """Return the case of a masking term over a grid of its cosines."""
     axis = [1e-6, 1e-3, *np.linspace(0.01, 1.0, count)]
     names = words.split()
     inputs = dict(zip(names, grid(*[axis] * len(names)), strict=True))
@@ -388,7 +389,7 @@ for _name, _count, _words, _ulps in (
 
 @cache
 def cosines_with_a_long_half_vector() -> dict[str, Singles]:
-    """h = l + v of a length up to 2, and of at least what its cosines ask for."""
+    """Return cosines with h = l + v; the length of h is at least N.H and at most 2."""
     axis = [2e-6, 1e-3, *np.linspace(0.01, 1.0, 20)]
     n_dot_l, n_dot_v, share = grid(axis, axis, np.linspace(0.0, 1.0, 10))
     n_dot_h = n_dot_l + n_dot_v
@@ -397,7 +398,7 @@ def cosines_with_a_long_half_vector() -> dict[str, Singles]:
 
 
 def masking_ratio(name: str, call: str) -> Case:
-    """G/((N.L)(N.V)) (h.h), the quotient of what a call returns."""
+    """Return the case of G/((N.L)(N.V)) (h.h), the quotient of a call's two results."""
     inputs = cosines_with_a_long_half_vector()
     n_dot_h, h_dot_h, n_dot_l, n_dot_v = (values.astype(float) for values in inputs.values())
     length = np.sqrt(h_dot_h)
@@ -420,7 +421,7 @@ for _name, _masking in MASKING.items():
 
 
 def variance_case(name: str, relative: float, **axes: ArrayLike) -> Case:
-    """A function of slope_variance.glsl at every combination of its arguments."""
+    """Return the case of a function of slope_variance.glsl over a grid of its arguments."""
     inputs = dict(zip(axes, grid(*axes.values()), strict=True))
     expected = getattr(brdf, name)(*(values.astype(float) for values in inputs.values()))
     call = f"fr_{name}({', '.join(axes)})"
@@ -450,13 +451,13 @@ def slope_variance_pixel() -> Case:
 
 @cache
 def discs(last: float) -> tuple[Singles, Singles]:
-    """s and k of discs to this radius in degrees."""
+    """Return s and k of discs with radii up to ``last`` degrees."""
     radius = np.radians([0.0, 0.25, *np.linspace(1.0, last, 12)])
     return singles(np.sin(radius)), singles(0.5 + 0.5 * np.cos(radius))
 
 
 def disc_case(name: str, last: float, relative: float, axis: str, values: ArrayLike) -> Case:
-    """A function of slope_variance.glsl for every disc and every value of its other argument."""
+    """Return the case of a function of slope_variance.glsl over a grid of discs and ``values``."""
     s, k = discs(last)
     index, other = grid(np.arange(len(s)), values)
     at = index.astype(int)
@@ -478,14 +479,17 @@ def cosine_disc() -> Case:
     return disc_case("cosine_disc", 30.0, 0.0, "c", [*np.linspace(-1.0, 1.0, 401), 1e-9, -1e-9])
 
 
-HARD = 0.2  # bias: it decides, as depths lie 1/4 apart
+HARD = 0.2  # bias; large enough to change results, since depths are multiples of 1/4
 DISC = (0.2, 1.0, 0.1, 0.7)  # tangent of the radius, top, bias, turn
 
 
 @cache
 def shadows() -> tuple[tuple[int, int, int], dict[str, Singles], Floats, Floats]:
-    """A tile of a map, its texels with places, the map, and by how much a disc's shadow differs
-    5e-5 beside a place, at most 1e-2. Depths are multiples of 1/4, and places lie between."""
+    """Return a tile of a shadow map, the inputs, the map, and the sensitivity of a disc's shadow.
+
+    Depths in the map are multiples of 1/4; those of the places lie between. The sensitivity is the
+    change of the shadow when a place moves by 5e-5; places where it is 1e-2 or more are left out.
+    """
     random = np.random.default_rng(11)
     tile, count = (700, 3, 16), 20 * WIDTH
     map_ = singles(random.integers(-3, 3, count) / 4.0)
@@ -530,7 +534,7 @@ SIXTEEN = scattering.spiral(GAUSSIANS, 16)
 
 
 def array(kind: str, rows: ArrayLike) -> str:
-    """Return an array of vectors as GLSL."""
+    """Return the GLSL expression of an array of vectors."""
     vectors = [f"{kind}({', '.join(map(repr, map(float, row)))})" for row in np.asarray(rows)]
     return f"{kind}[{len(vectors)}]({', '.join(vectors)})"
 
@@ -567,8 +571,11 @@ def scatter_turn() -> Case:
 
 @cache
 def scattered() -> tuple[dict[str, Singles], Floats, Floats]:
-    """Places of a wavy surface with light, what it scatters, and how far the GPU may be from that:
-    any way where a place lies so near to a border of pixels that rounding decides."""
+    """Return places on a wavy surface with their light, the scattered light and error bounds.
+
+    The bound is large for places whose samples lie so near to the border of a pixel that rounding
+    decides which pixel they read.
+    """
     random = np.random.default_rng(13)
     shape = 20, WIDTH
     y, x = np.mgrid[: shape[0], : shape[1]]
@@ -582,7 +589,7 @@ def scattered() -> tuple[dict[str, Singles], Floats, Floats]:
     spiral = 4.0 * (SIXTEEN[:, 0] + 1j * SIXTEEN[:, 1])
     turned = spiral * np.exp(1j * scattering.scatter_turn(x, y))[..., None]
     borders = np.stack([turned.real, turned.imag]) + 0.5
-    reach = 1e-4 + 2.0**-11 * np.abs(spiral)  # Vulkan's sine and cosine err by 2^-11
+    reach = 1e-4 + 2.0**-11 * np.abs(spiral)  # Vulkan's sine and cosine have errors of 2^-11
     unsure = (np.abs(borders - np.round(borders)) < reach).any(axis=(0, -1))
     inputs = {"light": singles(light.reshape(-1, 3)), "place": singles(place.reshape(-1, 3))}
     return inputs, expected, np.where(unsure.ravel(), 3.0, 3e-5)
@@ -603,12 +610,12 @@ def scatter(channel: int) -> Case:
 # --- environment ---------------------------------------------------------------------------------
 
 
-AROUND = 16  # texels of a map's first level
+AROUND = 16  # height of an environment map's finest level, in texels
 
 
 @cache
 def around() -> tuple[dict[str, Singles], Floats]:
-    """A map, its texels with directions, of which n, v and m repeat, and the map."""
+    """Return the inputs and a random environment map; n, v and m repeat PLACES rows."""
     random = np.random.default_rng(12)
     count = (AROUND + 2) * WIDTH
     map_ = singles(random.uniform(0.0, 1.0, (count, 3)))
@@ -697,9 +704,11 @@ def environment_ward() -> Case:
 
 
 def true_directions(m: Singles, lowest: float = 1e-5) -> dict[str, Floats]:
-    """Draw a normal, a light and an eye for each slope: N.L and N.V above ``lowest``, half of them
-    log-uniform; half of the half vectors anywhere, half with tangents from 0 to 3 m, dense near
-    0."""
+    """Return random directions n, l and v in float64, one triple for each slope.
+
+    N.L and N.V are above ``lowest``, and half of them are log-uniform. Half of the half vectors are
+    near the normal: their tangents are 0 to 3 m, dense near 0.
+    """
     random = np.random.default_rng(7)
     count = len(m)
 
@@ -720,7 +729,7 @@ def true_directions(m: Singles, lowest: float = 1e-5) -> dict[str, Floats]:
 
 
 def directions(m: Singles, lowest: float = 1e-5) -> dict[str, Singles]:
-    """Return :func:`true_directions` as float32 rounds them, with the slopes."""
+    """Return :func:`true_directions` rounded to float32, with the slopes."""
     vectors = true_directions(m, lowest)
     return {name: x.astype(np.float32) for name, x in vectors.items()} | {"m": m}
 
@@ -732,7 +741,7 @@ def directions_at_five_slopes() -> dict[str, Singles]:
 
 @case(*((axis, small_slope) for axis in "xy" for small_slope in (0, 1)))
 def half_vector(axis: str, small_slope: int) -> Case:
-    """The header's bound is of the sine of the angle, or of its square."""
+    """The header bounds the error of the sine (small_slope) or of its square."""
     inputs = directions_at_five_slopes()
     n, l, v = (inputs[name].astype(float) for name in "nlv")
     h = l + v
@@ -750,9 +759,9 @@ def half_vector(axis: str, small_slope: int) -> Case:
     return Case(prelude, call, inputs, expected, 0.0, absolute)
 
 
-NOISE = 1.3e-6  # cosines up to this are noise, and headers state no error there
-UNSTATED = 1e300  # more than any value
-NO_MORE = 2e-6  # what headers add to a Fresnel term, of which 1 - V.H knows the digits of 1
+NOISE = 1.3e-6  # headers state no error for cosines up to this, which are rounding noise
+UNSTATED = 1e300  # bound where headers state none; above any value
+NO_MORE = 2e-6  # headers add this to a Fresnel term, since 1 - V.H loses digits
 
 
 @case()
@@ -764,8 +773,10 @@ def half_vector_square() -> Case:
 
 
 def _highest(lobe: str, m: Floats, k: int) -> Floats:
-    """Return the largest value of a lobe over c: 1, but for the exact one in Cook-Torrance, which
-    above m = 0.7071 is largest off the normal."""
+    """Return the largest value of a lobe over c.
+
+    It is 1, except for the exact lobe of Cook-Torrance with m > 0.7071: its peak is off the normal.
+    """
     w = np.maximum(m**2, 0.5) if lobe == "exact" and k else np.full_like(m, 0.5)
     return np.asarray(4.0 * w**2 * np.exp(1.0 / w - 2.0))
 
@@ -773,9 +784,11 @@ def _highest(lobe: str, m: Floats, k: int) -> Floats:
 def brdf_case(
     term: Term, inputs: Inputs, prelude: str = "", call: str = "", f0: float = F0
 ) -> Case:
-    """A BRDF at directions, as the term's own GLSL or another call; the bounds are those of its
-    header, relative to what the lobe's peak gives in the same directions, and none below the
-    surface, where it is exactly 0."""
+    """Return the case of a BRDF, called by the term's generated GLSL or by another call.
+
+    The bounds are those of the header, relative to the BRDF with the lobe's peak in the same
+    directions. Below the surface the BRDF is exactly 0, and so is the bound.
+    """
     n, l, v, m = (inputs[axis].astype(float) for axis in "nlvm")
     n_dot_l, n_dot_v = ((n * x).sum(axis=-1) for x in (l, v))
     lower = np.minimum(n_dot_l, n_dot_v)
@@ -797,7 +810,7 @@ def brdf_case(
     accurate = lobe.of_tan2 is not None and term.keeps_small_slopes(0.0)
     bound = 1e-5 + 2e-7 / n_dot_l + 2e-7 / n_dot_v + e / (m if accurate else m**2)
     if term.entry.factors:
-        bound += 3.0 * off / (f0 + NO_MORE) ** 0.2  # of (1 - V.H)^5
+        bound += 3.0 * off / (f0 + NO_MORE) ** 0.2  # error of (1 - V.H)^5
     return Case(
         f"const float f0 = {f0};\n" + (prelude or flat(code.prelude([term], 0.0))),
         call or code.call(term),
@@ -826,7 +839,7 @@ EXTREMES = {
 
 
 def extremes(m: list[float]) -> dict[str, Singles]:
-    """Each of them at each slope."""
+    """Return every direction of EXTREMES at every slope."""
     light, eye = (singles(vectors) for vectors in zip(*EXTREMES.values(), strict=True))
     n = np.tile(singles([0, 0, 1]), (len(light) * len(m), 1))
     l, v = (np.tile(vectors, (len(m), 1)) for vectors in (light, eye))
@@ -835,7 +848,7 @@ def extremes(m: list[float]) -> dict[str, Singles]:
 
 @cache
 def directions_and_extremes(end: float) -> dict[str, Singles]:
-    """At slopes of a whole domain."""
+    """Return random and extreme directions at slopes up to ``end``."""
     m = singles([1e-4, 1e-3, 0.01, *np.geomspace(0.05, 0.999, 12) * end])
     parts = directions(np.resize(m, DIRECTIONS + 1)), extremes([1e-4, 1e-2, 0.3, 0.99 * end])
     return {axis: np.concatenate([part[axis] for part in parts]) for axis in "nlvm"}
@@ -849,7 +862,7 @@ def in_domain(term: Term, prelude: str, call: str) -> Case:
 def among_all(
     two: bool, model: str, lobe: AnyLobe, fresnel: str, masking: str, small_slope: bool = True
 ) -> Case:
-    """A term, with one lobe or two, of a program in which every lobe is."""
+    """Return the case of a term with one or two lobes, in a program that contains every lobe."""
     term = Term(model, lobe, fresnel, masking, small_slope=small_slope)
     terms = [term, *(replace(term, lobe=name) for name in LOBES)]
     prelude = flat(code.prelude(terms, 0.0, two))
@@ -859,7 +872,7 @@ def among_all(
 
 
 def model_by_macros(model: str, lobe: AnyLobe, fresnel: str, masking: str) -> Case:
-    """A model's function of few arguments, whose terms the host's macros choose."""
+    """Return the case of a model's function whose terms are chosen by the host's macros."""
     term = Term(model, lobe, fresnel, masking)
     macros = code.term_macros(Term("cook-torrance", lobe, fresnel, masking), 0.0)
     files = "".join(f'#include "facerender/{entry.file}.glsl"\n' for entry in MODELS.values())
@@ -870,7 +883,7 @@ def model_by_macros(model: str, lobe: AnyLobe, fresnel: str, masking: str) -> Ca
 
 @cache
 def pairs_of_slopes(end: float) -> dict[str, Singles]:
-    """At slopes of a whole domain, two for each place."""
+    """Return random and extreme directions, each with two slopes up to ``end`` and a weight."""
     inputs = directions_and_extremes(end)
     m = inputs["m"]
     share = singles(np.random.default_rng(3).choice([0.0, 0.001, 0.15, 0.5, 0.85, 1.0], m.size))
@@ -878,7 +891,7 @@ def pairs_of_slopes(end: float) -> dict[str, Singles]:
 
 
 def two_lobes(term: Term, prelude: str, call: str) -> Case:
-    """Two lobes in one, of any slopes and shares; each has its share of its own bound."""
+    """Return the case of a BRDF with two lobes; its value and bound are weighted sums of both."""
     both = pairs_of_slopes(lobe_entry(term.lobe).end(term.entry.k))
     first, second = (brdf_case(term, both | {"m": both[name]}) for name in ("m", "second_m"))
     w = both["lobe_weight"].astype(float)
@@ -901,7 +914,7 @@ def two_lobes_by_macros(model: str, lobe: AnyLobe, fresnel: str, masking: str) -
 
 
 def in_colour(lobe: AnyLobe, f0: float) -> Case:
-    """fr_cook_torrance_rgb, or the parts that it is made of, with f90 = 1."""
+    """Return the case of fr_cook_torrance_rgb with f90 = 1."""
     term = Term("cook-torrance", lobe)
     prelude = include("cook_torrance", **code.lobe_macros(lobe))
     call = f"fr_cook_torrance_rgb(n, l, v, m, vec3({f0}), vec3(1.0)).z"
@@ -919,7 +932,7 @@ def of_parts(lobe: AnyLobe) -> Case:
 
 for _lobe in ("exact", "d8"):
     add_of("fr_cook_torrance_parts", of_parts, _lobe)
-    for _f0 in (0.5, 0.0, 1e-8):  # 1 - V.H counts where f0 does not
+    for _f0 in (0.5, 0.0, 1e-8):  # the error of 1 - V.H shows where f0 is near 0
         add_of("fr_cook_torrance_rgb", in_colour, _lobe, _f0)
 
 DEFAULT = (Term.fresnel, Term.masking)
@@ -952,7 +965,7 @@ for _model, _brdf in MODELS.items():
 
 @case()
 def cook_torrance_half() -> Case:
-    """To the bound of halves, whatever a target computes with; tests/test_half.py has halves."""
+    """The bound is that of half precision on every target; tests/test_half.py emulates halves."""
     inputs = directions(np.resize(singles(np.linspace(0.1, 1.0, 10)), DIRECTIONS), 0.05)
     n, l, v, m = (inputs[axis].astype(float) for axis in "nlvm")
     n_dot_l, n_dot_v = (n * l).sum(axis=-1), (n * v).sum(axis=-1)
@@ -967,12 +980,12 @@ def cook_torrance_half() -> Case:
 
 # --- sampling ------------------------------------------------------------------------------------
 
-SINE = 2.0**-11  # what Vulkan lets sine and cosine err by, and Chromium's renderer does
+SINE = 2.0**-11  # error of sine and cosine that Vulkan allows; Chromium's renderer uses it
 
 
 @cache
 def directions_and_numbers() -> dict[str, Singles]:
-    """Directions, with random numbers that leave no doubt of which side of a cavity is seen."""
+    """Return directions and random numbers that choose the same side of a cavity after rounding."""
     inputs = directions(np.resize(singles([1e-3, 0.01, *np.linspace(0.05, 2.0, 8)]), DIRECTIONS))
     u = np.random.default_rng(5).random((DIRECTIONS, 3), dtype=np.float32)
     n, v, m = (inputs[name].astype(float) for name in "nvm")
@@ -1004,8 +1017,10 @@ def slope_sample(axis: str) -> Case:
 
 
 def model_sample(model: str, axis: str) -> Case:
-    """A direction that a model samples; where Ward's half vector is about to turn away, either is
-    right."""
+    """Return the case of a component of a sampled direction.
+
+    Where rounding decides whether Ward's half vector faces away, any result is accepted.
+    """
     inputs = directions_and_numbers()
     n, v, u, m = (inputs[name].astype(float) for name in "nvpm")
     count, numbers = (3, "p") if model == "cook_torrance" else (2, "p.xy")
@@ -1069,7 +1084,7 @@ def cosines_slopes_and_reflectances() -> dict[str, Singles]:
     ("diffuse_coupled(m, c, f0)", ""),
 )
 def albedo(function: str, call: str) -> Case:
-    """A function, or a call that is the same."""
+    """Return the case of a function, or of an equivalent call."""
     inputs = cosines_slopes_and_reflectances()
     name, words = function.rstrip(")").split("(")
     expected = getattr(brdf, name)(*(inputs[word].astype(float) for word in words.split(", ")))

@@ -1,4 +1,4 @@
-"""A headless Chromium, with WebGL 2 on SwiftShader."""
+"""Starts headless Chromium with WebGL 2 on SwiftShader."""
 
 from __future__ import annotations
 
@@ -16,5 +16,5 @@ _FLAGS = (
 
 
 def launch(playwright: Playwright) -> Browser:
-    """Start the system's Chromium, or without one the one that playwright installed."""
+    """Start the system's Chromium or, if there is none, that of playwright."""
     return playwright.chromium.launch(executable_path=shutil.which("chromium"), args=_FLAGS.split())

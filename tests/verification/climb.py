@@ -1,5 +1,5 @@
-"""Hill-climbing: from the worst of random samples to inputs at which a shader uses most of a bound
-that its header states."""
+"""Hill climbing from the worst random samples to inputs where a shader's error is the largest
+fraction of the bound that its header states."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Make = Callable[[Inputs], Case]
 Bounds = tuple[float, float]
 
 _COOK_TORRANCE = Term("cook-torrance")
-# Terms with the reflectance at normal incidence: each lobe, masking and Fresnel term.
+# Terms and their f0: together they contain every lobe, masking and Fresnel term.
 VARIANTS = [
     *(
         (Term(model, lobe, small_slope=small), F0)
@@ -33,18 +33,18 @@ VARIANTS = [
         for x in ("exact", "d16")
     ),
     *((replace(_COOK_TORRANCE, fresnel=name), F0) for name in FRESNEL),
-    # 1 - V.H counts where f0 does not
+    # The error of 1 - V.H shows where f0 is near 0.
     *((replace(_COOK_TORRANCE, lobe=x), f0) for x in ("exact", "d8") for f0 in (0.0, 1e-8)),
 ]
 
 
 def slopes_of(term: Term) -> Bounds:
-    """Return the ends of the slopes at which a term's bound holds."""
+    """Return the lowest and the highest slope m at which a term's bound holds."""
     return MIN_SLOPE, 0.999 * lobe_entry(term.lobe).end(term.entry.k)
 
 
 def rounded(vectors: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the unit vectors (..., 3) along these, correctly rounded to float32."""
+    """Return vectors (..., 3) normalised in float64 and rounded to float32."""
     unit = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(unit, dtype=np.float32)
 
@@ -58,16 +58,17 @@ def climb(
     steps: int,
     tries: int = 16,
 ) -> tuple[float, dict[str, list[float]]]:
-    """Return the largest share of the bound that was found, and the inputs that have it.
+    """Return the largest error that was found, as a fraction of the bound, and its inputs.
 
     Every step tries neighbours of each start, at distances from 1e-8 to 0.1, and keeps the worst.
 
     Parameters
     ----------
-    make : the case of inputs n, l, v, unit vectors (N, 3), and m (N,)
-    first : random inputs, of which the worst become the starts
-    slopes : that m stays between
-    starts, steps, tries : how many
+    make : returns the case of inputs n, l, v, unit vectors (N, 3), and m (N,)
+    first : random inputs; the worst of them become the starts
+    slopes : range of m
+    starts, steps : number of starts and of steps
+    tries : neighbours per start and step
     """
     random = np.random.default_rng(0)
 

@@ -1,4 +1,4 @@
-"""Evaluates GLSL expressions on arrays, in an unclamped float target, where a NaN shows."""
+"""Evaluates GLSL expressions on arrays, in a float target that keeps NaN and values above 1."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from facerender.drawing.context import check_process
 Inputs = Mapping[str, NDArray[np.float32]]
 Glsl = Literal["330 core", "450 core", "300 es"]
 
-WIDTH = 1024  # of the target, one pixel for each sample
-EACH = 4  # expressions that one fragment evaluates: the components of a pixel
-CORNERS = np.array([-1, -1, 3, -1, -1, 3], dtype=np.float32)  # of a triangle that covers it
+WIDTH = 1024  # of the target in pixels; each pixel holds one sample
+EACH = 4  # expressions per fragment, one for each component of a pixel
+CORNERS = np.array([-1, -1, 3, -1, -1, 3], dtype=np.float32)  # a triangle that covers the target
 
 
 def vertex_shader(glsl: Glsl) -> str:
-    """Return the shader that covers the target."""
+    """Return a vertex shader for the triangle that covers the target."""
     return f"""#version {glsl}
 in vec2 corner;
 void main() {{ gl_Position = vec4(corner, 0.0, 1.0); }}
@@ -31,11 +31,10 @@ void main() {{ gl_Position = vec4(corner, 0.0, 1.0); }}
 def fragment_shaders(
     glsl: Glsl, prelude: str, expressions: Sequence[str], inputs: Inputs
 ) -> Iterator[str]:
-    """Yield shaders that evaluate expressions, EACH at a time, for texels of the inputs in
-    ``NAME_texels``.
+    """Yield shaders that each evaluate EACH expressions for the texels of ``NAME_texels``.
 
-    The host's own precision is low, and everything of the host's that must not be says so: what the
-    library needs is the library's to declare. Without ES the words mean nothing.
+    The default precision is mediump, and only the code of this function is declared highp: the
+    library must declare the precision that it needs. Only GLSL ES regards these declarations.
     """
     samplers, fetches = [], []
     for name, values in inputs.items():
@@ -59,7 +58,7 @@ def fragment_shaders(
 
 
 def texels(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the values as an image of WIDTH, filled up with 0: (height, WIDTH, 1 or 3)."""
+    """Return the values as an image padded with 0, (height, WIDTH, 1 or 3)."""
     count = len(values)
     padded = np.zeros((-(-count // WIDTH) * WIDTH, values.size // count), dtype=np.float32)
     padded[:count] = values.reshape(count, -1)
@@ -71,13 +70,13 @@ class Evaluator:
 
     Attributes
     ----------
-    renderer, version : of OpenGL, as the driver names itself
+    renderer, version : OpenGL strings that the driver reports
     """
 
     def __init__(self, gl: moderngl.Context, glsl: Glsl = "330 core") -> None:
-        """gl : becomes the evaluator's; glsl : what its shaders begin with"""
+        """gl : owned by the evaluator from now on; glsl : version of its shaders"""
         self.gl, self.glsl, self._process = gl, glsl, os.getpid()
-        self._programs: dict[str, moderngl.Program] = {}  # of the last call, by fragment shader
+        self._programs: dict[str, moderngl.Program] = {}  # of the last call; key: fragment shader
         gl.gc_mode = "context_gc"
         with gl:
             self.renderer, self.version = gl.info["GL_RENDERER"], gl.info["GL_VERSION"]
@@ -86,28 +85,28 @@ class Evaluator:
         self.gl.release()
 
     def __call__(self, prelude: str, expression: str, inputs: Inputs) -> NDArray[np.float32]:
-        """Evaluate one expression, to (N,); see :meth:`each`."""
+        """Return the values of one expression, (N,); see :meth:`each`."""
         values: NDArray[np.float32] = self.each(prelude, [expression], inputs)[0]
         return values
 
     def each(self, prelude: str, expressions: Sequence[str], inputs: Inputs) -> NDArray[np.float32]:
-        """Evaluate expressions of the same inputs, to (len(expressions), N).
+        """Return the values of expressions of the same inputs, (len(expressions), N).
 
         Parameters
         ----------
-        prelude : GLSL that defines what the expressions call, without ``#include``
-        expressions : floats, of the inputs by their names
-        inputs : (N,), a float each, or (N, 3), a vec3
+        prelude : GLSL with the functions that the expressions call, without ``#include``
+        expressions : of type float; they use the inputs by name
+        inputs : (N,) becomes a float and (N, 3) a vec3
 
         Raises
         ------
-        moderngl.Error : what does not compile, with the compiler's message
-        ContextError : the evaluator was made in the process that this one was forked from
+        moderngl.Error : a shader does not compile; has the compiler's message
+        ContextError : the evaluator was made before this process was forked
         """
         check_process(self._process)
         results = []
         with self.gl as gl:
-            gl.gc()  # what the call before left
+            gl.gc()  # frees the objects of the previous call
             images = {f"{name}_texels": texels(values) for name, values in inputs.items()}
             textures = []
             for unit, image in enumerate(images.values()):
@@ -133,11 +132,13 @@ class Evaluator:
     def draws(
         self, fragment: str, size: tuple[int, int], seeds: Iterable[int]
     ) -> Iterator[NDArray[np.float32]]:
-        """Yield what a fragment shader draws, (height, width, 4), for each value of its
-        ``uniform uint seed``."""
+        """Yield the image of a fragment shader, (height, width, 4), for each seed.
+
+        seeds : values of the shader's ``uniform uint seed``
+        """
         check_process(self._process)
         with self.gl as gl:
-            gl.gc()  # what the call before left
+            gl.gc()  # frees the objects of the previous call
             program = gl.program(vertex_shader(self.glsl), fragment)
             target, triangle = _canvas(gl, program, size)
             for seed in seeds:
@@ -150,7 +151,7 @@ class Evaluator:
 def _canvas(
     gl: moderngl.Context, program: moderngl.Program, size: tuple[int, int]
 ) -> tuple[moderngl.Framebuffer, moderngl.VertexArray]:
-    """Return an unclamped float target, in use, and a triangle that covers it."""
+    """Return a float target, bound for drawing, and a triangle that covers it."""
     target = gl.framebuffer([gl.renderbuffer(size, 4, dtype="f4")])
     target.use()
     return target, gl.vertex_array(program, [(gl.buffer(CORNERS), "2f", "corner")])

@@ -1,6 +1,6 @@
-"""Hosts of the shader library, each with a preprocessor and a compiler of its own: what they draw.
+"""Programs that host the shader library, each with another preprocessor and compiler.
 
-Each draws in a process of its own, whose environment it may set.
+Each host draws in a separate process and may change its environment.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 import facerender as fr
 
 Image = NDArray[np.float32]  # (SIZE, SIZE, 4), row 0 where y is 0
-Drawn = tuple[str, list[Image]]  # the host's version, and each scene
+Drawn = tuple[str, list[Image]]  # the host's version, and an image of each scene
 
 SIZE = 64
-# Light from all around above a plane and a little below it. Each product here is exact and each
-# quotient rounded once, so that all hosts draw for the same directions.
+# Light directions over the hemisphere above a plane and slightly below it. Products are exact and
+# quotients are rounded once, so that all hosts use the same directions.
 SCENE = """#include "facerender/cook_torrance.glsl"
 #include "facerender/ward.glsl"
 
@@ -50,7 +50,7 @@ vec4 drawn(vec2 pixel) {
     );
 }
 """
-# As numbers, which every preprocessor understands.
+# Numbers instead of names of terms, since every preprocessor evaluates numbers.
 CHOICES = {
     "defaults": "",
     "choices": "#define FR_LOBE 3\n#define FR_FRESNEL 1\n#define FR_MASKING 1\n",
@@ -60,7 +60,7 @@ CHOICES = {
 _MAIN = "\nvoid main() { result = drawn(gl_FragCoord.xy); }\n"
 _FRAGMENT = "\nlayout(location = 0) out vec4 result;\n" + _MAIN
 _VERTEX = "#version 330\nin vec4 corner;\nvoid main() { gl_Position = corner; }\n"
-_CORNERS = [[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]]  # of a triangle that covers the target
+_CORNERS = [[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]]  # a triangle that covers the target
 _ENGINES = Path(__file__).with_name("engines")
 
 
@@ -72,7 +72,7 @@ def _flat(scene: str) -> str:
 
 
 def desktop(scenes: Sequence[str]) -> Drawn:
-    """OpenGL 3.3 by moderngl: what the others are held against."""
+    """Draw on OpenGL 3.3 by moderngl, the reference for the other hosts."""
     return _opengl(["#version 330\n" + _flat(scene) + _FRAGMENT for scene in scenes])
 
 
@@ -96,7 +96,7 @@ def _image(data: bytes) -> Image:
 
 
 def _naga(scenes: Sequence[str]) -> Drawn:
-    """naga's GLSL."""
+    """Compile GLSL with naga."""
     return _webgpu(["#version 450\n" + _flat(scene) + _FRAGMENT for scene in scenes])
 
 
@@ -109,7 +109,7 @@ def _webgpu(fragments: Sequence[str | bytes]) -> Drawn:
 
 
 def _glslc(scenes: Sequence[str]) -> Drawn:
-    """shaderc's compiler, with its own includes, to SPIR-V, which wgpu draws with."""
+    """Compile to SPIR-V with shaderc, which resolves the includes, and draw with wgpu."""
     with TemporaryDirectory() as folder:
         path, output = Path(folder, "scene.frag"), Path(folder, "scene.spv")
         codes = []
@@ -121,7 +121,7 @@ def _glslc(scenes: Sequence[str]) -> Drawn:
 
 
 def _qsb(scenes: Sequence[str]) -> Drawn:
-    """Qt's shader baker, which includes what lies beside the includer, to its GLSL 330."""
+    """Compile to GLSL 330 with Qt's shader baker, which includes files relative to the includer."""
     tool = shutil.which("qsb") or shutil.which("qsb", path="/usr/lib/qt6/bin") or "qsb"
     extension = "#version 440\n#extension GL_GOOGLE_include_directive : require\n"
     texts = []
@@ -137,12 +137,12 @@ def _qsb(scenes: Sequence[str]) -> Drawn:
 
 
 def _run(*command: str | Path) -> str:
-    """Return what a tool prints.
+    """Return the standard output of a tool.
 
     Raises
     ------
-    FileNotFoundError : it is not installed
-    RuntimeError : it fails, with what it said
+    FileNotFoundError : the tool is not installed
+    RuntimeError : the tool fails; the message has its output
     """
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
@@ -217,7 +217,7 @@ class _Quiet(SimpleHTTPRequestHandler):
 
 @contextmanager
 def served(folder: Path) -> Iterator[str]:
-    """The address of a folder, while it is served."""
+    """Serve a folder by HTTP inside the context, and yield its address."""
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=folder))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     yield f"http://127.0.0.1:{server.server_address[1]}/"
@@ -226,7 +226,7 @@ def served(folder: Path) -> Iterator[str]:
 
 
 def _engine(name: str, folder: Path, scenes: Sequence[str]) -> Drawn:
-    """An engine of the web, installed by npm in a folder, in Chromium."""
+    """Draw in Chromium with a JavaScript engine that npm installed in a folder."""
     from playwright.sync_api import sync_playwright
 
     from tests.verification import chromium
@@ -254,7 +254,11 @@ ENGINES = ("babylonjs", "playcanvas")
 
 
 def draw(host: str, scenes: Sequence[str], folder: Path | None = None) -> Drawn:
-    """Return what a host of HOSTS draws, or one of ENGINES that npm installed in a folder."""
+    """Return the version and the images of a host.
+
+    host : one of HOSTS or, if ``folder`` is given, of ENGINES
+    folder : where npm installed the engines
+    """
     call = partial(_engine, host, folder) if folder else HOSTS[host]
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         return pool.submit(call, scenes).result()

@@ -1,5 +1,5 @@
-"""Random inputs of every public function of the shader library, dense where formulas break, and
-what is wrong with results: not finite, negative, or not 0 below the surface."""
+"""Random inputs of every public function of the shader library, dense where formulas break, and a
+check of the results: finite, not negative, and 0 below the surface."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.verification.targets import UNTRANSLATED
 
 MANY = 2**20  # samples of one draw
 
-OWN_INPUTS = (  # what is called with other inputs here than in tests/verification/cases.py
+OWN_INPUTS = (  # groups whose inputs here differ from those in tests/verification/cases.py
     *("fr_masking_v_cavity", "fr_masking_kelemen", "fr_masking_of", "fr_masking_v_cavity_ratio"),
     *(
         "fr_masking_kelemen_ratio",
@@ -77,14 +77,14 @@ GROUPS = (*(group for group in cases.GROUPS if group not in OWN_INPUTS), *OWN)
 
 
 def cases_of(group: str) -> dict[str, Case]:
-    """Return the cases of one of GROUPS by name; their inputs are left to the caller."""
+    """Return the cases of one of GROUPS by name; the caller replaces their inputs."""
     if group not in OWN:
         return cases.cases_of(group)
     return {call: Case(cases.include(file), call, {}, np.zeros(1)) for file, call in OWN[group]}
 
 
 class Random:
-    """Inputs of the shader functions, in float32, dense where formulas break."""
+    """Random inputs of the shader functions, in float32, dense where formulas break."""
 
     def __init__(self, seed: int, count: int) -> None:
         self.random, self.count = np.random.default_rng(seed), count
@@ -93,19 +93,19 @@ class Random:
         return self.random.integers(count, size=self.count)
 
     def often(self, one_of: int) -> NDArray[np.bool_]:
-        """True for one of so many."""
+        """Return True for one in ``one_of`` samples, at random."""
         return np.asarray(self.pick(one_of) == 0)
 
     def even(self) -> Singles:
-        """[0, 1)"""
+        """Return numbers in [0, 1), uniformly distributed."""
         return self.random.random(self.count, dtype=np.float32)
 
     def small(self) -> Singles:
-        """(0, 1]: log-uniform down to a bound that is drawn too; a third lies below 1e-12."""
+        """Return numbers in (0, 1], log-uniform down to a random bound; 1/3 are below 1e-12."""
         return singles(np.exp2(-126 * self.even() * self.even()))
 
     def cosine(self) -> Singles:
-        """[0, 1] and an ulp more: uniform, log-uniform towards 0, towards 1, and the ends."""
+        """Return numbers in [0, 1 + 1 ulp]: uniform, dense near 0 and near 1, and the ends."""
         kind, tiny = self.pick(8), self.small()
         ends = singles([0.0, 1.0, 1.00000012])[self.pick(3)]
         return singles(
@@ -113,7 +113,7 @@ class Random:
         )
 
     def direction(self) -> Singles:
-        """A unit vector: a quarter points below z = 0, many lie in that plane or along an axis."""
+        """Return unit vectors: 1/4 have z < 0, and many lie near the plane z = 0 or an axis."""
         z = np.minimum(self.cosine(), 1)
         r = np.sqrt((1 - z) * (1 + z))
         turn = np.where(self.often(4), 0, np.float32(2.0 * np.pi) * self.even())
@@ -124,7 +124,10 @@ class Random:
         return singles(x * (1 + by)[:, None])
 
     def inputs(self) -> dict[str, Singles]:
-        """Unit vectors n, l, v; p in (0, 1] for products of them; m, f0, c; tan2 by three names."""
+        """Return all inputs by name; tan2, x and steepness are the same numbers.
+
+        n, l and v are unit vectors up to 1e-6; p has three numbers in (0, 1] for dot products.
+        """
         light, eye = self.direction(), self.direction()
         kind = self.pick(4)[:, None]
         mirrored = light * singles([-1, -1, 1])
@@ -160,18 +163,17 @@ def unit(x: NDArray[np.floating[Any]]) -> Singles:
     return singles(x / np.linalg.norm(x, axis=-1, keepdims=True))
 
 
-def faults(evaluator: Each, tried: Mapping[str, Case], inputs: Inputs) -> list[str]:
-    """Tell what is wrong with the values of cases at other inputs than theirs, and the inputs of
-    the first value that is."""
-    calls = {name: case.expression.replace("_texels", "") for name, case in tried.items()}
+def faults(evaluator: Each, given: Mapping[str, Case], inputs: Inputs) -> list[str]:
+    """Return messages about wrong values of cases at other inputs, with the first wrong input."""
+    calls = {name: case.expression.replace("_texels", "") for name, case in given.items()}
     words = {name: re.findall(r"\w+", call) for name, call in calls.items()}
     used = {x: inputs[x] for x in inputs if any(x in each for each in words.values())}
-    there = {name: replace(case, inputs=used) for name, case in tried.items()}
-    # a dot product of two float32 vectors may round to the other side of 0
+    replaced = {name: replace(case, inputs=used) for name, case in given.items()}
+    # In float32 the sign of a dot product near 0 is uncertain.
     below = np.minimum(*((inputs["n"] * inputs[name]).sum(axis=-1) for name in "lv")) < -2e-7
-    told = []
-    for name, found in cases.evaluated(there, evaluator).items():
-        lit = below & (found != 0.0) & bool(BRDF.search(tried[name].expression))
+    faulty = []
+    for name, found in cases.evaluated(replaced, evaluator).items():
+        lit = below & (found != 0.0) & bool(BRDF.search(given[name].expression))
         wrong = lit | ~((found >= 0.0) & (found < np.inf))
         if wrong.any():
             first = wrong.argmax()
@@ -182,12 +184,12 @@ def faults(evaluator: Each, tried: Mapping[str, Case], inputs: Inputs) -> list[s
                 "not 0 below the surface": lit,
             }
             counts = ", ".join(f"{where.sum()} {what}" for what, where in bad.items())
-            told.append(f"{name}: {counts} in {len(found)} samples; first: {found[first]:.9g} at")
-            told += [f"{x} = {used[x][first].tolist()}" for x in used if x in words[name]]
-    return told
+            faulty.append(f"{name}: {counts} in {len(found)} samples; first: {found[first]:.9g} at")
+            faulty += [f"{x} = {used[x][first].tolist()}" for x in used if x in words[name]]
+    return faulty
 
 
 def faults_of_draw(evaluator: Each, seed: int) -> list[str]:
-    """Return what is wrong with the values of every case at the MANY samples of a seed."""
+    """Return messages about wrong values of every case at the MANY samples of a seed."""
     inputs = Random(seed, MANY).inputs()
     return [each for group in GROUPS for each in faults(evaluator, cases_of(group), inputs)]

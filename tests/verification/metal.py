@@ -1,5 +1,5 @@
-"""Metal's language without Apple's compiler: it is C++14 with vectors, and glm has those, so that
-g++ compiles it and a processor runs it. What is not Metal's but C++'s passes here."""
+"""Compiles and runs Metal shaders without Apple's compiler. Metal's language is C++14 with vectors:
+g++ compiles it with the vectors of glm. Errors that only Metal's compiler finds remain unseen."""
 
 from __future__ import annotations
 
@@ -27,19 +27,20 @@ inline float rsqrt(float x) { return 1.0f / std::sqrt(x); }
 using std::atan2;
 }
 """
-# Its literals are floats.
+# In Metal, literals without a suffix are float.
 _FLAGS = ["-std=c++14", "-fsingle-precision-constant", "-Wall", "-Werror"]
 _FLAGS += ["-Wno-unused", "-Wno-unused-const-variable"]
 
 
 def drawn(texts: Sequence[str], scenes: Sequence[str], size: int) -> list[NDArray[np.float32]]:
-    """Compile texts, and return what scenes draw, (size, size, 4) each, by their function
-    ``float4 drawn(float2 pixel)``.
+    """Compile Metal texts and scenes, and return an image of each scene, (size, size, 4).
+
+    scenes : each defines ``float4 drawn(float2 pixel)``
 
     Raises
     ------
-    FileNotFoundError : no g++
-    RuntimeError : an error or a warning, with the compiler's words
+    FileNotFoundError : g++ is not installed
+    RuntimeError : the compiler's errors or warnings
     """
     names = [f"scene{i}" for i in range(len(scenes))]
     names += [f"text{i}" for i in range(len(texts))]
@@ -60,7 +61,7 @@ int main() {{ {calls} }}
     with TemporaryDirectory() as folder:
         Path(folder, "metal_stdlib").write_text(_LIBRARY, encoding="utf-8")
         source, program = Path(folder, "all.cpp"), Path(folder, "all")
-        swizzled = re.sub(r"\.([xyzw]{2,4})\b", r".\1()", "".join(parts))  # functions of glm's
+        swizzled = re.sub(r"\.([xyzw]{2,4})\b", r".\1()", "".join(parts))  # functions in glm
         text = f"#include <metal_stdlib>\n{swizzled}{main}"
         source.write_text(text, encoding="utf-8")
         command: list[str | Path] = ["g++", *_FLAGS, "-I", folder, source, "-o", program]

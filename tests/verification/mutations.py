@@ -1,6 +1,5 @@
-"""Changes that each check of the comparison is held against: broken renders whose cause it names,
-and harmless ones. The tests and the table of docs/measurements/comparison.md walk the
-same entries."""
+"""Changed renders that test every check of the comparison: broken ones, whose cause it must name,
+and harmless ones. The tests and the table of docs/measurements/comparison.md use both lists."""
 
 from __future__ import annotations
 
@@ -33,13 +32,13 @@ DRIVERS = {name: SOFTPIPE | {"GALLIUM_DRIVER": name} for name in ("llvmpipe", "s
 
 
 def setting_of(mesh: str, camera: str, samples: int = 1, size: int = SIZE) -> Setting:
-    """Return the built-in "head" or the "scan" as a scene has it that says nothing."""
+    """Return a setting of the built-in "head" or the "scan" with the default lights."""
     name, lights = f"{mesh}-{camera}", fr.Scene.lights
     return Setting(name, "tune", mesh, size, samples, CAMERAS[camera], lights, float_albedo=True)
 
 
 def images(make: Make) -> Callable[[Room], Images]:
-    """Return what draws the golden and the image of a change."""
+    """Return a function that draws the golden and the image of a change."""
 
     def draw(room: Room) -> Images:
         made = make(room)
@@ -50,7 +49,7 @@ def images(make: Make) -> Callable[[Room], Images]:
 
 
 def rougher(m: float = 0.306) -> Make:
-    """Every slope 0.3, and another."""
+    """Return a change whose golden has m = 0.3 everywhere and whose image has another m."""
 
     def make(room: Room) -> Against:
         golden, image = (room.with_material(m=each) for each in (0.3, m))
@@ -60,7 +59,7 @@ def rougher(m: float = 0.306) -> Make:
 
 
 def rounding(room: Room) -> Images:
-    """8 bits with a level more or less."""
+    """Return an 8-bit image, and a copy whose values differ by at most one level at random."""
     a = room.frame(room.golden).srgb8()
     steps = np.random.default_rng(1).integers(-1, 2, a.shape)
     return a, np.clip(a + steps, 0, 255).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""What occlusion baked at vertices loses against rays at pixels, and what it costs."""
+"""Error of occlusion baked at vertices against rays at pixels, and the time that baking takes."""
 
 from __future__ import annotations
 
@@ -17,13 +17,18 @@ from tests.verification.shadows import tracer_of
 
 Float = NDArray[np.float64]
 
-_OFFSET = 2e-4  # of rays from the surface, in radii of the mesh's bounding sphere
+_OFFSET = 2e-4  # from the surface to the start of a ray, in radii of the bounding sphere
 
 
 @dataclass(frozen=True)
 class OcclusionError:
-    """Mean absolute errors of the share of a light from everywhere that pixels receive, and the
-    seconds that baking took."""
+    """Mean absolute errors of the fraction of uniform ambient light that pixels receive.
+
+    Attributes
+    ----------
+    without, baked : without occlusion, and with baked occlusion
+    seconds : time for baking
+    """
 
     without: float
     baked: float
@@ -33,7 +38,7 @@ class OcclusionError:
 def occlusion_error(
     renderer: Renderer, scene: Scene, pixels: int = 4000, rays: int = 512
 ) -> OcclusionError:
-    """Measure at some of the pixels, each by rays spread by the cosine at random."""
+    """Compare baked occlusion with cosine-weighted random rays at randomly chosen pixels."""
     begin = time.perf_counter()
     baked = replace(scene, mesh=with_occlusion(scene.mesh))
     seconds = time.perf_counter() - begin
@@ -43,15 +48,15 @@ def occlusion_error(
     position, normal = (
         each.reshape(-1, 3)[where].astype(np.float64) for each in (gbuffer.position, gbuffer.normal)
     )
-    truth = open_share(scene.mesh, position, normal, rays, rng)
+    truth = open_fraction(scene.mesh, position, normal, rays, rng)
     found = gbuffer.occlusion.ravel()[where]
     return OcclusionError(float((1.0 - truth).mean()), float(np.abs(found - truth).mean()), seconds)
 
 
-def open_share(
+def open_fraction(
     mesh: Mesh, position: Float, normal: Float, rays: int, rng: np.random.Generator
 ) -> Float:
-    """Return the share of rays spread by the cosine about normals that leave the mesh, (N,)."""
+    """Return the fraction of cosine-weighted rays about normals that miss the mesh, (N,)."""
     tracer, seen = tracer_of(mesh), np.zeros(len(position))
     for _ in range(rays):
         towards = rng.normal(size=position.shape)

@@ -1,5 +1,5 @@
-"""A head as kits for faces have it, made by code: the built-in face with eyeballs under transparent
-shells, lashes cut out of strips, and hair on cards."""
+"""A head of several parts, built by code as in digital-human assets: the built-in face, eyeballs
+under transparent shells, lashes on cut-out strips, and hair cards."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from facerender.scenes.texture import Texture
 
 Floats = NDArray[np.float64]
 
-EYES = ((0.0322, 0.0008, 0.0735), (-0.0322, 0.0008, 0.0735))  # before the closed lids, metres
-EYE = 0.0128  # radius
-SHELL = 1.06  # over that
+EYES = ((0.0322, 0.0008, 0.0735), (-0.0322, 0.0008, 0.0735))  # in front of the closed lids, metres
+EYE = 0.0128  # radius of an eyeball, in metres
+SHELL = 1.06  # radius of a shell over that of its eyeball
 NAMES = ("face", "eyes", "shells", "lashes", "hair")
 
 
 def surface(points: Floats, outwards: Floats) -> Part:
-    """A grid of points (rows, columns, 3) whose normals look as ``outwards`` does."""
+    """Return a grid of points (rows, columns, 3) with normals on the side of ``outwards``."""
     rows, columns = points.shape[:2]
     number = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
@@ -36,7 +36,7 @@ def surface(points: Floats, outwards: Floats) -> Part:
 
 
 def ball(centre: tuple[float, float, float], radius: float, steps: int = 24) -> Part:
-    """A sphere whose texture has its middle, (0.5, 0.5), in front."""
+    """Return a sphere whose texture coordinate (0.5, 0.5) is in front."""
     around = np.linspace(-np.pi, np.pi, 2 * steps + 1)[None, :]
     up = np.linspace(-np.pi / 2, np.pi / 2, steps + 1)[:, None]
     x, y = np.sin(around) * np.cos(up), np.sin(up) * np.ones_like(around)
@@ -45,7 +45,7 @@ def ball(centre: tuple[float, float, float], radius: float, steps: int = 24) -> 
 
 
 def lashes(centre: tuple[float, float, float]) -> Part:
-    """A strip along the upper rim of an eye, which stands out of it."""
+    """Return a strip that stands out from the upper rim of an eye."""
     along = np.radians(np.linspace(-60.0, 60.0, 25))[None, :]
     out = np.linspace(1.04, 1.75, 5)[:, None]
     turn = np.radians(28.0 + 14.0 * (out - 1.0))
@@ -62,7 +62,7 @@ def lashes(centre: tuple[float, float, float]) -> Part:
 
 
 def cards(count: int = 72) -> list[Part]:
-    """Strips that hang from the crown, all around but for the face."""
+    """Return strips that hang from the crown, all around except in front of the face."""
     strips = []
     for number, place in enumerate(np.linspace(0.0, 1.0, count)):
         angle = np.radians(64.0 + 232.0 * place) + 0.26 * np.linspace(-0.5, 0.5, 3)[None, :]
@@ -81,7 +81,7 @@ def cards(count: int = 72) -> list[Part]:
 
 
 def joined(parts: list[Part]) -> Part:
-    """One part of several."""
+    """Return one part that joins several."""
     starts = np.cumsum([0, *(len(part.positions) for part in parts[:-1])])
     return Part(
         np.concatenate([part.positions for part in parts]),
@@ -94,7 +94,7 @@ def joined(parts: list[Part]) -> Part:
 
 
 def texture(values: Floats, name: str) -> Texture:
-    """Values in [0, 1], (H, W) or (H, W, 3), row 0 on top."""
+    """Return a texture of values in [0, 1], (H, W) or (H, W, 3), row 0 on top."""
     texels = np.round(255.0 * values.clip(0.0, 1.0)).astype(np.uint8)
     return Texture(lambda: Image.fromarray(texels), name)
 
@@ -112,7 +112,7 @@ def iris() -> Texture:
 
 @cache
 def hairs(count: int, width: float, seed: int) -> Texture:
-    """Alpha of hairs that stand on the lower edge, and taper off."""
+    """Return an alpha map of hairs that start at the lower edge and taper off."""
     rng = np.random.default_rng(seed)
     height = np.linspace(1.0, 0.0, 256)[:, None]
     across = np.linspace(0.0, 1.0, 512)[None, :]
@@ -129,7 +129,7 @@ head = cache(fr.load_mesh)
 
 @cache
 def parts_head(hair: Alpha = "mask", scattering: str | None = None) -> Mesh:
-    """The head; the parts are those of NAMES, in that order."""
+    """Return the head; its parts are in the order of NAMES."""
     plain = head()
     two = {"eyes": [ball(each, EYE) for each in EYES], "lashes": [lashes(each) for each in EYES]}
     parts = [

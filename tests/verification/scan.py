@@ -1,5 +1,5 @@
-"""The Lee Perry-Smith head scan (triplegangers.com, CC BY 3.0) among the data that the repository
-does not hold."""
+"""Loads the Lee Perry-Smith head scan (triplegangers.com, CC BY 3.0), which is not in the
+repository."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ TEST_DATA = Path(
 
 
 def scan_folder() -> Path | None:
-    """Return the folder of the scan, where there is one."""
+    """Return the folder of the scan, or None if it is not installed."""
     folder = TEST_DATA / "faces" / "LeePerrySmith"
     return folder if folder.is_dir() else None
 
 
 def load_scan(folder: Path) -> fr.Mesh:
-    """Return the scan of a folder with its maps."""
+    """Return the scan with its maps."""
     return fr.load_mesh(
         folder / "LeePerrySmith.glb",
         albedo=folder / "Map-COL.jpg",
@@ -35,8 +35,11 @@ def load_scan(folder: Path) -> fr.Mesh:
 
 
 def pores(folder: Path, size: int = 2048) -> NDArray[np.float64]:
-    """Return slopes (size, size, 2) of the scan, row 0 on top: those of its tangent map, and above
-    its band those of the displacement, scaled to match where both have the band."""
+    """Return the slopes (size, size, 2) of the scan's pores, row 0 on top.
+
+    Frequencies above those of the tangent-space map come from the displacement map, which is scaled
+    to match the tangent-space map where both have detail.
+    """
     from scipy.ndimage import gaussian_filter, zoom
 
     with Image.open(folder / "Infinite-Level_02_Tangent_SmoothUV.jpg") as tangents:

@@ -1,5 +1,5 @@
-"""What scattering in the image loses against the profile integrated over points of the mesh. Both
-take light from the same rays, so that nothing but scattering differs."""
+"""Error of screen-space scattering against the profile integrated over points of the mesh. Both use
+the same ray-traced light, so that only scattering differs."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from tests.verification.shadows import tracer_of
 
 Float = NDArray[np.float64]
 
-_OFFSET = 2e-3  # of rays from the surface, in radii of the mesh's bounding sphere
-_POINTS = 300  # of a Gaussian, within three deviations of its middle
-_AT_ONCE = 20_000  # pixels
-_LIT = 1.1  # of a white diffuse surface that faces the light
+_OFFSET = 2e-3  # from the surface to the start of a ray, in radii of the bounding sphere
+_POINTS = 300  # points per Gaussian, within three standard deviations
+_AT_ONCE = 20_000  # pixels per step, to bound the memory
+_LIT = 1.1  # radiance of a white diffuse surface that faces the light
 
 
 def _subject(mesh: Mesh, millimetres: float, zoom: float) -> tuple[Scene, Light]:
@@ -36,8 +36,8 @@ def _subject(mesh: Mesh, millimetres: float, zoom: float) -> tuple[Scene, Light]
     return Scene(skin, Camera(-20.0, zoom=zoom)), Light(-50.0, 42.0)
 
 
-# By the name of a mesh's fixture, the scene in which it is measured: 512 x 512 pixels, 1.8 of a
-# millimetre. A unit of the scan's file is 53 mm, for its head to be as large as that of its OBJ.
+# Scenes by the name of the mesh's fixture: 512 x 512 pixels, 1.8 pixels per millimetre. A unit of
+# the scan's file is 53 mm, which makes the head as large as in the OBJ file of the scan.
 SUBJECTS = {
     "head": lambda mesh: _subject(mesh, 1000.0, 1.09),
     "scan_mesh": lambda mesh: _subject(mesh, 53.0, 1.68),
@@ -46,13 +46,13 @@ SUBJECTS = {
 
 @dataclass(frozen=True)
 class ScatterError:
-    """Over pixels of the mesh, of skin in the light.
+    """Errors over the pixels of lit skin.
 
     Attributes
     ----------
-    samples : pixels that are looked at for each, 0 for an image without scattering
-    mean : absolute error of the irradiance, over all of it
-    p99 : exceeded by one pixel in 100: error of the displayed image, of its worst channel, of 255
+    samples : subsurface samples per pixel; 0: an image without scattering
+    mean : mean absolute error of the irradiance, relative to its mean
+    p99 : 99th percentile of the worst channel's error in the displayed image, in 8-bit levels
     """
 
     samples: int
@@ -67,21 +67,22 @@ def scatter_errors(
     samples: Sequence[int] = (0, 8, 16, 32, 64),
     count: int = 20_000,
 ) -> tuple[float, list[ScatterError]]:
-    """Measure scattering in one distant light at pixels' centres.
+    """Measure scattering under one directional light at pixel centres.
 
     Parameters
     ----------
-    scene : whose first material scatters
-    count : of pixels, by chance, or all if there are fewer
+    scene : its first material must scatter
+    samples : subsurface samples per pixel; 0 for no scattering
+    count : number of randomly chosen pixels; all if there are fewer
 
     Returns
     -------
-    pixels of a millimetre across the view, in the mean; an error for each number of samples
+    mean number of pixels per millimetre; an error for each number of samples
 
     Raises
     ------
     NotMeasured : embreex is missing
-    InputError : nothing scatters, or the light is no distant one
+    InputError : no material scatters, or the light is not directional
     """
     size = renderer.size
     found = scattering_of(scene, size)
@@ -116,7 +117,7 @@ def scatter_errors(
 
 
 class _Lit:
-    """How much of a distant light points of a mesh receive, by rays."""
+    """The irradiance of points of a mesh under a directional light, computed with rays."""
 
     def __init__(self, mesh: Mesh, light: Light) -> None:
         self.rays, self.direction = tracer_of(mesh), light.direction
@@ -134,14 +135,16 @@ class _Lit:
 def by_points(
     mesh: Mesh, gaussians: Gaussians, millimetres: float, lit: _Lit, places: Float, entered: Float
 ) -> Float:
-    """Return the irradiance of places after scattering, (N, 3): each Gaussian's mean over points of
-    the mesh around them, by its weight.
+    """Return the irradiance of places after scattering, (N, 3).
+
+    It is the weighted sum, over the Gaussians, of mean irradiances of points around each place.
 
     Parameters
     ----------
-    millimetres : of a unit of the renderer's space
-    places : in that space, (N, 3)
-    entered : their own irradiance, (N, 3), of which stays what the Gaussians do not scatter
+    millimetres : length of a unit of the renderer's space
+    places : (N, 3), in the renderer's space
+    entered : irradiance of the places before scattering, (N, 3); the fraction that no Gaussian
+        scatters stays
     """
     from scipy.spatial import cKDTree
 
@@ -165,7 +168,7 @@ def by_points(
 def _points(
     mesh: Mesh, density: float, near: object, reach: float, random: np.random.Generator
 ) -> tuple[Float, Float]:
-    """Points all over the faces that are within reach of places, and their normals."""
+    """Return random points on the faces within reach of the places, and their normals."""
     points, normals = [], []
     for part in mesh.parts:
         corners = mesh.normalised(part.positions)[part.faces]

@@ -1,4 +1,4 @@
-"""What shadow maps lose against rays: of every pixel's centre, how much of a light it sees."""
+"""Error of shadow maps against ray tracing: the visible fraction of a light at pixel centres."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from facerender.shading import Shading
 
 Float = NDArray[np.float64]
 
-_OFFSET = 2e-3  # of rays from the surface, in radii of the mesh's bounding sphere
+_OFFSET = 2e-3  # from the surface to the start of a ray, in radii of the bounding sphere
 _PLAIN = Shading(normal_map=False)
 
 
 @dataclass(frozen=True)
 class ShadowError:
-    """Over the pixels that face a light, weighted by N.L but for ``wrong``.
+    """Errors over the pixels that face a light, weighted by N.L except for ``wrong``.
 
     Attributes
     ----------
-    shadowed : share of the light that does not arrive
-    without : mean absolute error of an image without shadows, over the light that arrives
-    mean : of the image with the shadow map
-    lost : how much light the shadow map takes away that arrives, less what it lets through
-    wrong : share of the pixels whose visibility errs by more than half
+    shadowed : fraction of the light that does not arrive
+    without : mean absolute error of an image without shadows, relative to the light that arrives
+    mean : mean absolute error of the image with the shadow map, relative to the same light
+    lost : mean signed error; positive if the shadow map removes more light than it adds
+    wrong : fraction of the pixels whose visibility differs by more than 0.5
     """
 
     shadowed: float
@@ -43,7 +43,7 @@ class ShadowError:
 
 
 def shadow_error(renderer: Renderer, scene: Scene, light: Light, rays: int = 64) -> ShadowError:
-    """Measure the shadow of one light at every pixel's centre."""
+    """Compare the shadow map of one light with rays at every pixel's centre."""
     lit = replace(scene, lights=(replace(light, shadow=True),))
     gbuffer = renderer.gbuffer(lit, _PLAIN)
     position = gbuffer.position.astype(np.float64)
@@ -66,11 +66,12 @@ def shadow_error(renderer: Renderer, scene: Scene, light: Light, rays: int = 64)
 def by_rays(
     mesh: Mesh, gbuffer: GBuffer, light: Light, pixels: NDArray[np.bool_], rays: int
 ) -> Float:
-    """Return how much of a light pixels see, each by so many rays to points of its disc.
+    """Return the fraction of a light that each pixel sees.
 
     Parameters
     ----------
-    gbuffer : whose normals are those of the mesh
+    gbuffer : drawn without normal maps
+    rays : number of rays per pixel, each to a point of the light's disc
     """
     tracer = tracer_of(mesh)
     origin = gbuffer.position[pixels].astype(np.float64)
@@ -92,7 +93,7 @@ def by_rays(
 
 
 def tracer_of(mesh: Mesh) -> Any:
-    """Return what traces rays in the renderer's space."""
+    """Return a ray tracer for a mesh in the renderer's space."""
     import trimesh
     from trimesh.ray.ray_pyembree import RayMeshIntersector
 

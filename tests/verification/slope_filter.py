@@ -1,5 +1,5 @@
-"""How far highlights of fine relief are from what many samples of the unfiltered normal map give,
-with the slope filter and without; and how much of a disc light the slope variance keeps."""
+"""Errors of the slope filter and of disc lights. The reference of a highlight on fine relief is an
+image with many samples of the unfiltered normal map."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ Float = NDArray[np.float64]
 
 LIGHT = fr.Light(azimuth=-50.0, elevation=42.0)
 CAMERA = fr.Camera(azimuth=-20.0)
-STEEPEST = 3.0  # slope of a relief's texel
-_SPREAD = 2  # of the pixels of a reference a side: of each it has samples as many as there may be
+STEEPEST = 3.0  # largest slope of a relief's texel
+_SPREAD = 2  # the reference has this many pixels per pixel and axis, with _SAMPLES samples each
 _SAMPLES = 64
 
 
@@ -30,7 +30,7 @@ def slopes_of(texture: fr.Texture) -> Float:
 
 
 def relief(slopes: Float, strength: float) -> fr.Texture:
-    """Return the normal map of slopes, so many times as steep."""
+    """Return the normal map of slopes times ``strength``, clamped to STEEPEST."""
     steep = np.clip(slopes * strength, -STEEPEST, STEEPEST)
     normals = np.concatenate([-steep, np.ones_like(steep[..., :1])], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
@@ -39,7 +39,7 @@ def relief(slopes: Float, strength: float) -> fr.Texture:
 
 
 def unfiltered(texture: fr.Texture) -> fr.Texture:
-    """Return a map of the finest level alone."""
+    """Return a copy of a normal map that has only the finest mip level."""
     finest = texture.levels("normal").result()[:1]
     texels = np.ascontiguousarray(finest[0][..., :3])
     return fr.Texture.known(texels, "unfiltered", {"data": [texels], "normal": finest})
@@ -47,13 +47,13 @@ def unfiltered(texture: fr.Texture) -> fr.Texture:
 
 @dataclass(frozen=True)
 class Lost:
-    """How far an image's highlight is from the reference's.
+    """Errors of an image's highlight against the reference.
 
     Attributes
     ----------
-    energy : of the highlight, relative to the reference's, less 1
-    l1 : mean difference there over the mean
-    flip : mean FLIP of what is covered
+    energy : relative error of the highlight's total radiance
+    l1 : mean absolute difference in the highlight, relative to its mean
+    flip : mean FLIP error of the fully covered pixels
     """
 
     energy: float
@@ -63,13 +63,12 @@ class Lost:
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """A mesh with a relief before the light, at one size.
+    """A mesh with a relief, lit by LIGHT and drawn at one size.
 
     Attributes
     ----------
-    mesh : its material has the relief, and specular light alone
-    size : of the images, in pixels a side
-    camera : see there
+    mesh : its material has the relief as normal map
+    size : width and height of the images, in pixels
     """
 
     mesh: fr.Mesh
@@ -78,7 +77,7 @@ class Bench:
 
     @classmethod
     def of(cls, mesh: fr.Mesh, texture: fr.Texture, m: float, size: int) -> Bench:
-        """Give a mesh a relief and a slope."""
+        """Return a bench for a mesh with a relief and roughness m, without other specular maps."""
         maps = {"normal_map": texture, "specular_map": None, "occlusion_map": None}
         return cls(mesh.with_material(m=m, ks=1.0, **maps), size)
 
@@ -90,9 +89,9 @@ class Bench:
         return renderer.render(scene, shading, "specular", samples).linear
 
     def reference(self, renderer: fr.Renderer) -> Float:
-        """Draw it with 256 samples a pixel and the finest level of the map.
+        """Draw the specular light with 256 samples per pixel and only the finest level of the map.
 
-        renderer : of twice the size
+        renderer : twice as wide and high as the result
         """
         texture = self.mesh.materials[0].normal_map
         assert texture is not None
@@ -103,7 +102,7 @@ class Bench:
 
 
 def lost(image: NDArray[np.floating], reference: NDArray[np.floating]) -> Lost:
-    """Compare an image with the reference, where that is covered as a whole."""
+    """Compare an image with the reference, at the pixels that the reference covers fully."""
     whole = reference[..., 3] > 0.9999
     value, expected = (each[..., 0].astype(np.float64) for each in (image, reference))
     bright = whole & (expected > 0.25 * np.quantile(expected[whole], 0.995))
@@ -127,7 +126,7 @@ FILTERS = {
 def filtered(
     mesh: fr.Mesh, texture: fr.Texture, m: float, size: int, anisotropy: float = 1.0
 ) -> dict[str, Lost]:
-    """Return what each of FILTERS loses of the highlight of a mesh with a relief."""
+    """Return the errors of the highlight on a mesh with a relief, for each of FILTERS."""
     bench = Bench.of(mesh, texture, m, size)
     with fr.Renderer((_SPREAD * size,) * 2) as renderer:
         expected = bench.reference(renderer)
@@ -141,8 +140,11 @@ def filtered(
 def flicker(
     mesh: fr.Mesh, texture: fr.Texture, m: float, size: int, azimuths: Sequence[float]
 ) -> dict[str, float]:
-    """Return by how much more than the reference's the highlight's pixels deviate over the turns of
-    a camera, of each of FILTERS, over the mean of the reference."""
+    """Return the excess flicker of the highlight over camera azimuths, for each of FILTERS.
+
+    This is the standard deviation of the highlight's pixels less that of the reference, relative to
+    the mean of the reference.
+    """
     bench = Bench.of(mesh, texture, m, size)
     turned = [replace(bench, camera=replace(CAMERA, azimuth=each)) for each in azimuths]
     with fr.Renderer((_SPREAD * size,) * 2) as renderer:
@@ -162,15 +164,16 @@ def flicker(
 def disc(
     angle: float, radius: float, m: float, points: int = 600, side: int = 72
 ) -> tuple[float, float]:
-    """Return the mean error of a disc light's specular light on a sphere over its mean, in float64,
-    without its size and with it as slope variance.
+    """Return two relative mean errors of a disc light's specular term on a sphere, in float64.
+
+    The first treats the light as a point; the second adds its disc as slope variance.
 
     Parameters
     ----------
-    angle : degrees between eye and light
+    angle : between the directions to the camera and to the light, in degrees
     radius : of the disc, in degrees
-    points : of the disc, whose mean is the reference
-    side : of the sphere's image, in pixels
+    points : number of points on the disc; their mean is the reference
+    side : width and height of the sphere's image, in pixels
     """
     axis = (np.arange(side) + 0.5) / side * 2.0 - 1.0
     x, y = (each.ravel() for each in np.meshgrid(axis, axis))

@@ -1,4 +1,4 @@
-"""The scenes on which plans are checked, and the naive search that they are checked against."""
+"""Scenes that plans are tested on, and the brute-force search that they are tested against."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KINDS = ("llvmpipe", "navi21", "vega10")
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A scene with a name, and the shading that counts as exact."""
+    """A named scene and the shading whose image is the reference."""
 
     name: str
     scene: fr.Scene
@@ -27,7 +27,7 @@ class Subject:
 
 
 def subjects(head: fr.Mesh, scan: fr.Mesh | None) -> Iterator[Subject]:
-    """Yield ten scenes, without the scan eight."""
+    """Yield ten scenes, or eight if there is no scan."""
     front, key, three = (LIGHTS["front"],), (LIGHTS["key"],), fr.Scene(head).lights
     dielectric = fr.Shading(fresnel="dielectric")
 
@@ -61,10 +61,12 @@ def brute_force(
     cameras: Sequence[fr.Camera] = (),
     within: float = 1.0,
 ) -> list[float]:
-    """Return the largest error of each shading, in the unit of a budget, at the cameras or at that
-    of the scene: each by itself, of an image that the reference shades from its own G-buffer.
+    """Return the largest error of each shading over all cameras, in the unit of a budget.
 
-    within : of the pixels of each camera that err least, the share that counts
+    Each image is the reference shading of that shading's G-buffer.
+
+    cameras : default: the camera of the scene
+    within : fraction of each camera's pixels that counts; those with the largest errors do not
     """
     budget = Budget.parse(unit)
     scenes = [replace(subject.scene, camera=each) for each in cameras or (subject.scene.camera,)]

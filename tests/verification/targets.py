@@ -1,7 +1,7 @@
-"""The targets that the shader library is held to: a desktop's OpenGL, OpenGL ES and WebGL 2.
+"""Targets that the shader library is tested on: OpenGL, OpenGL ES, WebGL 2 and Vulkan.
 
-Each is opened in a process of its own, where it may set Mesa's environment before Mesa loads, bind
-EGL's other API and run an event loop.
+Each target runs in its own process: it sets Mesa's environment before Mesa loads, binds another API
+of EGL, or runs an event loop.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from tests.verification.webgpu import Device
 
 
 class Evaluate(Protocol):
-    """Evaluates float expressions of the inputs, as :class:`Evaluator` does."""
+    """Interface of :class:`Evaluator`: evaluates float expressions of the inputs."""
 
     renderer: str
     version: str
@@ -70,14 +70,14 @@ def _softpipe() -> Evaluator:
 
 
 def _es300() -> Evaluator:
-    """Make an OpenGL ES 3.0 context without a surface current, for good."""
+    """Open an OpenGL ES 3.0 context without a surface; it stays current."""
     egl = ctypes.CDLL("libEGL.so.1")
     pointer, integer = ctypes.c_void_p, ctypes.c_int
     egl.eglGetPlatformDisplay.restype = egl.eglCreateContext.restype = pointer
     surfaceless = 0x31DD  # EGL_PLATFORM_SURFACELESS_MESA
     display = pointer(egl.eglGetPlatformDisplay(surfaceless, None, None))
     config, count = pointer(), integer()
-    # EGL_RENDERABLE_TYPE: ES 3, EGL_SURFACE_TYPE: a pixel buffer
+    # EGL_RENDERABLE_TYPE: ES 3; EGL_SURFACE_TYPE: pbuffer
     wanted = (integer * 5)(0x3040, 0x40, 0x3033, 1, 0x3038)
     version = (integer * 5)(0x3098, 3, 0x30FB, 0, 0x3038)
     context = None
@@ -91,7 +91,7 @@ def _es300() -> Evaluator:
 
 
 class _WebGL:
-    """A page of a headless Chromium on SwiftShader."""
+    """WebGL 2 in a page of headless Chromium, on SwiftShader."""
 
     def __init__(self) -> None:
         from playwright.sync_api import sync_playwright
@@ -127,8 +127,10 @@ class _WebGL:
 
 
 class _Lavapipe:
-    """Vulkan, by wgpu: HLSL and WGSL that the package translated, and GLSL 450. Inputs are buffers;
-    there are no textures."""
+    """Vulkan by wgpu, for GLSL 450 and for HLSL and WGSL that facerender translated.
+
+    Inputs are buffers, since textures are not supported here.
+    """
 
     def __init__(self, language: Language | None) -> None:
         """language : None for GLSL"""
@@ -160,11 +162,14 @@ def _fragment(
     expressions: Sequence[str],
     inputs: Sequence[tuple[str, int]],
 ) -> str | bytes:
-    """inputs : how many components each has"""
+    """Return the code of a fragment shader, or its SPIR-V.
+
+    inputs : name and number of components of each input
+    """
     parameters = ", ".join(f"{_VECTOR[count]} {name}" for name, count in inputs)
     body = f"vec4 evaluated({parameters}) {{ return vec4({', '.join(expressions)}); }}"
     text = f"{prelude}\n{body}\n"
-    # naga knows no RelaxedPrecision
+    # naga does not support RelaxedPrecision.
     text = translated(text, language) if language else _VULKAN + text.replace("mediump", "highp")
     vector, buffer, main = _READING[language]
     values = [
@@ -180,7 +185,7 @@ def _fragment(
 
 _VULKAN = "#version 450\nprecision highp float;\nprecision highp int;\n"
 _VECTOR = {1: "float", 3: "vec3"}
-# Of each language: a vector, a buffer of inputs, and the function that reads them.
+# For each language: the vector type, a buffer of inputs, and the main function that reads them.
 _READING = {
     None: (
         "vec3",
@@ -214,7 +219,7 @@ void main() {{
 
 
 def compiled(text: str, hlsl: bool = False) -> bytes:
-    """Return the SPIR-V of a fragment shader, of GLSL for Vulkan or of HLSL, by glslang."""
+    """Return the SPIR-V that glslang compiles from a fragment shader in Vulkan GLSL or HLSL."""
     with TemporaryDirectory() as folder:
         path, output = Path(folder, "x.frag"), Path(folder, "x.spv")
         path.write_text(text, encoding="utf-8")
@@ -246,12 +251,12 @@ UNTRANSLATED = ("environment", "scatter", "shadow")  # files with samplers or ar
 
 
 def groups_of(target: str, groups: Sequence[str] = GROUPS) -> tuple[str, ...]:
-    """Return those of groups of cases that a target has."""
+    """Return the groups of cases that a target supports."""
     left_out = ("images", *(f"fr_{name}" for name in UNTRANSLATED))
     return tuple(name for name in groups if target in TARGETS or not name.startswith(left_out))
 
 
-_here: Evaluate  # in the process of a target
+_here: Evaluate  # set in the process of a target only
 
 
 def _open(target: str) -> tuple[str, str]:
@@ -269,7 +274,7 @@ def _release() -> None:
 
 
 class Remote:
-    """A target's evaluator, at work in a process of its own."""
+    """The evaluator of a target, in a separate process."""
 
     def __init__(self, target: str) -> None:
         self.name = target

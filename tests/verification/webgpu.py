@@ -1,4 +1,4 @@
-"""WebGPU by wgpu, whose naga translates GLSL, WGSL and SPIR-V for the system's Vulkan driver."""
+"""WebGPU on the system's Vulkan driver, by wgpu; its compiler naga reads GLSL, WGSL and SPIR-V."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TRIANGLE = """#version 450
 void main() {
     gl_Position = vec4(vec2(gl_VertexIndex & 1, gl_VertexIndex >> 1) * 4.0 - 1.0, 0.0, 1.0);
 }
-"""  # that covers the target
+"""  # covers the target
 
 
 class Device:
@@ -22,11 +22,11 @@ class Device:
 
     Attributes
     ----------
-    renderer, version : as the driver names itself
+    renderer, version : strings that the driver reports
     """
 
     def __init__(self) -> None:
-        os.environ.setdefault("XDG_RUNTIME_DIR", "/tmp")  # else Mesa says that it is not set
+        os.environ.setdefault("XDG_RUNTIME_DIR", "/tmp")  # unset, Mesa prints an error
         os.environ["WGPU_BACKEND_TYPE"] = "Vulkan"
         import wgpu
 
@@ -39,14 +39,14 @@ class Device:
             info["device"],
             f"{info['description']}, wgpu {wgpu.__version__}",
         )
-        self._pipeline = lru_cache(16)(self._new_pipeline)  # what climbs draw again and again
+        self._pipeline = lru_cache(16)(self._new_pipeline)  # hill climbs reuse a few shaders
 
     def compile(self, fragment: str | bytes) -> None:
-        """Translate a shader, and draw nothing.
+        """Translate a shader without drawing.
 
         Raises
         ------
-        wgpu.GPUError : it is not valid
+        wgpu.GPUError : the shader is not valid
         """
         self._device.create_shader_module(label="compiled frag", code=fragment)
 
@@ -56,9 +56,10 @@ class Device:
         size: tuple[int, int],
         inputs: Sequence[NDArray[np.float32]] = (),
     ) -> NDArray[np.float32]:
-        """Return what a fragment shader draws, (height, width, 4), row 0 where y is 0.
+        """Return the image of a fragment shader, (height, width, 4), row 0 at y = 0.
 
-        fragment : GLSL 450, WGSL or SPIR-V; inputs : read-only storage buffers, by their binding
+        fragment : GLSL 450, WGSL or SPIR-V
+        inputs : read-only storage buffers, in the order of their bindings
         """
         wgpu, device = self._wgpu, self._device
         width, height = size
@@ -86,7 +87,7 @@ class Device:
         return np.frombuffer(data, np.float32).reshape(height, width, 4)
 
     def _new_pipeline(self, fragment: str | bytes, inputs: int) -> tuple[Any, Any]:
-        """Return the layout of the inputs, and what draws."""
+        """Return the bind group layout of the inputs, and the pipeline."""
         wgpu, device = self._wgpu, self._device
         stages = [
             device.create_shader_module(label="triangle vert", code=TRIANGLE),

@@ -1,13 +1,13 @@
-"""Marked blocks of Markdown pages: the only text of a page that is generated.
+"""Marked blocks of Markdown pages: the generated parts of a page.
 
-A block stands between a mark with the command that fills it and an end mark, on lines of its own or
-within a sentence:
+A block begins with a mark that contains the command to fill it, and ends with an end mark. Both
+marks are on separate lines, or within a sentence:
 
     <!-- python -m tools.docs levels.head-1024 -->
     | triangles | > 1/255 | ...
     <!-- end -->
 
-``levels.head-1024`` is the entry "head-1024" of ``blocks()`` in ``tools/docs/tables/levels.py``.
+``levels.head-1024`` is the item "head-1024" of ``blocks()`` in ``tools/docs/tables/levels.py``.
 """
 
 from __future__ import annotations
@@ -24,18 +24,17 @@ _BLOCK = re.compile(rf"(?P<mark>{_MARK}\n?)(?P<text>.*?)\n?<!-- end -->", re.DOT
 
 
 class BlockError(Exception):
-    """A mark that names no block, or has no end."""
+    """A mark without an end mark, or with an unknown block name."""
 
 
 def pages(root: Path) -> list[Path]:
-    """Return the Markdown pages of a repository that may hold blocks."""
+    """Return the Markdown pages of a repository that may contain blocks."""
     return [root / "README.md", *sorted((root / "docs").rglob("*.md"))]
 
 
 @cache
 def blocks_of(module: str) -> Mapping[str, str]:
-    """Return the blocks of ``tools/docs/tables/MODULE.py``: Markdown by name, without a newline at
-    the end."""
+    """Return the blocks of ``tools/docs/tables/MODULE.py`` by name, without a final newline."""
     if find_spec(f"tools.docs.tables.{module}") is None:
         raise BlockError(f"no module {module} in tools/docs/tables")
     blocks: Mapping[str, str] = import_module(f"tools.docs.tables.{module}").blocks()
@@ -43,11 +42,11 @@ def blocks_of(module: str) -> Mapping[str, str]:
 
 
 def found(page: str) -> Iterator[re.Match[str]]:
-    """Yield the blocks of a page, with the groups mark, name and text.
+    """Yield a match for each block of a page, with the groups mark, name and text.
 
     Raises
     ------
-    BlockError : a mark has no end
+    BlockError : a mark has no end mark
     """
     end = 0
     for match in _BLOCK.finditer(page):
@@ -60,11 +59,15 @@ def found(page: str) -> Iterator[re.Match[str]]:
 
 
 def fill(page: str, names: Collection[str] = ()) -> str:
-    """Return a page with its blocks filled: all, or those of the given modules and blocks.
+    """Return a page with its blocks filled.
+
+    Parameters
+    ----------
+    names : modules and blocks to fill; empty for all
 
     Raises
     ------
-    BlockError : a mark has no end, or names no block
+    BlockError : a mark has no end mark, or an unknown block name
     """
     parts, at = [], 0
     for match in found(page):
@@ -81,11 +84,7 @@ def fill(page: str, names: Collection[str] = ()) -> str:
 
 
 def stale(page: str, names: Collection[str] = ()) -> list[str]:
-    """Return the names of the blocks of a page that are not what their data give.
-
-    Raises
-    ------
-    BlockError : a mark has no end, or names no block
-    """
+    """Return the names of the blocks whose text differs from their data; parameters and errors as
+    of :func:`fill`."""
     pairs = zip(found(page), found(fill(page, names)), strict=True)
     return [old["name"] for old, new in pairs if old.group() != new.group()]

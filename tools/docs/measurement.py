@@ -1,4 +1,4 @@
-"""A committed measurement: measure.json of ``facerender measure``, read back into its records."""
+"""Reader of measure.json, which ``facerender measure`` writes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from facerender.pricing.variants import Variant, of_model
 
 
 def measurement_of(content: Mapping[str, Any]) -> Measurement:
-    """Return the measurement whose :meth:`Measurement.as_dict` is given.
+    """Return the measurement from the data of :meth:`Measurement.as_dict`.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def measurement_of(content: Mapping[str, Any]) -> Measurement:
     """
     if content["schema"] != SCHEMA:
         raise InputError(
-            f"the measurement's schema is {content['schema']!r}, not {SCHEMA!r}; measure anew"
+            f"the measurement's schema is {content['schema']!r}, not {SCHEMA!r}; measure again"
         )
     curves = dict(content["curves"])
     return Measurement(
@@ -75,4 +75,4 @@ def _variant(model: str, name: str) -> Variant:
     for variant in (variant for known in MODELS for variant in of_model(known)):
         if (variant.model, variant.name) == (model, name):
             return variant
-    raise InputError(f"the measurement has an unknown variant, {name!r} of {model!r}; measure anew")
+    raise InputError(f"unknown variant {name!r} of {model!r} in the measurement; measure again")

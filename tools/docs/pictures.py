@@ -1,17 +1,19 @@
-"""Pictures of the README and of the documents.
+"""Draw the images of the README and of the documents.
 
-python -m tools.docs.pictures [NAME ...]      from the repository's root; a minute; all need an
-                                              OpenGL context, slope-filter and occlusion the head
-                                              scan of the tests, explorer Chromium
+python -m tools.docs.pictures [NAME ...]      from the repository's root; a minute
 
-The explorer also writes docs/explorer.html, its page of the built-in head, which the repository
-does not hold: it has 3.6 MB.
+All images need an OpenGL context. slope-filter and occlusion also need the head scan of the tests,
+explorer needs Chromium. explorer also writes docs/explorer.html, the page of the built-in head. Its
+3.6 MB are not in the repository.
 """
 
 from __future__ import annotations
 
 import argparse
 import io
+import re
+import shlex
+import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +26,7 @@ from PIL import Image, ImageFilter
 import facerender as fr
 from benchmarks.skin import subjects
 from benchmarks.skin_environment import sky
+from facerender.commands import main as main_command
 from facerender.images.srgb import encode_srgb8
 from facerender.scenes.environment import studio
 from facerender.scenes.texture import Texture
@@ -36,19 +39,19 @@ Pixels = NDArray[np.uint8]
 
 
 def save(name: str, rows: Iterable[Iterable[Pixels]], quality: int, scale: int = 1) -> None:
-    """Write rows of pictures as one JPEG, each pixel as a square of ``scale``."""
+    """Write rows of images as one JPEG; each pixel becomes a square with sides of ``scale``."""
     image = np.vstack([np.hstack([each[..., :3] for each in row]) for row in rows])
     image = image.repeat(scale, axis=0).repeat(scale, axis=1)
     Image.fromarray(image).save(IMAGES / f"{name}.jpg", quality=quality)
 
 
 def halved(image: Pixels) -> Pixels:
-    """Return an image at half its size, each pixel the mean of four."""
+    """Return an image at half its size; each pixel is the mean of four."""
     return np.asarray(Image.fromarray(image).reduce(2))
 
 
 def head() -> None:
-    """Draw the built-in head from the front and three-quarter, and its specular term."""
+    """Draw the front and three-quarter views of the built-in head, and its specular term."""
     mesh = fr.load_mesh()
     lights = tuple(replace(each, radius=5.0, shadow=True) for each in fr.Scene(mesh).lights)
     scenes = [fr.Scene(mesh, camera, lights) for camera in (fr.Camera(), fr.Camera(-35.0, 4.0))]
@@ -60,7 +63,7 @@ def head() -> None:
 
 
 def exact_d16() -> None:
-    """Draw the exact lobe, D16, and eight times their difference, at one m for the whole face."""
+    """Draw the exact lobe, D16, and eight times their difference, with one m for all pixels."""
     scene = fr.Scene(fr.load_mesh().with_material(m=0.4), fr.Camera(-35.0, 4.0))
     with fr.Renderer((960, 960)) as renderer:
         exact, d16 = (renderer.render(scene, fr.Shading(lobe=lobe)) for lobe in ("exact", "d16"))
@@ -70,7 +73,7 @@ def exact_d16() -> None:
 
 
 def explorer() -> None:
-    """Draw the explorer in a browser: D8 at a slope where it is off by several levels."""
+    """Draw the explorer in a browser: D8 at a slope at which it errs by several 8-bit levels."""
     from playwright.sync_api import sync_playwright
 
     from facerender.explorer.page import explorer_page
@@ -91,7 +94,7 @@ def explorer() -> None:
 
 
 def slope_filter(size: int = 192) -> None:
-    """Draw head and scan without the slope filter, with it, and as the reference."""
+    """Draw head and scan without and with the slope filter, and as a supersampled reference."""
     rows = []
     for mesh, slopes in subjects().values():
         bench = Bench.of(mesh, relief(slopes, 3.0), 0.15, size)
@@ -107,8 +110,8 @@ def slope_filter(size: int = 192) -> None:
 
 
 def environment(size: int = 420) -> None:
-    """Draw the head under the usual lights, in the studio and under the sky, and the specular part
-    of each."""
+    """Draw the head and its specular term under the default lights, in the studio and under the
+    sky."""
     mesh, camera = fr.load_mesh(), fr.Camera(azimuth=-35.0, zoom=1.3)
     scenes = [fr.Scene(mesh, camera)]
     for panorama, scale in ((studio(), 1.0), (sky(), 0.9)):
@@ -121,7 +124,8 @@ def environment(size: int = 420) -> None:
 
 
 def lobes(size: int = 420) -> None:
-    """Draw one lobe, two lobes and sweat; and both terms summed, coupled, and the difference."""
+    """Draw one lobe, two lobes and sweat; draw the Lambert and the coupled diffuse term, and eight
+    times their difference."""
     skin: dict[str, Any] = {"second_slope": 1.7, "lobe_weight": 0.85}
     sweat: dict[str, Any] = {"second_slope": 0.35, "lobe_weight": 0.5, "lobe_map": _film()}
     mesh, camera = fr.load_mesh(), fr.Camera(azimuth=-35.0, zoom=1.35)
@@ -139,7 +143,7 @@ def lobes(size: int = 420) -> None:
 
 
 def _film() -> Texture:
-    """Return a map of sweat: a film with gaps, which is smoothed noise."""
+    """Return a map of sweat: smoothed noise, as a film with gaps."""
     noise = np.random.default_rng(4).integers(0, 256, (512, 512), dtype=np.uint8)
     smooth = np.asarray(Image.fromarray(noise).filter(ImageFilter.GaussianBlur(4)), dtype=float)
     film = np.clip(2.0 * ((smooth - smooth.mean()) / smooth.std() - 0.6), 0.0, 1.0)
@@ -147,7 +151,7 @@ def _film() -> Texture:
 
 
 def scattering() -> None:
-    """Draw the head without scattering, with it, and eight times what it changes."""
+    """Draw the head without and with subsurface scattering, and eight times the difference."""
     mesh = fr.load_mesh().with_material(scattering="skin")
     lights = (fr.Light(-50.0, 42.0, 3.0, shadow=True), fr.Light(80.0, 20.0, 0.5))
     scene = fr.Scene(mesh, fr.Camera(-35.0, zoom=1.6), lights)
@@ -159,7 +163,7 @@ def scattering() -> None:
 
 
 def shadows(size: int = 440) -> None:
-    """Draw the head without shadows, with hard ones and with soft ones."""
+    """Draw the head without shadows, with hard shadows and with soft shadows."""
     mesh = fr.load_mesh()
     images = []
     with fr.Renderer((size, size)) as renderer:
@@ -171,7 +175,8 @@ def shadows(size: int = 440) -> None:
 
 
 def occlusion(size: int = 440) -> None:
-    """Draw the scan without baked occlusion and with it, in ambient light and in usual light."""
+    """Draw the scan without and with baked occlusion, in ambient light and under the default
+    lights."""
     if (folder := scan_folder()) is None:
         raise SystemExit("no head scan: set FACERENDER_TEST_DATA")
     bare = load_scan(folder).with_material(occlusion_map=None)
@@ -185,7 +190,27 @@ def occlusion(size: int = 440) -> None:
     save("occlusion", [images], 88)
 
 
+def gallery() -> None:
+    """Run the commands of docs/gallery.md; write their images as JPEG for that page."""
+    page = (DOCS / "gallery.md").read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory() as folder:
+        for command in re.findall(r"^facerender (.+)$", page, re.MULTILINE):
+            *options, name = shlex.split(command)
+            path = Path(folder, name)
+            if main_command([*options, str(path)]):
+                raise SystemExit(f"no picture from: facerender {command}")
+            image = Image.open(path).convert("RGB")
+            image.save(IMAGES / "gallery" / f"{path.stem}.jpg", quality=88)
+
+
+def readme() -> None:
+    """Join four pictures of the gallery for the README."""
+    names = ("portrait", "scattering", "specular", "normals")
+    save("readme", [[np.asarray(Image.open(IMAGES / "gallery" / f"{e}.jpg")) for e in names]], 86)
+
+
 PICTURES: dict[str, Callable[[], None]] = {
+    **{"gallery": gallery, "readme": readme},
     **{"head": head, "exact-d16": exact_d16, "explorer": explorer, "slope-filter": slope_filter},
     **{"environment": environment, "lobes": lobes, "scattering": scattering, "shadows": shadows},
     "occlusion": occlusion,
@@ -194,10 +219,10 @@ PICTURES: dict[str, Callable[[], None]] = {
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tools.docs.pictures")
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(PICTURES)}")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join(PICTURES)} (all)")
     options = parser.parse_args()
     if unknown := set(options.names).difference(PICTURES):
-        parser.error(f"no picture {', '.join(unknown)}; there are {', '.join(PICTURES)}")
+        parser.error(f"unknown image {', '.join(unknown)}; known: {', '.join(PICTURES)}")
     for name in options.names or PICTURES:
         PICTURES[name]()
 

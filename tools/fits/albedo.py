@@ -1,7 +1,7 @@
-"""The directional albedo of Cook-Torrance as an integral, and its fit: where FITS of
-``facerender/terms/albedo.py`` and the table of ``shaders/facerender/albedo.glsl`` come from.
+"""The directional albedo of Cook-Torrance as an integral, and its polynomial fit.
 
-``python -m tools.fits.albedo`` prints the fit anew, in two minutes.
+``python -m tools.fits.albedo`` computes FITS of ``facerender/terms/albedo.py`` and the coefficients
+of ``shaders/facerender/albedo.glsl``, and prints them. It takes two minutes.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ Float = NDArray[np.float64]
 
 
 def albedo_integral(n_dot_v: float, m: float, f0: float, nodes: int = 128) -> float:
-    """Return the directional albedo by quadrature over half vectors, as their slopes are
-    distributed: Schlick's Fresnel term, masking by V-cavities."""
+    """Return the directional albedo with Schlick's Fresnel term and V-cavity masking, by quadrature
+    over half vectors with the distribution of their slopes."""
     first, rest = _integrals(n_dot_v, m, nodes)
     return f0 * first + rest
 
 
 def _integrals(mu: float, m: float, nodes: int) -> tuple[float, float]:
-    """The integrals of (1 - s) and of s = (1 - V.H)^5."""
+    """Return the integrals with the Fresnel factors 1 - s and s, where s = (1 - V.H)^5."""
     u, weight = np.polynomial.legendre.leggauss(nodes)
     r = m * np.sqrt(-np.log(0.5 * (u + 1.0)))[:, None]
     turn = (np.arange(nodes) + 0.5) / nodes * 2.0 * np.pi
@@ -38,7 +38,7 @@ def _integrals(mu: float, m: float, nodes: int) -> tuple[float, float]:
 
 
 def fitted(degrees: tuple[int, int] = (7, 4), turns: int = 300) -> tuple[Float, Float]:
-    """Return FITS anew, and their largest errors, by least squares whose weights grow where the
+    """Return FITS and their largest errors, by iterated least squares whose weights grow where the
     error is large."""
     x = 0.5 * (1.0 + LOWEST) - 0.5 * (1.0 - LOWEST) * np.cos(np.linspace(0.0, np.pi, 48))
     t = -np.cos(np.linspace(0.0, np.pi, 24))

@@ -1,7 +1,7 @@
-"""Minimax fits of the lobe E/c^k by a clamped polynomial to a power: where the constants of the
-fitted lobes in ``facerender/terms/lobe.py`` and ``shaders/facerender/lobe/fitted.glsl`` come from.
+"""Minimax fits of the lobe E/c^k by a clamped polynomial to a power.
 
-``python -m tools.fits.lobes`` computes the constants anew and prints them.
+``python -m tools.fits.lobes`` computes the constants of the fitted lobes in
+``facerender/terms/lobe.py`` and ``shaders/facerender/lobe/fitted.glsl``, and prints them.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ def fit(
     """Return the best uniform approximation over all angles and the given slopes, and its error.
 
     For a fixed error ε, (f - ε)^(1/power) <= P <= (f + ε)^(1/power) and P' <= 0 are linear in the
-    constants, and P(0) = 1 is built in: bisecting ε over linear programs finds the best of all
-    fits that are monotone and exact at γ = 0.
+    constants. P(0) = 1 is always true. Bisection of ε with a linear program at each step finds the
+    best fit among all fits that are monotone and exact at γ = 0.
 
     Parameters
     ----------
     k : 4 for Cook-Torrance, 0 for Ward
-    power : of the clamped polynomial
-    degree : of the polynomial P in u = 1 - cos γ
-    slopes : rms slopes m that the fit must serve, (M,), in the domain of the exact lobe
-    order : degree of the polynomials in m² that give the coefficients of P; 0 for a single slope
+    power : exponent of the clamped polynomial
+    degree : degree of the polynomial P in u = 1 - cos γ
+    slopes : RMS slopes m of the fit, (M,), in the domain of the exact lobe
+    order : degree of the polynomials in m² for the coefficients of P; 0 for a single slope
 
     Returns
     -------
-    the fit, and its largest error on a grid of angles, where the lobe's peak is 1
+    the fit, and its largest error on a grid of angles; the peak of the lobe is 1
 
     Raises
     ------
-    InputError : a slope outside its domain, or no monotone fit is within half of the peak
+    InputError : a slope is outside its domain, or no monotone fit is within half of the peak
 
     References: Boyd and Vandenberghe (2004), section 4.2.5, for the bisection.
     """
@@ -69,16 +69,17 @@ def fit(
 
 @dataclass(frozen=True, eq=False)
 class _Programs:
-    """The linear programs of a fit, one for each bound of its error.
+    """The linear programs of a fit, one per bound of the error.
 
     Attributes
     ----------
-    power : of the clamped polynomial
-    exact : (N,), the lobe at the grid's angles and slopes
-    value, falling : (N, constants), what P - 1 and, scaled, its derivative are made of
-    scale : (N,), of the rows of value; in the tail they are large, and unscaled would hide errors
-        in the solver's tolerance
-    bounds : of each constant
+    power : exponent of the clamped polynomial
+    exact : the lobe at the angles and slopes of the grid, (N,)
+    value, falling : (N, constants); the product with the constants is P - 1 and its scaled
+        derivative
+    scale : divisors of the rows of value, (N,). Rows in the tail are large; without scaling, the
+        tolerance of the solver would hide errors
+    bounds : lower and upper bound of each constant
     """
 
     power: int
@@ -98,14 +99,14 @@ class _Programs:
         value = np.stack([w**j * v**i for j, i in columns], axis=-1)
         derivative = np.stack([w**j * i * v ** (i - 1) for j, i in columns], axis=-1)
         falling = derivative / np.maximum(1.0, v ** (degree - 1))[:, None]
-        # A closed form holds down to m = 0, where v is unbounded: its highest power must not rise.
+        # With coefficients for all m, v is unbounded at m = 0: its highest power must not rise.
         last = (0, degree) if order > 0 else None
         bounds = [(None, 0.0 if column == last else None) for column in columns]
         scale = np.maximum(1.0, v**degree)
         return cls(power, _exact(u, m, k), value, falling, scale, bounds)
 
     def constants_within(self, epsilon: float) -> Array | None:
-        """Return constants whose error is at most epsilon; None where there are none."""
+        """Return constants with an error of at most epsilon, or None if none exist."""
         seen = self.exact > epsilon
         high = (self.exact + epsilon) ** (1.0 / self.power) - 1.0
         low = (self.exact[seen] - epsilon) ** (1.0 / self.power) - 1.0
@@ -127,8 +128,10 @@ def _exact(u: Array, m: Array, k: int) -> Array:
 
 
 def _grid(k: int, m: float) -> tuple[Array, Array]:
-    """Values of u for one slope, dense near both ends of what the lobe covers and sparse in its
-    tail; and m, as often."""
+    """Return a grid of u for one slope, and m repeated to the same length.
+
+    The grid is dense at both ends of the visible range of the lobe, and sparse in its tail.
+    """
     angle = np.linspace(0.0, np.pi / 2, 2001)[1:]
     covered = _exact(1.0 - np.cos(angle), np.full_like(angle, m), k) > 1e-6
     edge = angle[covered][-1] if covered.any() else angle[0]

@@ -1,4 +1,4 @@
-"""Command line: ``python -m tools.head -o OUT.glb``.  Nothing is computed here."""
+"""Command line of the generator: ``python -m tools.head -o OUT.glb``."""
 
 import argparse
 import sys
@@ -12,18 +12,18 @@ from .unwrap import unwrap
 
 
 def main() -> None:
-    """Generate the head and write it."""
+    """Generate the head and write the GLB file."""
     parser = argparse.ArgumentParser(
         prog="python -m tools.head", description="Generate the built-in head."
     )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.glb")
     parser.add_argument(
-        "--texture-size", type=int, default=2048, help="texels across albedo and normal map"
+        "--texture-size", type=int, default=2048, help="width of albedo and normal map in texels"
     )
-    parser.add_argument("--seed", type=int, default=7, help="of pores, hairs and blotches")
+    parser.add_argument("--seed", type=int, default=7, help="seed of pores, hairs and blotches")
     arguments = parser.parse_args()
     if arguments.texture_size < 64:
-        parser.error(f"--texture-size {arguments.texture_size}: at least 64 is needed")
+        parser.error(f"--texture-size {arguments.texture_size} is too small: give at least 64")
 
     start = time.perf_counter()
     head = unwrap(build_mesh())

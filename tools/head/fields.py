@@ -1,4 +1,4 @@
-"""Building blocks of implicit surfaces: smooth unions, solids, bumps.  No anatomy is here."""
+"""Building blocks of implicit surfaces, without anatomy: smooth unions, solids, bumps."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,28 +11,28 @@ from scipy.ndimage import gaussian_filter1d
 Floats = NDArray[np.float32]
 Vector = tuple[float, float, float]
 
-SMALLEST = 1e-6  # keeps a length away from zero before it divides; far below any cell of a grid
+SMALLEST = 1e-6  # added to lengths before a division by them; far below the size of a grid cell
 
 
 def smooth_minimum(a: Floats, b: Floats, radius: float) -> Floats:
-    """Union of two distances, rounded where they differ by less than ``radius``."""
+    """Return the union of two distances, rounded where they differ by less than ``radius``."""
     share = np.clip(0.5 + 0.5 * (b - a) / radius, 0, 1)
     return np.asarray(b + (a - b) * share - radius * share * (1 - share), np.float32)
 
 
 def smooth_maximum(a: Floats, b: Floats, radius: float) -> Floats:
-    """Intersection of two distances, rounded like :func:`smooth_minimum`."""
+    """Return the intersection of two distances, rounded like :func:`smooth_minimum`."""
     return -smooth_minimum(-a, -b, radius)
 
 
 def ramp(start: float, end: float, value: Floats) -> Floats:
-    """Cubic step from 0 at ``start`` to 1 at ``end``; ``start`` may be the larger one."""
+    """Return a cubic step from 0 at ``start`` to 1 at ``end``; ``start`` may be larger."""
     share = np.clip((value - start) / (end - start), 0, 1)
     return np.asarray(share * share * (3 - 2 * share), np.float32)
 
 
 def bell(*offsets: Floats) -> Floats:
-    """Gaussian of offsets that are given in standard deviations; 1 where all are 0."""
+    """Return the Gaussian of offsets in standard deviations; 1 where all offsets are 0."""
     total = np.zeros((), np.float32)
     for offset in offsets:
         total = total + offset * offset
@@ -40,7 +40,7 @@ def bell(*offsets: Floats) -> Floats:
 
 
 def curve(points: Sequence[tuple[float, float]]) -> Callable[[Floats], Floats]:
-    """Smooth function through (place, value) pairs, constant beyond both ends."""
+    """Return a smooth function through (place, value) pairs, constant beyond both ends."""
     places, values = np.array(sorted(points)).T
     fine = np.linspace(places[0], places[-1], 1024)
     smoothed = gaussian_filter1d(PchipInterpolator(places, values)(fine), 18, mode="nearest")
@@ -65,7 +65,7 @@ class Ellipsoid:
 
 @dataclass(frozen=True)
 class Capsule:
-    """A rod with round ends whose radius goes linearly from one end to the other."""
+    """A capsule whose radius changes linearly from one end to the other."""
 
     start: Vector
     end: Vector
@@ -84,16 +84,16 @@ class Capsule:
 
 @dataclass(frozen=True)
 class Spot:
-    """A soft round or oval spot as seen from the front, the same on both sides of the face."""
+    """A soft round or oval spot in the front view, mirrored to both sides of the face."""
 
-    side: float  # distance of its middle from the middle line, cm
-    up: float  # height of its middle above the eye line, cm
+    side: float  # distance of its centre from the middle line, cm
+    up: float  # height of its centre above the eye line, cm
     width: float  # standard deviation along its first axis, cm
     height: float  # standard deviation along its second axis, cm
-    turn: float = 0.0  # how far its first axis is turned up from horizontal, degrees
+    turn: float = 0.0  # upward rotation of its first axis from horizontal, degrees
 
     def weight(self, side: Floats, y: Floats) -> Floats:
-        """1 in the middle of the spot, towards 0 outside."""
+        """Return the weight of the spot: 1 at its centre, decreasing to 0."""
         cosine, sine = np.cos(np.radians(self.turn)), np.sin(np.radians(self.turn))
         across, up = side - self.side, y - self.up
         return bell(

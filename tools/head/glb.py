@@ -1,6 +1,6 @@
-"""Writes the head as a binary glTF 2.0 file: one mesh, one material, three embedded JPEG maps.
+"""Writer of the head as a binary glTF 2.0 file: one mesh, one material, three embedded JPEG maps.
 
-Here centimetres become metres, and v, which points up inside the generator, points down.
+Converts centimetres to metres, and v from up to down, as in glTF.
 """
 
 import io
@@ -19,11 +19,11 @@ from .unwrap import Unwrapped
 GENERATOR = "facerender tools/head"
 METRES_PER_CM = 0.01
 
-# JPEG quality, and whether colour differences keep the full resolution.  They do in the maps whose
-# channels are numbers: no eye forgives there what it does not see in a colour.
+# JPEG quality, and whether chroma keeps the full resolution. Maps of numbers need it, because errors
+# in their channels are more visible than errors of colour.
 ALBEDO_JPEG, NORMAL_JPEG, OCCLUSION_ROUGHNESS_JPEG = (86, False), (83, True), (90, True)
 
-# Numbers that glTF gives to its types; names as in its specification.
+# Constants of glTF, with the names in its specification.
 FLOAT, UNSIGNED_SHORT, UNSIGNED_INT = 5126, 5123, 5125
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 LINEAR, LINEAR_MIPMAP_LINEAR = 9729, 9987
@@ -39,12 +39,12 @@ def _jpeg(image: Image.Image, quality: int, full_colour: bool) -> bytes:
 
 
 def _padded(content: bytes, filler: bytes) -> bytes:
-    """Content up to the next multiple of 4 bytes."""
+    """Return content padded to a multiple of 4 bytes."""
     return content + filler * (-len(content) % 4)
 
 
 class _Buffer:
-    """The binary part of the file, with its list of views."""
+    """The binary part of the file, with its buffer views."""
 
     def __init__(self) -> None:
         self.content = b""
@@ -84,7 +84,7 @@ def _describe(unwrapped: Unwrapped, maps: Maps) -> tuple[dict[str, Any], bytes]:
         "NORMAL": attribute(mesh.normals, "VEC3"),
         "TEXCOORD_0": attribute(coordinates, "VEC2"),
     }
-    # 65,535 itself is the index that restarts a strip.
+    # Index 65,535 is excluded: it is the primitive restart index.
     short = len(mesh.positions) < 65_535
     indices = mesh.faces.astype("<u2" if short else "<u4").tobytes()
     accessors.append(

@@ -1,4 +1,4 @@
-"""Single hairs of brows and lashes, drawn from the front.  Scalp and beard are in texture."""
+"""Single hairs of brows and lashes, drawn in the front view. ``texture`` adds scalp and beard."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -43,7 +43,7 @@ def _look_up(drawing: Floats, points: Floats) -> Floats:
 
 
 def _brow_hairs(random: np.random.Generator) -> Iterator[Hair]:
-    """Hairs that rise at the inner end, lie flat along the arch and turn down at the tail."""
+    """Yield brow hairs: upright at the inner end, flat along the arch, turned down at the tail."""
     for mirror in (-1, 1):
         along = random.random(BROW_HAIRS) ** 0.85
         middle_side = 1.10 + 4.15 * along
@@ -59,7 +59,7 @@ def _brow_hairs(random: np.random.Generator) -> Iterator[Hair]:
         length = 0.26 + 0.34 * np.sin(np.pi * np.clip(along + 0.12, 0, 1))
         length *= random.uniform(0.7, 1.2, BROW_HAIRS)
         width = random.uniform(0.009, 0.020, BROW_HAIRS)
-        # Thin at the inner end, where a brow starts softly.
+        # Reduce the opacity at the inner end, where a brow begins softly.
         opacity = random.uniform(0.40, 1.0, BROW_HAIRS) * np.clip(0.45 + 4.0 * along, 0, 1)
         for i in range(BROW_HAIRS):
             turned = direction[i] - 0.35 * STEPS
@@ -69,7 +69,7 @@ def _brow_hairs(random: np.random.Generator) -> Iterator[Hair]:
 
 
 def _lash_hairs(random: np.random.Generator) -> Iterator[Hair]:
-    """The dark line of the lash roots, thin at the inner corner, and lashes that curve outward."""
+    """Yield the dark line of the lash roots, thin at the inner corner, and outward-curved lashes."""
     inner, outer = landmarks.INNER_CORNER + 0.12, landmarks.OUTER_CORNER - 0.02
     for mirror in (-1, 1):
         ends = np.linspace(inner, outer, 40)
@@ -87,18 +87,18 @@ def _lash_hairs(random: np.random.Generator) -> Iterator[Hair]:
             side = root + np.cos(direction) * length * STEPS
             up = landmarks.lid_line(root) - 0.02 + np.sin(direction) * length * STEPS
             points = np.stack([mirror * side, up + lift * STEPS**2], 1)
-            # Thick at the root, thin at the tip.
+            # Draw the root half again, thicker and more opaque.
             yield points, 0.007, 0.60
             yield points[:3], 0.013, 0.80
 
 
 def brow_cover(points: Floats, random: np.random.Generator) -> tuple[Floats, Floats]:
-    """How much brow hair covers each point (N, 3): sharp hairs, and their soft shade below."""
+    """Return the coverage of points (N, 3) by brow hairs: sharp hairs, and their soft shadow."""
     drawing = _draw(_brow_hairs(random), 0.0045)
     shade = gaussian_filter(drawing, 0.10 * PIXELS_PER_CM)
     return _look_up(drawing, points), _look_up(shade, points)
 
 
 def lash_cover(points: Floats, random: np.random.Generator) -> Floats:
-    """How much lash covers each point (N, 3)."""
+    """Return the coverage of points (N, 3) by lashes."""
     return _look_up(_draw(_lash_hairs(random), 0.004), points)

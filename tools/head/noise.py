@@ -1,4 +1,4 @@
-"""Random patterns in space, and random points on a mesh.  All of it follows from the given seed."""
+"""Random patterns in space, and random points on a mesh; both are determined by the seed."""
 
 from collections.abc import Callable
 
@@ -9,15 +9,15 @@ from scipy.spatial import cKDTree
 from .fields import Floats
 from .surface import Mesh, face_normals
 
-VOLUME_SIZE = 64  # cells along each edge of the repeating block of random numbers
+VOLUME_SIZE = 64  # cells along each edge of the periodic volume of random numbers
 VOLUME_BLUR = 0.8  # cells
 
-# Each finer layer of noise is turned by this rotation, so that no lattice shows through.
+# Rotation from each layer of noise to the next finer one; it hides the lattice.
 LAYER_TURN = np.array([[0.36, 0.48, -0.80], [-0.80, 0.60, 0.00], [0.48, 0.64, 0.60]])
 
 
 class Noise:
-    """Smooth noise of mean 0 and standard deviation about 1, at any point of space."""
+    """Smooth noise in space, with mean 0 and a standard deviation of about 1."""
 
     def __init__(self, seed: int) -> None:
         volume = np.random.default_rng(seed).standard_normal((VOLUME_SIZE,) * 3)
@@ -33,10 +33,10 @@ class Noise:
         layers: int = 1,
         stretch: tuple[float, float, float] = (1, 1, 1),
     ) -> Floats:
-        """Sum of layers, each twice as fine and half as strong as the one before.
+        """Return the sum of layers, each twice as fine and half as strong as the one before.
 
-        ``frequency`` is in cells per cm; each ``channel`` is another pattern; a ``stretch`` below 1
-        draws the pattern out along that axis.
+        ``frequency`` is in cells per cm. Each ``channel`` gives another pattern. A ``stretch``
+        below 1 lengthens the pattern along that axis.
         """
         place = points * np.multiply(stretch, frequency) + 17.3 * channel
         total = np.zeros(len(points), np.float32)
@@ -60,7 +60,7 @@ def scatter(
     random: np.random.Generator,
     weight: Callable[[Floats], Floats],
 ) -> Floats:
-    """Random points on the mesh, as dense as ``weight`` of the faces' centres says."""
+    """Return random points on the mesh; ``weight`` gives the relative density at points (N, 3)."""
     area = np.linalg.norm(face_normals(mesh.positions, mesh.faces), axis=1)
     likely = area.astype(np.float64) * weight(mesh.positions[mesh.faces].mean(1))
     face = random.choice(len(area), count, p=likely / likely.sum())
@@ -73,6 +73,6 @@ def scatter(
 
 
 def nearest(points: Floats, seeds: Floats, reach: float) -> tuple[Floats, np.ndarray]:
-    """Distance to the nearest seed and its index; infinity and 0 beyond ``reach``."""
+    """Return the distance to the nearest seed and its index; infinity and 0 beyond ``reach``."""
     distance, index = cKDTree(seeds).query(points, distance_upper_bound=reach, workers=-1)
     return distance.astype(np.float32), np.where(index == len(seeds), 0, index)

@@ -1,4 +1,4 @@
-"""Where on the skin things are: one weight from 0 to 1 per texel and region.  No colours here."""
+"""Regions of the skin, as a weight from 0 to 1 per region and texel."""
 
 from dataclasses import dataclass
 
@@ -16,17 +16,17 @@ NOSE = Spot(0.0, -3.6, 1.25, 1.1)
 NOSE_BRIDGE = Spot(0.0, -1.2, 0.8, 1.8)
 NOSE_WINGS = Spot(1.45, -4.1, 0.45, 0.60)
 PHILTRUM = Spot(0.0, -5.5, 0.28, 0.5)
-BARE_CHEEK = Spot(2.2, -5.3, 0.8, 0.9)  # little beard grows beside the nose
+BARE_CHEEK = Spot(2.2, -5.3, 0.8, 0.9)  # area next to the nose with little beard
 
-NOSTRIL_FADE = (0.14, -0.02)  # distance from the hollow of a nostril over which it darkens, cm
-EAR_FADE = (0.36, 0.08)  # distance from the ear's surface over which ear skin ends, cm
-SCALP_EDGE = (-0.70, 1.30)  # height over the hairline across which hair thickens, cm
-HAIRLINE_WANDER = 0.28  # how far the edge of the hair wanders, cm
+NOSTRIL_FADE = (0.14, -0.02)  # distances from a nostril's hollow: weight 0, weight 1, cm
+EAR_FADE = (0.36, 0.08)  # distances from the ear's surface: weight 0, weight 1, cm
+SCALP_EDGE = (-0.70, 1.30)  # heights above the hairline: no hair, full hair, cm
+HAIRLINE_WANDER = 0.28  # amplitude of random variations of the hairline, cm
 
 
 @dataclass(frozen=True)
 class Regions:
-    """Weights of the kinds of skin at some points (N, 3)."""
+    """The weights of the skin regions at points (N, 3)."""
 
     upper_lip: Floats
     lower_lip: Floats
@@ -52,7 +52,7 @@ class Regions:
 
     @property
     def plain_skin(self) -> Floats:
-        """Skin with pores: not on the lips, little on the lids."""
+        """Weight of skin with pores: 0 on the lips, small on the lids."""
         return np.asarray((1 - self.lips) * (1 - 0.65 * self.eyelid), np.float32)
 
 
@@ -76,7 +76,7 @@ def _beard(points: Floats, side: Floats, noise: Noise) -> Floats:
 
 
 def find_regions(points: Floats, noise: Noise) -> Regions:
-    """Weigh every region at the points (N, 3), in cm."""
+    """Return the weights of all regions at points (N, 3), in cm."""
     x, y, z = points.T
     side = np.abs(x)
     in_front = ramp(2, 5, z)

@@ -1,8 +1,8 @@
-"""The head as one implicit surface, part by part.  No mesh and no colour is made here.
+"""The head as one implicit surface.
 
-``head_distance`` is below zero inside, above zero outside, and near a distance in cm close to the
-surface.  Parts are described for the left half and mirrored: ``side`` is the distance from the
-middle plane.  Their sizes stand in tables, in cm.
+``head_distance`` is negative inside and positive outside; close to the surface it approximates the
+distance in cm. Parts are defined for the left half and mirrored: ``side`` is the distance from the
+middle plane. All sizes are in cm.
 """
 
 from collections.abc import Callable
@@ -26,9 +26,9 @@ from .fields import (
 
 # --- cranium and mask ---------------------------------------------------------------------------
 
-# The mask (face from hairline to chin) is a stack of horizontal rounded outlines.
-# Columns: height; front, half width, middle (z of the widest place), back; squareness of the
-# front half of the outline (2 is an ellipse, more is boxier).
+# The mask, the face from hairline to chin, is a stack of horizontal superelliptic outlines. Columns:
+# height; front; half width; middle (z of the widest place); back; exponent of the front half of the
+# outline (2 is an ellipse, larger values are boxier).
 MASK_OUTLINES = (
     (14.0, 3.50, 4.00, -1.0, -6.0, 2.10),  # crown, hidden in the cranium
     (11.0, 6.00, 5.80, -1.0, -8.0, 2.10),
@@ -57,13 +57,13 @@ CRANIUM_RADII_FRONT = (7.35, 9.0, 9.55)
 CRANIUM_RADII_BACK = (7.35, 9.0, 9.35)
 CRANIUM_SQUARENESS = 2.3
 
-JAW_RAMUS = Capsule((5.4, -3.2, 0.7), (4.1, -6.0, 1.9), 0.6, 0.6)  # ear to angle of the jaw
+JAW_RAMUS = Capsule((5.4, -3.2, 0.7), (4.1, -6.0, 1.9), 0.6, 0.6)  # from the ear to the jaw's angle
 JAW_BODY = Capsule((3.7, -6.9, 2.6), (0.0, -10.0, 6.9), 0.6, 0.80)  # angle of the jaw to chin
 JAW_PLANE_CHIN = -11.42  # height of the underside of the jaw at z = 8
-JAW_PLANE_SLOPE = 0.44  # how fast the underside rises towards the ears
+JAW_PLANE_SLOPE = 0.44  # slope of the underside, which rises towards the ears
 JAW_EDGE = 3.0  # radius of the blend between the sides of the jaw and its underside
 
-# Soft bumps and dents of the mask: height out of the surface, where.
+# Soft bumps and dents of the mask: height above the surface, and place.
 FACE_RELIEF = {
     "brow ridge": (0.34, Spot(2.7, 1.85, 1.7, 0.50, 5)),
     "glabella": (0.12, Spot(0.0, 1.75, 1.1, 0.7)),
@@ -96,7 +96,7 @@ EYEBALL_BLEND = 0.55  # radius of the blend between lids and orbit
 
 # --- nose ---------------------------------------------------------------------------------------
 
-# Bridge of the nose: (height on the face, how far it stands out, half width).
+# Bridge of the nose: (height on the face, projection from the mask, half width).
 BRIDGE = (
     (3.0, 0.00, 0.55),
     (1.6, 0.00, 0.55),
@@ -120,7 +120,7 @@ COLUMELLA = Capsule((0.0, -4.05, 10.55), (0.0, -4.74, 9.5), 0.34, 0.42)
 NOSE_WING = Ellipsoid((1.10, -4.08, 9.42), (0.66, 0.64, 0.96))
 NOSTRIL = Capsule((0.50, -4.76, 10.08), (0.82, -4.84, 9.55), 0.15, 0.22)
 NOSTRIL_DEPTH = Capsule((0.65, -4.78, 9.82), (0.58, -4.15, 9.70), 0.22, 0.22)
-WING_GROOVE_CENTRE = (1.12, -3.98)  # of the circle that the groove around a wing follows
+WING_GROOVE_CENTRE = (1.12, -3.98)  # centre of the circular groove around a wing
 WING_GROOVE_RADIUS = 0.76
 
 # --- neck ---------------------------------------------------------------------------------------
@@ -130,30 +130,30 @@ THROAT = Capsule((0.0, -9.2, 2.0), (0.0, -18.0, -0.4), 1.9, 2.1)
 MOUTH_FLOOR = Capsule((0.0, -9.6, 5.0), (0.0, -11.2, 2.4), 1.0, 1.2)  # soft, under the chin
 LARYNX = Ellipsoid((0.0, -12.6, 2.6), (0.75, 1.1, 0.85))
 NAPE = Capsule((0.0, -3.0, -5.0), (0.0, -14.0, -5.3), 2.7, 3.0)  # muscles up to the skull
-NECK_MUSCLE = Capsule((5.4, -4.2, -2.6), (1.2, -17.5, 1.5), 0.8, 0.85)  # ear to collarbone
-TRAPEZIUS = Capsule((2.0, -12.5, -4.7), (7.6, -22.0, -4.5), 3.0, 3.2)  # nape to shoulder
+NECK_MUSCLE = Capsule((5.4, -4.2, -2.6), (1.2, -17.5, 1.5), 0.8, 0.85)  # from ear to collarbone
+TRAPEZIUS = Capsule((2.0, -12.5, -4.7), (7.6, -22.0, -4.5), 3.0, 3.2)  # from nape to shoulder
 
 # --- ear ----------------------------------------------------------------------------------------
 
 EAR_CENTRE = (7.60, -1.35, -1.05)
-EAR_LEAN = 12.0  # degrees that its top is further back than its lobe
-EAR_FLARE = 26.0  # degrees that its back edge stands off the head
+EAR_LEAN = 12.0  # backward tilt of the ear's top, degrees
+EAR_FLARE = 26.0  # angle between the ear and the side of the head, degrees
 EAR_HALF_HEIGHT = 3.10
-EAR_BOX = (2.3, 4.5, 3.0)  # half sizes of a box around an ear, with EAR_MARGIN to spare
+EAR_BOX = (2.3, 4.5, 3.0)  # half sizes of a box around an ear, which includes EAR_MARGIN
 EAR_MARGIN = 0.6
-EAR_THICKNESS = 0.17  # half of the plate's
-EAR_RIM, EAR_ROLLED_RIM = 0.19, 0.29  # radius of the rim at the lobe, and on top
-# Solids in the frame of the ear: (out of the ear's plate, up, forward).
+EAR_THICKNESS = 0.17  # half thickness of the ear's plate
+EAR_RIM, EAR_ROLLED_RIM = 0.19, 0.29  # radius of the rim at the lobe, and at the top
+# Solids in the coordinates of the ear: (out of the ear's plate, up, forward).
 EAR_BOWL = Ellipsoid((0.62, -0.45, 0.36), (0.90, 1.02, 0.82))
 EAR_UPPER_BOWL = Ellipsoid((0.70, 0.70, 0.42), (0.62, 0.46, 0.80))
 EAR_HELIX_ROOT = Capsule((-0.10, 0.14, 0.35), (0.30, 0.62, 1.40), 0.16, 0.22)
 EAR_TRAGUS = Capsule((0.22, -0.25, 1.22), (0.30, -0.80, 1.08), 0.30, 0.26)
 EAR_ANTITRAGUS = Capsule((0.26, -1.62, 0.66), (0.30, -1.36, 0.08), 0.20, 0.22)
 EAR_LOBE = Ellipsoid((0.22, -2.38, 0.58), (0.32, 0.76, 0.66))
-EAR_BACKING = Ellipsoid((-0.42, -0.30, 0.45), (0.55, 1.35, 1.15))  # the bowl seen from behind
+EAR_BACKING = Ellipsoid((-0.42, -0.30, 0.45), (0.55, 1.35, 1.15))  # rear side of the bowl
 EAR_ATTACHMENT = Ellipsoid((-0.50, -0.30, 1.12), (0.66, 2.1, 0.72))  # joins the ear to the skull
-# The antihelix: (height; forward, radius) from the antitragus up the back of the bowl into the
-# upper one of its two legs, how far it stands on the plate, and the lower leg.
+# The antihelix: (height, forward, radius) from the antitragus along the back of the bowl into the
+# upper of its two legs; its height above the plate; and its lower leg.
 EAR_ANTIHELIX = (
     (-2.60, 0.80, -1.50),
     (-2.00, 0.50, -0.20),
@@ -173,13 +173,13 @@ EAR_LOWER_LEG = Capsule((0.22, 0.75, -0.42), (0.18, 1.30, 0.90), 0.22, 0.12)
 _antihelix_forward = curve([(row[0], row[1]) for row in EAR_ANTIHELIX])
 _antihelix_radius = curve([(row[0], row[2]) for row in EAR_ANTIHELIX])
 
-FACE_BACK, FACE_FRONT = 1.0, 5.0  # z between which relief of the face fades in
-MIDDLE_ROUNDING = 0.14  # how far from the middle plane the mirroring is rounded off
-BLOCK = 400_000  # points evaluated at once: keeps the temporaries in a few tens of megabytes
+FACE_BACK, FACE_FRONT = 1.0, 5.0  # range of z in which the relief of the face fades in
+MIDDLE_ROUNDING = 0.14  # distance from the middle plane within which the mirroring is smoothed
+BLOCK = 400_000  # points per evaluation; limits temporary arrays to a few tens of megabytes
 
 
 def _mask_size(side: Floats, y: Floats, z: Floats) -> Floats:
-    """1 on the outline of the mask, less inside."""
+    """Return 1 on the outline of the mask, less inside, more outside."""
     middle = _mask_middle(y)
     ahead = z - middle
     depth = np.where(ahead > 0, _mask_front(y) - middle, middle - _mask_back(y))
@@ -203,7 +203,7 @@ def _mask(side: Floats, y: Floats, z: Floats) -> Floats:
 
 
 def _cranium(side: Floats, y: Floats, z: Floats) -> Floats:
-    """A superellipsoid whose front half is a little longer than its back half."""
+    """Return the distance to a superellipsoid whose front half is longer than its back half."""
     power = CRANIUM_SQUARENESS
     radii = (
         CRANIUM_RADII_FRONT[0],
@@ -224,7 +224,7 @@ def _cranium(side: Floats, y: Floats, z: Floats) -> Floats:
 
 
 def _lip_relief(side: Floats, y: Floats) -> Floats:
-    """How far the lips stand out of the mask."""
+    """Return the height of the lips above the mask."""
     line = landmarks.mouth_line(side)
     border = landmarks.upper_lip_border(side)
     upper = np.maximum(border - line, 0.20)
@@ -239,18 +239,18 @@ def _lip_relief(side: Floats, y: Floats) -> Floats:
 
 
 def _lid_relief(side: Floats, y: Floats, *, fine: bool) -> Floats:
-    """Folds of the closed eyelids; ``fine`` gives them their true, sharp width."""
+    """Return the relief of the closed eyelids; ``fine`` gives folds their real, small width."""
     above_line = y - landmarks.lid_line(side)
     above_crease = y - landmarks.lid_crease(side)
     edge, fold = (0.05, 0.13) if fine else (0.20, 0.24)
     on_lid = landmarks.lid_presence(side)
-    # The upper lid ends in an edge that overlaps the lower one, and its own skin hangs over the
-    # crease: two steps, each steep below and fading above.
+    # The edge of the upper lid overlaps the lower lid, and skin hangs over the crease. Both are
+    # steps, steep below and gradual above.
     upper_edge = ramp(-edge, edge, above_line) * np.exp(-np.maximum(above_line, 0) / 0.28)
     hanging = ramp(-fold, fold, above_crease) * np.exp(-np.maximum(above_crease, 0) / 0.45)
     seam = bell((above_line + 0.4 * edge) / edge)
     crease = bell((above_crease + 0.5 * fold) / fold)
-    # The lower lid: a roll below the line, and the furrow that parts it from the cheek.
+    # The lower lid is a roll below the line, with a furrow between it and the cheek.
     roll = bell((above_line + 0.26) / 0.17)
     furrow = bell((above_line + 0.66) / 0.17)
     relief = on_lid * (0.08 * upper_edge - 0.08 * seam + 0.06 * roll - 0.05 * furrow)
@@ -259,7 +259,7 @@ def _lid_relief(side: Floats, y: Floats, *, fine: bool) -> Floats:
 
 
 def _nose(x: Floats, side: Floats, y: Floats, z: Floats) -> Floats:
-    """Tip, columella and wings with the nostrils cut out; the bridge belongs to the mask."""
+    """Return the distance to tip, columella and wings of the nose; the bridge is in the mask."""
     nose = NOSE_TIP.distance(x, y, z)
     nose = smooth_minimum(nose, NOSE_TIP_DOME.distance(side, y, z), 0.4)
     nose = smooth_minimum(nose, COLUMELLA.distance(x, y, z), 0.4)
@@ -271,7 +271,7 @@ def _nostrils(side: Floats, y: Floats, z: Floats) -> Floats:
 
 
 def _wing_groove(side: Floats, y: Floats, z: Floats) -> Floats:
-    """The groove between a wing of the nose and the cheek."""
+    """Return the depth, from 0 to 1, of the grooves between the wings of the nose and the cheeks."""
     across, up = side - WING_GROOVE_CENTRE[0], y - WING_GROOVE_CENTRE[1]
     ring = bell((np.hypot(across, up) - WING_GROOVE_RADIUS) / 0.15)
     outer_and_upper = ramp(0.15, 0.6, across + 0.35 * up)
@@ -288,14 +288,15 @@ def _neck(x: Floats, side: Floats, y: Floats, z: Floats) -> Floats:
 
 
 def _near_ear_distance(out: Floats, up: Floats, ahead: Floats) -> Floats:
-    """Distance to an ear from its middle, along the axes of the head."""
+    """Return the distance to an ear; coordinates are relative to its centre, on the head's axes."""
     cosine, sine = np.cos(np.radians(EAR_LEAN)), np.sin(np.radians(EAR_LEAN))
     up, ahead = cosine * up - sine * ahead, sine * up + cosine * ahead
     cosine, sine = np.cos(np.radians(EAR_FLARE)), np.sin(np.radians(EAR_FLARE))
     out, ahead = cosine * out + sine * ahead, cosine * ahead - sine * out
     frame = (np.asarray(out), np.asarray(up), np.asarray(ahead))
 
-    # The plate: an egg, wider on top, slightly dished; ``edge`` is the distance to its outline.
+    # The plate is egg-shaped, wider at the top, and slightly concave. ``edge`` is the distance to its
+    # outline.
     half_width = 1.66 + 0.34 * np.clip(up / 3, -1.1, 1)
     centred = ahead - 0.18 * np.clip(-up - 0.8, 0, 2)
     across, along = centred / half_width, up / EAR_HALF_HEIGHT
@@ -305,7 +306,7 @@ def _near_ear_distance(out: Floats, up: Floats, ahead: Floats) -> Floats:
     ear = smooth_maximum(np.abs(out - plate) - EAR_THICKNESS, edge + EAR_RIM, 0.2)
     ear = smooth_minimum(ear, EAR_LOBE.distance(*frame), 0.4)
 
-    # The helix: the rim, rolled from the front over the top; never thinner than cells of the grid.
+    # The helix is the rim, rolled from the front over the top, and at least as thick as a grid cell.
     angle = np.arctan2(along, across)
     angle = np.where(angle < -1.4, angle + 2 * np.pi, angle)
     rolled = ramp(2.9, 1.2, np.abs(angle - 2.0))
@@ -317,8 +318,8 @@ def _near_ear_distance(out: Floats, up: Floats, ahead: Floats) -> Floats:
         ear = smooth_maximum(ear, -hollow.distance(*frame), 0.2)
     step = np.float32(0.05)
     lean = (_antihelix_forward(up + step) - _antihelix_forward(up - step)) / (2 * step)
-    beside = (ahead - _antihelix_forward(up)) / np.hypot(1, lean)
-    ridge = np.hypot(beside, out - plate - EAR_ANTIHELIX_LIFT) - _antihelix_radius(up)
+    across = (ahead - _antihelix_forward(up)) / np.hypot(1, lean)
+    ridge = np.hypot(across, out - plate - EAR_ANTIHELIX_LIFT) - _antihelix_radius(up)
     ear = smooth_minimum(ear, np.asarray(ridge, np.float32), 0.25)
     for part, blend in (
         (EAR_LOWER_LEG, 0.30),
@@ -333,9 +334,9 @@ def _near_ear_distance(out: Floats, up: Floats, ahead: Floats) -> Floats:
 
 
 def ear_distance(points: Floats) -> Floats:
-    """Signed distance of points (N, 3) to the outer ears alone, cm.
+    """Return the signed distance of points (N, 3) to the outer ears, in cm.
 
-    Outside a box around each ear it is only roughly that: farther than any blend reaches.
+    Outside a box around each ear, the result is approximate but larger than the radius of any blend.
     """
     places = np.abs(points[:, 0]), points[:, 1], points[:, 2]
     offsets = [place - middle for place, middle in zip(places, EAR_CENTRE, strict=True)]
@@ -348,7 +349,7 @@ def ear_distance(points: Floats) -> Floats:
 
 
 def _bent(points: Floats) -> tuple[Floats, Floats, Floats]:
-    """Points of the head as places of the symmetric one: nobody is symmetric."""
+    """Map points to the symmetric head; the inverse makes the head slightly asymmetric."""
     x, y, z = (points[:, axis].astype(np.float32) for axis in range(3))
     bent = x + 0.07 * np.sin(0.45 * y + 0.6) * ramp(2, 8, z) + 0.02 * np.sin(1.3 * y)
     raised = y + 0.05 * np.sin(0.5 * bent) * ramp(3, 8, z)
@@ -387,44 +388,44 @@ def _without_ears(x: Floats, y: Floats, z: Floats, *, fine: bool) -> Floats:
 
 
 def head_distance(points: Floats, *, fine: bool = False) -> Floats:
-    """Signed distance of points to the skin.
+    """Return the signed distance of points to the skin, in cm.
 
     Parameters
     ----------
     points : (N, 3) in cm
-    fine : with the folds of lids and mouth in their true width, too narrow for the mesh; the
-        normal map is made from these
+    fine : whether the folds of lids and mouth have their real width, which is too narrow for the
+        mesh; the normal map uses it
     """
     bent = _bent(points)
     return smooth_minimum(_without_ears(*bent, fine=fine), ear_distance(np.stack(bent, 1)), 0.35)
 
 
 def nostril_distance(points: Floats) -> Floats:
-    """Signed distance of points (N, 3) to the hollows of the nostrils, cm."""
+    """Return the signed distance of points (N, 3) to the hollows of the nostrils, in cm."""
     x, y, z = _bent(points)
     return _nostrils(np.abs(x), y, z)
 
 
 def belongs_to_ear(points: Floats) -> NDArray[np.bool_]:
-    """Whether points near the skin are nearer to an ear than to the rest of the head."""
+    """Return whether points near the skin are nearer to an ear than to the rest of the head."""
     bent = _bent(points)
     ear = ear_distance(np.stack(bent, 1))
     return np.asarray(ear < _without_ears(*bent, fine=False))
 
 
 def fine_head_distance(points: Floats) -> Floats:
-    """``head_distance`` with its finest folds."""
+    """Return ``head_distance`` with ``fine=True``."""
     return head_distance(points, fine=True)
 
 
 def in_blocks(distance: Callable[[Floats], Floats], points: Floats) -> Floats:
-    """Evaluate ``distance`` at many points, a block at a time."""
+    """Evaluate ``distance`` at many points, in blocks."""
     blocks = [distance(points[start : start + BLOCK]) for start in range(0, len(points), BLOCK)]
     return np.concatenate(blocks) if blocks else np.zeros(0, np.float32)
 
 
 def gradient(distance: Callable[[Floats], Floats], points: Floats, step: float) -> Floats:
-    """Gradient of ``distance`` at points (N, 3), from the four corners of a tetrahedron."""
+    """Return the gradient of ``distance`` at points (N, 3), by differences over a tetrahedron."""
     corners = np.array([[1, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]], np.float32)
     total = np.zeros_like(points)
     for corner in corners:
@@ -433,6 +434,6 @@ def gradient(distance: Callable[[Floats], Floats], points: Floats, step: float) 
 
 
 def unit(vectors: Floats) -> Floats:
-    """Vectors (N, 3) scaled to length 1."""
+    """Return vectors (N, 3) scaled to length 1."""
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(vectors / np.maximum(lengths, 1e-9), np.float32)

@@ -1,4 +1,4 @@
-"""Pictures of the head with one facerender.Renderer in a loop: ``loop.py JOBS.json OUT``."""
+"""Render a data set of the head with one facerender.Renderer: ``loop.py JOBS.json OUT``."""
 
 import json
 import sys

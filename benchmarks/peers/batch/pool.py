@@ -1,4 +1,4 @@
-"""The same as loop.py with a pool of processes, one for each core: ``pool.py JOBS.json OUT``."""
+"""Render as loop.py, with a pool of one process per core: ``pool.py JOBS.json OUT``."""
 
 import json
 import multiprocessing

@@ -1,7 +1,9 @@
-"""Pictures of the head with pyrender, as a script for a data set is usually written: one renderer,
-one process, a loop. ``with_pyrender.py JOBS.json OUT``; benchmarks/batch_peers.py writes JOBS.json.
+"""Render a data set of the head with pyrender: one process, one renderer, a loop.
 
-pyrender 0.1.45 always takes 4 samples a pixel; PYOPENGL_PLATFORM=osmesa draws without EGL.
+    with_pyrender.py JOBS.json OUT
+
+benchmarks/batch_peers.py writes JOBS.json. pyrender 0.1.45 always uses 4 samples per pixel. Set
+PYOPENGL_PLATFORM=osmesa to render without EGL.
 """
 
 import json
@@ -19,7 +21,7 @@ np.infty = np.inf  # noqa: NPY201 - pyrender 0.1.45 is older than NumPy 2
 
 
 def looking(eye, target):
-    """A pose at the eye whose -z looks at the target, y up."""
+    """Return the pose of a camera at ``eye`` whose -z axis points at ``target``, with y up."""
     z = np.subtract(eye, target) / np.linalg.norm(np.subtract(eye, target))
     x = np.cross((0.0, 1.0, 0.0), z)
     x /= np.linalg.norm(x)

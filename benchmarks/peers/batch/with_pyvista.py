@@ -1,5 +1,8 @@
-"""Pictures of the head with PyVista, as a script for a data set is usually written: one plotter,
-one process, a loop. ``with_pyvista.py JOBS.json OUT``; benchmarks/batch_peers.py writes JOBS.json.
+"""Render a data set of the head with PyVista: one process, one plotter, a loop.
+
+    with_pyvista.py JOBS.json OUT
+
+benchmarks/batch_peers.py writes JOBS.json.
 """
 
 import json

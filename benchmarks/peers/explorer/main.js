@@ -1,5 +1,5 @@
-// A page of three.js that shows what the explorer's first picture shows: the head in two shadings on
-// float targets of four samples, under a cut. With #plain one shading, drawn to the canvas.
+// A three.js page with the same content as the explorer's first image: the head in two shadings, on
+// float targets with four samples, in a split view. With #plain, one shading on the canvas.
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";

@@ -1,5 +1,5 @@
-"""What the renderer draws for an image: a list of passes, each a value. What a scene does not need
-is no pass. No OpenGL here."""
+"""Rendering passes as values. An image is drawn by a list of passes, which omits passes that the
+scene does not need. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ Area = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class Target:
-    """What a pass draws into.
+    """The render target of a pass: a framebuffer with float32 images.
 
     Attributes
     ----------
-    colors : how many images at once
+    colors : number of colour images
     samples : per pixel
-    size : width and height in pixels; None for the frame's
-    sampled : whether later passes read its images as textures
-    values : float32, RGBA or one number
-    number : tells targets apart that are alike
+    size : width and height in pixels; None for the size of the frame
+    sampled : whether later passes read the images as textures
+    values : content of a pixel: "color" for RGBA, "number" for one value
+    number : distinguishes targets that are otherwise equal
     """
 
     colors: int = 1
@@ -42,17 +42,21 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class Draw:
-    """A part with its program; without a part, one triangle that covers the target.
+    """One draw call: a part with its program. Without a part, one triangle covers the target.
 
     Attributes
     ----------
-    setup : of the part's triangles: only their positions are drawn, in their order
-    area : left, lowest row, width and height in pixels of the target; None for all of it
-    depth : "test", what is behind is hidden; "hide", the same, and depth alone is drawn; "blend",
-        the same, and what is drawn, which hides nothing, lies over what is there; "mark", depth
-        alone is drawn, over whatever is there; "marked", what is drawn shows where the draw before
-        marked. With the last two one triangle covers the area, whose program reads the setup
-    order : of the part's triangles, their numbers as they are drawn; None for their own order
+    setup : triangle data of the part. If set, only positions are drawn, except in "marked" draws
+    area : left, lowest row, width and height in pixels of the target; None for the whole target
+    depth : the depth test, and the buffers that the draw writes:
+
+        - "test": nearer fragments pass and write colour and depth
+        - "hide": nearer fragments pass and write depth only
+        - "blend": nearer fragments pass, and their colour is blended over the image
+        - "mark": one triangle over the area writes depth only, without a test
+        - "marked": one triangle over the area writes colour where the previous "mark" draw wrote
+          the same depth. Its program reads the triangle data from `setup`
+    order : (F,) indices of the part's triangles in drawing order; None for the part's own order
     """
 
     program: Program
@@ -67,18 +71,18 @@ class Draw:
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """Some draws into one target.
+    """A list of draws into one target.
 
     Attributes
     ----------
-    name : for passes that read its first image
-    others : names of its other images, for passes that read them
-    clear : linear RGB and coverage where nothing is drawn
-    uniforms : that all draws share
-    added : whether draws add to what is there
+    name : name under which later passes read the first image
+    others : names of the other images
+    clear : initial value of all pixels: linear RGB and coverage
+    uniforms : shared by all draws
+    added : whether draws add to the image
     cull_back_faces : whether only front faces are drawn
-    key : of all that its image depends on: it is not drawn while its target holds the same; None
-        where it is always drawn
+    key : hash key of everything that the image depends on. If the target holds an image with this
+        key, the pass is skipped. None: the pass is always drawn
     """
 
     name: str

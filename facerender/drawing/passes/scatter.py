@@ -1,5 +1,5 @@
-"""Light that scatters below the surface, drawn by ``shaders/host/scatter.frag`` from an image and
-what the pass that shades has drawn beside it."""
+"""The pass for subsurface scattering. ``shaders/host/scatter.frag`` reads an image and the further
+images of the shading pass."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from facerender.scenes.view import View
 from facerender.terms.scattering import rest, spiral
 
 IMAGE, ALBEDO = "image", "albedo"
-LAYERS = ("light", "place")  # that shade.frag draws besides
+LAYERS = ("light", "place")  # further images of shade.frag
 
 
 def scatter_pass(
@@ -28,14 +28,14 @@ def scatter_pass(
     several: bool = False,
     area: Area | None = None,
 ) -> Pass:
-    """Return the pass that scatters the light of an image.
+    """Return the pass that adds subsurface scattering to an image.
 
     Parameters
     ----------
-    samples : pixels that are looked at for each
-    background : that the image lacks; None where it lacks none
-    several : whether a pixel of the image has several samples
-    area : outside of which nothing is in the image; None where it may be anywhere
+    samples : subsurface samples per pixel
+    background : linear RGB behind the image; None if the image already contains the background
+    several : whether the image has several samples per pixel
+    area : part of the image that contains the mesh; None for the whole image
     """
     behind = background or (0.0, 0.0, 0.0)
     uniforms = {

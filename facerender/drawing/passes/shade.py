@@ -1,4 +1,5 @@
-"""Radiance of every part under all lights, drawn by ``shaders/host/shade.frag``."""
+"""The shading pass: ``shaders/host/shade.frag`` computes the radiance of all parts under all
+lights."""
 
 from __future__ import annotations
 
@@ -32,17 +33,18 @@ def shade_pass(
 
     Parameters
     ----------
-    only : "specular" or "diffuse" in place of the whole image
-    visibility : what was drawn before, with so many samples; None to shade triangles as they are
-        drawn
-    scattering : whose profiles are drawn beside the image, which has neither background nor blended
-        parts then; None to draw the image alone
-    apart : draw what scatters without the image
+    samples : per pixel
+    only : "specular" or "diffuse" instead of the whole image
+    visibility : visibility pass for deferred shading, with the same samples; None for forward
+        shading
+    scattering : scattering of the scene. If given, the pass also draws the input images of the
+        scatter pass, and omits background and blended parts
+    apart : draw only the input images of the scatter pass
 
     Raises
     ------
-    InputError : m lies outside a lobe's domain, and the shading asks for an error then; a light
-        is too near for its radius
+    InputError : m lies outside a lobe's domain and ``shading.outside`` is "error", or a light is
+        too near for its radius
     """
     scene, draws = resolved.scene, []
     specular = only != "diffuse"
@@ -61,15 +63,15 @@ def shade_pass(
         background = (0.0, 0.0, 0.0)
     drawn = Pass("shade", Target(samples=samples), tuple(draws), (*background, 0.0), uniforms)
     if scattering:
-        drawn = _beside(drawn, scattering, apart)
+        drawn = _with_scatter_images(drawn, scattering, apart)
     shown = unblended(scene, drawn.draws)
     shown += () if scattering else blended_draws(scene, view, drawn.draws)
     drawn = replace(drawn, draws=shown)
     return visibility.shaded(drawn, {"background": np.asarray(background)}) if visibility else drawn
 
 
-def _beside(drawn: Pass, scattering: Scattering, apart: bool) -> Pass:
-    """Return a pass that draws what scatters as well."""
+def _with_scatter_images(drawn: Pass, scattering: Scattering, apart: bool) -> Pass:
+    """Return a shading pass that also draws the input images of the scatter pass."""
     from facerender.drawing.passes.scatter import ALBEDO, IMAGE, LAYERS
 
     features = ("SCATTER", *(("APART",) * apart))

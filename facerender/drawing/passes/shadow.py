@@ -1,5 +1,5 @@
-"""Shadows: the map of every light that casts one, and for the reference how much of each light a
-pixel's centre sees."""
+"""The shadow map pass, and the pass that measures the visible fraction of each light at the pixels'
+centres for the reference."""
 
 from __future__ import annotations
 
@@ -27,26 +27,29 @@ from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
 from facerender.shading import Shading
 
-TEXELS = 1024  # a side of a light's map
-MOST = 16  # lights that cast shadows: their maps lie side by side in one texture
-_EMPTY = -1e30
+TEXELS = 1024  # width and height of a light's shadow map
+MOST = 16  # lights that cast shadows; one texture holds their maps in a row
+_EMPTY = -1e30  # z of empty texels
 
 
 def shadow_passes(resolved: ResolvedScene) -> list[Pass]:
-    """Return the pass that draws the maps of all lights that cast shadows, if there are any. It is
-    drawn again only when a mesh or a light has moved. What a mask cuts away of a part casts no
-    shadow, nor does a part that is blended.
+    """Return the pass that draws all shadow maps, or [] if no light casts shadows.
+
+    The maps are reused until the mesh, its masks or a light changes. Texels that an alpha mask
+    discards cast no shadow, nor do blended parts.
 
     Raises
     ------
-    InputError : too many lights cast shadows, or one from within the mesh
+    InputError : more than MOST lights cast shadows, or one of them is inside the mesh
     """
     scene = resolved.scene
     spaces = resolved.lighting.spaces(scene.mesh)
     if not spaces:
         return []
     if len(spaces) > MOST:
-        raise InputError(f"{len(spaces)} lights cast shadows: at most {MOST} may")
+        raise InputError(
+            f"{len(spaces)} lights cast shadows: at most {MOST} may; turn off the other shadows"
+        )
     target = Target(size=(len(spaces) * TEXELS, TEXELS), sampled=True, values="number")
     draws = tuple(
         draw for number, space in enumerate(spaces) for draw in _draws(scene, number, space)
@@ -82,7 +85,7 @@ def _draws(scene: Scene, number: int, space: LightSpace) -> list[Draw]:
 
 
 def _cut(material: Material) -> Hashable:
-    """What cuts holes into a shadow."""
+    """Return the values of a material's alpha mask, which the key of a shadow map includes."""
     map_ = material.opacity_map and ref(material.opacity_map)
     own = material.opacity, material.alpha_cutoff, material.by_second("opacity_map")
     return (material.alpha, map_, *own) if material.alpha != "opaque" else None
@@ -94,8 +97,12 @@ def light_visibility_pass(
     visibility: Visibility | None = None,
     blended_part: BlendedPart | None = None,
 ) -> Pass:
-    """Return the pass that draws how much of each light that casts shadows a point sees, in the
-    order of programs; visibility as of the pass that shades, blended_part as of the surface's."""
+    """Return the pass that draws the visible fraction of each light that casts shadows.
+
+    The lights are in the order of programs (:class:`Lighting`).
+
+    visibility : see :func:`shade_pass`; blended_part : see :func:`surface_pass`
+    """
     scene, lighting = resolved.scene, resolved.lighting
     draws = [
         Draw(

@@ -1,4 +1,4 @@
-"""What shading reads at each pixel's centre, drawn by ``shaders/host/gbuffer.frag``."""
+"""The G-buffer pass, drawn by ``shaders/host/gbuffer.frag``."""
 
 from __future__ import annotations
 
@@ -22,13 +22,23 @@ def surface_pass(
     scatters: bool = False,
     blended_part: BlendedPart | None = None,
 ) -> Pass:
-    """Return the pass that draws position and part, normal and m, albedo and specular weight,
-    texture coordinates and occlusion of a scene, where a part has two lobes second m and
-    lobe weight, where one shines what it gives off, and where it scatters how the mesh faces the
-    camera; visibility as of the pass that shades.
+    """Return the pass that draws the G-buffer of a scene.
 
-    blended_part : draw one layer of this part, with its opacity, in place of all that is not
-        blended, and in a last image depth and number of the triangle as it is drawn
+    Images, in this order:
+
+    - position, part number from 1
+    - normal, m
+    - albedo, specular weight
+    - texture coordinates, occlusion, and either facing (if `scatters`) or opacity (of a layer)
+    - second m and lobe weight, if a part has two lobes
+    - emission, if a part emits light
+    - depth, and number of the triangle in drawing order, if `blended_part` is given
+
+    Parameters
+    ----------
+    visibility : see :func:`shade_pass`
+    scatters : also draw the cosine between the mesh's normal and the view
+    blended_part : draw one layer of this part instead of all parts that are not blended
     """
     scene, shading = resolved.scene, resolved.shading
     two = any(material.two_lobes for material in scene.mesh.materials)
@@ -44,7 +54,7 @@ def surface_pass(
                 features=(
                     *surface_features(part, material, shading),
                     *("EMISSIVE",) * any(material.emissive),
-                    # every program of a pass writes to all of its targets
+                    # Every program must write all images of the pass, also for parts with one lobe.
                     *("TWO_LOBES",) * (two and not material.two_lobes),
                     *further,
                 ),
@@ -58,7 +68,7 @@ def surface_pass(
     uniforms = scene_uniforms(scene, view)
     shown = unblended(scene, draws) if blended_part is None else blended_part.alone(scene, draws)
     target = Target(colors=4 + two + shines)
-    if blended_part is not None:  # a layer reads the one before
+    if blended_part is not None:  # two targets take turns: a layer reads the previous one
         target = Target(colors=target.colors + 1, sampled=True, number=blended_part.layer % 2)
     drawn = Pass("surface", target, shown, uniforms=uniforms)
     return visibility.shaded(drawn) if visibility else drawn

@@ -1,5 +1,5 @@
-"""Blended parts, drawn after all others, from the back to the front, over what is there; and depth
-peeling, which draws one transparent layer of a part."""
+"""Blended parts, which are drawn back to front over the other parts, and depth peeling, which draws
+one transparent layer of a part."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.scene import Scene
 from facerender.scenes.view import View
 
-PREVIOUS_LAYER = "previous_layer"  # the texture of the layer before the one that is drawn
-_CUT = ("UV", "OPACITY", "ALPHA", "TO_COVERAGE")  # how features begin that masks depend on
+PREVIOUS_LAYER = "previous_layer"  # name of the previous layer's texture
+_CUT = ("UV", "OPACITY", "ALPHA", "TO_COVERAGE")  # prefixes of the features that alpha masks use
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,9 +26,9 @@ class BlendedPart:
 
     Attributes
     ----------
-    part : its number in the mesh
-    order : of its triangles, from the back to the front by the depth of their middles
-    layer : which of its surfaces before a pixel is meant, where only one is drawn: 0 is the nearest
+    part : index in the mesh
+    order : (F,) indices of its triangles, back to front by the depth of their centres
+    layer : for depth peeling, index of the surface that each pixel shows: 0 is the nearest
     """
 
     part: int
@@ -36,8 +36,10 @@ class BlendedPart:
     layer: int = 0
 
     def alone(self, scene: Scene, draws: Sequence[Draw]) -> tuple[Draw, ...]:
-        """Return, of the draws of every part, that of its layer, behind the depth of what hides
-        it."""
+        """Return draws of one layer: the depth of all parts that may hide it, then the layer.
+
+        draws : one for each part of the scene
+        """
         own = draws[self.part]
         features = (*own.program.features, *(("DEPTH_PEELING",) * (self.layer > 0)))
         program = replace(own.program, features=features)
@@ -46,8 +48,8 @@ class BlendedPart:
 
 
 def blended_parts(scene: Scene, view: View) -> list[BlendedPart]:
-    """Return the blended parts in the order in which they are drawn: that whose nearest vertex is
-    farthest first."""
+    """Return the blended parts in drawing order: they are sorted by the depth of their nearest
+    vertex, the farthest first."""
     found = []
     for number, (part, material) in enumerate(
         zip(scene.mesh.parts, scene.mesh.materials, strict=True)
@@ -61,20 +63,26 @@ def blended_parts(scene: Scene, view: View) -> list[BlendedPart]:
 
 
 def unblended(scene: Scene, draws: Sequence[Draw]) -> tuple[Draw, ...]:
-    """Return the draws, of those of every part, of parts that are not blended."""
+    """Return the draws of parts that are not blended.
+
+    draws : one for each part of the scene
+    """
     parts = zip(scene.mesh.parts, scene.mesh.materials, draws, strict=True)
     return tuple(draw for part, material, draw in parts if drawn_alpha(part, material) != "blend")
 
 
 def blended_draws(scene: Scene, view: View, draws: Sequence[Draw]) -> tuple[Draw, ...]:
-    """Return the draws, of those of every part, of blended parts, in their order."""
+    """Return the draws of blended parts, in drawing order.
+
+    draws : one for each part of the scene
+    """
     over = blended_parts(scene, view)
     return tuple(replace(draws[each.part], order=each.order, depth="blend") for each in over)
 
 
 def with_blended(shaded: Pass, image: Pass) -> list[Pass]:
-    """Return the pass that draws the blended parts of another, and a pass that draws an image of
-    one sample a pixel, with these over it."""
+    """Return two passes: one draws the blended parts of a shading pass into an image, the other
+    draws `image`, a pass of one sample per pixel, with the blended parts over it."""
     hides = [depth_only(draw) for draw in shaded.draws if draw.depth == "test"]
     over = [draw for draw in shaded.draws if draw.depth == "blend"]
     target = replace(shaded.target, sampled=True, number=1)
@@ -86,12 +94,12 @@ def with_blended(shaded: Pass, image: Pass) -> list[Pass]:
 
 
 def depth_only(draw: Draw) -> Draw:
-    """Return a draw of a part that leaves its depth alone."""
+    """Return a draw that writes only the depth of a part."""
     program = Program("depth.frag", features=mask_features(draw.program.features))
     return replace(draw, program=program, depth="hide")
 
 
 def mask_features(features: Sequence[str]) -> tuple[str, ...]:
-    """Return what a program needs to know of a mask, where there is one."""
+    """Return the features that the alpha mask of a part needs; () without a mask."""
     cut = "ALPHA_MASK" in features
     return tuple(name for name in features if name.startswith(_CUT)) if cut else ()

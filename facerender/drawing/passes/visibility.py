@@ -1,5 +1,5 @@
-"""Deferred shading: which triangle each sample sees, and afterwards each of a pixel's triangles
-shaded once."""
+"""Deferred shading: the visibility pass finds the triangle at each sample, then each visible
+triangle of a pixel is shaded once."""
 
 from __future__ import annotations
 
@@ -15,16 +15,21 @@ from facerender.scenes.mesh import drawn_alpha
 from facerender.scenes.scene import Scene, ShadingRate
 from facerender.scenes.view import View
 
-DRIVERS = ("llvmpipe",)  # on which deferred shading was measured: docs/measurements/performance.md
-_MOST_PIXELS = 30  # for each triangle; with more, and one sample, it is dearer
-_MOST_TRIANGLES = 1 << 24  # that float32 numbers apart
-_BRIGHTEST = 1e3  # background, of which float32 takes away all but 6e-5
+# Drivers on which deferred shading is cheaper; measured in docs/measurements/performance.md.
+DRIVERS = ("llvmpipe",)
+_MOST_PIXELS = 30  # pixels per triangle: above it, with one sample, deferred shading is slower
+_MOST_TRIANGLES = 1 << 24  # float32 represents whole numbers exactly up to this one
+_BRIGHTEST = 1e3  # largest background: adding and subtracting it in float32 leaves an error of 6e-5
 
 
 def can_defer(scene: Scene, rows: int) -> bool:
-    """Tell whether the triangles of a scene can be numbered, and fit textures of so many rows, and
-    whether parts can be added to the background: all are opaque, and have one kind of texture
-    coordinates."""
+    """Return whether deferred shading supports a scene.
+
+    All parts must be opaque and use one set of texture coordinates. The scene must have fewer than
+    2^24 triangles, and each part must fit into one texture. The background must not exceed 1000.
+
+    rows : largest height of a texture
+    """
     counts = [len(part.faces) for part in scene.mesh.parts]
     bright = max(scene.background or (0.0,)) > _BRIGHTEST
     pairs = [*zip(scene.mesh.parts, scene.mesh.materials, strict=True)]
@@ -36,11 +41,9 @@ def can_defer(scene: Scene, rows: int) -> bool:
 
 
 def deferred_is_cheaper(scene: Scene, size: tuple[int, int], samples: int, driver: str) -> bool:
-    """Tell whether deferred shading is known to be cheaper.
+    """Return whether deferred shading is cheaper, according to measurements.
 
-    Parameters
-    ----------
-    driver : GL_RENDERER
+    driver : value of GL_RENDERER
     """
     if not driver.startswith(DRIVERS):
         return False
@@ -54,9 +57,9 @@ class Visible:
 
     Attributes
     ----------
-    setup : triangles of the part, as shading reads them
-    first : what stands for its first triangle in the image, where 0 is the background
-    area : that the part may cover; without width or height it is not in the image
+    setup : triangle data of the part
+    first : number of its first triangle in the image, at least 1; 0 is the background
+    area : bounds of the part in the image; if width or height is 0, the part is outside the image
     """
 
     setup: TriangleSetup
@@ -66,13 +69,14 @@ class Visible:
 
 @dataclass(frozen=True, eq=False)
 class Visibility:
-    """Which triangle each sample of an image sees.
+    """The visible triangle of each sample of an image.
 
     Attributes
     ----------
-    view, size, samples : of the image
-    parts : of the scene, in its order
-    shading_rate : "pixel" where one triangle stands for all of a part that a pixel's samples see
+    view, size, samples : camera of the image, its width and height in pixels, samples per pixel
+    parts : parts of the scene, in its order
+    shading_rate : "pixel" to shade one triangle for each part and pixel, "sample" to shade all
+        visible triangles
     """
 
     view: View
@@ -90,7 +94,7 @@ class Visibility:
         samples: int,
         shading_rate: ShadingRate = "sample",
     ) -> Visibility:
-        """Number the triangles of a scene, and tell where they are."""
+        """Number the triangles of a scene, and compute the bounds of each part in the image."""
         parts, first = [], 1
         for part in scene.mesh.parts:
             setup = triangle_setup_of(part, scene.mesh)
@@ -100,14 +104,14 @@ class Visibility:
 
     @property
     def area(self) -> Area:
-        """What all parts together may cover."""
+        """Bounds of all parts in the image."""
         seen = [part.area for part in self.parts if all(part.area[2:])] or [(0, 0, 0, 0)]
         left, low = min(area[0] for area in seen), min(area[1] for area in seen)
         right = max(area[0] + area[2] for area in seen)
         return left, low, right - left, max(area[1] + area[3] for area in seen) - low
 
     def drawn(self) -> Pass:
-        """Return the pass that draws it."""
+        """Return the visibility pass."""
         program = Program("visibility.frag", "visibility.vert")
         draws = tuple(
             Draw(program, {"first": each.first}, setup=each.setup)
@@ -118,11 +122,12 @@ class Visibility:
         return Pass("visible", target, draws, uniforms={"view_projection": self.view.matrix})
 
     def shaded(self, drawn: Pass, uniforms: Uniforms | None = None) -> Pass:
-        """Return a pass that draws every part, as one that shades where they are visible.
+        """Convert a forward pass to a deferred one, which shades the visible triangles.
 
         Parameters
         ----------
-        uniforms : that it needs besides
+        drawn : pass with one draw for each part
+        uniforms : further uniforms of the deferred pass
         """
         draws: list[Draw] = []
         for number, (draw, part) in enumerate(zip(drawn.draws, self.parts, strict=True)):
@@ -137,7 +142,10 @@ class Visibility:
         )
 
     def _shaded(self, draw: Draw, part: Visible, depth: float) -> tuple[Draw, Draw]:
-        """What marks where a part is visible, at a depth of its own, and what shades it there."""
+        """Return two draws: one writes `depth` where a part is visible, one shades the part there.
+
+        depth : value in [0, 1] that is different for each part
+        """
         samples = f"SAMPLES {self.samples}"
         uniforms = {"first": part.first, "triangle_count": len(part.setup.faces), "depth": depth}
         visible = Program("visible.frag", "screen.vert", (samples,))
@@ -162,8 +170,8 @@ class Visibility:
 
 
 def _rays(view: View, size: tuple[int, int]) -> Uniforms:
-    """Return the ray from the camera to the outer corner of pixel (0, 0), and what a pixel to the
-    right and one up add to it."""
+    """Return the ray from the camera to the outer corner of pixel (0, 0), and the change of the ray
+    per pixel in x and y."""
     back = np.linalg.inv(view.matrix)
 
     def to_far_plane(x: float, y: float) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-// Cameras and lights in the renderer's space; equal to scenes/view.py and scenes/light.py.
+// Cameras and lights in the renderer's space, as in scenes/view.py and scenes/light.py.
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const cross = (a, b) =>
   [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
@@ -19,7 +19,7 @@ function framingDistance(elevation, fov, aspect) {
     y * sine + r * Math.hypot(1 / (vertical * aspect), cosine)]));
 }
 
-// The camera's position, and view times projection for row vectors, row by row.
+// Returns the camera's position, and the row-major view-projection matrix for row vectors.
 function viewOf({azimuth, elevation, zoom, fov}, aspect) {
   const back = directionTo({azimuth, elevation});
   const position = scaledBy(back, framingDistance(elevation, fov, aspect) / zoom);
@@ -34,14 +34,14 @@ function viewOf({azimuth, elevation, zoom, fov}, aspect) {
   const [slope, offset] = [-(far + near) / (far - near), -2 * far * near / (far - near)];
   const column = (axis, factor, more = 0) =>
     [...scaledBy(axis, factor), -dot(position, axis) * factor + more];
-  const columns = [  // y downwards
+  const columns = [  // Y points down.
     column(axes[0], scale / aspect), column(axes[1], -scale), column(axes[2], slope, offset),
     column(axes[2], -1)];
   return {position, matrix: [0, 1, 2, 3].flatMap(row => columns.map(column => column[row]))};
 }
 
-// A point in the image, in fractions of its width and height from the top left; z < 0 if it is
-// nearer to the camera than the mesh's centre.
+// Returns the position of a point in the image, as fractions of its width and height from the top
+// left. z < 0 if the point is nearer to the camera than the mesh's centre.
 function projected({position, matrix}, point) {
   const [x, y, , w] = [0, 1, 2, 3].map(column =>
     [...point, 1].reduce((sum, each, row) => sum + each * matrix[4 * row + column], 0));
@@ -53,7 +53,7 @@ function lightKind({radius, distance}) {
   return radius ? "disc" : "directional";
 }
 
-// The uniform arrays of the lights of a kind.
+// Returns the uniform arrays for lights of one kind.
 function lightArrays(kind, lights) {
   const name = kind === "disc" || kind === "sphere" ? kind : "light";
   const sine = light => Math.sin(radians(light.radius));

@@ -1,10 +1,10 @@
-// The same image elsewhere: the command line, TOML, Python, and a diff of two texts.
+// Code for the same image: command line, TOML, Python, GLSL; and the diff of two texts.
 const rounded = list => list.map(short).join(", ");
 
 const materialFields = term => Object.fromEntries(
   ["m", "f0", "ks"].filter(name => term[name] !== null).map(name => [name, short(term[name])]));
 
-// Fields of the shading that are not the first ones, by their names in TOML and Python.
+// Returns the fields of the shading that differ from their defaults, by name in TOML and Python.
 function shadingFields(term) {
   const first = {model: firstModel, lobe: Object.keys(registry.lobes)[0],
     ...modelOf(term).factors && {fresnel: firstFresnel, masking: firstMasking}};
@@ -16,7 +16,7 @@ function pointOf(light) {
   return scaledBy(directionTo(light), light.distance * facts.radius).map((x, i) => x + facts.center[i]);
 }
 
-// Without the roughness map if the term has a slope of its own.
+// Returns the mesh's arguments, without the roughness map if the term sets m.
 function meshWords(term) {
   const {roughness_map: roughness, ...others} = facts.mesh.maps;
   return [facts.mesh.shell, ...Object.values(others), term.m === null && roughness].filter(Boolean);
@@ -42,11 +42,11 @@ function commandLine(state, which, size) {
     ...state.only === "all" ? [] : [`--only ${state.only}`],
     `--size ${size.join("x")}`, `-o ${which}.png`,
   ];
-  return (state.lights.length ? "" : "# without a light: --light cannot say none, so write the scene file\n")
+  return (state.lights.length ? "" : "# No light: use the TOML scene file, because --light needs a light.\n")
     + lines.join(" \\\n    ");
 }
 
-// The scene as tables of TOML, and as calls of Python, differ in the form of a field alone.
+// TOML tables and Python calls of a scene differ only in the syntax of a field.
 const lightFields = light => ({
   ...light.distance === null ? {azimuth: short(light.azimuth), elevation: short(light.elevation)}
     : {position: pointOf(light).map(short)},
@@ -97,7 +97,7 @@ function python(state, which, size) {
   ].join("\n") + "\n";
 }
 
-// The text of A or B in a form: "command", "toml", "python", or a target of GLSL.
+// Returns the code of A or B; form is "command", "toml", "python", or a target of GLSL.
 function codeOf(state, which, form, size) {
   const forms = {command: commandLine, toml, python};
   if (forms[form]) return forms[form](state, which, size);
@@ -105,7 +105,7 @@ function codeOf(state, which, form, size) {
   return `#version ${facts.targets[form]}\n${text}`;
 }
 
-// Lines of one text and another: "-", "+" or " " before each; the longest common subsequence.
+// Returns the diff of two texts (longest common subsequence): pairs of "-", "+" or " " and a line.
 function diff(before, after) {
   const [a, b] = [before.split("\n"), after.split("\n")];
   const lengths = Array.from({length: a.length + 1}, () => new Uint16Array(b.length + 1));
@@ -128,9 +128,9 @@ function diff(before, after) {
   return lines;
 }
 
-const CONTEXT = 3;  // lines around a change
+const CONTEXT = 3;  // Unchanged lines before and after a change.
 
-// A diff without the lines far from a change; "@" and their number stand in their place.
+// Replaces the lines of a diff that are far from a change by "@" and their number.
 function hunks(lines) {
   const near = lines.map((_, i) =>
     lines.slice(Math.max(i - CONTEXT, 0), i + CONTEXT + 1).some(([sign]) => sign !== " "));
@@ -138,6 +138,6 @@ function hunks(lines) {
     if (near[i]) return [line];
     const end = near.indexOf(true, i);
     const count = (end < 0 ? lines.length : end) - i;
-    return i && !near[i - 1] ? [] : [["@", `${count} lines the same`]];
+    return i && !near[i - 1] ? [] : [["@", `${count} unchanged lines`]];
   });
 }

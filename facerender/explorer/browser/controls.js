@@ -1,4 +1,4 @@
-// Controls, made from the registry: each reads the state and writes it.
+// The controls, made from the registry. Each control reads and writes the state.
 function element(tag, properties = {}, ...children) {
   const made = document.createElement(tag);
   for (const [name, value] of Object.entries(properties)) {
@@ -10,13 +10,13 @@ function element(tag, properties = {}, ...children) {
 }
 
 const byId = id => document.getElementById(id);
-const refreshers = [];  // bring controls up to the state
+const refreshers = [];  // functions that update the controls from the state
 
 function refresh() {
   for (const each of [...refreshers]) each();
 }
 
-// A choice of few, pairs of value and text: words side by side.
+// Adds radio buttons side by side, from pairs of value and text.
 function choice(id, pairs, read, write) {
   const inputs = pairs.map(([value, text]) => {
     const input = element("input", {type: "radio", name: id, value});
@@ -35,7 +35,8 @@ function selection(label, names, read, write) {
   return made;
 }
 
-// A number of a range; empty for null if that has a meaning, which the placeholder states.
+// Returns an input for a number in a range. With `empty`, an empty input means null, and the
+// placeholder shows `empty`.
 function number(label, [min, max], read, write, {step = "any", empty = null} = {}) {
   const made = element("input", {
     type: "number", "aria-label": label, min, max, step, inputMode: "decimal", placeholder: empty ?? "",
@@ -74,10 +75,10 @@ const button = (text, label, press) => {
   return made;
 };
 
-// The file's own value of a uniform, where all parts have the same.
+// Returns the mesh file's value of a uniform, if all parts have the same value.
 function ownValue(name) {
   const values = new Set(facts.parts.map(part => short(part.uniforms[name])));
-  return values.size === 1 ? [...values][0] : "the file's";
+  return values.size === 1 ? [...values][0] : "per part";
 }
 
 function slopeWords() {
@@ -85,7 +86,7 @@ function slopeWords() {
   return mapped ? "map" : ownValue("slope");
 }
 
-// Names of A and B, and buttons that copy and swap them.
+// Returns the table head: the names of A and B, and buttons that copy and swap them.
 function termHead(state, changed) {
   return element("tr", {}, element("td", {},
     button("⇄", "Swap A and B", () => {
@@ -94,13 +95,13 @@ function termHead(state, changed) {
     })),
     ...[["a", "b", "→ B"], ["b", "a", "A ←"]].map(([which, other, text]) =>
       element("th", {scope: "col", className: which}, element("b", {}, SWATCH[which]),
-        button(text, `Make ${SWATCH[other]} the same`, () => {
+        button(text, `Copy ${SWATCH[which]} to ${SWATCH[other]}`, () => {
           state()[other] = {...state()[which]};
           changed();
         }))));
 }
 
-// The table of A and B; a row for each field, marked where they differ.
+// Returns the table of A and B, one row per field. Rows are marked if A and B differ.
 function termTable(state, changed) {
   const rows = [];
   const set = (which, name) => value => {
@@ -132,13 +133,13 @@ function termTable(state, changed) {
   const factors = {used: term => modelOf(term).factors};
 
   chosen("model", "model", Object.entries(registry.models).map(([name, {title}]) => [name, title]));
-  chosen("lobe", "lobe", [...same(Object.keys(registry.lobes)), ["g-power", "g-power of one’s own"]]);
+  chosen("lobe", "lobe", [...same(Object.keys(registry.lobes)), ["g-power", "custom g-power"]]);
   typed("power g", "g", {step: 1}, power);
   typed("factor", "factor", {}, power);
   typed("offset", "offset", {}, power);
   chosen("Fresnel", "fresnel", same(registry.fresnel), factors);
   chosen("masking", "masking", same(registry.masking), factors);
-  row("slope m", "m", (title, read, write) => {
+  row("m", "m", (title, read, write) => {
     const range = element("input", {
       type: "range", min: 0.05, max: 0.7, step: 0.005, "aria-label": `${title}, slider`,
     });
@@ -154,20 +155,20 @@ function termTable(state, changed) {
     element("tbody", {}, ...rows));
 }
 
-// A colour of another brightness; one of 0 keeps its hue, for it may be on the way to 0.5.
+// Returns a colour with another brightness. Brightness 0 keeps the hue: the user may be typing 0.5.
 function dimmed(color, value) {
   const highest = Math.max(...color);
   return color.map(x => Math.max(value, 1e-9) * (highest ? x / highest : 1));
 }
 
-// A number that sets the brightness of a colour.
+// Returns an input for the brightness of a colour.
 const brightness = (label, owner, name, changed) => number(label, ranges.light.irradiance,
   () => Math.max(...owner()[name]), value => {
     owner()[name] = dimmed(owner()[name], value);
     changed();
   });
 
-// A row for each light, built anew when their number changes.
+// Returns the table of lights, one row per light. It is rebuilt if the number of lights changes.
 function lightTable(state, changed) {
   const body = element("tbody");
   const add = button("add a light", "Add a light", () => {
@@ -205,6 +206,6 @@ function lightTable(state, changed) {
   });
   return element("div", {},
     element("table", {className: "lights"}, element("thead", {}, element("tr", {}, ...heads)), body), add,
-    element("label", {className: "ambient"}, "from everywhere",
-      brightness("irradiance from everywhere", state, "ambient", changed)));
+    element("label", {className: "ambient"}, "ambient light",
+      brightness("irradiance of the ambient light", state, "ambient", changed)));
 }

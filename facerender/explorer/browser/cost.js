@@ -1,7 +1,6 @@
-// The cost of A and B on this GPU: milliseconds by which one more shading of the image makes drawing
-// longer.
+// Measures the cost of A and B on this GPU: the milliseconds that one more shading pass takes.
 const ROUNDS = 7;
-const LONG = 40;  // milliseconds that the passes of a round take at least
+const LONG = 40;  // Least duration of the passes of a round, in ms.
 const MOST_PASSES = 512;
 const TIMED = {base: "without highlights", a: "A", b: "B"};
 const COSTS = {...TIMED, difference: "B − A"};
@@ -11,7 +10,7 @@ function gpuName(gl) {
   return gl.getParameter(names ? names.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
 }
 
-// Median, and the ends of the middle half.
+// Returns the median, both quartiles, and the values of all rounds.
 function quartiles(values) {
   const sorted = [...values].sort((a, b) => a - b);
   const at = fraction => {
@@ -22,8 +21,8 @@ function quartiles(values) {
   return {median: at(0.5), low: at(0.25), high: at(0.75), rounds: [...values]};
 }
 
-// Milliseconds that work takes on the GPU: by its clock, or else until a pixel can be read, which
-// waits for all drawing. null where the clock was disturbed.
+// Returns the milliseconds that work takes on the GPU, or null if the GPU's clock was disturbed.
+// Without that clock it waits until a pixel can be read, which requires the end of all drawing.
 async function timed(drawing, clock, work) {
   const {gl} = drawing;
   if (!clock) {
@@ -38,7 +37,7 @@ async function timed(drawing, clock, work) {
     return performance.now() - start;
   }
   const query = gl.createQuery();
-  gl.getParameter(clock.GPU_DISJOINT_EXT);  // resets the flag
+  gl.getParameter(clock.GPU_DISJOINT_EXT);  // Resets the flag.
   gl.beginQuery(clock.TIME_ELAPSED_EXT, query);
   work();
   gl.endQuery(clock.TIME_ELAPSED_EXT);
@@ -51,7 +50,9 @@ async function timed(drawing, clock, work) {
   return gl.getParameter(clock.GPU_DISJOINT_EXT) ? null : time;
 }
 
-// Measures the images, in turns. report: progress as text; stop: whether to end without a result, null.
+// Measures the images in turns.
+//   report   called with the progress as text
+//   stop     returns true to cancel: the result is null
 async function measuredCost(
   drawing, state, report, stop, clock = drawing.gl.getExtension("EXT_disjoint_timer_query_webgl2"),
 ) {
@@ -59,7 +60,7 @@ async function measuredCost(
   let disturbed = 0;
   const passes = which => count => timed(drawing, clock, () => drawing.repeat(state, which, count));
   let count = 1;
-  await passes("a")(1);  // compiles, and wakes the GPU
+  await passes("a")(1);  // Compiles the programs, and wakes the GPU.
   await passes("b")(1);
   while (count < MOST_PASSES) {
     const time = await passes("base")(count);
@@ -79,7 +80,7 @@ async function measuredCost(
     }
     if (Object.values(found).includes(null)) {
       if (++disturbed < ROUNDS) continue;
-      return measuredCost(drawing, state, report, stop, null);  // this clock is always disturbed
+      return measuredCost(drawing, state, report, stop, null);  // The clock is always disturbed.
     }
     for (const which of Object.keys(TIMED)) slopes[which].push(found[which]);
     ++round;
@@ -87,7 +88,7 @@ async function measuredCost(
   slopes.difference = slopes.b.map((time, i) => time - slopes.a[i]);
   return {
     kind: "facerender explorer cost", version: facts.version, gpu: gpuName(gl),
-    browser: navigator.userAgent, method: clock ? "GPU timer" : "fence", unit: "ms a picture",
+    browser: navigator.userAgent, method: clock ? "GPU timer" : "fence", unit: "ms per image",
     mesh: facts.name, size: drawing.size, samples: drawing.samples, passes: count,
     link: fragmentOf(state), shadings: {a: shadingWords(state.a), b: shadingWords(state.b)},
     ...Object.fromEntries(Object.entries(slopes).map(([name, times]) => [name, quartiles(times)])),
@@ -100,12 +101,12 @@ function shadingWords(term) {
   return [term.model, lobeName(term), ...factors, ...own].join(", ");
 }
 
-// The table of costs, and a function that writes what was measured of the image on screen, or null.
+// Returns the table of costs, and a function that fills it with a measurement, or clears it for null.
 function costTable() {
   const cells = Object.keys(COSTS).map(() => element("td"));
   const head = Object.values(COSTS).map(text => element("th", {scope: "col"}, text));
   const table = element("table", {className: "costs"},
-    element("caption", {}, "ms per image; median, and the middle half of the rounds"),
+    element("caption", {}, "ms per image: median and quartiles of the rounds"),
     element("thead", {}, element("tr", {}, ...head)),
     element("tbody", {}, element("tr", {}, ...cells)));
   return {table, write: found => Object.keys(COSTS).forEach((key, i) =>
@@ -115,7 +116,7 @@ function costTable() {
 function costCell(key, {median, low, high}) {
   const unsure = key === "difference" && low <= 0 && high >= 0;
   return [
-    unsure ? element("small", {}, "not told apart") : signedFigure(median, key === "difference"),
+    unsure ? element("small", {}, "within noise") : signedFigure(median, key === "difference"),
     element("small", {}, `${signedFigure(low, false)} …`), element("small", {}, signedFigure(high, false)),
   ];
 }

@@ -1,4 +1,4 @@
-// What the page holds: facts, arrays of the mesh, GLSL, maps. See facerender/explorer.
+// Reads the data of the page: facts, arrays of the mesh, GLSL, maps. explorer/page.py writes them.
 const facts = JSON.parse(document.getElementById("facts").textContent);
 const {registry} = facts;
 
@@ -12,7 +12,7 @@ async function inflated(id) {
   return new Response(blob.stream().pipeThrough(new DecompressionStream("deflate")));
 }
 
-// Whole numbers (N, K) from their folded differences.
+// Decodes integers (N, K); explorer/mesh.py encodes them.
 function unpacked(bytes, start, [rows, width]) {
   const count = rows * width;
   const values = new Int32Array(count);
@@ -40,7 +40,7 @@ function normals(packed) {
   return vectors;
 }
 
-// The arrays of each part as the host's vertex program takes them, and its triangles.
+// Returns each part with the arrays for the host's vertex shader, and its triangles.
 async function meshParts() {
   const bytes = new Uint8Array(await (await inflated("geometry")).arrayBuffer());
   const columns = [];

@@ -1,4 +1,4 @@
-// The images A and B on float targets, their error, and the image on the canvas.
+// Draws images A and B on float targets, their error, and the image on the canvas.
 const MOST_SAMPLES = 4;
 
 class Drawing {
@@ -7,7 +7,7 @@ class Drawing {
     this.start();
   }
 
-  // Opens the context and uploads; again when it was lost and came back.
+  // Opens the context and uploads all data; called again after a lost context is restored.
   start() {
     const gl = this.gl = openContext(this.canvas);
     this.programs = new Map();
@@ -56,7 +56,7 @@ class Drawing {
     this.gl.drawArrays(this.gl.TRIANGLES, 0, 3);
   }
 
-  // The levels of a normal map, and its finest one's deviation, which is none.
+  // Computes the mip levels of a normal map; the deviation of the finest level is 0.
   halve(texture, levels, {width, height}) {
     const {gl} = this;
     const buffer = gl.createFramebuffer();
@@ -99,7 +99,7 @@ class Drawing {
     };
   }
 
-  // Draws the parts with a fragment program into the bound target.
+  // Draws the parts with a fragment shader into the bound target.
   drawParts(state, term, fragmentOf) {
     const {gl} = this;
     const [width, height] = this.size;
@@ -140,7 +140,7 @@ class Drawing {
     this.resolve(target);
   }
 
-  // Binds the target with samples, or else the one passed, and clears it.
+  // Binds and clears the multisampled target if there is one, otherwise `target`.
   begin(target) {
     const {gl} = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, (this.targets.sampled ?? target).buffer);
@@ -155,12 +155,13 @@ class Drawing {
     gl.bindFramebuffer(gl.READ_FRAMEBUFFER, sampled.buffer);
     gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, target.buffer);
     gl.blitFramebuffer(...whole, ...whole, gl.COLOR_BUFFER_BIT, gl.NEAREST);
-    // No tile need be stored; and ANGLE on SwiftShader would clear for B before it resolves A.
+    // Tiled GPUs need not store the samples. Without this call, ANGLE on SwiftShader clears the
+    // target for B before it resolves A.
     gl.invalidateFramebuffer(gl.READ_FRAMEBUFFER, [gl.COLOR_ATTACHMENT0, gl.DEPTH_ATTACHMENT]);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
   }
 
-  // Shades the visible pixels of "a", "b" or "base" (no highlights) count times more than once.
+  // Shades the visible pixels of "a", "b" or "base" (no highlights) 1 + count times.
   repeat(state, which, count) {
     const {gl} = this;
     const term = state[which === "base" ? "a" : which];
@@ -172,7 +173,7 @@ class Drawing {
     gl.depthFunc(gl.LESS);
   }
 
-  // Binds both images for a program with error.glsl.
+  // Binds both images to a program with error.glsl.
   compare(program, exposure) {
     const {gl, targets} = this;
     [targets.a, targets.b].forEach((target, unit) => {
@@ -198,7 +199,7 @@ class Drawing {
     this.triangle();
   }
 
-  // Draws the error, and starts to read it: to be finished with errorPixels().
+  // Draws the error image, and returns a promise of its pixels.
   measure({exposure}) {
     const {gl} = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.error.buffer);
@@ -207,7 +208,7 @@ class Drawing {
     return this.read(this.targets.error);
   }
 
-  // Float32 RGBA of a target, row 0 on top, without holding up the browser; null where it was lost.
+  // Reads a target asynchronously as float32 RGBA, row 0 on top; null if the context was lost.
   async read(target) {
     const {gl} = this;
     const [width, height] = this.size;
@@ -226,13 +227,13 @@ class Drawing {
     return pixels;
   }
 
-  // The surface at the centres of pixels [x, y], of one sample, and the radiance in A and B.
+  // Returns the surface and the radiance of A and B at the centres of pixels [x, y], with one sample.
   probe(state, places) {
     const {gl} = this;
     const found = places.map(() => ({}));
     for (const which of ["a", "b"]) {
       const term = state[which];
-      // Reads a pixel of each attachment at each place.
+      // Draws the mesh, then reads a pixel of each attachment at each place.
       const drawn = (attachments, background, fragmentOf) => {
         const target = floatTarget(gl, this.size, {attachments, depth: true});
         gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
@@ -262,7 +263,7 @@ class Drawing {
   }
 }
 
-// Waits until the GPU has finished all commands; false if the context is lost.
+// Waits until the GPU has finished all commands. Resolves to false if the context is lost.
 function fenced(gl) {
   const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
   gl.flush();

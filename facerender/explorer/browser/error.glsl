@@ -1,11 +1,11 @@
-// The error of B at a pixel, of its worst channel: linear radiance, steps of 1/255 of the display
-// before rounding, relative to A or to 0.01; and A's coverage.
+// Error of B against A at a pixel, in the worst channel: linear radiance; 8-bit levels of the
+// displayed image before rounding; relative to max(A, 0.01). The last component is A's coverage.
 precision highp float;
 precision highp int;
 precision highp sampler2D;
 uniform sampler2D a;
 uniform sampler2D b;
-uniform float exposure;  // factor
+uniform float exposure;  // factor of the radiance
 
 vec3 displayed(vec3 radiance) {
     vec3 x = clamp(exposure * radiance, 0.0, 1.0);

@@ -1,8 +1,8 @@
-// The error of the image on screen in numbers, over the pixels that the mesh covers.
-const WITHIN = 0.999;  // fraction of them
+// Statistics of the current image's error, over the pixels that the mesh covers.
+const WITHIN = 0.999;  // Percentile, as a fraction of the covered pixels.
 
-// Of errors as error.glsl draws them, (N, 4): largest, highest but for 1 in 1,000, mean of each
-// measure, and where the largest one of the display is.
+// Returns for each measure the largest error, the 99.9th percentile, the mean, and the pixel of the
+// largest error. pixels: (N, 4), as error.glsl returns them.
 function statistics(pixels, width) {
   const covered = [];
   for (let i = 3; i < pixels.length; i += 4) if (pixels[i] > 0) covered.push(i - 3);
@@ -27,7 +27,7 @@ function statistics(pixels, width) {
   return {covered: covered.length, ...Object.fromEntries(measures)};
 }
 
-// The fraction of the covered pixels that are over a budget in 8-bit levels.
+// Returns the fraction of the covered pixels whose error is over a budget in 8-bit levels.
 function fractionOver(pixels, budget) {
   let [covered, over] = [0, 0];
   for (let i = 0; i < pixels.length; i += 4) {

@@ -1,11 +1,11 @@
-// The page: when it draws, pointers and keys, the link.
-const SETTLED = 180;  // milliseconds without a change after which errors, code and link follow
+// The page: drawing, pointer and keyboard input, and the URL fragment.
+const SETTLED = 180;  // Milliseconds without a change before errors, code and URL are updated.
 
 let state = firstState();
-let drawing = null;  // until there is one, and where there can be none
-let pixels = null;   // errors of the image on screen
+let drawing = null;  // Null before the start and after a failure.
+let pixels = null;   // Error pixels of the current image.
 let statisticsNow = null;
-let awaited = [];    // who waits for the errors of what is on screen
+let awaited = [];    // Promises for the errors of the current image.
 let [frame, timer, version] = [0, 0, 0];
 const canvas = byId("canvas");
 const viewport = byId("viewport");
@@ -17,7 +17,7 @@ function showMessage(text) {
   byId("message").hidden = !text;
 }
 
-// Everything that changes the state calls this.
+// Updates the page; to be called after every change of the state.
 function changed() {
   ++version;
   statisticsNow = null;
@@ -62,7 +62,7 @@ async function settle() {
   awaited.splice(0).forEach(({resolve}) => resolve(statisticsNow));
 }
 
-// Puts what lies over the image in its place.
+// Places the overlays of the image: handles of lights, split line, names and legend.
 function place() {
   const [width, height] = [viewport.clientWidth, viewport.clientHeight];
   const view = viewOf(state.camera, width / height);
@@ -105,13 +105,14 @@ function readout() {
   }
   const many = x => x.toLocaleString("en");
   const samples = drawing.samples > 1 ? `${drawing.samples} samples` : "1 sample";
-  byId("where").textContent = (some ? `Largest at ${at[0]}, ${at[1]} (ring). ` : "A and B are the same. ")
-    + `${many(statisticsNow.covered)} pixels of ${many(width)} × ${many(height)}, ${samples}.`;
+  byId("where").textContent
+    = (some ? `Largest error at ${at[0]}, ${at[1]} (ring). ` : "A and B are identical. ")
+    + `${many(statisticsNow.covered)} of ${many(width)} × ${many(height)} pixels covered, ${samples}.`;
   byId("over").textContent = state.budget === null ? ""
-    : `Over ${short(state.budget)}/255: ${figure(100 * fractionOver(pixels, state.budget))} % of them.`;
+    : `Over ${short(state.budget)}/255: ${figure(100 * fractionOver(pixels, state.budget))} % of these.`;
 }
 
-// The pixel whose slope the lobes are drawn at: under the pointer, or else that of the largest error.
+// The pixel that sets m of the plotted lobes: under the pointer, or else at the largest error.
 let pointed = null;
 let scale = "linear";
 let lobes = null;
@@ -129,15 +130,15 @@ function plotHere() {
     return [which, {m, angles, values: lobeValues(drawing, state[which], m)}];
   }));
   plotLobes(byId("lobes"), lobes, scale);
-  const slopes = found.a.m === found.b.m ? `m ${figure(found.a.m)}`
-    : `m ${figure(found.a.m)} in A, ${figure(found.b.m)} in B`;
+  const slopes = found.a.m === found.b.m ? `m = ${figure(found.a.m)}`
+    : `m = ${figure(found.a.m)} in A, ${figure(found.b.m)} in B`;
   const cosines = here.lights.map(light => figure(light.cosine)).join(", ");
   byId("here").textContent = `${pointed ? "Under the pointer" : "At the ring"}: ${slopes}, `
-    + `N.V ${figure(here.facing)}, N.L ${cosines || "without a light"}.`;
+    + `N.V = ${figure(here.facing)}, ${cosines ? `N.L = ${cosines}` : "no lights"}.`;
 }
 
-let cost = null;  // the last measurement
-let costOf = "";  // the image that was measured
+let cost = null;  // The last measurement.
+let costOf = "";  // Key of the measured image.
 const imageKey = ({a, b, camera, lights, ambient, only}) =>
   JSON.stringify([a, b, camera, lights, ambient, only, drawing?.size]);
 const showCostMessage = text => { byId("cost-message").textContent = text; };
@@ -161,15 +162,15 @@ async function measureCost() {
   if (began === version) drawing.show(state);
 }
 
-// Brings the table of costs up to the state: a measurement is that of one image.
+// Updates the table of costs: a measurement is valid for one image only.
 function writeCosts({write}) {
   const same = cost !== null && costOf === imageKey(state);
   write(same ? cost : null);
   if (!cost || byId("cost").disabled) return;
   const passes = cost.passes === 1 ? "1 pass" : `${cost.passes} passes`;
-  showCostMessage(same ? `${cost.gpu}: ${passes} of ${cost.size.join(" × ")} pixels a round, by its `
-    + `${cost.method === "fence" ? "fence" : "own clock"}.`
-    : "This is the cost of another image; it can still be saved.");
+  showCostMessage(same ? `${cost.gpu}: ${passes} of ${cost.size.join(" × ")} pixels per round, timed with `
+    + `${cost.method === "fence" ? "a fence" : "the GPU's clock"}.`
+    : "The cost was measured for another image; you can still save it.");
 }
 
 function saveCost() {
@@ -179,13 +180,13 @@ function saveCost() {
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
 
-// Where an event lies in the image, in fractions of its width and height.
+// Returns the position of an event in the image, as fractions of its width and height.
 function placeOf(event) {
   const box = viewport.getBoundingClientRect();
   return [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
 }
 
-// A pointer that rests on the image chooses the pixel.
+// Selects the pixel under a resting pointer.
 function watchPointer() {
   let rest = 0;
   canvas.addEventListener("pointermove", event => {
@@ -242,7 +243,7 @@ function buildControls() {
       value => set("gain")(2 ** value), () => `× ${state.gain}`),
     slider("exposure", {low: -4, high: 4, step: 0.25}, () => state.exposure, set("exposure"),
       value => `${value > 0 ? "+" : ""}${value}`),
-    element("label", {className: "budget"}, element("span", {}, "red over"), budget, "/255"),
+    element("label", {className: "budget"}, element("span", {}, "red above"), budget, "/255"),
   );
   byId("terms").append(termTable(still, changed));
   byId("lights").append(lightTable(still, changed));
@@ -268,15 +269,15 @@ function buildControls() {
     try {
       await navigator.clipboard.writeText(text);
       byId("copy").textContent = "copied";
-    } catch {  // not from a file, in some browsers: what is marked can be copied by hand
+    } catch {  // Some browsers refuse this for a local file: the user can copy the selected text.
       getSelection().selectAllChildren(byId("code"));
-      byId("copy").textContent = "marked";
+      byId("copy").textContent = "selected";
     }
     setTimeout(() => { byId("copy").textContent = "copy"; }, 1500);
   });
 }
 
-// A handle that stands for a light.
+// Returns a handle to move a light.
 function handleOf(i) {
   const label = `Light ${i + 1}: drag it, or use the arrow keys`;
   const handle = button(String(i + 1), label, () => {});
@@ -298,7 +299,7 @@ function turn(direction, right, up) {
 
 const STEPS = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1]};
 
-// Calls with the step of an arrow key, or the function of another key.
+// Calls `move` with the step of an arrow key, or the function in `others` of another key.
 function onKeys(target, move, others = {}) {
   target.addEventListener("keydown", event => {
     const action = others[event.key] ?? (STEPS[event.key] && (() => move(...STEPS[event.key])));
@@ -308,7 +309,7 @@ function onKeys(target, move, others = {}) {
   });
 }
 
-// Calls with the movement of a pointer, or the ratio of two pointers' distances.
+// Calls `move` with the movement of a pointer, or `pinch` with the ratio of two pointers' distances.
 function dragged(target, move, pinch) {
   const held = new Map();
   const apart = () => {
@@ -361,8 +362,8 @@ function listen() {
   dragged(byId("cut"), (dx, dy, event) => cutAt(placeOf(event)[0]));
   onKeys(byId("cut"), right => cutAt(state.cut + 0.02 * right), {Home: () => cutAt(0), End: () => cutAt(1)});
   canvas.addEventListener("webglcontextlost", event => {
-    event.preventDefault();  // so that it may come back
-    showMessage("The graphics driver lost the image. It is drawn again as soon as the driver is back.");
+    event.preventDefault();  // Allows the browser to restore the context.
+    showMessage("The graphics driver lost the image. The page draws it again when the driver is back.");
   });
   canvas.addEventListener("webglcontextrestored", () => attempt(() => {
     drawing.start();
@@ -380,14 +381,14 @@ function restore(fragment) {
   const {state: found, unknown} = stateOf(fragment);
   state = found;
   byId("notes").textContent = unknown.length
-    ? `Of the link, this page does not understand: ${unknown.join(", ")}.` : "";
+    ? `These parts of the URL are invalid and were ignored: ${unknown.join(", ")}.` : "";
   changed();
 }
 
 function fail(error) {
   drawing = null;
   awaited.splice(0).forEach(({reject}) => reject(error));
-  showMessage(error instanceof Unable ? error.message : `The page failed: ${error.message}`);
+  showMessage(error instanceof Unable ? error.message : `Internal error: ${error.message}`);
   if (!(error instanceof Unable)) throw error;
 }
 
@@ -399,12 +400,12 @@ async function attempt(action) {
   }
 }
 
-// For tests, and for the curious: explorer.probe([[x, y]]) in the browser's console.
+// For tests and for the browser's console, for example explorer.probe([[x, y]]).
 window.explorer = {
   get state() { return state; },
   get size() { return drawing.size; },
   get samples() { return drawing.samples; },
-  // errors of what is on screen, once they are known
+  // errors of the current image, or a promise of them
   errors: () => statisticsNow ?? new Promise((resolve, reject) => awaited.push({resolve, reject})),
   probe: places => drawing.probe(state, places),
   pixels: which => drawing.read(drawing.targets[which]),
@@ -416,13 +417,13 @@ attempt(async () => {
   const unpacks = Boolean(window.DecompressionStream);
   const held = unpacks && Promise.all(
     [meshParts(), mapImages(), inflated("sources").then(found => found.json())]);
-  buildControls();  // while the browser unpacks
+  buildControls();  // While the browser unpacks.
   restore(location.hash);
   if (!unpacks) {
-    throw new Unable("This browser cannot unpack the mesh (no DecompressionStream): Chrome 80, Firefox "
-      + "113, Safari 16.4 or later can.");
+    throw new Unable("This browser cannot unpack the mesh (no DecompressionStream): use Chrome 80, "
+      + "Firefox 113, Safari 16.4 or later.");
   }
-  openContext(document.createElement("canvas"));  // tells what is missing before anything is drawn
+  openContext(document.createElement("canvas"));  // Throws if a WebGL feature is missing.
   const [parts, images, texts] = await held;
   sources = texts;
   drawing = new Drawing(canvas, parts, images);

@@ -1,17 +1,19 @@
-// WebGL 2 with float targets: contexts, programs, textures, targets. What they show is drawing.js.
-class Unable extends Error {}  // of this browser; the message is for the reader
+// Helpers for WebGL 2: contexts, programs, textures, float targets. drawing.js uses them.
+class Unable extends Error {}  // a feature is missing in this browser; the page shows the message
 
 function openContext(canvas) {
   const wanted = {alpha: false, antialias: false, depth: false, powerPreference: "high-performance"};
   const gl = canvas.getContext("webgl2", wanted);
   if (!gl) {
-    throw new Unable("This browser has no WebGL 2, or it is switched off. Any browser since 2021 has it: "
-      + "look for hardware acceleration in its settings, and at chrome://gpu or about:support.");
+    throw new Unable("This browser has no WebGL 2, or it is turned off. All browsers since 2021 "
+      + "support it: turn on hardware acceleration in the settings, and see chrome://gpu or about:support.");
   }
-  if (gl.isContextLost()) throw new Unable("The graphics driver gave no context: load the page again.");
+  if (gl.isContextLost()) {
+    throw new Unable("The graphics driver did not create a WebGL context: reload the page.");
+  }
   if (!gl.getExtension("EXT_color_buffer_float")) {
-    throw new Unable("This GPU cannot draw to float targets (EXT_color_buffer_float), which errors "
-      + "far below 1/255 need: open the page on another machine.");
+    throw new Unable("This GPU cannot draw to float targets (EXT_color_buffer_float), which the page "
+      + "needs for errors below 1/255: open the page on another machine.");
   }
   return gl;
 }
@@ -29,7 +31,8 @@ function compiled(gl, vertex, fragment) {
   gl.linkProgram(program);
   if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
     const logs = shaders.map(shader => gl.getShaderInfoLog(shader));
-    throw new Unable(`This driver refuses a shader: ${logs.join(" ") || gl.getProgramInfoLog(program)}`);
+    const log = logs.join(" ") || gl.getProgramInfoLog(program);
+    throw new Unable(`The graphics driver cannot compile a shader: ${log}`);
   }
   shaders.forEach(shader => gl.deleteShader(shader));
   const uniforms = {};
@@ -43,7 +46,7 @@ function compiled(gl, vertex, fragment) {
 
 const ATTRIBUTES = ["in_position", "in_normal", "in_uv", "in_occlusion", "in_color"];
 
-// Sets the uniforms that a program has of those in a table; numbers, lists, booleans.
+// Sets uniforms from a table of numbers, lists and booleans; names that the program lacks are skipped.
 function setUniforms(gl, {uniforms}, values) {
   for (const [name, value] of Object.entries(values)) {
     if (!uniforms[name]) continue;
@@ -82,7 +85,8 @@ function nearestTexture(gl, format, width, height) {
   return texture;
 }
 
-// A target of float32 RGBA: textures, or with samples a renderbuffer to resolve into another target.
+// Creates a float32 RGBA target. It has textures, or, with samples, a renderbuffer, which is resolved
+// into another target.
 function floatTarget(gl, [width, height], {attachments = 1, depth = false, samples = 0} = {}) {
   const buffer = gl.createFramebuffer();
   gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);

@@ -1,10 +1,10 @@
-// One level of a normal map from the finer one: directions of mean vectors in RGB, and in A the
-// deviation of the slopes that a texel stands for, as facerender/slope_variance.glsl has it.
-// FR_MAP_DEVIATION and the finer level's length, which its deviation tells, are those of
+// Computes a mip level of a normal map from the next finer level. RGB is the direction of the mean
+// vector. A is the deviation of the slopes in the texel, as in facerender/slope_variance.glsl.
+// FR_MAP_DEVIATION, and the length of a vector as a function of its deviation, are as in
 // scenes/texture.py.
 uniform sampler2D finer;
-uniform bool finest;  // of unit vectors
-uniform ivec2 last;   // texel of the finer level
+uniform bool finest;  // whether the finer level is the finest, which has unit vectors
+uniform ivec2 last;   // last texel of the finer level
 out vec4 texel;
 
 vec3 mean_vector(ivec2 at) {

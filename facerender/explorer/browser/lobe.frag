@@ -1,4 +1,4 @@
-// The lobe at the cosines of a texture: GLSL's own cos() may be off by 2^-11.
+// Evaluates the lobe at cosines from a texture, because the error of GLSL's cos() may reach 2^-11.
 uniform sampler2D cosines;
 uniform float m;
 out vec4 value;

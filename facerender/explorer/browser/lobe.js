@@ -1,11 +1,11 @@
-// The lobes of A and B against the angle, at the slopes of a pixel; evaluated by the library.
-const ANGLES = 361;  // from 0 to 90 degrees
+// Plots the lobes of A and B over the angle, with m of a pixel. The library's GLSL evaluates them.
+const ANGLES = 361;  // From 0 to 90 degrees.
 const COSINES = Float32Array.from({length: ANGLES}, (_, i) => Math.cos(Math.PI / 2 * i / (ANGLES - 1)));
 const SCALES = [["linear", "linear"], ["log", "log"], ["polar", "polar"]];
-const LOWEST = 1e-4;  // of the logarithmic scale
+const LOWEST = 1e-4;  // Lower end of the logarithmic scale.
 const [PLOT, BELOW] = [{width: 360, height: 190}, {width: 360, height: 90}];
 
-// Values of a term's lobe at the angles.
+// Returns the values of a term's lobe at the angles.
 function lobeValues(drawing, term, m) {
   const {gl} = drawing;
   const target = floatTarget(gl, [ANGLES, 1]);
@@ -24,19 +24,21 @@ function lobeValues(drawing, term, m) {
   return values.filter((_, i) => i % 4 === 0);
 }
 
-// What the registry states of a lobe's largest difference from the exact one, in % of the peak.
+// Returns the lobe's largest difference from exact that the registry states, in % of the peak.
 function statedError(term, m) {
   const stated = lobeOf(term).errors?.[modelOf(term).k];
   if (!stated || lobeOf(term).by_angle) return {text: ""};
-  if (stated.length === 1) return {limit: stated[0], text: `${lobeName(term)}: stated ${stated[0]} % for every m`};
+  if (stated.length === 1) {
+    return {limit: stated[0], text: `${lobeName(term)}: stated error ${stated[0]} % for every m`};
+  }
   const step = Math.round(10 * m) - 1;
   const known = step >= 0 && step < stated.length && Math.abs(10 * m - step - 1) < 0.005;
   const near = clamp(Math.floor(10 * m) - 1, 0, stated.length - 2);
   return {
     limit: known ? stated[step] : undefined,
-    text: known ? `${lobeName(term)}: stated ${stated[step]} % at m = ${short((step + 1) / 10)}`
-      : `${lobeName(term)}: stated ${stated[near]} % at m = ${short((near + 1) / 10)}, `
-        + `${stated[near + 1]} % at ${short((near + 2) / 10)}`,
+    text: known ? `${lobeName(term)}: stated error ${stated[step]} % at m = ${short((step + 1) / 10)}`
+      : `${lobeName(term)}: stated error ${stated[near]} % at m = ${short((near + 1) / 10)}, `
+        + `${stated[near + 1]} % at m = ${short((near + 2) / 10)}`,
   };
 }
 
@@ -59,22 +61,22 @@ function axes({width, height}, across, up, grid) {
   ];
 }
 
-// Draws both plots. found: of a pixel {a, b}: m and the angles of the half vectors of lights.
+// Draws both plots. a, b: m, the values of the lobe, and the angles of the lights' half vectors.
 function plotLobes(box, {a, b}, scale) {
   const {width, height} = PLOT;
   const [left, right, top, bottom] = [42, width - 4, 16, height - 14];
   const highest = Math.max(1, ...a.values, ...b.values);
   const curves = svg("svg", {viewBox: `0 0 ${width} ${height}`, role: "img",
-    "aria-label": `Lobes of A at m ${figure(a.m)} and of B at m ${figure(b.m)} against the angle`});
+    "aria-label": `Lobes of A (m = ${figure(a.m)}) and B (m = ${figure(b.m)}) over the angle`});
   const degrees = i => 90 * i / (ANGLES - 1);
-  // The angles from which on both lobes are dark are left out.
+  // The plot ends where both lobes become dark.
   let dark = ANGLES - 1;
   while (dark > 40 && Math.max(a.values[dark], b.values[dark]) < (scale === "log" ? LOWEST : 2e-3)) --dark;
   const x = i => left + (right - left) * i / dark;
   const step = [2, 5, 10, 15, 20].find(each => degrees(dark) / each < 6.5);
   const ticks = Array.from({length: 1 + Math.floor((degrees(dark) - 2) / step)},
     (_, i) => [x(i * step / 90 * (ANGLES - 1)), `${i * step}°`]);
-  let point;  // on the plot, of an angle's number and a value
+  let point;  // Maps the index of an angle and a value to the plot.
   let numbers = [...Array(dark + 1).keys()];
   if (scale === "polar") {
     const radius = height - 18;
@@ -110,7 +112,7 @@ function plotLobes(box, {a, b}, scale) {
   const most = Math.max(limit, ...apart.map(Math.abs), 1e-3) * 1.1;
   const level = v => BELOW.height / 2 - v / most * (BELOW.height / 2 - 14);
   const below = svg("svg", {viewBox: `0 0 ${BELOW.width} ${BELOW.height}`, role: "img",
-    "aria-label": `B less A: up to ${figure(Math.max(...apart.map(Math.abs)))} % of the peak`});
+    "aria-label": `B minus A: up to ${figure(Math.max(...apart.map(Math.abs)))} % of the peak`});
   below.append(...axes(BELOW, [], "B − A, % of the peak",
     [most / 1.1, 0, -most / 1.1].map(v => [level(v), `${v < 0 ? "−" : ""}${figure(Math.abs(v))}`])));
   for (const sign of limit ? [1, -1] : []) {
@@ -121,8 +123,8 @@ function plotLobes(box, {a, b}, scale) {
     limits.map(each => each.text).filter(Boolean).join("; ")));
 }
 
-// Angles in degrees between the normal of a probed pixel and the half vectors of the lights, and its
-// N.L and N.V.
+// Returns N.V of a probed pixel, and for each light N.L and the angle between the normal and the
+// half vector, in degrees.
 function geometryAt({position, normal}, camera, lights) {
   const v = unit(camera.map((x, i) => x - position[i]));
   const each = lights.map(light => {

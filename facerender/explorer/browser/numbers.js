@@ -1,11 +1,11 @@
-// Numbers as texts: in the page, in links, and in GLSL.
+// Formats numbers for the page, for URLs, and for GLSL.
 const radians = degrees => degrees * Math.PI / 180;
 const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
 
-// Six digits, without zeros at the end.
+// Returns six digits, without trailing zeros.
 const short = x => String(+x.toPrecision(6));
 
-// Three digits as a reader wants them; never an exponent.
+// Returns three digits for display, never with an exponent.
 function figure(x) {
   if (!Number.isFinite(x)) return "not finite";
   if (x === 0) return "0";
@@ -14,7 +14,7 @@ function figure(x) {
   return x.toLocaleString("en", {minimumFractionDigits: digits, maximumFractionDigits: digits});
 }
 
-// A float literal: GLSL ES takes no whole number for one.
+// Returns a float literal: GLSL ES does not convert integers to floats.
 function literal(x) {
   const text = String(x);
   return /[.e]/.test(text) ? text : `${text}.0`;

@@ -1,10 +1,10 @@
-// The images on the canvas: A left of the cut and B right of it, or their difference; what is over
-// the budget is red. Row 0 of an image is on top.
+// Shows A left of the cut and B right of it, or their difference. Pixels over the budget are red.
+// Row 0 of an image is on top.
 uniform int height;
 uniform int cut;           // pixels from the left
 uniform bool difference;
 uniform float gain;
-uniform float budget;      // steps of 1/255; none where negative
+uniform float budget;      // 8-bit levels; negative for no budget
 out vec4 color;
 
 vec3 heat(float x) {

@@ -1,7 +1,6 @@
-// The state of the page, and its form in the URL's fragment, which holds the differences from the
-// first state.
+// The state of the page, and its text in the URL fragment: the differences from the initial state.
 const SHOWS = {wipe: "A | B", a: "A", b: "B", difference: "|A − B|"};
-const ONLY = {all: "whole", specular: "specular"};
+const ONLY = {all: "all terms", specular: "specular"};
 const MOST_LIGHTS = 8;
 const SWATCH = {a: "A", b: "B"};
 const {ranges} = facts;
@@ -10,7 +9,7 @@ const [firstModel] = Object.keys(registry.models);
 const [firstFresnel] = registry.fresnel;
 const [firstMasking] = registry.masking;
 
-// m, f0, ks: null for the file's own.
+// m, f0, ks: null selects the value of the mesh file.
 const plainTerm = lobe => ({
   model: firstModel, lobe, g: 8, factor: 0.25, offset: 0.5,
   fresnel: firstFresnel, masking: firstMasking, m: null, f0: null, ks: null,
@@ -25,7 +24,7 @@ const allWithin = table => Object.fromEntries(
   Object.entries(table).map(([name, range]) => [name, within(range)]));
 const oneOf = names => text => names.includes(text) ? text : undefined;
 
-// How each field is read from text; undefined where it cannot be.
+// Parsers of the fields; they return undefined for invalid text.
 const TERM_FIELDS = {
   model: oneOf(Object.keys(registry.models)),
   lobe: oneOf([...Object.keys(registry.lobes), "g-power"]),
@@ -98,7 +97,7 @@ function fragmentOf(state) {
   return words.join("&");
 }
 
-// The state of a fragment, and the words in it that mean nothing here.
+// Returns the state of a URL fragment, and its invalid parts.
 function stateOf(fragment) {
   const state = firstState();
   const unknown = [];
@@ -128,13 +127,13 @@ function stateOf(fragment) {
   return {state, unknown};
 }
 
-// Why facerender render refuses a term's slopes; "" where they lie in the domain of its lobe.
+// Returns the reason why facerender render refuses m of a term; "" if m is in the domain of the lobe.
 function outsideDomain(term) {
   const highest = term.m ?? Math.max(...facts.parts.map(part => part.slopes[1]));
   const {k} = modelOf(term);
   const lobe = lobeOf(term);
   const end = lobe.ends[k];
   const inside = lobe.open.includes(k) ? highest < end : highest <= end * (1 + 1e-6);
-  return inside ? "" : `m reaches ${figure(highest)}, outside the domain of ${lobeName(term)} here, which `
-    + `ends at ${figure(end)}: facerender render refuses it without --outside exact`;
+  return inside ? "" : `m reaches ${figure(highest)}, but ${lobeName(term)} is valid only up to `
+    + `${figure(end)} with this model: facerender render needs --outside exact`;
 }

@@ -1,14 +1,17 @@
-// Fresnel reflectance of a dielectric in air for unpolarised light, exact. Written with q = eta^2 - 1
-// and g - c = q/(g + c), so that nothing cancels where eta is near 1; at q = c = 0 the floor 1e-20
-// (whose square float32 still holds) makes 0/0 a 0, the limit for c > 0.
+// Exact Fresnel reflectance of a dielectric in air for unpolarised light.
+// It uses q = eta^2 - 1 and g - c = q/(g + c), so that nothing cancels for eta near 1. At q = c = 0
+// the floor 1e-20, whose square is in the range of float32, turns 0/0 into 0, the limit for c > 0.
 //
-//   formula   a^2 (1 + b^2)/2, a = (g - c)/(g + c), b = (c (g + c) - 1)/(c (g - c) + 1), c = V.H,
+//   formula:  a^2 (1 + b^2)/2, a = (g - c)/(g + c), b = (c (g + c) - 1)/(c (g - c) + 1), c = V.H,
 //             g^2 = eta^2 + c^2 - 1, eta = (1 + sqrt(f0))/(1 - sqrt(f0))
-//   f0        reflectance at normal incidence, in [0, 1); skin: 0.028, index of refraction 1.4
-//   v_dot_h   cosine between the eye (or the light) and the unit half vector, in [0, 1]
-//   unit      none, in [0, 1]
-//   error     of the formula none
-//   source    Cook and Torrance (1982)
+//   f0:       Fresnel reflectance at normal incidence, in [0, 1); 0.028 for skin, with index of
+//             refraction 1.4.
+//   v_dot_h:  Cosine of the angle between the direction to the camera (or to the light) and the
+//             unit half vector, in [0, 1].
+//   unit:     none
+//   returns:  In [0, 1].
+//   error:    None in the formula.
+//   source:   Cook and Torrance (1982).
 #ifndef FR_FRESNEL_DIELECTRIC_GLSL
 #define FR_FRESNEL_DIELECTRIC_GLSL
 

@@ -1,34 +1,37 @@
-// Exact lobe, for hosts that build a BRDF of their own. The models here have it within their one
-// division: E = 2^-x with x = tan^2(gamma)/(m^2 ln 2), and 1/c^2 = x m^2 ln 2 + 1.
+// Exact lobe, for hosts that build their own BRDF.
+// The BRDFs of the library compute it within their only division: E = 2^-x with
+// x = tan^2(gamma)/(m^2 ln 2), and 1/c^2 = x m^2 ln 2 + 1.
 //
-//   formula E/c^k, E = exp(-tan^2(gamma)/m^2)
-//   x       tan^2(gamma)/m^2, >= 0
-//   tan2    squared tangent of the angle gamma between normal and half vector, >= 0; see
-//           half_vector.glsl: it needs no normalised half vector and no acos
-//   c       cosine of gamma, in [0, 1]
-//   m       rms slope of the microfacets, in [1e-4, 2]
-//   k       FR_K_COOK_TORRANCE or FR_K_WARD
-//   unit    none: peak 1 at gamma = 0; the caller multiplies by the model's scale
-//   error   of the formula: none; in float32 a relative error e of tan2 becomes e tan2/m^2
-//   source  Beckmann and Spizzichino (1963), as Cook and Torrance (1982, k = 4) and Ward (1992,
-//           eq. 4, k = 0) use it
+//   formula:  E/c^k, E = exp(-tan^2(gamma)/m^2)
+//   x:        tan^2(gamma)/m^2, >= 0.
+//   tan2:     Squared tangent of the angle gamma between normal and half vector, >= 0;
+//             half_vector.glsl computes it without normalisation and without acos.
+//   c:        Cosine of gamma, in [0, 1].
+//   m:        Roughness: RMS slope of the microfacets, in [1e-4, 2].
+//   k:        Power of 1/c in the lobe: FR_K_COOK_TORRANCE or FR_K_WARD.
+//   unit:     none
+//   returns:  1 at gamma = 0; the caller multiplies by the scale of the model.
+//   error:    None in the formula; in float32 a relative error e of tan2 becomes e tan2/m^2.
+//   source:   Beckmann and Spizzichino (1963), as in Cook and Torrance (1982, k = 4) and Ward
+//             (1992, eq. 4, k = 0).
 #ifndef FR_LOBE_EXACT_GLSL
 #define FR_LOBE_EXACT_GLSL
 
 #include "../constants.glsl"
 
-// exp(-1e6/m^2) is 0 in float32 for every m <= 2, so the limit changes no value;
-// without it (1 + tan2)^2 overflows and 0 times infinity is NaN.
+// Upper limit of tan2. It changes no value: exp(-1e6/m^2) is 0 in float32 for every m <= 2. Without
+// it (1 + tan2)^2 overflows, and 0 times infinity is NaN.
 #define FR_MAX_TAN2 1e6
 
-// Slope factor E alone.
+// Slope factor E of the exact lobe.
 //
-//   formula E = exp(-x)
+//   formula:  E = exp(-x)
+//   returns:  1 at x = 0.
 float fr_slope_factor(float x) {
     return exp2(-FR_LOG2_E * x);
 }
 
-// Exact lobe, from the squared tangent: the digits of a small angle stay.
+// Exact lobe from the squared tangent, which keeps the digits of small angles.
 float fr_lobe_exact_tan2(float tan2, float m, int k) {
     float t = clamp(tan2, 0.0, FR_MAX_TAN2);
     float e = fr_slope_factor(t / (FR_SLOPE(m) * FR_SLOPE(m)));
@@ -40,7 +43,7 @@ float fr_lobe_exact_tan2(float tan2, float m, int k) {
 }
 
 float fr_lobe_exact(float c, float m, int k) {
-    float x = clamp(c, 1e-3, 1.0);  // 1e-3 is FR_MAX_TAN2
+    float x = clamp(c, 1e-3, 1.0);  // c = 1e-3 corresponds to FR_MAX_TAN2
     return fr_lobe_exact_tan2((1.0 - x) * (1.0 + x) / (x * x), m, k);
 }
 

@@ -1,21 +1,23 @@
-// Fitted lobes: the best uniform approximations of E/c^k by a cubic to the power 5 (fr_lobe_fitted)
-// and a quartic to the power 8 (fr_lobe_fitted_fine), over all angles and slopes at once, among
-// those that fall monotonically, are exact at c = 1 and have coefficients cubic (fine: quartic) in
-// m^2.
+// Fitted lobes: polynomials in 1 - c, clamped and raised to a power, that approximate E/c^k.
+// fr_lobe_fitted is a cubic to the power 5, fr_lobe_fitted_fine a quartic to the power 8. Each is
+// the best uniform approximation over all angles and slopes among the polynomials that decrease
+// monotonically, are exact at c = 1 and have coefficients cubic (fine: quartic) in m^2.
 //
-//   formula max(1 + a1 u + a2 u^2 + ..., 0)^g, u = 1 - c
-//   c       cosine of the angle between normal and half vector, in [0, 1]
-//   m       rms slope, in [1e-4, 0.7] for Cook-Torrance, [1e-4, 1] for Ward; a larger one counts
-//           as the end of the domain
-//   k       FR_K_COOK_TORRANCE or FR_K_WARD
-//   unit    none: peak 1 at c = 1; the caller multiplies by the model's scale
-//   error   in % of the peak (tests/test_lobes.py), at most, over all angles and the domain of m
-//   source  constants: tools/fits/lobes.py; the clamped power: Lyon (1993)
+//   formula:  max(1 + a1 u + a2 u^2 + ..., 0)^g, u = 1 - c
+//   c:        Cosine of the angle between normal and half vector, in [0, 1].
+//   m:        Roughness: RMS slope of the microfacets, in [1e-4, 0.7] for Cook-Torrance, in
+//             [1e-4, 1] for Ward; larger values are clamped.
+//   k:        Power of 1/c in the lobe: FR_K_COOK_TORRANCE or FR_K_WARD.
+//   unit:     none
+//   returns:  1 at c = 1, the peak; the caller multiplies by the scale of the model.
+//   error:    Largest difference from the exact lobe over all angles and the domain of m, in % of
+//             the peak (tests/test_lobes.py).
+//   source:   Constants: tools/fits/lobes.py; the clamped power: Lyon (1993).
 //
-// Where all fragments share one m, a host may give the coefficients (facerender.lobes and facerender
-// shaders flatten --m compute them): #define FR_FITTED_COEFFICIENTS(m, k) vec3(...), and
-// FR_FITTED_FINE_COEFFICIENTS with a vec4, before the include. Constants save up to 30 % of the term; a
-// uniform costs llvmpipe more than computing them.
+// If all fragments share one m, a host may define the coefficients before the include:
+// #define FR_FITTED_COEFFICIENTS(m, k) vec3(...), and FR_FITTED_FINE_COEFFICIENTS with a vec4.
+// facerender.lobes and facerender shaders flatten --m compute them. Constants save up to 30 % of
+// the term. On llvmpipe a uniform costs more than computing the coefficients.
 #ifndef FR_LOBE_FITTED_GLSL
 #define FR_LOBE_FITTED_GLSL
 
@@ -35,21 +37,22 @@
 #define FR_FITTED_FINE_VARIABLE(u, inverse_m2, k) (u)
 #endif
 
-// Variable of the polynomials, with the slope's domain.
+// Variable of the polynomials, u/m^2, with m clamped to its domain.
 //
-//   formula     u/m^2
-//   u           1 - c, in [0, 1]
-//   inverse_m2  1/m^2; one below the end of the domain counts as that
-//   error       of the formula none
+//   formula:     u/m^2
+//   u:           1 - c, in [0, 1].
+//   inverse_m2:  1/m^2; clamped to at least 1/m^2 of the largest m.
+//   returns:     >= 0.
+//   error:       None in the formula.
 float fr_lobe_fitted_variable(float u, float inverse_m2, int k) {
     return u * max(inverse_m2, k == FR_K_COOK_TORRANCE ? 1.0 / 0.49 : 1.0);
 }
 
-// Numerators of fr_lobe_fitted's coefficients.
+// Numerators of the coefficients of fr_lobe_fitted.
 //
-//   formula a1 m^2, a2 m^4, a3 m^6, each a cubic in m^2
-//   unit    none: the factors of u/m^2 and its powers
-//   error   see fr_lobe_fitted
+//   formula:  a1 m^2, a2 m^4, a3 m^6, each a cubic in m^2
+//   returns:  Factors of u/m^2 and its powers.
+//   error:    See fr_lobe_fitted.
 vec3 fr_lobe_fitted_numerators(float m, int k) {
     float w = FR_SLOPE(m) * FR_SLOPE(m);
     vec3 a;
@@ -69,21 +72,21 @@ vec3 fr_lobe_fitted_numerators(float m, int k) {
     return a;
 }
 
-// Coefficients of fr_lobe_fitted, for hosts that give them to FR_FITTED_COEFFICIENTS.
+// Coefficients of fr_lobe_fitted, for hosts that define FR_FITTED_COEFFICIENTS.
 //
-//   formula a1, a2, a3 with a_i m^(2i) a cubic in m^2
-//   unit    none: the factors of u, u^2, u^3
-//   error   see fr_lobe_fitted
+//   formula:  a1, a2, a3, with a_i m^(2i) a cubic in m^2
+//   returns:  Factors of u, u^2, u^3.
+//   error:    See fr_lobe_fitted.
 vec3 fr_lobe_fitted_coefficients(float m, int k) {
     float r = fr_lobe_fitted_variable(1.0, 1.0 / (FR_SLOPE(m) * FR_SLOPE(m)), k);
     return fr_lobe_fitted_numerators(m, k) * vec3(r, r * r, r * r * r);
 }
 
-// Fitted lobe: a clamped cubic to the power 5, for callers that have 1/m^2.
+// Fitted lobe for callers that already have 1/m^2: a clamped cubic to the power 5.
 //
-//   formula     max(1 + a1 u + a2 u^2 + a3 u^3, 0)^5, u = 1 - c
-//   inverse_m2  1/m^2
-//   error       at most 0.19 % of the peak for Cook-Torrance, 0.13 % for Ward
+//   formula:     max(1 + a1 u + a2 u^2 + a3 u^3, 0)^5, u = 1 - c
+//   inverse_m2:  1/m^2.
+//   error:       At most 0.19 % of the peak for Cook-Torrance, 0.13 % for Ward.
 float fr_lobe_fitted_within(float c, float m, float inverse_m2, int k) {
     vec3 a = FR_FITTED_COEFFICIENTS(m, k);
     float v = FR_FITTED_VARIABLE(1.0 - c, inverse_m2, k);
@@ -94,17 +97,17 @@ float fr_lobe_fitted_within(float c, float m, float inverse_m2, int k) {
 
 // Fitted lobe: a clamped cubic to the power 5.
 //
-//   formula max(1 + a1 u + a2 u^2 + a3 u^3, 0)^5, u = 1 - c
-//   error   at most 0.19 % of the peak for Cook-Torrance, 0.13 % for Ward
+//   formula:  max(1 + a1 u + a2 u^2 + a3 u^3, 0)^5, u = 1 - c
+//   error:    At most 0.19 % of the peak for Cook-Torrance, 0.13 % for Ward.
 float fr_lobe_fitted(float c, float m, int k) {
     return fr_lobe_fitted_within(c, m, 1.0 / (FR_SLOPE(m) * FR_SLOPE(m)), k);
 }
 
-// Numerators of fr_lobe_fitted_fine's coefficients.
+// Numerators of the coefficients of fr_lobe_fitted_fine.
 //
-//   formula a1 m^2, a2 m^4, a3 m^6, a4 m^8, each a quartic in m^2
-//   unit    none: the factors of u/m^2 and its powers
-//   error   see fr_lobe_fitted_fine
+//   formula:  a1 m^2, a2 m^4, a3 m^6, a4 m^8, each a quartic in m^2
+//   returns:  Factors of u/m^2 and its powers.
+//   error:    See fr_lobe_fitted_fine.
 vec4 fr_lobe_fitted_fine_numerators(float m, int k) {
     float w = FR_SLOPE(m) * FR_SLOPE(m);
     vec4 a;
@@ -126,21 +129,21 @@ vec4 fr_lobe_fitted_fine_numerators(float m, int k) {
     return a;
 }
 
-// Coefficients of fr_lobe_fitted_fine, for hosts that give them to FR_FITTED_FINE_COEFFICIENTS.
+// Coefficients of fr_lobe_fitted_fine, for hosts that define FR_FITTED_FINE_COEFFICIENTS.
 //
-//   formula a1, a2, a3, a4 with a_i m^(2i) a quartic in m^2
-//   unit    none: the factors of u, u^2, u^3, u^4
-//   error   see fr_lobe_fitted_fine
+//   formula:  a1, a2, a3, a4, with a_i m^(2i) a quartic in m^2
+//   returns:  Factors of u, u^2, u^3, u^4.
+//   error:    See fr_lobe_fitted_fine.
 vec4 fr_lobe_fitted_fine_coefficients(float m, int k) {
     float r = fr_lobe_fitted_variable(1.0, 1.0 / (FR_SLOPE(m) * FR_SLOPE(m)), k);
     return fr_lobe_fitted_fine_numerators(m, k) * vec4(r, r * r, r * r * r, (r * r) * (r * r));
 }
 
-// Finer fitted lobe: a clamped quartic to the power 8, for callers that have 1/m^2.
+// Finer fitted lobe for callers that already have 1/m^2: a clamped quartic to the power 8.
 //
-//   formula     max(1 + a1 u + a2 u^2 + a3 u^3 + a4 u^4, 0)^8, u = 1 - c
-//   inverse_m2  1/m^2
-//   error       at most 0.04 % of the peak for both models
+//   formula:     max(1 + a1 u + a2 u^2 + a3 u^3 + a4 u^4, 0)^8, u = 1 - c
+//   inverse_m2:  1/m^2.
+//   error:       At most 0.04 % of the peak for both models.
 float fr_lobe_fitted_fine_within(float c, float m, float inverse_m2, int k) {
     vec4 a = FR_FITTED_FINE_COEFFICIENTS(m, k);
     float v = FR_FITTED_FINE_VARIABLE(1.0 - c, inverse_m2, k);
@@ -152,8 +155,8 @@ float fr_lobe_fitted_fine_within(float c, float m, float inverse_m2, int k) {
 
 // Finer fitted lobe: a clamped quartic to the power 8.
 //
-//   formula max(1 + a1 u + a2 u^2 + a3 u^3 + a4 u^4, 0)^8, u = 1 - c
-//   error   at most 0.04 % of the peak for both models
+//   formula:  max(1 + a1 u + a2 u^2 + a3 u^3 + a4 u^4, 0)^8, u = 1 - c
+//   error:    At most 0.04 % of the peak for both models.
 float fr_lobe_fitted_fine(float c, float m, int k) {
     return fr_lobe_fitted_fine_within(c, m, 1.0 / (FR_SLOPE(m) * FR_SLOPE(m)), k);
 }

@@ -1,36 +1,39 @@
-// g-power lobe: D4, D8 and D16. Unclamped, the even power turns a negative base back up: at m = 0.2
-// the printed D16 reaches 2.3e4 times its peak at 90 degrees.
+// g-power lobe: D4, D8 and D16, a clamped linear factor to the power g.
+// The clamp is necessary: an even power makes a negative base positive. At m = 0.2 and 90 degrees
+// D16 as published reaches 2.3e4 times its peak.
 //
-//   formula max((n/g)(c - 1) + 1, 0)^g, n = 2/m^2 - k
-//   c       cosine of the angle between normal and half vector, in [0, 1]
-//   m       rms slope, from 1e-4 to below 0.707 for Cook-Torrance, to 2 for Ward; beyond, the
-//           result is finite without meaning
-//   k       FR_K_COOK_TORRANCE or FR_K_WARD
-//   g       4, 8 or 16
-//   unit    none: peak 1 at c = 1; the caller multiplies by the model's scale
-//   error   in % of the peak (tests/test_lobes.py), for m = 0.1, 0.2, 0.3, 0.4, 0.5, 0.6:
-//           Cook-Torrance  g = 4:  6.96, 5.54, 2.46, 4.18, 17.8, 45.4;
-//                          g = 8:  3.11, 1.68, 1.43, 7.79, 20.9, 46.9;
-//                          g = 16: 1.31, 0.13, 3.21, 9.50, 22.3, 47.6;
-//           Ward           g = 4:  6.98, 5.78, 3.79, 1.12, 2.55, 6.64;
-//                          g = 8:  3.13, 1.92, 0.12, 2.83, 6.25, 10.25;
-//                          g = 16: 1.32, 0.12, 1.88, 4.60, 7.99, 11.9
-//   source  Romanyuk et al. (2020); Lyon (1993) for the clamp
+//   formula:  max((n/g)(c - 1) + 1, 0)^g, n = 2/m^2 - k
+//   c:        Cosine of the angle between normal and half vector, in [0, 1].
+//   m:        Roughness: RMS slope of the microfacets, in [1e-4, 0.707) for Cook-Torrance, in
+//             [1e-4, 2] for Ward. Beyond the domain the result is finite but meaningless.
+//   k:        Power of 1/c in the lobe: FR_K_COOK_TORRANCE or FR_K_WARD.
+//   g:        4, 8 or 16.
+//   unit:     none
+//   returns:  1 at c = 1, the peak; the caller multiplies by the scale of the model.
+//   error:    Difference from the exact lobe in % of the peak (tests/test_lobes.py),
+//             for m = 0.1, 0.2, 0.3, 0.4, 0.5, 0.6:
+//             Cook-Torrance  g = 4:  6.96, 5.54, 2.46, 4.18, 17.8, 45.4;
+//                            g = 8:  3.11, 1.68, 1.43, 7.79, 20.9, 46.9;
+//                            g = 16: 1.31, 0.13, 3.21, 9.50, 22.3, 47.6;
+//             Ward           g = 4:  6.98, 5.78, 3.79, 1.12, 2.55, 6.64;
+//                            g = 8:  3.13, 1.92, 0.12, 2.83, 6.25, 10.25;
+//                            g = 16: 1.32, 0.12, 1.88, 4.60, 7.99, 11.9.
+//   source:   Romanyuk et al. (2020); Lyon (1993) for the clamp.
 #ifndef FR_LOBE_G_POWER_GLSL
 #define FR_LOBE_G_POWER_GLSL
 
 #include "../constants.glsl"
 
-// Clamped linear factor to a power: what a g-power is made of, with g and the steepness free.
+// Clamped linear factor to a power: the g-power lobe with free g and steepness.
 //
-//   formula    max(1 - steepness (1 - c), 0)^g
-//   steepness  of the linear factor, >= 0; with (2/m^2 - k)/g it is the g-power
-//   g          in 1 to 31, a constant
-//   error      of the formula none; as an approximation of E/c^k it depends on the steepness, which
-//              facerender plan fits to a slope
-//   source     Lyon (1993)
+//   formula:    max(1 - steepness (1 - c), 0)^g
+//   steepness:  Of the linear factor, >= 0; (2/m^2 - k)/g gives the g-power lobe.
+//   g:          Power, 1 to 31, a constant.
+//   error:      None in the formula. As an approximation of E/c^k it depends on the steepness,
+//               which facerender plan fits to a slope.
+//   source:     Lyon (1993).
 float fr_lobe_clamped_power(float c, float steepness, int g) {
-    // As 1 - a (1 - c): Mesa multiplies a (c - 1) + 1 out, and loses the digits of a small angle.
+    // Not a (c - 1) + 1: Mesa expands the product, which loses the digits of small angles.
     float p = clamp(1.0 - steepness * (1.0 - c), 0.0, 1.0);
     float p2 = p * p;
     float p4 = p2 * p2;

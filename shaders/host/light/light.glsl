@@ -1,10 +1,10 @@
-// What every kind of light gives at a place.
+// Light at a point: the common result of all kinds of lights.
 #ifndef HOST_LIGHT_GLSL
 #define HOST_LIGHT_GLSL
 
 struct Light {
-    vec3 direction;   // towards the light, a unit vector
-    vec3 irradiance;  // of a surface that faces it
+    vec3 direction;   // unit vector to the light
+    vec3 irradiance;  // of a surface that faces the light
 };
 
 #endif

@@ -1,4 +1,4 @@
-// The point under a fragment of the triangle that is drawn.
+// Point of the mesh under a fragment, from interpolated vertex attributes.
 #include "host/point/point.glsl"
 
 in vec3 position;
@@ -26,7 +26,7 @@ Point point() {
     p.normal_x = dFdx(vertex_normal);
     p.normal_y = dFdy(vertex_normal);
 #endif
-    p.inside = gl_FrontFacing;  // what OpenGL calls the front: the image is drawn upside down
+    p.inside = gl_FrontFacing;  // swapped: the image is drawn upside down
 #if defined(NORMAL_MAP) || defined(SHADOWS)
     p.position_x = dFdx(position);
     p.position_y = dFdy(position);

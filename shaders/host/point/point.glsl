@@ -1,4 +1,4 @@
-// A point of the mesh, as its vertices give it.
+// Point of the mesh: interpolated vertex attributes.
 #ifndef HOST_POINT_GLSL
 #define HOST_POINT_GLSL
 
@@ -6,18 +6,18 @@ struct Point {
     vec3 position;
     vec3 normal;  // any length
 #ifdef CURVATURE
-    vec3 normal_x;  // how much it changes from a pixel to the next
+    vec3 normal_x;  // change per pixel
     vec3 normal_y;
 #endif
-    bool inside;  // whether the back of its triangle is seen
+    bool inside;  // whether the back face is visible
 #if defined(NORMAL_MAP) || defined(SHADOWS)
-    vec3 position_x;  // how much it changes from a pixel to the next
+    vec3 position_x;  // change per pixel
     vec3 position_y;
 #endif
 #ifdef UV
     vec2 uv;
 #if defined(NORMAL_MAP) || defined(VISIBLE)
-    vec2 uv_x;  // of the coordinates that the normal map lies by
+    vec2 uv_x;  // change per pixel of the coordinates of the normal map
     vec2 uv_y;
 #endif
 #endif

@@ -1,13 +1,13 @@
-// The point at which the ray through a pixel's centre meets a triangle's plane: a triangle as
-// drawing/triangle_setup.py packs it, its plane and its attributes as affine functions of the position.
-// After Burns and Hunt (2013), "The visibility buffer: a cache-friendly approach to deferred
-// shading".
+// Point where the ray through the centre of a pixel intersects the plane of a triangle.
+// drawing/triangle_setup.py packs a triangle: its plane, and its attributes as affine functions of
+// the position. Method: Burns and Hunt (2013), "The visibility buffer: a cache-friendly approach to
+// deferred shading".
 #include "host/point/point.glsl"
 #include "host/visible.glsl"
 
 uniform sampler2D triangle_setup;
-uniform vec3 ray;  // from the camera to the first pixel's outer corner; any length
-uniform vec3 ray_x;  // what a pixel to the right adds
+uniform vec3 ray;  // from the camera to the outer corner of the first pixel; any length
+uniform vec3 ray_x;  // change of the ray per pixel to the right
 uniform vec3 ray_y;
 
 #define TEXEL(map, p, place) textureGrad(map, (p).place, (p).uv_x, (p).uv_y)
@@ -41,8 +41,8 @@ Point point(uint triangle) {
     float across = dot(direction, plane.xyz);
     Point p;
     p.inside = across > 0.0;
-    // Seen edge on, a triangle may meet the ray anywhere. Nothing is drawn beyond the far plane, at
-    // 1, nor nearer than a thousandth of that: scenes/view.py.
+    // The ray may intersect the plane of an edge-on triangle anywhere. Nothing is drawn beyond the
+    // far plane, at 1, or nearer than 1e-3 (scenes/view.py).
     if (abs(across) < 1e-7) across = 1e-7;
     float distance = clamp((plane.w - dot(camera_position, plane.xyz)) / across, 1e-3, 1.0);
     p.position = camera_position + distance * direction;

@@ -1,5 +1,5 @@
-// Runs in a page: draws each of fragment shaders over a float target of Babylon.js; returns its version and
-// their pixels, as base64 of float32.
+// Runs in a page: draws each fragment shader over a float target of Babylon.js. Returns the version
+// of Babylon.js and the pixels, as base64 of float32.
 async ({fragments, size}) => {
   const script = document.body.appendChild(document.createElement("script"));
   script.src = "/node_modules/babylonjs/babylon.js";

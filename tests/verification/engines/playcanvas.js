@@ -1,5 +1,5 @@
-// Runs in a page: draws each of fragment shaders over a float target of PlayCanvas; returns its version and
-// their pixels, as base64 of float32.
+// Runs in a page: draws each fragment shader over a float target of PlayCanvas. Returns the version
+// of PlayCanvas and the pixels, as base64 of float32.
 async ({fragments, size}) => {
   const pc = await import("/node_modules/playcanvas/build/playcanvas.min.mjs");
   const device = new pc.Application(document.createElement("canvas")).graphicsDevice;

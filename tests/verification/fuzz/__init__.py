@@ -1,3 +1,3 @@
-"""A fuzzer of every reader: small files (``seeds.py``) changed at random, by their structure and by
-their bytes (``mutate.py``), read and drawn, and what comes of them judged (``subjects.py``).
-``python -m tools.fuzz`` runs it, guided by coverage."""
+"""A fuzzer of every reader. It mutates the structure and the bytes (``mutate.py``) of small files
+(``seeds.py``), reads and draws them, and checks the results (``subjects.py``).
+``python -m tools.fuzz`` runs it guided by coverage."""

@@ -1,4 +1,4 @@
-"""Random changes of a file: of its structure where it has one, of its bytes everywhere."""
+"""Random mutations of a file's bytes and, for some formats, of its structure."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _HOSTILE: tuple[Any, ...] = (
     *(float("inf"), "", "x", [], {}, [7], {"a": 1}, [[]], [None], [0, 0, 0], [1e30, 0, 0]),
     *([0] * 16, {"index": 0}, {"index": 99}),
 )
-_DEEP = 5000  # of brackets
+_DEEP = 5000  # nested brackets
 _PNG = b"\x89PNG\r\n\x1a\n"
 _PNG_KINDS = (
     *(b"IHDR", b"PLTE", b"IDAT", b"IEND", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"iCCP", b"pHYs"),
@@ -91,7 +91,7 @@ def text(data: bytes, random: Random) -> bytes:
 
 
 def json_text(data: bytes, random: Random) -> bytes:
-    """Change values, keys and the nesting of JSON; its bytes where it is none."""
+    """Change values, keys and the nesting of JSON; change the bytes if it is not valid JSON."""
     if random.random() < 0.02:
         return random.choice((b"[" * _DEEP, b'{"a":' * _DEEP, data[:-1] + b',"x":' + b"[" * _DEEP))
     try:
@@ -104,7 +104,7 @@ def json_text(data: bytes, random: Random) -> bytes:
 
 
 def json_lines(data: bytes, random: Random) -> bytes:
-    """Change a line of JSON."""
+    """Change one line of JSON Lines."""
     lines = data.split(b"\n")
     at = random.randrange(len(lines))
     lines[at] = json_text(lines[at], random)
@@ -142,7 +142,7 @@ def _places(value: Any) -> Iterator[Place]:
 
 
 def glb(data: bytes, random: Random) -> bytes:
-    """Change the JSON of a GLB, its buffer, or the lengths that it declares."""
+    """Change the JSON of a GLB, its buffer, or its declared lengths."""
     if data[:4] != b"glTF" or len(data) < 20:
         return any_bytes(data, random)
     (length,) = struct.unpack_from("<I", data, 12)
@@ -163,7 +163,7 @@ def glb(data: bytes, random: Random) -> bytes:
 
 
 def png(data: bytes, random: Random) -> bytes:
-    """Change, cut off, move and add chunks of a PNG, whose checksums stay right."""
+    """Change, remove, rename or add a chunk of a PNG; the checksums stay valid."""
     if not data.startswith(_PNG) or random.random() < 0.1:
         return any_bytes(data, random)
     chunks, at = [], len(_PNG)
@@ -191,7 +191,7 @@ def png(data: bytes, random: Random) -> bytes:
 
 
 def npy(data: bytes, random: Random) -> bytes:
-    """Change the header of a .npy, which stays of the length that it declares."""
+    """Change the header of a .npy file; its declared length stays valid."""
     if not data.startswith(b"\x93NUMPY\x01\x00") or len(data) < 10 or random.random() < 0.2:
         return any_bytes(data, random)
     (length,) = struct.unpack_from("<H", data, 8)
@@ -200,7 +200,7 @@ def npy(data: bytes, random: Random) -> bytes:
 
 
 def npz(data: bytes, random: Random) -> bytes:
-    """Change the arrays in a .npz, or its bytes."""
+    """Change the arrays in a .npz file, or its bytes."""
     if random.random() < 0.3:
         return any_bytes(data, random)
     try:
@@ -218,7 +218,7 @@ def npz(data: bytes, random: Random) -> bytes:
 
 
 def header(data: bytes, random: Random) -> bytes:
-    """Change the lines that a file begins with, or what follows them."""
+    """Change the header of a PLY file, or bytes anywhere in the file."""
     end = data.find(b"end_header")
     if end < 0 or random.random() < 0.4:
         return any_bytes(data, random)
@@ -233,7 +233,7 @@ BY_SUFFIX: dict[str, Mutate] = {
 
 
 def mutate(data: bytes, suffix: str, random: Random) -> bytes:
-    """Return a file changed at random, as its kind suggests."""
+    """Return a mutation of a file's content; the suffix chooses the kind of mutation."""
     change = BY_SUFFIX.get(suffix, any_bytes)
     if random.random() < 0.1:
         change = random.choice((any_bytes, text))

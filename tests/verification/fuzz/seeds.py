@@ -1,4 +1,4 @@
-"""Small files of every kind that is read: what mutations start from."""
+"""Seeds of the fuzzer: small files of every format that facerender reads."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests import awkward_files as files
 
 
 def octahedron() -> files.Head:
-    """Six vertices, eight faces, a map of 8 x 8 texels."""
+    """Return a mesh with six vertices, eight faces and a map of 8 x 8 texels."""
     positions = np.array(
         [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float
     )
@@ -44,14 +44,14 @@ def _image(texels: np.ndarray[Any, Any], format: str, **options: Any) -> bytes:
 
 
 def _written(write: Callable[[Path], Any], name: str) -> dict[str, bytes]:
-    """What a function writes beside the path that it is given."""
+    """Return all files that a function writes, by name, when it is called with a path."""
     with TemporaryDirectory() as folder:
         write(Path(folder, name))
         return {path.name: path.read_bytes() for path in sorted(Path(folder).iterdir())}
 
 
 def meshes() -> Iterator[tuple[str, Mapping[str, bytes]]]:
-    """Yield the name of the file to read, and every file that there is."""
+    """Yield the name of a mesh file, and the content of all its files by name."""
     head = octahedron()
     colors = np.random.default_rng(1).random((6, 3))
     ascii_ply = "\n".join(
@@ -113,7 +113,7 @@ map_Pr skin.jpg
 
 
 def featured(head: files.Head) -> bytes:
-    """A glTF file with most of what is drawn of materials, shapes and places."""
+    """Return a GLB file with most supported features of materials, shapes and nodes."""
     document, binary = files.gltf(head, [{"skin": 0, "weights": [0.5]}, {"scale": [1, 2, 1]}])
     count = len(head.positions)
     joints, shares = np.zeros((count, 4), "<u1"), np.full((count, 4), 0.25, "<f4")
@@ -152,7 +152,7 @@ def featured(head: files.Head) -> bytes:
 
 
 def images() -> Iterator[tuple[str, bytes]]:
-    """Yield the name of a file and what is in it."""
+    """Yield the name and the content of image files."""
     texels = np.random.default_rng(0).integers(0, 256, (8, 8, 4), dtype=np.uint8)
     linear = np.abs(np.random.default_rng(1).normal(size=(8, 16, 4))).astype(np.float32)
     described = PngInfo()
@@ -183,7 +183,7 @@ def _hdr() -> bytes:
 
 
 def scenes(scene: Scene) -> Iterator[bytes]:
-    """Yield scene files, one of them what is written of a scene."""
+    """Yield two scene files; facerender wrote the first."""
     yield scene_toml(scene, Shading()).encode()
     yield b"""ambient = [0.1, 0.1, 0.1]
 background = "none"
@@ -218,7 +218,7 @@ specular_lights = [0, 2]
 
 
 def cameras(mesh: Mesh) -> Iterator[tuple[str, bytes]]:
-    """Cameras before a mesh, by their matrices and of glTF."""
+    """Yield camera files for a mesh: JSON and NumPy files with matrices, and glTF."""
     eye = mesh.center + [0.0, 0.0, 5.0 * mesh.radius]
     turn = np.diag([1.0, -1.0, -1.0])
     pose = np.column_stack([turn, -turn @ eye])
@@ -237,7 +237,7 @@ def cameras(mesh: Mesh) -> Iterator[tuple[str, bytes]]:
 
 
 def options() -> Iterator[Sequence[str]]:
-    """Yield words of ``facerender render``."""
+    """Yield command-line arguments of ``facerender render``."""
     yield (
         *("--light", "key", "--light", "point:1,2,3,1.5,radius=3,shadow", "--light", "30,20,1,2,3"),
         *("--camera", "-35,10,1.2", "--fov", "30", "--m", "0.25", "--ks", "0.18", "--kd", "0.8"),
@@ -256,7 +256,7 @@ def options() -> Iterator[Sequence[str]]:
 
 
 def tables() -> Iterator[tuple[str, bytes]]:
-    """Yield tables of jobs."""
+    """Yield job tables."""
     rows = [
         {"id": "a", "camera": {"azimuth": 10}, "material.m": 0.3, "outputs": ["image", "mask"]},
         {"id": "b", "lights": ["key"], "image": {"size": [64, 64]}, "exposure": 0.5},

@@ -1,4 +1,5 @@
-"""What is fuzzed: which file of which seed, who reads it, and what must hold of what is read."""
+"""The subjects of the fuzzer: a file of a seed, the function that reads it, and the checks of the
+result."""
 
 from __future__ import annotations
 
@@ -25,9 +26,9 @@ from facerender.loading.environment import load_environment
 from facerender.scenes.file import EnvironmentFile, load_scene
 from tests.verification.fuzz import seeds
 
-SLOW = 10.0  # seconds of the processor, however busy the machine; what waits ends at HANGS
-LARGE = 1 << 30  # bytes of resident memory that one input adds
-LONGEST = 600  # characters of a message, on one line
+SLOW = 10.0  # seconds of processor time per input; waiting is limited by HANGS
+LARGE = 1 << 30  # bytes of resident memory that one input may add
+LONGEST = 600  # characters in a message, which has one line
 _HEAD = Path(__file__).parents[3] / "tests" / "data" / "mini_head.glb"
 _CLEAR, _STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")
 OUTCOMES = ("clean", "warned", "refused", "crash", "unsound", "slow", "large")
@@ -35,19 +36,20 @@ FAULTS = OUTCOMES[3:]
 
 
 class Unsound(Exception):
-    """What was read, drawn or said breaks a promise."""
+    """A result, an image or a message fails a check."""
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A file that is changed.
+    """A file to mutate, with the files that it needs.
 
     Attributes
     ----------
-    name : what is read, and which file of it is changed
-    files : that there are, by name; those beside the changed one stay as they are
+    name : names the seed, and the changed file if there are several
+    files : content of all files, by name; only one of them is changed
     changed : name of the changed file
-    examine : reads it in a folder and raises Unsound, or FacerenderError for what it refuses
+    examine : reads the files in a folder; raises FacerenderError for input that it refuses, and
+        Unsound if a check fails
     """
 
     name: str
@@ -66,7 +68,7 @@ class Subject:
 
 @dataclass(frozen=True)
 class Result:
-    """What came of an input: one of OUTCOMES, and of faults a line that tells them apart."""
+    """The outcome of an input, one of OUTCOMES, and for FAULTS a line that identifies the fault."""
 
     outcome: str
     signature: str = ""
@@ -74,7 +76,7 @@ class Result:
 
 @cache
 def subjects() -> tuple[Subject, ...]:
-    """Return every subject; their order is that of the corpus."""
+    """Return every subject, in the order of the corpus."""
     return tuple(_subjects())
 
 
@@ -97,12 +99,12 @@ def _subjects() -> Iterator[Subject]:
 
 
 def examine(subject: Subject, content: bytes, folder: Path) -> Result:
-    """Read a changed file in a folder, which is emptied, and judge what comes of it."""
+    """Empty a folder, read a subject with changed content there, and return the outcome."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     for name, data in {**subject.files, subject.changed: content}.items():
         (folder / name).write_bytes(data)
-    _CLEAR.write_text("5")  # the peak is that of now
+    _CLEAR.write_text("5")  # resets the peak of the resident memory
     before, start = _peak(), time.process_time()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -111,7 +113,7 @@ def examine(subject: Subject, content: bytes, folder: Path) -> Result:
         result = Result("warned")
         for each in caught:
             if "/PIL/" in each.filename:
-                continue  # Pillow's own words, of tags and sizes
+                continue  # Pillow's warnings about tags and sizes
             if not issubclass(each.category, fr.FacerenderWarning):
                 result = Result("unsound", _plain(f"{each.category.__name__}: {each.message}"))
             if why := _bad_message(str(each.message)):
@@ -141,7 +143,7 @@ def _judged(subject: Subject, folder: Path) -> Result:
 
 
 def _plain(text: str) -> str:
-    """The beginning of a text, without what differs from one input to the next."""
+    """Return the beginning of a text with all numbers replaced by 0."""
     return re.sub(r"\d+", "0", text)[:160]
 
 
@@ -154,12 +156,12 @@ def _bad_message(message: str) -> str:
 
 
 def _peak() -> int:
-    """Bytes of memory that were resident at most."""
+    """Return the peak of the resident memory in bytes."""
     (line,) = (line for line in _STATUS.read_text().splitlines() if line.startswith("VmHWM"))
     return 1024 * int(line.split()[1])
 
 
-# --- what must hold ------------------------------------------------------------------------------
+# --- checks --------------------------------------------------------------------------------------
 
 
 @cache
@@ -253,16 +255,16 @@ def _examine_cameras(name: str, folder: Path) -> None:
 
 
 def _examine_render(folder: Path) -> None:
-    """The command line with a word in each line."""
+    """Run ``facerender render`` with the lines of a file as arguments."""
     words = (folder / "a.txt").read_text("latin-1").split("\n")
     image = folder / "a.exr"
     own = ["--size", "24", "--no-cache", "-o", str(image)]
-    with redirect_stdout(StringIO()), redirect_stderr(StringIO()) as said:
+    with redirect_stdout(StringIO()), redirect_stderr(StringIO()) as stderr:
         try:
             status: object = main(["render", str(_HEAD), *words, *own])
         except SystemExit as error:  # --help
             status = error.code or 0
-    lines = said.getvalue().splitlines()
+    lines = stderr.getvalue().splitlines()
     for line in lines:
         _demand(line.startswith("facerender: "), f"standard error has {line[:80]!r}")
         _demand(not _bad_message(line), f"a message {_bad_message(line)}")

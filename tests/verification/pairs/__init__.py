@@ -1,9 +1,11 @@
-"""Pairs of pictures that a comparison must tell apart, and pairs that it must not: twelve scenes,
-each drawn as it is and once per change, in two halves that share no head, camera or light. Whoever
-changes the comparison looks at the half "tune"; the half "report" is for documents and tests.
+"""Pairs of images that a comparison must fail, and pairs that it must pass.
 
-A change that must fail counts where its effect is above what the encoding has of noise, and none
-counts where the files hold the same pixels. The effect is the largest change of a colour of any
-pixel: of EXR relative to the golden's radiance or to 0.01, whichever is more, and 0.5 % is noise;
-of 8-bit images in steps of 255 before they are rounded, and 1 is noise.
+Each of twelve scenes is drawn unchanged and once per change. The scenes form two halves that share
+no head, camera or light: tune the comparison only on the half "tune"; documents and tests use the
+half "report".
+
+The effect of a change is the largest change of a colour channel of any pixel. In EXR files it is
+relative to the golden's radiance or to 0.01, whichever is more; up to 0.5 % is noise. In 8-bit
+images it is in levels before rounding; up to 1 is noise. A change that must fail counts only if its
+effect is above the noise of the encoding. No pair counts whose files hold the same pixels.
 """

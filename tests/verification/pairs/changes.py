@@ -1,5 +1,5 @@
-"""What the second picture of a pair has changed: what a comparison must fail on, and what it must
-pass. Each change takes a room and makes the picture, or None where the scene lacks what it changes.
+"""Changes that make the second image of a pair: those that a comparison must fail, and those that
+it must pass. A change takes a Room and returns the image, or None if it does not apply there.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ Encode = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 @dataclass(frozen=True, eq=False)
 class Against:
-    """A picture whose golden is another than the scene's.
+    """An image and a golden other than that of the scene.
 
     Attributes
     ----------
-    name : of the golden
-    samples : of both
-    renderer : that drew the image, "" for the golden's
+    name : file name of the golden
+    samples : samples per pixel of both
+    renderer : name of the renderer that drew the image; "" if it also drew the golden
     """
 
     name: str
@@ -46,12 +46,12 @@ class Against:
 
 @dataclass(frozen=True)
 class Change:
-    """A change of the linear picture.
+    """A change of the linear image.
 
     Attributes
     ----------
-    formats : in which the pair is there
-    encode : of linear values, what the 8-bit picture holds, in [0, 1]; None for sRGB
+    formats : file formats of the pair
+    encode : maps linear values to [0, 1] for the 8-bit image; None for sRGB
     """
 
     name: str
@@ -63,11 +63,11 @@ class Change:
 
 @dataclass(frozen=True)
 class Encoded:
-    """A change of the 8-bit picture, which the product has as PNG.
+    """A change of the 8-bit image, which is written as PNG.
 
     Attributes
     ----------
-    make : of the golden's pixels, the file; None where the format cannot hold them
+    make : returns the content of the file, from the golden's pixels; None if it cannot hold them
     """
 
     name: str
@@ -75,7 +75,7 @@ class Encoded:
     make: Callable[[Bytes], bytes | None]
 
 
-# --- the lobe, its weight and what lies around it ------------------------------------------------
+# --- lobe, material and shading ------------------------------------------------------------------
 
 SURFACE = "Surface s = surface(p);\n    vec3 v = s.view;"
 _EXPONENTS = {
@@ -85,7 +85,7 @@ _EXPONENTS = {
 
 
 def exponent(by: float) -> Callable[[Room], Linear]:
-    """The exponent of the exact lobe times so much."""
+    """Multiply the exponent of the exact lobe."""
 
     def make(room: Room) -> Linear:
         old, new = _EXPONENTS[room.setting.shading.term.model]
@@ -95,7 +95,7 @@ def exponent(by: float) -> Callable[[Room], Linear]:
 
 
 def remade(change: Callable[[Any], Any]) -> Callable[[Room], Linear]:
-    """Every material changed."""
+    """Replace every material by ``change`` of it."""
 
     def make(room: Room) -> Linear:
         mesh = room.scene.mesh
@@ -105,7 +105,7 @@ def remade(change: Callable[[Any], Any]) -> Callable[[Room], Linear]:
 
 
 def slope(by: float) -> Callable[[Room], Linear]:
-    """The slope m of every material times so much."""
+    """Multiply the slope m of every material."""
     return remade(
         lambda each: (
             replace(each, m=by * each.m)
@@ -116,13 +116,15 @@ def slope(by: float) -> Callable[[Room], Linear]:
 
 
 def factor(name: str, by: float) -> Callable[[Room], Linear]:
-    """A factor of every material times so much."""
+    """Multiply one field of every material."""
     return remade(lambda each: replace(each, **{name: by * getattr(each, name)}))
 
 
 def shaded(needs_factors: bool = False, **changes: Any) -> Callable[[Room], Linear | None]:
-    """Fields of the shading replaced; of models without a Fresnel and a masking term only where
-    that needs none."""
+    """Replace fields of the shading.
+
+    needs_factors : skip models without a Fresnel and a masking term
+    """
 
     def make(room: Room) -> Linear | None:
         shading = room.setting.shading
@@ -134,13 +136,13 @@ def shaded(needs_factors: bool = False, **changes: Any) -> Callable[[Room], Line
 
 
 def reflectance(room: Room) -> Linear | None:
-    """f0 of 0.04 in place of 0.028."""
+    """Draw with f0 = 0.04 instead of 0.028."""
     factors = room.setting.shading.term.entry.factors
     return room.with_material(f0=0.04) if factors else None
 
 
 def unclamped(room: Room) -> Against | None:
-    """D16 without its clamp, against D16."""
+    """Draw D16 without its clamp; the golden is D16."""
     shading = room.setting.shading.replace(lobe="d16")
     mesh = room.scene.mesh.with_material(m=0.2)
     old = "clamp(1.0 - steepness * (1.0 - c), 0.0, 1.0)"
@@ -153,7 +155,7 @@ def unclamped(room: Room) -> Against | None:
 
 
 def turned(degrees: float) -> Callable[[Room], Linear]:
-    """The first light turned about the vertical axis through the mesh's centre."""
+    """Turn the first light about the vertical axis through the mesh's centre."""
 
     def make(room: Room) -> Linear:
         mesh, (first, *others) = room.scene.mesh, room.scene.lights
@@ -177,7 +179,7 @@ def shadow_left_out(room: Room) -> Linear | None:
 
 
 def coloured(change: Callable[[Linear], Any]) -> Callable[[Room], Linear | None]:
-    """The colours of the golden changed, where that changes one."""
+    """Change the colours of the golden; the change does not apply if all stay equal."""
 
     def make(room: Room) -> Linear | None:
         image = room.golden.copy()
@@ -195,20 +197,20 @@ def exposed(by: float) -> Callable[[Room], Linear | None]:
 
 
 def surface(then: str, needs: str | None = None) -> Callable[[Room], Linear | None]:
-    """GLSL that changes the surface before it is shaded.
+    """Insert GLSL that changes the surface before it is shaded.
 
-    needs : a map without which there is nothing to change
+    needs : name of a map; the change applies only if a material has it
     """
     return patched(SURFACE, SURFACE.replace("\n", f"\n    {then}\n"), needs)
 
 
 def patched(old: str, new: str, needs: str | None = None) -> Callable[[Room], Linear | None]:
-    """A passage of the GLSL replaced."""
+    """Replace a passage of the GLSL."""
     return lambda room: room.draw(patch=(old, new)) if needs is None or has(room, needs) else None
 
 
 def has(room: Room, name: str) -> bool:
-    """Tell whether a material has a map."""
+    """Return whether any material has a map."""
     return any(getattr(each, name) is not None for each in room.scene.mesh.materials)
 
 
@@ -229,7 +231,7 @@ TWICE = "s.albedo *= pow(TEXEL(albedo_map, p, ALBEDO_MAP_UV).rgb, vec3(2.2));"
 
 
 def half_vectors(room: Room) -> Linear:
-    """The vectors of the specular terms in half floats."""
+    """Round the normal and the light's direction to half floats."""
     old = "float cosine = dot(s.normal, l);"
     new = f"{HALF.format('l')} {HALF.format('s.normal')} {old}"
     return room.draw(patch=(old, new))
@@ -240,7 +242,7 @@ def weaker_normals(room: Room) -> Linear | None:
 
 
 def blurred(room: Room) -> Linear | None:
-    """The albedo maps blurred by a five hundredth of their width."""
+    """Blur the albedo maps with a radius of 1/500 of their width."""
     if not has(room, "albedo_map"):
         return None
 
@@ -255,7 +257,7 @@ def blurred(room: Room) -> Linear | None:
 
 
 def missing_faces(room: Room, count: int = 20) -> Linear:
-    """So many triangles gone, around the place that the bright pixels' first shows."""
+    """Remove the ``count`` triangles of a part that are nearest to the point at a bright pixel."""
     (row, *_), (column, *_) = bright(room.golden, 1)
     seen = room.surface
     number = int(seen.part[row, column])
@@ -277,7 +279,7 @@ def _with_part(room: Room, number: int, part: Part) -> fr.Mesh:
 
 
 def grain(by: float) -> Callable[[Room], Linear | None]:
-    """Noise of this deviation, the same in all channels."""
+    """Multiply each pixel by noise with this standard deviation, the same in all channels."""
 
     def noisy(colors: Linear) -> Linear:
         noise = np.random.default_rng(1).normal(1.0, by, colors.shape[:2])
@@ -293,20 +295,20 @@ def eroded(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
 
 
 def bright(linear: Linear, count: int, seed: int = 1) -> Places:
-    """Pixels well inside the coverage, brighter than the median."""
+    """Choose pixels at least 5 pixels inside the silhouette, brighter than the median."""
     inside = eroded(linear[..., 3] >= 1.0, 5)
     level = linear[..., :3].min(axis=-1)
     return _some(inside & (level > np.median(level[inside])), count, seed)
 
 
 def edge(linear: Linear, count: int, seed: int = 1) -> Places:
-    """The last fully covered pixels before the silhouette."""
+    """Choose fully covered pixels next to the silhouette."""
     full = linear[..., 3] >= 1.0
     return _some(full & ~eroded(full, 1), count, seed)
 
 
 def dark(linear: Linear, count: int, seed: int = 1) -> Places:
-    """Pixels inside the coverage: of the darkest thousandth, without black."""
+    """Choose pixels inside the silhouette, from the darkest 0.1 % of those above 0.001."""
     inside = eroded(linear[..., 3] >= 1.0, 3)
     level = linear[..., :3].max(axis=-1)
     inside &= level > 1e-3
@@ -331,18 +333,18 @@ def pixels(
 
 
 def packed(colors: Linear) -> Linear:
-    """Colours as r11g11b10 holds them: 6, 6 and 5 bits of mantissa, no sign."""
+    """Round colours to r11g11b10 floats: 6, 6 and 5 bits of mantissa, no sign."""
     fraction, power = np.frexp(colors)
     steps = np.array([128.0, 128.0, 64.0], np.float32)
     return np.asarray(np.ldexp(np.round(fraction * steps) / steps, power))
 
 
 def gamma(linear: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What a power of 1/2.2 makes of linear values."""
+    """Encode linear values with a power of 1/2.2 instead of sRGB."""
     return np.asarray(np.clip(linear, 0.0, 1.0) ** (1.0 / 2.2))
 
 
-# --- what drivers, cameras and formats do --------------------------------------------------------
+# --- drivers, cameras and formats ----------------------------------------------------------------
 
 FOUR = ((-0.125, -0.375), (0.375, -0.125), (-0.375, 0.125), (0.125, 0.375))
 OTHER_FOUR = ((-0.375, -0.25), (0.125, -0.375), (-0.125, 0.25), (0.375, 0.375))
@@ -352,7 +354,7 @@ SOFTPIPE = {"GALLIUM_DRIVER": "softpipe", "LIBGL_ALWAYS_SOFTWARE": "1"}
 
 
 def softpipe(room: Room) -> Against:
-    """Mesa's other driver, which has one sample."""
+    """Draw on Mesa's softpipe, which has one sample per pixel."""
     setting = replace(room.setting, samples=1)
     return with_one_sample(room, draw_elsewhere(setting, variables=SOFTPIPE).linear, "softpipe")
 
@@ -364,7 +366,7 @@ def with_one_sample(room: Room, image: Linear, renderer: str) -> Against:
 
 
 def narrow(room: Room) -> Linear:
-    """llvmpipe with vectors of 128 bits."""
+    """Draw on llvmpipe with vectors of 128 bits."""
     return draw_elsewhere(room.setting, variables={"LP_NATIVE_VECTOR_WIDTH": "128"}).linear
 
 
@@ -373,7 +375,7 @@ def osmesa(room: Room) -> Linear:
 
 
 def other_means(room: Room) -> Against | None:
-    """The mean of four images at other places of the pixel, against that of four."""
+    """Compare two means of four images whose samples lie at different positions in the pixel."""
     if room.setting.samples == 1:
         return None
     return Against("golden-mean", room.mean(FOUR), room.mean(OTHER_FOUR), 4)
@@ -384,7 +386,7 @@ def mirrored(room: Room) -> Linear | None:
 
 
 def shifted(x: float, y: float) -> Callable[[Room], Linear | None]:
-    """The one sample of a pixel elsewhere."""
+    """Move the sample of every pixel, in images with one sample per pixel."""
 
     def make(room: Room) -> Linear | None:
         if room.setting.samples > 1:
@@ -395,12 +397,12 @@ def shifted(x: float, y: float) -> Callable[[Room], Linear | None]:
 
 
 def moved(x: float, y: float) -> Callable[[Room], Linear]:
-    """A camera that moves by so many pixels."""
+    """Move the camera by x and y pixels."""
     return lambda room: room.draw(view=room.moved((x, y)))
 
 
 def snapped(room: Room) -> Linear:
-    """Every vertex moved to where it projects to multiples of 1/256 of a pixel."""
+    """Move every vertex so that it projects to multiples of 1/256 of a pixel."""
     mesh, matrix = room.scene.mesh, room.view.matrix
     halves = np.divide(room.size, 2.0)
     parts = []
@@ -423,7 +425,7 @@ def reversed_triangles(room: Room) -> Linear:
 
 
 def dithered(image: Bytes) -> bytes:
-    """A step more or less where rounding decides otherwise; the alpha channel stays."""
+    """Add -1, 0 or 1 level to each colour value at random; alpha stays."""
     steps = np.random.default_rng(1).integers(-1, 2, (*image.shape[:2], 3))
     out = image.copy()
     out[..., :3] = np.clip(image[..., :3] + steps, 0, 255)
@@ -431,7 +433,7 @@ def dithered(image: Bytes) -> bytes:
 
 
 def with_profile(image: Bytes) -> bytes:
-    """A PNG with an sRGB profile."""
+    """Write a PNG with an sRGB profile."""
     file = BytesIO()
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     Image.fromarray(image).save(file, "PNG", icc_profile=profile)

@@ -1,5 +1,5 @@
-"""Draws the pairs of a change as files: golden and image are both EXR, or both as the product
-writes 8-bit images."""
+"""Writes the pairs of a change as files. Golden and image are both EXR, or both 8-bit images as
+facerender writes them."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from tests.verification.pairs.room import Linear, Room
 from tests.verification.pairs.scenes import Half
 
 FLOORS: dict[Format, float] = {"exr": 0.5, "png": 1.0}
-DARK = 0.01  # radiance of which a change is taken at the least, relative
+DARK = 0.01  # smallest radiance that a relative change is divided by
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two pictures, and whether a comparison must tell them apart.
+    """Two images, and whether a comparison must fail them.
 
     Attributes
     ----------
     golden, image : paths relative to the folder of all scenes
-    effect : largest change of a colour of any pixel; of EXR in percent of the golden's radiance or
-        of 0.01, of 8-bit images in steps of 255, before they are rounded where there is such
-    above_floor : whether it is above what the encoding has of noise, FLOORS
+    effect : largest change of a colour channel of any pixel. EXR: in percent of the golden's
+        radiance or of 0.01. 8 bits: in levels, before rounding if the change is of linear values
+    above_floor : whether the effect is above the noise of the encoding, FLOORS
     identical : whether the files hold the same pixels
     """
 
@@ -52,15 +52,15 @@ class Pair:
 
 
 def straight(frame: fr.Frame) -> NDArray[np.float64]:
-    """Return a frame's colours as an 8-bit picture shows them, linear."""
+    """Return a frame's linear colours, divided by coverage if the background is transparent."""
     color, coverage = frame.linear[..., :3].astype(np.float64), frame.linear[..., 3:]
     return color / np.maximum(coverage, 1e-6) if frame.transparent else color
 
 
 def steps(frame: fr.Frame, encode: Encode | None = None) -> NDArray[np.float64]:
-    """Return the channels of a frame's 8-bit picture before they are rounded.
+    """Return the channels of a frame's 8-bit image before rounding.
 
-    encode : of linear values, those in [0, 1]; None for sRGB
+    encode : maps linear values to [0, 1]; default sRGB
     """
     color = 255.0 * (encode or linear_to_srgb)(straight(frame))
     coverage = 255.0 * np.clip(frame.linear[..., 3:], 0.0, 1.0)
@@ -68,7 +68,7 @@ def steps(frame: fr.Frame, encode: Encode | None = None) -> NDArray[np.float64]:
 
 
 def relative(golden: Linear, image: Linear) -> float:
-    """Return the largest change of a colour in percent."""
+    """Return the largest relative change of a colour channel, in percent."""
     a, b = golden[..., :3].astype(np.float64), image[..., :3].astype(np.float64)
     return float((100.0 * np.abs(b - a) / np.maximum(a, DARK)).max())
 
@@ -78,13 +78,15 @@ def largest(a: NDArray[np.number], b: NDArray[np.number]) -> float:
 
 
 def slug(name: str) -> str:
-    """Return a change's name as that of a file."""
+    """Return the file name of a change."""
     return re.sub(r"[^a-z0-9.+-]+", "-", name.lower().replace(" %", "")).strip("-")
 
 
 def draw(room: Room, change: Change | Encoded, out: Path) -> Iterator[Pair]:
-    """Draw the pairs of a change into the folder of the room's scene; a golden that is there stays.
-    Yields none where the scene lacks what the change changes."""
+    """Write the pairs of a change into the folder of the room's scene, and yield them.
+
+    An existing golden stays. Nothing is yielded if the change does not apply to the scene.
+    """
     name, setting = change.name, room.setting
     folder = out / setting.name
     folder.mkdir(parents=True, exist_ok=True)

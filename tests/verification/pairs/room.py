@@ -1,5 +1,5 @@
-"""Draws the scene of a setting: as it is, with something of it changed, from a camera that moves by
-parts of a pixel, or by another driver in a process of its own."""
+"""Draws the scene of a setting: unchanged, with changes, with a camera moved by less than a pixel,
+or with another driver in a separate process."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Patched(Program):
 
 
 class Retouched(fr.Renderer):
-    """A renderer that replaces a passage of the GLSL that shades."""
+    """A renderer that replaces a passage in the GLSL of ``shade.frag``."""
 
     patch: Patch | None = None
 
@@ -64,7 +64,7 @@ class Retouched(fr.Renderer):
 
 
 class Room:
-    """A setting before its renderer. Images are linear RGB and coverage, (H, W, 4)."""
+    """A setting with its renderer. Images are linear RGB and coverage, (H, W, 4)."""
 
     def __init__(self, setting: Setting, backend: Backend = "egl") -> None:
         self.setting = setting
@@ -87,11 +87,12 @@ class Room:
         samples: int | None = None,
         **scene: object,
     ) -> Linear:
-        """Draw the scene with fields of it replaced.
+        """Draw the scene with some of its fields replaced.
 
-        shading : in place of the setting's
-        patch : a passage of the GLSL, and what takes its place
-        view : of the camera, in place of the scene's
+        shading : default: that of the setting
+        patch : a passage of the GLSL and its replacement
+        view : default: that of the scene's camera
+        samples : per pixel; default: those of the setting
         """
         own = replace(self.scene, **scene)  # type: ignore[arg-type]
         how = shading or self.setting.shading
@@ -103,12 +104,12 @@ class Room:
 
     @cached_property
     def golden(self) -> Linear:
-        """The scene as it is."""
+        """The image of the unchanged scene."""
         return self.draw()
 
     @cached_property
     def surface(self) -> fr.GBuffer:
-        """What lies at the centres of the pixels, without blended parts."""
+        """The G-buffer of the scene, without blended parts."""
         return self.renderer.gbuffer(self.scene, self.setting.shading, blended=False)
 
     def with_material(self, **changes: object) -> Linear:
@@ -116,8 +117,10 @@ class Room:
         return self.draw(mesh=self.scene.mesh.with_material(**changes))
 
     def moved(self, pixels: tuple[float, float]) -> View:
-        """Return the view of a camera that moves, so that what lies as deep as the mesh's centre is
-        so many pixels to the left and up."""
+        """Return the view of a camera that moves parallel to the image plane.
+
+        pixels : how far a point at the depth of the mesh's centre moves to the left and up
+        """
         deep = float(self.view.matrix[3, 3])  # w at the origin
         offset = np.zeros(3)
         for axis, by in enumerate(pixels):
@@ -130,17 +133,17 @@ class Room:
         )
 
     def mean(self, pattern: Sequence[tuple[float, float]]) -> Linear:
-        """Return the mean of images of one sample each, at places of the pixel."""
+        """Return the mean of images with one sample per pixel, one per offset in ``pattern``."""
         images = [self.draw(view=self.view.shifted(at, self.size), samples=1) for at in pattern]
         return cast(Linear, np.mean(images, axis=0, dtype=np.float32))
 
     def mirrored(self) -> Linear:
-        """Draw the scene in a mirror, and mirror the image: the driver's samples lie mirrored."""
+        """Draw the mirrored scene, and mirror the image: only the sample positions are mirrored."""
         view = replace(self.view, matrix=self.view.matrix @ np.diag([-1.0, 1.0, 1.0, 1.0]))
         return np.ascontiguousarray(self.draw(view=view)[:, ::-1])
 
     def frame(self, linear: Linear, renderer: str = "") -> fr.Frame:
-        """Return what saves an image of the scene, drawn by another renderer where one is named."""
+        """Return an image as a frame; ``renderer`` replaces the renderer's name in its metadata."""
         metadata = self.renderer.metadata
         metadata["GL_RENDERER"] = renderer or metadata["GL_RENDERER"]
         return fr.Frame(linear, None, self.scene.background is None, metadata)
@@ -151,8 +154,10 @@ def draw_elsewhere(
     backend: Backend = "egl",
     variables: Mapping[str, str] = MappingProxyType({}),
 ) -> fr.Frame:
-    """Draw a setting in a process of its own, whose environment has further variables: a driver is
-    chosen when Mesa is loaded."""
+    """Draw a setting in a new process with additional environment variables.
+
+    Mesa chooses its driver when it is loaded, so this process cannot change it.
+    """
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         return pool.submit(_draw, setting, backend, dict(variables)).result()
 

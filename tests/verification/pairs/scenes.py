@@ -23,14 +23,14 @@ MINI_HEAD = Path(__file__).parents[3] / "tests" / "data" / "mini_head.glb"
 
 @dataclass(frozen=True)
 class Setting:
-    """A scene, and how it is drawn.
+    """A scene, its size, samples and shading.
 
     Attributes
     ----------
-    head : which of :func:`head_of`
-    camera : whose target is ``target``, in the renderer's space, where that is given
-    point : position in the renderer's space and irradiance of a point light beside ``lights``
-    material : what is replaced of the head's materials
+    head : argument of :func:`head_of`
+    target : of the camera, in the renderer's space; None keeps the target of ``camera``
+    point : position, in the renderer's space, and irradiance of a point light after ``lights``
+    material : fields to replace in every material of the head
     """
 
     name: str
@@ -50,7 +50,7 @@ class Setting:
     float_albedo: bool = False
 
     def scene(self) -> fr.Scene:
-        """Return what is drawn."""
+        """Return the scene with its mesh and lights."""
         mesh = head_of(self.head).with_material(**self.material)
         camera, lights = self.camera, self.lights
         if self.target is not None:
@@ -65,7 +65,7 @@ class Setting:
 
 @cache
 def head_of(name: str) -> fr.Mesh:
-    """Return the built-in head, that of "parts", the "mini" head or the "scan"."""
+    """Return the mesh "head" (built-in), "parts", "mini" or "scan"."""
     if name == "mini":
         return fr.load_mesh(MINI_HEAD).with_material(normal_map=wrinkles())
     if name == "scan":
@@ -76,7 +76,7 @@ def head_of(name: str) -> fr.Mesh:
 
 
 def wrinkles(size: int = 512) -> fr.Texture:
-    """A normal map of crossing waves and grain."""
+    """Return a normal map of crossing waves and grain."""
     v, u = np.mgrid[:size, :size] * (2.0 * np.pi / size)
     grain = np.random.default_rng(1).normal(0.0, 0.06, (2, size, size))
     x = 0.12 * np.sin(23.0 * u + 3.0 * np.sin(4.0 * v)) + grain[0]

@@ -1,6 +1,6 @@
-"""Tables of the documents, a module for each data set: ``blocks()`` returns Markdown by name.
+"""Tables of the documents, one module per data set: ``blocks()`` returns Markdown by name.
 
-Measured data come from docs/measurements; commands in benchmarks and tests/verification write them.
+The commands in ``benchmarks`` write the data, the JSON files in docs/measurements.
 """
 
 from __future__ import annotations
@@ -14,12 +14,15 @@ from typing import Any
 MEASUREMENTS = Path(__file__).parents[3] / "docs" / "measurements"
 
 Columns = Sequence[tuple[str, str]]
-"""Heads of a table, and the formats of a record's values below them."""
+"""Column headings of a table, each with the format of a record's cell."""
 
 
 class _Formatter(Formatter):
-    """``str.format`` with further formats: a "%" at the end writes a percentage and a spaced sign,
-    "digits" three significant digits, or all before the point; None is an empty cell."""
+    """A ``str.format`` with additional formats.
+
+    A final "%" writes a percentage with a space before the sign. "digits" writes three significant
+    digits, or all digits before the point. None is an empty cell.
+    """
 
     def format_field(self, value: Any, spec: str) -> str:
         if value is None:
@@ -35,7 +38,7 @@ _FORMATTER = _Formatter()
 
 
 def load(name: str) -> dict[str, Any]:
-    """Return what docs/measurements/NAME.json holds."""
+    """Return the content of docs/measurements/NAME.json."""
     data: dict[str, Any] = json.loads((MEASUREMENTS / f"{name}.json").read_text(encoding="utf-8"))
     return data
 
@@ -43,18 +46,21 @@ def load(name: str) -> dict[str, Any]:
 def markdown_table(
     head: Sequence[str], rows: Sequence[Sequence[str]], marks: Sequence[str] = ()
 ) -> str:
-    """Return a table in Markdown; marks align its columns, to the left by default."""
+    """Return a Markdown table.
+
+    marks : alignment of each column, such as ``---:``; default: left
+    """
     lines = (head, marks or ["---"] * len(head), *rows)
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def row(formats: Iterable[str], record: Mapping[str, Any]) -> list[str]:
-    """Return the cells of a row: formats with the values of a record."""
+    """Return the cells of a row: each format, filled with the values of a record."""
     return [_FORMATTER.format(form, **record) for form in formats]
 
 
 def table(columns: Columns, records: Iterable[Mapping[str, Any]]) -> str:
-    """Return a table in Markdown, a row for each record."""
+    """Return a Markdown table with one row per record."""
     heads, formats = zip(*columns, strict=True)
     return markdown_table(heads, [row(formats, record) for record in records])
 
@@ -62,12 +68,17 @@ def table(columns: Columns, records: Iterable[Mapping[str, Any]]) -> str:
 def with_median(
     records: Sequence[Mapping[str, Any]], median: Mapping[str, float]
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield records, and a last one of medians under the name "median"."""
+    """Yield the records, then a record with the medians, named "median"."""
     yield from records
     name, *others = records[0]
     yield {name: "median", **dict.fromkeys(others), **median}
 
 
+def published(text: str) -> str:
+    """Return a text of a data set in the words of the pages: "published" for "printed"."""
+    return text.replace("printed", "published")
+
+
 def machine(data: Mapping[str, Any]) -> str:
-    """Return the OpenGL driver that a data set was measured with."""
+    """Return name and version of the OpenGL driver that drew a data set."""
     return "{GL_RENDERER}, OpenGL {GL_VERSION}".format(**data["environment"])

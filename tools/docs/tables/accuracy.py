@@ -1,6 +1,6 @@
-"""What every lobe loses, where it may be used, and what float32 does.
+"""Errors and ranges of all lobes, and errors of float32.
 
-The tables of lobes are computed; those of float32 were measured.
+The tables of the lobes are computed here; the tables of float32 come from a measurement.
 """
 
 from __future__ import annotations
@@ -11,37 +11,38 @@ from facerender import lobes
 from facerender.lobes import AnyLobe
 from facerender.measure import error
 from facerender.terms.fitting import G_POWERS, fit_g_power
-from tools.docs.tables import load, machine, markdown_table, table
+from tools.docs.tables import load, machine, markdown_table, published, table
 
 MODELS = {4: "Cook-Torrance", 0: "Ward"}
 SLOPES = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7, 0.85, 1.0)
 FLOAT32 = (
     ("m", "{m:g}"),
     ("Cook-Torrance", "{cook_torrance:.1e}"),
-    ("FR_SMALL_SLOPE 0", "{cook_torrance_plain:.1e}"),
-    ("of true directions", "{cook_torrance_true:.1e}"),
+    ("Cook-Torrance, FR_SMALL_SLOPE 0", "{cook_torrance_plain:.1e}"),
+    ("Cook-Torrance, unrounded directions", "{cook_torrance_true:.1e}"),
     ("Ward", "{ward:.1e}"),
-    ("FR_SMALL_SLOPE 0", "{ward_plain:.1e}"),
-    ("of true directions", "{ward_true:.1e}"),
+    ("Ward, FR_SMALL_SLOPE 0", "{ward_plain:.1e}"),
+    ("Ward, unrounded directions", "{ward_true:.1e}"),
 )
-EXTREMES = (("input", "{input}"), ("as printed", "{printed}"), ("facerender", "{facerender}"))
+EXTREMES = (("input", "{input}"), ("as published", "{printed}"), ("facerender", "{facerender}"))
 
 
 def blocks() -> dict[str, str]:
     data = load("accuracy")
+    extremes = [{**each, "input": published(each["input"])} for each in data["extremes"]]
     return {
         **{model: lobe_table(k) for k, model in MODELS.items()},
         "domains": domains(),
         "powers": ", ".join(map(str, G_POWERS)),
         "fitted": fitted_g_powers(),
         "float32": table(FLOAT32, data["float32"]),
-        "extremes": table(EXTREMES, data["extremes"]),
+        "extremes": table(EXTREMES, extremes),
         "machine": machine(data),
     }
 
 
 def lobe_error(name: AnyLobe, m: float, k: int) -> float:
-    """Return the largest difference from the exact lobe in % of its peak, over 0 to 90 degrees."""
+    """Return the largest difference from the exact lobe over 0 to 90 degrees, in % of its peak."""
     degrees = np.concatenate(
         [np.linspace(0.0, 90.0, 20001), np.degrees(np.linspace(0, 8 * m, 20001))]
     )
@@ -49,7 +50,7 @@ def lobe_error(name: AnyLobe, m: float, k: int) -> float:
 
 
 def lobe_table(k: int) -> str:
-    """Return the errors of all lobes of a model over m."""
+    """Return a table: the errors of all lobes of a model, by m."""
     names = [name for name in lobes.NAMES if name != "exact"]
     rows = []
     for m in SLOPES:
@@ -61,7 +62,7 @@ def lobe_table(k: int) -> str:
 
 
 def domains() -> str:
-    """Return the domains of m, for both models."""
+    """Return a table: the range of m of each lobe, for both models."""
     rows = [
         [name, *(f"{lobes.MIN_SLOPE:g} to {lobes.max_slope(name, k):.4g}" for k in MODELS)]
         for name in lobes.NAMES
@@ -70,7 +71,7 @@ def domains() -> str:
 
 
 def fitted_g_powers() -> str:
-    """Return the best of all g for single slopes, beside the paper's three."""
+    """Return a table: for each m the best g and its error, and the best error of d4, d8 and d16."""
     rows = []
     for m in SLOPES:
         row = [f"{m:g}"]
@@ -85,5 +86,6 @@ def fitted_g_powers() -> str:
             ]
             row += [str(g), f"{errors[g]:.2g}", f"{min(paper):.2g}" if paper else "-"]
         rows.append(row)
-    head = [f"{model}{what}" for model in MODELS.values() for what in (", g", "", ", d4 to d16")]
+    columns = ("best g", "its error, %", "best of d4 to d16, %")
+    head = [f"{model}: {column}" for model in MODELS.values() for column in columns]
     return markdown_table(["m", *head], rows)

@@ -1,4 +1,4 @@
-"""Which check of the image comparison sees what, and what escapes it."""
+"""Changes that each check of the image comparison detects, and changes that it misses."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from facerender.comparison.result import FOREIGN, LIMITS
 from tools.docs.tables import MEASUREMENTS, Columns, load, machine, markdown_table, table
 
 _RESULT = (
-    ("point, pixels", "{point:+.2g}, {points}"),
-    ("block, blocks", "{block}, {blocks} of {judged}"),
+    ("point, pixels over the limit", "{point:+.2g}, {points}"),
+    ("block, blocks over the limit", "{block}, {blocks} of {judged}"),
     ("trend", "{trend:.2g}"),
     ("texture", "{texture:+.1f%}"),
-    ("checks", "{checks}"),
-    ("looks like", "{guess}"),
+    ("failed checks", "{checks}"),
+    ("reported cause", "{guess}"),
 )
 THRESHOLDS = (
     ("image", "{image}"),
@@ -24,8 +24,8 @@ THRESHOLDS = (
 )
 CHECKS = ("point", "block", "trend", "grain", "texture", "shift", "coverage")
 JUDGES_HEAD = (
-    *("judge", "PNG: threshold", "caught", "false alarms", "balanced accuracy"),
-    *("EXR: threshold", "caught", "false alarms", "balanced accuracy"),
+    *("tool", "PNG: threshold", "detected", "false alarms", "balanced accuracy"),
+    *("EXR: threshold", "detected", "false alarms", "balanced accuracy"),
 )
 
 
@@ -49,12 +49,15 @@ def blocks() -> dict[str, str]:
 
 
 def limits() -> dict[str, str]:
-    """Return the limits of each check, and how much wider they are for another driver."""
+    """Return a table of the limits of all checks, and the factor on them for another driver."""
     rows = [
         [f"**{name}**", *(f"{getattr(LIMITS[kind], name):g}" for kind in ("linear", "srgb8"))]
         for name in CHECKS
     ]
-    return {"limits": markdown_table(["", "linear", "8 bits"], rows), "foreign": f"{FOREIGN:g}"}
+    return {
+        "limits": markdown_table(["check", "linear images", "8-bit images"], rows),
+        "foreign": f"{FOREIGN:g}",
+    }
 
 
 def _results(name: str, rows: Sequence[Mapping[str, Any]]) -> str:
@@ -72,7 +75,7 @@ def _results(name: str, rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _threshold(row: Mapping[str, Any]) -> dict[str, str]:
-    """The smallest change that each check sees; None: not seen up to the largest that was tried."""
+    """Return the smallest change that each check detects, or "> x" if none up to x is detected."""
     seen = {
         name: f"> {row['most']:g}" if value is None else f"{value:.2g}"
         for name, value in row["seen"].items()
@@ -81,7 +84,7 @@ def _threshold(row: Mapping[str, Any]) -> dict[str, str]:
 
 
 def judges_table(own: Summary, peers: Summary) -> str:
-    """Return the judges on the half that is reported, facerender first."""
+    """Return a table: the scores of all tools on the reported half of the suite."""
     scores = {
         (each.judge, each.format): each
         for each in (*own.scores, *peers.scores)
@@ -105,7 +108,10 @@ def judges_table(own: Summary, peers: Summary) -> str:
 
 
 def changes_table(own: Summary, must: str) -> str:
-    """Return in how many scenes of the half that is reported facerender found a change."""
+    """Return a table: the scenes of the reported half in which facerender found a change.
+
+    must : "fail" for changes that a comparison must detect, "pass" for harmless ones
+    """
     counts = {
         (each.change, each.format): f"{each.different} of {each.pairs}"
         for each in own.tallies

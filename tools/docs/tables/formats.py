@@ -1,4 +1,4 @@
-"""What of glTF and its extensions is drawn."""
+"""The table of supported glTF features."""
 
 from __future__ import annotations
 
@@ -7,4 +7,4 @@ from facerender.loading.gltf_features import FEATURES
 
 def blocks() -> dict[str, str]:
     rows = [f"| {each.name} | {each.fate} | {each.how} |" for each in FEATURES]
-    return {"gltf": "\n".join(["| glTF | | |", "|---|---|---|", *rows])}
+    return {"gltf": "\n".join(["| glTF | support | details |", "|---|---|---|", *rows])}

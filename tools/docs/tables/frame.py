@@ -1,4 +1,4 @@
-"""What a whole frame costs, what samples lose, what plans of it save."""
+"""Cost and error of whole frames: samples per pixel, deferred shading, plans."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ _TIME = "{{{0}[value]:.2f}} ({{{0}[low]:.2f}} to {{{0}[high]:.2f}})"
 DEFERRED = (
     ("scene", "{scene}"),
     ("triangles", "{triangles}"),
-    ("1 sample", _TIME.format("one")),
-    ("over 1/255", "{one[over]:.3f%}"),
-    ("4 samples", _TIME.format("four")),
-    ("over 1/255", "{four[over]:.3f%}"),
+    ("time, 1 sample", _TIME.format("one")),
+    ("pixels over 1/255", "{one[over]:.3f%}"),
+    ("time, 4 samples", _TIME.format("four")),
+    ("pixels over 1/255", "{four[over]:.3f%}"),
 )
 PLANS = (
     ("scene", "{scene}"),
     ("chosen", "{chosen}"),
-    ("predicted", "{predicted:.2f}"),
-    ("measured", "{measured:.2f}"),
-    ("of a frame as drawn", "{of_drawn:.2f}"),
+    ("predicted time", "{predicted:.2f}"),
+    ("measured time", "{measured:.2f}"),
+    ("relative to forward shading", "{of_drawn:.2f}"),
     ("error", "{error}"),
     ("worst pixel", "{worst}"),
 )

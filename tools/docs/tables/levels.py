@@ -1,4 +1,4 @@
-"""What levels of detail change in the image, and what they save."""
+"""Error and cost of simplified meshes."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ COLUMNS = (
     ("> 1/255", "{over_1:.2g%}"),
     ("> 2/255", "{over_2:.2g%}"),
     ("> 4/255", "{over_4:.2g%}"),
-    ("mean", "{mean:.2f}"),
-    ("silhouette", "{silhouette:.1f}"),
-    ("frame, 1 sample", "{time[0]:.2f}"),
-    ("frame, 4 samples", "{time[1]:.2f}"),
+    ("mean, levels", "{mean:.2f}"),
+    ("silhouette shift, pixels", "{silhouette:.1f}"),
+    ("time, 1 sample", "{time[0]:.2f}"),
+    ("time, 4 samples", "{time[1]:.2f}"),
 )
 
 

@@ -1,4 +1,4 @@
-"""What plans of ten scenes choose, save and lose, and how they are checked."""
+"""Plans of ten scenes: choices, cost, errors and checks."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _OVER = "{{{0}[over]}} of {{{0}[of]}} ({{{0}[rate]:.1f%}}), {{{0}[largest]:.2f}}
 RATES = (
     ("planned for", "{planned}"),
     ("budget", "{budget}"),
-    ("its cameras", _OVER.format("own")),
-    ("50 others", _OVER.format("others")),
+    ("planned cameras", _OVER.format("own")),
+    ("50 other cameras", _OVER.format("others")),
 )
 CHECKS = (
-    ("", "{name}"),
+    ("GPU", "{name}"),
     ("largest difference", "{largest:.3f}"),
-    ("median", "{median:.3f}"),
+    ("median difference", "{median:.3f}"),
 )
 
 
@@ -33,7 +33,7 @@ def _with_rate(cameras: Mapping[str, Any]) -> dict[str, Any]:
 def blocks() -> dict[str, str]:
     data = load("plan")
     costs = {
-        f"{mode}-{budget}": table([(f"within {budget}/255", "{scene}"), *COSTS], rows)
+        f"{mode}-{budget}": table([(f"budget {budget}/255", "{scene}"), *COSTS], rows)
         for mode, budgets in data["costs"].items()
         for budget, rows in budgets.items()
     }
@@ -52,7 +52,9 @@ def blocks() -> dict[str, str]:
         "rates": table(RATES, rates),
         "checks": table(CHECKS, checks),
         "shadings": "{} to {}".format(*data["search"]["shadings"]),
-        "plans": "{plans} plans ({scenes} scenes".format(**data["search"]),
+        "plans": "{plans} plans ({scenes} scenes, three budgets, three costs)".format(
+            **data["search"]
+        ),
         "dearer": str(data["search"]["dearer"]),
         **seconds,
     }

@@ -1,8 +1,8 @@
-"""The paper's claims beside what is measured."""
+"""The paper's claims and the measurements that check them."""
 
 from __future__ import annotations
 
-from tools.docs.tables import load, table
+from tools.docs.tables import load, published, table
 
 CLAIMS = (
     ("claim", "{claim}"),
@@ -16,7 +16,12 @@ CLAIMS = (
 def blocks() -> dict[str, str]:
     data = load("reproduction/reproduction")
     claims = [
-        {**claim, "verdict": ": ".join(filter(None, (claim["verdict"], claim["where"])))}
+        {
+            **claim,
+            "claim": published(claim["claim"]),
+            "verdict": ": ".join(filter(None, (claim["verdict"], claim["where"]))),
+            "conditions": published(claim["conditions"]),
+        }
         for claim in data["claims"]
     ]
     facts = [f"- {name}: {value}" for name, value in data["environment"].items()]

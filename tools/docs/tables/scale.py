@@ -1,4 +1,4 @@
-"""What 10^8 images a day take, from measurements and a simulation."""
+"""Machines for 10^8 images a day, from measurements and a simulation."""
 
 from __future__ import annotations
 
@@ -11,60 +11,60 @@ from tools.docs.tables import load, markdown_table, row, table
 
 SCHEDULER = (
     ("slots", "{slots} of {nap_s:g} s"),
-    ("asked for, a second", "{offered:.0f}"),
-    ("measured", "{done:.1f}"),
-    ("simulated", "{simulated:.1f}"),
-    ("cores busy with it", "{busy:.2f} of {cores}"),
-    ("scheduler, ms a task", "{scheduler_ms:.1f}"),
-    ("coordinator, ms", "{coordinator_ms:.1f}"),
-    ("workers, ms", "{workers_ms:.1f}"),
-    ("round trip, ms: 10, 50, 90 %", "{trips}"),
+    ("requested tasks/s", "{offered:.0f}"),
+    ("measured tasks/s", "{done:.1f}"),
+    ("simulated tasks/s", "{simulated:.1f}"),
+    ("busy cores", "{busy:.2f} of {cores}"),
+    ("scheduler, ms per task", "{scheduler_ms:.1f}"),
+    ("coordinator, ms per task", "{coordinator_ms:.1f}"),
+    ("workers, ms per task", "{workers_ms:.1f}"),
+    ("round trip, ms: 10th, 50th, 90th percentile", "{trips}"),
 )
-PLAN_HEAD = ("", "measured, or granted", "at 10^8 images a day", "full")
+PLAN_HEAD = ("part", "measured, or limit", "for 10^8 images a day", "utilisation")
 PLAN = (
     (
-        *("cores", "{draw_ms:.0f} ms an image, {base.chunk_start:.1f} s a chunk for its mesh"),
-        *("{base.workers}, as {machines} machines of 16", "{share[workers]:.1f%}"),
+        *("cores", "{draw_ms:.0f} ms per image, {base.chunk_start:.1f} s per chunk for its mesh"),
+        *("{base.workers} in {machines} machines of 16", "{fraction[workers]:.1f%}"),
     ),
     ("chunks", "{base.chunk} jobs", "{shards:.1f}/s, {shards_day:.2f} M a day", ""),
-    ("scheduler", "{scheduler_ms:.1f} ms a task", "1", "{share[scheduler]:.1f%}"),
-    ("scheduler, were a job a task", "", "{schedulers:.0f} of them", "{schedulers:.0f%}"),
+    ("scheduler", "{scheduler_ms:.1f} ms per task", "1", "{fraction[scheduler]:.1f%}"),
+    ("scheduler, if each job were a task", "", "{schedulers:.0f}", "{schedulers:.0f%}"),
     (
-        *("coordinator", "{row_us:.0f} us a row, {chunk_ms:.1f} ms a chunk"),
-        *("1", "{share[coordinator]:.1f%}"),
+        *("coordinator", "{row_us:.0f} us per row, {chunk_ms:.1f} ms per chunk"),
+        *("1", "{fraction[coordinator]:.1f%}"),
     ),
-    ("storage", "{image_kb:.0f} kB an image", "{images_tb:.1f} TB a day", ""),
+    ("storage", "{image_kb:.0f} kB per image", "{images_tb:.1f} TB a day", ""),
     (
         *("link to the store", "{link_gbit:.0f} Gbit/s"),
-        *("{images_gbit:.2f} Gbit/s", "{share[link]:.1f%}"),
+        *("{images_gbit:.2f} Gbit/s", "{fraction[link]:.1f%}"),
     ),
-    ("objects, shards", "{shard_mb:.1f} MB a shard, and a record", "{objects:.1f} M a day", ""),
+    ("objects, shards", "{shard_mb:.1f} MB per shard, and a record", "{objects:.1f} M a day", ""),
     (
-        *("PUT requests, shards", "{base.request_limit:.0f}/s for a prefix"),
-        *("{shard_puts:.0f}/s", "{share[requests]:.1f%}"),
-    ),
-    (
-        *("PUT requests, files", "{base.request_limit:.0f}/s for a prefix"),
-        *("{file_puts:.0f}/s", "{file_share:.1f%}"),
+        *("PUT requests, shards", "{base.request_limit:.0f}/s per prefix"),
+        *("{shard_puts:.0f}/s", "{fraction[requests]:.1f%}"),
     ),
     (
-        *("records, and the table of all", "{record_kb:.1f} and {table_kb:.1f} kB a job, JSON"),
+        *("PUT requests, files", "{base.request_limit:.0f}/s per prefix"),
+        *("{file_puts:.0f}/s", "{file_fraction:.1f%}"),
+    ),
+    (
+        *("records, and final table", "{record_kb:.1f} and {table_kb:.1f} kB per job, JSON"),
         *("{record_gb:.0f} and {table_gb:.0f} GB a day", ""),
     ),
-    ("rows to the workers", "{sent:.0f} B a job, pickled", "{sent_gb:.0f} GB a day", ""),
+    ("rows sent to workers", "{sent:.0f} B per job, pickled", "{sent_gb:.0f} GB a day", ""),
     (
-        *("a second run of a day", "1,000 records a LIST request, 1 at a time"),
-        *("{list_s:.0f} s to find what is done", ""),
+        *("second run: list finished chunks", "1,000 records per LIST request, one at a time"),
+        *("{list_s:.0f} s", ""),
     ),
-    ("", "a row as above", "{rows_h:.1f} h of one core to read and check the table", ""),
+    ("second run: check the table", "{row_us:.0f} us per row", "{rows_h:.1f} h of one core", ""),
 )
 STORE = (
-    ("to", "{where}"),
-    ("as", "{what}"),
-    ("at once", "{at_once}"),
+    ("store", "{place}"),
+    ("layout", "{layout}"),
+    ("parallel requests", "{parallel}"),
     ("requests", "{requests}"),
     ("median, ms", "{median_ms:.2f}"),
-    ("99 %, ms", "{p99_ms:.1f}"),
+    ("99th percentile, ms", "{p99_ms:.1f}"),
     ("files/s", "{rate:.0f}"),
 )
 
@@ -76,7 +76,7 @@ def blocks() -> dict[str, str]:
     return {
         "machine": "{date}: {processor}, {cores} cores".format(**data["machine"]),
         "opengl": "{renderer}, OpenGL {version}".format(**draw),
-        "draw": f"{1e3 * base.draw:.0f} ms of CPU time an image, {1.0 / base.draw:.1f} images a"
+        "draw": f"{1e3 * base.draw:.0f} ms of CPU time per image, {1.0 / base.draw:.1f} images per"
         " second and core",
         "start": f"{draw['start_s']:.1f} s",
         **{
@@ -95,7 +95,7 @@ def blocks() -> dict[str, str]:
         },
         **{
             title.lower().replace(" ", "-"): markdown_table(
-                scale.HEAD, [scale.row(name, scale.Told(**told)) for name, told in runs.items()]
+                scale.HEAD, [scale.row(name, scale.Told(**run)) for name, run in runs.items()]
             )
             for title, runs in simulated["tables"].items()
         },
@@ -103,14 +103,18 @@ def blocks() -> dict[str, str]:
 
 
 def plan_values(base: scale.Cluster, data: dict[str, Any]) -> dict[str, Any]:
-    """Return the values of PLAN: what the target takes of each part, and what one of it carries."""
+    """Return the values of PLAN: capacity of each part, and its load at the target rate.
+
+    base : the cluster whose parts are loaded
+    data : content of scale.json
+    """
     target, size = scale.TARGET, base.image_bytes
     shards, sent = target / base.chunk, data["coordinator"]["chunk_bytes"] / base.chunk
     files = replace(base, layout="files")
-    share = {name: target / value for name, value in base.capacities().items()}
+    fraction = {name: target / value for name, value in base.capacities().items()}
     return {
         "base": base,
-        "share": share,
+        "fraction": fraction,
         "draw_ms": 1e3 * base.draw,
         "machines": base.workers // 16,
         "shards": shards,
@@ -127,7 +131,7 @@ def plan_values(base: scale.Cluster, data: dict[str, Any]) -> dict[str, Any]:
         "objects": 2 * shards * 86400 / 1e6,
         "shard_puts": 2 * shards,
         "file_puts": target * files.requests / base.chunk,
-        "file_share": target / files.capacities()["requests"],
+        "file_fraction": target / files.capacities()["requests"],
         **{f"{name}_kb": data["draw"]["bytes"][name] / 1e3 for name in ("record", "table")},
         **{f"{name}_gb": data["draw"]["bytes"][name] / 10.0 for name in ("record", "table")},
         "sent": sent,
@@ -138,7 +142,7 @@ def plan_values(base: scale.Cluster, data: dict[str, Any]) -> dict[str, Any]:
 
 
 def full_first(base: scale.Cluster) -> str:
-    """Return the parts beside the workers in the order in which they are full, and the rates."""
+    """Return the limiting rate of each part except the workers as text, lowest rate first."""
     names = {
         "requests": "PUT requests",
         "link": "the link to the store",
@@ -151,7 +155,7 @@ def full_first(base: scale.Cluster) -> str:
 
 
 def scheduler_rows(data: dict[str, Any], simulated: list[float]) -> Iterator[dict[str, Any]]:
-    """Yield the runs of a real scheduler on loopback beside the simulated one."""
+    """Yield each run of a scheduler on loopback, with the rate of its simulation."""
     for run, images in zip(data["scheduler"], simulated, strict=True):
         parts = {
             f"{name}_ms": 1e3 * run[f"{name}_s"] for name in ("scheduler", "coordinator", "workers")
@@ -167,14 +171,14 @@ def scheduler_rows(data: dict[str, Any], simulated: list[float]) -> Iterator[dic
 
 
 def store_rows(store: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield the runs of files and of shards to a folder and to moto."""
+    """Yield the runs that wrote files or shards to a folder or to moto."""
     for name, run in store.items():
         if name == "bytes" or name.endswith("list"):
             continue
-        where, what, at_once = (*name.split(), "1")[:3]
-        files = run["requests"] * (100 if what == "shards" else 1)
+        place, layout, parallel = (*name.split(), "1")[:3]
+        files = run["requests"] * (100 if layout == "shards" else 1)
         yield {
-            **{"where": where, "what": what, "at_once": at_once, "requests": run["requests"]},
+            **{"place": place, "layout": layout, "parallel": parallel, "requests": run["requests"]},
             **{"median_ms": 1e3 * run["median_s"], "p99_ms": 1e3 * run["p99_s"]},
             "rate": files / run["seconds"],
         }

@@ -31,7 +31,7 @@ def section(function: Function) -> str:
         ["formula", f"`{function.formula}`"],
         *([", ".join(f"`{name}`" for name, _ in names), text] for text, names in parameters),
         ["unit", function.unit],
-        *([["result", function.result]] if function.result else []),
+        *([["returns", function.result]] if function.result else []),
         ["error", function.error],
         ["source", function.source],
         ["file", f"[{function.file}](../shaders/{function.file})"],
@@ -39,4 +39,4 @@ def section(function: Function) -> str:
     escaped = [[cell.replace("|", "\\|") for cell in row] for row in rows]
     signature = f"```glsl\n{function.signature}\n```"
     table = markdown_table(["", ""], escaped)
-    return f"### {function.name}\n\n{signature}\n\n{function.summary}\n\n{table}\n"
+    return f"## {function.name}\n\n{signature}\n\n{function.summary}\n\n{table}\n"

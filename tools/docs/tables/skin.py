@@ -1,4 +1,4 @@
-"""How near the slope filter and lights with a radius come to many samples."""
+"""Errors of the slope filter and of area lights against many samples."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from tools.docs.tables import load, machine, table
 
 FILTERED = (
     ("relief", "{relief}"),
-    ("image", "{size}"),
+    ("image, pixels", "{size}"),
     ("m", "{m:g}"),
-    ("energy without", "{none[energy]:+.1f%}"),
-    ("energy", "{filter[energy]:+.1f%}"),
+    ("energy, unfiltered", "{none[energy]:+.1f%}"),
+    ("energy, filtered", "{filter[energy]:+.1f%}"),
     ("L1", "{filter[l1]:.1f%}"),
-    ("of without", "{l1:.2f}"),
+    ("L1 / unfiltered", "{l1:.2f}"),
     ("FLIP", "{filter[flip]:.4f}"),
-    ("of without", "{flip:.2f}"),
+    ("FLIP / unfiltered", "{flip:.2f}"),
 )
 FLICKER = (
     ("relief", "{relief}"),
-    ("without", "{beyond[none]:.4f}"),
+    ("unfiltered", "{beyond[none]:.4f}"),
     ("slope filter", "{beyond[filter]:.4f}"),
-    ("with curvature", "{beyond[filter and curvature]:.4f}"),
+    ("slope filter and curvature", "{beyond[filter and curvature]:.4f}"),
 )
 DISCS = (
-    ("light from the eye", "{angle:g}"),
-    ("radius", "{radius:g}"),
+    ("angle between light and camera, degrees", "{angle:g}"),
+    ("radius, degrees", "{radius:g}"),
     ("m", "{m:g}"),
-    ("no size", "{without:.1f%}"),
-    ("disc", "{with:.1f%}"),
+    ("error, radius ignored", "{without:.1f%}"),
+    ("error, area light", "{with:.1f%}"),
 )
 
 
@@ -49,7 +49,7 @@ def blocks() -> dict[str, str]:
 
 
 def _ratios(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a record with L1 and FLIP of the filter over those without it."""
+    """Return a record with the ratios of L1 and FLIP, filtered to unfiltered, added."""
     lost = record["lost"]
     ratios = {name: lost["filter"][name] / lost["none"][name] for name in ("l1", "flip")}
     return {**record, **lost, **ratios}

@@ -1,19 +1,23 @@
-"""How far few samples of light from all around are from many."""
+"""Errors of an environment map with few samples per lobe against many."""
 
 from __future__ import annotations
 
 from tools.docs.tables import load, machine, table
 
 COUNTS = (8, 16, 32, 64)
-DIFFUSE = (("environment", "{name}"), ("mean", "{mean:.1f%}"), ("largest", "{largest:.1f%}"))
+DIFFUSE = (
+    ("environment", "{name}"),
+    ("mean error", "{mean:.1f%}"),
+    ("largest error", "{largest:.1f%}"),
+)
 SAMPLES = (
     ("mesh", "{mesh}"),
     ("environment", "{environment}"),
     ("m", "{m:g}"),
     *((f"{count} samples", f"{{n{count}[of_all]:.2f%}}") for count in COUNTS),
-    ("of the specular part", "{n32[of_specular]:.1f%}"),
-    ("energy", "{n32[energy]:+.1f%}"),
-    ("p99", "{n32[displayed]:g}/255"),
+    ("32: error / specular term", "{n32[of_specular]:.1f%}"),
+    ("32: energy", "{n32[energy]:+.1f%}"),
+    ("32: 99th percentile", "{n32[displayed]:g}/255"),
 )
 
 

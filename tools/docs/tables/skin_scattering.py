@@ -1,18 +1,18 @@
-"""What scattering in the image loses and costs."""
+"""Error and cost of subsurface scattering."""
 
 from __future__ import annotations
 
 from tools.docs.tables import load, machine, table
 
 ERRORS = (
-    ("samples", "{samples}"),
+    ("subsurface samples", "{samples}"),
     ("mean error", "{mean:.2f%}"),
-    ("99 % of the pixels within", "{p99:.1f}"),
+    ("99th percentile of the displayed error, levels", "{p99:.1f}"),
 )
 COSTS = (
-    ("samples", "{samples}"),
-    ("1 sample a pixel", "{time[0]:.1f}"),
-    ("4 samples a pixel", "{time[1]:.1f}"),
+    ("subsurface samples", "{samples}"),
+    ("1 sample per pixel", "{time[0]:.1f}"),
+    ("4 samples per pixel", "{time[1]:.1f}"),
 )
 
 

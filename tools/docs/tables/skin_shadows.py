@@ -1,4 +1,4 @@
-"""How far shadows and baked occlusion are from rays, and what they cost."""
+"""Errors of shadows and baked occlusion against rays, and their cost."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ from tools.docs.tables import load, machine, table
 ERRORS = (
     ("mesh", "{mesh}"),
     ("light", "{light}"),
-    ("radius", "{radius:g}"),
-    ("in shadow", "{shadowed:.2f%}"),
-    ("without shadows", "{without:.2f%}"),
-    ("mean error", "{mean:.2f%}"),
-    ("wrong by half", "{wrong:.2f%}"),
+    ("radius, degrees", "{radius:g}"),
+    ("light in shadow", "{shadowed:.2f%}"),
+    ("error without shadows", "{without:.2f%}"),
+    ("error with shadows", "{mean:.2f%}"),
+    ("pixels with an error over half", "{wrong:.2f%}"),
 )
 COSTS = (
-    ("a frame of 1024 x 1024", "{light}"),
-    ("1 sample", "{time[0]:.2f}"),
-    ("4 samples", "{time[1]:.2f}"),
+    ("light", "{light}"),
+    ("frame time, 1 sample", "{time[0]:.2f}"),
+    ("frame time, 4 samples", "{time[1]:.2f}"),
 )
 OCCLUSION = (
     ("mesh", "{mesh}"),
     ("vertices", "{vertices:,}"),
-    ("baked in", "{seconds:.1f} s"),
-    ("mean error without", "{without:.3f}"),
-    ("mean error", "{baked:.3f}"),
-    ("a frame, 1 sample", "{time[0]:.2f}"),
-    ("4 samples", "{time[1]:.2f}"),
+    ("time to bake", "{seconds:.1f} s"),
+    ("mean error, not baked", "{without:.3f}"),
+    ("mean error, baked", "{baked:.3f}"),
+    ("frame time, 1 sample", "{time[0]:.2f}"),
+    ("frame time, 4 samples", "{time[1]:.2f}"),
 )
 
 

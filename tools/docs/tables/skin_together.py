@@ -1,4 +1,4 @@
-"""What each part of skin costs of a frame, and what plans leave out."""
+"""Frame time of each part of skin, and plans of scenes with all parts."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from tools.docs.tables import load, machine, table, with_median
 from tools.docs.tables.frame import PLANS
 
 COSTS = (
-    ("a frame of 1024 x 1024, 1 sample", "{part}"),
-    ("over the plain one", "{time:.2f}"),
-    ("fastest over fastest", "{fastest:.2f}"),
+    ("frame", "{part}"),
+    ("median time / plain", "{time:.2f}"),
+    ("fastest / fastest plain", "{fastest:.2f}"),
 )
 
 

@@ -1,4 +1,4 @@
-"""On which targets the shader library is tested, and how near its bounds it is."""
+"""Targets that the shader library was tested on, and the largest error on each."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ COLUMNS = (
     ("functions", "{functions}"),
     ("samples", "{samples:,}"),
     ("largest error, % of its bound", "{percent:.0f}"),
-    ("of", "{case}"),
+    ("case", "{case}"),
 )
 
 

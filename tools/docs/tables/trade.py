@@ -1,4 +1,4 @@
-"""What terms cost and lose; the README has the first table."""
+"""Cost and error of the specular terms; the README contains the first table."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from facerender.pricing.table import shipped, term_name
 from facerender.pricing.variants import SLOPE, Variant
 from facerender.shading import Term
 from tools.docs.measurement import measurement_of
-from tools.docs.tables import load, markdown_table
+from tools.docs.tables import load, markdown_table, published
 
 _WORDS = ("variant", "lobe", "remark", "shading")  # columns that are aligned to the left
 
@@ -44,18 +44,18 @@ def blocks() -> dict[str, str]:
 
 
 def amd(family: str, measured: MeasuredVariant) -> Statistics:
-    """Return the estimate for a variant of the compiler for a family of AMD's GPUs."""
+    """Return the compiler's estimate of a variant's cost on a family of AMD's GPUs."""
     variant = measured.variant
     return Statistics(**load("amd")["statistics"][family][variant.model][variant.name])
 
 
 def amd_tables(measurement: Measurement) -> list[Table]:
-    """Return the costs on AMD's GPUs as a kind of cost beside the measured ones."""
+    """Return the tables of the estimated costs on AMD's GPUs."""
 
     def kind(family: str, title: str) -> CostKind:
         return CostKind(
             f"specular term on AMD {title}",
-            "cycles a wave",
+            "cycles per wave",
             lambda measured: Interval(*3 * (amd(family, measured).inverse_throughput,)),
             {
                 "instructions": lambda measured: amd(family, measured).instructions,
@@ -68,29 +68,31 @@ def amd_tables(measurement: Measurement) -> list[Table]:
 
 
 def headline(measurement: Measurement) -> str:
-    """Return the README's table: costs of both models side by side, relative to the printed form,
-    and the error of the lobe."""
-    head = [""]
-    rows: dict[str, list[str]] = {}
-    for model, title in MODELS.items():
-        head += [f"{title}, ns", "RDNA2, cycles", "error, %"]
-        variants = measurement.of_model(model)
-        base = variants[0].cost
-        for row in variants:
-            variant, cost = row.variant, row.cost
-            exact = variant.lobe == "exact" and not variant.printed
-            cells = rows.setdefault(f"**{variant.name}**" if exact else variant.name, [])
-            cells.append(f"{cost.term_ns.value:.2f}, {cost.term_ns.value / base.term_ns.value:.2f}")
-            cycles, of = (amd("navi21", each).inverse_throughput for each in (row, variants[0]))
-            cells.append(f"{cycles}, {cycles / of:.2f}")
-            error = row.error.lobe[measurement.settings.slope]
-            cells.append("-" if error is None else f"{error:.2f}")
-    return markdown_table(head, [[name, *cells] for name, cells in rows.items()])
+    """Return the README's table: cost of Cook-Torrance, absolute and relative to the published
+    form, and error of the lobe."""
+    variants = measurement.of_model("cook-torrance")
+    base = variants[0]
+    rows = []
+    for row in variants:
+        name = published(row.variant.name)
+        ns, of = row.cost.term_ns.value, base.cost.term_ns.value
+        cycles, all_cycles = (amd("navi21", each).inverse_throughput for each in (row, base))
+        error = row.error.lobe[measurement.settings.slope]
+        rows.append(
+            [
+                f"**{name}**" if name.startswith("exact") else name,
+                f"{ns:.2f}, {ns / of:.2f}",
+                f"{cycles}, {cycles / all_cycles:.2f}",
+                "-" if error is None else f"{error:.2f}",
+            ]
+        )
+    return markdown_table(["Cook-Torrance", "ns", "cycles", "error, %"], rows)
 
 
 def in_program(measurement: Measurement, model: str) -> str:
-    """Return what a term of a model costs in the host's program, by lobe and target, with m per
-    fragment and with a constant m."""
+    """Return a table: cost of a model's term in the renderer's program, by lobe and target, with m
+    per fragment and with a constant m. Costs are bold unless another lobe dominates them: at most
+    the same error and the same costs."""
     error = {
         row.variant: row.error.lobe[measurement.settings.slope] or 0.0
         for row in measurement.of_model(model)
@@ -124,20 +126,24 @@ def in_program(measurement: Measurement, model: str) -> str:
 
 
 def instruction_table(instructions: dict[str, Any], model: str) -> str:
-    """Return the instructions that other compilers make of the terms of a model."""
+    """Return a table: the instructions of a model's terms from other compilers."""
     names = [GPUS.get(gpu, gpu.replace("-", " ").title()) for gpu in instructions]
     rows = [
-        [name, *("{all} ({special})".format(**of[model][name]) for of in instructions.values())]
+        [
+            published(name),
+            *("{all} ({special})".format(**of[model][name]) for of in instructions.values()),
+        ]
         for name in next(iter(instructions.values()))[model]
     ]
     return markdown_table(["variant", *names], rows)
 
 
 def _tables(tables: Iterable[Table]) -> str:
-    """Return tables of the package under headings of the third level, numbers aligned."""
+    """Return tables of the package under headings of the third level, numbers aligned right."""
     parts = []
     for each in tables:
         marks = ["---" if name in _WORDS else "---:" for name in each.head]
-        text = f"{each.note}\n\n{markdown_table(each.head, each.rows, marks)}"
+        rows = [[published(name), *cells] for name, *cells in each.rows]
+        text = f"{each.note}\n\n{markdown_table(each.head, rows, marks)}"
         parts.append(f"### {each.title}\n\n{text if each.rows else 'Not measured.'}")
     return "\n\n".join(parts)

@@ -1,0 +1,111 @@
+"""Help texts: texts of options with range and default, usage lines, examples of each command."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+
+EXAMPLES = {
+    "render": (
+        "facerender render -o head.png",
+        "facerender render scan.obj --albedo skin.jpg --camera three-quarter -o scan.png",
+        "facerender render head.glb --hide '*lash*,hair' --m 0.25 --light key -o head.exr",
+        "facerender render --camera front --camera profile -o 'head-{name}.jpg'",
+        "facerender render --camera turntable:24 --frame head -o head.gif",
+        "facerender render --budget 1/255 --size 512 -o cheap.png",
+    ),
+    "info": ("facerender info head.glb", "facerender info scan.obj --json"),
+    "batch": (
+        "facerender batch jobs.csv -o out --size 256 --outputs image,mask,depth",
+        "facerender batch jobs.toml --check",
+        "facerender batch --status out",
+    ),
+    "plan": (
+        "facerender plan head.glb --budget 1/255",
+        "facerender plan --budget 0.5% --within 99% --camera turntable --size 256..1024",
+        "facerender plan --budget 1/255 --scene planned.toml --emit cheap.glsl --target 330",
+    ),
+    "measure": ("facerender measure --quick", "facerender measure head.glb --m 0.25 -o out/head"),
+    "compare": (
+        "facerender compare golden.exr new.exr",
+        "facerender compare goldens out --report report.html",
+        "facerender compare --calibrate runs -o limits.toml",
+    ),
+    "explore": ("facerender explore head.glb -o head.html",),
+    "shaders": (
+        "facerender shaders list",
+        "facerender shaders flatten cook_torrance --target 330 --lobe d16",
+    ),
+    "shaders list": ("facerender shaders list --json",),
+    "shaders path": ("facerender shaders path",),
+    "shaders flatten": (
+        "facerender shaders flatten cook_torrance --target es300 --lobe d16 --m 0.3 > skin.frag",
+        "facerender shaders flatten mine.frag > flat.frag",
+    ),
+    "shaders prepare-normal-map": ("facerender shaders prepare-normal-map pores.png pores.ktx2",),
+    "doctor": ("facerender doctor",),
+    "completion": (
+        'eval "$(facerender completion bash)"',
+        "facerender completion zsh > ~/.zfunc/_facerender",
+    ),
+}
+
+
+class Help(str):
+    """Help text of an option: "text, values unit (default). Note."
+
+    Attributes
+    ----------
+    text : effect of the option
+    default : value without the option, or "required"
+    values : range, such as "0 to 1"; "" for a file, a switch or a choice
+    unit : unit of the values
+    note : further sentences, without the last period
+    """
+
+    text: str
+    default: str
+    values: str
+    unit: str
+    note: str
+
+    def __new__(
+        cls, text: str, default: str, values: str = "", unit: str = "", note: str = ""
+    ) -> Help:
+        limits = " ".join(filter(None, [values, unit]))
+        line = f"{', '.join(filter(None, [text, limits]))} ({default})"
+        line += f". {note}." if note else ""
+        whole = super().__new__(cls, line.replace("%", "%%"))
+        whole.text, whole.default, whole.note = text, default, note
+        whole.values, whole.unit = values, unit
+        return whole
+
+
+def groups_of(parser: argparse.ArgumentParser) -> Iterator[tuple[str, list[argparse.Action]]]:
+    """Yield the title and the options of each group of a parser; argparse publishes neither."""
+    for group in parser._action_groups:
+        yield group.title or "", list(group._group_actions)
+
+
+def commands_of(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """Return the commands of a parser by name."""
+    for _, actions in groups_of(parser):
+        for action in actions:
+            if isinstance(action.choices, dict):
+                return dict(action.choices)
+    return {}
+
+
+def usage_of(parser: argparse.ArgumentParser) -> str:
+    """Return a usage line with the positional arguments and the required options."""
+    words, optional = [parser.prog], False
+    for _, actions in groups_of(parser):
+        for action in actions:
+            name = str(action.metavar or "|".join(action.choices or ()))
+            if action.option_strings and action.required:
+                words.append(f"{action.option_strings[0]} {name}")
+            elif action.option_strings:
+                optional = optional or action.dest != "help"
+            else:
+                words.append(f"[{name}]" if action.nargs == "?" else name)
+    return " ".join([*words, *["[OPTION ...]"] * optional])

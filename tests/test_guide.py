@@ -1,0 +1,143 @@
+"""README and guide: length, links, examples, and the site built from them."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+import facerender as fr
+from facerender.commands import parser_of
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+GENERATED = re.compile(r"<!-- python -m .*?<!-- end -->", re.DOTALL)
+NOT_GUIDE = {"api", "changelog", "index", "shader-functions"}
+GUIDE = [ROOT / "README.md", *(p for p in sorted(DOCS.glob("*.md")) if p.stem not in NOT_GUIDE)]
+PAGES = sorted(
+    page
+    for pattern in ("*.md", "docs/**/*.md", "examples/*.md", "examples/*/README.md")
+    for page in ROOT.glob(pattern)
+)
+CODE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
+PYTHON = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+FENCE = re.compile(r"^```(\S*)[^\n]*\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+COMMAND = re.compile(r"^facerender (.+?)(?: \| .*)?$", re.MULTILINE)
+SLOW = {"speed"}
+
+
+def words(page: Path) -> int:
+    return len(GENERATED.sub("", page.read_text(encoding="utf-8")).split())
+
+
+def name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def commands(page: Path) -> list[str]:
+    """Return the command lines of a page. Those of command-line.md are generated from parsers."""
+    blocks = FENCE.findall(GENERATED.sub("", page.read_text(encoding="utf-8")))
+    joined = (block.replace("\\\n", "") for language, block in blocks if not language)
+    return [line for block in joined for line in COMMAND.findall(block)]
+
+
+def pages_with_python() -> list[object]:
+    """The examples of batch.md have tests in test_batch_jobs and test_batch_outputs."""
+    pages = (page for page in GUIDE if PYTHON.search(page.read_text("utf-8")))
+    return [
+        pytest.param(page, marks=pytest.mark.slow if page.stem in SLOW else ())
+        for page in pages
+        if page.stem != "batch"
+    ]
+
+
+def prose(page: Path) -> str:
+    return CODE.sub("", page.read_text(encoding="utf-8"))
+
+
+def anchors(page: Path) -> set[str]:
+    """Return what GitHub lets a link name: headings in lower case, spaces as hyphens, no signs."""
+    seen: Counter[str] = Counter()
+    found = set()
+    for heading in re.findall(r"^#+ (.+)$", prose(page), re.MULTILINE):
+        slug = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        found.add(f"{slug}-{seen[slug]}" if seen[slug] else slug)
+        seen[slug] += 1
+    return found
+
+
+def broken_links(page: Path) -> list[str]:
+    broken = []
+    for link in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+        path, _, anchor = link.partition("#")
+        target = page.parent / path if path else page
+        if link.startswith(("http://", "https://")):
+            continue
+        if not target.exists() or (anchor and anchor not in anchors(target)):
+            broken.append(link)
+    return broken
+
+
+def test_the_readme_and_the_guide_are_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 700
+    assert sum(words(page) for page in GUIDE[1:]) <= 15_000
+
+
+@pytest.mark.parametrize("page", pages_with_python(), ids=name)
+def test_python_examples_run_in_the_order_of_the_page(page, egl, tmp_path, monkeypatch):
+    shutil.copy(ROOT / "assets" / "head.glb", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    for m, file in ((0.3, "golden.exr"), (0.306, "new.exr")):  # images of compare.md
+        fr.render(m=m, size=(64, 64)).save(file)
+    names: dict[str, object] = {}
+    for code in PYTHON.findall(page.read_text(encoding="utf-8")):
+        exec(compile(code, name(page), "exec"), names)
+
+
+@pytest.mark.parametrize("page", [page for page in GUIDE if commands(page)], ids=name)
+def test_commands_of_the_page_have_valid_options(page):
+    for line in commands(page):
+        arguments = shlex.split(line, comments=True)
+        if "COMMAND" not in arguments:
+            parser_of(arguments).parse_args(arguments)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_links_lead_somewhere(page):
+    assert broken_links(page) == []
+
+
+def test_a_broken_link_is_seen(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(
+        "# A `b`, c\n\n# Twice\n\n# Twice\n\n```\n# none\n[x](code)\n```\n\n"
+        "[a](#a-b-c) [b](page.md#twice-1) [c](gone.md) [d](#none) [e](https://example.org)\n"
+    )
+    assert broken_links(page) == ["gone.md", "#none"]
+
+
+def test_the_api_reference_has_every_public_name():
+    page = (DOCS / "api.md").read_text(encoding="utf-8")
+    documented = set(re.findall(r"^\.\. auto(?:function|class|exception):: (\w+)$", page, re.M))
+    modules = set(re.findall(r"^\.\. automodule:: facerender\.(\w+)$", page, re.MULTILINE))
+    assert documented | modules == set(fr.__all__) - {"__version__"}
+
+
+def test_the_description_of_the_package_has_no_links():
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    text = re.search(r'^text = """(.*?)^"""', project, re.DOTALL | re.MULTILINE)[1]
+    assert not re.search(r"\]\(|!\[|<img", text)
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning(tmp_path):
+    command = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--quiet", DOCS, tmp_path]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert (result.returncode, result.stdout + result.stderr) == (0, "")
+    assert (tmp_path / "start.html").exists()
